@@ -1,0 +1,42 @@
+"""Inertial parameters of a robot from a force/torque sensor under its base and from its joint torques."""
+
+from importlib.metadata import version
+
+from bayesid.errors import BayesidError, BayesidWarning, EstimationError, InputError
+from bayesid.estimators import DEFAULT_METHOD, METHODS, Estimate, LeastSquares, Ridge, TruncatedSVD, estimator, fit
+from bayesid.experiment import Experiment, Motion, Sensor, load_experiment, write_experiment
+from bayesid.filters import LowPass
+from bayesid.regression import Regression
+from bayesid.robot import Robot, load_robot
+from bayesid.tables import Table
+from bayesid.workflow import Identification, identify, summary
+
+__version__ = version("bayesid")
+
+__all__ = [
+    "DEFAULT_METHOD",
+    "METHODS",
+    "BayesidError",
+    "BayesidWarning",
+    "Estimate",
+    "EstimationError",
+    "Experiment",
+    "Identification",
+    "InputError",
+    "LeastSquares",
+    "LowPass",
+    "Motion",
+    "Regression",
+    "Ridge",
+    "Robot",
+    "Sensor",
+    "Table",
+    "TruncatedSVD",
+    "estimator",
+    "fit",
+    "identify",
+    "load_experiment",
+    "load_robot",
+    "summary",
+    "write_experiment",
+]

@@ -1,0 +1,153 @@
+"""The command line: parse arguments, call the library, say where the report is."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import warnings
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import click
+from rich.console import Console
+
+import bayesid
+from bayesid.errors import BayesidError, InputError
+from bayesid.filters import LowPass
+from bayesid.output import check_output
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit status: 0 done, 1 the work failed, 2 bad input or usage."""
+    try:
+        commands.main(list(sys.argv[1:] if arguments is None else arguments), prog_name="bayesid", standalone_mode=False)
+    except InputError as error:
+        return _fail(str(error), 2)
+    except BayesidError as error:
+        return _fail(str(error), 1)
+    except click.exceptions.NoArgsIsHelpError as error:
+        click.echo(error.format_message())
+        return 2
+    except click.ClickException as error:
+        return _fail(error.format_message(), 2)
+    except (click.Abort, KeyboardInterrupt):
+        return _fail("interrupted; nothing was written", 1)
+    except (OSError, MemoryError, ArithmeticError) as error:
+        return _fail(f"failed: {error}", 1)
+    return 0
+
+
+def _fail(message: str, status: int) -> int:
+    click.echo("bayesid: " + " ".join(message.split()), err=True)
+    return status
+
+
+@contextlib.contextmanager
+def _progress() -> Iterator:
+    """Shows the stage on a terminal; silent elsewhere. Library warnings become one line each."""
+    console = Console(stderr=True)
+    with warnings.catch_warnings():
+        warnings.showwarning = lambda message, *_, **__: click.echo(f"warning: {message}", err=True)
+        if not console.is_terminal:
+            yield lambda stage: None
+            return
+        with console.status("starting") as status:
+            yield lambda stage: status.update(f"{stage} ...")
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(bayesid.__version__, prog_name="bayesid")
+def commands() -> None:
+    """Inertial parameters of a robot from a base force/torque sensor and joint torques, with honest uncertainty."""
+
+
+_EXPERIMENT = click.argument("experiment", type=click.Path(path_type=Path))
+_OUT = click.option("--out", type=click.Path(path_type=Path), help="Folder for the results.")
+_SEED = click.option("--seed", type=int, default=0, show_default=True, help="Seed of everything random.")
+
+
+def _names(_context, _parameter, value: str | None) -> list[str] | None:
+    return None if value is None else [part.strip() for part in value.split(",") if part.strip()]
+
+
+def _model_options(command):
+    """Options of every verb that fits a model."""
+    options = [
+        click.option("--channel", type=click.Choice(["wrench", "torque", "both"]), help="Which readings to fit."),
+        click.option("--filter-l", type=float, help="First low-pass of the paper [rad/s]; default: none."),
+        click.option("--filter-d", type=float, help="Second low-pass of the paper [rad/s]; default 50 with --filter-l."),
+        click.option("--bandwidth", type=float, help="Bandwidth of the joint motion [Hz]; default: from the positions."),
+        click.option("--motions", callback=_names, help="Motions to fit, separated by commas."),
+        click.option("--effects", callback=_names, help="Effects in the model, separated by commas."),
+        click.option("--model", type=click.Path(path_type=Path), help="A model.toml that replaces [model]."),
+    ]
+    for option in reversed(options):
+        command = option(command)
+    return command
+
+
+def _low_pass(l: float | None, d: float | None) -> LowPass | None:  # noqa: E741
+    if l is None and d is None:
+        return None
+    if l is None:
+        raise InputError("--filter-d is given without --filter-l; give both, for example --filter-l 1 --filter-d 50")
+    return LowPass(l, 50.0 if d is None else d)
+
+
+def _load(experiment: Path, model: Path | None):
+    loaded = bayesid.load_experiment(experiment)
+    return loaded if model is None else loaded.with_model(model)
+
+
+def _out(out: Path | None, name: str, verb: str) -> Path:
+    return check_output(out or Path("bayesid-out") / f"{name}-{verb}")
+
+
+@commands.command()
+@_EXPERIMENT
+@_OUT
+@_SEED
+def check(experiment: Path, out: Path | None, seed: int) -> None:
+    """Read and validate an experiment folder; say what is in it."""
+    del seed
+    if out is not None:
+        check_output(out)
+    with _progress() as progress:
+        result = bayesid.check(bayesid.load_experiment(experiment), progress=progress)
+        report = result.write(_out(out, result.name, "check"))
+    click.echo(str(result))
+    click.echo(f"report: {report}")
+
+
+@commands.command()
+@_EXPERIMENT
+@_model_options
+@click.option("--method", default=bayesid.DEFAULT_METHOD, show_default=True, help="Estimator: " + ", ".join(bayesid.METHODS) + ".")
+@click.option(
+    "--static", type=click.Choice(["motion", "joint"]), default="motion", show_default=True,
+    help="Subtract a stop-and-go run, or fit it along.",
+)  # fmt: skip
+@_OUT
+@_SEED
+def identify(experiment, channel, filter_l, filter_d, bandwidth, motions, effects, model, method, static, out, seed) -> None:
+    """Base parameters with honest uncertainty, link parameters, proof on the validation motions."""
+    del seed
+    if out is not None:
+        check_output(out)
+    filters = _low_pass(filter_l, filter_d)
+    bayesid.estimator(method)
+    with _progress() as progress:
+        progress("reading")
+        loaded = _load(experiment, model)
+        result = bayesid.identify(
+            loaded, channel, method, low_pass=filters, motions=motions, effects=effects, static=static,
+            bandwidth=bandwidth, progress=progress,
+        )  # fmt: skip
+        progress("report")
+        report = result.write(_out(out, loaded.name, "identify"))
+    click.echo(bayesid.summary(result))
+    click.echo(f"report: {report}")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,228 @@
+"""What an estimator takes and gives."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+from scipy.stats import norm
+
+from bayesid.base_parameters import BaseParameters
+from bayesid.noise import NoiseModel
+from bayesid.regression import Regression
+
+#: Central probability of ``low`` to ``high``.
+LEVEL = 0.95
+
+
+class Estimator(Protocol):
+    """Anything that turns a regression into an estimate; pass such an object wherever a method is named."""
+
+    name: str
+
+    def fit(self, regression: Regression) -> Estimate:
+        """Estimate base and effect parameters."""
+        ...
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """Estimated base parameters, effect parameters and how sure they are.
+
+    Attributes
+    ----------
+    method
+        The estimator's name.
+    base
+        What the base parameters are combinations of.
+    effect_names, effect_units
+        Effect parameters, estimated jointly.
+    solution
+        Base parameters, then effect parameters (p,).
+    full_covariance
+        Of ``solution`` (p, p); None where no honest one exists.
+    undetermined
+        Columns of ``solution`` that the data say nothing about (p,).
+    weak
+        Columns that the data determine no better than the size of a body (p,).
+    interval
+        ``confidence``, ``credible`` or ``none``, then ``interval_reason`` says why.
+    noise
+        Noise model of each group of rows.
+    rows
+        Number of scalar rows fitted.
+    condition_number
+        Of the weighted regressor with columns of unit length.
+    residual_rms
+        Of whitened rows; 1 when the noise model holds.
+    whiteness
+        Largest autocorrelation of whitened residuals over lags 1 ... 10, times sqrt(rows).
+    details
+        What the method chose, and why.
+    """
+
+    method: str
+    base: BaseParameters
+    effect_names: tuple[str, ...]
+    effect_units: tuple[str, ...]
+    solution: np.ndarray
+    full_covariance: np.ndarray | None
+    undetermined: np.ndarray
+    weak: np.ndarray
+    interval: str
+    noise: dict[str, NoiseModel]
+    rows: int
+    condition_number: float
+    residual_rms: float
+    whiteness: float
+    interval_reason: str = ""
+    details: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the base parameters (r,)."""
+        return self.base.names
+
+    @property
+    def values(self) -> np.ndarray:
+        """Base parameters (r,)."""
+        return self.solution[: self.base.rank]
+
+    @property
+    def covariance(self) -> np.ndarray | None:
+        """Of the base parameters (r, r); None where no honest one exists."""
+        r = self.base.rank
+        return None if self.full_covariance is None else self.full_covariance[:r, :r]
+
+    @property
+    def full_std(self) -> np.ndarray:
+        """Standard deviations of ``solution`` (p,); nan where the data say nothing or none is honest."""
+        if self.full_covariance is None:
+            return np.full(len(self.solution), np.nan)
+        return np.where(self.undetermined, np.nan, np.sqrt(np.maximum(np.diag(self.full_covariance), 0.0)))
+
+    @property
+    def std(self) -> np.ndarray:
+        """Standard deviations of the base parameters (r,)."""
+        return self.full_std[: self.base.rank]
+
+    @property
+    def low(self) -> np.ndarray:
+        """Lower ends of the central 95 % intervals of the base parameters (r,)."""
+        return self.values - norm.ppf(0.5 + LEVEL / 2) * self.std
+
+    @property
+    def high(self) -> np.ndarray:
+        """Upper ends of the central 95 % intervals of the base parameters (r,)."""
+        return self.values + norm.ppf(0.5 + LEVEL / 2) * self.std
+
+    @property
+    def classes(self) -> tuple[str, ...]:
+        """``alone``, ``combination``, ``weak`` or ``prior`` for each base parameter."""
+        several = np.count_nonzero(self.base.matrix, axis=1) > 1
+        return tuple(
+            "prior" if self.undetermined[i] else "weak" if self.weak[i] else "combination" if several[i] else "alone"
+            for i in range(self.base.rank)
+        )
+
+    def __str__(self) -> str:
+        """Table of the base and effect parameters."""
+        lines = [f"{self.method}: {self.base.rank} base parameters, {self.rows} rows"]
+        names = [*self.base.labels, *self.effect_names]
+        units = [*self.base.units, *self.effect_units]
+        width = min(max(map(len, names), default=0), 60)
+        for name, value, std, unit in zip(names, self.solution, self.full_std, units, strict=True):
+            spread = f"± {1.96 * std:<10.3g}" if np.isfinite(std) else "  (no interval)"
+            lines.append(f"  {name[:60]:<{width}}  {value:>11.5g} {spread} {unit}")
+        if self.interval == "none":
+            lines.append(f"  no intervals: {self.interval_reason}")
+        return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        """The same as an HTML table for notebooks."""
+        rows = "".join(
+            f"<tr><td>{name}</td><td>{value:.5g}</td><td>{'' if not np.isfinite(std) else f'{1.96 * std:.3g}'}</td><td>{unit}</td></tr>"
+            for name, value, std, unit in zip(
+                [*self.base.labels, *self.effect_names],
+                self.solution,
+                self.full_std,
+                [*self.base.units, *self.effect_units],
+                strict=True,
+            )
+        )
+        return f"<table><tr><th>{self.method}</th><th>value</th><th>± 95 %</th><th>unit</th></tr>{rows}</table>"
+
+    def to_dict(self) -> dict[str, Any]:
+        """The estimate's part of ``estimate.json``."""
+        covariance = None if self.covariance is None else self.covariance.tolist()
+        base = [
+            {
+                "name": name,
+                "unit": unit,
+                "value": float(value),
+                "std": _number(std),
+                "low": _number(low),
+                "high": _number(high),
+                "class": kind,
+                "label": label,
+            }
+            for name, unit, value, std, low, high, kind, label in zip(
+                self.names, self.base.units, self.values, self.std, self.low, self.high, self.classes, self.base.labels,
+                strict=True,
+            )
+        ]  # fmt: skip
+        result: dict[str, Any] = {
+            "method": self.method,
+            "base_parameters": base,
+            "interval": self.interval,
+            "covariance": covariance,
+            "base_map": self.base.matrix.tolist(),
+            "link_parameter_names": list(self.base.parameter_names),
+            "rank": self.base.rank,
+            "condition_number": _number(self.condition_number),
+            "residual": {"whitened_rms": _number(self.residual_rms), "whiteness": _number(self.whiteness), "rows": self.rows},
+            "details": self.details,
+        }
+        if self.interval_reason:
+            result["interval_reason"] = self.interval_reason
+        return result
+
+
+def _number(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def unseen(matrix: np.ndarray, tolerance: float = 1e-10) -> np.ndarray:
+    """Columns of a (weighted) factor with a part that the rows do not determine (p,)."""
+    length = np.linalg.norm(matrix, axis=0)
+    nothing = length <= 1e-13 * length.max(initial=0.0)
+    if nothing.all():
+        return nothing
+    _, s, vt = np.linalg.svd(matrix[:, ~nothing] / length[~nothing])
+    out = nothing.copy()
+    out[~nothing] = (np.abs(vt[s <= tolerance * s[0]]) > 1e-6).any(axis=0)
+    return out
+
+
+def condition(matrix: np.ndarray) -> float:
+    """Condition number with columns of unit length; infinite where a column is zero."""
+    length = np.linalg.norm(matrix, axis=0)
+    if not len(length):
+        return 1.0
+    if length.min() <= 1e-13 * length.max():
+        return float("inf")
+    s = np.linalg.svd(matrix / length, compute_uv=False)
+    return float(s[0] / s[-1]) if s[-1] > 0 else float("inf")
+
+
+def largest_autocorrelation(white: Sequence[np.ndarray], lags: int = 10) -> float:
+    """Largest autocorrelation of white residuals (k, channels), in standard errors."""
+    total = max(sum(len(w) for w in white), 1)
+    power = sum(np.sum(w**2, axis=0) for w in white)
+    worst = 0.0
+    for lag in range(1, lags + 1):
+        product = sum(np.sum(w[lag:] * w[:-lag], axis=0) for w in white if len(w) > lag)
+        worst = max(worst, float(np.max(np.abs(product / np.maximum(power, 1e-300)))) * np.sqrt(total))
+    return worst

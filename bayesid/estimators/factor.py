@@ -1,0 +1,207 @@
+"""Triangular factors of weighted rows, and the noise that the weights come from.
+
+The rows are reduced once to the factor R of a QR decomposition of [X y]; estimators work on R alone. Weights
+are learned on a pilot: all rows of an ordinary recording, evenly spread stretches of a long one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import chi2
+
+from bayesid.noise import NoiseModel, estimate_noise
+from bayesid.regression import Block, Regression
+
+_PASSES = 3
+#: About as many rows as the noise is learned from, and the fewest taken from one block.
+PILOT_ROWS = 8192
+PILOT_STRETCH = 512
+#: Below this probability the two fits count as contradicting each other.
+SMALLEST_AGREEMENT = 1e-4
+
+
+@dataclass(frozen=True)
+class Factor:
+    """Triangular factor of weighted rows [X y].
+
+    Attributes
+    ----------
+    r
+        (p + 1, p + 1), upper triangular; the last column is the target's.
+    rows
+        How many scalar rows went in.
+    """
+
+    r: np.ndarray
+    rows: int
+
+    @property
+    def matrix(self) -> np.ndarray:
+        """Factor of X (p, p)."""
+        return self.r[:-1, :-1]
+
+    @property
+    def target(self) -> np.ndarray:
+        """Rotated target (p,)."""
+        return self.r[:-1, -1]
+
+    @property
+    def least_squares(self) -> float:
+        """Sum of squares that no parameters can remove."""
+        return float(self.r[-1, -1] ** 2)
+
+
+def stack(r: np.ndarray | None, rows: np.ndarray) -> np.ndarray:
+    """Update a triangular factor with further rows (k, p + 1)."""
+    if r is not None:
+        rows = np.concatenate([r, rows])
+    r = np.linalg.qr(rows, mode="r")
+    missing = rows.shape[1] - len(r)
+    return np.vstack([r, np.zeros((missing, rows.shape[1]))]) if missing > 0 else r
+
+
+def reduce_rows(blocks: Iterable[Block], transform: Callable[[Block], np.ndarray]) -> Factor:
+    """Factor of the transformed rows of all blocks; ``transform`` gives (k, channels, p + 1)."""
+    r, rows = None, 0
+    for block in blocks:
+        new = transform(block)
+        new = new.reshape(-1, new.shape[-1])
+        rows += len(new)
+        for a in range(0, len(new), 4096):
+            r = stack(r, new[a : a + 4096])
+    if r is None:
+        raise ValueError("no rows to reduce")
+    return Factor(r, rows)
+
+
+def whitened(blocks: Iterable[Block], noise: dict[str, NoiseModel]) -> Iterator[tuple[Block, np.ndarray]]:
+    """Every block with its rows whitened; a recursion runs on over blocks of one recording."""
+    before: np.ndarray | None = None
+    last: Block | None = None
+    for block in blocks:
+        model = noise[block.group]
+        joined = last is not None and not block.start and last.motion == block.motion and last.group == block.group
+        white = model.whiten(block.rows, before if joined else None)
+        if not joined and not block.start and model.order:
+            white = white[model.order :]  # a block out of the middle: its past is unknown
+        order = max(model.order, 1)
+        before = block.rows[-order:] if len(block.rows) >= order or not joined else np.concatenate([before, block.rows])[-order:]  # type: ignore[arg-type,list-item]
+        last = block
+        yield block, white
+
+
+def pilot(regression: Regression) -> list[Block]:
+    """Enough blocks to learn the noise from: all of them, or the first rows of evenly spread ones."""
+    blocks = []
+    every = max(int(np.ceil(regression.row_count / PILOT_ROWS)), 1)
+    for block in regression.blocks():
+        keep = max(len(block.rows) // every, min(len(block.rows), PILOT_STRETCH))
+        blocks.append(block if keep == len(block.rows) else replace(block, rows=block.rows[:keep], times=block.times[:keep]))
+    return blocks
+
+
+@dataclass(frozen=True)
+class Weights:
+    """What the noise looks like and where that was learned.
+
+    Attributes
+    ----------
+    noise
+        Noise model of each group of rows.
+    agreement
+        Probability that generalised and channel-weighted least squares differ as much as they do when the
+        model is complete (a Hausman test [Hausman1978]_): when it is tiny, something is missing in the model.
+    complete
+        Whether ``agreement`` allows to take residuals for noise alone; the colour is then that of an
+        efficient fit. Otherwise it is that of the channel-weighted residuals, model error included.
+    """
+
+    noise: dict[str, NoiseModel]
+    agreement: float
+    complete: bool
+
+
+def learn_weights(regression: Regression) -> Weights:
+    """Estimate the noise from residuals of a pilot.
+
+    Channel-weighted least squares comes first. Rounds of generalised least squares then follow, so that the
+    colour of the noise is not hidden by parameters that followed it. But an efficient fit trusts whatever is
+    quiet, so on a model with something missing it goes astray: where the two fits differ by more than the noise
+    explains, the residuals of the first one count.
+    """
+    blocks = pilot(regression)
+    channels = blocks[0].rows.shape[1]
+    scale = np.ones(channels)
+    plain = np.zeros(0)
+    for _ in range(2):
+        factor = reduce_rows(blocks, lambda b: b.rows / scale[:, None])
+        plain = solve(factor.matrix, factor.target)
+        residual = [b.target - b.matrix @ plain for b in blocks]
+        power = sum(np.sum(r**2, axis=0) for r in residual) / sum(len(r) for r in residual)
+        scale = np.sqrt(np.maximum(power, 1e-20 * max(power.max(), 1e-200)))
+    first = noise = _noise_of(regression, blocks, plain)
+    efficient = plain
+    for _ in range(_PASSES):
+        factor = reduce_whitened(blocks, noise)
+        efficient = solve(factor.matrix, factor.target)
+        noise = _noise_of(regression, blocks, efficient)
+    agreement = _hausman(blocks, noise, plain, efficient, scale)
+    complete = agreement > SMALLEST_AGREEMENT
+    return Weights(noise if complete else first, agreement, complete)
+
+
+def _noise_of(regression: Regression, blocks: list[Block], values: np.ndarray) -> dict[str, NoiseModel]:
+    noise = {}
+    total = sum(len(b.rows) for b in blocks)
+    for group in dict.fromkeys(b.group for b in blocks):
+        own = [b.target - b.matrix @ values for b in blocks if b.group == group]
+        noise[group] = estimate_noise(
+            own,
+            parameters=round(sum(map(len, own)) / total * len(values)),
+            known_poles=regression.known_poles if group == "trajectory" else None,
+            highest_order=0 if group == "poses" else 24,
+        )
+    return noise
+
+
+def _hausman(blocks, noise, plain, efficient, scale) -> float:
+    """Probability of a difference between the two fits as large as this one.
+
+    Under a complete model ``d = b_wls - b_gls`` has covariance ``V_wls - V_gls``.
+    """
+    whole = reduce_whitened(blocks, noise).matrix
+    bread = reduce_rows(blocks, lambda b: b.rows / scale[:, None]).matrix
+    middle = reduce_rows(blocks, lambda b: noise[b.group].colour_transposed(b.matrix / scale[:, None] ** 2)).r
+    half = middle @ np.linalg.pinv(bread.T @ bread, rcond=1e-12, hermitian=True)
+    covariance = half.T @ half
+    size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    gap = covariance - np.linalg.pinv(whole.T @ whole, rcond=1e-12, hermitian=True)
+    values, vectors = np.linalg.eigh(gap / np.outer(size, size))
+    keep = values > 1e-3
+    z = vectors.T[keep] @ ((plain - efficient) / size) / np.sqrt(values[keep])
+    return float(chi2.sf(z @ z, max(keep.sum(), 1)))
+
+
+def reduce_whitened(blocks: Iterable[Block], noise: dict[str, NoiseModel]) -> Factor:
+    """Factor of whitened rows."""
+    r, rows = None, 0
+    for _, white in whitened(blocks, noise):
+        flat = white.reshape(-1, white.shape[-1])
+        rows += len(flat)
+        for a in range(0, len(flat), 4096):
+            r = stack(r, flat[a : a + 4096])
+    assert r is not None
+    return Factor(r, rows)
+
+
+def solve(matrix: np.ndarray, target: np.ndarray, tolerance: float = 1e-11) -> np.ndarray:
+    """Least-squares solution; directions that the rows say nothing about stay zero.
+
+    Columns are scaled to unit length first, except those that are zero.
+    """
+    length = np.linalg.norm(matrix, axis=0)
+    length = np.where(length > 1e-14 * length.max(initial=0.0), length, 1.0)
+    return np.linalg.lstsq(matrix / length, target, rcond=tolerance)[0] / length

@@ -1,0 +1,242 @@
+"""Least squares with different weights, ridge regression and truncated singular values.
+
+All minimise ``||W (y - X b)||`` for rows y = X b + e with cov e = Sigma:
+
+* ``ols``: W = 1. Covariance from the noise as it is, ``(X'X)^-1 X' Sigma X (X'X)^-1``: the sandwich, which
+  allows for the colour that filters give.
+* ``wls``: W = 1 / the standard deviation of each channel. The same sandwich.
+* ``gls``: W'W = Sigma^-1, the efficient one; covariance ``(X' Sigma^-1 X)^-1``.
+* ``ridge``, ``tsvd``: biased towards the nominal model, or zero without one; no interval is honest for them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.optimize import minimize_scalar
+
+from bayesid.errors import InputError
+from bayesid.estimators.estimator import Estimate, condition, largest_autocorrelation, unseen
+from bayesid.estimators.factor import Factor, Weights, learn_weights, pilot, reduce_rows, reduce_whitened, solve
+from bayesid.noise import NoiseModel
+from bayesid.regression import Block, Regression
+
+_WEIGHTS = ("none", "channel", "noise")
+
+
+@dataclass(frozen=True)
+class LeastSquares:
+    """Least squares: ``weights`` is ``none`` (ols), ``channel`` (wls) or ``noise`` (gls)."""
+
+    name: str
+    weights: str
+
+    def fit(self, regression: Regression) -> Estimate:
+        """Estimate with the covariance that belongs to these weights."""
+        weights = learn_weights(regression)
+        factor, scale = _weighted(regression, weights, self.weights)
+        solution = solve(factor.matrix, _towards(regression, factor))
+        solution = solution + _start(regression, len(solution))
+        hidden = unseen(factor.matrix)
+        inverse = _inverse(factor.matrix, hidden)
+        if self.weights == "noise":
+            covariance = inverse @ inverse.T
+        else:
+            middle = _meat(regression, weights.noise, scale)
+            bread = inverse @ inverse.T
+            covariance = bread @ (middle.T @ middle) @ bread
+        return _estimate(self.name, regression, weights, factor, solution, covariance, hidden)
+
+
+@dataclass(frozen=True)
+class Ridge:
+    """Ridge regression towards the nominal parameters, or zero without a nominal model.
+
+    Attributes
+    ----------
+    strength
+        Penalty on columns of unit length relative to the largest singular value squared; None: by
+        generalised cross-validation [Golub1979]_, ``GCV = RSS / (N - trace)^2``.
+    weights
+        As in `LeastSquares`.
+    """
+
+    name: str = "ridge"
+    strength: float | None = None
+    weights: str = "none"
+
+    def fit(self, regression: Regression) -> Estimate:
+        """Estimate; effects are not penalised."""
+        if self.strength is not None and not self.strength >= 0:
+            raise InputError(f"ridge strength = {self.strength}: give a number of at least 0")
+        weights = learn_weights(regression)
+        factor, _ = _weighted(regression, weights, self.weights)
+        values, chosen = _shrink(regression, factor, self.strength, lambda s, k: s / (s**2 + k * s[0] ** 2), continuous=True)
+        details = {"strength": chosen, "rule": _rule(self.strength is None)}
+        return _biased(self.name, regression, weights, factor, values, details, "ridge regression is biased towards its prior")
+
+
+@dataclass(frozen=True)
+class TruncatedSVD:
+    """Least squares in the directions of the largest singular values; the others stay nominal (or zero).
+
+    Attributes
+    ----------
+    rank
+        Number of directions kept; None: by generalised cross-validation.
+    weights
+        As in `LeastSquares`.
+    """
+
+    name: str = "tsvd"
+    rank: int | None = None
+    weights: str = "none"
+
+    def fit(self, regression: Regression) -> Estimate:
+        """Estimate; effects are not truncated."""
+        r = regression.base.rank
+        if self.rank is not None and not 0 <= self.rank <= r:
+            raise InputError(f"tsvd rank = {self.rank}: give 0 to {r}")
+        weights = learn_weights(regression)
+        factor, _ = _weighted(regression, weights, self.weights)
+
+        def keep(s: np.ndarray, k: float) -> np.ndarray:
+            return np.where((np.arange(len(s)) < k) & (s > 0), 1.0 / np.where(s > 0, s, 1.0), 0.0)
+
+        values, chosen = _shrink(regression, factor, self.rank, keep, continuous=False)
+        details = {"kept": int(chosen), "of": r, "rule": _rule(self.rank is None)}
+        if chosen == r:
+            reason = "the rule looked at the data to choose how many directions to keep"
+        else:
+            reason = "truncated directions keep their prior value, which biases the estimate"
+        return _biased(self.name, regression, weights, factor, values, details, reason)
+
+
+def _rule(automatic: bool) -> str:
+    return "generalised cross-validation" if automatic else "as given"
+
+
+def _weighted(regression: Regression, weights: Weights, kind: str) -> tuple[Factor, dict[str, np.ndarray]]:
+    """Factor of weighted rows, and the factor each channel was weighted with."""
+    if kind not in _WEIGHTS:
+        raise InputError(f"weights '{kind}': choose one of {', '.join(_WEIGHTS)}")
+    channels = len(regression.channel_names)
+    scale = {g: (1.0 / m.std if kind == "channel" else np.ones(channels)) for g, m in weights.noise.items()}
+    if kind == "noise":
+        return reduce_whitened(regression.blocks(), weights.noise), scale
+    return reduce_rows(regression.blocks(), lambda b: b.rows * scale[b.group][:, None]), scale
+
+
+def _start(regression: Regression, p: int) -> np.ndarray:
+    """Where directions without information stay: nominal base parameters, zero effects."""
+    start = np.zeros(p)
+    if regression.nominal is not None:
+        start[: regression.base.rank] = regression.nominal
+    return start
+
+
+def _towards(regression: Regression, factor: Factor) -> np.ndarray:
+    """Rotated target relative to the nominal parameters."""
+    return factor.target - factor.matrix @ _start(regression, factor.matrix.shape[1])
+
+
+def _inverse(matrix: np.ndarray, hidden: np.ndarray) -> np.ndarray:
+    """Inverse of the triangular factor in the determined columns, scaled for accuracy; zero elsewhere."""
+    seen = ~hidden
+    length = np.linalg.norm(matrix[:, seen], axis=0)
+    out = np.zeros(matrix.shape[::-1])
+    out[seen] = np.linalg.pinv(matrix[:, seen] / length, rcond=1e-12) / length[:, None]
+    return out
+
+
+def _meat(regression: Regression, noise: dict[str, NoiseModel], scale: dict[str, np.ndarray]) -> np.ndarray:
+    """Factor Z with ``Z'Z = X' W' Sigma W X`` over all blocks.
+
+    Blocks are long against the noise's memory; its correlation across their borders is left out.
+    """
+
+    def colour(block: Block) -> np.ndarray:
+        weighted = block.matrix * scale[block.group][:, None] ** 2
+        return noise[block.group].colour_transposed(weighted)
+
+    return reduce_rows(regression.blocks(), colour).r
+
+
+def _shrink(regression, factor: Factor, given, inverse, *, continuous: bool) -> tuple[np.ndarray, float]:
+    """Filtered singular-value solution with one knob, chosen by generalised cross-validation if not given.
+
+    Effect columns are eliminated first (they are not shrunk), base columns brought to unit length.
+    """
+    r = regression.base.rank
+    effects, matrix = factor.matrix[:, r:], factor.matrix[:, :r]
+    target = _towards(regression, factor)
+    if effects.shape[1]:
+        basis = np.linalg.qr(effects)[0]
+        project = np.eye(len(target)) - basis @ basis.T
+    else:
+        project = np.eye(len(target))
+    length = np.linalg.norm(project @ matrix, axis=0)
+    length = np.where(length > 1e-13 * length.max(initial=0.0), length, 1.0)
+    u, s, vt = np.linalg.svd(project @ matrix / length, full_matrices=False)
+    rotated = u.T @ project @ target
+    floor = factor.least_squares + max(float(np.sum((project @ target) ** 2) - rotated @ rotated), 0.0)
+
+    def gcv(k: float) -> float:
+        kept = inverse(s, k) * s
+        rss = floor + np.sum(((1.0 - kept) * rotated) ** 2)
+        return float(rss / (factor.rows - effects.shape[1] - kept.sum()) ** 2)
+
+    if given is not None:
+        chosen = float(given)
+    elif continuous:
+        grid = np.linspace(-12.0, 0.0, 49)
+        best = grid[int(np.argmin([gcv(10.0**x) for x in grid]))]
+        found = minimize_scalar(lambda x: gcv(10.0**x), bounds=(best - 0.25, best + 0.25), method="bounded")
+        chosen = float(10.0**found.x)
+    else:
+        chosen = float(np.argmin([gcv(k) for k in range(len(s) + 1)]))
+    base = (vt.T @ (inverse(s, chosen) * rotated)) / length
+    rest = solve(effects, target - matrix @ base) if effects.shape[1] else np.zeros(0)
+    return np.concatenate([base, rest]) + _start(regression, factor.matrix.shape[1]), chosen
+
+
+def _biased(name, regression, weights, factor, values, details, reason) -> Estimate:
+    estimate = _estimate(name, regression, weights, factor, values, None, unseen(factor.matrix))
+    return replace(estimate, interval="none", interval_reason=reason, details={**estimate.details, **details})
+
+
+def _completeness(weights: Weights) -> dict:
+    return {"model_complete": weights.complete, "agreement_of_gls_and_wls": weights.agreement}
+
+
+def _estimate(name, regression: Regression, weights: Weights, factor, solution, covariance, hidden) -> Estimate:
+    white = [
+        noise.whiten(block.target - block.matrix @ solution)
+        for block in pilot(regression)
+        for noise in [weights.noise[block.group]]
+    ]
+    count = sum(w.size for w in white)
+    rms = float(np.sqrt(sum(np.sum(w**2) for w in white) / max(count - len(solution), 1)))
+    weak = np.zeros(len(solution), bool)
+    if covariance is not None:
+        std = np.sqrt(np.maximum(np.diag(covariance), 0.0))[: regression.base.rank]
+        size = regression.nominal_scale if regression.nominal_scale is not None else np.abs(solution[: regression.base.rank])
+        weak[: regression.base.rank] = std > size
+    return Estimate(
+        method=name,
+        base=regression.base,
+        effect_names=regression.effect_names,
+        effect_units=regression.effect_units,
+        solution=solution,
+        full_covariance=covariance,
+        undetermined=hidden,
+        weak=weak,
+        interval="confidence",
+        noise=weights.noise,
+        rows=factor.rows,
+        condition_number=condition(factor.matrix),
+        residual_rms=rms,
+        whiteness=largest_autocorrelation(white),
+        details=_completeness(weights),
+    )

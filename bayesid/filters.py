@@ -1,0 +1,174 @@
+"""The filters applied alike to regressors and measurements.
+
+Any linear operation applied to both sides of ``w = Y phi`` keeps the equation exact. Two are used:
+
+* the paper's two first-order low-passes [Liu1998]_, which also turn ``d/dt (P phi) - Q phi`` into something that
+  needs no accelerations;
+* a projection onto the frequency band in which the robot moves, which discards what only holds noise and thins
+  the rows, without delay and without colouring white noise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+
+from bayesid.errors import InputError
+
+
+@dataclass(frozen=True)
+class LowPass:
+    """Two first-order low-passes in series, ``l / (l + s) * d / (d + s)``, of unit gain at zero frequency.
+
+    Attributes
+    ----------
+    l, d
+        Bandwidths [rad/s]; the paper used l = 1, d = 50.
+    """
+
+    l: float  # noqa: E741 -- the paper's symbol, and the name of the command-line option
+    d: float
+
+    def __post_init__(self):
+        for name, value in (("l", self.l), ("d", self.d)):
+            if not (np.isfinite(value) and value > 0):
+                raise InputError(f"low-pass {name} = {value}: give a positive bandwidth in rad/s")
+
+    def poles(self, step: float) -> np.ndarray:
+        """Poles of the two filters sampled every ``step`` seconds (2,)."""
+        return np.exp(-np.array([self.l, self.d]) * step)
+
+
+@dataclass(frozen=True)
+class FilterState:
+    """What the low-pass remembers between two pieces of one recording: last inputs, last outputs."""
+
+    last_time: float
+    last_rate: np.ndarray
+    last_rest: np.ndarray
+    first_output: np.ndarray
+    second_output: np.ndarray
+
+
+def low_pass(
+    filters: LowPass, times: np.ndarray, rest: np.ndarray, rate_of: np.ndarray | None = None, state: FilterState | None = None
+) -> tuple[np.ndarray, FilterState]:
+    """Filter ``d/dt(rate_of) - rest`` (or ``-rest``) from the zero state at the first sample.
+
+    Both filters are integrated by the trapezoidal rule, so that with ``c = l dt / 2``
+
+        y_k = ((1 - c) y_{k-1} + l (P_k - P_{k-1}) - c (Q_k + Q_{k-1})) / (1 + c)
+
+    which is ``l (P - (P)_l - e^{-lt} P(0)) - (Q)_l`` of [Liu1998]_ equation 14, start included: the same zero
+    state on both sides of the equation, hence nothing to discard.
+
+    Parameters
+    ----------
+    filters
+        The two bandwidths.
+    times
+        (N,) [s], may be uneven.
+    rest, rate_of
+        Q and P, (N, columns).
+    state
+        As returned for the piece before; None at the start of a recording.
+
+    Returns
+    -------
+    filtered
+        (N, columns).
+    state
+        For the next piece.
+    """
+    rest = np.ascontiguousarray(rest, float)
+    moving = rate_of is not None
+    rate = np.ascontiguousarray(rate_of, float) if moving else rest[:, :0]
+    if state is None:
+        zero = np.zeros(rest.shape[1])
+        state = FilterState(times[0], rate[0].copy() if moving else zero, rest[0].copy(), zero, zero.copy())
+    first, second = state.first_output.copy(), state.second_output.copy()
+    out = np.empty_like(rest)
+    _low_pass(
+        filters.l, filters.d, times, state.last_time, rate, state.last_rate, rest, state.last_rest, first, second, moving, out
+    )
+    return out, FilterState(times[-1], rate[-1].copy() if moving else state.last_rate, rest[-1].copy(), first, second)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _low_pass(l, d, times, last_time, rate, last_rate, rest, last_rest, first, second, moving, out):  # noqa: E741
+    for k in range(len(times)):
+        step = times[k] - (last_time if k == 0 else times[k - 1])
+        c, e = 0.5 * l * step, 0.5 * d * step
+        for m in range(rest.shape[1]):
+            before = last_rest[m] if k == 0 else rest[k - 1, m]
+            change = -0.5 * step * (rest[k, m] + before)
+            if moving:
+                change += rate[k, m] - (last_rate[m] if k == 0 else rate[k - 1, m])
+            y = ((1.0 - c) * first[m] + l * change) / (1.0 + c)
+            second[m] = ((1.0 - e) * second[m] + e * (y + first[m])) / (1.0 + e)
+            first[m] = y
+            out[k, m] = second[m]
+
+
+#: Roll-off of the projection's kernel and half its length in rows.
+ROLL_OFF = 0.5
+HALF_WIDTH = 5
+
+
+def project(times: np.ndarray, values: np.ndarray, start: float, step: float, first: int, out: np.ndarray, energy: np.ndarray):
+    """Add samples to the rows of a band: shifted root-raised-cosine kernels, which are orthonormal.
+
+    White noise of standard deviation s on evenly spaced samples therefore stays white with the same s, and
+    signals below ``(1 - ROLL_OFF) / (2 step)`` keep their energy. Where a kernel reaches over an end of the
+    recording it is cut off; divide every row by the root of its energy. As both sides of an equation are
+    treated alike, none of this biases an estimate.
+
+    Parameters
+    ----------
+    times, values
+        Samples (N,) [s] and (N, ...).
+    start, step
+        Centre of row 0 and distance of rows [s].
+    first
+        Index of the row that ``out[0]`` holds.
+    out, energy
+        Rows (k, ...) and sums of squared weights (k,), added to in place; contributions to rows outside are
+        dropped.
+    """
+    flat = np.ascontiguousarray(values).reshape(len(values), -1)
+    _project(times, flat, start, step, first, _TABLE, out.reshape(len(out), -1), energy)
+
+
+def _kernel(x: np.ndarray, roll_off: float) -> np.ndarray:
+    """Root-raised-cosine impulse response, unit spacing and unit energy."""
+    edge = 4.0 * roll_off * x
+    safe = np.where((x == 0) | (np.abs(edge) == 1.0), 0.1234, x)
+    safe_edge = 4.0 * roll_off * safe
+    value = np.sin(np.pi * safe * (1 - roll_off)) + safe_edge * np.cos(np.pi * safe * (1 + roll_off))
+    value /= np.pi * safe * (1.0 - safe_edge**2)
+    angle = np.pi / (4.0 * roll_off)
+    corner = roll_off / np.sqrt(2.0) * ((1 + 2 / np.pi) * np.sin(angle) + (1 - 2 / np.pi) * np.cos(angle))
+    value = np.where(np.abs(edge) == 1.0, corner, value)
+    return np.where(x == 0, 1.0 - roll_off + 4.0 * roll_off / np.pi, value)
+
+
+_PER_ROW = 2048
+_TABLE = _kernel(np.arange(_PER_ROW * HALF_WIDTH + 2) / _PER_ROW, ROLL_OFF)
+_TABLE[_PER_ROW * HALF_WIDTH :] = 0.0
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
+def _project(times, values, start, step, first, table, out, energy):
+    rows, columns = out.shape
+    for sample in range(len(values)):
+        position = (times[sample] - start) / step - first
+        low = max(int(np.ceil(position - HALF_WIDTH)), 0)
+        for row in range(low, min(int(np.floor(position + HALF_WIDTH)), rows - 1) + 1):
+            at = abs(position - row) * _PER_ROW
+            k = int(at)
+            weight = table[k] + (at - k) * (table[k + 1] - table[k])
+            energy[row] += weight * weight
+            for column in range(columns):
+                out[row, column] += weight * values[sample, column]

@@ -1,0 +1,60 @@
+"""Writing results: all files of a verb or none."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import tempfile
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from bayesid.errors import InputError
+
+
+def check_output(folder: str | Path) -> Path:
+    """The output folder as a path, refused early if it cannot be one."""
+    folder = Path(folder)
+    for part in [folder, *folder.parents]:
+        if part.exists():
+            if not part.is_dir():
+                raise InputError(f"--out {folder}: {part} is a file; name a folder")
+            break
+    return folder
+
+
+def write_results(
+    folder: str | Path, documents: Mapping[str, Any], files: Mapping[str, Callable[[Path], Any]], report: str
+) -> Path:
+    """Write JSON documents, other files and the report; they appear together or not at all.
+
+    Parameters
+    ----------
+    folder
+        Made if absent; files of an earlier run are replaced.
+    documents
+        JSON-serialisable objects by file name; numbers that are not finite are refused.
+    files
+        Functions that write a file at the given path, by file name.
+    report
+        Text of ``report.html``.
+
+    Returns
+    -------
+    path
+        Of the report.
+    """
+    folder = check_output(folder)
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}-") as temporary:
+        made = Path(temporary)
+        for name, document in documents.items():
+            text = json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False)
+            (made / name).write_text(text + "\n", encoding="utf-8")
+        for name, write in files.items():
+            write(made / name)
+        (made / "report.html").write_text(report, encoding="utf-8")
+        folder.mkdir(exist_ok=True)
+        for path in made.iterdir():
+            shutil.move(path, folder / path.name)
+    return folder / "report.html"

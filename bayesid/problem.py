@@ -1,0 +1,284 @@
+"""From an experiment and a few choices to the regression that estimators take."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from bayesid import inertia
+from bayesid.base_parameters import structural_base
+from bayesid.effects import parse_effects
+from bayesid.errors import InputError
+from bayesid.experiment import Experiment, Motion
+from bayesid.filters import LowPass
+from bayesid.momentum import Channels, torque_channels, wrench_channels
+from bayesid.regression import Regression
+from bayesid.rows import Recipe, Recording, make_blocks, row_count
+from bayesid.smoothing import Smoother, choose_smoother
+
+CHANNELS = ("wrench", "torque", "both")
+#: Rows a second, as a multiple of the bandwidth of the joint motion: products of joint motions reach higher.
+ROWS_PER_BANDWIDTH = 2.5
+#: At least this many rows a second, so that the noise can be told from the motion.
+LOWEST_ROW_RATE = 20.0
+_PILOT_SAMPLES = 20_000
+
+
+@dataclass(frozen=True)
+class Problem:
+    """An experiment made ready for estimation.
+
+    Attributes
+    ----------
+    experiment
+        Where it comes from.
+    channel
+        ``wrench``, ``torque`` or ``both``.
+    recipe
+        How samples become rows.
+    smoother
+        The bandwidth of the joint motion and why.
+    regression
+        Rows of the motions that are fitted.
+    recordings
+        Gap-free stretches of every motion, by name.
+    fitted
+        Names of the motions that are fitted.
+    static
+        ``motion`` where a static run has been subtracted, ``joint`` where static readings are fitted along,
+        ``none``.
+    """
+
+    experiment: Experiment
+    channel: str
+    recipe: Recipe
+    smoother: Smoother
+    regression: Regression
+    recordings: dict[str, list[Recording]]
+    fitted: tuple[str, ...]
+    static: str
+
+
+def default_channel(experiment: Experiment) -> str:
+    """The wrench where there is a sensor and every fitted motion has its readings, else the torques."""
+    wrench = experiment.sensor is not None and all(m.table.wrench is not None for m in experiment.identification)
+    return "wrench" if wrench else "torque"
+
+
+def stack_channels(wrench: Channels, torque: Channels) -> Channels:
+    """Both sets of channels together, computed in the base frame."""
+    twist = wrench.twist
+    if (wrench.joint < 0).all():
+        # From the sensor frame, whose pose in the base is (R, p), to the base frame: (R l + p x R w; R w).
+        rotation, translation = wrench.reference_rotation, wrench.reference_translation
+        angular = wrench.twist[:, 3:] @ rotation.T
+        twist = np.hstack([wrench.twist[:, :3] @ rotation.T + np.cross(translation, angular), angular])
+    return Channels(
+        names=wrench.names + torque.names,
+        units=wrench.units + torque.units,
+        joint=np.concatenate([wrench.joint, torque.joint]),
+        twist=np.vstack([twist, torque.twist]),
+        bodies=np.vstack([wrench.bodies, torque.bodies]),
+        reference_rotation=torque.reference_rotation,
+        reference_translation=torque.reference_translation,
+        static_wrench=np.concatenate([wrench.static_wrench, torque.static_wrench]),
+    )
+
+
+def make_channels(experiment: Experiment, channel: str) -> Channels:
+    """Channels of an experiment.
+
+    Raises
+    ------
+    InputError
+        The wrench is asked for and there is no sensor.
+    """
+    if channel not in CHANNELS:
+        raise InputError(f"--channel {channel}: choose one of {', '.join(CHANNELS)}")
+    if channel == "torque":
+        return torque_channels(experiment.robot)
+    if experiment.sensor is None:
+        raise InputError("experiment.toml: [sensor] is missing; add it, or use --channel torque")
+    rotation = Rotation.from_euler("xyz", experiment.sensor.rpy).as_matrix()
+    wrench = wrench_channels(experiment.robot, rotation, experiment.sensor.translation)
+    if channel == "wrench":
+        return wrench
+    return stack_channels(wrench, torque_channels(experiment.robot))
+
+
+def prepare(
+    experiment: Experiment,
+    channel: str | None = None,
+    *,
+    filters: LowPass | None = None,
+    motions: Sequence[str] | None = None,
+    effects: Sequence[str] | None = None,
+    static: str = "motion",
+    bandwidth: float | None = None,
+) -> Problem:
+    """Make an experiment ready: choose motions, smooth trajectories, find base parameters, lay out rows.
+
+    Parameters
+    ----------
+    experiment
+        The recordings and the nominal robot.
+    channel
+        ``wrench``, ``torque`` or ``both``; default: see `default_channel`.
+    filters
+        The paper's two low-passes, for rows without accelerations; default none.
+    motions
+        Which motions to fit; default those with role ``identification``.
+    effects
+        Replaces ``[model] effects``.
+    static
+        What to do with a stop-and-go run of the same positions: ``motion`` subtracts it (equation 21 of
+        [Liu1998]_), ``joint`` fits it along as static poses.
+    bandwidth
+        Of the joint motion [Hz]; default: chosen from the positions.
+
+    Raises
+    ------
+    InputError
+        A motion, channel, effect or column is missing.
+    """
+    channel = channel or default_channel(experiment)
+    channels = make_channels(experiment, channel)
+    chosen = _choose(experiment, motions)
+    for motion in chosen:
+        _require(motion, channel)
+    subtract = channel == "wrench" and static == "motion"
+    specs = list(experiment.effects if effects is None else effects)
+    # Validation motions are read, too: the same rows are made from them later.
+    readable = [m for m in experiment.motions if m in chosen or _readable(m, channel)]
+    recordings = {m.name: _recordings(experiment, channels, m, k, channel, subtract) for k, m in enumerate(readable)}
+    fitted = [r for m in chosen for r in recordings[m.name]]
+    if any(r.offset for r in fitted) and channel != "torque" and not any(s.partition("@")[0] == "sensor_offset" for s in specs):
+        specs.insert(0, "sensor_offset")
+    parsed = parse_effects(specs, experiment.robot.joint_names, channels.names)
+    base = structural_base(
+        experiment.robot,
+        channels,
+        gravity=any(r.gravity for r in fitted),
+        offset=any(r.offset for r in fitted) and channel != "torque",
+        at_rest=all(r.poses for r in fitted),
+    )
+    smoother = _smoother(experiment, [r for rs in recordings.values() for r in rs if not r.poses], bandwidth)
+    rate = min(
+        max(ROWS_PER_BANDWIDTH * smoother.bandwidth, LOWEST_ROW_RATE),
+        min((1.0 / np.median(np.diff(r.times)) for rs in recordings.values() for r in rs if not r.poses), default=np.inf),
+    )
+    recipe = Recipe(experiment.robot, channels, base, parsed, smoother.bandwidth, 1.0 / rate, filters)
+    return Problem(
+        experiment=experiment,
+        channel=channel,
+        recipe=recipe,
+        smoother=smoother,
+        regression=_regression(recipe, fitted, tuple(m.name for m in readable)),
+        recordings=recordings,
+        fitted=tuple(m.name for m in chosen),
+        static="none" if all(m.static is None for m in chosen) or channel == "torque" else ("motion" if subtract else "joint"),
+    )
+
+
+def restrict(problem: Problem, motions: Sequence[str]) -> Problem:
+    """The same model fitted to other motions."""
+    recordings = [r for name in motions for r in problem.recordings[name]]
+    regression = _regression(problem.recipe, recordings, problem.regression.motion_names)
+    return replace(problem, regression=regression, fitted=tuple(motions))
+
+
+def _regression(recipe: Recipe, fitted: list[Recording], names: tuple[str, ...]) -> Regression:
+    robot, base = recipe.robot, recipe.base
+    inverse = np.zeros((robot.nominal.size, robot.nominal.size))
+    for k, body in enumerate(robot.nominal):
+        inverse[10 * k : 10 * k + 10, 10 * k : 10 * k + 10] = np.linalg.inv(inertia.pullback_metric(body))
+    return Regression(
+        base=base,
+        effect_names=tuple(n for e in recipe.effects for n in e.column_names),
+        effect_units=tuple(u for e in recipe.effects for u in e.kind.units),
+        channel_names=recipe.channels.names,
+        channel_units=recipe.channels.units,
+        motion_names=names,
+        source=lambda: make_blocks(recipe, fitted),
+        row_count=row_count(recipe, fitted),
+        known_poles=None if recipe.filters is None else recipe.filters.poles(recipe.step),
+        nominal=base.matrix @ robot.nominal.ravel(),
+        nominal_scale=np.sqrt(np.einsum("ij,jk,ik->i", base.matrix, inverse, base.matrix)),
+        bodies=tuple(tuple(range(10 * k, 10 * k + 10)) for k in range(len(robot.body_names))),
+    )
+
+
+def _choose(experiment: Experiment, motions: Sequence[str] | None) -> list[Motion]:
+    if motions is None:
+        return list(experiment.identification)
+    by_name = {m.name: m for m in experiment.motions}
+    for name in motions:
+        if name not in by_name:
+            raise InputError(f"--motions {name}: no such motion in experiment.toml; it has {', '.join(by_name)}")
+    return [by_name[name] for name in motions]
+
+
+def _readable(motion: Motion, channel: str) -> bool:
+    wrench, torque = motion.table.wrench is not None, motion.table.torques is not None
+    return {"wrench": wrench, "torque": torque, "both": wrench and torque}[channel]
+
+
+def _require(motion: Motion, channel: str) -> None:
+    if not _readable(motion, channel):
+        torque_missing = channel != "wrench" and motion.table.torques is None
+        columns = "tau1 ... taun" if torque_missing else "fx ... mz"
+        raise InputError(
+            f"{motion.table.source}: columns {columns} are missing, which --channel {channel} needs; "
+            f"add them, choose another --channel or leave motion '{motion.name}' out with --motions"
+        )
+
+
+def _recordings(
+    experiment: Experiment, channels: Channels, motion: Motion, index: int, channel: str, subtract: bool
+) -> list[Recording]:
+    """Gap-free stretches of one motion, and its static readings where those are fitted along."""
+    measured = _measured(motion.table, channel)
+    gravity = offset = True
+    static_run = motion.static is not None and motion.static.wrench is not None and channel == "wrench"
+    if static_run and subtract and motion.stop_and_go:
+        measured = measured - motion.static.wrench  # equation 21: free of offset and gravity
+        gravity = offset = False
+    else:
+        measured = measured - channels.static_wrench
+    table, poses = motion.table, motion.kind == "poses"
+    pieces = [slice(0, len(table))] if poses else table.segments()
+    out = [Recording(table.times[p], table.positions[p], measured[p], index, gravity, offset, poses) for p in pieces]
+    if static_run and offset:
+        rest = motion.static
+        out.append(Recording(rest.times, rest.positions, rest.wrench - channels.static_wrench, index, poses=True))
+    return out
+
+
+def _measured(table, channel: str) -> np.ndarray:
+    if channel == "both":
+        return np.hstack([table.wrench, table.torques])
+    return table.wrench if channel == "wrench" else table.torques
+
+
+def _smoother(experiment: Experiment, recordings: list[Recording], bandwidth: float | None) -> Smoother:
+    pieces = []
+    for r in recordings:
+        # A long recording is judged by stretches of it.
+        count = max(int(np.ceil(len(r.times) / _PILOT_SAMPLES)), 1)
+        for k in range(min(count, 4)):
+            a = k * (len(r.times) // min(count, 4))
+            piece = slice(a, a + _PILOT_SAMPLES // min(count, 4) if count > 1 else len(r.times))
+            if len(r.times[piece]) >= 20:
+                pieces.append((r.times[piece], r.positions[piece]))
+    if not pieces:
+        return Smoother(bandwidth or 1.0, np.zeros(experiment.robot.n), "only poses at rest: nothing to smooth")
+    chosen = choose_smoother(pieces, experiment.position_resolution, experiment.position_std)
+    if bandwidth is not None:
+        if not bandwidth > 0:
+            raise InputError(f"--bandwidth {bandwidth}: give a positive frequency in Hz")
+        chosen = replace(chosen, bandwidth=bandwidth, reason="as given")
+    return chosen
+

@@ -1,0 +1,210 @@
+"""The linear model as a stream of rows, from an experiment or from arrays of one's own.
+
+A regression can be read block by block as often as needed. Nothing of the size samples x parameters is ever
+held: rows are kept only while they fit in `CACHE_BYTES`; otherwise every reading makes them anew.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from bayesid.base_parameters import BaseParameters, regroup
+from bayesid.errors import InputError
+from bayesid.filters import LowPass
+
+#: Rows are kept in memory up to this many bytes, and made anew at every reading beyond.
+CACHE_BYTES = 64 * 2**20
+
+
+@dataclass(frozen=True)
+class Block:
+    """Consecutive rows of one recording.
+
+    Attributes
+    ----------
+    rows
+        Regressor columns and, last, the target (k, channels, p + 1).
+    times
+        (k,) [s].
+    motion
+        Index of the recording.
+    start
+        Whether the recording (or a stretch after a gap) starts with the first row.
+    group
+        Rows with the same noise: ``trajectory`` or ``poses``.
+    """
+
+    rows: np.ndarray
+    times: np.ndarray
+    motion: int
+    start: bool
+    group: str = "trajectory"
+
+    @property
+    def matrix(self) -> np.ndarray:
+        """Regressor (k, channels, p)."""
+        return self.rows[:, :, :-1]
+
+    @property
+    def target(self) -> np.ndarray:
+        """Measured (k, channels)."""
+        return self.rows[:, :, -1]
+
+
+@dataclass(frozen=True)
+class Regression:
+    """``target = matrix @ [base parameters; effect parameters] + noise`` as a stream of blocks.
+
+    Attributes
+    ----------
+    base
+        Base parameters: the first ``base.rank`` columns.
+    effect_names, effect_units
+        The remaining columns.
+    channel_names, channel_units
+        What is measured.
+    motion_names
+        Recordings, in the order of ``Block.motion``.
+    source
+        Makes the blocks; called anew for every reading unless they were kept.
+    row_count
+        Number of rows in all blocks.
+    known_poles
+        Poles of the low-pass filters that the rows went through from the zero state, at the rows' spacing.
+    nominal
+        Base parameters of the nominal model (r,), if there is one, and the scale of their uncertainty when
+        every body's mass distribution is uncertain by its own size.
+    nominal_scale
+        See ``nominal`` (r,).
+    bodies
+        Columns of ``base.parameter_names`` that are a body's ten parameters.
+    """
+
+    base: BaseParameters
+    effect_names: tuple[str, ...]
+    effect_units: tuple[str, ...]
+    channel_names: tuple[str, ...]
+    channel_units: tuple[str, ...]
+    motion_names: tuple[str, ...]
+    source: Callable[[], Iterable[Block]]
+    row_count: int = 0
+    known_poles: np.ndarray | None = None
+    nominal: np.ndarray | None = None
+    nominal_scale: np.ndarray | None = None
+    bodies: tuple[tuple[int, ...], ...] = ()
+    _kept: list[Block] = field(default_factory=list, repr=False, compare=False)
+
+    @property
+    def column_names(self) -> tuple[str, ...]:
+        """Base parameters, then effect parameters."""
+        return self.base.names + self.effect_names
+
+    @property
+    def fits_in_memory(self) -> bool:
+        """Whether the blocks are kept after the first reading."""
+        return 8 * self.row_count * len(self.channel_names) * (len(self.column_names) + 1) <= CACHE_BYTES
+
+    def blocks(self) -> Iterator[Block]:
+        """Read all blocks, recording by recording, in time order."""
+        if self._kept:
+            yield from self._kept
+            return
+        made = []
+        for block in self.source():
+            if self.fits_in_memory:
+                made.append(block)
+            yield block
+        self._kept.extend(made)
+
+    @classmethod
+    def from_arrays(
+        cls,
+        matrix: np.ndarray,
+        target: np.ndarray,
+        *,
+        parameter_names: Sequence[str] | None = None,
+        parameter_units: Sequence[str] | None = None,
+        channel_names: Sequence[str] | None = None,
+        times: np.ndarray | None = None,
+        motions: Sequence | np.ndarray | None = None,
+        low_pass: LowPass | None = None,
+        bodies: Sequence[Sequence[int]] = (),
+    ) -> Regression:
+        """A regression from a filtered regressor and offset-free measurements of one's own.
+
+        Parameters
+        ----------
+        matrix
+            (samples, channels, parameters).
+        target
+            (samples, channels).
+        parameter_names, parameter_units, channel_names
+            Default ``p1 ...``, ``1``, ``y1 ...``.
+        times
+            (samples,) [s]; needed with ``low_pass``.
+        motions
+            Which recording each sample is from; default one.
+        low_pass
+            The filter that both sides went through, from the zero state at each recording's first sample.
+            None: the colour of the noise is estimated.
+        bodies
+            Which columns are a body's ten parameters.
+
+        Raises
+        ------
+        InputError
+            Shapes do not fit, values are not finite, or times are missing.
+        """
+        matrix, target = np.asarray(matrix, float), np.asarray(target, float)
+        if matrix.ndim != 3 or target.shape != matrix.shape[:2]:
+            raise InputError(
+                f"matrix {matrix.shape} and target {target.shape}: give (samples, channels, parameters) and (samples, channels)"
+            )
+        for name, array in (("matrix", matrix), ("target", target)):
+            if not np.isfinite(array).all():
+                where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
+                raise InputError(f"{name}{list(where)} is not finite; remove that sample or fill it from neighbours")
+        samples, channels, p = matrix.shape
+        names = _named(parameter_names, p, "p", "parameter_names")
+        channel = _named(channel_names, channels, "y", "channel_names")
+        units = _named(parameter_units, p, "1", "parameter_units") if parameter_units else ("1",) * p
+        ids = np.zeros(samples, int) if motions is None else np.asarray(motions)
+        if len(ids) != samples or (times is not None and len(times) != samples):
+            raise InputError(f"times and motions must have one entry for each of the {samples} samples")
+        if low_pass is not None and times is None:
+            raise InputError("low_pass is given without times; give the times of the samples, too")
+        clock = np.arange(samples, dtype=float) if times is None else np.asarray(times, float)
+        starts = np.flatnonzero(np.append(True, ids[1:] != ids[:-1]))
+        labels = list(dict.fromkeys(ids.tolist()))
+        base = _array_base(matrix, names, units)
+        rows = np.concatenate([matrix[:, :, base.independent], target[:, :, None]], axis=2)
+        blocks = [
+            Block(rows[a:b], clock[a:b], labels.index(ids[a].item()), True)
+            for a, b in zip(starts, np.append(starts[1:], samples), strict=True)
+        ]
+        poles = None
+        if low_pass is not None:
+            poles = low_pass.poles(float(np.median(np.diff(clock[: len(blocks[0].times)]))))
+        return cls(
+            base, (), (), channel, ("",) * channels, tuple(str(k) for k in labels), lambda: blocks,
+            row_count=samples, known_poles=poles, bodies=tuple(tuple(b) for b in bodies), _kept=blocks,
+        )  # fmt: skip
+
+
+def _named(given, count, letter, argument) -> tuple[str, ...]:
+    if given is None:
+        return tuple(f"{letter}{k + 1}" for k in range(count))
+    if len(given) != count:
+        raise InputError(f"{argument} has {len(given)} names for {count} columns")
+    return tuple(given)
+
+
+def _array_base(matrix: np.ndarray, names, units) -> BaseParameters:
+    flat = matrix.reshape(-1, matrix.shape[2])
+    factor = np.zeros((0, flat.shape[1]))
+    for start in range(0, len(flat), 1 << 15):
+        factor = np.linalg.qr(np.vstack([factor, flat[start : start + (1 << 15)]]), mode="r")
+    return regroup(factor, names, units, tolerance=1e-9)
