@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import butter, correlate, sosfiltfilt
+from scipy.signal import butter, correlate, sosfiltfilt, welch
 
 from bayesid.estimators import Estimate
 from bayesid.estimators.factor import whitened
 from bayesid.experiment import Experiment, Motion
+from bayesid.noise import NoiseModel
 from bayesid.problem import Problem
 from bayesid.rows import Recording, make_blocks
 
@@ -19,6 +20,24 @@ _CHUNK = 8192
 #: Two motions whose joint paths agree to this correlation at some shift count as the same motion.
 REPEATED = 0.98
 _PLOTTED = 4000
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """Residual of a motion by frequency beside the noise that the intervals are built on.
+
+    Attributes
+    ----------
+    frequencies
+        (f,) [Hz], above zero, up to half the row rate.
+    residual, noise
+        One-sided amplitude spectral density of what was measured less what was predicted, and of the noise
+        model (f, c) [unit of the channel / sqrt(Hz)].
+    """
+
+    frequencies: np.ndarray
+    residual: np.ndarray
+    noise: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -45,6 +64,10 @@ class Prediction:
         Share of whitened residuals inside their central 95 % prediction interval.
     repeats
         Name of a fitted motion that this motion repeats, or None.
+    poses
+        Whether the samples are poses at rest, one by one, rather than a motion.
+    spectrum
+        Residual and noise by frequency; None for poses and stretches too short to tell frequencies apart.
     """
 
     motion: str
@@ -62,6 +85,8 @@ class Prediction:
     whitened_rms_by_channel: np.ndarray
     coverage: float
     repeats: str | None = None
+    poses: bool = False
+    spectrum: Spectrum | None = None
 
     def to_dict(self) -> dict:
         """An entry of ``validation`` in ``estimate.json``."""
@@ -115,8 +140,8 @@ def predict(problem: Problem, estimate: Estimate, motion: Motion) -> Prediction:
     all_error, all_raw = np.concatenate(error), np.concatenate(raw)
     y = np.concatenate(measured)
     y_raw = y + all_error - all_raw  # only its norm is used below
-    pick = slice(None, None, max(len(y) // _PLOTTED, 1))
-    rms, by_channel, coverage = _whitened(problem, estimate, moving)
+    pick = slice(None, None, max(-(-len(y) // _PLOTTED), 1))
+    rms, by_channel, coverage, spectrum = _whitened(problem, estimate, moving)
     scale, scale_raw = _rms(y), _rms(y_raw)
     return Prediction(
         motion=motion.name,
@@ -134,6 +159,8 @@ def predict(problem: Problem, estimate: Estimate, motion: Motion) -> Prediction:
         whitened_rms_by_channel=by_channel,
         coverage=coverage,
         repeats=repeated(problem.experiment, motion, problem.fitted),
+        poses=all(r.poses for r in moving),
+        spectrum=spectrum,
     )
 
 
@@ -164,14 +191,19 @@ def _rms(values: np.ndarray) -> np.ndarray:
     return np.sqrt(np.mean(values**2, axis=0))
 
 
-def _whitened(problem: Problem, estimate: Estimate, recordings: list[Recording]) -> tuple[float, np.ndarray, float]:
-    """Root mean square of whitened residual rows, and how many lie in their 95 % prediction interval."""
+def _whitened(
+    problem: Problem, estimate: Estimate, recordings: list[Recording]
+) -> tuple[float, np.ndarray, float, Spectrum | None]:
+    """Root mean square of whitened residual rows, how many lie in their 95 % prediction interval, and their spectrum."""
     power, count, inside, total = 0.0, 0, 0, 0
+    raw = []
     noise = dict(estimate.noise)
     for group in ("trajectory", "poses"):  # a kind of rows that was not fitted: the other's noise, uncoloured
         if group not in noise:
             noise[group] = next(iter(estimate.noise.values())).uncoloured()
-    for _, white in whitened(make_blocks(problem.recipe, recordings), noise):
+    for block, white in whitened(make_blocks(problem.recipe, recordings), noise):
+        if block.group == "trajectory":
+            raw.append(block.target - block.matrix @ estimate.solution)
         residual = white[:, :, -1] - white[:, :, :-1] @ estimate.solution
         power = power + np.sum(residual**2, axis=0)
         count += len(residual)
@@ -182,7 +214,30 @@ def _whitened(problem: Problem, estimate: Estimate, recordings: list[Recording])
         inside += int(np.sum(np.abs(residual) <= 1.959964 * spread))
         total += residual.size
     channels = np.asarray(power) / max(count, 1)
-    return float(np.sqrt(channels.mean())), np.sqrt(channels), inside / max(total, 1)
+    spectrum = None
+    if raw:
+        rate = 1.0 / float(np.median(np.diff(next(r.times for r in recordings if not r.poses))))
+        spectrum = _spectrum(raw, noise["trajectory"], problem.recipe.step, rate)
+    return float(np.sqrt(channels.mean())), np.sqrt(channels), inside / max(total, 1), spectrum
+
+
+def _spectrum(residuals: list[np.ndarray], noise: NoiseModel, step: float, rate: float) -> Spectrum | None:
+    """Welch's estimate over all stretches of rows (k, c), and the same of the recursion that models the noise.
+
+    A row has the energy of one sample: white noise keeps its standard deviation, though rows are fewer. A
+    slow signal is therefore larger in rows by the root of the samples per row, which is divided out here.
+    """
+    length = int(np.clip(max(map(len, residuals)) // 4, 32, 256))
+    long = [r for r in residuals if len(r) >= length]
+    if not long:
+        return None
+    frequencies = np.fft.rfftfreq(length, step)[1:]
+    total = sum(len(r) for r in long)
+    power = sum(len(r) / total * welch(r, 1.0 / step, nperseg=length, detrend=False, axis=0)[1][1:] for r in long)
+    gain = np.array([np.abs(np.fft.rfft(np.append(a, np.zeros(64 * length - len(a))))[64::64]) for a in noise.coefficients])
+    model = 2.0 * step * np.diag(noise.innovation) / gain.T**2
+    samples_per_row = max(rate * step, 1.0)
+    return Spectrum(frequencies, np.sqrt(power / samples_per_row), np.sqrt(model / samples_per_row))
 
 
 def repeated(experiment: Experiment, motion: Motion, fitted: tuple[str, ...]) -> str | None:

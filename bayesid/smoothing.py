@@ -3,7 +3,7 @@
 A least-squares spline of degree five on uniform knots. Knots a time h apart pass frequencies below
 1 / (2 h) and nothing above, without delay; a forward difference would delay velocities by half a sample,
 which a six-axis sensor sees at once. The fit is local: a knot's influence falls by 0.43 from knot to knot, so
-a long recording is smoothed in pieces with an overlap and the pieces agree to rounding.
+a long recording is smoothed in pieces with an overlap, and the pieces agree to a small part of the noise.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from bayesid.errors import InputError
 
 DEGREE = 5
 _ORDER = DEGREE + 1
-#: Knots that a piece is widened by on each side: 0.43**28 < 1e-10.
+#: Knots that a piece is widened by on each side: 0.43**28 < 1e-10, of ends that are loose.
 OVERLAP = 28
 
 
@@ -84,16 +84,19 @@ def smooth(
     # Knots on a grid common to all pieces of a recording, so that pieces agree where they overlap.
     first = np.floor(times[0] / spacing)
     count = int(np.floor(times[-1] / spacing) - first) + _ORDER
+    too_few = InputError(
+        f"{len(times)} samples in {times[-1] - times[0]:.3g} s are too few or too uneven to be smoothed at "
+        f"{bandwidth:.3g} Hz; choose a lower bandwidth"
+    )
+    if count > len(times) + DEGREE:
+        raise too_few
     band, right = _normal_equations(times, np.ascontiguousarray(positions), first, spacing, count, _POLYNOMIALS)
     # A whisper of ridge keeps the outermost functions, of which only a tail lies in the data, determined.
-    band[-1] += 1e-12 * band[-1].max()
+    band[-1] += 1e-14 * band[-1].max()
     try:
         coefficients = solveh_banded(band, right, check_finite=False)
     except LinAlgError:
-        raise InputError(
-            f"{len(times)} samples in {times[-1] - times[0]:.3g} s are too few or too uneven to be smoothed at "
-            f"{bandwidth:.3g} Hz; choose a lower bandwidth"
-        ) from None
+        raise too_few from None
     return _evaluate(times if at is None else at, coefficients, first, spacing, _POLYNOMIALS)
 
 
