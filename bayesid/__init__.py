@@ -8,7 +8,9 @@ from bayesid.experiment import Experiment, Motion, Sensor, load_experiment, writ
 from bayesid.filters import LowPass
 from bayesid.regression import Regression
 from bayesid.robot import Robot, load_robot
+from bayesid.simulation import Recorder, Simulation, simulate, write_simulation
 from bayesid.tables import Table
+from bayesid.trajectories import Trajectory, fourier_trajectory
 from bayesid.workflow import Identification, identify, summary
 
 __version__ = version("bayesid")
@@ -26,17 +28,23 @@ __all__ = [
     "LeastSquares",
     "LowPass",
     "Motion",
+    "Recorder",
     "Regression",
     "Ridge",
     "Robot",
     "Sensor",
+    "Simulation",
     "Table",
+    "Trajectory",
     "TruncatedSVD",
     "estimator",
     "fit",
+    "fourier_trajectory",
     "identify",
     "load_experiment",
     "load_robot",
+    "simulate",
     "summary",
     "write_experiment",
+    "write_simulation",
 ]

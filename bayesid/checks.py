@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from .errors import InputError
-from .robot import Robot
-from .tables import GAP, WRENCH_COLUMNS, Table
+from bayesid.errors import InputError
+from bayesid.robot import Robot
+from bayesid.tables import GAP, WRENCH_COLUMNS, Table
 
 MIN_SAMPLES = 20
 STEP_SLACK = 1.5  # a step this many times the median one has lost a sample
@@ -99,9 +99,7 @@ def check_channels(table: Table) -> list[str]:
     """
     for array, names in ((table.wrench, "fx ... mz"), (table.torques, "tau1 ...")):
         if array is not None and not array.any():
-            raise InputError(
-                f"{table.source}: columns {names}: 0 in every row; record them again, or leave the columns out"
-            )
+            raise InputError(f"{table.source}: columns {names}: 0 in every row; record them again, or leave the columns out")
     if len(table) < 2:
         return []
     return [
@@ -214,27 +212,26 @@ def _steps(table: Table) -> list[str]:
     return [f"{start}gap at {listed}{more}{short} ({usual}); the pieces between gaps are treated apart"]
 
 
-def _travel(table: Table, j: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Distances over about 0.1 s by the positions and by the velocities, and where each window starts.
+def _travel(table: Table, j: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the distances over about 0.1 s, by the positions and by the velocities.
 
     Integrating velocities, rather than differentiating positions, keeps encoder counts out of the comparison.
     """
-    assert table.velocities is not None
-    t, v = table.times, table.velocities[:, j]
+    t, v = table.times, np.zeros(len(table)) if table.velocities is None else table.velocities[:, j]
     width = int(np.clip(np.ceil(0.1 / table.step), 5, max(2, len(t) // 8)))
     edges = np.arange(0, len(t), width)
     steps = np.diff(t)
     moved = np.append(0.0, np.cumsum(0.5 * (v[1:] + v[:-1]) * steps))
     broken = np.append(0, np.cumsum(steps > GAP * table.step))
     whole = np.diff(broken[edges]) == 0
-    return np.diff(table.positions[edges, j])[whole], np.diff(moved[edges])[whole], edges[:-1][whole]
+    return np.diff(table.positions[edges, j])[whole], np.diff(moved[edges])[whole]
 
 
 def _velocity(table: Table, robot: Robot, j: int) -> list[str]:
-    """Compare a velocity column with the positions: how many times too fast is it?"""
+    """Compare a velocity column with the positions: how many times too fast it is."""
     if table.velocities is None:
         return []
-    by_position, by_velocity, _ = _travel(table, j)
+    by_position, by_velocity = _travel(table, j)
     weights = np.abs(by_position)
     place = f"{table.source}: column v{j + 1}"
     if not len(weights) or weights.max() < 2e-3:
@@ -291,7 +288,7 @@ def _speeds(times: np.ndarray, positions: np.ndarray) -> np.ndarray:
 
 
 def _moving(table: Table, share: float) -> np.ndarray:
-    """(N,): does any joint move faster than this share of its usual top speed?"""
+    """Return (N,): whether any joint moves faster than this share of its usual top speed."""
     moving = np.zeros(len(table), bool)
     for j in range(table.positions.shape[1]):
         speed = _speeds(table.times, table.positions[:, j])
@@ -301,7 +298,7 @@ def _moving(table: Table, share: float) -> np.ndarray:
 
 
 def _stalled(table: Table) -> np.ndarray:
-    """(N,): does the row repeat the one before in every column but the time?"""
+    """Return (N,): whether the row repeats the one before in every column but the time."""
     same = np.append(False, np.ones(len(table) - 1, bool))
     for array in (table.positions, table.velocities, table.torques, table.wrench):
         if array is not None:
@@ -334,7 +331,8 @@ def _encoder(table: Table, robot: Robot, j: int, stalled: np.ndarray, resolution
     t, q = table.times, table.positions[:, j]
     place = f"{table.source}: column q{j + 1}: {robot.joint_names[j]}"
     steps = np.abs(np.diff(q))
-    if not steps.any():
+    # Two encoder counts are the flicker of a joint at rest.
+    if np.ptp(q) <= 2.0 * (resolution or 0.0):
         return [f"{place} never moves; lock it ([robot] locked) or expect nothing about it"]
     starts, stops = _runs(steps == 0.0)
     long = np.flatnonzero(t[stops] - t[starts] > FROZEN_TIME)

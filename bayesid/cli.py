@@ -3,18 +3,26 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import sys
 import warnings
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import click
 from rich.console import Console
 
 import bayesid
+from bayesid.demo import NAME as DEMO_NAME
+from bayesid.demo import demo as run_demo
 from bayesid.errors import BayesidError, InputError
 from bayesid.filters import LowPass
 from bayesid.output import check_output
+from bayesid.plant import complete_effects
+from bayesid.schema import read_model
+from bayesid.simulation import Recorder, load_setup, write_simulation
+from bayesid.trajectories import make_trajectories
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -96,7 +104,10 @@ def _low_pass(l: float | None, d: float | None) -> LowPass | None:  # noqa: E741
 
 def _load(experiment: Path, model: Path | None):
     loaded = bayesid.load_experiment(experiment)
-    return loaded if model is None else loaded.with_model(model)
+    if model is None:
+        return loaded
+    effects, values = read_model(model)
+    return replace(loaded, effects=effects, effect_values=values)
 
 
 def _out(out: Path | None, name: str, verb: str) -> Path:
@@ -147,6 +158,61 @@ def identify(experiment, channel, filter_l, filter_d, bandwidth, motions, effect
         report = result.write(_out(out, loaded.name, "identify"))
     click.echo(bayesid.summary(result))
     click.echo(f"report: {report}")
+
+
+@commands.command()
+@_EXPERIMENT
+@click.option("--new", is_flag=True, help="New random motions; default: those of the experiment's tables again.")
+@click.option("--duration", type=float, help="Length of a new motion [s]; default 20.")
+@click.option("--rate", type=float, help="Samples a second of a new motion; default 125.")
+@click.option("--static/--no-static", default=None, help="Whether stop-and-go runs are made; default: as recorded, or none.")
+@click.option("--effects", callback=_names, help="What the plant has beyond rigid bodies, by commas; default: [model] effects.")
+@click.option("--model", type=click.Path(path_type=Path), help="A model.toml with values of the effects.")
+@click.option("--perturb", type=float, default=0.0, help="Relative standard deviation of the true links about the nominal ones.")
+@click.option("--force-std", type=float, help="Noise of a sample [N].")
+@click.option("--torque-std", type=float, help="Noise of a sample [N m].")
+@click.option("--resolution", type=float, help="One encoder count [rad or m].")
+@click.option("--position-std", type=float, help="Random encoder noise [rad or m].")
+@_OUT
+@_SEED
+def simulate(experiment, new, duration, rate, static, effects, model, perturb, out, seed, **instruments) -> None:
+    """Simulate a recording with known truth (truth.json); [model] stays the experiment's, whatever the plant has."""
+    if not new and (duration is not None or rate is not None):
+        raise InputError(f"--{'rate' if duration is None else 'duration'} is for new motions; add --new")
+    if not (math.isfinite(perturb) and perturb >= 0):
+        raise InputError(f"--perturb {perturb}: give a number of at least 0, such as 0.1")
+    if out is not None:
+        check_output(out)
+    recorder = Recorder(**instruments)
+    with _progress() as progress:
+        progress("simulating")
+        setup = load_setup(experiment) if new else bayesid.load_experiment(experiment)
+        hidden, values = (setup.effects, setup.effect_values) if model is None else read_model(model)
+        plant = complete_effects(setup.robot, hidden if effects is None else effects, values)
+        made = make_trajectories(
+            setup, new=new, duration=20.0 if duration is None else duration, rate=125.0 if rate is None else rate,
+            static=static, seed=seed,
+        )  # fmt: skip
+        simulation = bayesid.simulate(setup, made, effects=plant, perturb=perturb, recorder=recorder, seed=seed)
+        folder = _out(out, simulation.name, "simulate")
+        write_simulation(simulation, folder)
+    for spec, given in simulation.truth.effects.items():
+        click.echo(f"  {spec}: " + ", ".join(f"{key} {value:.4g}" for key, value in given.items()))
+    for motion in simulation.motions:
+        click.echo(f"  {motion.role} '{motion.name}': {len(motion.table)} samples" + (", static run" if motion.static else ""))
+    click.echo(f"experiment: {folder}")
+
+
+@commands.command()
+@_OUT
+@_SEED
+def demo(out: Path | None, seed: int) -> None:
+    """The main job on an embedded example: simulate a two-joint PUMA, identify it, compare with the truth."""
+    with _progress() as progress:
+        result = run_demo(_out(out, DEMO_NAME, "demo"), seed, progress)
+    click.echo(str(result))
+    click.echo(f"experiment: {result.report.parent / 'experiment'}")
+    click.echo(f"report: {result.report}")
 
 
 if __name__ == "__main__":

@@ -2,29 +2,38 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
+import os
 import re
 import shutil
+import tempfile
 import uuid
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 import tomli_w
 
-from . import checks
-from .errors import InputError
-from .robot import Robot, load_robot
-from .schema import ExperimentFile, ModelFile, MotionSection, dump_model, model_parts, read_file, suggest
-from .tables import WRENCH_COLUMNS, Table, read_table, write_table
+from bayesid import checks
+from bayesid.errors import InputError
+from bayesid.robot import Robot, load_robot
+from bayesid.schema import (
+    EffectParameters,
+    ExperimentFile,
+    MotionSection,
+    check_keys,
+    dump_model,
+    model_parts,
+    read_file,
+    read_model,
+    suggest,
+)
+from bayesid.tables import WRENCH_COLUMNS, Table, read_table, write_table
 
-__all__ = [
-    "WRENCH_COLUMNS", "EffectParameters", "Experiment", "Motion", "Sensor", "Table", "load_experiment", "read_model",
-    "write_experiment", "write_model",
-]  # fmt: skip
-
-EffectParameters = dict[str, dict[str, float | bool]]  # "tether@joint3" -> {"stiffness": 40.0, "fixed": True}
+__all__ = ["WRENCH_COLUMNS", "Experiment", "Motion", "Sensor", "Table", "load_experiment", "write_experiment"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,6 +162,17 @@ class Experiment:
         """The motions that may only be predicted."""
         return tuple(motion for motion in self.motions if motion.role == "validation")
 
+    def with_model(self, path: str | Path) -> Experiment:
+        """Return this experiment with a model.toml in place of its ``[model]``.
+
+        Raises
+        ------
+        InputError
+            The file is absent or holds anything else.
+        """
+        effects, values = read_model(path)
+        return replace(self, effects=effects, effect_values=values)
+
 
 def load_experiment(folder: str | Path) -> Experiment:
     """Read and check an experiment folder.
@@ -174,8 +194,9 @@ def load_experiment(folder: str | Path) -> Experiment:
     if not toml.is_file():
         raise InputError(f"{folder}: has no experiment.toml; write one, or give the folder that holds it")
     file = read_file(toml, ExperimentFile)
-    warnings = _check_keys(file)
-    robot = _robot(folder, file)
+    warnings = check_keys(file)
+    robot, doubts = _robot(folder, file)
+    warnings += doubts
     sensor = None
     if file.sensor is not None:
         given = file.sensor.model_dump()
@@ -235,87 +256,50 @@ def write_experiment(experiment: Experiment, folder: str | Path) -> None:
         raise InputError(f"{folder}: cannot be written ({error.strerror}); name another folder") from None
 
 
-def read_model(path: str | Path) -> tuple[tuple[str, ...], EffectParameters]:
-    """Read a model.toml, which stands in for ``[model]``: the effects and their starting values.
-
-    Raises
-    ------
-    InputError
-        The file is absent or holds anything else.
-    """
-    section = read_file(Path(path), ModelFile).model
-    _check_effects(section.effects, Path(path).name)
-    return model_parts(section)
-
-
-def write_model(effects: tuple[str, ...], values: EffectParameters, path: str | Path) -> None:
-    """Write a model.toml for `read_model`."""
-    Path(path).write_text(tomli_w.dumps({"model": dump_model(effects, values)}), encoding="utf-8")
-
-
-def _check_keys(file: ExperimentFile) -> list[str]:
-    """Check what experiment.toml says by itself, beyond types: names that repeat or contradict each other."""
-    robot = file.robot
-    for name in robot.joints:
-        if robot.joints.count(name) > 1:
-            raise InputError(f'experiment.toml: [robot] joints: "{name}" is listed twice; list each joint once')
-        if name in robot.locked:
-            raise InputError(f'experiment.toml: [robot] locked: "{name}" is in joints too; a joint moves or is locked')
-    for name in robot.gear_ratio:
-        if name not in robot.joints:
-            hint = suggest(name, robot.joints)
-            raise InputError(f'experiment.toml: [robot] gear_ratio: "{name}" is not one of joints; {hint}')
-    names = [motion.name for motion in file.motion]
-    for index, motion in enumerate(file.motion):
-        if motion.name in names[:index]:
-            raise InputError(f'experiment.toml: [motion.{index}] name: "{motion.name}" is taken; give each its own name')
-        if motion.kind == "poses" and (motion.period is not None or motion.parked):
-            key = "parked" if motion.period is None else "period"
-            raise InputError(f'experiment.toml: [motion.{index}] {key}: kind = "poses" has no times; remove it')
-    if not any(motion.role == "identification" for motion in file.motion):
-        raise InputError(
-            'experiment.toml: [motion.0] role: no motion has role "identification"; '
-            'write role = "identification" for the motions to fit'
-        )
-    _check_effects(file.model.effects, "experiment.toml")
-    warnings = []
-    strength = float(np.linalg.norm(robot.gravity))
-    if not 9.7 < strength < 9.9:
-        warnings.append(f"experiment.toml: [robot] gravity: {strength:.4g} m/s^2 is not the Earth's; is that so?")
-    listed = {effect.partition("@")[0] for effect in file.model.effects if "@" not in effect} | set(file.model.effects)
-    for effect in file.model.values:
-        if effect not in listed and effect.partition("@")[0] not in listed:
-            warnings.append(
-                f'experiment.toml: [model.values."{effect}"]: effects does not list it; used only where --effects does'
-            )
-    return warnings
-
-
-def _check_effects(effects: list[str], source: str) -> None:
-    for effect in effects:
-        if effects.count(effect) > 1:
-            raise InputError(f'{source}: [model] effects: "{effect}" is listed twice; list it once')
-
-
-def _robot(folder: Path, file: ExperimentFile) -> Robot:
+def _robot(folder: Path, file: ExperimentFile) -> tuple[Robot, list[str]]:
     section = file.robot
     urdf = folder / section.urdf
     if not urdf.is_file():
         raise InputError(f'experiment.toml: [robot] urdf: "{section.urdf}" is no file in {folder}; name the URDF there')
     joint = file.sensor.joint if file.sensor is not None else None
+    remarks: list[str] = []
     try:
-        return load_robot(urdf, section.joints, section.locked, section.gravity, joint)
+        with _collected_stderr(remarks):
+            robot = load_robot(urdf, section.joints, section.locked, section.gravity, joint)
     except InputError as error:
         # The robot knows the URDF only; the user's mistake may be in the keys that name its joints.
         for key, names in (("joints", section.joints), ("locked", list(section.locked))):
             if any(str(error).startswith(f"joint '{name}'") for name in names):
                 raise InputError(f"experiment.toml: [robot] {key}: {error}") from None
-        raise
+        raise InputError("; ".join([str(error), *remarks[:1]])) from None
+    for name in section.gear_ratio:
+        if name not in section.joints:
+            hint = suggest(name, section.joints)
+            raise InputError(f'experiment.toml: [robot] gear_ratio: "{name}" is not one of joints; {hint}')
+    return robot, [f"{section.urdf}: {remark}" for remark in remarks]
 
 
-def _load_motion(
-    folder: Path, file: ExperimentFile, section: MotionSection, key: str, robot: Robot
-) -> tuple[Motion, list[str]]:
+@contextlib.contextmanager
+def _collected_stderr(remarks: list[str]) -> Iterator[None]:
+    """Collect what the URDF parser, a C++ library, writes straight to file descriptor 2: it would spoil our one line."""
+    with tempfile.TemporaryFile() as sink:
+        try:
+            saved = os.dup(2)
+        except OSError:  # no standard error at all
+            yield
+            return
+        try:
+            os.dup2(sink.fileno(), 2)
+            yield
+        finally:
+            os.dup2(saved, 2)
+            os.close(saved)
+            sink.seek(0)
+            lines = [line.strip() for line in sink.read().decode("utf-8", "replace").splitlines()]
+            remarks += [" ".join(line.split()) for line in lines if line and not line.startswith("at line")]
+
+
+def _load_motion(folder: Path, file: ExperimentFile, section: MotionSection, key: str, robot: Robot) -> tuple[Motion, list[str]]:
     has_sensor, resolution = file.sensor is not None, file.robot.position_resolution
     table, warnings = read_table(folder / section.table, section.table, robot.n, has_sensor)
     warnings += _check_present(table, has_sensor)
@@ -358,9 +342,7 @@ def _check_roles(motions: list[Motion]) -> list[str]:
     for one, other in itertools.combinations(motions, 2):
         same = len(one.table) == len(other.table) and np.array_equal(one.table.positions, other.table.positions)
         if same and one.role != other.role and np.array_equal(one.table.times, other.table.times):
-            warnings.append(
-                f"{other.table.source}: the same motion as {one.table.source}; validation on it proves little"
-            )
+            warnings.append(f"{other.table.source}: the same motion as {one.table.source}; validation on it proves little")
     return warnings
 
 

@@ -142,9 +142,8 @@ def dynamics_regressor(
         Array to write into.
     """
     arguments = _arguments(robot, channels, columns, gravity)
-    out = _output(out, len(positions), channels, arguments)
-    zero = out[:0]
-    _regressor(False, *map(_c, (positions, velocities, accelerations)), *arguments, out, zero)
+    out = np.empty((len(positions), len(channels), len(arguments[-1]))) if out is None else out
+    _regressor(False, *map(_c, (positions, velocities, accelerations)), *arguments, out, out[:0])
     return out
 
 
@@ -162,7 +161,7 @@ def momentum_regressors(
     Parameters are those of `dynamics_regressor`; no acceleration is needed.
     """
     arguments = _arguments(robot, channels, columns, gravity)
-    momentum, rest = (_output(None, len(positions), channels, arguments) for _ in range(2))
+    momentum, rest = np.empty((2, len(positions), len(channels), len(arguments[-1])))
     q, v = _c(positions), _c(velocities)
     _regressor(True, q, v, v, *arguments, momentum, rest)
     return momentum, rest
@@ -172,243 +171,227 @@ def _c(array: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(array, dtype=float)
 
 
-def _output(out, samples, channels, arguments):
-    shape = (samples, len(channels), len(arguments[-2]))
-    return np.empty(shape) if out is None else out
-
-
 def _arguments(robot: Robot, channels: Channels, columns, gravity: bool):
-    columns = np.arange(10 * len(robot.body_names)) if columns is None else np.asarray(columns)
-    rotation, translation = robot.rotation.copy(), robot.translation.copy()
+    """Tables of the kernel: a chain of rows (the joints, then split bodies), twists, columns by body."""
+    n, bodies = robot.n, len(robot.body_names)
+    columns = np.arange(10 * bodies) if columns is None else np.asarray(columns)
+    # A split body is one more row, of a joint that never moves.
+    parent = np.append(robot.parent, robot.body_joint[n:])
+    placement = np.concatenate([robot.rotation, robot.body_rotation[n:]])
+    translation = np.concatenate([robot.translation, robot.body_translation[n:]])
+    axis = np.concatenate([robot.axis, np.zeros((bodies - n, 3))])
+    slides = np.append(robot.prismatic, np.ones(bodies - n, bool))
     to_reference, origin = channels.reference_rotation.T, channels.reference_translation
-    for i in np.flatnonzero(robot.parent < 0):
-        rotation[i] = to_reference @ rotation[i]
-        translation[i] = to_reference @ (translation[i] - origin)
-    weight = to_reference @ robot.gravity * (1.0 if gravity else 0.0)
-    one_hot = np.where(
-        (channels.joint < 0) & (np.count_nonzero(channels.twist, axis=1) == 1) & (channels.twist.max(axis=1) == 1.0),
-        np.argmax(channels.twist, axis=1),
-        -1,
-    )
+    root = parent < 0
+    placement[root] = to_reference @ placement[root]
+    translation[root] = (translation[root] - origin) @ to_reference.T
+    # Rodrigues: placement times turn(q) = turn[0] + cos(q) turn[1] + sin(q) turn[2].
+    along = axis[:, :, None] * axis[:, None, :]
+    turn = placement[:, None] @ np.stack([along, np.eye(3) - along, np.cross(axis[:, None], np.eye(3)).swapaxes(1, 2)], 1)
+    turn[slides] = 0.0
+    turn[slides, 0] = placement[slides]
+    axis = np.einsum("rij,rj->ri", placement, axis)
+    # Twists of one unit entry fixed in the root pick a row of the block, without a product.
+    pick = (channels.joint < 0) & (np.count_nonzero(channels.twist, axis=1) == 1) & (channels.twist.max(axis=1) == 1.0)
+    by_body = np.argsort(columns // 10, kind="stable")
     return (
-        robot.order, robot.parent, rotation, translation, robot.axis, robot.prismatic, weight,
-        robot.body_joint, robot.body_rotation, robot.body_translation,
-        channels.joint, _c(channels.twist), one_hot, channels.bodies, columns // 10, columns % 10,
+        np.append(robot.order, np.arange(n, bodies)), parent, turn.reshape(bodies, 27), translation, axis,
+        slides.astype(float), to_reference @ robot.gravity * (1.0 if gravity else 0.0),
+        channels.joint, _c(channels.twist), np.where(pick, np.argmax(channels.twist, axis=1), -1), channels.bodies,
+        np.searchsorted(columns[by_body] // 10, np.arange(bodies + 1)), by_body, columns[by_body] % 10,
     )  # fmt: skip
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _cross(a, b, out):
-    out[0] = a[1] * b[2] - a[2] * b[1]
-    out[1] = a[2] * b[0] - a[0] * b[2]
-    out[2] = a[0] * b[1] - a[1] * b[0]
+# The kernel works on _L samples at once: every number of the equations is a run of _L, ``row[field + s]``, and
+# the innermost loops run over s, so that they compile to vector instructions. A row of the state, one a body:
+_L = 16
+_R, _P, _W, _DW, _A = 0, 9 * _L, 12 * _L, 15 * _L, 18 * _L  # rotation, origin, spin, its rate, acceleration
+_STATE = 21 * _L
+_BLOCK = 10 * _L  # one row of a body's block: ten parameters
+_jit = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz", "reassoc"})
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _multiply(a, b, out):
-    for i in range(3):
-        for j in range(3):
-            out[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
+# Vectors are tuples, matrices tuples of rows.
+_dot = _jit(lambda a, b: a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
+_add = _jit(lambda a, b, k=1.0: (a[0] + k * b[0], a[1] + k * b[1], a[2] + k * b[2]))
+_cross = _jit(lambda a, b: (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]))
+_apply = _jit(lambda r, x: (_dot(r[0], x), _dot(r[1], x), _dot(r[2], x)))
+_column = _jit(lambda r, k: (r[0][k], r[1][k], r[2][k]))
+_get = _jit(lambda row, i, step=_L: (row[i], row[i + step], row[i + 2 * step]))
+_get_rotation = _jit(lambda row, s: (_get(row, s), _get(row, 3 * _L + s), _get(row, 6 * _L + s)))
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _apply(a, x, out):
-    for i in range(3):
-        out[i] = a[i, 0] * x[0] + a[i, 1] * x[1] + a[i, 2] * x[2]
+@_jit
+def _put(row, i, x, step=_L):
+    row[i], row[i + step], row[i + 2 * step] = x
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _rotate_about(axis, angle, out):
-    """Rodrigues' rotation matrix."""
-    s, c = np.sin(angle), np.cos(angle)
-    x, y, z, k = axis[0], axis[1], axis[2], 1.0 - c
-    out[0, 0], out[0, 1], out[0, 2] = c + k * x * x, k * x * y - s * z, k * x * z + s * y
-    out[1, 0], out[1, 1], out[1, 2] = k * x * y + s * z, c + k * y * y, k * y * z - s * x
-    out[2, 0], out[2, 1], out[2, 2] = k * x * z - s * y, k * y * z + s * x, c + k * z * z
+@_jit
+def _advance(up, here, motion, turn, translation, axis, slides):
+    """Pose, spin w, its rate w' and origin's acceleration A of a row from its parent's; motion: q, sin, cos, q', q''.
 
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _body_columns(rotation, origin, linear, w, spin, spin_rate, gyroscopic, out):
-    """Six rows by ten columns of one body: d/dt of its momentum, its momentum or its weight, by inputs.
-
-    A point r of the body contributes the vector ``linear + w r`` times its mass; the rotational inertia
-    contributes R L(R' spin_rate) (+ R spin x L(spin), if gyroscopic), L(x) I = I x.
+    ``w += q' d, w' += q'' d + q' w x d`` for a turning axis d, ``A += q'' d + 2 q' w x d`` for a sliding one,
+    and ``A += w' x r + w x (w x r)`` of the parent over the offset r.
     """
-    moment = np.empty(3)
-    column = np.empty(3)
-    force = np.empty(3)
-    out[:3, 0] = linear
-    _cross(origin, linear, moment)
-    out[3:, 0] = moment
-    for k in range(3):
-        column[:] = rotation[:, k]
-        _apply(w, column, force)
-        out[:3, 1 + k] = force
-        _cross(origin, force, moment)
-        out[3:, 1 + k] = moment
-        _cross(column, linear, moment)
-        out[3:, 1 + k] += moment
-    out[:3, 4:] = 0.0
-    x, y, z = 0.0, 0.0, 0.0
-    a, b, c = 0.0, 0.0, 0.0
-    for i in range(3):
-        x += rotation[i, 0] * spin_rate[i]
-        y += rotation[i, 1] * spin_rate[i]
-        z += rotation[i, 2] * spin_rate[i]
-        a += rotation[i, 0] * spin[i]
-        b += rotation[i, 1] * spin[i]
-        c += rotation[i, 2] * spin[i]
-    if not gyroscopic:
-        a = b = c = 0.0
-    local = np.empty((3, 6))
-    # Columns Ixx, Ixy, Iyy, Ixz, Iyz, Izz of L(alpha) + [w]x L(w) in body axes.
-    local[0, 0], local[1, 0], local[2, 0] = x, c * a, -b * a
-    local[0, 1], local[1, 1], local[2, 1] = y - c * a, x + c * b, a * a - b * b
-    local[0, 2], local[1, 2], local[2, 2] = -c * b, y, a * b
-    local[0, 3], local[1, 3], local[2, 3] = z + b * a, c * c - a * a, x - b * c
-    local[0, 4], local[1, 4], local[2, 4] = b * b - c * c, z - a * b, y + a * c
-    local[0, 5], local[1, 5], local[2, 5] = b * c, -a * c, z
-    for k in range(6):
-        for i in range(3):
-            out[3 + i, 4 + k] = (
-                rotation[i, 0] * local[0, k] + rotation[i, 1] * local[1, k] + rotation[i, 2] * local[2, k]
-            )
+    a, b, c = _get(turn, 0, 1), _get(turn, 3, 1), _get(turn, 6, 1)
+    ca, cb, cc = _get(turn, 9, 1), _get(turn, 12, 1), _get(turn, 15, 1)
+    sa, sb, sc = _get(turn, 18, 1), _get(turn, 21, 1), _get(turn, 24, 1)
+    fixed, direction, turns = _get(translation, 0, 1), _get(axis, 0, 1), 1.0 - slides
+    zero = (0.0, 0.0, 0.0)
+    for s in range(_L):
+        r, w, dw = _get_rotation(up, s), _get(up, _W + s), _get(up, _DW + s)
+        sine, cosine = motion[_L + s], motion[2 * _L + s]
+        rate, rate2 = motion[3 * _L + s], motion[4 * _L + s]
+        ta = _add(_add(a, ca, cosine), sa, sine)
+        tb = _add(_add(b, cb, cosine), sb, sine)
+        tc = _add(_add(c, cc, cosine), sc, sine)
+        for k in range(3):
+            _put(here, 3 * k * _L + s, _add(_add(_add(zero, ta, r[k][0]), tb, r[k][1]), tc, r[k][2]))
+        offset = _apply(r, _add(fixed, direction, slides * motion[s]))
+        d = _apply(r, direction)
+        bend = _cross(w, d)
+        pull = _add(_cross(dw, offset), _cross(w, _cross(w, offset)))
+        _put(here, _P + s, _add(_get(up, _P + s), offset))
+        _put(here, _W + s, _add(w, d, turns * rate))
+        _put(here, _DW + s, _add(_add(dw, d, turns * rate2), bend, turns * rate))
+        pull = _add(_add(pull, d, slides * rate2), bend, slides * 2.0 * rate)
+        _put(here, _A + s, _add(_get(up, _A + s), pull))
 
 
-@numba.njit(cache=True, nogil=True, error_model="numpy")
+@_jit
+def _body_block(state, block):
+    """Rate of one body's momentum: six rows by ten columns.
+
+    A point r of the body adds ``A + w' x r + w x (w x r)`` times its mass; with the rotation R into the
+    body's axes, the inertia adds ``R (L(a) + [b]x L(b))`` for a = R' w', b = R' w, where L(x) I = I x.
+    """
+    force, moment = block[: 3 * _BLOCK], block[3 * _BLOCK :]
+    for s in range(_L):
+        r, p, acc = _get_rotation(state, s), _get(state, _P + s), _get(state, _A + s)
+        w, dw = _get(state, _W + s), _get(state, _DW + s)
+        _put(force, s, acc, _BLOCK)
+        _put(moment, s, _cross(p, acc), _BLOCK)
+        for k in range(3):
+            arm = _column(r, k)
+            f = _add(_cross(dw, arm), _cross(w, _cross(w, arm)))
+            _put(force, (1 + k) * _L + s, f, _BLOCK)
+            _put(moment, (1 + k) * _L + s, _add(_cross(p, f), _cross(arm, acc)), _BLOCK)
+        r0, r1, r2 = _column(r, 0), _column(r, 1), _column(r, 2)
+        x, y, z = _dot(r0, dw), _dot(r1, dw), _dot(r2, dw)
+        a, b, c = _dot(r0, w), _dot(r1, w), _dot(r2, w)
+        _put(moment, 4 * _L + s, _apply(r, (x, c * a, -b * a)), _BLOCK)
+        _put(moment, 5 * _L + s, _apply(r, (y - c * a, x + c * b, a * a - b * b)), _BLOCK)
+        _put(moment, 6 * _L + s, _apply(r, (-c * b, y, a * b)), _BLOCK)
+        _put(moment, 7 * _L + s, _apply(r, (z + b * a, c * c - a * a, x - b * c)), _BLOCK)
+        _put(moment, 8 * _L + s, _apply(r, (b * b - c * c, z - a * b, y + a * c)), _BLOCK)
+        _put(moment, 9 * _L + s, _apply(r, (b * c, -a * c, z)), _BLOCK)
+
+
+@_jit
+def _weight_block(state, gravity, block):
+    """The same rows of one body's weight; no moment of inertia has any."""
+    g, moment = _get(gravity, 0, 1), block[3 * _BLOCK :]
+    for s in range(_L):
+        r = _get_rotation(state, s)
+        _put(block, s, g, _BLOCK)
+        _put(moment, s, _cross(_get(state, _P + s), g), _BLOCK)
+        for k in range(3):
+            _put(moment, (1 + k) * _L + s, _cross(_column(r, k), g), _BLOCK)
+
+
+@_jit
+def _twist(state, fixed, twist, rate):
+    """A twist fixed in a link, about the origin: ``(R l + p x R a; R a)``; its rate for spin w', origin velocity A.
+
+    That rate is the motion cross product with (A - w' x p; w').
+    """
+    linear, angular = _get(fixed, 0, 1), _get(fixed, 3, 1)
+    for s in range(_L):
+        r, p, w = _get_rotation(state, s), _get(state, _P + s), _get(state, _DW + s)
+        turned = _apply(r, angular)
+        moved = _add(_apply(r, linear), _cross(p, turned))
+        _put(twist, s, moved)
+        _put(twist, 3 * _L + s, turned)
+        velocity = _add(_get(state, _A + s), _cross(p, w))
+        _put(rate, s, _add(_cross(w, moved), _cross(velocity, turned)))
+        _put(rate, 3 * _L + s, _cross(w, turned))
+
+
+@_jit
+def _project(twist, block, result, add):
+    """``result (+)= twist' block``: one row of ten parameters."""
+    for k in range(10):
+        for s in range(_L):
+            i = k * _L + s
+            total = result[i] if add else 0.0
+            for row in range(6):
+                total += twist[row * _L + s] * block[row * _BLOCK + i]
+            result[i] = total
+
+
+@_jit
+def _store(row, out, first, count, channel, columns, parameters):
+    """A body's ten runs of samples to the columns asked for."""
+    for s in range(count):
+        for k in range(len(columns)):
+            out[first + s, channel, columns[k]] = row[parameters[k] * _L + s]
+
+
+@_jit
 def _regressor(
     by_momentum, q, v, a,
-    order, parent, placement_r, placement_p, axis, prismatic, gravity,
-    body_joint, body_r, body_p, channel_joint, channel_twist, one_hot, carries, column_body, column_parameter,
-    out, rest,
+    order, parent, turn, translation, axis, slides, gravity,
+    twist_row, fixed_twist, pick, carries, start, column, parameter, out, rest,
 ):  # fmt: skip
-    n, bodies, channels, columns = len(order), len(body_joint), len(channel_joint), len(column_body)
-    rotation, origin = np.zeros((n, 3, 3)), np.zeros((n, 3))
-    w, dw, velocity, acceleration = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3))
-    frame, turn = np.empty((3, 3)), np.empty((3, 3))
-    offset, direction, t1, t2 = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    zero, no_turn = np.zeros(3), np.zeros((3, 3))
-    matrix, point, linear, map_w = np.empty((3, 3)), np.empty(3), np.empty(3), np.zeros((3, 3))
-    block, weight = np.zeros((bodies, 6, 10)), np.zeros((bodies, 6, 10))
-    twist, twist_rate = np.zeros((channels, 6)), np.zeros((channels, 6))
-    used = np.zeros(bodies, np.bool_)
-    used[column_body] = True
+    """Fill ``out`` with Y; by momentum ``out`` with P and ``rest`` with Q.
 
-    for sample in range(len(q)):
-        for step in range(n):
-            i = order[step]
-            up = parent[i]
-            if up < 0:
-                frame[:] = placement_r[i]
-                origin[i] = placement_p[i]
-                w[i] = 0.0
-                dw[i] = 0.0
-                velocity[i] = 0.0
-                acceleration[i] = -gravity
-            else:
-                _multiply(rotation[up], placement_r[i], frame)
-                _apply(rotation[up], placement_p[i], offset)
-                origin[i] = origin[up] + offset
-                w[i] = w[up]
-                dw[i] = dw[up]
-                _cross(w[up], offset, t1)
-                velocity[i] = velocity[up] + t1
-                _cross(w[up], t1, t2)
-                _cross(dw[up], offset, t1)
-                acceleration[i] = acceleration[up] + t1 + t2
-            _apply(frame, axis[i], direction)
-            rate, rate2 = v[sample, i], a[sample, i]
-            if prismatic[i]:
-                rotation[i] = frame
-                for k in range(3):
-                    offset[k] = q[sample, i] * direction[k]
-                    origin[i, k] += offset[k]
-                _cross(w[i], offset, t1)
-                _cross(w[i], t1, t2)
-                velocity[i] += t1 + rate * direction
-                acceleration[i] += t2 + rate2 * direction
-                _cross(dw[i], offset, t1)
-                acceleration[i] += t1
-                _cross(w[i], direction, t1)
-                acceleration[i] += 2.0 * rate * t1
-            else:
-                _rotate_about(axis[i], q[sample, i], turn)
-                _multiply(frame, turn, rotation[i])
-                _cross(w[i], direction, t1)
-                for k in range(3):
-                    w[i, k] += rate * direction[k]
-                    dw[i, k] += rate2 * direction[k] + rate * t1[k]
+    The momentum is the rate of momentum of the same robot that starts from rest with the velocities for its
+    accelerations, without weight; so `_advance` then has the spin for w' and the velocity for A.
+    """
+    n, bodies, channels, samples = q.shape[1], len(parent), len(twist_row), len(q)
+    state = np.zeros((bodies + 1, _STATE))  # the last row, parent -1, is the root
+    for s in range(_L):
+        for k in range(3):
+            state[bodies, 4 * k * _L + s] = 1.0
+            state[bodies, _A + k * _L + s] = 0.0 if by_momentum else -gravity[k]
+    motion = np.zeros((bodies, 5 * _L))
+    block, weight = np.zeros(6 * _BLOCK), np.zeros(6 * _BLOCK)
+    row, other, nothing = np.zeros(_BLOCK), np.zeros(_BLOCK), np.zeros(_BLOCK)
+    twist, twist_rate = np.zeros((channels, 6 * _L)), np.zeros((channels, 6 * _L))
+    for c in range(channels):
+        for k in range(6):
+            twist[c, k * _L : (k + 1) * _L] = fixed_twist[c, k]
 
+    for first in range(0, samples, _L):
+        count = min(_L, samples - first)
+        for s in range(count):
+            for i in range(n):
+                angle = q[first + s, i]
+                motion[i, s], motion[i, _L + s], motion[i, 2 * _L + s] = angle, np.sin(angle), np.cos(angle)
+                motion[i, 3 * _L + s] = 0.0 if by_momentum else v[first + s, i]
+                motion[i, 4 * _L + s] = a[first + s, i]
+        for i in order:
+            _advance(state[parent[i]], state[i], motion[i], turn[i], translation[i], axis[i], slides[i])
+        for c in range(channels):
+            if twist_row[c] >= 0:
+                _twist(state[twist_row[c]], fixed_twist[c], twist[c], twist_rate[c])
         for body in range(bodies):
-            if not used[body]:
+            mine, which = column[start[body] : start[body + 1]], parameter[start[body] : start[body + 1]]
+            if len(mine) == 0:
                 continue
-            i = body_joint[body]
-            _multiply(rotation[i], body_r[body], matrix)
-            _apply(rotation[i], body_p[body], offset)
-            point[:] = origin[i] + offset
-            x, y, z = w[i, 0], w[i, 1], w[i, 2]
-            _cross(w[i], offset, t1)
+            _body_block(state[body], block)
             if by_momentum:
-                linear[:] = velocity[i] + t1
-                map_w[0, 1], map_w[0, 2], map_w[1, 2] = -z, y, -x
-                map_w[1, 0], map_w[2, 0], map_w[2, 1] = z, -y, x
-                map_w[0, 0] = map_w[1, 1] = map_w[2, 2] = 0.0
-                _body_columns(matrix, point, linear, map_w, zero, w[i], False, block[body])
-                _body_columns(matrix, point, gravity, no_turn, zero, zero, False, weight[body])
-            else:
-                _cross(w[i], t1, t2)
-                _cross(dw[i], offset, t1)
-                linear[:] = acceleration[i] + t1 + t2
-                d, e, f = dw[i, 0], dw[i, 1], dw[i, 2]
-                # [dw]x + [w]x [w]x
-                map_w[0, 0], map_w[1, 1], map_w[2, 2] = -y * y - z * z, -x * x - z * z, -x * x - y * y
-                map_w[0, 1], map_w[1, 0] = x * y - f, x * y + f
-                map_w[0, 2], map_w[2, 0] = x * z + e, x * z - e
-                map_w[1, 2], map_w[2, 1] = y * z - d, y * z + d
-                _body_columns(matrix, point, linear, map_w, w[i], dw[i], True, block[body])
-
-        for c in range(channels):
-            j = channel_joint[c]
-            if j < 0:
-                twist[c] = channel_twist[c]
-                continue
-            # Into the computing frame, linear part at its origin: s -> (R s_l + p x R s_a; R s_a).
-            _apply(rotation[j], channel_twist[c, 3:], t1)
-            _apply(rotation[j], channel_twist[c, :3], t2)
-            twist[c, 3:] = t1
-            _cross(origin[j], t1, offset)
-            twist[c, :3] = t2 + offset
-            if by_momentum:
-                # Rate of a twist fixed in a frame with spatial velocity (v0; w): the motion cross product.
-                _cross(w[j], origin[j], t2)
-                t2[:] = velocity[j] - t2
-                _cross(t2, t1, offset)
-                _cross(w[j], twist[c, :3], t2)
-                twist_rate[c, :3] = t2 + offset
-                _cross(w[j], t1, t2)
-                twist_rate[c, 3:] = t2
-
-        for c in range(channels):
-            axis_only, moving = one_hot[c], channel_joint[c] >= 0
-            for column in range(columns):
-                body, k = column_body[column], column_parameter[column]
-                if not carries[c, body]:
-                    out[sample, c, column] = 0.0
+                _weight_block(state[body], gravity, weight)
+            for c in range(channels):
+                values, others, here = nothing, nothing, pick[c] * _BLOCK
+                if carries[c, body] and pick[c] >= 0:
+                    values, others = block[here : here + _BLOCK], weight[here : here + _BLOCK]
+                elif carries[c, body]:
+                    values, others = row, other
+                    _project(twist[c], block, row, False)
                     if by_momentum:
-                        rest[sample, c, column] = 0.0
-                    continue
-                if axis_only >= 0:
-                    out[sample, c, column] = block[body, axis_only, k]
-                    if by_momentum:
-                        rest[sample, c, column] = weight[body, axis_only, k]
-                    continue
-                total, other = 0.0, 0.0
-                for row in range(0 if k < 4 else 3, 6):
-                    total += twist[c, row] * block[body, row, k]
-                out[sample, c, column] = total
+                        _project(twist[c], weight, other, False)
+                        _project(twist_rate[c], block, other, True)
+                _store(values, out, first, count, c, mine, which)
                 if by_momentum:
-                    for row in range(6):
-                        other += twist[c, row] * weight[body, row, k]
-                        if moving:
-                            other += twist_rate[c, row] * block[body, row, k]
-                    rest[sample, c, column] = other
+                    _store(others, rest, first, count, c, mine, which)

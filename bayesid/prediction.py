@@ -234,8 +234,8 @@ def _spectrum(residuals: list[np.ndarray], noise: NoiseModel, step: float, rate:
     frequencies = np.fft.rfftfreq(length, step)[1:]
     total = sum(len(r) for r in long)
     power = sum(len(r) / total * welch(r, 1.0 / step, nperseg=length, detrend=False, axis=0)[1][1:] for r in long)
-    gain = np.array([np.abs(np.fft.rfft(np.append(a, np.zeros(64 * length - len(a))))[64::64]) for a in noise.coefficients])
-    model = 2.0 * step * np.diag(noise.innovation) / gain.T**2
+    gain = np.abs(np.fft.rfft(noise.coefficients, length, axis=1))[:, 1:].T
+    model = 2.0 * step * np.diag(noise.innovation) / gain**2
     samples_per_row = max(rate * step, 1.0)
     return Spectrum(frequencies, np.sqrt(power / samples_per_row), np.sqrt(model / samples_per_row))
 

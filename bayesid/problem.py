@@ -24,7 +24,9 @@ CHANNELS = ("wrench", "torque", "both")
 ROWS_PER_BANDWIDTH = 2.5
 #: At least this many rows a second, so that the noise can be told from the motion.
 LOWEST_ROW_RATE = 20.0
-_PILOT_SAMPLES = 20_000
+#: Samples that the bandwidth is chosen from, in stretches spread over a long recording.
+_PILOT_SAMPLES = 8_000
+_STRETCHES = 4
 
 
 @dataclass(frozen=True)
@@ -266,13 +268,11 @@ def _measured(table, channel: str) -> np.ndarray:
 def _smoother(experiment: Experiment, recordings: list[Recording], bandwidth: float | None) -> Smoother:
     pieces = []
     for r in recordings:
-        # A long recording is judged by stretches of it.
-        count = max(int(np.ceil(len(r.times) / _PILOT_SAMPLES)), 1)
-        for k in range(min(count, 4)):
-            a = k * (len(r.times) // min(count, 4))
-            piece = slice(a, a + _PILOT_SAMPLES // min(count, 4) if count > 1 else len(r.times))
-            if len(r.times[piece]) >= 20:
-                pieces.append((r.times[piece], r.positions[piece]))
+        starts, length = [0], len(r.times)
+        if length > _PILOT_SAMPLES:
+            length = _PILOT_SAMPLES // _STRETCHES
+            starts = np.linspace(0, len(r.times) - length, _STRETCHES).astype(int)
+        pieces += [(r.times[a : a + length], r.positions[a : a + length]) for a in starts if length >= 20]
     if not pieces:
         return Smoother(bandwidth or 1.0, np.zeros(experiment.robot.n), "only poses at rest: nothing to smooth")
     chosen = choose_smoother(pieces, experiment.position_resolution, experiment.position_std)

@@ -7,15 +7,19 @@ from __future__ import annotations
 
 import difflib
 import json
+import math
 import tomllib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
+import tomli_w
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import ErrorDetails
 
-from .errors import InputError
+from bayesid.errors import InputError
+
+EffectParameters = dict[str, dict[str, float | bool]]  # "tether@joint3" -> {"stiffness": 40.0, "fixed": True}
 
 NonNegative = Annotated[float, Field(ge=0.0)]
 Positive = Annotated[float, Field(gt=0.0)]
@@ -76,7 +80,7 @@ class EffectValues(_Section):
     """``[model.values."effect@where"]``: starting values by parameter name; ``fixed`` keeps them."""
 
     model_config = ConfigDict(extra="allow", strict=True, frozen=True, allow_inf_nan=False)
-    __pydantic_extra__: dict[str, float]
+    __pydantic_extra__: dict[str, float]  # pyright: ignore[reportIncompatibleVariableOverride]
 
     fixed: bool = False
 
@@ -174,6 +178,76 @@ def suggest(word: str, known: Iterable[str]) -> str:
     return "known: " + ", ".join(known)
 
 
+def read_model(path: str | Path) -> tuple[tuple[str, ...], EffectParameters]:
+    """Read a model.toml, which stands in for ``[model]``: the effects and their starting values.
+
+    Raises
+    ------
+    InputError
+        The file is absent or holds anything else.
+    """
+    section = read_file(Path(path), ModelFile).model
+    check_effects(section.effects, Path(path).name)
+    return model_parts(section)
+
+
+def write_model(effects: Iterable[str], values: EffectParameters, path: str | Path) -> None:
+    """Write a model.toml for `read_model`."""
+    Path(path).write_text(tomli_w.dumps({"model": dump_model(effects, values)}), encoding="utf-8")
+
+
+def check_keys(file: ExperimentFile) -> list[str]:
+    """Check what experiment.toml says by itself, beyond types: names that repeat or contradict each other.
+
+    Returns
+    -------
+    warnings
+        One line each.
+
+    Raises
+    ------
+    InputError
+        For the first contradiction.
+    """
+    robot = file.robot
+    for name in robot.joints:
+        if robot.joints.count(name) > 1:
+            raise InputError(f'experiment.toml: [robot] joints: "{name}" is listed twice; list each joint once')
+        if name in robot.locked:
+            raise InputError(f'experiment.toml: [robot] locked: "{name}" is in joints too; a joint moves or is locked')
+    names = [motion.name for motion in file.motion]
+    for index, motion in enumerate(file.motion):
+        if motion.name in names[:index]:
+            raise InputError(f'experiment.toml: [motion.{index}] name: "{motion.name}" is taken; give each its own name')
+        if motion.kind == "poses" and (motion.period is not None or motion.parked):
+            key = "parked" if motion.period is None else "period"
+            raise InputError(f'experiment.toml: [motion.{index}] {key}: kind = "poses" has no times; remove it')
+    if not any(motion.role == "identification" for motion in file.motion):
+        raise InputError(
+            'experiment.toml: [motion.0] role: no motion has role "identification"; '
+            'write role = "identification" for the motions to fit'
+        )
+    check_effects(file.model.effects, "experiment.toml")
+    warnings = []
+    strength = math.hypot(*robot.gravity)
+    if not 9.7 < strength < 9.9:
+        warnings.append(f"experiment.toml: [robot] gravity: {strength:.4g} m/s^2 is not the Earth's; is that so?")
+    listed = {effect.partition("@")[0] for effect in file.model.effects if "@" not in effect} | set(file.model.effects)
+    for effect in file.model.values:
+        if effect not in listed and effect.partition("@")[0] not in listed:
+            warnings.append(
+                f'experiment.toml: [model.values."{effect}"]: effects does not list it; used only where --effects does'
+            )
+    return warnings
+
+
+def check_effects(effects: list[str], source: str) -> None:
+    """Refuse an effect that is listed twice."""
+    for effect in effects:
+        if effects.count(effect) > 1:
+            raise InputError(f'{source}: [model] effects: "{effect}" is listed twice; list it once')
+
+
 def dump_model(effects: Iterable[str], values: Mapping[str, Mapping[str, float | bool]]) -> dict[str, Any]:
     """Return the ``[model]`` table, ready for a TOML writer."""
     table: dict[str, Any] = {"effects": list(effects)}
@@ -182,9 +256,9 @@ def dump_model(effects: Iterable[str], values: Mapping[str, Mapping[str, float |
     return table
 
 
-def model_parts(section: ModelSection) -> tuple[tuple[str, ...], dict[str, dict[str, float | bool]]]:
+def model_parts(section: ModelSection) -> tuple[tuple[str, ...], EffectParameters]:
     """Return the effects and their starting values; ``fixed`` is there only where it is true."""
-    values: dict[str, dict[str, float | bool]] = {}
+    values: EffectParameters = {}
     for effect, given in section.values.items():
         values[effect] = {k: float(v) for k, v in (given.__pydantic_extra__ or {}).items()}
         if given.fixed:

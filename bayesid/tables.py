@@ -18,8 +18,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from .errors import InputError
-from .schema import suggest
+from bayesid.errors import InputError
+from bayesid.schema import suggest
 
 WRENCH_COLUMNS = ("fx", "fy", "fz", "mx", "my", "mz")
 GAP = 5.0  # a step this many times the median one is a gap: nothing may be filtered across it
@@ -296,8 +296,8 @@ def _blame_cell(path: Path, source: str, columns: list[str], options: dict[str, 
     options = options | dict(dtype=str, keep_default_na=False, encoding_errors="replace")
     row = 0
     for frame in _quietly(pd.read_csv(path, **options)):
-        values = np.column_stack([pd.to_numeric(frame[column], errors="coerce") for column in columns])
-        bad = np.argwhere(~np.isfinite(values.astype(np.float64)))
+        values = frame[columns].apply(pd.to_numeric, errors="coerce").to_numpy(np.float64)
+        bad = np.argwhere(~np.isfinite(values))
         if len(bad):
             at, k = int(bad[0][0]), int(bad[0][1])
             cell = frame[columns[k]].iloc[at]

@@ -23,7 +23,7 @@ from bayesid.problem import Problem, prepare
 
 SCHEMA = 1
 #: Whitened residuals on a motion that was not fitted above this say that something is missing in the model.
-TOLERATED = 1.3
+TOLERATED = 1.15
 
 Progress = Callable[[str], None]
 

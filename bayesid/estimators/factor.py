@@ -17,8 +17,8 @@ from bayesid.regression import Block, Regression
 
 _PASSES = 3
 #: About as many rows as the noise is learned from, and the fewest taken from one block.
-PILOT_ROWS = 8192
-PILOT_STRETCH = 512
+PILOT_ROWS = 2048
+PILOT_STRETCH = 256
 #: Below this probability the two fits count as contradicting each other.
 SMALLEST_AGREEMENT = 1e-4
 

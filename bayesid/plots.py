@@ -1,0 +1,368 @@
+"""Figures of results: one figure a function; results go in, a Figure comes out.
+
+Figures are made without pyplot, so that nothing global changes and nothing needs a display. Dense curves are
+rasterised inside otherwise sharp figures.
+"""
+
+from __future__ import annotations
+
+import functools
+import io
+import re
+from collections.abc import Callable, Sequence
+from typing import Any, ParamSpec
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
+
+from bayesid.prediction import BAND, Prediction, Spectrum
+
+MEASURED, PREDICTED, NOISE, GREY = "#8794a8", "#c2410c", "#0f766e", "#64748b"
+#: Colours of the classes of base parameters.
+CLASSES = {"alone": "#1d4ed8", "combination": "#7c3aed", "weak": "#d97706", "prior": "#94a3b8"}
+_CYCLE = ("#1d4ed8", "#c2410c", "#0f766e", "#7c3aed", "#be185d", "#a16207", "#475569", "#0891b2", "#65a30d", "#dc2626")
+_WIDTH = 10.4  # inches; the page is about a hundred times that in pixels
+_STYLE = {
+    "font.family": "DejaVu Sans",
+    "font.size": 9.0,
+    "axes.titlesize": 9.5,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.edgecolor": "#94a3b8",
+    "axes.labelcolor": "#334155",
+    "axes.linewidth": 0.7,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#e2e8f0",
+    "grid.linewidth": 0.7,
+    "xtick.color": "#475569",
+    "ytick.color": "#475569",
+    "xtick.labelsize": 8.5,
+    "ytick.labelsize": 8.5,
+    "legend.frameon": False,
+    "legend.fontsize": 9.0,
+    "figure.facecolor": "white",
+    "figure.dpi": 100,
+    "savefig.dpi": 130,
+    "svg.fonttype": "none",
+    "path.simplify_threshold": 0.3,
+}
+_P = ParamSpec("_P")
+
+
+def _styled(draw: Callable[_P, Figure]) -> Callable[_P, Figure]:
+    """Draw with the house style, and leave the caller's own style as it was."""
+
+    @functools.wraps(draw)
+    def inner(*args: _P.args, **kwargs: _P.kwargs) -> Figure:
+        with mpl.rc_context(_STYLE):
+            return draw(*args, **kwargs)
+
+    return inner
+
+
+def to_svg(figure: Figure, name: str) -> str:
+    """The figure as an ``<svg>`` element to be put into a page.
+
+    Parameters
+    ----------
+    figure
+        Any of this module's figures.
+    name
+        Different for each figure of a page, so that references inside one do not reach into another; the
+        same figure and name give the same text.
+    """
+    buffer = io.StringIO()
+    with mpl.rc_context({**_STYLE, "svg.hashsalt": name}):
+        figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
+    text = buffer.getvalue()
+    text = re.sub(r"<metadata>.*?</metadata>", "", text[text.index("<svg") :], flags=re.DOTALL)
+    text = re.sub(r' xmlns(:\w+)?="[^"]*"| version="1\.1"', "", text)
+    used = set(re.findall(r'(?:href="#|url\(#)([^")]+)', text))
+    prefix = re.sub(r"\W+", "-", name)
+
+    def keep(match: re.Match) -> str:
+        return f' id="{prefix}-{match[1]}"' if match[1] in used else ""
+
+    text = re.sub(r' id="([^"]*)"', keep, text)
+    text = re.sub(r'(href="#|url\(#)', rf"\g<1>{prefix}-", text)
+    # The page decides how wide a figure is; the viewBox keeps its shape.
+    return re.sub(r'<svg([^>]*?) width="[^"]*"', r"<svg\1", re.sub(r'<svg([^>]*?) height="[^"]*"', r"<svg\1", text, count=1), count=1)
+
+
+def to_png(figure: Figure, dpi: float = 130) -> bytes:
+    """The figure as a PNG image."""
+    buffer = io.BytesIO()
+    with mpl.rc_context(_STYLE):
+        FigureCanvasAgg(figure)
+        figure.savefig(buffer, format="png", dpi=dpi)
+    return buffer.getvalue()
+
+
+@_styled
+def parameter_intervals(
+    names: Sequence[str],
+    change: np.ndarray,
+    half: np.ndarray,
+    scale: np.ndarray,
+    classes: Sequence[str],
+    *,
+    relative_to: str = "nominal model",
+) -> Figure:
+    """Base parameters as dots with 95 % intervals, in units of their natural size, and how sure each one is.
+
+    Parameters
+    ----------
+    names
+        Short names (r,).
+    change
+        Value less reference (r,) [SI].
+    half
+        Half the width of the 95 % interval (r,) [SI], nan where there is none.
+    scale
+        Natural size of each parameter (r,) [SI], positive.
+    classes
+        Keys of `CLASSES` (r,).
+    relative_to
+        What ``change`` is counted from.
+    """
+    count = len(names)
+    figure = Figure(figsize=(_WIDTH, 1.15 + 0.2 * count), layout="constrained")
+    left, right = figure.subplots(1, 2, sharey=True, width_ratios=(1.9, 1.0))
+    y = np.arange(count)
+    position, width = change / scale, half / scale
+    reach = np.nanpercentile(np.abs(position), 90) if count else 1.0
+    limit = float(np.clip(1.6 * reach, 0.02, None))
+    for kind, colour in CLASSES.items():
+        at = np.flatnonzero(np.array(classes) == kind)
+        if not len(at):
+            continue
+        sure = at[np.isfinite(width[at])]
+        left.hlines(y[sure], position[sure] - width[sure], position[sure] + width[sure], color=colour, lw=2.2, alpha=0.45)
+        inside = at[np.abs(position[at]) <= limit]
+        left.plot(position[inside], y[inside], "o", ms=4.5, color=colour, label=kind, mew=0)
+        for k in at[np.abs(position[at]) > limit]:
+            side = np.sign(position[k])
+            left.plot(0.985 * side * limit, y[k], ">" if side > 0 else "<", ms=5.5, color=colour, mew=0)
+        shown = sure[width[sure] > 0]
+        right.hlines(y[shown], 1e-30, 100 * width[shown], color="#cbd5e1", lw=0.9)
+        right.plot(100 * width[shown], y[shown], "o", ms=4.5, color=colour, mew=0)
+    left.axvline(0.0, color="#334155", lw=0.9)
+    left.set(xlim=(-limit, limit), ylim=(count - 0.3, -0.7), xlabel=f"change against the {relative_to}, in natural sizes")
+    left.set_yticks(y, names)
+    left.grid(axis="y", visible=False)
+    left.set_title("Value and 95 % interval")
+    right.set_title("How sure")
+    right.set_xlabel("half interval [% of natural size]")
+    right.grid(axis="y", visible=False)
+    positive = 100 * width[np.isfinite(width) & (width > 0)]
+    if len(positive):
+        right.set_xscale("log")
+        right.set_xlim(10 ** np.floor(np.log10(positive.min()) - 0.1), 10 ** np.ceil(np.log10(positive.max()) + 0.1))
+        right.axvline(100.0, color=CLASSES["weak"], lw=0.9, ls="--")
+        _plain_log(right.xaxis)
+    else:
+        right.set_xticks([])
+        right.text(0.5, 0.5, "no honest interval", transform=right.transAxes, ha="center", color=GREY)
+    left.tick_params(axis="y", length=0)
+    right.tick_params(axis="y", length=0)
+    handles, labels = left.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper right", ncols=len(CLASSES), handletextpad=0.1)
+    return figure
+
+
+@_styled
+def measured_against_predicted(prediction: Prediction) -> Figure:
+    """Each channel of one motion, measured and predicted: the paper's figure 5."""
+    count = len(prediction.channel_names)
+    columns = 2 if count > 1 else 1
+    rows = -(-count // columns)
+    figure = Figure(figsize=(_WIDTH, 0.7 + 1.55 * rows), layout="constrained")
+    axes = figure.subplots(rows, columns, sharex=True, squeeze=False)
+    # A wrench: forces on the left, moments on the right. Anything else: row by row.
+    order = axes.T.ravel() if prediction.channel_names[:6] == ("fx", "fy", "fz", "mx", "my", "mz") and count == 6 else axes.ravel()
+    x, (measured, predicted) = _with_breaks(prediction, prediction.measured, prediction.predicted)
+    for k, (ax, name, unit) in enumerate(zip(order, prediction.channel_names, prediction.channel_units, strict=False)):
+        if prediction.poses:
+            ax.plot(x, measured[:, k], "o", ms=6, mfc="none", mew=1.4, color=MEASURED, label="measured")
+            ax.plot(x, predicted[:, k], "x", ms=5, mew=1.4, color=PREDICTED, label="predicted")
+        else:
+            ax.plot(x, measured[:, k], color=MEASURED, lw=2.2, label="measured", rasterized=True)
+            ax.plot(x, predicted[:, k], color=PREDICTED, lw=0.9, label="predicted", rasterized=True)
+        ax.set_title(name)
+        ax.set_ylabel(unit)
+        ax.yaxis.set_major_locator(MaxNLocator(4))
+        _tidy_time(ax, x, prediction.poses)
+    for ax in order[count:]:
+        ax.set_visible(False)
+    _label_lowest(axes, count, order, "pose" if prediction.poses else "time [s]")
+    handles, labels = order[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper right", ncols=2)
+    figure.align_ylabels(axes)
+    return figure
+
+
+@_styled
+def residuals(prediction: Prediction) -> Figure:
+    """What is left of each channel, in time and in frequency, beside the noise."""
+    spectrum, count = prediction.spectrum, len(prediction.channel_names)
+    figure = Figure(figsize=(_WIDTH, 0.8 + 1.3 * count), layout="constrained")
+    if spectrum is None:
+        axes = figure.subplots(count, 1, sharex=True, squeeze=False)
+    else:
+        axes = figure.subplots(count, 2, sharex="col", squeeze=False, width_ratios=(1.7, 1.0))
+    x, (left,) = _with_breaks(prediction, prediction.measured - prediction.predicted)
+    level = None if spectrum is None else noise_in_band(spectrum)
+    for k, (name, unit) in enumerate(zip(prediction.channel_names, prediction.channel_units, strict=True)):
+        ax = axes[k, 0]
+        if prediction.poses:
+            ax.vlines(x, 0.0, left[:, k], color=PREDICTED, lw=1.2)
+            ax.plot(x, left[:, k], "o", ms=4, color=PREDICTED, mew=0)
+        else:
+            if level is not None:
+                ax.axhspan(-1.96 * level[k], 1.96 * level[k], color=NOISE, alpha=0.16, lw=0, label="95 % of the noise")
+            ax.plot(x, left[:, k], color=PREDICTED, lw=0.8, rasterized=True, label="measured less predicted")
+        ax.axhline(0.0, color="#334155", lw=0.6)
+        ax.set_title(name)
+        ax.set_ylabel(unit)
+        ax.yaxis.set_major_locator(MaxNLocator(4, symmetric=True))
+        _tidy_time(ax, x, prediction.poses)
+        if spectrum is not None:
+            ax = axes[k, 1]
+            ax.loglog(spectrum.frequencies, spectrum.residual[:, k], color=PREDICTED, lw=0.9)
+            ax.loglog(spectrum.frequencies, spectrum.noise[:, k], color=NOISE, lw=1.8, label="noise model")
+            ax.set_ylabel(f"{unit}/√Hz")
+            ax.set_xlim(spectrum.frequencies[0], spectrum.frequencies[-1])
+            _plain_log(ax.xaxis)
+            _plain_log(ax.yaxis)
+    axes[-1, 0].set_xlabel("pose" if prediction.poses else "time [s]")
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    if spectrum is not None:
+        axes[-1, 1].set_xlabel("frequency [Hz]")
+        more = axes[0, 1].get_legend_handles_labels()
+        handles, labels = [*handles, *more[0]], [*labels, *more[1]]
+    if handles:
+        figure.legend(handles, labels, loc="outside upper right", ncols=len(handles))
+    figure.align_ylabels(axes)
+    return figure
+
+
+def noise_in_band(spectrum: Spectrum, band: float = BAND) -> np.ndarray:
+    """Standard deviation that the noise model leaves below a frequency (c,) [unit of the channel]."""
+    width = spectrum.frequencies[0]
+    inside = spectrum.frequencies <= band
+    return np.sqrt(np.sum(spectrum.noise[inside] ** 2, axis=0) * width)
+
+
+@_styled
+def joint_ranges(
+    names: Sequence[str], lower: np.ndarray, upper: np.ndarray, motions: Sequence[tuple[str, np.ndarray, np.ndarray]], units: Sequence[str]
+) -> Figure:
+    """How much of each joint's range each motion uses.
+
+    Parameters
+    ----------
+    names, units
+        Of the joints (n,).
+    lower, upper
+        Limits (n,), infinite where there are none.
+    motions
+        Name, lowest and highest positions (n,) of each.
+    """
+    count, shown = len(names), list(motions)[:8]
+    figure = Figure(figsize=(_WIDTH, 0.9 + count * (0.22 + 0.13 * len(shown))), layout="constrained")
+    ax = figure.subplots()
+    slot = 0.8 / max(len(shown), 1)
+    for j in range(count):
+        if np.isfinite(lower[j]) and np.isfinite(upper[j]):
+            ax.barh(j, upper[j] - lower[j], left=lower[j], height=0.9, color="#eef2f7", lw=0, label="_limits")
+            ax.vlines([lower[j], upper[j]], j - 0.45, j + 0.45, color="#94a3b8", lw=1.2)
+    for k, (name, low, high) in enumerate(shown):
+        at = np.arange(count) - 0.4 + (k + 0.5) * slot
+        thickness = min(0.8 * slot, 0.3)
+        ax.barh(at, high - low, left=low, height=thickness, color=_CYCLE[k % len(_CYCLE)], lw=0, label=name)
+        still = high - low < 1e-9
+        ax.plot(low[still], at[still], "|", ms=7, color=_CYCLE[k % len(_CYCLE)])
+    ax.set_yticks(np.arange(count), names)
+    ax.set_ylim(count - 0.4, -0.6)
+    ax.tick_params(axis="y", length=0)
+    ax.grid(axis="y", visible=False)
+    ax.set_xlabel("position [" + " or ".join(dict.fromkeys(units)) + "]")
+    figure.legend(loc="outside upper right", ncols=min(len(shown), 5))
+    return figure
+
+
+@_styled
+def recording(times: np.ndarray, panels: Sequence[tuple[str, str, Sequence[str], np.ndarray]], breaks: Sequence[int], poses: bool) -> Figure:
+    """One recording as it is: a panel for each group of columns.
+
+    Parameters
+    ----------
+    times
+        (N,) [s]; poses are numbered instead.
+    panels
+        Title, unit, names of the curves (k,) and curves (N, k).
+    breaks
+        Indices of the first samples after gaps: no line is drawn across.
+    poses
+        Whether each sample stands for itself.
+    """
+    figure = Figure(figsize=(_WIDTH, 0.5 + 1.75 * len(panels)), layout="constrained")
+    axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
+    x = np.arange(1.0, len(times) + 1) if poses else times
+    x = np.insert(x, list(breaks), np.nan)
+    for ax, (title, unit, names, values) in zip(axes, panels, strict=True):
+        for k, (name, curve) in enumerate(zip(names, np.insert(values, list(breaks), np.nan, axis=0).T, strict=True)):
+            style: dict[str, Any] = {"marker": "o", "ls": "", "ms": 3} if poses else {"lw": 1.0, "rasterized": True}
+            ax.plot(x, curve, color=_CYCLE[k % len(_CYCLE)], label=name, **style)
+        ax.set_title(title)
+        ax.set_ylabel(unit)
+        ax.yaxis.set_major_locator(MaxNLocator(4))
+        ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), handlelength=1.2, borderaxespad=0.3, labelspacing=0.25)
+        _tidy_time(ax, x, poses)
+    axes[-1].set_xlabel("pose" if poses else "time [s]")
+    figure.align_ylabels(axes)
+    return figure
+
+
+def _with_breaks(prediction: Prediction, *curves: np.ndarray) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
+    """Abscissa and curves with a hole wherever the recording has a gap."""
+    times = prediction.times
+    if prediction.poses:
+        return np.arange(1.0, len(times) + 1), curves
+    step = np.diff(times)
+    gaps = np.flatnonzero(step > 5.0 * np.median(step)) + 1 if len(step) else []
+    return np.insert(times, gaps, np.nan), tuple(np.insert(c, gaps, np.nan, axis=0) for c in curves)
+
+
+def _tidy_time(ax: Axes, x: np.ndarray, poses: bool) -> None:
+    ax.margins(x=0.01 if not poses else 0.03)
+    if poses:
+        ax.xaxis.set_major_locator(MaxNLocator(integer=True))
+    low, high = ax.get_ylim()
+    if high - low < 1e-12 * max(abs(low), abs(high), 1e-12):  # nothing moves: keep the axis from magnifying rounding
+        ax.set_ylim(low - 1.0, high + 1.0)
+
+
+def _label_lowest(axes: np.ndarray, count: int, order: np.ndarray, label: str) -> None:
+    """Name the abscissa below the lowest visible panel of every column."""
+    for column in axes.T:
+        visible = [ax for ax in column if ax.get_visible()]
+        if visible:
+            visible[-1].set_xlabel(label)
+            visible[-1].tick_params(labelbottom=True)
+
+
+def _plain_log(axis) -> None:
+    """Decades as plain numbers: no minor labels, no mathematics font."""
+    low, high = sorted(axis.get_view_interval())
+    decades = np.log10(max(high, 1e-300)) - np.log10(max(low, 1e-300))
+    axis.set_major_locator(LogLocator(subs=(1.0,), numticks=6) if decades >= 2 else LogLocator(subs=(1.0, 2.0, 5.0), numticks=12))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_locator(NullLocator())

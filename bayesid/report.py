@@ -1,0 +1,459 @@
+"""Reports: results and figures put together into one page that needs nothing else.
+
+Pages come from the templates in ``bayesid/templates``; here results are turned into what the templates show:
+texts, numbers with sensible digits and figures. Results of the layers above (`Identification`, `Inspection`)
+come in as they are.
+"""
+
+from __future__ import annotations
+
+import functools
+import platform
+import re
+from collections.abc import Sequence
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+
+from bayesid import inertia, plots
+from bayesid.base_parameters import BaseParameters
+from bayesid.estimators import Estimate
+from bayesid.prediction import BAND, Prediction, relative_error
+
+#: Figures of at most so many motions of each role are shown.
+SHOWN_MOTIONS = 6
+_HALF = 1.959964
+_DASH = "–"
+_LONGEST_LABEL = 90
+#: Residuals up to so many times the noise count as good and as fair.
+_GOOD, _FAIR = 1.1, 1.3
+
+
+def render(template: str, **context: Any) -> str:
+    """A page from one of the package's templates; everything but `Markup` is escaped."""
+    return _environment().get_template(template).render(version=version("bayesid"), **context)
+
+
+@functools.cache
+def _environment() -> Environment:
+    environment = Environment(
+        loader=PackageLoader("bayesid", "templates"), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    environment.filters["shorten"] = shorten
+    return environment
+
+
+def svg(figure: Any, name: str) -> Markup:
+    """A figure ready to be put into a template."""
+    return Markup(plots.to_svg(figure, name))
+
+
+def number(value: float | None, digits: int = 4) -> str:
+    """A number with so many significant digits, with a power of ten only where it is very small or large."""
+    if value is None or not np.isfinite(value):
+        return _DASH
+    if value == 0:
+        return "0"
+    exponent = int(np.floor(np.log10(abs(float(f"{value:.{digits - 1}e}")))))
+    if -4 <= exponent < 6:
+        return f"{value:.{max(digits - 1 - exponent, 0)}f}".replace("-", "−")
+    return f"{value / 10.0**exponent:.{digits - 1}f}·10{_raised(exponent)}".replace("-", "−")
+
+
+def _raised(exponent: int) -> str:
+    return str(exponent).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+
+
+def with_half(value: float, half: float | None) -> tuple[str, str]:
+    """A value and half its interval, both to the interval's second digit."""
+    if half is None or not np.isfinite(half) or half <= 0:
+        return number(value), _DASH
+    last = int(np.floor(np.log10(half))) - 1
+    size = int(np.floor(np.log10(max(abs(value), half))))
+    if -4 <= size < 6 and last >= -7:
+        places = max(-last, 0)
+        return f"{value:.{places}f}".replace("-", "−"), f"{half:.{places}f}"
+    scaled, places = 10.0**size, max(size - last, 0)
+    power = f"·10{_raised(size)}"
+    return f"{value / scaled:.{places}f}{power}".replace("-", "−"), f"{half / scaled:.{places}f}{power}"
+
+
+def percent(share: float, digits: int = 3) -> str:
+    """A share as per cent."""
+    return f"{number(100 * share, digits)} %" if np.isfinite(share) else _DASH
+
+
+def shorten(text: str) -> tuple[str, int]:
+    """A sum's first terms and how many more there are."""
+    if len(text) <= _LONGEST_LABEL:
+        return text, 0
+    terms = re.split(r"(?= [+-] )", text)
+    kept = 1
+    while kept < len(terms) and len("".join(terms[: kept + 1])) <= _LONGEST_LABEL - 20:
+        kept += 1
+    return "".join(terms[:kept]), len(terms) - kept
+
+
+def identification_report(identification: Any) -> str:
+    """The report of ``identify``.
+
+    Parameters
+    ----------
+    identification
+        The verb's result, an `Identification`.
+
+    Returns
+    -------
+    page
+        HTML with all figures inside.
+    """
+    result, estimate, problem = identification, identification.estimate, identification.problem
+    validation, fitted = _most_telling(result.validation), _most_telling(result.fitted)
+    left_out = len(result.validation) + len(result.fitted) - len(validation) - len(fitted)
+    offset = any(e["name"] == "sensor_offset" for e in result.to_dict()["effects"])
+    return render(
+        "identification.html",
+        name=problem.experiment.name,
+        robot=problem.experiment.robot.name,
+        channel=_channel(problem.channel),
+        fitted=problem.fitted,
+        method=estimate.method,
+        warning_list=result.warnings,
+        verdict=_verdict(result),
+        card_list=_cards(result),
+        interval_reason=estimate.interval_reason if estimate.interval == "none" else "",
+        intervals=svg(_intervals(problem.regression, estimate), "intervals"),
+        parameters=_parameters(problem.regression, estimate),
+        effects=_effects(result.to_dict()["effects"]),
+        offset_note=_OFFSET_NOTE if offset and problem.recipe.base.absorbed is not None else "",
+        band=number(BAND, 2),
+        validation=[_motion(p, "validation", k) for k, p in enumerate(validation)],
+        fits=[_motion(p, "fitted", k) for k, p in enumerate(fitted)],
+        omitted=f"Of {left_out} more motions only the numbers are shown below." if left_out else "",
+        errors=[_errors(p, role) for role, ps in (("validation", result.validation), ("fitted", result.fitted)) for p in ps],
+        unexcited=result.unexcited,
+        invisible=_by_body(estimate.base.invisible),
+        invisible_count=len(estimate.base.invisible),
+        gravity_free=problem.static == "motion",
+        absorbed=_absorbed(estimate.base),
+        links=_links(result),
+        agreements=[
+            {**a.to_dict(), "rms": number(a.rms, 3), "probability": _probability(a.probability)} for a in result.agreements
+        ],
+        static=_both_ways(result),
+        how=_how(result),
+    )
+
+
+_OFFSET_NOTE = (
+    "The sensor's offset is what is left of the estimated constant once the nominal weight that looks like one is taken off: it is only as "
+    "good as the nominal masses, and has an interval only where the experiment says how far those are trusted."
+)
+
+
+def check_report(check: Any) -> str:
+    """The report of ``check``.
+
+    Parameters
+    ----------
+    check
+        The verb's result, an `Inspection`.
+
+    Returns
+    -------
+    page
+        HTML with all figures inside.
+    """
+    return render("check.html", **check.page())
+
+
+def _channel(channel: str) -> str:
+    return {"wrench": "sensor's wrench", "torque": "joint torques", "both": "sensor's wrench and joint torques"}[channel]
+
+
+def _most_telling(predictions: Sequence[Prediction]) -> list[Prediction]:
+    """All motions, or those with the largest residuals where there are too many for a page."""
+    worst = sorted(predictions, key=lambda p: -p.whitened_rms)[:SHOWN_MOTIONS]
+    return [p for p in predictions if p in worst] if len(predictions) > SHOWN_MOTIONS else list(predictions)
+
+
+def _mood(white: float) -> str:
+    return "good" if white <= _GOOD else "fair" if white <= _FAIR else "bad"
+
+
+def _sizes(prediction: Prediction) -> str:
+    """Errors in the channels' units, those of one unit together: ``0.4 N and 0.02 N m rms``."""
+    units = list(dict.fromkeys(prediction.channel_units))
+    rms = [np.sqrt(np.mean([e**2 for e, u in zip(prediction.rmse, prediction.channel_units, strict=True) if u == unit])) for unit in units]
+    return " and ".join(f"{number(r, 2)} {unit}" for r, unit in zip(rms, units, strict=True)) + " rms per channel"
+
+
+def _judged(prediction: Prediction) -> str:
+    white = prediction.whitened_rms
+    if white <= _GOOD:
+        return f"what is left is {number(white, 3)} times the noise: nothing more can be explained"
+    if white <= _FAIR:
+        return f"what is left is {number(white, 3)} times the noise: little more could be explained"
+    return f"what is left is {number(white, 3)} times as large as the noise, so something is missing in the model"
+
+
+def _verdict(result: Any) -> str:
+    """The result in a few plain sentences."""
+    estimate, problem = result.estimate, result.problem
+    poorly = sum(k in ("weak", "prior") for k in estimate.classes)
+    count = f"{estimate.base.rank} base parameters" + (
+        f" were identified, {poorly} of them no better than the size of the bodies." if poorly else " were identified, all of them well."
+    )
+    if not result.validation:
+        return f"{count} There is no validation motion, so nothing shows yet how well they hold for a motion that was not fitted."
+    worst = max(result.validation, key=relative_error)
+    unseen = "the motion" if len(result.validation) == 1 else f"the worst of {len(result.validation)} motions"
+    text = (
+        f"{count} On {unseen} not used for the fit (‘{worst.motion}’), the {_channel(problem.channel)} "
+        f"{'are' if problem.channel != 'wrench' else 'is'} predicted to {percent(relative_error(worst), 2)} of the signal on raw samples "
+        f"({_sizes(worst)} below {number(BAND, 2)} Hz); {_judged(worst)}."
+    )
+    if worst.repeats:
+        text += f" That motion repeats the fitted ‘{worst.repeats}’, however."
+    return text
+
+
+def _cards(result: Any) -> list[dict[str, str]]:
+    estimate, problem = result.estimate, result.problem
+    cards = [
+        {"value": str(estimate.base.rank), "mood": "", "text": f"base parameters (rank), of {problem.experiment.robot.nominal.size} in the links"},
+    ]
+    for p in _most_telling(result.validation)[:2]:
+        mood = _mood(p.whitened_rms)
+        cards += [
+            {"value": percent(relative_error(p)), "mood": mood, "text": f"error of the signal on ‘{p.motion}’, raw samples"},
+            {"value": f"{number(p.whitened_rms, 3)} ×", "mood": mood, "text": f"noise is left on ‘{p.motion}’; 1 is perfect"},
+        ]
+    exist = result.physically_consistent
+    cards.append({"value": "possible" if exist else "impossible", "mood": "good" if exist else "bad", "text": "bodies: can all links exist?"})
+    return cards
+
+
+def short_names(base: BaseParameters) -> list[str]:
+    """One parameter to name each combination by, ``I2xy …``."""
+    bodies = list(dict.fromkeys(n.rsplit(".", 1)[0] for n in base.parameter_names))
+    out = []
+    for row, k in zip(base.matrix, base.independent, strict=True):
+        body, _, kind = base.parameter_names[k].rpartition(".")
+        place = bodies.index(body) + 1 if body in bodies else ""
+        name = f"m{place} r{place}{kind[2:]}" if kind.startswith("mc") else f"m{place}" if kind == "m" else f"I{place}{kind[1:]}"
+        out.append((name if body else base.parameter_names[k]) + (" …" if np.count_nonzero(row) > 1 else ""))
+    return out
+
+
+def _reference(regression: Any, estimate: Estimate) -> tuple[np.ndarray, np.ndarray]:
+    """Nominal base parameters (zero without a model) and their natural sizes (r,)."""
+    rank = estimate.base.rank
+    nominal = np.zeros(rank) if regression.nominal is None else regression.nominal
+    half = np.nan_to_num(_HALF * estimate.std)
+    own = np.maximum(np.maximum(np.abs(estimate.values), np.abs(nominal)), np.maximum(half, 1e-9))
+    scale = own if regression.nominal_scale is None else regression.nominal_scale
+    return nominal, np.where(np.isfinite(scale) & (scale > 1e-9 * own), scale, own)
+
+
+def _intervals(regression: Any, estimate: Estimate):
+    nominal, scale = _reference(regression, estimate)
+    names = [f"{name}  {k + 1:>2}" for k, name in enumerate(short_names(estimate.base))]
+    return plots.parameter_intervals(names, estimate.values - nominal, _HALF * estimate.std, scale, estimate.classes)
+
+
+def _parameters(regression: Any, estimate: Estimate) -> list[dict[str, Any]]:
+    rows = []
+    known = regression.nominal is not None
+    for k, (label, unit, kind) in enumerate(zip(estimate.base.labels, estimate.base.units, estimate.classes, strict=True)):
+        half = _HALF * estimate.std[k]
+        value, spread = with_half(estimate.values[k], half)
+        low, high = with_half(estimate.values[k] - half, half)[0], with_half(estimate.values[k] + half, half)[0]
+        rows.append(
+            {
+                "index": k + 1, "label": label, "value": value, "half": spread, "unit": unit, "kind": kind,
+                "interval": f"{low} … {high}" if np.isfinite(half) else _DASH,
+                "nominal": number(regression.nominal[k]) if known else _DASH,
+            }
+        )  # fmt: skip
+    return rows
+
+
+def _effects(effects: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    rows = []
+    for effect in effects:
+        for k, (key, parameter) in enumerate(effect["parameters"].items()):
+            std = parameter["std"]
+            value, half = with_half(parameter["value"], None if std is None else _HALF * std)
+            name = effect["name"].replace("_", " ")
+            rows.append(
+                {"first": k == 0, "name": name if k == 0 else "", "where": effect["where"] if k == 0 else "",
+                 "parameter": key, "value": value, "half": half, "unit": parameter["unit"]}
+            )  # fmt: skip
+    return rows
+
+
+def _motion(prediction: Prediction, role: str, index: int) -> dict[str, Any]:
+    title = f"{prediction.motion} ({'validation: not fitted' if role == 'validation' else 'fitted'})"
+    what = "poses, numbered" if prediction.poses else f"motion of {number(prediction.times[-1] - prediction.times[0], 3)} s"
+    text = (
+        f"Error {percent(relative_error(prediction), 3)} of the signal on raw samples, {_sizes(prediction)} below {number(BAND, 2)} Hz; "
+        f"{_judged(prediction)}."
+    )
+    if prediction.repeats:
+        text += f" It repeats the fitted motion ‘{prediction.repeats}’ and so proves little."
+    caption = f"{prediction.motion}: measured ({'circles' if prediction.poses else 'grey'}) and predicted ({'crosses' if prediction.poses else 'red'}); {what}."
+    left = f"{prediction.motion}: measured less predicted, in time" + (
+        "." if prediction.spectrum is None else " and as amplitude spectral density beside the noise model."
+    )
+    return {
+        "title": title,
+        "text": text,
+        "caption": caption,
+        "residual_caption": left,
+        "predicted": svg(plots.measured_against_predicted(prediction), f"{role}-{index}-predicted"),
+        "residuals": svg(plots.residuals(prediction), f"{role}-{index}-residuals"),
+    }
+
+
+def _errors(p: Prediction, role: str) -> dict[str, Any]:
+    channels = [
+        {"name": name, "unit": unit, "rmse": number(a, 3), "nrmse": percent(b), "raw": number(c, 3), "nraw": percent(d),
+         "white": number(w, 3), "mood": _mood(w)}
+        for name, unit, a, b, c, d, w in zip(
+            p.channel_names, p.channel_units, p.rmse, p.nrmse, p.rmse_raw, p.nrmse_raw, p.whitened_rms_by_channel, strict=True
+        )
+    ]  # fmt: skip
+    return {
+        "title": f"{p.motion} ({'validation: not fitted' if role == 'validation' else 'fitted'})",
+        "channels": channels,
+        "relative": percent(relative_error(p)),
+        "white": number(p.whitened_rms, 3),
+        "mood": _mood(p.whitened_rms),
+        "coverage": percent(p.coverage),
+        "repeats": f"This motion repeats the fitted ‘{p.repeats}’." if p.repeats else "",
+    }
+
+
+def _by_body(names: Sequence[str]) -> list[str]:
+    """``joint1.m, joint1.mcx`` as ``joint1: m, mcx``."""
+    bodies: dict[str, list[str]] = {}
+    for name in names:
+        body, _, kind = name.rpartition(".")
+        bodies.setdefault(body, []).append(kind)
+    return [f"{body}: {', '.join(kinds)}" if body else ", ".join(kinds) for body, kinds in bodies.items()]
+
+
+def _absorbed(base: BaseParameters) -> list[dict[str, str]]:
+    """What an estimated offset contains besides the true one, axis by axis."""
+    if base.absorbed is None:
+        return []
+    rows = []
+    for axis, row in zip(("fx", "fy", "fz", "mx", "my", "mz"), base.absorbed, strict=False):
+        parts = [f"{'-' if row[k] < 0 else '+'} {abs(row[k]):.4g} {base.parameter_names[k]}" for k in np.flatnonzero(row)]
+        if parts:
+            rows.append({"axis": axis, "text": " ".join(parts).removeprefix("+ ")})
+    return rows
+
+
+def _physical(body: np.ndarray) -> np.ndarray:
+    """Mass, centre of mass and inertia about it: ten numbers, nan where there is no mass to divide by."""
+    if abs(body[0]) < 1e-9:
+        return np.concatenate([body[:1], np.full(9, np.nan)])
+    mass, com, about = inertia.to_mass_com_inertia(body)
+    return np.array([mass, *com, about[0, 0], about[0, 1], about[1, 1], about[0, 2], about[1, 2], about[2, 2]])
+
+
+def _links(result: Any) -> list[dict[str, Any]]:
+    """Nominal and identified links, with how far the data alone determine each number."""
+    robot, estimate = result.problem.experiment.robot, result.estimate
+    bodies = result.link_parameters.reshape(-1, 10)
+    seen = estimate.base.matrix[~estimate.undetermined[: estimate.base.rank]]
+    length = np.linalg.norm(seen, axis=0)
+    # The projector on what the data see: one on its diagonal means that a parameter is seen by itself.
+    alone = (np.diag(np.linalg.pinv(seen) @ seen) > 1.0 - 1e-6).reshape(-1, 10) if len(seen) else np.zeros(bodies.shape, bool)
+    moved = (length > 0).reshape(-1, 10)
+    # The centre of mass takes the mass and its first moment; the inertia about it takes these, too.
+    needs = [[0], [0, 1], [0, 2], [0, 3], *([0, 1, 2, 3, k] for k in range(4, 10))]
+    rows = []
+    for k, name in enumerate(robot.body_names):
+        nominal, found = _physical(robot.nominal[k]), _physical(bodies[k])
+        if max(np.abs(robot.nominal[k]).max(), np.abs(bodies[k]).max()) < 1e-9:
+            continue
+        kinds = ["sure" if alone[k, n].all() else "" if moved[k, n].any() else "dim" for n in needs]
+        exist = inertia.is_physically_consistent(np.stack([robot.nominal[k], bodies[k]]))
+        rows.append(
+            {
+                "number": k + 1,
+                "name": name,
+                "nominal": [number(v, 3) for v in nominal],
+                "identified": [{"text": number(v, 3), "kind": kind} for v, kind in zip(found, kinds, strict=True)],
+                "nominal_exists": bool(exist[0]),
+                "exists": bool(exist[1]),
+            }
+        )
+    return rows
+
+
+def _probability(p: float) -> str:
+    return "< 0.01 %" if p < 1e-4 else percent(p, 2)
+
+
+def _both_ways(result: Any) -> dict[str, Any] | None:
+    """Subtracting the static run and fitting it along, side by side."""
+    other = result.static_alternative
+    if other is None:
+        return None
+    subtracted = result.problem.static == "motion"
+    tables = []
+    for estimate in (result.estimate, other):
+        half = _HALF * estimate.std
+        tables.append({n: (*with_half(v, h), lab, u) for n, v, h, lab, u in zip(
+            estimate.base.names, estimate.values, half, estimate.base.labels, estimate.base.units, strict=True)})  # fmt: skip
+    first, second = tables if subtracted else tables[::-1]
+    rows = []
+    for name in dict.fromkeys([*first, *second]):
+        one, two = first.get(name), second.get(name)
+        label, unit = (one or two or ("", "", "", ""))[2:]
+        rows.append(
+            {"label": label, "unit": unit, "one": one[0] if one else _DASH, "one_half": one[1] if one else _DASH,
+             "other": two[0] if two else _DASH, "other_half": two[1] if two else _DASH}
+        )  # fmt: skip
+    return {"rows": rows, "subtracted": subtracted, "only": set(first) != set(second)}
+
+
+def _how(result: Any) -> list[tuple[str, str]]:
+    """What was chosen and why, as pairs of a term and a text."""
+    estimate, problem = result.estimate, result.problem
+    filters, noise = problem.recipe.filters, estimate.noise
+    orders = {group: model.order for group, model in noise.items()}
+    sizes = [
+        f"{group}: " + ", ".join(f"{c} {number(s, 2)} {u}" for c, s, u in zip(problem.recipe.channels.names, m.std, problem.recipe.channels.units, strict=True))
+        for group, m in noise.items()
+    ]  # fmt: skip
+    how = [
+        ("Bandwidth of the motion", f"{number(problem.smoother.bandwidth, 3)} Hz; {problem.smoother.reason}"),
+        ("Accelerations", "from a spline through the positions, without delay" if filters is None else
+         f"none: low-pass filters on both sides, l = {number(filters.l, 3)} and d = {number(filters.d, 3)} rad/s"),
+        ("Rows", f"{estimate.rows} numbers, {number(1.0 / problem.recipe.step, 3)} rows a second"),
+        ("Static readings", {"motion": "subtracted sample by sample", "joint": "fitted along", "none": "none"}[problem.static]),
+        ("Noise", "autoregressive in time, correlated between channels; order " + ", ".join(f"{o} ({g})" for g, o in orders.items())),
+        ("Noise of a sample", "; ".join(sizes)),
+        ("Residual of the fit", f"{number(estimate.residual_rms, 3)} times the noise; largest autocorrelation of whitened residuals "
+         f"{number(estimate.whiteness, 2)} standard errors"),
+        ("Condition number", f"{number(estimate.condition_number, 3)}, with columns of unit length"),
+        ("Intervals", estimate.interval if not estimate.interval_reason else f"{estimate.interval}: {estimate.interval_reason}"),
+    ]  # fmt: skip
+    how += [(key.replace("_", " ").capitalize(), _plain(value)) for key, value in estimate.details.items()]
+    how.append(("Run time", ", ".join(f"{stage} {number(seconds, 2)} s" for stage, seconds in result.seconds.items())))
+    how.append(("Versions", ", ".join([f"Python {platform.python_version()}", *(f"{p} {version(p)}" for p in ("bayesid", "numpy", "scipy", "pin"))])))
+    return how
+
+
+def _plain(value: Any) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return number(value, 3) if isinstance(value, float) else str(value)

@@ -1,0 +1,113 @@
+"""python tests/benchmarks/run.py [--quick]: speed and memory of bayesid beside FIGAROH and bare Pinocchio, in one run.
+
+Every measurement is a process of its own, tools take turns, and medians are quoted: machines are noisy. FIGAROH
+is run with the interpreter of ``.venv-figaroh`` (``make bench`` makes it). Prints a table and writes
+``docs/benchmarks.json`` with ``--write``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import statistics
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parent.parent
+sys.path[:0] = [str(HERE.parent), str(HERE)]
+FIGAROH = ROOT / ".venv-figaroh" / "bin" / "python"
+
+
+def call(python: Path | str, script: str, *arguments: str) -> dict:
+    """Run a benchmark script; its last line of output is JSON. One thread in linear algebra for all alike."""
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    done = subprocess.run(
+        [str(python), str(HERE / script), *arguments], capture_output=True, text=True, env=environment, check=False
+    )
+    if done.returncode:
+        raise SystemExit(f"{script} failed:\n{done.stderr}")
+    lines = done.stdout.strip().splitlines()
+    return json.loads(lines[-1]) if lines and lines[-1].startswith("{") else {}
+
+
+def compare(urdf: Path, folder: Path, samples: int, repeats: int) -> dict:
+    """Bayesid, FIGAROH and the bare loop on one table, in turn."""
+    table = folder / f"{samples}.npz"
+    call(sys.executable, "make_table.py", str(table), "--urdf", str(urdf), "--samples", str(samples))
+    result = {}
+    for kind in ("wrench", "torque"):
+        runs: dict[str, list[dict]] = {"bayesid": [], "figaroh": [], "pinocchio": []}
+        for _ in range(repeats):
+            runs["bayesid"].append(call(sys.executable, "bayesid_pipeline.py", str(urdf), str(table), "--kind", kind))
+            runs["pinocchio"].append(
+                call(sys.executable, "pinocchio_loop.py", str(urdf), str(table), "--kind", kind, "--repeats", "1")
+            )
+            if FIGAROH.exists():
+                runs["figaroh"].append(call(FIGAROH, "figaroh_pipeline.py", str(urdf), str(table), "--kind", kind))
+        entry: dict = {name: _median(each) for name, each in runs.items() if each}
+        for name in ("figaroh", "pinocchio"):
+            if runs[name]:
+                pairs = [
+                    other["us_per_sample"] / own["us_per_sample"] for own, other in zip(runs["bayesid"], runs[name], strict=True)
+                ]
+                entry[f"{name}_over_bayesid"] = [min(pairs), statistics.median(pairs), max(pairs)]
+        if runs["figaroh"]:
+            entry["memory_share"] = entry["bayesid"]["peak_mb"] / entry["figaroh"]["peak_mb"]
+        result[kind] = entry
+        print(f"{kind}, {samples} samples: {json.dumps(entry, indent=1)}", flush=True)
+    return result
+
+
+def _median(runs: list[dict]) -> dict:
+    keys = [k for k in ("us_per_sample", "peak_mb") if k in runs[0]]
+    return {k: statistics.median(r[k] for r in runs) for k in keys}
+
+
+def scaling(urdf: Path, folder: Path, sizes: list[int]) -> list[dict]:
+    """Time and memory of bayesid over the number of samples."""
+    out = []
+    for samples in sizes:
+        table = folder / f"{samples}.npz"
+        if not table.exists():
+            call(sys.executable, "make_table.py", str(table), "--urdf", str(urdf), "--samples", str(samples))
+        for kind in ("wrench", "torque"):
+            run = call(sys.executable, "bayesid_pipeline.py", str(urdf), str(table), "--kind", kind)
+            out.append({k: run[k] for k in ("kind", "samples", "us_per_sample", "peak_mb", "total_s")})
+            print(out[-1], flush=True)
+        table.unlink()
+    return out
+
+
+def main() -> None:
+    """Run all; ``--quick`` leaves out the two largest sizes."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--write", action="store_true", help="write docs/benchmarks.json")
+    options = parser.parse_args()
+    from robots import ur5
+
+    if not FIGAROH.exists():
+        print("FIGAROH is not installed (make bench does that); measuring without it")
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+        urdf = folder / "ur5.urdf"
+        urdf.write_text(ur5(), encoding="utf-8")
+        sizes = [10_000, 100_000] + ([] if options.quick else [1_000_000, 10_000_000])
+        result = {
+            "python": platform.python_version(),
+            "cores": os.cpu_count(),
+            "comparison": compare(urdf, folder, 100_000, options.repeats),
+            "scaling": scaling(urdf, folder, sizes),
+        }
+    if options.write:
+        (ROOT / "docs" / "benchmarks.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

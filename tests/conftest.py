@@ -1,0 +1,20 @@
+"""Recordings that are not part of the repository are found through BAYESID_DATA."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+
+@pytest.fixture(scope="session")
+def shared():
+    """Path of a file or folder below BAYESID_DATA; skips where it is absent."""
+    root = Path(os.environ.get("BAYESID_DATA", Path(__file__).resolve().parents[2] / "shared"))
+
+    def find(name: str) -> Path:
+        path = root / name
+        if not path.exists():
+            pytest.skip(f"{name} not found; set BAYESID_DATA to the folder that holds it")
+        return path
+
+    return find
