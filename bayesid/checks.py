@@ -99,14 +99,9 @@ def check_channels(table: Table) -> list[str]:
     """
     for array, names in ((table.wrench, "fx ... mz"), (table.torques, "tau1 ...")):
         if array is not None and not array.any():
-            raise InputError(f"{table.source}: columns {names}: 0 in every row; record them again, or leave the columns out")
-    if len(table) < 2:
-        return []
-    return [
-        f"{table.source}: column {name}: {values[0]:g} in every row; that channel looks dead"
-        for name, values in _channels(table)
-        if np.ptp(values) == 0.0
-    ]
+            raise InputError(f"{table.source}: columns {names}: 0 in every row; record them, or leave them out")
+    dead = [(name, values[0]) for name, values in _channels(table) if len(table) > 1 and np.ptp(values) == 0.0]
+    return [f"{table.source}: column {name}: {value:g} in every row; that channel looks dead" for name, value in dead]
 
 
 def check_static(table: Table, static: Table, resolution: float | None) -> list[str]:
@@ -132,8 +127,8 @@ def check_static(table: Table, static: Table, resolution: float | None) -> list[
     if difference[row, j] > allowed:
         rows = int((difference > allowed).any(axis=1).sum())
         raise InputError(
-            f"{static.source}: column q{j + 1}, row {row + 1}: {static.positions[row, j]:.6g} but "
-            f"{table.positions[row, j]:.6g} in {table.source} ({rows} of {len(table)} rows differ by more than "
+            f"{static.source}: column q{j + 1}, sample {row + 1}: {static.positions[row, j]:.6g} but "
+            f"{table.positions[row, j]:.6g} in {table.source} ({rows} of {len(table)} differ by more than "
             f"{allowed:g}); with as many rows as the motion it must hold the same positions row by row: "
             "record it again, or give static poses with another number of rows"
         )

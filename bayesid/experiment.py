@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import contextlib
 import itertools
-import os
 import re
 import shutil
-import tempfile
 import uuid
-from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -19,7 +15,7 @@ import tomli_w
 
 from bayesid import checks
 from bayesid.errors import InputError
-from bayesid.robot import Robot, load_robot
+from bayesid.robot import Robot
 from bayesid.schema import (
     EffectParameters,
     ExperimentFile,
@@ -29,9 +25,9 @@ from bayesid.schema import (
     model_parts,
     read_file,
     read_model,
-    suggest,
 )
 from bayesid.tables import WRENCH_COLUMNS, Table, read_table, write_table
+from bayesid.urdf import read_robot
 
 __all__ = ["WRENCH_COLUMNS", "Experiment", "Motion", "Sensor", "Table", "load_experiment", "write_experiment"]
 
@@ -195,7 +191,8 @@ def load_experiment(folder: str | Path) -> Experiment:
         raise InputError(f"{folder}: has no experiment.toml; write one, or give the folder that holds it")
     file = read_file(toml, ExperimentFile)
     warnings = check_keys(file)
-    robot, doubts = _robot(folder, file)
+    joint = None if file.sensor is None else file.sensor.joint
+    robot, doubts = read_robot(folder, file.robot, joint)
     warnings += doubts
     sensor = None
     if file.sensor is not None:
@@ -254,49 +251,6 @@ def write_experiment(experiment: Experiment, folder: str | Path) -> None:
             raise
     except OSError as error:
         raise InputError(f"{folder}: cannot be written ({error.strerror}); name another folder") from None
-
-
-def _robot(folder: Path, file: ExperimentFile) -> tuple[Robot, list[str]]:
-    section = file.robot
-    urdf = folder / section.urdf
-    if not urdf.is_file():
-        raise InputError(f'experiment.toml: [robot] urdf: "{section.urdf}" is no file in {folder}; name the URDF there')
-    joint = file.sensor.joint if file.sensor is not None else None
-    remarks: list[str] = []
-    try:
-        with _collected_stderr(remarks):
-            robot = load_robot(urdf, section.joints, section.locked, section.gravity, joint)
-    except InputError as error:
-        # The robot knows the URDF only; the user's mistake may be in the keys that name its joints.
-        for key, names in (("joints", section.joints), ("locked", list(section.locked))):
-            if any(str(error).startswith(f"joint '{name}'") for name in names):
-                raise InputError(f"experiment.toml: [robot] {key}: {error}") from None
-        raise InputError("; ".join([str(error), *remarks[:1]])) from None
-    for name in section.gear_ratio:
-        if name not in section.joints:
-            hint = suggest(name, section.joints)
-            raise InputError(f'experiment.toml: [robot] gear_ratio: "{name}" is not one of joints; {hint}')
-    return robot, [f"{section.urdf}: {remark}" for remark in remarks]
-
-
-@contextlib.contextmanager
-def _collected_stderr(remarks: list[str]) -> Iterator[None]:
-    """Collect what the URDF parser, a C++ library, writes straight to file descriptor 2: it would spoil our one line."""
-    with tempfile.TemporaryFile() as sink:
-        try:
-            saved = os.dup(2)
-        except OSError:  # no standard error at all
-            yield
-            return
-        try:
-            os.dup2(sink.fileno(), 2)
-            yield
-        finally:
-            os.dup2(saved, 2)
-            os.close(saved)
-            sink.seek(0)
-            lines = [line.strip() for line in sink.read().decode("utf-8", "replace").splitlines()]
-            remarks += [" ".join(line.split()) for line in lines if line and not line.startswith("at line")]
 
 
 def _load_motion(folder: Path, file: ExperimentFile, section: MotionSection, key: str, robot: Robot) -> tuple[Motion, list[str]]:

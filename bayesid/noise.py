@@ -110,29 +110,47 @@ class NoiseModel:
 
 
 def estimate_noise(
-    residuals: Sequence[np.ndarray], parameters: int = 0, known_poles: np.ndarray | None = None, highest_order: int = 24
+    residuals: Sequence[np.ndarray],
+    parameters: int = 0,
+    known_poles: np.ndarray | None = None,
+    highest_order: int = 24,
+    spread: Sequence[np.ndarray] | None = None,
 ) -> NoiseModel:
     """Estimate the noise from the residuals of recordings.
 
-    Burg's method per channel over all recordings, one order for all channels by Schwarz's criterion; the
-    covariance is enlarged for the degrees of freedom that the fitted parameters took.
+    Burg's method per channel over all recordings, one order for all channels by Schwarz's criterion. What the
+    fitted parameters took from the residuals is given back.
 
     Parameters
     ----------
     residuals
         One array a recording (k, channels).
     parameters
-        How many parameters were fitted to these rows.
+        How many parameters were fitted to these rows; not used with ``spread``.
     known_poles
         Poles of the filter that the rows passed, from the zero state.
     highest_order
         Highest order tried.
+    spread
+        One array a recording (k, channels, p): ``X L`` where ``L L'`` is the covariance of the parameters in an
+        efficient fit.
+
+    Notes
+    -----
+    Residuals r of an efficient fit have covariance ``Sigma - X V X'``: noise is missing just where the robot
+    moves, and a colour learned from them would call those frequencies quiet. ``r r' + X V X'`` has the right
+    mean; repeated with the V of the last colour this is expectation and maximisation of the restricted
+    likelihood [Dempster1977]_. Without ``spread`` all variances are enlarged alike.
     """
     known = np.array([1.0]) if known_poles is None else np.real(np.poly(known_poles))
     rows = [lfilter(known, [1.0], r, axis=0) for r in residuals]
     total, channels = sum(len(r) for r in rows), rows[0].shape[1]
     orders = [p for p in ORDERS if p <= min(highest_order, total // 10)] or [0]
-    polynomials, variances = zip(*(_burg([r[:, c] for r in rows], orders[-1]) for c in range(channels)), strict=True)
+    taken = [] if spread is None else [lfilter(known, [1.0], z, axis=0) for z in spread]
+    polynomials, variances = zip(
+        *(_give_back(_burg([r[:, c] for r in rows], orders[-1]), [z[:, c] for z in taken], total) for c in range(channels)),
+        strict=True,
+    )
     scores = [
         total * sum(np.log(max(variances[c][p], 1e-300)) for c in range(channels)) + channels * p * np.log(total) for p in orders
     ]
@@ -140,8 +158,11 @@ def estimate_noise(
     coefficients = np.array([np.convolve(known, polynomials[c][p]) for c in range(channels)])
     shaped = NoiseModel(coefficients, np.eye(channels), from_zero=known_poles is not None)
     white = np.concatenate([shaped.whiten(r) for r in residuals])
-    free = max(1.0 - parameters / white.size, 0.05)
-    innovation = white.T @ white / len(white) / free
+    innovation = white.T @ white / len(white)
+    if spread is None:
+        innovation /= max(1.0 - parameters / white.size, 0.05)
+    else:
+        innovation += sum(np.einsum("tcj,tdj->cd", z, z) for z in map(shaped.whiten, spread)) / len(white)
     # A channel without any noise (noise-free simulations) must not make the covariance singular.
     scale = np.diag(innovation)
     innovation = innovation + np.diag(1e-10 * scale + 1e-20 * max(scale.max(), 1e-200))
@@ -160,6 +181,31 @@ def _burg(series: list[np.ndarray], order: int) -> tuple[list[np.ndarray], list[
         reflection = -2.0 * sum(f @ b for f, b in pairs) / power if power > 0 else 0.0
         forward = [f + reflection * b for f, b in pairs]
         backward = [b + reflection * f for f, b in pairs]
+        extended = np.append(polynomial, 0.0)
+        polynomial = extended + reflection * extended[::-1]
+        variance *= 1.0 - reflection**2
+        polynomials.append(polynomial)
+        variances.append(variance)
+    return polynomials, variances
+
+
+def _give_back(fits: tuple[list[np.ndarray], list[float]], taken: list[np.ndarray], rows: int):
+    """Fits of `_burg` after adding the mean autocovariance of further series, one array (k, p) a recording.
+
+    The polynomials of lower orders follow from the highest one's autocovariance by Levinson's recursion, which
+    for Burg's own gives Burg's own back.
+    """
+    polynomials, variances = fits
+    order = len(polynomials) - 1
+    if not taken or variances[-1] <= 0:
+        return fits
+    values = variances[-1] * _autocovariance(polynomials[-1], order)
+    for lag in range(order + 1):
+        values[lag] += sum(np.vdot(z[lag:], z[: len(z) - lag]) for z in taken) / rows
+    polynomial, variance = np.array([1.0]), float(values[0])
+    polynomials, variances = [polynomial], [variance]
+    for p in range(1, order + 1):
+        reflection = -(polynomial @ values[p:0:-1]) / variance
         extended = np.append(polynomial, 0.0)
         polynomial = extended + reflection * extended[::-1]
         variance *= 1.0 - reflection**2

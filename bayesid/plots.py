@@ -21,11 +21,12 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocato
 
 from bayesid.prediction import BAND, Prediction, Spectrum
 
-MEASURED, PREDICTED, NOISE, GREY = "#8794a8", "#c2410c", "#0f766e", "#64748b"
+MEASURED, PREDICTED, NOISE, GREY = "#a9bbd6", "#b91c1c", "#0f766e", "#64748b"
 #: Colours of the classes of base parameters.
 CLASSES = {"alone": "#1d4ed8", "combination": "#7c3aed", "weak": "#d97706", "prior": "#94a3b8"}
 _CYCLE = ("#1d4ed8", "#c2410c", "#0f766e", "#7c3aed", "#be185d", "#a16207", "#475569", "#0891b2", "#65a30d", "#dc2626")
 _WIDTH = 10.4  # inches; the page is about a hundred times that in pixels
+_DENSE = 1500  # points from which a curve is smaller as an image
 _STYLE = {
     "font.family": "DejaVu Sans",
     "font.size": 9.0,
@@ -49,7 +50,7 @@ _STYLE = {
     "legend.fontsize": 9.0,
     "figure.facecolor": "white",
     "figure.dpi": 100,
-    "savefig.dpi": 130,
+    "savefig.dpi": 110,
     "svg.fonttype": "none",
     "path.simplify_threshold": 0.3,
 }
@@ -82,8 +83,10 @@ def to_svg(figure: Figure, name: str) -> str:
     with mpl.rc_context({**_STYLE, "svg.hashsalt": name}):
         figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
     text = buffer.getvalue()
-    text = re.sub(r"<metadata>.*?</metadata>", "", text[text.index("<svg") :], flags=re.DOTALL)
+    text = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", text[text.index("<svg") :], flags=re.DOTALL)
     text = re.sub(r' xmlns(:\w+)?="[^"]*"| version="1\.1"', "", text)
+    # A hundredth of a point is finer than any screen or paper.
+    text = re.sub(r' d="[^"]*"', lambda path: re.sub(r"(\.\d\d)\d+", r"\1", path[0]).replace(" \n", "\n"), text)
     used = set(re.findall(r'(?:href="#|url\(#)([^")]+)', text))
     prefix = re.sub(r"\W+", "-", name)
 
@@ -133,8 +136,9 @@ def parameter_intervals(
         What ``change`` is counted from.
     """
     count = len(names)
-    figure = Figure(figsize=(_WIDTH, 1.15 + 0.2 * count), layout="constrained")
-    left, right = figure.subplots(1, 2, sharey=True, width_ratios=(1.9, 1.0))
+    figure, axes = _grid(1, 2, 0.3 + 0.2 * count, left=0.35 + 0.072 * max(map(len, names), default=0), gap=0.25,
+                         sharey=True, width_ratios=(1.9, 1.0))  # fmt: skip
+    left, right = axes[0]
     y = np.arange(count)
     position, width = change / scale, half / scale
     reach = np.nanpercentile(np.abs(position), 90) if count else 1.0
@@ -173,7 +177,7 @@ def parameter_intervals(
     left.tick_params(axis="y", length=0)
     right.tick_params(axis="y", length=0)
     handles, labels = left.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper right", ncols=len(CLASSES), handletextpad=0.1)
+    _legend(figure, handles, labels)
     return figure
 
 
@@ -183,28 +187,25 @@ def measured_against_predicted(prediction: Prediction) -> Figure:
     count = len(prediction.channel_names)
     columns = 2 if count > 1 else 1
     rows = -(-count // columns)
-    figure = Figure(figsize=(_WIDTH, 0.7 + 1.55 * rows), layout="constrained")
-    axes = figure.subplots(rows, columns, sharex=True, squeeze=False)
+    figure, axes = _grid(rows, columns, 1.15, sharex=True)
     # A wrench: forces on the left, moments on the right. Anything else: row by row.
     order = axes.T.ravel() if prediction.channel_names[:6] == ("fx", "fy", "fz", "mx", "my", "mz") and count == 6 else axes.ravel()
     x, (measured, predicted) = _with_breaks(prediction, prediction.measured, prediction.predicted)
+    dense = len(x) > _DENSE
     for k, (ax, name, unit) in enumerate(zip(order, prediction.channel_names, prediction.channel_units, strict=False)):
         if prediction.poses:
-            ax.plot(x, measured[:, k], "o", ms=6, mfc="none", mew=1.4, color=MEASURED, label="measured")
+            ax.plot(x, measured[:, k], "o", ms=6, mfc="none", mew=1.6, color="#64748b", label="measured")
             ax.plot(x, predicted[:, k], "x", ms=5, mew=1.4, color=PREDICTED, label="predicted")
         else:
-            ax.plot(x, measured[:, k], color=MEASURED, lw=2.2, label="measured", rasterized=True)
-            ax.plot(x, predicted[:, k], color=PREDICTED, lw=0.9, label="predicted", rasterized=True)
-        ax.set_title(name)
-        ax.set_ylabel(unit)
+            ax.plot(x, measured[:, k], color=MEASURED, lw=3.2, label="measured", rasterized=dense)
+            ax.plot(x, predicted[:, k], color=PREDICTED, lw=0.9, label="predicted", rasterized=dense)
+        ax.set_title(f"{name} [{unit}]")
         ax.yaxis.set_major_locator(MaxNLocator(4))
         _tidy_time(ax, x, prediction.poses)
     for ax in order[count:]:
         ax.set_visible(False)
-    _label_lowest(axes, count, order, "pose" if prediction.poses else "time [s]")
-    handles, labels = order[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper right", ncols=2)
-    figure.align_ylabels(axes)
+    _label_lowest(axes, "pose" if prediction.poses else "time [s]")
+    _legend(figure, *order[0].get_legend_handles_labels())
     return figure
 
 
@@ -212,11 +213,10 @@ def measured_against_predicted(prediction: Prediction) -> Figure:
 def residuals(prediction: Prediction) -> Figure:
     """What is left of each channel, in time and in frequency, beside the noise."""
     spectrum, count = prediction.spectrum, len(prediction.channel_names)
-    figure = Figure(figsize=(_WIDTH, 0.8 + 1.3 * count), layout="constrained")
     if spectrum is None:
-        axes = figure.subplots(count, 1, sharex=True, squeeze=False)
+        figure, axes = _grid(count, 1, 0.95, sharex=True)
     else:
-        axes = figure.subplots(count, 2, sharex="col", squeeze=False, width_ratios=(1.7, 1.0))
+        figure, axes = _grid(count, 2, 0.95, sharex="col", width_ratios=(1.7, 1.0))
     x, (left,) = _with_breaks(prediction, prediction.measured - prediction.predicted)
     level = None if spectrum is None else noise_in_band(spectrum)
     for k, (name, unit) in enumerate(zip(prediction.channel_names, prediction.channel_units, strict=True)):
@@ -227,17 +227,16 @@ def residuals(prediction: Prediction) -> Figure:
         else:
             if level is not None:
                 ax.axhspan(-1.96 * level[k], 1.96 * level[k], color=NOISE, alpha=0.16, lw=0, label="95 % of the noise")
-            ax.plot(x, left[:, k], color=PREDICTED, lw=0.8, rasterized=True, label="measured less predicted")
+            ax.plot(x, left[:, k], color=PREDICTED, lw=0.8, rasterized=len(x) > _DENSE, label="measured less predicted")
         ax.axhline(0.0, color="#334155", lw=0.6)
-        ax.set_title(name)
-        ax.set_ylabel(unit)
+        ax.set_title(f"{name} [{unit}]")
         ax.yaxis.set_major_locator(MaxNLocator(4, symmetric=True))
         _tidy_time(ax, x, prediction.poses)
         if spectrum is not None:
             ax = axes[k, 1]
             ax.loglog(spectrum.frequencies, spectrum.residual[:, k], color=PREDICTED, lw=0.9)
             ax.loglog(spectrum.frequencies, spectrum.noise[:, k], color=NOISE, lw=1.8, label="noise model")
-            ax.set_ylabel(f"{unit}/√Hz")
+            ax.set_title(f"{name} [{unit}/√Hz]")
             ax.set_xlim(spectrum.frequencies[0], spectrum.frequencies[-1])
             _plain_log(ax.xaxis)
             _plain_log(ax.yaxis)
@@ -247,9 +246,7 @@ def residuals(prediction: Prediction) -> Figure:
         axes[-1, 1].set_xlabel("frequency [Hz]")
         more = axes[0, 1].get_legend_handles_labels()
         handles, labels = [*handles, *more[0]], [*labels, *more[1]]
-    if handles:
-        figure.legend(handles, labels, loc="outside upper right", ncols=len(handles))
-    figure.align_ylabels(axes)
+    _legend(figure, handles, labels)
     return figure
 
 
@@ -276,8 +273,8 @@ def joint_ranges(
         Name, lowest and highest positions (n,) of each.
     """
     count, shown = len(names), list(motions)[:8]
-    figure = Figure(figsize=(_WIDTH, 0.9 + count * (0.22 + 0.13 * len(shown))), layout="constrained")
-    ax = figure.subplots()
+    figure, axes = _grid(1, 1, count * (0.22 + 0.13 * len(shown)), left=0.35 + 0.072 * max(map(len, names)))
+    ax = axes[0, 0]
     slot = 0.8 / max(len(shown), 1)
     for j in range(count):
         if np.isfinite(lower[j]) and np.isfinite(upper[j]):
@@ -294,7 +291,7 @@ def joint_ranges(
     ax.tick_params(axis="y", length=0)
     ax.grid(axis="y", visible=False)
     ax.set_xlabel("position [" + " or ".join(dict.fromkeys(units)) + "]")
-    figure.legend(loc="outside upper right", ncols=min(len(shown), 5))
+    _legend(figure, *ax.get_legend_handles_labels())
     return figure
 
 
@@ -313,22 +310,41 @@ def recording(times: np.ndarray, panels: Sequence[tuple[str, str, Sequence[str],
     poses
         Whether each sample stands for itself.
     """
-    figure = Figure(figsize=(_WIDTH, 0.5 + 1.75 * len(panels)), layout="constrained")
-    axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
+    figure, grid = _grid(len(panels), 1, 1.5, right=1.0, top=0.25, sharex=True)
+    axes = grid[:, 0]
     x = np.arange(1.0, len(times) + 1) if poses else times
     x = np.insert(x, list(breaks), np.nan)
     for ax, (title, unit, names, values) in zip(axes, panels, strict=True):
         for k, (name, curve) in enumerate(zip(names, np.insert(values, list(breaks), np.nan, axis=0).T, strict=True)):
-            style: dict[str, Any] = {"marker": "o", "ls": "", "ms": 3} if poses else {"lw": 1.0, "rasterized": True}
+            style: dict[str, Any] = {"marker": "o", "ls": "", "ms": 3} if poses else {"lw": 1.0, "rasterized": len(x) > _DENSE}
             ax.plot(x, curve, color=_CYCLE[k % len(_CYCLE)], label=name, **style)
-        ax.set_title(title)
-        ax.set_ylabel(unit)
+        ax.set_title(f"{title} [{unit}]")
         ax.yaxis.set_major_locator(MaxNLocator(4))
         ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), handlelength=1.2, borderaxespad=0.3, labelspacing=0.25)
         _tidy_time(ax, x, poses)
     axes[-1].set_xlabel("pose" if poses else "time [s]")
-    figure.align_ylabels(axes)
     return figure
+
+
+def _grid(
+    rows: int, columns: int, height: float, *, left: float = 0.6, right: float = 0.12, top: float = 0.5, gap: float = 0.6,
+    **options: Any,
+) -> tuple[Figure, np.ndarray]:  # fmt: skip
+    """A figure with panels of a height; margins in inches. An automatic layout would take most of a report's time."""
+    bottom, space = 0.45, 0.33
+    total = top + rows * height + (rows - 1) * space + bottom
+    figure = Figure(figsize=(_WIDTH, total))
+    width = (_WIDTH - left - right - (columns - 1) * gap) / columns
+    figure.subplots_adjust(
+        left=left / _WIDTH, right=1.0 - right / _WIDTH, top=1.0 - top / total, bottom=bottom / total,
+        wspace=gap / width, hspace=space / height,
+    )  # fmt: skip
+    return figure, figure.subplots(rows, columns, squeeze=False, **options)
+
+
+def _legend(figure: Figure, handles: list, labels: list) -> None:
+    if handles:
+        figure.legend(handles, labels, loc="upper right", ncols=len(handles), borderaxespad=0.1, handletextpad=0.6)
 
 
 def _with_breaks(prediction: Prediction, *curves: np.ndarray) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
@@ -337,6 +353,11 @@ def _with_breaks(prediction: Prediction, *curves: np.ndarray) -> tuple[np.ndarra
     if prediction.poses:
         return np.arange(1.0, len(times) + 1), curves
     step = np.diff(times)
+    if len(step):
+        # Curves are limited to the band: points much closer than that only make the page large.
+        stride = max(int(0.2 / BAND / np.median(step)), 1)
+        times, curves = times[::stride], tuple(c[::stride] for c in curves)
+        step = np.diff(times)
     gaps = np.flatnonzero(step > 5.0 * np.median(step)) + 1 if len(step) else []
     return np.insert(times, gaps, np.nan), tuple(np.insert(c, gaps, np.nan, axis=0) for c in curves)
 
@@ -350,7 +371,7 @@ def _tidy_time(ax: Axes, x: np.ndarray, poses: bool) -> None:
         ax.set_ylim(low - 1.0, high + 1.0)
 
 
-def _label_lowest(axes: np.ndarray, count: int, order: np.ndarray, label: str) -> None:
+def _label_lowest(axes: np.ndarray, label: str) -> None:
     """Name the abscissa below the lowest visible panel of every column."""
     for column in axes.T:
         visible = [ax for ax in column if ax.get_visible()]

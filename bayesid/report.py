@@ -42,7 +42,7 @@ def _environment() -> Environment:
     environment = Environment(
         loader=PackageLoader("bayesid", "templates"), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    environment.filters["shorten"] = shorten
+    environment.filters |= {"shorten": shorten, "unit": lambda text: text.replace("^2", "²")}
     return environment
 
 
@@ -205,11 +205,12 @@ def _verdict(result: Any) -> str:
     estimate, problem = result.estimate, result.problem
     poorly = sum(k in ("weak", "prior") for k in estimate.classes)
     count = f"{estimate.base.rank} base parameters" + (
-        f" were identified, {poorly} of them no better than the size of the bodies." if poorly else " were identified, all of them well."
+        f" were identified, {poorly} of them no better than the size of the bodies." if poorly else " were identified."
     )
     if not result.validation:
         return f"{count} There is no validation motion, so nothing shows yet how well they hold for a motion that was not fitted."
-    worst = max(result.validation, key=relative_error)
+    explained = all(p.whitened_rms <= _FAIR for p in result.validation)
+    worst = max(result.validation, key=relative_error if explained else lambda p: p.whitened_rms)
     unseen = "the motion" if len(result.validation) == 1 else f"the worst of {len(result.validation)} motions"
     text = (
         f"{count} On {unseen} not used for the fit (‘{worst.motion}’), the {_channel(problem.channel)} "

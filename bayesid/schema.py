@@ -169,13 +169,13 @@ def read_file(path: Path, kind: type[File]) -> File:
         raise InputError(f"{path.name}: {_describe(details[0], kind)}") from None
 
 
-def suggest(word: str, known: Iterable[str]) -> str:
+def suggest(word: str, known: Iterable[str], are: str = "known") -> str:
     """Return ``did you mean "x"?`` for the nearest known word, or the list of them when none is near."""
     known = [str(k) for k in known]
     near = difflib.get_close_matches(word, known, n=1, cutoff=0.6)
     if near:
         return f'did you mean "{near[0]}"?'
-    return "known: " + ", ".join(known)
+    return f"{are}: {', '.join(known)}"
 
 
 def read_model(path: str | Path) -> tuple[tuple[str, ...], EffectParameters]:
@@ -294,10 +294,11 @@ def _fault(error: ErrorDetails, key: str, known: Iterable[str]) -> str:
             return f"unknown key; {suggest(key, known)}"
         case "literal_error":
             options = str(context["expected"]).replace(" or ", ", ").replace("'", "").split(", ")
-            one_of = ", ".join(options)
+            if len(options) == 1:
+                return f"{given} is not supported; write {options[0]}"
             hint = f'write "{options[0]}"' if isinstance(error["input"], str) else f"write {options[0]}"
             near = difflib.get_close_matches(str(error["input"]), options, n=1, cutoff=0.5)
-            return f"{given} is not one of {one_of}; " + (f'did you mean "{near[0]}"?' if near else hint)
+            return f"{given} is not one of {', '.join(options)}; " + (f'did you mean "{near[0]}"?' if near else hint)
         case "too_short" | "too_long" if "max_length" in context or context.get("min_length", 0) > 1:
             length = context.get("min_length", context.get("max_length"))
             return f"{given} has {context['actual_length']} numbers; write {length}"

@@ -165,7 +165,7 @@ def _read_csv(path: Path, source: str, joints: int, wrench: bool) -> tuple[Table
         _blame_cell(path, source, used, options)
         raise InputError(f"{source}: cannot be read as CSV ({' '.join(str(error).split())}); check the file") from None
     if not blocks["t"] or not sum(len(block) for block in blocks["t"]):
-        raise InputError(f"{source}: has a header but no rows; record something")
+        raise InputError(f"{source}: has a header but no rows; write one row per sample")
     # One group after the other, letting go of its blocks, so that at most one group exists twice.
     arrays = {group: np.concatenate(blocks.pop(group)) for group in list(blocks)}
     return _assemble(arrays, source, lambda row: f"line {_line_number(path, row)}"), warnings
@@ -198,7 +198,7 @@ def _read_parquet(path: Path, source: str, joints: int, wrench: bool) -> tuple[T
                 "leave out rows without a reading"
             )
     if not len(arrays["t"]):
-        raise InputError(f"{source}: has columns but no rows; record something")
+        raise InputError(f"{source}: has columns but no rows; write one row per sample")
     return _assemble(arrays, source, lambda row: f"row {row}"), warnings
 
 
@@ -259,7 +259,7 @@ def _groups(header: list[str], source: str, joints: int, wrench: bool) -> tuple[
             )
         elif group in ("t", "positions"):
             others = [name for name in header if name and name not in sum(groups.values(), [])]
-            raise InputError(f"{source}: column {missing[0]} is missing; {suggest(missing[0], others)}")
+            raise InputError(f"{source}: column {missing[0]} is missing; {suggest(missing[0], others, 'its other columns are')}")
     warnings = []
     more = [name for name in header if (m := re.fullmatch(r"(?:q|v|qr|tau)(\d+)", name)) and int(m[1]) > joints]
     if more:

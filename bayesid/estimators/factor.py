@@ -19,8 +19,10 @@ _PASSES = 3
 #: About as many rows as the noise is learned from, and the fewest taken from one block.
 PILOT_ROWS = 2048
 PILOT_STRETCH = 256
-#: Below this probability the two fits count as contradicting each other.
+#: Two fits contradict each other when their difference is less probable than the first, and the efficient one's
+#: residuals have more than the second times the power of the plain one's; either alone happens by chance.
 SMALLEST_AGREEMENT = 1e-4
+LARGEST_LOSS = 2.0
 
 
 @dataclass(frozen=True)
@@ -147,24 +149,36 @@ def learn_weights(regression: Regression) -> Weights:
     for _ in range(_PASSES):
         factor = reduce_whitened(blocks, noise)
         efficient = solve(factor.matrix, factor.target)
-        noise = _noise_of(regression, blocks, efficient)
+        noise = _noise_of(regression, blocks, efficient, factor)
     agreement = _hausman(blocks, noise, plain, efficient, scale)
-    complete = agreement > SMALLEST_AGREEMENT
+    power = [sum(np.sum(((b.target - b.matrix @ x) / scale) ** 2) for b in blocks) for x in (plain, efficient)]
+    complete = bool(agreement > SMALLEST_AGREEMENT or power[1] <= LARGEST_LOSS * power[0])
     return Weights(noise if complete else first, agreement, complete)
 
 
-def _noise_of(regression: Regression, blocks: list[Block], values: np.ndarray) -> dict[str, NoiseModel]:
+def _noise_of(
+    regression: Regression, blocks: list[Block], values: np.ndarray, efficient: Factor | None = None
+) -> dict[str, NoiseModel]:
+    """Noise of each group of rows from the residuals of a fit; of an efficient one if its factor is given."""
     noise = {}
     total = sum(len(b.rows) for b in blocks)
     for group in dict.fromkeys(b.group for b in blocks):
-        own = [b.target - b.matrix @ values for b in blocks if b.group == group]
+        own = [b for b in blocks if b.group == group]
         noise[group] = estimate_noise(
-            own,
-            parameters=round(sum(map(len, own)) / total * len(values)),
+            [b.target - b.matrix @ values for b in own],
+            parameters=round(sum(len(b.rows) for b in own) / total * len(values)),
             known_poles=regression.known_poles if group == "trajectory" else None,
             highest_order=0 if group == "poses" else 24,
+            spread=None if efficient is None else [b.matrix @ _root_covariance(efficient.matrix) for b in own],
         )
     return noise
+
+
+def _root_covariance(matrix: np.ndarray) -> np.ndarray:
+    """L with ``L L' = (R'R)^+``; directions that the rows say nothing about have none."""
+    length = np.linalg.norm(matrix, axis=0)
+    length = np.where(length > 1e-14 * length.max(initial=0.0), length, 1.0)
+    return np.linalg.pinv(matrix / length, rcond=1e-11) / length[:, None]
 
 
 def _hausman(blocks, noise, plain, efficient, scale) -> float:
@@ -180,9 +194,12 @@ def _hausman(blocks, noise, plain, efficient, scale) -> float:
     size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     gap = covariance - np.linalg.pinv(whole.T @ whole, rcond=1e-12, hermitian=True)
     values, vectors = np.linalg.eigh(gap / np.outer(size, size))
-    keep = values > 1e-3
+    # Where the two fits are almost equally sure, the tiny difference is one of estimated weights, not of fits.
+    keep = values > 0.05
+    if not keep.any():
+        return 1.0
     z = vectors.T[keep] @ ((plain - efficient) / size) / np.sqrt(values[keep])
-    return float(chi2.sf(z @ z, max(keep.sum(), 1)))
+    return float(chi2.sf(z @ z, keep.sum()))
 
 
 def reduce_whitened(blocks: Iterable[Block], noise: dict[str, NoiseModel]) -> Factor:
