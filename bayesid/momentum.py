@@ -355,8 +355,7 @@ def _regressor(
             state[bodies, 4 * k * _L + s] = 1.0
             state[bodies, _A + k * _L + s] = 0.0 if by_momentum else -gravity[k]
     motion = np.zeros((bodies, 5 * _L))
-    block, weight = np.zeros(6 * _BLOCK), np.zeros(6 * _BLOCK)
-    row, other, nothing = np.zeros(_BLOCK), np.zeros(_BLOCK), np.zeros(_BLOCK)
+    block, weight, row, other = np.zeros(6 * _BLOCK), np.zeros(6 * _BLOCK), np.zeros(_BLOCK), np.zeros(_BLOCK)
     twist, twist_rate = np.zeros((channels, 6 * _L)), np.zeros((channels, 6 * _L))
     for c in range(channels):
         for k in range(6):
@@ -364,6 +363,8 @@ def _regressor(
 
     for first in range(0, samples, _L):
         count = min(_L, samples - first)
+        if not carries.all():
+            out[first : first + count], rest[first : first + count] = 0.0, 0.0
         for s in range(count):
             for i in range(n):
                 angle = q[first + s, i]
@@ -383,11 +384,12 @@ def _regressor(
             if by_momentum:
                 _weight_block(state[body], gravity, weight)
             for c in range(channels):
-                values, others, here = nothing, nothing, pick[c] * _BLOCK
-                if carries[c, body] and pick[c] >= 0:
+                if not carries[c, body]:
+                    continue
+                values, others, here = row, other, pick[c] * _BLOCK
+                if here >= 0:
                     values, others = block[here : here + _BLOCK], weight[here : here + _BLOCK]
-                elif carries[c, body]:
-                    values, others = row, other
+                else:
                     _project(twist[c], block, row, False)
                     if by_momentum:
                         _project(twist[c], weight, other, False)

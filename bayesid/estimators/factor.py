@@ -153,7 +153,11 @@ def learn_weights(regression: Regression) -> Weights:
     agreement = _hausman(blocks, noise, plain, efficient, scale)
     power = [sum(np.sum(((b.target - b.matrix @ x) / scale) ** 2) for b in blocks) for x in (plain, efficient)]
     complete = bool(agreement > SMALLEST_AGREEMENT or power[1] <= LARGEST_LOSS * power[0])
-    return Weights(noise if complete else first, agreement, complete)
+    if not complete:
+        noise = first
+        for _ in range(_PASSES):
+            noise = _noise_of(regression, blocks, plain, reduce_whitened(blocks, noise))
+    return Weights(noise, agreement, complete)
 
 
 def _noise_of(
