@@ -6,6 +6,8 @@ from bayesid.errors import BayesidError, BayesidWarning, EstimationError, InputE
 from bayesid.estimators import DEFAULT_METHOD, METHODS, Estimate, LeastSquares, Ridge, TruncatedSVD, estimator, fit
 from bayesid.experiment import Experiment, Motion, Sensor, load_experiment, write_experiment
 from bayesid.filters import LowPass
+from bayesid.inspection import Inspection
+from bayesid.inspection import inspect as check
 from bayesid.regression import Regression
 from bayesid.robot import Robot, load_robot
 from bayesid.simulation import Recorder, Simulation, simulate, write_simulation
@@ -25,6 +27,7 @@ __all__ = [
     "Experiment",
     "Identification",
     "InputError",
+    "Inspection",
     "LeastSquares",
     "LowPass",
     "Motion",
@@ -37,6 +40,7 @@ __all__ = [
     "Table",
     "Trajectory",
     "TruncatedSVD",
+    "check",
     "estimator",
     "fit",
     "fourier_trajectory",

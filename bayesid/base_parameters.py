@@ -57,7 +57,8 @@ class BaseParameters:
     @property
     def invisible(self) -> tuple[str, ...]:
         """Parameters that influence no reading at all."""
-        return tuple(n for n, seen in zip(self.parameter_names, self.matrix.any(axis=0), strict=True) if not seen)
+        seen = np.abs(self.matrix).max(axis=0, initial=0.0) > 0
+        return tuple(self.parameter_names[k] for k in np.flatnonzero(~seen).tolist())
 
 
 def structural_base(
@@ -98,7 +99,7 @@ def structural_base(
 def regroup(
     rows: np.ndarray,
     names: Sequence[str],
-    units: Sequence[str],
+    units: tuple[str, ...] | list[str],
     nuisance: np.ndarray | None = None,
     tolerance: float = TOLERANCE,
 ) -> BaseParameters:
@@ -130,7 +131,7 @@ def regroup(
     if extra.shape[1]:
         basis = np.linalg.qr(extra)[0]
     kept = []
-    for column in sorted(np.flatnonzero(visible), key=lambda k: _order(names[k], k)):
+    for column in sorted(np.flatnonzero(visible).tolist(), key=lambda k: _order(names[k], k)):
         rest = scaled[:, column]
         for _ in range(2):  # twice is enough for orthogonality to rounding
             rest = rest - basis @ (basis.T @ rest)
@@ -159,7 +160,7 @@ def regroup(
         parameter_names=tuple(names),
         names=tuple(_combination(row, names, str) for row in matrix),
         labels=tuple(_combination(row, names, _readable(names)) for row in matrix),
-        units=tuple(units[k] for k in independent),
+        units=tuple(units[k] for k in independent.tolist()),
         absorbed=absorbed if extra.shape[1] else None,
     )
 
@@ -175,7 +176,7 @@ def _order(name: str, position: int) -> tuple:
 def _combination(row: np.ndarray, names: Sequence[str], show) -> str:
     """A sum such as ``joint1.mcz + 0.2435 joint2.m``; unit factors are left out."""
     text = ""
-    for k in np.flatnonzero(row):
+    for k in np.flatnonzero(row).tolist():
         size = abs(row[k])
         factor = "" if abs(size - 1.0) < 1e-9 else f"{size:.4g} "
         sign = "-" if row[k] < 0 else "+"

@@ -188,7 +188,7 @@ def check_intervals(
         q = table.positions[:, j]
         later = np.interp(table.times[again] + period, table.times, q)
         if len(again) > MIN_SAMPLES and np.median(np.abs(later - q[again])) > 0.1 * np.ptp(q) > MATCH:
-            warnings.append(f"{place}: q{j + 1} of {table.source} does not repeat after it; check the period")
+            return [*warnings, f"{place}: q{j + 1} of {table.source} does not repeat after it; check the period"]
     return warnings
 
 
@@ -217,7 +217,7 @@ def _travel(table: Table, j: int) -> tuple[np.ndarray, np.ndarray]:
     edges = np.arange(0, len(t), width)
     steps = np.diff(t)
     moved = np.append(0.0, np.cumsum(0.5 * (v[1:] + v[:-1]) * steps))
-    broken = np.append(0, np.cumsum(steps > GAP * table.step))
+    broken = np.append(0, np.cumsum((steps > GAP * table.step) | _jumping(table, j)))
     whole = np.diff(broken[edges]) == 0
     return np.diff(table.positions[edges, j])[whole], np.diff(moved[edges])[whole]
 
@@ -259,18 +259,22 @@ def _velocity(table: Table, robot: Robot, j: int) -> list[str]:
     return [f"{fits}; check its unit and the order of the columns, or leave the v columns out"]
 
 
-def _jumps(table: Table, robot: Robot, j: int) -> list[str]:
-    """Find steps of the position that no joint makes within a sample."""
+def _jumping(table: Table, j: int) -> np.ndarray:
+    """Return (N - 1,): the steps of the position that no joint makes within a sample."""
     steps = np.abs(np.diff(table.positions[:, j]))
     steps[np.diff(table.times) > GAP * table.step] = 0.0
-    usual = float(np.quantile(steps, 0.99))
-    jumps = np.flatnonzero(steps > max(0.5, 20.0 * usual))
+    return steps > max(0.5, 20.0 * float(np.quantile(steps, 0.99)))
+
+
+def _jumps(table: Table, robot: Robot, j: int) -> list[str]:
+    jumps = np.flatnonzero(_jumping(table, j))
     if not len(jumps):
         return []
     k = jumps[0]
-    advice = "unwrap the angle" if abs(steps[k] - 2.0 * np.pi) < 0.1 else "check the encoder"
+    size = abs(float(table.positions[k + 1, j] - table.positions[k, j]))
+    advice = "unwrap the angle" if abs(size - 2.0 * np.pi) < 0.1 else "check the encoder"
     return [
-        f"{table.source}: column q{j + 1}: {robot.joint_names[j]} jumps by {steps[k]:.4g} at {table.times[k]:.6g} s "
+        f"{table.source}: column q{j + 1}: {robot.joint_names[j]} jumps by {size:.4g} at {table.times[k]:.6g} s "
         f"({len(jumps)} such places); {advice}"
     ]
 
@@ -287,14 +291,13 @@ def _moving(table: Table, share: float) -> np.ndarray:
     moving = np.zeros(len(table), bool)
     for j in range(table.positions.shape[1]):
         speed = _speeds(table.times, table.positions[:, j])
-        top = float(np.quantile(speed, 0.95))
-        moving |= (speed > share * top) & (top > 0.0)
+        moving |= speed > max(share * float(np.quantile(speed, 0.95)), 1e-12)
     return moving
 
 
 def _stalled(table: Table) -> np.ndarray:
     """Return (N,): whether the row repeats the one before in every column but the time."""
-    same = np.append(False, np.ones(len(table) - 1, bool))
+    same = np.arange(len(table)) > 0
     for array in (table.positions, table.velocities, table.torques, table.wrench):
         if array is not None:
             for column in array.T:

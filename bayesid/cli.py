@@ -133,7 +133,7 @@ def check(experiment: Path, out: Path | None, seed: int) -> None:
 @commands.command()
 @_EXPERIMENT
 @_model_options
-@click.option("--method", default=bayesid.DEFAULT_METHOD, show_default=True, help="Estimator: " + ", ".join(bayesid.METHODS) + ".")
+@click.option("--method", default=bayesid.DEFAULT_METHOD, show_default=True, help=", ".join(bayesid.METHODS))
 @click.option(
     "--static", type=click.Choice(["motion", "joint"]), default="motion", show_default=True,
     help="Subtract a stop-and-go run, or fit it along.",

@@ -76,7 +76,12 @@ KINDS: dict[str, Kind] = {
     ),
     # Nearly at rest the sign is noise and the joint may stick; a narrow ramp says so.
     "coulomb_friction": Kind(
-        "torque", "joint", ("level",), ("N m",), lambda s, j: np.clip(s.velocities[:, j] / REST_SPEED, -1.0, 1.0), non_negative=True
+        "torque",
+        "joint",
+        ("level",),
+        ("N m",),
+        lambda s, j: np.clip(s.velocities[:, j] / REST_SPEED, -1.0, 1.0),
+        non_negative=True,
     ),
     "torque_offset": Kind("torque", "joint", ("offset",), ("N m",), lambda s, j: np.ones_like(s.times)),
     "rotor_inertia": Kind(

@@ -103,9 +103,9 @@ def transform(parameters: np.ndarray, rotation: np.ndarray, translation: np.ndar
 def pullback_metric(parameters: np.ndarray) -> np.ndarray:
     """Constant pull-back metric of one body, (10, 10): relative change of its mass distribution [Lee2020]_.
 
-    ``M_kl = 1/2 tr(P^-1 B_k P^-1 B_l)``: ``d' M d`` does not depend on units or frames. A body on the
-    boundary of the physical ones (a point, a rod, a placeholder without extent) is first given a small
-    extent, because there the metric is singular.
+    ``M_kl = 1/2 tr(P^-1 B_k P^-1 B_l)``: ``d' M d`` does not depend on units or frames. On the boundary of
+    the physical bodies (a point, a rod, a placeholder without extent) the metric is singular, so a body
+    flatter than about 3 % of its length is first thickened to that.
 
     Parameters
     ----------

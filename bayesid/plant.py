@@ -38,7 +38,8 @@ def default_values(name: str, joint: int | None, robot: Robot) -> dict[str, floa
     """Parameters of plausible size.
 
     Rotor inertia is as in the PUMA 560's drives, where gear ratio^2 x rotor inertia is about 1 % of the effort
-    limit [Corke1994]_; all others are assumed, friction within the usual percentages of the rated torque.
+    limit (source: see `bayesid.demo.puma_friction`); all others are assumed, friction within the usual percentages
+    of the rated torque.
 
     Parameters
     ----------

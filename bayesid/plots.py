@@ -15,19 +15,21 @@ from typing import Any, ParamSpec
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullLocator
+from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLocator
 
 from bayesid.prediction import BAND, Prediction, Spectrum
+from bayesid.tables import WRENCH_COLUMNS
 
 MEASURED, PREDICTED, NOISE, GREY = "#a9bbd6", "#b91c1c", "#0f766e", "#64748b"
+#: Half a 95 % interval, in natural sizes, from which a parameter counts as weak: a standard deviation of one.
+WEAK = 1.96
 #: Colours of the classes of base parameters.
 CLASSES = {"alone": "#1d4ed8", "combination": "#7c3aed", "weak": "#d97706", "prior": "#94a3b8"}
 _CYCLE = ("#1d4ed8", "#c2410c", "#0f766e", "#7c3aed", "#be185d", "#a16207", "#475569", "#0891b2", "#65a30d", "#dc2626")
 _WIDTH = 10.4  # inches; the page is about a hundred times that in pixels
 _DENSE = 1500  # points from which a curve is smaller as an image
-_STYLE = {
+_STYLE: dict[Any, Any] = {
     "font.family": "DejaVu Sans",
     "font.size": 9.0,
     "axes.titlesize": 9.5,
@@ -96,16 +98,8 @@ def to_svg(figure: Figure, name: str) -> str:
     text = re.sub(r' id="([^"]*)"', keep, text)
     text = re.sub(r'(href="#|url\(#)', rf"\g<1>{prefix}-", text)
     # The page decides how wide a figure is; the viewBox keeps its shape.
-    return re.sub(r'<svg([^>]*?) width="[^"]*"', r"<svg\1", re.sub(r'<svg([^>]*?) height="[^"]*"', r"<svg\1", text, count=1), count=1)
-
-
-def to_png(figure: Figure, dpi: float = 130) -> bytes:
-    """The figure as a PNG image."""
-    buffer = io.BytesIO()
-    with mpl.rc_context(_STYLE):
-        FigureCanvasAgg(figure)
-        figure.savefig(buffer, format="png", dpi=dpi)
-    return buffer.getvalue()
+    opening, rest = text.split(">", 1)
+    return re.sub(r' (width|height)="[^"]*"', "", opening) + ">" + rest
 
 
 @_styled
@@ -136,13 +130,16 @@ def parameter_intervals(
         What ``change`` is counted from.
     """
     count = len(names)
-    figure, axes = _grid(1, 2, 0.3 + 0.2 * count, left=0.35 + 0.072 * max(map(len, names), default=0), gap=0.25,
+    figure, axes = _grid(1, 2, 0.3 + 0.2 * count, left=0.3 + 0.062 * max(map(len, names), default=0), gap=0.25,
                          sharey=True, width_ratios=(1.9, 1.0))  # fmt: skip
     left, right = axes[0]
     y = np.arange(count)
     position, width = change / scale, half / scale
-    reach = np.nanpercentile(np.abs(position), 90) if count else 1.0
-    limit = float(np.clip(1.6 * reach, 0.02, None))
+    # The well determined ones set the scale: weak ones would press them all to zero.
+    good = np.isin(classes, ("alone", "combination"))
+    reach = (np.abs(position) + np.nan_to_num(width))[good if good.any() else slice(None)]
+    limit = float(1.1 * np.percentile(reach, 97)) if count else 1.0
+    limit = limit if limit > 0 else 1.0
     for kind, colour in CLASSES.items():
         at = np.flatnonzero(np.array(classes) == kind)
         if not len(at):
@@ -169,10 +166,10 @@ def parameter_intervals(
     if len(positive):
         right.set_xscale("log")
         right.set_xlim(10 ** np.floor(np.log10(positive.min()) - 0.1), 10 ** np.ceil(np.log10(positive.max()) + 0.1))
-        right.axvline(100.0, color=CLASSES["weak"], lw=0.9, ls="--")
+        right.axvline(100.0 * WEAK, color=CLASSES["weak"], lw=0.9, ls="--")
         _plain_log(right.xaxis)
     else:
-        right.set_xticks([])
+        right.set(title="", xlabel="", xticks=[], frame_on=False)
         right.text(0.5, 0.5, "no honest interval", transform=right.transAxes, ha="center", color=GREY)
     left.tick_params(axis="y", length=0)
     right.tick_params(axis="y", length=0)
@@ -189,7 +186,7 @@ def measured_against_predicted(prediction: Prediction) -> Figure:
     rows = -(-count // columns)
     figure, axes = _grid(rows, columns, 1.15, sharex=True)
     # A wrench: forces on the left, moments on the right. Anything else: row by row.
-    order = axes.T.ravel() if prediction.channel_names[:6] == ("fx", "fy", "fz", "mx", "my", "mz") and count == 6 else axes.ravel()
+    order = axes.T.ravel() if prediction.channel_names == WRENCH_COLUMNS else axes.ravel()
     x, (measured, predicted) = _with_breaks(prediction, prediction.measured, prediction.predicted)
     dense = len(x) > _DENSE
     for k, (ax, name, unit) in enumerate(zip(order, prediction.channel_names, prediction.channel_units, strict=False)):
@@ -218,7 +215,7 @@ def residuals(prediction: Prediction) -> Figure:
     else:
         figure, axes = _grid(count, 2, 0.95, sharex="col", width_ratios=(1.7, 1.0))
     x, (left,) = _with_breaks(prediction, prediction.measured - prediction.predicted)
-    level = None if spectrum is None else noise_in_band(spectrum)
+    level = None if spectrum is None or spectrum.filtered else noise_in_band(spectrum)
     for k, (name, unit) in enumerate(zip(prediction.channel_names, prediction.channel_units, strict=True)):
         ax = axes[k, 0]
         if prediction.poses:
@@ -259,7 +256,11 @@ def noise_in_band(spectrum: Spectrum, band: float = BAND) -> np.ndarray:
 
 @_styled
 def joint_ranges(
-    names: Sequence[str], lower: np.ndarray, upper: np.ndarray, motions: Sequence[tuple[str, np.ndarray, np.ndarray]], units: Sequence[str]
+    names: Sequence[str],
+    lower: np.ndarray,
+    upper: np.ndarray,
+    motions: Sequence[tuple[str, np.ndarray, np.ndarray]],
+    units: Sequence[str],
 ) -> Figure:
     """How much of each joint's range each motion uses.
 
@@ -273,7 +274,7 @@ def joint_ranges(
         Name, lowest and highest positions (n,) of each.
     """
     count, shown = len(names), list(motions)[:8]
-    figure, axes = _grid(1, 1, count * (0.22 + 0.13 * len(shown)), left=0.35 + 0.072 * max(map(len, names)))
+    figure, axes = _grid(1, 1, count * (0.22 + 0.13 * len(shown)), left=0.3 + 0.062 * max(map(len, names)))
     ax = axes[0, 0]
     slot = 0.8 / max(len(shown), 1)
     for j in range(count):
@@ -296,7 +297,9 @@ def joint_ranges(
 
 
 @_styled
-def recording(times: np.ndarray, panels: Sequence[tuple[str, str, Sequence[str], np.ndarray]], breaks: Sequence[int], poses: bool) -> Figure:
+def recording(
+    times: np.ndarray, panels: Sequence[tuple[str, str, Sequence[str], np.ndarray]], breaks: Sequence[int], poses: bool
+) -> Figure:
     """One recording as it is: a panel for each group of columns.
 
     Parameters
@@ -327,7 +330,7 @@ def recording(times: np.ndarray, panels: Sequence[tuple[str, str, Sequence[str],
 
 
 def _grid(
-    rows: int, columns: int, height: float, *, left: float = 0.6, right: float = 0.12, top: float = 0.5, gap: float = 0.6,
+    rows: int, columns: int, height: float, *, left: float = 0.7, right: float = 0.12, top: float = 0.5, gap: float = 0.75,
     **options: Any,
 ) -> tuple[Figure, np.ndarray]:  # fmt: skip
     """A figure with panels of a height; margins in inches. An automatic layout would take most of a report's time."""
@@ -381,9 +384,13 @@ def _label_lowest(axes: np.ndarray, label: str) -> None:
 
 
 def _plain_log(axis) -> None:
-    """Decades as plain numbers: no minor labels, no mathematics font."""
+    """Round plain numbers on a logarithmic axis: no minor ticks, no mathematics font."""
     low, high = sorted(axis.get_view_interval())
-    decades = np.log10(max(high, 1e-300)) - np.log10(max(low, 1e-300))
-    axis.set_major_locator(LogLocator(subs=(1.0,), numticks=6) if decades >= 2 else LogLocator(subs=(1.0, 2.0, 5.0), numticks=12))
+    decades = np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)) + 1)
+    ticks = [10.0**c for c in (decades[::3], decades[::2], decades)]
+    ticks += [np.outer(10.0**decades, m).ravel() for m in ((1, 3), (1, 2, 5), (1, 1.5, 2, 3, 4, 5, 6, 7, 8, 9))]
+    inside = [t[(t >= low) & (t <= high)] for t in ticks]
+    chosen = next((t for t in inside if len(t) >= 3), inside[-1])
+    axis.set_major_locator(FixedLocator(chosen[:: max(len(chosen) // 4, 1)] if len(chosen) > 5 else chosen))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_locator(NullLocator())

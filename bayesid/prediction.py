@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.signal import butter, correlate, sosfiltfilt, welch
@@ -33,11 +34,14 @@ class Spectrum:
     residual, noise
         One-sided amplitude spectral density of what was measured less what was predicted, and of the noise
         model (f, c) [unit of the channel / sqrt(Hz)].
+    filtered
+        Whether both are those of rows behind the paper's low-passes, and so smaller than the sensor's.
     """
 
     frequencies: np.ndarray
     residual: np.ndarray
     noise: np.ndarray
+    filtered: bool = False
 
 
 @dataclass(frozen=True)
@@ -111,7 +115,8 @@ class Prediction:
 
 def relative_error(prediction: Prediction) -> float:
     """Error norm over signal norm of all channels together, raw samples."""
-    signal = np.where(prediction.nrmse_raw > 0, prediction.rmse_raw / np.where(prediction.nrmse_raw > 0, prediction.nrmse_raw, 1), 0)
+    known = prediction.nrmse_raw > 0
+    signal = np.where(known, prediction.rmse_raw / np.where(known, prediction.nrmse_raw, 1), 0)
     return float(np.linalg.norm(prediction.rmse_raw) / max(np.linalg.norm(signal), 1e-300))
 
 
@@ -217,11 +222,11 @@ def _whitened(
     spectrum = None
     if raw:
         rate = 1.0 / float(np.median(np.diff(next(r.times for r in recordings if not r.poses))))
-        spectrum = _spectrum(raw, noise["trajectory"], problem.recipe.step, rate)
+        spectrum = _spectrum(raw, noise["trajectory"], problem.recipe.step, rate, problem.recipe.filters is not None)
     return float(np.sqrt(channels.mean())), np.sqrt(channels), inside / max(total, 1), spectrum
 
 
-def _spectrum(residuals: list[np.ndarray], noise: NoiseModel, step: float, rate: float) -> Spectrum | None:
+def _spectrum(residuals: list[np.ndarray], noise: NoiseModel, step: float, rate: float, filtered: bool) -> Spectrum | None:
     """Welch's estimate over all stretches of rows (k, c), and the same of the recursion that models the noise.
 
     A row has the energy of one sample: white noise keeps its standard deviation, though rows are fewer. A
@@ -233,11 +238,12 @@ def _spectrum(residuals: list[np.ndarray], noise: NoiseModel, step: float, rate:
         return None
     frequencies = np.fft.rfftfreq(length, step)[1:]
     total = sum(len(r) for r in long)
-    power = sum(len(r) / total * welch(r, 1.0 / step, nperseg=length, detrend=False, axis=0)[1][1:] for r in long)
+    keep: Any = False  # do not detrend; SciPy's annotation knows names only
+    power = sum(len(r) / total * welch(r, 1.0 / step, nperseg=length, detrend=keep, axis=0)[1][1:] for r in long)
     gain = np.abs(np.fft.rfft(noise.coefficients, length, axis=1))[:, 1:].T
     model = 2.0 * step * np.diag(noise.innovation) / gain**2
     samples_per_row = max(rate * step, 1.0)
-    return Spectrum(frequencies, np.sqrt(power / samples_per_row), np.sqrt(model / samples_per_row))
+    return Spectrum(frequencies, np.sqrt(power / samples_per_row), np.sqrt(model / samples_per_row), filtered)
 
 
 def repeated(experiment: Experiment, motion: Motion, fitted: tuple[str, ...]) -> str | None:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import solve_toeplitz
 from scipy.spatial.transform import Rotation
 
 from bayesid import inertia
@@ -13,7 +14,7 @@ from bayesid.base_parameters import structural_base
 from bayesid.effects import parse_effects
 from bayesid.errors import InputError
 from bayesid.experiment import Experiment, Motion
-from bayesid.filters import LowPass
+from bayesid.filters import ROLL_OFF, LowPass
 from bayesid.momentum import Channels, torque_channels, wrench_channels
 from bayesid.regression import Regression
 from bayesid.rows import Recipe, Recording, make_blocks, row_count
@@ -27,6 +28,9 @@ LOWEST_ROW_RATE = 20.0
 #: Samples that the bandwidth is chosen from, in stretches spread over a long recording.
 _PILOT_SAMPLES = 8_000
 _STRETCHES = 4
+#: Frequencies at which the spectrum of rows is computed; order of the recursion that stands for thinning.
+_SPECTRUM = 4096
+_THINNING_ORDER = 8
 
 
 @dataclass(frozen=True)
@@ -206,11 +210,37 @@ def _regression(recipe: Recipe, fitted: list[Recording], names: tuple[str, ...])
         motion_names=names,
         source=lambda: make_blocks(recipe, fitted),
         row_count=row_count(recipe, fitted),
-        known_poles=None if recipe.filters is None else recipe.filters.poles(recipe.step),
+        known_poles=_known_poles(recipe, fitted),
         nominal=base.matrix @ robot.nominal.ravel(),
         nominal_scale=np.sqrt(np.einsum("ij,jk,ik->i", base.matrix, inverse, base.matrix)),
         bodies=tuple(tuple(range(10 * k, 10 * k + 10)) for k in range(len(robot.body_names))),
     )
+
+
+def _known_poles(recipe: Recipe, fitted: list[Recording]) -> np.ndarray | None:
+    """Poles of a recursion that white sensor noise obeys once it has become filtered rows.
+
+    Beside the filters' own two poles the rows' spectrum bears the mark of thinning: bilinear filters at the
+    sampling rate, times the projection's raised cosine, folded at the rate of rows. That is known, so it need
+    not be learned from few rows, and costs no parameters of the noise.
+    """
+    steps = [np.median(np.diff(r.times)) for r in fitted if not r.poses]
+    if recipe.filters is None or not steps:
+        return None
+    poles = recipe.filters.poles(recipe.step)
+    cycles = np.arange(_SPECTRUM) / _SPECTRUM - 0.5  # per row
+    density = np.zeros(_SPECTRUM)
+    for fold in (-1, 0, 1):
+        f = cycles + fold
+        # Raised cosine: 1 up to (1 - ROLL_OFF) / 2, 0 from (1 + ROLL_OFF) / 2.
+        inside = np.cos(0.5 * np.pi * np.clip((np.abs(f) - 0.5 * (1 - ROLL_OFF)) / ROLL_OFF, 0.0, 1.0)) ** 2
+        warped = (2.0 / np.median(steps) * np.tan(np.pi * f * np.median(steps) / recipe.step)) ** 2
+        density += inside / ((1.0 + warped / recipe.filters.l**2) * (1.0 + warped / recipe.filters.d**2))
+    turn = np.exp(2j * np.pi * cycles)
+    density *= np.prod(np.abs(1.0 - poles[:, None] / turn) ** 2, axis=0)
+    covariance = np.real(np.fft.ifft(np.fft.ifftshift(density)))
+    rest = solve_toeplitz(covariance[:_THINNING_ORDER], -covariance[1 : _THINNING_ORDER + 1])
+    return np.concatenate([poles, np.roots(np.append(1.0, rest))])
 
 
 def _choose(experiment: Experiment, motions: Sequence[str] | None) -> list[Motion]:
@@ -244,17 +274,16 @@ def _recordings(
     """Gap-free stretches of one motion, and its static readings where those are fitted along."""
     measured = _measured(motion.table, channel)
     gravity = offset = True
-    static_run = motion.static is not None and motion.static.wrench is not None and channel == "wrench"
-    if static_run and subtract and motion.stop_and_go:
-        measured = measured - motion.static.wrench  # equation 21: free of offset and gravity
+    rest = motion.static if channel == "wrench" and motion.static is not None and motion.static.wrench is not None else None
+    if rest is not None and subtract and motion.stop_and_go:
+        measured = measured - rest.wrench  # equation 21: free of offset and gravity
         gravity = offset = False
     else:
         measured = measured - channels.static_wrench
     table, poses = motion.table, motion.kind == "poses"
     pieces = [slice(0, len(table))] if poses else table.segments()
     out = [Recording(table.times[p], table.positions[p], measured[p], index, gravity, offset, poses) for p in pieces]
-    if static_run and offset:
-        rest = motion.static
+    if rest is not None and offset:
         out.append(Recording(rest.times, rest.positions, rest.wrench - channels.static_wrench, index, poses=True))
     return out
 

@@ -206,5 +206,5 @@ def _array_base(matrix: np.ndarray, names, units) -> BaseParameters:
     flat = matrix.reshape(-1, matrix.shape[2])
     factor = np.zeros((0, flat.shape[1]))
     for start in range(0, len(flat), 1 << 15):
-        factor = np.linalg.qr(np.vstack([factor, flat[start : start + (1 << 15)]]), mode="r")
+        factor = np.asarray(np.linalg.qr(np.vstack([factor, flat[start : start + (1 << 15)]]), mode="r"))
     return regroup(factor, names, units, tolerance=1e-9)

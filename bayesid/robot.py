@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
+import pinocchio as pin  # pyright: ignore[reportMissingImports]  (found through a .pth file)
 from scipy.spatial.transform import Rotation
 
 from bayesid import inertia
@@ -99,7 +99,7 @@ class Robot:
 
     @property
     def moves_with(self) -> np.ndarray:
-        """(n, b): does joint i move body k?"""
+        """Whether joint i moves body k (n, b)."""
         table = np.zeros((self.n, len(self.body_names)), bool)
         for body, joint in enumerate(self.body_joint):
             while joint >= 0:

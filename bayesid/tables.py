@@ -147,27 +147,29 @@ def write_table(table: Table, path: Path) -> None:
 def _read_csv(path: Path, source: str, joints: int, wrench: bool) -> tuple[Table, list[str]]:
     header = _header(path, source)
     groups, warnings = _groups(header, source, joints, wrench)
-    _check_widths(path, source, len(header))
     used = [column for columns in groups.values() for column in columns]
-    blocks: dict[str, list[np.ndarray]] = {group: [] for group in groups}
+    lines = _count_lines(path, source, len(header))
+    # More rows than needed, by blank lines at most; what is not filled takes no memory.
+    arrays = {group: np.empty((lines, len(columns))) for group, columns in groups.items()}
+    rows = 0
     options: dict[str, Any] = dict(
         usecols=used, index_col=False, skipinitialspace=True, encoding="utf-8-sig", chunksize=_BLOCK_ROWS
     )
     try:
         with pd.read_csv(path, dtype=np.float64, **options) as reader:
             for frame in reader:
+                block = slice(rows, rows + len(frame))
                 for group, columns in groups.items():
-                    block = frame[columns].to_numpy(np.float64)
-                    if not np.isfinite(block).all():
+                    arrays[group][block] = frame[columns]
+                    if not np.isfinite(arrays[group][block]).all():
                         raise ValueError("not finite")
-                    blocks[group].append(block)
+                rows += len(frame)
     except ValueError as error:  # pandas' parser errors and Unicode's are ValueErrors too
         _blame_cell(path, source, used, options)
         raise InputError(f"{source}: cannot be read as CSV ({' '.join(str(error).split())}); check the file") from None
-    if not blocks["t"] or not sum(len(block) for block in blocks["t"]):
+    if not rows:
         raise InputError(f"{source}: has a header but no rows; write one row per sample")
-    # One group after the other, letting go of its blocks, so that at most one group exists twice.
-    arrays = {group: np.concatenate(blocks.pop(group)) for group in list(blocks)}
+    arrays = {group: array[:rows] for group, array in arrays.items()}
     return _assemble(arrays, source, lambda row: f"line {_line_number(path, row)}"), warnings
 
 
@@ -271,24 +273,27 @@ def _groups(header: list[str], source: str, joints: int, wrench: bool) -> tuple[
     return groups, warnings
 
 
-def _check_widths(path: Path, source: str, width: int) -> None:
-    """Refuse a row with more cells than the header: pandas drops the surplus without a word when columns are chosen."""
-    lines = 0
+def _count_lines(path: Path, source: str, width: int) -> int:
+    """Count the lines; refuse one with more cells than the header.
+
+    When columns are chosen, pandas drops surplus cells without a word, so a stray comma would shift the numbers.
+    """
+    lines, quoted = 0, False
     with path.open("rb") as handle:
         while block := handle.read(_BLOCK_BYTES) + handle.readline():
-            if b'"' in block:  # commas within quotes are not separators: leave such files to the parser
-                return
             codes = np.frombuffer(block, np.uint8)
-            ends = np.flatnonzero(codes == 10)
-            commas = np.searchsorted(np.flatnonzero(codes == 44), np.append(ends, len(codes)))
-            cells = np.diff(commas, prepend=0) + 1
+            newlines = np.flatnonzero(codes == 10)
+            ends = np.append(newlines, len(codes))
+            cells = np.diff(np.searchsorted(np.flatnonzero(codes == 44), ends), prepend=0) + 1
             wide = np.flatnonzero(cells > width)
-            if len(wide):
+            quoted = quoted or b'"' in block  # commas within quotes separate nothing: leave these to the parser
+            if len(wide) and not quoted:
                 raise InputError(
                     f"{source}: line {lines + int(wide[0]) + 1}: {cells[wide[0]]} cells where the header has {width}; "
                     "remove stray commas (decimals are written with a point)"
                 )
-            lines += len(ends)
+            lines += len(newlines)
+    return lines + 1
 
 
 def _blame_cell(path: Path, source: str, columns: list[str], options: dict[str, Any]) -> None:

@@ -13,13 +13,15 @@ from threadpoolctl import threadpool_limits
 
 from bayesid import inertia
 from bayesid.base_parameters import BaseParameters, structural_base
-from bayesid.consistency import Agreement, compare_estimates, motions_apart, static_both_ways, wrench_against_torque
+from bayesid.consistency import Agreement, motions_apart, static_both_ways, wrench_against_torque
 from bayesid.estimators import DEFAULT_METHOD, Estimate, Estimator, estimator, fit
 from bayesid.experiment import Experiment, load_experiment
 from bayesid.filters import LowPass
 from bayesid.links import nearest_links, write_urdf
+from bayesid.output import write_results
 from bayesid.prediction import Prediction, predict, relative_error
 from bayesid.problem import Problem, prepare
+from bayesid.report import identification_report
 
 SCHEMA = 1
 #: Whitened residuals on a motion that was not fitted above this say that something is missing in the model.
@@ -160,9 +162,6 @@ class Identification:
 
     def write(self, folder: str | Path) -> Path:
         """Write ``estimate.json``, ``identified.urdf`` and ``report.html``; returns the report's path."""
-        from bayesid.output import write_results
-        from bayesid.report import identification_report
-
         return write_results(
             folder,
             {"estimate.json": self.to_dict()},
@@ -231,14 +230,11 @@ def identify(
         clock("consistency")
         agreements = motions_apart(problem, method)
         alternative = static_both_ways(problem, method)
-        if alternative is not None:
-            both = compare_estimates("static run subtracted", estimate, "static run fitted along", alternative)
-            # The two share the moving recording, so only their sizes are laid side by side, no test.
-            del both
         if problem.channel == "both":
             across = wrench_against_torque(problem, method)
             agreements += [across] if across is not None else []
-        links = nearest_links(experiment.robot, problem.recipe.base, estimate.values, ~estimate.undetermined[: problem.recipe.base.rank])
+        seen = ~estimate.undetermined[: problem.recipe.base.rank]
+        links = nearest_links(experiment.robot, problem.recipe.base, estimate.values, seen)
         unexcited = _unexcited(problem, estimate)
     result = Identification(
         problem=problem,
@@ -324,8 +320,8 @@ def _warnings(result: Identification) -> tuple[str, ...]:
     for a in result.agreements:
         if a.contradiction:
             out.append(
-                f"{a.first[0].upper()}{a.first[1:]} and {a.second} contradict each other: {a.rms:.3g} sigma rms over {a.compared} numbers; "
-                f"most in {a.worst}. They are not noise apart; do not average them."
+                f"{a.first[0].upper()}{a.first[1:]} and {a.second} contradict each other: {a.rms:.3g} sigma rms over "
+                f"{a.compared} numbers; most in {a.worst}. They are not noise apart; do not average them."
             )
     if result.estimate.details.get("model_complete") is False:
         out.append(
@@ -334,9 +330,12 @@ def _warnings(result: Identification) -> tuple[str, ...]:
         )
     if result.unexcited:
         shown = ", ".join(result.unexcited[:6]) + (f" and {len(result.unexcited) - 6} more" if len(result.unexcited) > 6 else "")
-        out.append(f"Not excited by these motions: {shown}. They stay at or near the nominal model.")
+        lost = " (the static run takes gravity with it)" if result.problem.static == "motion" else ""
+        out.append(f"Not excited by these motions{lost}: {shown}. They stay at or near the nominal model.")
     if not result.physically_consistent:
-        out.append("The link parameters nearest to the nominal ones are not those of a body that can exist; do not simulate with them.")
+        out.append(
+            "The link parameters nearest to the nominal ones are not those of a body that can exist; do not simulate with them."
+        )
     if result.problem.recipe.base.absorbed is not None:
         out.append(
             "No static run removes the sensor's offset, so it is estimated along: what looks like an offset, "

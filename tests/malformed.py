@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +12,10 @@ import numpy as np
 import pandas as pd
 
 from bayesid.examples import Joint, Link, urdf_text
+
+# Real recordings: the folder "shared" beside the repository, or where BAYESID_DATA says.
+DATA = Path(os.environ.get("BAYESID_DATA", Path(__file__).resolve().parents[2] / "shared"))
+FOLDERS = sorted(path.parent for path in DATA.glob("*/*/experiment.toml"))
 
 URDF = urdf_text(
     "two-joint",

@@ -34,7 +34,7 @@ def recording(
     force_std: float = 0.0,
     torque_std: float = 0.0,
     resolution: float = 0.0,
-    offset=np.zeros(6),
+    offset=0.0,
     phi: np.ndarray | None = None,
     static: bool = False,
 ) -> Table:

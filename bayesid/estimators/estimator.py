@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from html import escape
 from typing import Any, Protocol
 
 import numpy as np
@@ -20,7 +21,10 @@ LEVEL = 0.95
 class Estimator(Protocol):
     """Anything that turns a regression into an estimate; pass such an object wherever a method is named."""
 
-    name: str
+    @property
+    def name(self) -> str:
+        """What the results call it."""
+        ...
 
     def fit(self, regression: Regression) -> Estimate:
         """Estimate base and effect parameters."""
@@ -142,16 +146,12 @@ class Estimate:
 
     def _repr_html_(self) -> str:
         """The same as an HTML table for notebooks."""
-        rows = "".join(
-            f"<tr><td>{name}</td><td>{value:.5g}</td><td>{'' if not np.isfinite(std) else f'{1.96 * std:.3g}'}</td><td>{unit}</td></tr>"
-            for name, value, std, unit in zip(
-                [*self.base.labels, *self.effect_names],
-                self.solution,
-                self.full_std,
-                [*self.base.units, *self.effect_units],
-                strict=True,
-            )
-        )
+        names = [*self.base.labels, *self.effect_names]
+        units = [*self.base.units, *self.effect_units]
+        rows = ""
+        for name, value, std, unit in zip(names, self.solution, self.full_std, units, strict=True):
+            spread = f"{1.96 * std:.3g}" if np.isfinite(std) else ""
+            rows += f"<tr><td>{escape(name)}</td><td>{value:.5g}</td><td>{spread}</td><td>{unit}</td></tr>"
         return f"<table><tr><th>{self.method}</th><th>value</th><th>± 95 %</th><th>unit</th></tr>{rows}</table>"
 
     def to_dict(self) -> dict[str, Any]:

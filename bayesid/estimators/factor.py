@@ -60,9 +60,9 @@ def stack(r: np.ndarray | None, rows: np.ndarray) -> np.ndarray:
     """Update a triangular factor with further rows (k, p + 1)."""
     if r is not None:
         rows = np.concatenate([r, rows])
-    r = np.linalg.qr(rows, mode="r")
-    missing = rows.shape[1] - len(r)
-    return np.vstack([r, np.zeros((missing, rows.shape[1]))]) if missing > 0 else r
+    updated = np.asarray(np.linalg.qr(rows, mode="r"))
+    missing = rows.shape[1] - len(updated)
+    return np.vstack([updated, np.zeros((missing, rows.shape[1]))]) if missing > 0 else updated
 
 
 def reduce_rows(blocks: Iterable[Block], transform: Callable[[Block], np.ndarray]) -> Factor:
@@ -139,7 +139,7 @@ def learn_weights(regression: Regression) -> Weights:
     scale = np.ones(channels)
     plain = np.zeros(0)
     for _ in range(2):
-        factor = reduce_rows(blocks, lambda b: b.rows / scale[:, None])
+        factor = reduce_rows(blocks, lambda b, s=scale: b.rows / s[:, None])
         plain = solve(factor.matrix, factor.target)
         residual = [b.target - b.matrix @ plain for b in blocks]
         power = sum(np.sum(r**2, axis=0) for r in residual) / sum(len(r) for r in residual)

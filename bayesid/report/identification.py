@@ -1,13 +1,7 @@
-"""Reports: results and figures put together into one page that needs nothing else.
-
-Pages come from the templates in ``bayesid/templates``; here results are turned into what the templates show:
-texts, numbers with sensible digits and figures. Results of the layers above (`Identification`, `Inspection`)
-come in as they are.
-"""
+"""The report of ``identify``: turns an `Identification` into what its template shows."""
 
 from __future__ import annotations
 
-import functools
 import platform
 import re
 from collections.abc import Sequence
@@ -15,86 +9,18 @@ from importlib.metadata import version
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
-from markupsafe import Markup
 
 from bayesid import inertia, plots
 from bayesid.base_parameters import BaseParameters
 from bayesid.estimators import Estimate
 from bayesid.prediction import BAND, Prediction, relative_error
+from bayesid.report.page import DASH, number, percent, physical, render, svg, with_half
 
 #: Figures of at most so many motions of each role are shown.
 SHOWN_MOTIONS = 6
 _HALF = 1.959964
-_DASH = "–"
-_LONGEST_LABEL = 90
 #: Residuals up to so many times the noise count as good and as fair.
-_GOOD, _FAIR = 1.1, 1.3
-
-
-def render(template: str, **context: Any) -> str:
-    """A page from one of the package's templates; everything but `Markup` is escaped."""
-    return _environment().get_template(template).render(version=version("bayesid"), **context)
-
-
-@functools.cache
-def _environment() -> Environment:
-    environment = Environment(
-        loader=PackageLoader("bayesid", "templates"), autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    environment.filters |= {"shorten": shorten, "unit": lambda text: text.replace("^2", "²")}
-    return environment
-
-
-def svg(figure: Any, name: str) -> Markup:
-    """A figure ready to be put into a template."""
-    return Markup(plots.to_svg(figure, name))
-
-
-def number(value: float | None, digits: int = 4) -> str:
-    """A number with so many significant digits, with a power of ten only where it is very small or large."""
-    if value is None or not np.isfinite(value):
-        return _DASH
-    if value == 0:
-        return "0"
-    exponent = int(np.floor(np.log10(abs(float(f"{value:.{digits - 1}e}")))))
-    if -4 <= exponent < 6:
-        return f"{value:.{max(digits - 1 - exponent, 0)}f}".replace("-", "−")
-    return f"{value / 10.0**exponent:.{digits - 1}f}·10{_raised(exponent)}".replace("-", "−")
-
-
-def _raised(exponent: int) -> str:
-    return str(exponent).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
-
-
-def with_half(value: float, half: float | None) -> tuple[str, str]:
-    """A value and half its interval, both to the interval's second digit."""
-    if half is None or not np.isfinite(half) or half <= 0:
-        return number(value), _DASH
-    last = int(np.floor(np.log10(half))) - 1
-    size = int(np.floor(np.log10(max(abs(value), half))))
-    if -4 <= size < 6 and last >= -7:
-        places = max(-last, 0)
-        return f"{value:.{places}f}".replace("-", "−"), f"{half:.{places}f}"
-    scaled, places = 10.0**size, max(size - last, 0)
-    power = f"·10{_raised(size)}"
-    return f"{value / scaled:.{places}f}{power}".replace("-", "−"), f"{half / scaled:.{places}f}{power}"
-
-
-def percent(share: float, digits: int = 3) -> str:
-    """A share as per cent."""
-    return f"{number(100 * share, digits)} %" if np.isfinite(share) else _DASH
-
-
-def shorten(text: str) -> tuple[str, int]:
-    """A sum's first terms and how many more there are."""
-    if len(text) <= _LONGEST_LABEL:
-        return text, 0
-    terms = re.split(r"(?= [+-] )", text)
-    kept = 1
-    while kept < len(terms) and len("".join(terms[: kept + 1])) <= _LONGEST_LABEL - 20:
-        kept += 1
-    return "".join(terms[:kept]), len(terms) - kept
+_GOOD, _FAIR = 1.15, 1.5
 
 
 def identification_report(identification: Any) -> str:
@@ -149,25 +75,9 @@ def identification_report(identification: Any) -> str:
 
 
 _OFFSET_NOTE = (
-    "The sensor's offset is what is left of the estimated constant once the nominal weight that looks like one is taken off: it is only as "
-    "good as the nominal masses, and has an interval only where the experiment says how far those are trusted."
+    "The sensor's offset is what is left of the estimated constant once the nominal weight that looks like one is taken off: "
+    "it is only as good as the nominal masses, and has an interval only where the experiment says how far those are trusted."
 )
-
-
-def check_report(check: Any) -> str:
-    """The report of ``check``.
-
-    Parameters
-    ----------
-    check
-        The verb's result, an `Inspection`.
-
-    Returns
-    -------
-    page
-        HTML with all figures inside.
-    """
-    return render("check.html", **check.page())
 
 
 def _channel(channel: str) -> str:
@@ -186,9 +96,9 @@ def _mood(white: float) -> str:
 
 def _sizes(prediction: Prediction) -> str:
     """Errors in the channels' units, those of one unit together: ``0.4 N and 0.02 N m rms``."""
-    units = list(dict.fromkeys(prediction.channel_units))
-    rms = [np.sqrt(np.mean([e**2 for e, u in zip(prediction.rmse, prediction.channel_units, strict=True) if u == unit])) for unit in units]
-    return " and ".join(f"{number(r, 2)} {unit}" for r, unit in zip(rms, units, strict=True)) + " rms per channel"
+    units = np.array(prediction.channel_units)
+    rms = {unit: np.sqrt(np.mean(prediction.rmse[units == unit] ** 2)) for unit in dict.fromkeys(prediction.channel_units)}
+    return " and ".join(f"{number(r, 2)} {unit}" for unit, r in rms.items()) + " rms per channel"
 
 
 def _judged(prediction: Prediction) -> str:
@@ -196,7 +106,7 @@ def _judged(prediction: Prediction) -> str:
     if white <= _GOOD:
         return f"what is left is {number(white, 3)} times the noise: nothing more can be explained"
     if white <= _FAIR:
-        return f"what is left is {number(white, 3)} times the noise: little more could be explained"
+        return f"what is left is {number(white, 3)} times the noise: a little is missing in the model"
     return f"what is left is {number(white, 3)} times as large as the noise, so something is missing in the model"
 
 
@@ -209,13 +119,13 @@ def _verdict(result: Any) -> str:
     )
     if not result.validation:
         return f"{count} There is no validation motion, so nothing shows yet how well they hold for a motion that was not fitted."
-    explained = all(p.whitened_rms <= _FAIR for p in result.validation)
+    explained = all(p.whitened_rms <= _GOOD for p in result.validation)
     worst = max(result.validation, key=relative_error if explained else lambda p: p.whitened_rms)
     unseen = "the motion" if len(result.validation) == 1 else f"the worst of {len(result.validation)} motions"
     text = (
         f"{count} On {unseen} not used for the fit (‘{worst.motion}’), the {_channel(problem.channel)} "
-        f"{'are' if problem.channel != 'wrench' else 'is'} predicted to {percent(relative_error(worst), 2)} of the signal on raw samples "
-        f"({_sizes(worst)} below {number(BAND, 2)} Hz); {_judged(worst)}."
+        f"{'are' if problem.channel != 'wrench' else 'is'} predicted to {percent(relative_error(worst), 2)} of the signal on raw "
+        f"samples ({_sizes(worst)} below {number(BAND, 2)} Hz); {_judged(worst)}."
     )
     if worst.repeats:
         text += f" That motion repeats the fitted ‘{worst.repeats}’, however."
@@ -224,9 +134,8 @@ def _verdict(result: Any) -> str:
 
 def _cards(result: Any) -> list[dict[str, str]]:
     estimate, problem = result.estimate, result.problem
-    cards = [
-        {"value": str(estimate.base.rank), "mood": "", "text": f"base parameters (rank), of {problem.experiment.robot.nominal.size} in the links"},
-    ]
+    total = problem.experiment.robot.nominal.size
+    cards = [{"value": str(estimate.base.rank), "mood": "", "text": f"base parameters (rank), of {total} in the links"}]
     for p in _most_telling(result.validation)[:2]:
         mood = _mood(p.whitened_rms)
         cards += [
@@ -234,19 +143,26 @@ def _cards(result: Any) -> list[dict[str, str]]:
             {"value": f"{number(p.whitened_rms, 3)} ×", "mood": mood, "text": f"noise is left on ‘{p.motion}’; 1 is perfect"},
         ]
     exist = result.physically_consistent
-    cards.append({"value": "possible" if exist else "impossible", "mood": "good" if exist else "bad", "text": "bodies: can all links exist?"})
+    value, mood = ("possible", "good") if exist else ("impossible", "bad")
+    cards.append({"value": value, "mood": mood, "text": "bodies: can all links exist?"})
     return cards
 
 
 def short_names(base: BaseParameters) -> list[str]:
     """One parameter to name each combination by, ``I2xy …``."""
-    bodies = list(dict.fromkeys(n.rsplit(".", 1)[0] for n in base.parameter_names))
+    names = _notation(base.parameter_names)
+    return [names[k] + (" …" if np.count_nonzero(row) > 1 else "") for row, k in zip(base.matrix, base.independent, strict=True)]
+
+
+def _notation(names: Sequence[str]) -> list[str]:
+    """The notation of the labels: ``joint2.mcx`` is ``m2 r2x``; other names stay."""
+    bodies = list(dict.fromkeys(n.rpartition(".")[0] for n in names))
     out = []
-    for row, k in zip(base.matrix, base.independent, strict=True):
-        body, _, kind = base.parameter_names[k].rpartition(".")
-        place = bodies.index(body) + 1 if body in bodies else ""
-        name = f"m{place} r{place}{kind[2:]}" if kind.startswith("mc") else f"m{place}" if kind == "m" else f"I{place}{kind[1:]}"
-        out.append((name if body else base.parameter_names[k]) + (" …" if np.count_nonzero(row) > 1 else ""))
+    for name in names:
+        body, _, kind = name.rpartition(".")
+        place = bodies.index(body) + 1
+        short = f"m{place}" if kind == "m" else f"m{place} r{place}{kind[2:]}" if kind.startswith("mc") else f"I{place}{kind[1:]}"
+        out.append(short if body and kind in inertia.PARAMETERS else name)
     return out
 
 
@@ -262,7 +178,7 @@ def _reference(regression: Any, estimate: Estimate) -> tuple[np.ndarray, np.ndar
 
 def _intervals(regression: Any, estimate: Estimate):
     nominal, scale = _reference(regression, estimate)
-    names = [f"{name}  {k + 1:>2}" for k, name in enumerate(short_names(estimate.base))]
+    names = [f"{name}  ({k + 1})" for k, name in enumerate(short_names(estimate.base))]
     return plots.parameter_intervals(names, estimate.values - nominal, _HALF * estimate.std, scale, estimate.classes)
 
 
@@ -276,8 +192,8 @@ def _parameters(regression: Any, estimate: Estimate) -> list[dict[str, Any]]:
         rows.append(
             {
                 "index": k + 1, "label": label, "value": value, "half": spread, "unit": unit, "kind": kind,
-                "interval": f"{low} … {high}" if np.isfinite(half) else _DASH,
-                "nominal": number(regression.nominal[k]) if known else _DASH,
+                "interval": f"{low} … {high}" if np.isfinite(half) else DASH,
+                "nominal": number(regression.nominal[k]) if known else DASH,
             }
         )  # fmt: skip
     return rows
@@ -301,15 +217,18 @@ def _motion(prediction: Prediction, role: str, index: int) -> dict[str, Any]:
     title = f"{prediction.motion} ({'validation: not fitted' if role == 'validation' else 'fitted'})"
     what = "poses, numbered" if prediction.poses else f"motion of {number(prediction.times[-1] - prediction.times[0], 3)} s"
     text = (
-        f"Error {percent(relative_error(prediction), 3)} of the signal on raw samples, {_sizes(prediction)} below {number(BAND, 2)} Hz; "
-        f"{_judged(prediction)}."
+        f"Error {percent(relative_error(prediction), 3)} of the signal on raw samples, {_sizes(prediction)} "
+        f"below {number(BAND, 2)} Hz; {_judged(prediction)}."
     )
     if prediction.repeats:
         text += f" It repeats the fitted motion ‘{prediction.repeats}’ and so proves little."
-    caption = f"{prediction.motion}: measured ({'circles' if prediction.poses else 'grey'}) and predicted ({'crosses' if prediction.poses else 'red'}); {what}."
+    lines = ("circles", "crosses") if prediction.poses else ("broad, pale", "thin, red")
+    caption = f"{prediction.motion}: measured ({lines[0]}) and predicted ({lines[1]}); {what}."
     left = f"{prediction.motion}: measured less predicted, in time" + (
         "." if prediction.spectrum is None else " and as amplitude spectral density beside the noise model."
     )
+    if prediction.spectrum is not None and prediction.spectrum.filtered:
+        left += " The spectra are those behind the low-pass filters; readings in time have not passed them."
     return {
         "title": title,
         "text": text,
@@ -352,20 +271,12 @@ def _absorbed(base: BaseParameters) -> list[dict[str, str]]:
     """What an estimated offset contains besides the true one, axis by axis."""
     if base.absorbed is None:
         return []
-    rows = []
+    rows, names = [], _notation(base.parameter_names)
     for axis, row in zip(("fx", "fy", "fz", "mx", "my", "mz"), base.absorbed, strict=False):
-        parts = [f"{'-' if row[k] < 0 else '+'} {abs(row[k]):.4g} {base.parameter_names[k]}" for k in np.flatnonzero(row)]
+        parts = [f"{'-' if row[k] < 0 else '+'} {abs(row[k]):.4g} {names[k]}" for k in np.flatnonzero(row)]
         if parts:
-            rows.append({"axis": axis, "text": " ".join(parts).removeprefix("+ ")})
+            rows.append({"axis": axis, "text": re.sub(r"^- ", "-", " ".join(parts).removeprefix("+ "))})
     return rows
-
-
-def _physical(body: np.ndarray) -> np.ndarray:
-    """Mass, centre of mass and inertia about it: ten numbers, nan where there is no mass to divide by."""
-    if abs(body[0]) < 1e-9:
-        return np.concatenate([body[:1], np.full(9, np.nan)])
-    mass, com, about = inertia.to_mass_com_inertia(body)
-    return np.array([mass, *com, about[0, 0], about[0, 1], about[1, 1], about[0, 2], about[1, 2], about[2, 2]])
 
 
 def _links(result: Any) -> list[dict[str, Any]]:
@@ -381,7 +292,7 @@ def _links(result: Any) -> list[dict[str, Any]]:
     needs = [[0], [0, 1], [0, 2], [0, 3], *([0, 1, 2, 3, k] for k in range(4, 10))]
     rows = []
     for k, name in enumerate(robot.body_names):
-        nominal, found = _physical(robot.nominal[k]), _physical(bodies[k])
+        nominal, found = physical(robot.nominal[k]), physical(bodies[k])
         if max(np.abs(robot.nominal[k]).max(), np.abs(bodies[k]).max()) < 1e-9:
             continue
         kinds = ["sure" if alone[k, n].all() else "" if moved[k, n].any() else "dim" for n in needs]
@@ -420,10 +331,16 @@ def _both_ways(result: Any) -> dict[str, Any] | None:
         one, two = first.get(name), second.get(name)
         label, unit = (one or two or ("", "", "", ""))[2:]
         rows.append(
-            {"label": label, "unit": unit, "one": one[0] if one else _DASH, "one_half": one[1] if one else _DASH,
-             "other": two[0] if two else _DASH, "other_half": two[1] if two else _DASH}
+            {"label": label, "unit": unit, "one": one[0] if one else DASH, "one_half": one[1] if one else DASH,
+             "other": two[0] if two else DASH, "other_half": two[1] if two else DASH}
         )  # fmt: skip
     return {"rows": rows, "subtracted": subtracted, "only": set(first) != set(second)}
+
+
+_DETAILS = {
+    "agreement_of_gls_and_wls": "Chance of so large a gap of gls and wls",
+    "model_complete": "Model complete by that test",
+}
 
 
 def _how(result: Any) -> list[tuple[str, str]]:
@@ -431,26 +348,29 @@ def _how(result: Any) -> list[tuple[str, str]]:
     estimate, problem = result.estimate, result.problem
     filters, noise = problem.recipe.filters, estimate.noise
     orders = {group: model.order for group, model in noise.items()}
+    names, units = problem.recipe.channels.names, problem.recipe.channels.units
     sizes = [
-        f"{group}: " + ", ".join(f"{c} {number(s, 2)} {u}" for c, s, u in zip(problem.recipe.channels.names, m.std, problem.recipe.channels.units, strict=True))
-        for group, m in noise.items()
-    ]  # fmt: skip
+        f"{group}: " + ", ".join(f"{c} {number(s, 2)} {u}" for c, s, u in zip(names, model.std, units, strict=True))
+        for group, model in noise.items()
+    ]
+    packages = [f"{p} {version(p)}" for p in ("bayesid", "numpy", "scipy", "pin")]
     how = [
         ("Bandwidth of the motion", f"{number(problem.smoother.bandwidth, 3)} Hz; {problem.smoother.reason}"),
         ("Accelerations", "from a spline through the positions, without delay" if filters is None else
          f"none: low-pass filters on both sides, l = {number(filters.l, 3)} and d = {number(filters.d, 3)} rad/s"),
         ("Rows", f"{estimate.rows} numbers, {number(1.0 / problem.recipe.step, 3)} rows a second"),
         ("Static readings", {"motion": "subtracted sample by sample", "joint": "fitted along", "none": "none"}[problem.static]),
-        ("Noise", "autoregressive in time, correlated between channels; order " + ", ".join(f"{o} ({g})" for g, o in orders.items())),
+        ("Noise", "autoregressive in time, correlated between channels; order "
+         + ", ".join(f"{o} ({g})" for g, o in orders.items())),
         ("Noise of a sample", "; ".join(sizes)),
-        ("Residual of the fit", f"{number(estimate.residual_rms, 3)} times the noise; largest autocorrelation of whitened residuals "
-         f"{number(estimate.whiteness, 2)} standard errors"),
+        ("Residual of the fit", f"{number(estimate.residual_rms, 3)} times the noise; largest autocorrelation of whitened "
+         f"residuals {number(estimate.whiteness, 2)} standard errors"),
         ("Condition number", f"{number(estimate.condition_number, 3)}, with columns of unit length"),
         ("Intervals", estimate.interval if not estimate.interval_reason else f"{estimate.interval}: {estimate.interval_reason}"),
     ]  # fmt: skip
-    how += [(key.replace("_", " ").capitalize(), _plain(value)) for key, value in estimate.details.items()]
+    how += [(_DETAILS.get(key, key.replace("_", " ").capitalize()), _plain(value)) for key, value in estimate.details.items()]
     how.append(("Run time", ", ".join(f"{stage} {number(seconds, 2)} s" for stage, seconds in result.seconds.items())))
-    how.append(("Versions", ", ".join([f"Python {platform.python_version()}", *(f"{p} {version(p)}" for p in ("bayesid", "numpy", "scipy", "pin"))])))
+    how.append(("Versions", ", ".join([f"Python {platform.python_version()}", *packages])))
     return how
 
 

@@ -1,0 +1,55 @@
+# Everything here needs Python 3.11 or newer with its venv module, and make.
+# The first target that is made builds .venv; later ones use it as it is. An older default Python:
+#     make PYTHON=python3.12 test
+
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet
+READY := $(VENV)/ready
+FIGAROH := .venv-figaroh
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test test-slow bench lint clean
+
+help:
+	@echo "make demo       identify an embedded example robot and write a report"
+	@echo "make test       the test suite"
+	@echo "make test-slow  long statistical studies"
+	@echo "make bench      speed and memory, also against FIGAROH (its own environment, $(FIGAROH))"
+	@echo "make lint       ruff, pyright and the layers of imports"
+	@echo "make clean      remove both environments and everything built"
+
+demo: $(READY)
+	$(BIN)/bayesid demo
+
+test: $(READY)
+	$(BIN)/python -m pytest
+
+test-slow: $(READY)
+	$(BIN)/python -m pytest -m slow
+
+bench: $(READY) $(FIGAROH)/ready
+	$(BIN)/python tests/benchmarks/run.py
+
+lint: $(READY)
+	$(BIN)/ruff check
+	$(BIN)/pyright
+	$(BIN)/lint-imports
+
+clean:
+	rm -rf $(VENV) $(FIGAROH) build dist bayesid.egg-info
+
+# An environment that was left half made, or whose Python is gone, is made anew.
+$(READY): pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo "$(PYTHON) is too old or missing: bayesid needs Python 3.11 or newer; name one: make PYTHON=python3.12 ..." >&2; exit 1; }
+	@echo "Installing bayesid into $(VENV); this happens once and takes a minute or two."
+	@$(BIN)/python -m pip --version >/dev/null 2>&1 || $(PYTHON) -m venv --clear $(VENV)
+	$(PIP) --constraint constraints.txt --editable '.[dev]'
+	@touch $@
+
+$(FIGAROH)/ready:
+	@$(FIGAROH)/bin/python -m pip --version >/dev/null 2>&1 || $(PYTHON) -m venv --clear $(FIGAROH)
+	$(FIGAROH)/bin/python -m pip --disable-pip-version-check install --quiet figaroh==1.0.2 pin==4.1.0 numpy==2.4.6 scipy==1.17.1
+	@touch $@

@@ -1,0 +1,10 @@
+"""Reports: results and figures put together into one page that needs nothing else.
+
+Pages come from the templates in ``bayesid/templates``. Results of the layers above come in as they are.
+"""
+
+from bayesid.report.check import check_report
+from bayesid.report.identification import identification_report
+from bayesid.report.page import render
+
+__all__ = ["check_report", "identification_report", "render"]

@@ -1,0 +1,207 @@
+"""The report of ``check``: turns an `Inspection` into what its template shows."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from bayesid import inertia, plots
+from bayesid.report.page import DASH, number, percent, render, svg
+from bayesid.tables import WRENCH_COLUMNS
+
+_SHOWN_MOTIONS = 8
+_PLOTTED = 1500
+
+
+def check_report(check: Any) -> str:
+    """The report of ``check``.
+
+    Parameters
+    ----------
+    check
+        The verb's result, an `Inspection`.
+
+    Returns
+    -------
+    page
+        HTML with all figures inside.
+    """
+    return render("check.html", **_content(check))
+
+
+def _content(check: Any) -> dict[str, Any]:
+    robot, experiment = check.experiment.robot, check.experiment
+    units = ["m" if slides else "rad" for slides in robot.prismatic]
+    shown = check.motions[:_SHOWN_MOTIONS]
+    mass, more = float(robot.nominal[:, 0].sum()), len(check.motions) - len(shown)
+    channels = [c for c in dict.fromkeys(c for m in check.motions for c in m.noise)]
+    return {
+        "name": check.name,
+        "warning_list": check.warnings,
+        "lead": _lead(check),
+        "card_list": [
+            {"value": str(robot.n), "mood": "", "text": "joints that move"},
+            {"value": f"{number(mass, 4)} kg", "mood": "", "text": "nominal mass of the moving links"},
+            {"value": str(len(check.motions)), "mood": "", "text": f"motions, {len(experiment.identification)} to be fitted"},
+            {"value": str(max((s.base.rank for s in check.sensor_sets if s.available), default=0)), "mood": "",
+             "text": "base parameters that the recorded readings could show at most"},
+        ],
+        "robot": _robot(check),
+        "joints": [
+            {"name": name, "type": "sliding" if robot.prismatic[j] else "turning", "unit": units[j],
+             "lower": number(robot.lower[j]), "upper": number(robot.upper[j]),
+             "speed": number(robot.velocity_limit[j]), "effort": number(robot.effort_limit[j])}
+            for j, name in enumerate(robot.joint_names)
+        ],
+        "bodies": [_body(name, body) for name, body in zip(robot.body_names, robot.nominal, strict=True)],
+        "motions": [_row(m) for m in check.motions],
+        "ranges": svg(
+            plots.joint_ranges(
+                [f"q{j + 1}  {name}" for j, name in enumerate(robot.joint_names)], robot.lower, robot.upper,
+                [(m.motion.name, m.lowest, m.highest) for m in shown], units,
+            ), "ranges",
+        ),
+        "reach": [_reach(m, robot.lower, robot.upper) for m in check.motions],
+        "bandwidth": _bandwidth(check),
+        "noise": [
+            {"name": m.motion.name, "cells": [number(m.noise.get(c, np.nan), 3) for c in channels]}
+            for m in check.motions if m.noise
+        ],
+        "noise_channels": [{"name": c, "unit": _unit(c, robot.prismatic)} for c in channels],
+        "stated": _stated(check, channels),
+        "parameter_count": robot.nominal.size,
+        "ranks": [
+            {"name": s.name, "rank": s.base.rank, "invisible": len(s.base.invisible), "labels": s.base.labels,
+             "here": "yes" if s.available else "no"}
+            for s in check.sensor_sets
+        ],
+        "recordings": [
+            {"name": m.motion.name, "role": m.motion.role, "svg": svg(_figure(m, robot.prismatic), f"recording-{k}")}
+            for k, m in enumerate(shown)
+        ],
+        "recordings_omitted": f"{more} more recordings are not drawn." if more else "",
+    }  # fmt: skip
+
+
+def _lead(check: Any) -> str:
+    fitted, proof = len(check.experiment.identification), len(check.experiment.validation)
+    best = next((s for s in check.sensor_sets if s.available), None)
+    reading = "sensor’s wrench" if check.channel == "wrench" else "joint torques"
+    text = (
+        f"The folder reads well: {check.experiment.robot.n} moving joints, {fitted} motion{'s' if fitted != 1 else ''} to fit "
+        f"and {proof} to validate on. By default the {reading} will be fitted"
+    )
+    return text + (f", which can show at most {best.base.rank} base parameters." if best else ".")
+
+
+def _robot(check: Any) -> list[tuple[str, str]]:
+    experiment, robot = check.experiment, check.experiment.robot
+    trust = experiment.inertia_rel_std
+    rows = [
+        ("Model", f"{robot.name} ({robot.urdf.name})"),
+        ("Gravity", f"({', '.join(number(g, 5) for g in robot.gravity)}) m/s² in the base frame"),
+        ("Trust in nominal inertias", "none stated: every rigid parameter is free" if trust is None else
+         "exact" if trust == 0 else f"{percent(trust, 2)} (1 sigma)"),
+    ]  # fmt: skip
+    if experiment.locked:
+        rows.append(("Locked joints", ", ".join(f"{n} at {number(v)}" for n, v in experiment.locked.items())))
+    sensor = experiment.sensor
+    if sensor is None:
+        rows.append(("Force/torque sensor", "none"))
+    else:
+        place = "between the world and the base" if sensor.joint is None else f"in joint {sensor.joint}"
+        frame = "base frame" if sensor.joint is None else "child link of that joint"
+        carried = [n for n, c in zip(robot.body_names, robot.sensor_bodies, strict=True) if c]
+        rows += [
+            ("Force/torque sensor", f"{place}; it carries the bodies of {', '.join(carried)}"),
+            ("Its pose in the " + frame, f"origin ({', '.join(number(v) for v in sensor.translation)}) m, "
+             f"roll pitch yaw ({', '.join(number(v) for v in sensor.rpy)}) rad"),
+        ]  # fmt: skip
+    stated = {"one count is": experiment.position_resolution, "random noise": experiment.position_std}
+    encoder = [f"{label} {number(value, 3)}" for label, value in stated.items() if value]
+    rows.append(("Encoders", ", ".join(encoder) + " rad (or m)" if encoder else "nothing stated"))
+    rows.append(("Effects in the model", ", ".join(experiment.effects) or "none"))
+    return rows
+
+
+def _bandwidth(check: Any) -> str:
+    if check.bandwidth is None:
+        return "The bandwidth of the joint motion could not be chosen: " + check.bandwidth_reason + "."
+    text = f"Joint motion is kept up to {number(check.bandwidth, 3)} Hz ({check.bandwidth_reason})."
+    if np.isfinite(check.position_std).all() and check.position_std.any():
+        scatter = ", ".join(number(s, 2) for s in check.position_std)
+        text += f" Positions scatter around it by {scatter} rad (or m), joint by joint."
+    return text
+
+
+def _stated(check: Any, channels: list[str]) -> list[str]:
+    sensor = check.experiment.sensor
+    if sensor is None or (sensor.force_std is None and sensor.torque_std is None):
+        return []
+    stated = {c: sensor.force_std if c.startswith("f") else sensor.torque_std for c in WRENCH_COLUMNS}
+    return [number(stated.get(c), 3) for c in channels]
+
+
+def _unit(channel: str, prismatic: np.ndarray) -> str:
+    if channel.startswith("tau"):
+        return "N" if prismatic[int(channel[3:]) - 1] else "N m"
+    return "N" if channel.startswith("f") else "N m"
+
+
+def _body(name: str, body: np.ndarray) -> dict[str, Any]:
+    exists = bool(inertia.is_physically_consistent(body[None])[0])
+    if abs(body[0]) < 1e-9:
+        return {"name": name, "mass": number(body[0], 4), "com": DASH, "inertia": DASH, "exists": exists}
+    mass, com, about = inertia.to_mass_com_inertia(body)
+    return {
+        "name": name, "mass": number(mass, 4), "com": ",  ".join(number(c, 3) for c in com),
+        "inertia": ",  ".join(number(v, 3) for v in np.linalg.eigvalsh(about)), "exists": exists,
+    }  # fmt: skip
+
+
+def _row(m: Any) -> dict[str, Any]:
+    motion, poses = m.motion, m.motion.kind == "poses"
+    also = [f"period {number(motion.period, 4)} s"] if motion.period else []
+    also += [f"parked {number(sum(b - a for a, b in motion.parked), 3)} s"] if motion.parked else []
+    static = {"none": "none", "stop-and-go": "stop-and-go run", "poses": f"{len(motion.static or ())} poses"}[m.static]
+    return {
+        "name": motion.name, "role": motion.role, "kind": motion.kind, "samples": str(len(motion.table)),
+        "duration": DASH if poses else f"{number(motion.table.duration, 4)} s",
+        "rate": DASH if np.isnan(m.rate) else f"{number(m.rate, 4)} Hz", "gaps": DASH if poses else str(len(m.gaps)),
+        "columns": ", ".join(m.columns), "static": static, "also": ", ".join(also) or DASH,
+    }  # fmt: skip
+
+
+def _fixed(value: float) -> str:
+    """To a thousandth: positions and speeds of joints side by side."""
+    return f"{round(value, 3) + 0.0:.3f}".replace("-", "−") if np.isfinite(value) else DASH
+
+
+def _reach(m: Any, lower: np.ndarray, upper: np.ndarray) -> dict[str, Any]:
+    room = upper - lower
+    share = np.where(np.isfinite(room) & (room > 0), (m.highest - m.lowest) / np.where(room > 0, room, 1.0), np.nan)
+    rows = [
+        {"label": "range", "cells": [f"{_fixed(a)} … {_fixed(b)}" for a, b in zip(m.lowest, m.highest, strict=True)]},
+        {"label": "share of limits", "cells": [f"{100 * s:.0f} %" if np.isfinite(s) else DASH for s in share]},
+    ]
+    if np.isfinite(m.speed).any():
+        rows.append({"label": "largest speed", "cells": [_fixed(v) for v in m.speed]})
+    return {"name": m.motion.name, "rows": rows}
+
+
+def _figure(m: Any, prismatic: np.ndarray):
+    """The recording as it is, thinned to what a page can show."""
+    table, poses = m.motion.table, m.motion.kind == "poses"
+    stride = 1 if poses else max(-(-len(table) // _PLOTTED), 1)
+    times = table.times[::stride]
+    numbers = range(1, len(prismatic) + 1)
+    unit = "m" if prismatic.all() else "rad" if not prismatic.any() else "rad or m"
+    panels = [("joint positions", unit, [f"q{j}" for j in numbers], table.positions[::stride])]
+    if table.wrench is not None:
+        panels.append(("forces", "N", list(WRENCH_COLUMNS[:3]), table.wrench[::stride, :3]))
+        panels.append(("moments", "N m", list(WRENCH_COLUMNS[3:]), table.wrench[::stride, 3:]))
+    if table.torques is not None:
+        panels.append(("joint torques", "N m", [f"tau{j}" for j in numbers], table.torques[::stride]))
+    breaks = [int(np.searchsorted(times, end)) for _, end in m.gaps]
+    return plots.recording(times, panels, [b for b in breaks if b < len(times)], poses)
