@@ -16,6 +16,7 @@ is equation 14 of [Liu1998]_ for all terms at once. Where accelerations are at h
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numba
 import numpy as np
@@ -143,7 +144,8 @@ def dynamics_regressor(
     """
     arguments = _arguments(robot, channels, columns, gravity)
     out = np.empty((len(positions), len(channels), len(arguments[-1]))) if out is None else out
-    _regressor(False, *map(_c, (positions, velocities, accelerations)), *arguments, out, out[:0])
+    q, v, a = map(_c, (positions, velocities, accelerations))
+    _regressor(False, q, v, a, *arguments, out, out[:0])  # pyright: ignore[reportCallIssue]
     return out
 
 
@@ -163,7 +165,7 @@ def momentum_regressors(
     arguments = _arguments(robot, channels, columns, gravity)
     momentum, rest = np.empty((2, len(positions), len(channels), len(arguments[-1])))
     q, v = _c(positions), _c(velocities)
-    _regressor(True, q, v, v, *arguments, momentum, rest)
+    _regressor(True, q, v, v, *arguments, momentum, rest)  # pyright: ignore[reportCallIssue]
     return momentum, rest
 
 
@@ -171,7 +173,7 @@ def _c(array: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(array, dtype=float)
 
 
-def _arguments(robot: Robot, channels: Channels, columns, gravity: bool):
+def _arguments(robot: Robot, channels: Channels, columns, gravity: bool) -> tuple[Any, ...]:
     """Tables of the kernel: a chain of rows (the joints, then split bodies), twists, columns by body."""
     n, bodies = robot.n, len(robot.body_names)
     columns = np.arange(10 * bodies) if columns is None else np.asarray(columns)

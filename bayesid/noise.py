@@ -143,14 +143,15 @@ def estimate_noise(
     likelihood [Dempster1977]_. Without ``spread`` all variances are enlarged alike.
     """
     known = np.array([1.0]) if known_poles is None else np.real(np.poly(known_poles))
-    rows = [lfilter(known, [1.0], r, axis=0) for r in residuals]
+    rows = [_fir(known, r) for r in residuals]
     total, channels = sum(len(r) for r in rows), rows[0].shape[1]
     orders = [p for p in ORDERS if p <= min(highest_order, total // 10)] or [0]
-    taken = [] if spread is None else [lfilter(known, [1.0], z, axis=0) for z in spread]
-    polynomials, variances = zip(
-        *(_give_back(_burg([r[:, c] for r in rows], orders[-1]), [z[:, c] for z in taken], total) for c in range(channels)),
-        strict=True,
-    )
+    taken = [] if spread is None else [_fir(known, z) for z in spread]
+    fits = []
+    for c in range(channels):
+        own = [np.ascontiguousarray(z[:, c]) for z in taken]
+        fits.append(_give_back(_burg([r[:, c] for r in rows], orders[-1]), own, total))
+    polynomials, variances = zip(*fits, strict=True)
     scores = [
         total * sum(np.log(max(variances[c][p], 1e-300)) for c in range(channels)) + channels * p * np.log(total) for p in orders
     ]
@@ -173,12 +174,12 @@ def _burg(series: list[np.ndarray], order: int) -> tuple[list[np.ndarray], list[
     """Whitening polynomials of orders 0 ... order and their innovation variances, by Burg's recursion."""
     forward, backward = [s.copy() for s in series], [s.copy() for s in series]
     polynomial = np.array([1.0])
-    variance = sum(s @ s for s in series) / max(sum(len(s) for s in series), 1)
+    variance = float(sum(s @ s for s in series)) / max(sum(len(s) for s in series), 1)
     polynomials, variances = [polynomial], [variance]
     for _ in range(order):
         pairs = [(f[1:], b[:-1]) for f, b in zip(forward, backward, strict=True)]
-        power = sum(f @ f + b @ b for f, b in pairs)
-        reflection = -2.0 * sum(f @ b for f, b in pairs) / power if power > 0 else 0.0
+        power = float(sum(f @ f + b @ b for f, b in pairs))
+        reflection = -2.0 * float(sum(f @ b for f, b in pairs)) / power if power > 0 else 0.0
         forward = [f + reflection * b for f, b in pairs]
         backward = [b + reflection * f for f, b in pairs]
         extended = np.append(polynomial, 0.0)
@@ -205,7 +206,7 @@ def _give_back(fits: tuple[list[np.ndarray], list[float]], taken: list[np.ndarra
     polynomial, variance = np.array([1.0]), float(values[0])
     polynomials, variances = [polynomial], [variance]
     for p in range(1, order + 1):
-        reflection = -(polynomial @ values[p:0:-1]) / variance
+        reflection = -float(polynomial @ values[p:0:-1]) / variance
         extended = np.append(polynomial, 0.0)
         polynomial = extended + reflection * extended[::-1]
         variance *= 1.0 - reflection**2
@@ -226,6 +227,14 @@ def _autocovariance(polynomial: np.ndarray, lags: int) -> np.ndarray:
     while len(values) <= lags:
         values.append(-float(np.dot(polynomial[1:], values[-1 : -p - 1 : -1])))
     return np.array(values[: lags + 1])
+
+
+def _fir(polynomial: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Moving average along the first axis, from the zero state."""
+    out = polynomial[0] * rows
+    for k in range(1, len(polynomial)):
+        out[k:] += polynomial[k] * rows[:-k]
+    return out
 
 
 def _mix(matrix: np.ndarray, rows: np.ndarray) -> np.ndarray:

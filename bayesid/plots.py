@@ -130,7 +130,7 @@ def parameter_intervals(
         What ``change`` is counted from.
     """
     count = len(names)
-    figure, axes = _grid(1, 2, 0.3 + 0.2 * count, left=0.3 + 0.062 * max(map(len, names), default=0), gap=0.25,
+    figure, axes = _grid(1, 2, 0.3 + 0.2 * count, left=0.3 + 0.062 * max(map(len, names), default=0), gap=0.4,
                          sharey=True, width_ratios=(1.9, 1.0))  # fmt: skip
     left, right = axes[0]
     y = np.arange(count)
@@ -330,7 +330,7 @@ def recording(
 
 
 def _grid(
-    rows: int, columns: int, height: float, *, left: float = 0.7, right: float = 0.12, top: float = 0.5, gap: float = 0.75,
+    rows: int, columns: int, height: float, *, left: float = 0.7, right: float = 0.2, top: float = 0.5, gap: float = 0.75,
     **options: Any,
 ) -> tuple[Figure, np.ndarray]:  # fmt: skip
     """A figure with panels of a height; margins in inches. An automatic layout would take most of a report's time."""
@@ -391,6 +391,10 @@ def _plain_log(axis) -> None:
     ticks += [np.outer(10.0**decades, m).ravel() for m in ((1, 3), (1, 2, 5), (1, 1.5, 2, 3, 4, 5, 6, 7, 8, 9))]
     inside = [t[(t >= low) & (t <= high)] for t in ticks]
     chosen = next((t for t in inside if len(t) >= 3), inside[-1])
-    axis.set_major_locator(FixedLocator(chosen[:: max(len(chosen) // 4, 1)] if len(chosen) > 5 else chosen))
+    kept: list[float] = []
+    for tick in np.sort(chosen):  # labels need room: a sixth of the axis each
+        if not kept or np.log(tick / kept[-1]) >= np.log(high / low) / 6.0:
+            kept.append(float(tick))
+    axis.set_major_locator(FixedLocator(kept))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_locator(NullLocator())

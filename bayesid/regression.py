@@ -6,7 +6,10 @@ held: rows are kept only while they fit in `CACHE_BYTES`; otherwise every readin
 
 from __future__ import annotations
 
+import os
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -208,3 +211,16 @@ def _array_base(matrix: np.ndarray, names, units) -> BaseParameters:
     for start in range(0, len(flat), 1 << 15):
         factor = np.asarray(np.linalg.qr(np.vstack([factor, flat[start : start + (1 << 15)]]), mode="r"))
     return regroup(factor, names, units, tolerance=1e-9)
+
+
+def in_order(work: Callable, jobs: Iterable) -> Iterator:
+    """Results in order from a few threads, with only a few results waiting at any time."""
+    threads = min(os.cpu_count() or 1, 8)
+    with ThreadPoolExecutor(threads) as pool:
+        waiting: deque = deque()
+        for job in jobs:
+            waiting.append(pool.submit(work, job))
+            if len(waiting) > threads:
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()

@@ -7,10 +7,7 @@ paper's filters.
 
 from __future__ import annotations
 
-import os
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,7 +17,7 @@ from bayesid.effects import Effect, State
 from bayesid.errors import InputError
 from bayesid.filters import HALF_WIDTH, LowPass, low_pass, project
 from bayesid.momentum import Channels, dynamics_regressor, momentum_regressors
-from bayesid.regression import Block
+from bayesid.regression import Block, in_order
 from bayesid.robot import Robot
 from bayesid.smoothing import OVERLAP, smooth
 
@@ -187,20 +184,7 @@ def _direct(recipe: Recipe, recording: Recording, a: int, b: int) -> Iterator[_P
             project(times[part], rows, start, recipe.step, begin, rigid, energy)
         return begin, np.concatenate([rigid, other], axis=2), energy
 
-    yield from _in_order(work, range(a, b, _CHUNK))
-
-
-def _in_order(work: Callable, jobs: Iterable) -> Iterator:
-    """Results in order from a few threads, with only a few results waiting at any time."""
-    threads = min(os.cpu_count() or 1, 8)
-    with ThreadPoolExecutor(threads) as pool:
-        waiting: deque = deque()
-        for job in jobs:
-            waiting.append(pool.submit(work, job))
-            if len(waiting) > threads:
-                yield waiting.popleft().result()
-        while waiting:
-            yield waiting.popleft().result()
+    yield from in_order(work, range(a, b, _CHUNK))
 
 
 def _filtered(recipe: Recipe, recording: Recording, a: int, b: int) -> Iterator[_Part]:

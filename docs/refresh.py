@@ -26,8 +26,8 @@ def refresh() -> None:
             if main(["demo"]):
                 raise SystemExit("the demo failed")
         result = bayesid.identify(demo_experiment(Path(folder)))
-    picture = plots.to_png(plots.measured_against_predicted(result.validation[0]), dpi=100)
-    (DOCS / "demo-validation.png").write_bytes(picture)
+    figure = plots.measured_against_predicted(result.validation[0])
+    figure.savefig(DOCS / "demo-validation.png", dpi=100, facecolor="white", metadata={"Software": None})
     shown = f"```text\n{printed.getvalue().replace(os.sep, '/')}```\n"
     text = re.sub(r"```text\n.*?```\n", lambda _: shown, README.read_text(encoding="utf-8"), count=1, flags=re.DOTALL)
     README.write_text(text, encoding="utf-8")

@@ -10,8 +10,10 @@ import matplotlib
 import pytest
 from recordings import Motion, Sensor, experiment, fourier, puma2, recording
 
-from bayesid import write_experiment
+from bayesid import schema, write_experiment
 from bayesid.cli import main
+from bayesid.effects import KINDS
+from bayesid.plant import PLANT_ONLY
 
 ROOT = Path(__file__).parent.parent
 README = ROOT / "README.md"
@@ -114,6 +116,14 @@ def test_every_cited_source_is_listed():
     cited = {key for source in sources for key in _CITED.findall(source.read_text(encoding="utf-8"))}
     assert cited - {"Key"} <= listed
     assert {"Liu1998", "Gautier1990"} <= cited
+
+
+def test_experiment_page_is_complete():
+    """Every key, column group and effect that is read stands on the page."""
+    text = (ROOT / "docs" / "experiment.md").read_text(encoding="utf-8")
+    sections = (schema.ExperimentFile, schema.RobotSection, schema.SensorSection, schema.MotionSection, schema.ModelSection)
+    keys = {key for section in sections for key in section.model_fields} | set(KINDS) | set(PLANT_ONLY)
+    assert not {key for key in keys if not re.search(rf"\b{key}\b", text)}
 
 
 def test_constraints_are_pins_without_addresses():

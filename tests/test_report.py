@@ -95,7 +95,7 @@ def test_report_says_what_was_found_and_how_well_it_holds(page, result):
         "What could not be identified", "Link parameters", "Do the data agree", "How this was done", "Conventions",
     ):  # fmt: skip
         assert heading in text
-    assert f"{result.base.rank} base parameters were identified" in text
+    assert f"All {result.base.rank} base parameters were identified" in text
     assert "‘validation’" in text and "nothing more can be explained" in text
     for label in result.base.labels:
         assert label[:30] in text
@@ -258,18 +258,34 @@ def test_spectrum_of_white_noise_has_the_level_of_the_sensor(result):
 
 @pytest.mark.parametrize(
     ("value", "digits", "text"),
-    [(0, 4, "0"), (np.nan, 4, "–"), (np.inf, 4, "–"), (None, 4, "–"), (9.99996, 4, "10.00"), (-0.0123456, 3, "−0.0123"), (123456.0, 3, "123456"),
-     (1.5e-7, 2, "1.5·10⁻⁷"), (-2.5e9, 2, "−2.5·10⁹")],
-)  # fmt: skip
+    [
+        (0, 4, "0"),
+        (np.nan, 4, "–"),
+        (np.inf, 4, "–"),
+        (None, 4, "–"),
+        (9.99996, 4, "10.00"),
+        (-0.0123456, 3, "−0.0123"),
+        (123456.0, 3, "123456"),
+        (1.5e-7, 2, "1.5·10⁻⁷"),
+        (-2.5e9, 2, "−2.5·10⁹"),
+    ],
+)
 def test_numbers_have_sensible_digits(value, digits, text):
     assert number(value, digits) == text
 
 
 @pytest.mark.parametrize(
     ("value", "half", "texts"),
-    [(1.23456, 0.0123, ("1.235", "0.012")), (-0.0001, 17.2, ("0", "17")), (5.0, np.nan, ("5.000", "–")), (5.0, None, ("5.000", "–")),
-     (-1.5e-6, 2.1e-7, ("−1.50·10⁻⁶", "0.21·10⁻⁶")), (0.3, 0.0, ("0.3000", "–")), (1234.5, 120.0, ("1234", "120"))],
-)  # fmt: skip
+    [
+        (1.23456, 0.0123, ("1.235", "0.012")),
+        (-0.0001, 17.2, ("0", "17")),
+        (5.0, np.nan, ("5.000", "–")),
+        (5.0, None, ("5.000", "–")),
+        (-1.5e-6, 2.1e-7, ("−1.50·10⁻⁶", "0.21·10⁻⁶")),
+        (0.3, 0.0, ("0.3000", "–")),
+        (1234.5, 120.0, ("1234", "120")),
+    ],
+)
 def test_values_go_to_the_second_digit_of_their_interval(value, half, texts):
     assert with_half(value, half) == texts
 

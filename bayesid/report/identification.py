@@ -14,7 +14,7 @@ from bayesid import inertia, plots
 from bayesid.base_parameters import BaseParameters
 from bayesid.estimators import Estimate
 from bayesid.prediction import BAND, Prediction, relative_error
-from bayesid.report.page import DASH, number, percent, physical, render, svg, with_half
+from bayesid.report.page import DASH, interval, number, percent, physical, render, svg, with_half
 
 #: Figures of at most so many motions of each role are shown.
 SHOWN_MOTIONS = 6
@@ -60,7 +60,8 @@ def identification_report(identification: Any) -> str:
         fits=[_motion(p, "fitted", k) for k, p in enumerate(fitted)],
         omitted=f"Of {left_out} more motions only the numbers are shown below." if left_out else "",
         errors=[_errors(p, role) for role, ps in (("validation", result.validation), ("fitted", result.fitted)) for p in ps],
-        unexcited=result.unexcited,
+        unexcited=[label for label in result.unexcited if " " in label],
+        unexcited_single=", ".join(label for label in result.unexcited if " " not in label),
         invisible=_by_body(estimate.base.invisible),
         invisible_count=len(estimate.base.invisible),
         gravity_free=problem.static == "motion",
@@ -114,8 +115,13 @@ def _verdict(result: Any) -> str:
     """The result in a few plain sentences."""
     estimate, problem = result.estimate, result.problem
     poorly = sum(k in ("weak", "prior") for k in estimate.classes)
-    count = f"{estimate.base.rank} base parameters" + (
-        f" were identified, {poorly} of them no better than the size of the bodies." if poorly else " were identified."
+    rank = estimate.base.rank
+    count = (
+        f"All {rank} base parameters were identified."
+        if not poorly
+        else (
+            f"Of {rank} base parameters, {rank - poorly} were identified; of the other {poorly} the data say no more than the size of the bodies does."
+        )
     )
     if not result.validation:
         return f"{count} There is no validation motion, so nothing shows yet how well they hold for a motion that was not fitted."
@@ -188,11 +194,10 @@ def _parameters(regression: Any, estimate: Estimate) -> list[dict[str, Any]]:
     for k, (label, unit, kind) in enumerate(zip(estimate.base.labels, estimate.base.units, estimate.classes, strict=True)):
         half = _HALF * estimate.std[k]
         value, spread = with_half(estimate.values[k], half)
-        low, high = with_half(estimate.values[k] - half, half)[0], with_half(estimate.values[k] + half, half)[0]
         rows.append(
             {
                 "index": k + 1, "label": label, "value": value, "half": spread, "unit": unit, "kind": kind,
-                "interval": f"{low} … {high}" if np.isfinite(half) else DASH,
+                "interval": interval(estimate.values[k], half),
                 "nominal": number(regression.nominal[k]) if known else DASH,
             }
         )  # fmt: skip

@@ -57,14 +57,25 @@ def with_half(value: float, half: float | None) -> tuple[str, str]:
     """A value and half its interval, both to the interval's second digit."""
     if half is None or not np.isfinite(half) or half <= 0:
         return number(value), DASH
+    return _alike(value, half, half=half)
+
+
+def interval(value: float, half: float) -> str:
+    """The interval's ends, to the second digit of half its width."""
+    if not np.isfinite(half) or half <= 0:
+        return DASH
+    return " … ".join(_alike(value - half, value + half, half=half))
+
+
+def _alike(one: float, other: float, *, half: float) -> tuple[str, str]:
+    """Two numbers to the second digit of ``half``, both with the same power of ten."""
     last = int(np.floor(np.log10(half))) - 1
-    size = int(np.floor(np.log10(max(abs(value), half))))
-    if -4 <= size < 6 and last >= -7:
-        places = max(-last, 0)
-        return f"{round(value, places) + 0.0:.{places}f}".replace("-", "−"), f"{half:.{places}f}"
-    scaled, places = 10.0**size, max(size - last, 0)
-    power = f"·10{_raised(size)}"
-    return f"{value / scaled:.{places}f}{power}".replace("-", "−"), f"{half / scaled:.{places}f}{power}"
+    size = int(np.floor(np.log10(max(abs(one), abs(other)))))
+    plain = -4 <= size < 6 and last >= -7
+    scale, places, power = (1.0, -last, "") if plain else (10.0**size, size - last, f"·10{_raised(size)}")
+    places = max(places, 0)
+    first, second = (f"{round(v / scale, places) + 0.0:.{places}f}{power}".replace("-", "−") for v in (one, other))
+    return first, second
 
 
 def percent(share: float, digits: int = 3) -> str:
@@ -88,4 +99,5 @@ def physical(body: np.ndarray) -> np.ndarray:
     if abs(body[0]) < 1e-9:
         return np.concatenate([body[:1], np.full(9, np.nan)])
     mass, com, about = inertia.to_mass_com_inertia(body)
+    about = np.where(np.abs(about) > 1e-9 * np.abs(about).max(), about, 0.0)  # rounding is no product of inertia
     return np.array([mass, *com, about[0, 0], about[0, 1], about[1, 1], about[0, 2], about[1, 2], about[2, 2]])

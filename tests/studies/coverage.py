@@ -130,16 +130,11 @@ def summarise(name: str, results: tuple[np.ndarray, ...]) -> dict[str, Any]:
             }
     return {
         "recordings": count,
-        "parameters": list(setup_names(name)),
+        "parameters": list(coverage_case.base(name).labels),
         "band": band(count, parameters),
         "bound_of_both_runs_over_sensor_bound": (bounds.both_runs / bounds.sensor).tolist(),
         "fits": fits,
     }
-
-
-def setup_names(name: str) -> tuple[str, ...]:
-    """Labels of an arm's base parameters."""
-    return coverage_case.base(name).labels
 
 
 def draw(study: dict[str, Any]) -> Figure:
@@ -159,11 +154,11 @@ def draw(study: dict[str, Any]) -> Figure:
         bottom.axhline(100 * LEVEL, color="0.4", lw=0.8)
         top.set(title=NAMES[name], ylim=(92, 98))
         bottom.set(ylim=(0, 103), xlabel="base parameter")
-        if column == 0:
-            top.set_ylabel("coverage of 95 % intervals [%]")
-            bottom.set_ylabel("the same for\nwhite-noise intervals [%]")
-            top.legend(fontsize=8, loc="lower left", ncols=2)
-            bottom.legend(fontsize=8, loc="center left")
+    top, bottom = rows[:, 0]
+    top.set_ylabel("coverage of 95 % intervals [%]")
+    bottom.set_ylabel("the same for\nwhite-noise intervals [%]")
+    handles = [pair for axes in (top, bottom) for pair in zip(*axes.get_legend_handles_labels(), strict=True)]
+    figure.legend(*zip(*handles, strict=True), loc="outside lower center", ncols=3, fontsize=9)
     return figure
 
 
