@@ -233,8 +233,8 @@ def identify(
         if problem.channel == "both":
             across = wrench_against_torque(problem, method)
             agreements += [across] if across is not None else []
-        seen = ~estimate.undetermined[: problem.recipe.base.rank]
-        links = nearest_links(experiment.robot, problem.recipe.base, estimate.values, seen)
+        kept = ~estimate.undetermined[: problem.recipe.base.rank]
+        links = nearest_links(experiment.robot, problem.recipe.base, estimate.values, kept)
         unexcited = _unexcited(problem, estimate)
     result = Identification(
         problem=problem,
@@ -331,7 +331,7 @@ def _warnings(result: Identification) -> tuple[str, ...]:
     if result.unexcited:
         shown = ", ".join(result.unexcited[:6]) + (f" and {len(result.unexcited) - 6} more" if len(result.unexcited) > 6 else "")
         lost = " (the static run takes gravity with it)" if result.problem.static == "motion" else ""
-        out.append(f"Not excited by these motions{lost}: {shown}. They stay at or near the nominal model.")
+        out.append(f"Not excited by these motions{lost}: {shown}. The data say no more there than the size of a body does.")
     if not result.physically_consistent:
         out.append(
             "The link parameters nearest to the nominal ones are not those of a body that can exist; do not simulate with them."

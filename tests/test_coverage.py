@@ -6,10 +6,14 @@ import json
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 from scipy.stats import chi2
 
+from bayesid.filters import low_pass, project
+from bayesid.noise import estimate_noise
+from bayesid.problem import prepare
 from tests.studies import coverage
-from tests.studies.coverage_case import ARMS, FITS, WHITE, bound, fit_all, record, setup
+from tests.studies.coverage_case import ARMS, FITS, PAPER, RATE, WHITE, bound, fit_all, record, setup
 
 SEED = 31
 COUNT = 60
@@ -70,6 +74,42 @@ def test_every_recording_has_roundings_noise_and_offsets_of_its_own():
     counts = one.table.positions / coverage.coverage_case.RESOLUTION
     assert np.abs(counts - np.round(counts)).max() < 1e-6
     assert one.static is not None and one.table.velocities is None
+
+
+def test_white_noise_through_filters_and_thinning_is_whitened_by_the_known_poles():
+    problem = prepare(record(setup("puma"), np.random.default_rng(0)), filters=PAPER)
+    step, times = problem.recipe.step, np.arange(2400) / RATE
+    filtered = low_pass(PAPER, times, np.random.default_rng(1).normal(size=(len(times), 400)))[0]
+    rows, energy = np.zeros((int(times[-1] / step), 400)), np.zeros(int(times[-1] / step))
+    project(times, filtered, 0.5 * step, step, 0, rows, energy)
+    polynomial = np.real(np.poly(problem.regression.known_poles))
+    white = lfilter(polynomial, [1.0], rows / np.sqrt(energy)[:, None], axis=0)[40:-10]
+    # Each estimate from n samples has a standard error of 1 / sqrt(n).
+    lagged = [np.mean(white[lag:] * white[:-lag]) / np.mean(white**2) for lag in range(1, 30)]
+    assert np.abs(lagged).max() < 4.5 / np.sqrt(white.size)
+
+
+def test_colour_of_residuals_is_not_that_of_what_parameters_took():
+    """Forty slow regressors swallow a sixth of the slow noise; the estimate must give it back."""
+    rng = np.random.default_rng(2)
+    times = np.arange(400)[:, None] * np.pi / 400
+    x = np.cos(times * np.arange(40))[:, None, :]  # (rows, one channel, p): all of the lowest tenth of frequencies
+    basis = np.linalg.qr(x[:, 0])[0]
+    frequencies, slow = np.exp(-2j * np.pi * 0.02), {True: [], False: []}
+    for _ in range(60):
+        noise = lfilter([1.0], [1.0, -0.5], rng.normal(size=420))[20:, None]
+        residual = noise - basis @ (basis.T @ noise)
+        for restricted in slow:
+            model = estimate_noise([residual], parameters=40)
+            for _ in range(8 if restricted else 0):
+                white = model.whiten(x)[:, 0]
+                values = np.linalg.lstsq(white, model.whiten(noise)[:, 0], rcond=None)[0]
+                spread = x @ np.linalg.inv(np.linalg.qr(white, mode="r"))
+                model = estimate_noise([noise - x[:, 0] @ values[:, None]], spread=[spread])
+            slow[restricted].append(model.innovation[0, 0] / abs(np.polyval(model.coefficients[0][::-1], frequencies)) ** 2)
+    true = 1.0 / abs(1.0 - 0.5 * frequencies) ** 2
+    assert np.mean(slow[False]) < 0.75 * true
+    assert abs(np.mean(slow[True]) / true - 1.0) < 0.15
 
 
 def test_motions_keep_to_the_limits():

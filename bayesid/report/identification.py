@@ -116,13 +116,12 @@ def _verdict(result: Any) -> str:
     estimate, problem = result.estimate, result.problem
     poorly = sum(k in ("weak", "prior") for k in estimate.classes)
     rank = estimate.base.rank
-    count = (
-        f"All {rank} base parameters were identified."
-        if not poorly
-        else (
-            f"Of {rank} base parameters, {rank - poorly} were identified; of the other {poorly} the data say no more than the size of the bodies does."
+    count = f"All {rank} base parameters were identified."
+    if poorly:
+        count = (
+            f"Of {rank} base parameters, {rank - poorly} were identified; of the other {poorly} the data say no more than the "
+            "size of the bodies does."
         )
-    )
     if not result.validation:
         return f"{count} There is no validation motion, so nothing shows yet how well they hold for a motion that was not fitted."
     explained = all(p.whitened_rms <= _GOOD for p in result.validation)
@@ -373,13 +372,17 @@ def _how(result: Any) -> list[tuple[str, str]]:
         ("Condition number", f"{number(estimate.condition_number, 3)}, with columns of unit length"),
         ("Intervals", estimate.interval if not estimate.interval_reason else f"{estimate.interval}: {estimate.interval_reason}"),
     ]  # fmt: skip
-    how += [(_DETAILS.get(key, key.replace("_", " ").capitalize()), _plain(value)) for key, value in estimate.details.items()]
+    how += [
+        (_DETAILS.get(key, key.replace("_", " ").capitalize()), _plain(key, value)) for key, value in estimate.details.items()
+    ]
     how.append(("Run time", ", ".join(f"{stage} {number(seconds, 2)} s" for stage, seconds in result.seconds.items())))
     how.append(("Versions", ", ".join([f"Python {platform.python_version()}", *packages])))
     return how
 
 
-def _plain(value: Any) -> str:
+def _plain(key: str, value: Any) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
+    if key == "agreement_of_gls_and_wls":
+        return _probability(value)
     return number(value, 3) if isinstance(value, float) else str(value)
