@@ -83,6 +83,36 @@ def scaling(urdf: Path, folder: Path, sizes: list[int]) -> list[dict]:
     return out
 
 
+def page(result: dict) -> str:
+    """The results as a page of the documentation."""
+    lines = [
+        "# Speed and memory",
+        "",
+        "Raw table to base parameters with standard deviations: UR5, 0.1 Hz Fourier motion, 125 Hz, encoder counts of",
+        f"2e-5 rad. Python {result['python']}, {result['cores']} cores, one thread in linear algebra; medians over processes",
+        "that took turns. `python tests/benchmarks/run.py --write` (`make bench` without writing) makes this page. FIGAROH 1.0.2 does",
+        "the same steps (filter, regressor with free-flyer root for the wrench, double QR, least squares, its standard",
+        "deviations); the bare loop only fills Pinocchio's regressor for every sample.",
+        "",
+        "| 100,000 samples | bayesid | FIGAROH | ratio | bare Pinocchio loop | ratio | memory beyond table | of FIGAROH's |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for kind, entry in result["comparison"].items():
+        own, loop = entry["bayesid"], entry["pinocchio"]
+        peer = entry.get("figaroh")
+        lines.append(
+            f"| {kind} | {own['us_per_sample']:.2f} us | "
+            + (f"{peer['us_per_sample']:.1f} us | {entry['figaroh_over_bayesid'][1]:.1f}" if peer else "- | -")
+            + f" | {loop['us_per_sample']:.2f} us | {entry['pinocchio_over_bayesid'][1]:.2f} | {own['peak_mb']:.0f} MB | "
+            + (f"{100 * entry['memory_share']:.1f} % |" if peer else "- |")
+        )
+    lines += ["", "| samples | readings | us a sample | seconds | memory beyond the table |", "|---|---|---|---|---|"]
+    for row in result["scaling"]:
+        numbers = f"{row['us_per_sample']:.2f} | {row['total_s']:.2f} | {row['peak_mb']:.0f} MB"
+        lines.append(f"| {row['samples']:,} | {row['kind']} | {numbers} |")
+    return "\n".join([*lines, ""])
+
+
 def main() -> None:
     """Run all; ``--quick`` leaves out the two largest sizes."""
     parser = argparse.ArgumentParser()
@@ -107,6 +137,7 @@ def main() -> None:
         }
     if options.write:
         (ROOT / "docs" / "benchmarks.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+        (ROOT / "docs" / "benchmarks.md").write_text(page(result), encoding="utf-8")
 
 
 if __name__ == "__main__":
