@@ -26,7 +26,7 @@ ROWS_PER_BANDWIDTH = 2.5
 #: At least this many rows a second, so that the noise can be told from the motion.
 LOWEST_ROW_RATE = 20.0
 #: Samples that the bandwidth is chosen from, in stretches spread over a long recording.
-_PILOT_SAMPLES = 8_000
+_PILOT_SAMPLES = 5_000
 _STRETCHES = 4
 #: Frequencies at which the spectrum of rows is computed; order of the recursion that stands for thinning.
 _SPECTRUM = 4096

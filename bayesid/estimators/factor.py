@@ -84,6 +84,17 @@ def reduce_rows(blocks: Iterable[Block], transform: Callable[[Block], np.ndarray
     return Factor(r, sum(rows for _, rows in parts))
 
 
+def gram_rows(blocks: Iterable[Block], transform: Callable[[Block], np.ndarray]) -> np.ndarray:
+    """Sum of ``X'X`` of the transformed rows (k, channels, p); where squares are wanted, cheaper than a factor."""
+
+    def gram(block: Block) -> np.ndarray:
+        new = transform(block)
+        flat = new.reshape(-1, new.shape[-1])
+        return flat.T @ flat
+
+    return sum(in_order(gram, blocks), np.zeros(()))
+
+
 def _stack_all(r: np.ndarray | None, flat: np.ndarray) -> np.ndarray:
     """Update a factor with many rows, a few thousand at a time, which stay in the processor's cache."""
     for a in range(0, len(flat), _PANEL):
@@ -205,9 +216,9 @@ def _hausman(blocks, noise, plain, efficient, scale) -> float:
     """
     whole = reduce_whitened(blocks, noise).matrix
     bread = reduce_rows(blocks, lambda b: b.rows / scale[:, None]).matrix
-    middle = reduce_rows(blocks, lambda b: noise[b.group].colour_transposed(b.matrix / scale[:, None] ** 2)).r
-    half = middle @ np.linalg.pinv(bread.T @ bread, rcond=1e-12, hermitian=True)
-    covariance = half.T @ half
+    middle = gram_rows(blocks, lambda b: noise[b.group].colour_transposed(b.matrix / scale[:, None] ** 2))
+    outer = np.linalg.pinv(bread.T @ bread, rcond=1e-12, hermitian=True)
+    covariance = outer @ middle @ outer
     size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     gap = covariance - np.linalg.pinv(whole.T @ whole, rcond=1e-12, hermitian=True)
     values, vectors = np.linalg.eigh(gap / np.outer(size, size))

@@ -18,7 +18,7 @@ from scipy.optimize import minimize_scalar
 
 from bayesid.errors import InputError
 from bayesid.estimators.estimator import Estimate, condition, largest_autocorrelation, unseen
-from bayesid.estimators.factor import Factor, Weights, learn_weights, pilot, reduce_rows, reduce_whitened, solve
+from bayesid.estimators.factor import Factor, Weights, gram_rows, learn_weights, pilot, reduce_rows, reduce_whitened, solve
 from bayesid.noise import NoiseModel
 from bayesid.regression import Block, Regression
 
@@ -45,7 +45,7 @@ class LeastSquares:
         else:
             middle = _meat(regression, weights.noise, scale)
             bread = inverse @ inverse.T
-            covariance = bread @ (middle.T @ middle) @ bread
+            covariance = bread @ middle @ bread
         return _estimate(self.name, regression, weights, factor, solution, covariance, hidden)
 
 
@@ -151,7 +151,7 @@ def _inverse(matrix: np.ndarray, hidden: np.ndarray) -> np.ndarray:
 
 
 def _meat(regression: Regression, noise: dict[str, NoiseModel], scale: dict[str, np.ndarray]) -> np.ndarray:
-    """Factor Z with ``Z'Z = X' W' Sigma W X`` over all blocks.
+    """Sum of ``X' W' Sigma W X`` over all blocks (p, p).
 
     Blocks are long against the noise's memory; its correlation across their borders is left out.
     """
@@ -160,7 +160,7 @@ def _meat(regression: Regression, noise: dict[str, NoiseModel], scale: dict[str,
         weighted = block.matrix * scale[block.group][:, None] ** 2
         return noise[block.group].colour_transposed(weighted)
 
-    return reduce_rows(regression.blocks(), colour).r
+    return gram_rows(regression.blocks(), colour)
 
 
 def _shrink(regression, factor: Factor, given, inverse, *, continuous: bool) -> tuple[np.ndarray, float]:
