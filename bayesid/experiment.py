@@ -1,4 +1,4 @@
-"""The experiment folder: read it, check it, write it. EXPERIMENT_FORMAT.md defines it."""
+"""The experiment folder: read it, check it, write it. docs/experiment.md describes it."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ from bayesid.errors import InputError
 from bayesid.experiment import Experiment, Motion
 from bayesid.filters import ROLL_OFF, LowPass
 from bayesid.momentum import Channels, torque_channels, wrench_channels
-from bayesid.regression import Regression
+from bayesid.regression import PILOT_ROWS, PILOT_STRETCHES, Regression
 from bayesid.rows import Recipe, Recording, make_blocks, row_count
 from bayesid.smoothing import Smoother, choose_smoother
 
@@ -210,6 +210,7 @@ def _regression(recipe: Recipe, fitted: list[Recording], names: tuple[str, ...])
         motion_names=names,
         source=lambda: make_blocks(recipe, fitted),
         row_count=row_count(recipe, fitted),
+        pilot_source=lambda: make_blocks(recipe, _stretches(recipe, fitted)),
         known_poles=_known_poles(recipe, fitted),
         nominal=base.matrix @ robot.nominal.ravel(),
         nominal_scale=np.sqrt(np.einsum("ij,jk,ik->i", base.matrix, inverse, base.matrix)),
@@ -241,6 +242,23 @@ def _known_poles(recipe: Recipe, fitted: list[Recording]) -> np.ndarray | None:
     covariance = np.real(np.fft.ifft(np.fft.ifftshift(density)))
     rest = solve_toeplitz(covariance[:_THINNING_ORDER], -covariance[1 : _THINNING_ORDER + 1])
     return np.concatenate([poles, np.roots(np.append(1.0, rest))])
+
+
+def _stretches(recipe: Recipe, recordings: list[Recording]) -> list[Recording]:
+    """Short pieces of long recordings, evenly spread, that make about `PILOT_ROWS` rows together."""
+    length = PILOT_ROWS / PILOT_STRETCHES * recipe.step + 2 * recipe.margin
+    whole = sum(r.times[-1] - r.times[0] for r in recordings if not r.poses)
+    out = []
+    for r in recordings:
+        duration = r.times[-1] - r.times[0]
+        count = 1 if r.poses else round(PILOT_STRETCHES * duration / whole)
+        starts = r.times[0] + max(duration - length, 0.0) * np.linspace(0.0, 1.0, max(count, 1))
+        for start in starts:
+            a = int(np.searchsorted(r.times, start))
+            b = a + PILOT_ROWS if r.poses else int(np.searchsorted(r.times, start + length, side="right"))
+            cut = slice(a, b)
+            out.append(replace(r, times=r.times[cut], positions=r.positions[cut], measured=r.measured[cut]))
+    return out
 
 
 def _choose(experiment: Experiment, motions: Sequence[str] | None) -> list[Motion]:

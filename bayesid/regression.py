@@ -10,7 +10,7 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -20,6 +20,9 @@ from bayesid.filters import LowPass
 
 #: Rows are kept in memory up to this many bytes, and made anew at every reading beyond.
 CACHE_BYTES = 64 * 2**20
+#: About as many rows as the noise is learned from, in this many stretches spread over a long recording.
+PILOT_ROWS = 2048
+PILOT_STRETCHES = 8
 
 
 @dataclass(frozen=True)
@@ -75,6 +78,8 @@ class Regression:
         Makes the blocks; called anew for every reading unless they were kept.
     row_count
         Number of rows in all blocks.
+    pilot_source
+        Makes blocks of a few stretches alone, where there are many more rows than `PILOT_ROWS`.
     known_poles
         Poles of the low-pass filters that the rows went through from the zero state, at the rows' spacing.
     nominal
@@ -94,11 +99,13 @@ class Regression:
     motion_names: tuple[str, ...]
     source: Callable[[], Iterable[Block]]
     row_count: int = 0
+    pilot_source: Callable[[], Iterable[Block]] | None = None
     known_poles: np.ndarray | None = None
     nominal: np.ndarray | None = None
     nominal_scale: np.ndarray | None = None
     bodies: tuple[tuple[int, ...], ...] = ()
     _kept: list[Block] = field(default_factory=list, repr=False, compare=False)
+    _pilot: list[Block] = field(default_factory=list, repr=False, compare=False)
 
     @property
     def column_names(self) -> tuple[str, ...]:
@@ -121,6 +128,17 @@ class Regression:
                 made.append(block)
             yield block
         self._kept.extend(made)
+
+    def pilot(self) -> list[Block]:
+        """Enough blocks to learn the noise from: all of an ordinary recording, stretches of a long one."""
+        if not self._pilot:
+            if self.row_count <= 2 * PILOT_ROWS:
+                self._pilot.extend(self.blocks())
+            elif self.fits_in_memory or self.pilot_source is None:
+                self._pilot.extend(_spread(self.blocks(), self.row_count))
+            else:
+                self._pilot.extend(self.pilot_source())
+        return self._pilot
 
     @classmethod
     def from_arrays(
@@ -211,6 +229,20 @@ def _array_base(matrix: np.ndarray, names, units) -> BaseParameters:
     for start in range(0, len(flat), 1 << 15):
         factor = np.asarray(np.linalg.qr(np.vstack([factor, flat[start : start + (1 << 15)]]), mode="r"))
     return regroup(factor, names, units, tolerance=1e-9)
+
+
+def _spread(blocks: Iterable[Block], rows: int) -> Iterator[Block]:
+    """Evenly spread stretches of blocks that are in memory anyway."""
+    stretch, spacing = PILOT_ROWS // PILOT_STRETCHES, rows / PILOT_STRETCHES
+    seen, due = 0, 0.0
+    for block in blocks:
+        count = 0
+        while due < seen + len(block.rows):
+            count, due = count + 1, due + spacing
+        seen += len(block.rows)
+        if count:
+            keep = slice(0, count * stretch)
+            yield replace(block, rows=block.rows[keep], times=block.times[keep])
 
 
 def in_order(work: Callable, jobs: Iterable) -> Iterator:

@@ -151,7 +151,7 @@ def read_file(path: Path, kind: type[File]) -> File:
     try:
         data = tomllib.loads(path.read_bytes().decode("utf-8"))
     except FileNotFoundError:
-        raise InputError(f"{path}: no such file; EXPERIMENT_FORMAT.md says what it holds") from None
+        raise InputError(f"{path}: no such file; give the path of a model.toml, which holds a [model] table") from None
     except UnicodeDecodeError as error:
         line = error.object[: error.start].count(b"\n") + 1
         raise InputError(

@@ -16,7 +16,7 @@ from tests.studies import coverage
 from tests.studies.coverage_case import ARMS, FITS, PAPER, RATE, WHITE, bound, fit_all, record, setup
 
 SEED = 31
-COUNT = 60
+COUNT = 24
 JUDGED = ("default", "l = 1, d = 50, default", "l = 1, d = 50, ols")
 CONTROL = "l = 1, d = 50, white noise"
 

@@ -7,7 +7,7 @@ are learned on a pilot: all rows of an ordinary recording, evenly spread stretch
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import chi2
@@ -17,9 +17,6 @@ from bayesid.regression import Block, Regression, in_order
 
 _PASSES = 3
 _PANEL = 4096
-#: About as many rows as the noise is learned from, and the fewest taken from one block.
-PILOT_ROWS = 2048
-PILOT_STRETCH = 256
 #: Two fits contradict each other when their difference is less probable than the first, and the efficient one's
 #: residuals have more than the second times the power of the plain one's; either alone happens by chance.
 SMALLEST_AGREEMENT = 1e-4
@@ -119,16 +116,6 @@ def whitened(blocks: Iterable[Block], noise: dict[str, NoiseModel]) -> Iterator[
         yield block, white
 
 
-def pilot(regression: Regression) -> list[Block]:
-    """Enough blocks to learn the noise from: all of them, or the first rows of evenly spread ones."""
-    blocks = []
-    every = max(int(np.ceil(regression.row_count / PILOT_ROWS)), 1)
-    for block in regression.blocks():
-        keep = max(len(block.rows) // every, min(len(block.rows), PILOT_STRETCH))
-        blocks.append(block if keep == len(block.rows) else replace(block, rows=block.rows[:keep], times=block.times[:keep]))
-    return blocks
-
-
 @dataclass(frozen=True)
 class Weights:
     """What the noise looks like and where that was learned.
@@ -158,7 +145,7 @@ def learn_weights(regression: Regression) -> Weights:
     quiet, so on a model with something missing it goes astray: where the two fits differ by more than the noise
     explains, the residuals of the first one count.
     """
-    blocks = pilot(regression)
+    blocks = regression.pilot()
     channels = blocks[0].rows.shape[1]
     scale = np.ones(channels)
     plain = np.zeros(0)
