@@ -179,7 +179,7 @@ def _one(problem: Problem, estimate: Estimate, recording: Recording):
     for first in range(a, b, _CHUNK):
         rows = problem.recipe.samples(recording, first, min(first + _CHUNK, b))
         parts.append(rows[:, :, :-1] @ estimate.solution)
-    return times[a:b], recording.measured[a:b], np.concatenate(parts)
+    return times[a:b], recording.measured(a, b), np.concatenate(parts)
 
 
 def _band(times: np.ndarray, values: np.ndarray, poses: bool) -> np.ndarray:

@@ -19,6 +19,7 @@ from bayesid.momentum import Channels, torque_channels, wrench_channels
 from bayesid.regression import PILOT_ROWS, PILOT_STRETCHES, Regression
 from bayesid.rows import Recipe, Recording, make_blocks, row_count
 from bayesid.smoothing import Smoother, choose_smoother
+from bayesid.tables import usual_step
 
 CHANNELS = ("wrench", "torque", "both")
 #: Rows a second, as a multiple of the bandwidth of the joint motion: products of joint motions reach higher.
@@ -174,7 +175,7 @@ def prepare(
     smoother = _smoother(experiment, [r for rs in recordings.values() for r in rs if not r.poses], bandwidth)
     rate = min(
         max(ROWS_PER_BANDWIDTH * smoother.bandwidth, LOWEST_ROW_RATE),
-        min((1.0 / np.median(np.diff(r.times)) for rs in recordings.values() for r in rs if not r.poses), default=np.inf),
+        min((1.0 / usual_step(r.times) for rs in recordings.values() for r in rs if not r.poses), default=np.inf),
     )
     recipe = Recipe(experiment.robot, channels, base, parsed, smoother.bandwidth, 1.0 / rate, filters)
     return Problem(
@@ -225,7 +226,7 @@ def _known_poles(recipe: Recipe, fitted: list[Recording]) -> np.ndarray | None:
     sampling rate, times the projection's raised cosine, folded at the rate of rows. That is known, so it need
     not be learned from few rows, and costs no parameters of the noise.
     """
-    steps = [np.median(np.diff(r.times)) for r in fitted if not r.poses]
+    steps = [usual_step(r.times) for r in fitted if not r.poses]
     if recipe.filters is None or not steps:
         return None
     poles = recipe.filters.poles(recipe.step)
@@ -256,8 +257,7 @@ def _stretches(recipe: Recipe, recordings: list[Recording]) -> list[Recording]:
         for start in starts:
             a = int(np.searchsorted(r.times, start))
             b = a + PILOT_ROWS if r.poses else int(np.searchsorted(r.times, start + length, side="right"))
-            cut = slice(a, b)
-            out.append(replace(r, times=r.times[cut], positions=r.positions[cut], measured=r.measured[cut]))
+            out.append(r.part(a, b))
     return out
 
 
@@ -290,23 +290,21 @@ def _recordings(
     experiment: Experiment, channels: Channels, motion: Motion, index: int, channel: str, subtract: bool
 ) -> list[Recording]:
     """Gap-free stretches of one motion, and its static readings where those are fitted along."""
-    measured = _measured(motion.table, channel)
+    readings, known = _readings(motion.table, channel), channels.static_wrench
     gravity = offset = True
     rest = motion.static if channel == "wrench" and motion.static is not None and motion.static.wrench is not None else None
-    if rest is not None and subtract and motion.stop_and_go:
-        measured = measured - rest.wrench  # equation 21: free of offset and gravity
+    if rest is not None and rest.wrench is not None and subtract and motion.stop_and_go:
+        known = rest.wrench  # equation 21: free of offset and gravity
         gravity = offset = False
-    else:
-        measured = measured - channels.static_wrench
     table, poses = motion.table, motion.kind == "poses"
-    pieces = [slice(0, len(table))] if poses else table.segments()
-    out = [Recording(table.times[p], table.positions[p], measured[p], index, gravity, offset, poses) for p in pieces]
-    if rest is not None and offset:
-        out.append(Recording(rest.times, rest.positions, rest.wrench - channels.static_wrench, index, poses=True))
+    whole = Recording(table.times, table.positions, readings, known, index, gravity, offset, poses)
+    out = [whole] if poses else [whole.part(p.start, p.stop) for p in table.segments()]
+    if rest is not None and rest.wrench is not None and offset:
+        out.append(Recording(rest.times, rest.positions, rest.wrench, channels.static_wrench, index, poses=True))
     return out
 
 
-def _measured(table, channel: str) -> np.ndarray:
+def _readings(table, channel: str) -> np.ndarray:
     if channel == "both":
         return np.hstack([table.wrench, table.torques])
     return table.wrench if channel == "wrench" else table.torques

@@ -8,7 +8,7 @@ paper's filters.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -34,8 +34,10 @@ class Recording:
     ----------
     times, positions
         (N,) [s] and encoder positions (N, n) [rad or m].
-    measured
-        What the channels read, less what is known to be there (N, channels).
+    readings
+        What the channels read (N, channels).
+    known
+        What of it is known, a static run's readings (N, channels) or a constant (channels,).
     motion
         Index of the recording.
     gravity
@@ -48,11 +50,24 @@ class Recording:
 
     times: np.ndarray
     positions: np.ndarray
-    measured: np.ndarray
+    readings: np.ndarray
+    known: np.ndarray
     motion: int
     gravity: bool = True
     offset: bool = True
     poses: bool = False
+
+    def measured(self, first: int, last: int) -> np.ndarray:
+        """Readings of samples first ... last - 1 less what is known (k, channels)."""
+        return self.readings[first:last] - (self.known if self.known.ndim == 1 else self.known[first:last])
+
+    def part(self, first: int, last: int) -> Recording:
+        """Samples first ... last - 1 as a recording of their own."""
+        span = slice(first, last)
+        known = self.known if self.known.ndim == 1 else self.known[span]
+        return replace(
+            self, times=self.times[span], positions=self.positions[span], readings=self.readings[span], known=known
+        )
 
 
 @dataclass(frozen=True)
@@ -120,7 +135,7 @@ class Recipe:
                 self.base.independent, gravity=recording.gravity,
             )  # fmt: skip
         out[:, :, rank:-1] = effects
-        out[:, :, -1] = recording.measured[first:last]
+        out[:, :, -1] = recording.measured(first, last)
         return out
 
 
@@ -170,7 +185,7 @@ def _direct(recipe: Recipe, recording: Recording, a: int, b: int) -> Iterator[_P
         last = min(first + _CHUNK, b)
         times = recording.times[first:last]
         state = recipe.state(recording, first, last)
-        rest = np.concatenate([recipe.effect_columns(recording, state), recording.measured[first:last, :, None]], axis=2)
+        rest = np.concatenate([recipe.effect_columns(recording, state), recording.measured(first, last)[:, :, None]], axis=2)
         begin, rigid, energy = _empty(recipe, start, times, recipe.base.rank)
         other = np.zeros((len(rigid), *rest.shape[1:]))
         project(times, rest, start, recipe.step, begin, other, np.zeros_like(energy))
@@ -206,7 +221,7 @@ def _filtered(recipe: Recipe, recording: Recording, a: int, b: int) -> Iterator[
             )  # fmt: skip
             momentum = _for_trapezoids(state.times[wide], momentum)
             sub = State(state.times[part], state.positions[part], state.velocities[part], state.accelerations[part])
-            measured = recording.measured[first + k : first + k + size]
+            measured = recording.measured(first + k, first + k + size)
             rest = np.concatenate([recipe.effect_columns(recording, sub), measured[:, :, None]], axis=2)
             flat = weight[1:-1].reshape(size, -1)
             rigid, rigid_state = low_pass(recipe.filters, sub.times, flat, momentum.reshape(size, -1), rigid_state)

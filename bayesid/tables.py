@@ -85,7 +85,7 @@ class Table:
     @property
     def step(self) -> float:
         """The usual time between samples (their median) [s]; 0 for a single sample."""
-        return float(np.median(np.diff(self.times))) if len(self) > 1 else 0.0
+        return usual_step(self.times) if len(self) > 1 else 0.0
 
     @property
     def duration(self) -> float:
@@ -94,9 +94,17 @@ class Table:
 
     def segments(self) -> list[slice]:
         """Return the pieces between gaps, in order: steps above five times the median one are gaps."""
-        cuts = np.flatnonzero(np.diff(self.times) > GAP * self.step) + 1
-        edges = [0, *cuts.tolist(), len(self)]
+        longest, edges = GAP * self.step, [0]
+        for first in range(0, len(self) - 1, _BLOCK_ROWS):  # in blocks, so that no array of the table's length is made
+            steps = np.diff(self.times[first : first + _BLOCK_ROWS + 1])
+            edges += (np.flatnonzero(steps > longest) + first + 1).tolist()
+        edges.append(len(self))
         return [slice(a, b) for a, b in itertools.pairwise(edges)]
+
+
+def usual_step(times: np.ndarray) -> float:
+    """Median step of times (N,), judged by the first hundred thousand or so [s]."""
+    return float(np.median(np.diff(times[: 1 << 17])))
 
 
 def read_table(path: Path, source: str, joints: int, wrench: bool = True) -> tuple[Table, list[str]]:
