@@ -4,6 +4,11 @@ import os
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
+
+# The same examples on every run, and no time limit: machines are noisy.
+settings.register_profile("bayesid", derandomize=True, deadline=None)
+settings.load_profile("bayesid")
 
 
 @pytest.fixture(scope="session")
