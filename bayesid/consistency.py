@@ -110,9 +110,16 @@ def wrench_against_torque(problem: Problem, method: str | Estimator) -> Agreemen
     experiment, recipe = problem.experiment, problem.recipe
     names = list(problem.fitted)
     effects = [f"{e.name}@{e.where}" if e.joint is not None else e.name for e in recipe.effects]
-    common = dict(filters=recipe.filters, motions=names, effects=effects, bandwidth=problem.smoother.bandwidth)
-    wrench = fit(prepare(experiment, "wrench", static="joint", **common).regression, method)  # type: ignore[arg-type]
-    torque = fit(prepare(experiment, "torque", **common).regression, method)  # type: ignore[arg-type]
+    wrench, torque = (
+        fit(
+            prepare(
+                experiment, channel, filters=recipe.filters, motions=names, effects=effects, static="joint",
+                bandwidth=problem.smoother.bandwidth,
+            ).regression,
+            method,
+        )
+        for channel in ("wrench", "torque")
+    )  # fmt: skip
     if wrench.covariance is None or torque.covariance is None:
         return None
     at_rest = all(r.poses for n in names for r in problem.recordings[n])

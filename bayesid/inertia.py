@@ -69,6 +69,13 @@ def pseudo_inertia(parameters: np.ndarray) -> np.ndarray:
     return pseudo
 
 
+def from_pseudo_inertia(pseudo: np.ndarray) -> np.ndarray:
+    """Ten parameters (10,) of a pseudo-inertia (4, 4); the inverse of the above."""
+    second = pseudo[:3, :3]
+    inertia = np.trace(second) * np.eye(3) - second
+    return np.concatenate([[pseudo[3, 3]], pseudo[:3, 3], inertia[_ROW, _COLUMN]])
+
+
 #: The pseudo-inertia is linear in the parameters: P = sum_k phi_k BASIS[k]; (10, 4, 4).
 BASIS = pseudo_inertia(np.eye(10))
 
@@ -94,10 +101,7 @@ def transform(parameters: np.ndarray, rotation: np.ndarray, translation: np.ndar
     """
     homogeneous = np.eye(4)
     homogeneous[:3, :3], homogeneous[:3, 3] = rotation, translation
-    pseudo = homogeneous @ pseudo_inertia(parameters) @ homogeneous.T
-    second = pseudo[:3, :3]
-    inertia = np.trace(second) * np.eye(3) - second
-    return np.concatenate([[pseudo[3, 3]], pseudo[:3, 3], inertia[_ROW, _COLUMN]])
+    return from_pseudo_inertia(homogeneous @ pseudo_inertia(parameters) @ homogeneous.T)
 
 
 def pullback_metric(parameters: np.ndarray) -> np.ndarray:

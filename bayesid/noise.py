@@ -182,8 +182,7 @@ def _burg(series: list[np.ndarray], order: int) -> tuple[list[np.ndarray], list[
         reflection = -2.0 * float(sum(f @ b for f, b in pairs)) / power if power > 0 else 0.0
         forward = [f + reflection * b for f, b in pairs]
         backward = [b + reflection * f for f, b in pairs]
-        extended = np.append(polynomial, 0.0)
-        polynomial = extended + reflection * extended[::-1]
+        polynomial = _raised(polynomial, reflection)
         variance *= 1.0 - reflection**2
         polynomials.append(polynomial)
         variances.append(variance)
@@ -207,12 +206,17 @@ def _give_back(fits: tuple[list[np.ndarray], list[float]], taken: list[np.ndarra
     polynomials, variances = [polynomial], [variance]
     for p in range(1, order + 1):
         reflection = -float(polynomial @ values[p:0:-1]) / variance
-        extended = np.append(polynomial, 0.0)
-        polynomial = extended + reflection * extended[::-1]
+        polynomial = _raised(polynomial, reflection)
         variance *= 1.0 - reflection**2
         polynomials.append(polynomial)
         variances.append(variance)
     return polynomials, variances
+
+
+def _raised(polynomial: np.ndarray, reflection: float) -> np.ndarray:
+    """Levinson's step to the next order."""
+    extended = np.append(polynomial, 0.0)
+    return extended + reflection * extended[::-1]
 
 
 def _autocovariance(polynomial: np.ndarray, lags: int) -> np.ndarray:

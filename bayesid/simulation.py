@@ -153,9 +153,7 @@ def perturbed_links(robot: Robot, rel_std: float, seed: int = 0) -> np.ndarray:
         values, vectors = np.linalg.eigh(inertia.pseudo_inertia(body))
         root = vectors * np.sqrt(np.maximum(values, 0.0))
         s = rng.normal(size=(4, 4))
-        pseudo = root @ expm(rel_std * 0.5 * (s + s.T)) @ root.T
-        second = np.trace(pseudo[:3, :3]) * np.eye(3) - pseudo[:3, :3]
-        links[k] = [pseudo[3, 3], *pseudo[:3, 3], *second[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]]
+        links[k] = inertia.from_pseudo_inertia(root @ expm(rel_std * 0.5 * (s + s.T)) @ root.T)
     return links
 
 

@@ -114,11 +114,12 @@ def new_trajectories(
     robot: Robot, duration: float = 20.0, rate: float = 125.0, static: bool = False, seed: int = 0
 ) -> list[Trajectory]:
     """One motion for identification and another, 1.3 times as fast, for validation."""
-    common = dict(duration=duration, rate=rate, static=static)
     first, second = (int(s.generate_state(1)[0]) for s in np.random.SeedSequence(seed).spawn(2))
     return [
-        fourier_trajectory(robot, seed=first, **common),  # type: ignore[arg-type]
-        fourier_trajectory(robot, "validation", "validation", fundamental=0.13, seed=second, **common),  # type: ignore[arg-type]
+        fourier_trajectory(robot, duration=duration, rate=rate, static=static, seed=first),
+        fourier_trajectory(
+            robot, "validation", "validation", duration=duration, rate=rate, static=static, fundamental=0.13, seed=second
+        ),
     ]
 
 

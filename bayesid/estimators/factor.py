@@ -101,19 +101,25 @@ def _stack_all(r: np.ndarray | None, flat: np.ndarray) -> np.ndarray:
 
 
 def whitened(blocks: Iterable[Block], noise: dict[str, NoiseModel]) -> Iterator[tuple[Block, np.ndarray]]:
-    """Every block with its rows whitened; a recursion runs on over blocks of one recording."""
-    before: np.ndarray | None = None
+    """Every block with its rows whitened; a recursion runs on over blocks that follow each other."""
     last: Block | None = None
+    before = np.zeros((0, 0, 0))
     for block in blocks:
-        model = noise[block.group]
-        joined = last is not None and not block.start and last.motion == block.motion and last.group == block.group
-        white = model.whiten(block.rows, before if joined else None)
-        if not joined and not block.start and model.order:
-            white = white[model.order :]  # a block out of the middle: its past is unknown
-        order = max(model.order, 1)
-        before = block.rows[-order:] if len(block.rows) >= order or not joined else np.concatenate([before, block.rows])[-order:]  # type: ignore[arg-type,list-item]
+        order = noise[block.group].order
+        joined = last is not None and _follows(last, block)
+        white = noise[block.group].whiten(block.rows, before if joined else None)
+        if not joined and not block.start:
+            white = white[order:]  # a block out of the middle: its past is unknown
+        before = np.concatenate([before, block.rows])[-max(order, 1) :] if joined else block.rows[-max(order, 1) :]
         last = block
         yield block, white
+
+
+def _follows(last: Block, block: Block) -> bool:
+    """Whether a block goes on where the last one ended."""
+    if block.start or last.motion != block.motion or last.group != block.group or len(last.times) < 2:
+        return False
+    return bool(block.times[0] - last.times[-1] < 1.5 * (last.times[-1] - last.times[-2]))
 
 
 @dataclass(frozen=True)

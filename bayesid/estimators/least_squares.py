@@ -18,7 +18,7 @@ from scipy.optimize import minimize_scalar
 
 from bayesid.errors import InputError
 from bayesid.estimators.estimator import Estimate, condition, largest_autocorrelation, unseen
-from bayesid.estimators.factor import Factor, Weights, gram_rows, learn_weights, reduce_rows, reduce_whitened, solve
+from bayesid.estimators.factor import Factor, Weights, gram_rows, learn_weights, reduce_rows, reduce_whitened, solve, whitened
 from bayesid.noise import NoiseModel
 from bayesid.regression import Block, Regression
 
@@ -211,11 +211,7 @@ def _completeness(weights: Weights) -> dict:
 
 
 def _estimate(name, regression: Regression, weights: Weights, factor, solution, covariance, hidden) -> Estimate:
-    white = [
-        noise.whiten(block.target - block.matrix @ solution)
-        for block in regression.pilot()
-        for noise in [weights.noise[block.group]]
-    ]
+    white = [rows[:, :, -1] - rows[:, :, :-1] @ solution for _, rows in whitened(regression.pilot(), weights.noise)]
     count = sum(w.size for w in white)
     rms = float(np.sqrt(sum(np.sum(w**2) for w in white) / max(count - len(solution), 1)))
     weak = np.zeros(len(solution), bool)

@@ -257,9 +257,7 @@ def printed_links(setting: Setting, tries: int = 20) -> tuple[np.ndarray | None,
 def _possible(body: np.ndarray, smallest: float = 0.01) -> np.ndarray:
     """The body with the eigenvalues of its pseudo-inertia raised to at least `smallest`."""
     values, vectors = np.linalg.eigh(inertia.pseudo_inertia(body))
-    pseudo = (vectors * np.maximum(values, smallest)) @ vectors.T
-    about = np.trace(pseudo[:3, :3]) * np.eye(3) - pseudo[:3, :3]
-    return np.array([pseudo[3, 3], *pseudo[:3, 3], *about[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]])
+    return inertia.from_pseudo_inertia((vectors * np.maximum(values, smallest)) @ vectors.T)
 
 
 def run(seconds: float = 24.0, repeats: int = 20, seed: int = 1) -> tuple[dict, dict]:
