@@ -138,7 +138,9 @@ def parameter_intervals(
     # The well determined ones set the scale: weak ones would press them all to zero.
     good = np.isin(classes, ("alone", "combination"))
     reach = (np.abs(position) + np.nan_to_num(width))[good if good.any() else slice(None)]
-    limit = float(1.1 * np.percentile(reach, 97)) if count else 1.0
+    usual, longest = np.percentile(reach, [90, 100]) if count else (1.0, 1.0)
+    # Everything, unless a few intervals are so long that the others would be dots.
+    limit = float(1.05 * longest if longest <= 4.0 * usual else 1.1 * np.percentile(reach, 97))
     limit = limit if limit > 0 else 1.0
     for kind, colour in CLASSES.items():
         at = np.flatnonzero(np.array(classes) == kind)
