@@ -90,6 +90,18 @@ KINDS: dict[str, Kind] = {
 }
 
 
+#: Effects of the experiment format that no estimator here takes yet.
+NOT_YET = (
+    "sensor_gain", "sensor_crosstalk", "sensor_rotation", "sensor_translation", "sensor_delay", "base_tilt", "payload",
+    "inertia_error", "tether", "fluid_drag", "rotor_momentum", "joint_flexibility", "encoder_offset", "external_contact",
+    "base_compliance", "stribeck_friction", "load_friction", "torque_gain", "torque_ripple", "spring",
+)  # fmt: skip
+
+
+class UnsupportedEffectError(InputError):
+    """An effect of the format that cannot be estimated yet."""
+
+
 @dataclass(frozen=True)
 class Effect:
     """A kind of effect at its place; ``joint`` is None for the sensor."""
@@ -140,14 +152,18 @@ def parse_effects(specs: Sequence[str], joint_names: Sequence[str], channels: Se
     ------
     InputError
         Unknown name or place.
+    UnsupportedEffectError
+        An effect of the format that cannot be estimated yet.
     """
     effects: dict[tuple[str, str], Effect] = {}
     for spec in specs:
         name, _, where = spec.partition("@")
         if name not in KINDS:
-            close = get_close_matches(name, KINDS, 1)
+            if name in NOT_YET:
+                raise UnsupportedEffectError(f"effect '{spec}': cannot be estimated yet; leave it out, or use {', '.join(KINDS)}")
+            close = get_close_matches(name, [*KINDS, *NOT_YET], 1)
             hint = f"did you mean '{close[0]}'?" if close else f"known: {', '.join(KINDS)}"
-            raise InputError(f"effect '{spec}': '{name}' is not an effect that can be estimated; {hint}")
+            raise InputError(f"effect '{spec}': no effect is called '{name}'; {hint}")
         kind = KINDS[name]
         for effect in _places(spec, name, kind, where, joint_names):
             if any(c.startswith("tau") == (kind.acts_on == "torque") for c in channels):

@@ -164,7 +164,11 @@ def prepare(
     fitted = [r for m in chosen for r in recordings[m.name]]
     if any(r.offset for r in fitted) and channel != "torque" and not any(s.partition("@")[0] == "sensor_offset" for s in specs):
         specs.insert(0, "sensor_offset")
-    parsed = parse_effects(specs, experiment.robot.joint_names, channels.names)
+    try:
+        parsed = parse_effects(specs, experiment.robot.joint_names, channels.names)
+    except InputError as error:
+        place = "experiment.toml: [model] effects" if effects is None else "--effects"
+        raise type(error)(f"{place}: {error}") from None
     base = structural_base(
         experiment.robot,
         channels,
