@@ -9,7 +9,6 @@ import numpy as np
 from scipy.linalg import solve_toeplitz
 from scipy.spatial.transform import Rotation
 
-from bayesid import inertia
 from bayesid.base_parameters import structural_base
 from bayesid.effects import parse_effects
 from bayesid.errors import InputError
@@ -187,7 +186,7 @@ def prepare(
         channel=channel,
         recipe=recipe,
         smoother=smoother,
-        regression=_regression(recipe, fitted, tuple(m.name for m in readable)),
+        regression=_regression(recipe, fitted, tuple(m.name for m in readable), experiment.inertia_rel_std),
         recordings=recordings,
         fitted=tuple(m.name for m in chosen),
         static="none" if all(m.static is None for m in chosen) or channel == "torque" else ("motion" if subtract else "joint"),
@@ -197,15 +196,12 @@ def prepare(
 def restrict(problem: Problem, motions: Sequence[str]) -> Problem:
     """The same model fitted to other motions."""
     recordings = [r for name in motions for r in problem.recordings[name]]
-    regression = _regression(problem.recipe, recordings, problem.regression.motion_names)
+    regression = _regression(problem.recipe, recordings, problem.regression.motion_names, problem.experiment.inertia_rel_std)
     return replace(problem, regression=regression, fitted=tuple(motions))
 
 
-def _regression(recipe: Recipe, fitted: list[Recording], names: tuple[str, ...]) -> Regression:
+def _regression(recipe: Recipe, fitted: list[Recording], names: tuple[str, ...], trust: float | None) -> Regression:
     robot, base = recipe.robot, recipe.base
-    inverse = np.zeros((robot.nominal.size, robot.nominal.size))
-    for k, body in enumerate(robot.nominal):
-        inverse[10 * k : 10 * k + 10, 10 * k : 10 * k + 10] = np.linalg.inv(inertia.pullback_metric(body))
     return Regression(
         base=base,
         effect_names=tuple(n for e in recipe.effects for n in e.column_names),
@@ -217,8 +213,9 @@ def _regression(recipe: Recipe, fitted: list[Recording], names: tuple[str, ...])
         row_count=row_count(recipe, fitted),
         pilot_source=lambda: make_blocks(recipe, _stretches(recipe, fitted)),
         known_poles=_known_poles(recipe, fitted),
-        nominal=base.matrix @ robot.nominal.ravel(),
-        nominal_scale=np.sqrt(np.einsum("ij,jk,ik->i", base.matrix, inverse, base.matrix)),
+        effect_non_negative=tuple(e.kind.non_negative for e in recipe.effects for _ in e.column_names),
+        nominal_links=robot.nominal.ravel(),
+        inertia_rel_std=trust,
         bodies=tuple(tuple(range(10 * k, 10 * k + 10)) for k in range(len(robot.body_names))),
     )
 

@@ -11,12 +11,14 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
 from bayesid.base_parameters import BaseParameters, regroup
 from bayesid.errors import InputError
 from bayesid.filters import LowPass
+from bayesid.priors import Prior
 
 #: Rows are kept in memory up to this many bytes, and made anew at every reading beyond.
 CACHE_BYTES = 64 * 2**20
@@ -82,11 +84,12 @@ class Regression:
         Makes blocks of a few stretches alone, where there are many more rows than `PILOT_ROWS`.
     known_poles
         Poles of the low-pass filters that the rows went through from the zero state, at the rows' spacing.
-    nominal
-        Base parameters of the nominal model (r,), if there is one, and the scale of their uncertainty when
-        every body's mass distribution is uncertain by its own size.
-    nominal_scale
-        See ``nominal`` (r,).
+    effect_non_negative
+        Which effect parameters cannot be negative; empty: none.
+    nominal_links
+        Link parameters of the nominal model, in the order of ``base.parameter_names`` (P,), if there is one.
+    inertia_rel_std
+        How far they are trusted, see `bayesid.priors.Prior.nominal`; 0: exact, None: not known.
     bodies
         Columns of ``base.parameter_names`` that are a body's ten parameters.
     """
@@ -101,8 +104,9 @@ class Regression:
     row_count: int = 0
     pilot_source: Callable[[], Iterable[Block]] | None = None
     known_poles: np.ndarray | None = None
-    nominal: np.ndarray | None = None
-    nominal_scale: np.ndarray | None = None
+    effect_non_negative: tuple[bool, ...] = ()
+    nominal_links: np.ndarray | None = None
+    inertia_rel_std: float | None = None
     bodies: tuple[tuple[int, ...], ...] = ()
     _kept: list[Block] = field(default_factory=list, repr=False, compare=False)
     _pilot: list[Block] = field(default_factory=list, repr=False, compare=False)
@@ -111,6 +115,19 @@ class Regression:
     def column_names(self) -> tuple[str, ...]:
         """Base parameters, then effect parameters."""
         return self.base.names + self.effect_names
+
+    @property
+    def nominal(self) -> np.ndarray | None:
+        """Base parameters of the nominal model (r,), if there is one."""
+        return None if self.nominal_links is None else self.base.matrix @ self.nominal_links
+
+    @cached_property
+    def nominal_scale(self) -> np.ndarray | None:
+        """How uncertain ``nominal`` is when every body's mass distribution is so by its own size (r,)."""
+        if self.nominal_links is None:
+            return None
+        covariance = Prior.nominal(self.nominal_links, 2.0**0.5).covariance
+        return np.sqrt(np.einsum("ij,jk,ik->i", self.base.matrix, covariance, self.base.matrix))
 
     @property
     def fits_in_memory(self) -> bool:
