@@ -1,7 +1,4 @@
-"""What a simulated plant has beyond rigid bodies, with values of plausible size.
-
-Effects that can be estimated can be simulated; friction laws that only a real drive has come on top.
-"""
+"""What a simulated plant has beyond rigid bodies, with values of plausible size."""
 
 from __future__ import annotations
 
@@ -10,59 +7,37 @@ from difflib import get_close_matches
 
 import numpy as np
 
-from bayesid.effects import KINDS, REST_SPEED, Effect, State, parse_effects
+from bayesid.effects import KINDS, Effect, Scene, Term, parse_effects, reach_of, readings, typical
 from bayesid.errors import InputError
-from bayesid.momentum import WRENCH_NAMES
+from bayesid.momentum import WRENCH_NAMES, Channels
 from bayesid.robot import Robot
-from bayesid.trajectories import motion_limits
 
 Values = Mapping[str, float | bool]
 
-#: Friction that only the plant has: its parameters and their units.
-PLANT_ONLY = {
-    "stribeck_friction": (("level", "velocity"), ("N m", "rad/s")),
-    "load_friction": (("coefficient",), ("1",)),
-}
-#: Effort where the URDF states none [N m or N].
-ANY_EFFORT = 100.0
-# A strain-gauge platform under an arm: tens of newtons [N, N m]; drift per second is a thousandth.
-_OFFSET = (14.0, -9.0, 26.0, 1.6, -2.1, 0.7)
+_CHUNK = 8192  # samples whose readings are made at once
+#: What is differentiated again on the way, a flexible joint's torque, is smooth up to this [Hz].
+_BANDWIDTH = 20.0
 
 
 def parameters(name: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Names and units of an effect's parameters."""
-    return PLANT_ONLY[name] if name in PLANT_ONLY else (KINDS[name].parameters, KINDS[name].units)
+    return KINDS[name].parameters, KINDS[name].units
 
 
 def default_values(name: str, joint: int | None, robot: Robot) -> dict[str, float]:
-    """Parameters of plausible size.
-
-    Rotor inertia is as in the PUMA 560's drives, where gear ratio^2 x rotor inertia is about 1 % of the effort
-    limit (source: see `bayesid.demo.puma_friction`); all others are assumed, friction within the usual percentages
-    of the rated torque.
+    """Parameters of plausible size, see `bayesid.effects.typical`.
 
     Parameters
     ----------
     name
         Of the effect.
     joint
-        Where it acts; None: at the sensor.
+        Where it acts; None: elsewhere.
     robot
-        Its effort and velocity limits.
+        Its masses, lengths, and effort and velocity limits.
     """
-    if joint is None:
-        scale = 1e-3 if name == "sensor_drift" else 1.0
-        return {key: scale * value for key, value in zip(WRENCH_NAMES, _OFFSET, strict=True)}
-    effort = float(robot.effort_limit[joint]) if np.isfinite(robot.effort_limit[joint]) else ANY_EFFORT
-    speed = float(motion_limits(robot)[2][joint])
-    return {
-        "viscous_friction": {"coefficient": 0.06 * effort / speed},
-        "coulomb_friction": {"level": 0.05 * effort},
-        "torque_offset": {"offset": 0.01 * effort},
-        "rotor_inertia": {"inertia": 0.01 * effort},
-        "stribeck_friction": {"level": 0.02 * effort, "velocity": 0.05 * speed},
-        "load_friction": {"coefficient": 0.05},
-    }[name]
+    effect = Effect(name, KINDS[name].at if joint is None else f"joint{joint + 1}", joint)
+    return dict(zip(effect.kind.parameters, map(float, typical(effect, robot)), strict=True))
 
 
 def complete_effects(
@@ -88,70 +63,82 @@ def complete_effects(
     given = effects if isinstance(effects, Mapping) else dict.fromkeys(effects)
     out: dict[str, dict[str, float]] = {}
     for spec, own in given.items():
-        for name, where, joint in _places(spec, robot):
-            place = f"{name}@{where}"
+        for effect in _parse(spec, robot):
+            own_here = own
             if own is None:
-                own_here = stated.get(place, stated.get(spec, stated.get(name)))
-            else:
-                own_here = own
-            values = default_values(name, joint, robot)
+                own_here = stated.get(effect.spec, stated.get(spec, stated.get(effect.name)))
+            values = default_values(effect.name, effect.joint, robot)
             known = {key: float(value) for key, value in (own_here or {}).items() if key != "fixed"}
             for key in known:
                 if key not in values:
                     raise InputError(f"effect '{spec}': no parameter '{key}'; it has {', '.join(values)}")
-            if joint is None and known:
+            if effect.name in ("sensor_offset", "sensor_drift") and known:
                 values = dict.fromkeys(values, 0.0)
-            out[place] = values | known
+            out[effect.spec] = values | known
     return out
 
 
-def _places(spec: str, robot: Robot) -> list[tuple[str, str, int | None]]:
-    name, at, where = spec.partition("@")
-    if name not in KINDS and name not in PLANT_ONLY:
-        known = [*KINDS, *PLANT_ONLY]
-        close = get_close_matches(name, known, 1)
-        hint = f"did you mean '{close[0]}'?" if close else f"known: {', '.join(known)}"
+def _parse(spec: str, robot: Robot, gear_ratio: Mapping[str, float] | None = None) -> tuple[Effect, ...]:
+    name = spec.partition("@")[0]
+    if name not in KINDS:
+        close = get_close_matches(name, KINDS, 1)
+        hint = f"did you mean '{close[0]}'?" if close else f"known: {', '.join(KINDS)}"
         raise InputError(f"effect '{spec}': '{name}' cannot be simulated; {hint}")
-    if name not in PLANT_ONLY:
-        return [(effect.name, effect.where, effect.joint) for effect in _parse(spec, robot)]
-    joints = {joint: i for i, joint in enumerate(robot.joint_names)} | {f"joint{i + 1}": i for i in range(robot.n)}
-    if at and where not in joints:
-        raise InputError(f"effect '{spec}': no joint '{where}'; write joint1 to joint{robot.n} or a URDF joint name")
-    return [(name, f"joint{i + 1}", i) for i in ([joints[where]] if at else range(robot.n))]
+    channels = (*WRENCH_NAMES, *(f"tau{i + 1}" for i in range(robot.n)))
+    return parse_effects([spec], robot.joint_names, channels, gear_ratio)
 
 
-def _parse(spec: str, robot: Robot) -> tuple[Effect, ...]:
-    return parse_effects([spec], robot.joint_names, (*WRENCH_NAMES, *(f"tau{i + 1}" for i in range(robot.n))))
-
-
-def readings(
-    robot: Robot, plant: Mapping[str, Mapping[str, float]], state: State, channels: Sequence[str], rigid: np.ndarray
-) -> np.ndarray:
-    """What the effects add to the channels' readings (N, c).
+def plant_terms(
+    robot: Robot, plant: Mapping[str, Mapping[str, float]], gear_ratio: Mapping[str, float] | None = None
+) -> tuple[Term, ...]:
+    """`complete_effects` as terms of the exact model.
 
     Parameters
     ----------
     robot, plant
-        Its joints and `complete_effects`.
-    state
-        True motion.
-    channels
-        Names of the channels.
-    rigid
-        What the rigid bodies make them read (N, c).
+        Its joints and effects.
+    gear_ratio
+        By the joint's name.
     """
-    out = np.zeros_like(rigid)
-    for spec, values in plant.items():
-        name, _, where = spec.partition("@")
-        if name not in PLANT_ONLY:
-            for effect in _parse(spec, robot):
-                out += effect.columns(state, channels) @ np.array(list(values.values()))
-        elif "tau" + where.removeprefix("joint") in channels:
-            k = channels.index("tau" + where.removeprefix("joint"))
-            velocity = state.velocities[:, int(where.removeprefix("joint")) - 1]
-            sense = np.clip(velocity / REST_SPEED, -1.0, 1.0)
-            if name == "load_friction":
-                out[:, k] += values["coefficient"] * np.abs(rigid[:, k]) * sense
-            else:
-                out[:, k] += values["level"] * np.exp(-((velocity / values["velocity"]) ** 2)) * sense
+    return tuple(
+        Term(effect, tuple(values[key] for key in effect.kind.parameters))
+        for spec, values in plant.items()
+        for effect in _parse(spec, robot, gear_ratio)
+    )
+
+
+def encoder_offsets(robot: Robot, terms: Sequence[Term]) -> np.ndarray:
+    """What the encoders read beyond the truth (n,) [rad or m]."""
+    out = np.zeros(robot.n)
+    for term in terms:
+        if term.effect.name == "encoder_offset":
+            out[term.effect.joint] += term.values[0]
+    return out
+
+
+def plant_readings(robot: Robot, channels: Channels, scene: Scene, links: np.ndarray, terms: Sequence[Term]) -> np.ndarray:
+    """What a plant's channels read (N, c), made piece by piece.
+
+    Parameters
+    ----------
+    robot, channels, scene, links, terms
+        As in `bayesid.effects.readings`.
+    """
+    times, size = scene.times, len(scene.times)
+    margin = 0.0
+    if not scene.still and size > 1:
+        margin = reach_of(terms, _BANDWIDTH, float(np.median(np.diff(times))))
+    middle = scene.middle_positions
+    out = np.empty((size, len(channels)))
+    for first in range(0, size, _CHUNK):
+        last = min(first + _CHUNK, size)
+        a, b = first, last
+        if margin:
+            a = int(np.searchsorted(times, times[first] - margin))
+            b = int(np.searchsorted(times, times[last - 1] + margin, side="right"))
+        part = slice(a, b)
+        piece = Scene(
+            times[part], scene.positions[part], scene.velocities[part], scene.accelerations[part], scene.still, _BANDWIDTH, middle
+        )
+        out[first:last] = readings(robot, channels, piece, links, terms)[first - a : last - a]
     return out

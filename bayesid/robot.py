@@ -7,7 +7,7 @@ the link it is in; the far part becomes a body of its own, after all joints' bod
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
@@ -56,6 +56,9 @@ class Robot:
         Which bodies the sensor carries (b,).
     static_nominal
         Nominal parameters of what does not move but is carried by a base sensor, about the root (10,).
+    rod_joint, rods
+        Straight lines from the origin of each moving link to those of its child joints, fixed and locked ones
+        included: the joint whose frame each moves with (r,), its two ends in that frame (r, 2, 3) [m].
     """
 
     name: str
@@ -81,6 +84,8 @@ class Robot:
     sensor_translation: np.ndarray
     sensor_bodies: np.ndarray
     static_nominal: np.ndarray
+    rod_joint: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
+    rods: np.ndarray = field(default_factory=lambda: np.zeros((0, 2, 3)))
 
     @property
     def n(self) -> int:
@@ -206,7 +211,9 @@ def load_robot(
             if sensor.far is not None and sensor.parent < 0
             else np.zeros(10)
         )
+    rod_joint, rods = _rods(model, anchor, frame)
     arrays = dict(
+        rod_joint=rod_joint, rods=rods,
         parent=parent, rotation=rotation, translation=translation, axis=axis, prismatic=prismatic, lower=lower,
         upper=upper, velocity_limit=velocity_limit, effort_limit=effort_limit,
         gravity=np.asarray(gravity, float), body_joint=body_joint, nominal=nominal, body_rotation=body_rotation,
@@ -318,6 +325,30 @@ def _locate_sensor(urdf: Path, model, name: str, index, parent, anchor, frame) -
             bodies[[k for k in range(n) if _descends(parent, k, anchor[j])]] = True
     bodies[n:] = True
     return _Sensor(mover, placement, bodies, far)
+
+
+def _rods(model, anchor, frame) -> tuple[np.ndarray, np.ndarray]:
+    """Lines between the origins of neighbouring joints of moving links; none on the root."""
+    joint, ends = [], []
+    kinds = (pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)
+    for k, child in enumerate(model.frames):
+        if child.type not in kinds or k == 0:
+            continue
+        up = int(child.parentFrame)
+        while up and model.frames[up].type not in kinds:
+            up = int(model.frames[up].parentFrame)
+        # A joint's own frame sits in that joint; the line to it belongs to the link before.
+        holder = model.frames[up]
+        mover = int(holder.parentJoint)
+        if anchor[mover] < 0:
+            continue
+        if child.type == pin.FrameType.JOINT:
+            tip = frame[mover] * model.jointPlacements[int(child.parentJoint)].translation
+        else:
+            tip = frame[mover] * child.placement.translation
+        joint.append(anchor[mover])
+        ends.append([frame[mover] * holder.placement.translation, tip])
+    return np.array(joint, int), np.array(ends, float).reshape(-1, 2, 3)
 
 
 def _descends(parent: np.ndarray, joint: int, ancestor: int) -> bool:

@@ -23,17 +23,16 @@ from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 from bayesid import inertia
-from bayesid.effects import REST_SPEED, State
+from bayesid.effects import REST_SPEED, State, middle_of
+from bayesid.effects.sizes import ANY_EFFORT
 from bayesid.errors import InputError
 from bayesid.experiment import Experiment, Motion, Sensor, write_experiment
-from bayesid.momentum import Channels, dynamics_regressor, torque_channels, wrench_channels
-from bayesid.plant import ANY_EFFORT, Values, complete_effects, parameters, readings
+from bayesid.momentum import torque_channels, wrench_channels
+from bayesid.plant import Values, complete_effects, encoder_offsets, parameters, plant_readings, plant_terms
 from bayesid.robot import Robot, load_robot
 from bayesid.schema import ExperimentFile, model_parts, read_file
 from bayesid.tables import Table
 from bayesid.trajectories import Trajectory, new_trajectories, recorded_trajectories
-
-_CHUNK = 8192  # samples whose regressor is held at once
 
 
 @dataclass(frozen=True)
@@ -210,7 +209,7 @@ def simulate(
         true = perturbed_links(replace(robot, nominal=true), perturb, streams[1])
     plant = complete_effects(robot, effects, setup.effect_values)
     recorder = _complete(recorder or Recorder(), setup)
-    bench = _Bench(setup, true, plant, recorder, np.random.default_rng(streams[2]))
+    bench = _Bench(setup, true, plant, recorder, np.random.default_rng(streams[2]), _middle(trajectories))
     resolution = float(np.max(recorder.resolution or 0.0))
     return Simulation(
         name=setup.name, robot=robot, motions=tuple(bench.record(t) for t in trajectories),
@@ -256,6 +255,13 @@ def load_setup(folder: str | Path) -> Experiment:
     )  # fmt: skip
 
 
+def _middle(trajectories: Sequence[Trajectory]) -> np.ndarray | None:
+    """Middle of the first motion that is fitted: a mount has one stiffness in all of them."""
+    moving = [t for t in trajectories if t.kind != "poses"]
+    moving = [t for t in moving if t.role == "identification"] or moving
+    return middle_of(moving[0].positions) if moving else None
+
+
 def _complete(recorder: Recorder, setup: Experiment) -> Recorder:
     """Fill in what the setup states, else a common value."""
     sensor = setup.sensor or Sensor()
@@ -270,8 +276,13 @@ def _complete(recorder: Recorder, setup: Experiment) -> Recorder:
 class _Bench:
     """Turns true motions into recordings."""
 
-    def __init__(self, setup: Experiment, links: np.ndarray, plant, recorder: Recorder, rng: np.random.Generator):
-        self.robot, self.links, self.plant, self.recorder, self.rng = setup.robot, links.ravel(), plant, recorder, rng
+    def __init__(
+        self, setup: Experiment, links: np.ndarray, plant, recorder: Recorder, rng: np.random.Generator, middle: np.ndarray | None
+    ):
+        self.robot, self.links, self.recorder, self.rng = setup.robot, links, recorder, rng
+        self.terms = plant_terms(setup.robot, plant, setup.gear_ratio)
+        self.middle = middle
+        self.encoder_offset = encoder_offsets(setup.robot, self.terms)
         self.torque = torque_channels(self.robot)
         self.wrench = None
         if setup.sensor is not None:
@@ -281,17 +292,21 @@ class _Bench:
         self.drive_std = (recorder.drive_std or 0.0) * effort
 
     def record(self, motion: Trajectory) -> Motion:
-        moving = State(motion.times, motion.positions, motion.velocities, motion.accelerations)
-        table = self._table(moving, motion.name, motion.kind == "poses")
+        poses = motion.kind == "poses"
+        moving = State(motion.times, motion.positions, motion.velocities, motion.accelerations, still=poses)
+        table = self._table(moving, motion.name)
         static = None
         if motion.static_positions is not None:
             q = motion.static_positions
             times = motion.times if len(q) == len(motion.times) else np.arange(float(len(q)))
-            static = self._table(State(times, q, np.zeros_like(q), np.zeros_like(q)), f"{motion.name}_static", True)
+            held = State(times, q, np.zeros_like(q), np.zeros_like(q), still=True)
+            static = self._table(held, f"{motion.name}_static")
         return Motion(motion.name, motion.role, table, motion.kind, static, motion.period, motion.parked)
 
-    def _table(self, state: State, name: str, rest: bool) -> Table:
+    def _table(self, state: State, name: str) -> Table:
         rng, recorder = self.rng, self.recorder
+        # What the encoders say of the true motion, before noise: they know nothing of a joint that gives.
+        state = replace(state, positions=state.positions + self.encoder_offset, middle=self.middle)
         q = state.positions + (recorder.position_std or 0.0) * rng.normal(size=state.positions.shape)
         count = np.broadcast_to(np.asarray(recorder.resolution or 0.0, float), (self.robot.n,))
         q = np.where(count > 0, np.round(q / np.where(count > 0, count, 1.0)) * count, q)
@@ -301,22 +316,11 @@ class _Bench:
         wrench = None
         if self.wrench is not None:
             std = np.repeat([recorder.force_std or 0.0, recorder.torque_std or 0.0], 3)
-            rigid = self._rigid(self.wrench, state)
-            wrench = rigid + readings(self.robot, self.plant, state, self.wrench.names, rigid)
+            wrench = plant_readings(self.robot, self.wrench, state, self.links, self.terms)
             wrench += std * rng.normal(size=wrench.shape)
-        torques = self._rigid(self.torque, state)
-        if rest:
+        if state.still:
             # At rest friction holds whatever the drive happens to push with: partly mobilised, as in a slow creep.
             state = replace(state, velocities=REST_SPEED * rng.uniform(-1, 1, q.shape))
-        torques = torques + readings(self.robot, self.plant, state, self.torque.names, torques)
+        torques = plant_readings(self.robot, self.torque, state, self.links, self.terms)
         torques += self.drive_std * rng.normal(size=q.shape)
         return Table(state.times, q, velocities, None, torques, wrench, source=f"{name}.csv")
-
-    def _rigid(self, channels: Channels, state: State) -> np.ndarray:
-        """What rigid bodies make the channels read (N, c)."""
-        out = np.empty((len(state.times), len(channels)))
-        for a in range(0, len(out), _CHUNK):
-            part = slice(a, a + _CHUNK)
-            q, v, acceleration = state.positions[part], state.velocities[part], state.accelerations[part]
-            out[part] = dynamics_regressor(self.robot, channels, q, v, acceleration) @ self.links
-        return out + channels.static_wrench

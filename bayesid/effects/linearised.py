@@ -1,0 +1,178 @@
+"""Readings about a point, as a linear model: columns, and a target shifted so that the solution is the full value."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bayesid.effects.effect import Effect, Scene, Term
+from bayesid.effects.model import columns, readings, rigid_columns
+from bayesid.errors import InputError
+from bayesid.momentum import Channels
+from bayesid.robot import Robot
+from bayesid.smoothing import OVERLAP
+
+#: Effects whose columns the joint motion alone gives: models of these only need no point.
+PLAIN = ("sensor_offset", "sensor_drift", "viscous_friction", "coulomb_friction", "torque_offset", "rotor_inertia")
+#: Ringing of a mount is followed until it has died down to exp(-8), but no longer than this [s].
+_LONGEST = 20.0
+_FORGOTTEN = 1.5
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """Where the readings are linearised.
+
+    Attributes
+    ----------
+    links
+        Ten parameters a body (b, 10).
+    base
+        The base parameters that belong to them (r,).
+    values
+        Of all effects' parameters, one after the other; an offset with what the model counts into it.
+    free
+        Which of them are estimated.
+    absorbed
+        What of a sensor's offset is weight, by axis, (6,) [N, N m].
+    middle
+        Joint positions at the middle of the motion (n,), or None.
+    """
+
+    links: np.ndarray
+    base: np.ndarray
+    values: np.ndarray
+    free: np.ndarray
+    absorbed: np.ndarray
+    middle: np.ndarray | None = None
+
+    def terms(self, effects: Sequence[Effect]) -> tuple[Term, ...]:
+        """The effects with their values; of an offset, what is the sensor's own."""
+        out, start = [], 0
+        for effect in effects:
+            count = len(effect.kind.parameters)
+            values = self.values[start : start + count]
+            out.append(Term(effect, tuple(values - self.absorbed if effect.name == "sensor_offset" else values)))
+            start += count
+        return tuple(out)
+
+    def reach(self, effects: Sequence[Effect], bandwidth: float, step: float) -> float:
+        """Time before and after some samples that their readings depend on [s]."""
+        return reach_of(self.terms(effects), bandwidth, step)
+
+    def settling(self, effects: Sequence[Effect]) -> float:
+        """Time that a mount is given to forget how it was set off [s]; the same at every point, so that rows stay."""
+        return _FORGOTTEN if any(effect.name == "base_compliance" for effect in effects) else 0.0
+
+
+def reach_of(terms: Sequence[Term], bandwidth: float, step: float) -> float:
+    """Time before and after some samples that their readings depend on [s].
+
+    Parameters
+    ----------
+    terms
+        The effects.
+    bandwidth
+        Of the joint motion [Hz].
+    step
+        Time between samples [s].
+    """
+    out = 0.0
+    for term in terms:
+        if term.effect.name == "sensor_delay":
+            out = max(out, abs(term.values[0]) + 20.0 * step)
+        elif term.effect.name == "joint_flexibility":
+            out = max(out, OVERLAP / bandwidth)
+        elif term.effect.name == "base_compliance":
+            rate = 2.0 * np.pi * term.values[0] * max(term.values[1], 1e-3)
+            out = max(out, min(8.0 / rate, _LONGEST) + 2.0 / bandwidth)
+    return out
+
+
+def linearised(
+    robot: Robot,
+    channels: Channels,
+    scene: Scene,
+    effects: Sequence[Effect],
+    point: Point,
+    independent: np.ndarray,
+    measured: np.ndarray,
+    *,
+    gravity: bool,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Columns and target of the linear model about a point.
+
+    Parameters
+    ----------
+    robot, channels, scene, effects, point
+        The model.
+    independent
+        Indices of the links' parameters that are base parameters (r,).
+    measured
+        Readings, the static load of a base sensor included (N, c).
+    gravity
+        False: of measured readings less those at rest.
+
+    Returns
+    -------
+    rigid, others, target
+        (N, c, r), (N, c, free effect parameters), (N, c): what is measured less what the point reads, plus what
+        the columns make of the point.
+    """
+    terms = point.terms(effects)
+    rigid = rigid_columns(robot, channels, scene, point.links, terms, gravity=gravity)[:, :, independent]
+    parts = [np.zeros((*measured.shape, 0))]
+    start = 0
+    for effect in effects:
+        count = len(effect.kind.parameters)
+        if point.free[start : start + count].any():
+            parts.append(columns(robot, channels, scene, point.links, terms, effect, gravity=gravity))
+        start += count
+    others = np.concatenate(parts, axis=2)
+    target = measured - readings(robot, channels, scene, point.links, terms, gravity=gravity)
+    target = target + rigid @ point.base + others @ point.values[point.free]
+    return rigid, others, target
+
+
+def starting_point(
+    effects: Sequence[Effect], stated: Mapping[str, Mapping[str, float | bool]], joint_names: Sequence[str]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Values that an estimate starts from, and which are estimated.
+
+    Parameters
+    ----------
+    effects
+        The model's.
+    stated
+        ``[model.values]``, by ``name@where`` or ``name``.
+    joint_names
+        The URDF's.
+
+    Raises
+    ------
+    InputError
+        A value of a parameter that the effect does not have.
+    """
+    values, free = [], []
+    for effect in effects:
+        own = dict(zip(effect.kind.parameters, effect.kind.starts, strict=True))
+        spec = [effect.spec, effect.name]
+        if effect.joint is not None:
+            spec.insert(1, f"{effect.name}@{joint_names[effect.joint]}")
+        given = next((stated[s] for s in spec if s in stated), {})
+        for key, value in given.items():
+            if key == "fixed":
+                continue
+            if key not in own:
+                raise InputError(f"[model.values] '{effect.spec}': no parameter '{key}'; it has {', '.join(own)}")
+            own[key] = float(value)
+        values += own.values()
+        free += [not given.get("fixed", False)] * len(own)
+    return np.array(values, float), np.array(free, bool)
+
+
+def moved(point: Point, links: np.ndarray, base: np.ndarray, values: np.ndarray, absorbed: np.ndarray) -> Point:
+    """The point at other values."""
+    return replace(point, links=links, base=base, values=values, absorbed=absorbed)
