@@ -104,18 +104,11 @@ def transform(parameters: np.ndarray, rotation: np.ndarray, translation: np.ndar
     return from_pseudo_inertia(homogeneous @ pseudo_inertia(parameters) @ homogeneous.T)
 
 
-def pullback_metric(parameters: np.ndarray) -> np.ndarray:
-    """Constant pull-back metric of one body, (10, 10): relative change of its mass distribution [Lee2020]_.
+def solid(parameters: np.ndarray) -> np.ndarray:
+    """Pseudo-inertia (4, 4) of a body near this one that has mass and extent in every direction.
 
-    ``M_kl = 1/2 tr(P^-1 B_k P^-1 B_l)``: ``d' M d`` does not depend on units or frames. On the boundary of
-    the physical bodies (a point, a rod, a placeholder without extent) the metric is singular, so a body
-    flatter than about 3 % of its length is first thickened to that.
-
-    Parameters
-    ----------
-    parameters
-        Nominal ten parameters (10,); a body without mass has no metric of its own and gets that of a
-        1 g sphere of 1 cm.
+    A body flatter than about 3 % of its length is thickened to that, one smaller than a sphere of 1 cm to that,
+    and one without mass becomes such a sphere of 1 g.
     """
     parameters = np.asarray(parameters, float)
     pseudo = pseudo_inertia(parameters)
@@ -126,7 +119,23 @@ def pullback_metric(parameters: np.ndarray) -> np.ndarray:
     values, vectors = np.linalg.eigh(0.5 * (second + second.T))
     floor = mass * 0.01**2 if values[-1] <= mass * 0.01**2 else 1e-3 * values[-1]
     second = (vectors * np.maximum(values, floor)) @ vectors.T
-    pseudo = np.block([[second + mass * np.outer(com, com), mass * com[:, None]], [mass * com[None], np.array([[mass]])]])
+    return np.block([[second + mass * np.outer(com, com), mass * com[:, None]], [mass * com[None], np.array([[mass]])]])
+
+
+def pullback_metric(parameters: np.ndarray) -> np.ndarray:
+    """Constant pull-back metric of one body, (10, 10): relative change of its mass distribution [Lee2020]_.
+
+    ``M_kl = 1/2 tr(P^-1 B_k P^-1 B_l)``: ``d' M d`` does not depend on units or frames. On the boundary of
+    the physical bodies (a point, a rod, a placeholder without extent) the metric is singular, so it is that of the
+    body's `solid` neighbour.
+
+    Parameters
+    ----------
+    parameters
+        Nominal ten parameters (10,); a body without mass has no metric of its own and gets that of a
+        1 g sphere of 1 cm.
+    """
+    pseudo = solid(parameters)
     inverse = np.linalg.inv(pseudo)
     product = inverse @ BASIS  # (10, 4, 4)
     return 0.5 * np.einsum("kij,lji->kl", product, product)

@@ -201,7 +201,7 @@ def _give_back(fits: tuple[list[np.ndarray], list[float]], taken: list[np.ndarra
         return fits
     values = variances[-1] * _autocovariance(polynomials[-1], order)
     for lag in range(order + 1):
-        values[lag] += sum(np.vdot(z[lag:], z[: len(z) - lag]) for z in taken) / rows
+        values[lag] += sum(np.vdot(z[lag:], z[: max(len(z) - lag, 0)]) for z in taken) / rows
     polynomial, variance = np.array([1.0]), float(values[0])
     polynomials, variances = [polynomial], [variance]
     for p in range(1, order + 1):

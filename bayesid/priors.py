@@ -67,6 +67,41 @@ class Prior:
         bodies = tuple(tuple(range(10 * k, 10 * k + 10)) for k in range(len(links)))
         return cls(links.ravel(), precision, bodies, physical)
 
+    @classmethod
+    def warped(cls, links: np.ndarray, rel_std: float, *, physical: bool = True) -> Prior:
+        """Bodies that are nominal ones scaled, shifted and warped.
+
+        What a CAD model gets wrong is a body's mass, where its middle is and how it is spread, by a share of its
+        own size, and not ten numbers on their own: a slender link's middle may well lie a good part of its small
+        thickness off its axis, which the pull-back metric of `nominal` takes for almost impossible. The
+        pseudo-inertia becomes ``(1 + s e) T P T'`` with an affine map T near the identity: a shift of the centre of
+        mass by s times the radius of gyration along each axis, and a warp about it with every entry of standard
+        deviation s / 2.
+
+        Parameters
+        ----------
+        links
+            Nominal parameters, ten a body (b, 10) or (10 b,).
+        rel_std
+            The share s, above 0; the relative standard deviation of every mass.
+        physical
+            See the class.
+
+        Raises
+        ------
+        InputError
+            ``rel_std`` is not a positive number, or the links are not ten a body.
+        """
+        plain = cls.nominal(links, rel_std, physical=physical)
+        precision = np.zeros_like(plain.precision)
+        for body in plain.bodies:
+            covariance = _warps(plain.mean[list(body)], rel_std)
+            # A body without extent has directions that no warp reaches; a thousandth of the pull-back's reach is left.
+            covariance += 1e-3 * np.linalg.inv(plain.precision[np.ix_(body, body)])
+            size = np.sqrt(np.diag(covariance))
+            precision[np.ix_(body, body)] = np.linalg.inv(covariance / np.outer(size, size)) / np.outer(size, size)
+        return cls(plain.mean, precision, plain.bodies, physical)
+
     @property
     def covariance(self) -> np.ndarray:
         """(P, P).
@@ -78,3 +113,24 @@ class Prior:
         """
         scale = np.sqrt(np.diag(self.precision))
         return np.linalg.inv(self.precision / np.outer(scale, scale)) / np.outer(scale, scale)
+
+
+def _warps(body: np.ndarray, size: float) -> np.ndarray:
+    """Covariance of a body's ten parameters with scale, shift and warp of this size (10, 10)."""
+    pseudo, mass = inertia.pseudo_inertia(body), max(body[0], 1e-6)
+    centre = body[1:4] / mass
+    second = pseudo[:3, :3] / mass - np.outer(centre, centre)
+    radius = np.sqrt(max(np.trace(second), 1e-8))
+    maps = [radius * np.outer(np.eye(4)[k], np.eye(4)[3]) for k in range(3)]
+    for i in range(3):
+        for j in range(3):
+            warp = np.zeros((4, 4))
+            warp[i, j], warp[i, 3] = 0.5, -0.5 * centre[j]
+            maps.append(warp)
+    changes = [body] + [inertia.from_pseudo_inertia(m @ pseudo + pseudo @ m.T) for m in maps]
+    # The shift's square, m d d': second order, but as large as a slender body's own thickness.
+    for i, j in zip(*np.triu_indices(3), strict=True):
+        square = np.zeros((4, 4))
+        square[i, j] = square[j, i] = mass * radius**2 * size
+        changes.append(inertia.from_pseudo_inertia(square))
+    return size**2 * np.einsum("gi,gj->ij", changes, changes)

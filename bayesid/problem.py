@@ -9,8 +9,9 @@ import numpy as np
 from scipy.linalg import solve_toeplitz
 from scipy.spatial.transform import Rotation
 
-from bayesid.base_parameters import structural_base
-from bayesid.effects import parse_effects
+from bayesid.base_parameters import BaseParameters, structural_base
+from bayesid.effects import PLAIN, Effect, Point, middle_of, parse_effects, starting_point
+from bayesid.encoder_noise import errors_of
 from bayesid.errors import InputError
 from bayesid.experiment import Experiment, Motion
 from bayesid.filters import ROLL_OFF, LowPass
@@ -164,7 +165,7 @@ def prepare(
     if any(r.offset for r in fitted) and channel != "torque" and not any(s.partition("@")[0] == "sensor_offset" for s in specs):
         specs.insert(0, "sensor_offset")
     try:
-        parsed = parse_effects(specs, experiment.robot.joint_names, channels.names)
+        parsed = parse_effects(specs, experiment.robot.joint_names, channels.names, experiment.gear_ratio)
     except InputError as error:
         place = "experiment.toml: [model] effects" if effects is None else "--effects"
         raise type(error)(f"{place}: {error}") from None
@@ -180,13 +181,14 @@ def prepare(
         max(ROWS_PER_BANDWIDTH * smoother.bandwidth, LOWEST_ROW_RATE),
         min((1.0 / usual_step(r.times) for rs in recordings.values() for r in rs if not r.poses), default=np.inf),
     )
-    recipe = Recipe(experiment.robot, channels, base, parsed, smoother.bandwidth, 1.0 / rate, filters)
+    point = _point(experiment, base, parsed, fitted)
+    recipe = Recipe(experiment.robot, channels, base, parsed, smoother.bandwidth, 1.0 / rate, filters, point)
     return Problem(
         experiment=experiment,
         channel=channel,
         recipe=recipe,
         smoother=smoother,
-        regression=_regression(recipe, fitted, tuple(m.name for m in readable), experiment.inertia_rel_std),
+        regression=_regression(recipe, smoother, fitted, tuple(m.name for m in readable), experiment.inertia_rel_std),
         recordings=recordings,
         fitted=tuple(m.name for m in chosen),
         static="none" if all(m.static is None for m in chosen) or channel == "torque" else ("motion" if subtract else "joint"),
@@ -196,16 +198,65 @@ def prepare(
 def restrict(problem: Problem, motions: Sequence[str]) -> Problem:
     """The same model fitted to other motions."""
     recordings = [r for name in motions for r in problem.recordings[name]]
-    regression = _regression(problem.recipe, recordings, problem.regression.motion_names, problem.experiment.inertia_rel_std)
+    names, trust = problem.regression.motion_names, problem.experiment.inertia_rel_std
+    regression = _regression(problem.recipe, problem.smoother, recordings, names, trust)
     return replace(problem, regression=regression, fitted=tuple(motions))
 
 
-def _regression(recipe: Recipe, fitted: list[Recording], names: tuple[str, ...], trust: float | None) -> Regression:
+def relinearised(problem: Problem, point: Point) -> Problem:
+    """The same problem with its readings linearised at another point."""
+    recipe = replace(problem.recipe, point=point)
+    recordings = [r for name in problem.fitted for r in problem.recordings[name]]
+    names, trust = problem.regression.motion_names, problem.experiment.inertia_rel_std
+    return replace(problem, recipe=recipe, regression=_regression(recipe, problem.smoother, recordings, names, trust))
+
+
+def absorbed_offset(base: BaseParameters, links: np.ndarray) -> np.ndarray:
+    """What of a sensor's estimated offset is weight (6,)."""
+    return np.zeros(6) if base.absorbed is None else base.absorbed[:6] @ np.ravel(links)
+
+
+def _point(
+    experiment: Experiment, base: BaseParameters, effects: tuple[Effect, ...], fitted: list[Recording]
+) -> Point | None:
+    """Where to start from, for effects that are more than columns beside the rigid ones."""
+    try:
+        values, free = starting_point(effects, experiment.effect_values, experiment.robot.joint_names)
+    except InputError as error:
+        raise InputError(f"experiment.toml: {error}") from None
+    if all(e.name in PLAIN for e in effects) and free.all():
+        return None
+    links = experiment.robot.nominal
+    absorbed = absorbed_offset(base, links)
+    start = 0
+    for effect in effects:
+        count = len(effect.kind.parameters)
+        if effect.name == "sensor_offset":
+            values[start : start + count] += absorbed
+        start += count
+    return Point(links, base.matrix @ links.ravel(), values, free, absorbed, _middle(fitted))
+
+
+def _middle(fitted: list[Recording]) -> np.ndarray | None:
+    """Joint positions at the middle of the first fitted motion."""
+    moving = [r for r in fitted if not r.poses]
+    return middle_of(moving[0].positions) if moving else None
+
+
+def _free(recipe: Recipe, values) -> tuple:
+    """Of a tuple with one entry a parameter of the effects, those that are estimated."""
+    return tuple(value for value, free in zip(values, recipe.free, strict=True) if free)
+
+
+def _regression(
+    recipe: Recipe, smoother: Smoother, fitted: list[Recording], names: tuple[str, ...], trust: float | None
+) -> Regression:
     robot, base = recipe.robot, recipe.base
+    law, instruments = errors_of(recipe, fitted, smoother)
     return Regression(
         base=base,
-        effect_names=tuple(n for e in recipe.effects for n in e.column_names),
-        effect_units=tuple(u for e in recipe.effects for u in e.kind.units),
+        effect_names=_free(recipe, (n for e in recipe.effects for n in e.column_names)),
+        effect_units=_free(recipe, (u for e in recipe.effects for u in e.units)),
         channel_names=recipe.channels.names,
         channel_units=recipe.channels.units,
         motion_names=names,
@@ -213,10 +264,12 @@ def _regression(recipe: Recipe, fitted: list[Recording], names: tuple[str, ...],
         row_count=row_count(recipe, fitted),
         pilot_source=lambda: make_blocks(recipe, _stretches(recipe, fitted)),
         known_poles=_known_poles(recipe, fitted),
-        effect_non_negative=tuple(e.kind.non_negative for e in recipe.effects for _ in e.column_names),
+        effect_non_negative=_free(recipe, (sign for e in recipe.effects for sign in e.kind.non_negative)),
         nominal_links=robot.nominal.ravel(),
         inertia_rel_std=trust,
         bodies=tuple(tuple(range(10 * k, 10 * k + 10)) for k in range(len(robot.body_names))),
+        regressor_noise=law,
+        instruments=instruments,
     )
 
 
@@ -298,10 +351,16 @@ def _recordings(
         known = rest.wrench  # equation 21: free of offset and gravity
         gravity = offset = False
     table, poses = motion.table, motion.kind == "poses"
-    whole = Recording(table.times, table.positions, readings, known, index, gravity, offset, poses)
+    whole = Recording(
+        table.times, table.positions, readings, known, index, gravity, offset, poses, table.commanded, motion.period
+    )
     out = [whole] if poses else [whole.part(p.start, p.stop) for p in table.segments()]
     if rest is not None and rest.wrench is not None and offset:
-        out.append(Recording(rest.times, rest.positions, rest.wrench, channels.static_wrench, index, poses=True))
+        out.append(
+            Recording(
+                rest.times, rest.positions, rest.wrench, channels.static_wrench, index, poses=True, commanded=rest.commanded
+            )
+        )
     return out
 
 

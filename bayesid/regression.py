@@ -12,6 +12,8 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import chain, islice
+from typing import Any
 
 import numpy as np
 
@@ -63,6 +65,67 @@ class Block:
 
 
 @dataclass(frozen=True)
+class Pair:
+    """The same rows of two trajectories: regressors, and instruments for them.
+
+    Attributes
+    ----------
+    regressors, instruments
+        Blocks with the same rows and the same target.
+    symmetric
+        Whether each also serves as the instrument of the other.
+    """
+
+    regressors: Block
+    instruments: Block
+    symmetric: bool = False
+
+
+@dataclass(frozen=True)
+class Instruments:
+    """Rows whose errors are independent of the regressor's.
+
+    Attributes
+    ----------
+    pairs
+        Makes them, all recordings one after the other.
+    describe
+        What they are, for the estimate's details.
+    drawn
+        From the number of a draw: the same with further errors of the regressor's law, if that is known.
+    """
+
+    pairs: Callable[[], Iterable[Pair]]
+    describe: Callable[[], dict[str, Any]]
+    drawn: Callable[[int], Iterable[Pair]] | None = None
+
+
+@dataclass(frozen=True)
+class RegressorNoise:
+    """The law of the regressor's errors, as draws from it.
+
+    Attributes
+    ----------
+    perturbed
+        From the number of a draw and a sign: all blocks with that error more, times the sign.
+    rehearsed
+        Blocks of a motion near the recorded one: without errors (None), or with those of a draw.
+    present
+        Whether there is any.
+    describe
+        How large it is, for the estimate's details.
+    draws
+        How many there are; None: any number.
+    """
+
+    perturbed: Callable[[int, float], Iterable[Block]]
+    rehearsed: Callable[[int | None], Iterable[Block]]
+    present: Callable[[], bool]
+    describe: Callable[[], dict[str, Any]]
+    draws: int | None = None
+
+
+@dataclass(frozen=True)
 class Regression:
     """``target = matrix @ [base parameters; effect parameters] + noise`` as a stream of blocks.
 
@@ -92,6 +155,8 @@ class Regression:
         How far they are trusted, see `bayesid.priors.Prior.nominal`; 0: exact, None: not known.
     bodies
         Columns of ``base.parameter_names`` that are a body's ten parameters.
+    instruments, regressor_noise
+        What `iv` and `tls` need to know, if anything is known of it.
     """
 
     base: BaseParameters
@@ -108,8 +173,11 @@ class Regression:
     nominal_links: np.ndarray | None = None
     inertia_rel_std: float | None = None
     bodies: tuple[tuple[int, ...], ...] = ()
+    instruments: Instruments | None = None
+    regressor_noise: RegressorNoise | None = None
     _kept: list[Block] = field(default_factory=list, repr=False, compare=False)
     _pilot: list[Block] = field(default_factory=list, repr=False, compare=False)
+    _shared: dict[str, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
     def column_names(self) -> tuple[str, ...]:
@@ -157,6 +225,12 @@ class Regression:
                 self._pilot.extend(self.pilot_source())
         return self._pilot
 
+    def once(self, name: str, make: Callable[[], Any]) -> Any:
+        """What ``make`` gives, made at the first call only: estimators share what depends on the rows alone."""
+        if name not in self._shared:
+            self._shared[name] = make()
+        return self._shared[name]
+
     @classmethod
     def from_arrays(
         cls,
@@ -170,6 +244,8 @@ class Regression:
         motions: Sequence | np.ndarray | None = None,
         low_pass: LowPass | None = None,
         bodies: Sequence[Sequence[int]] = (),
+        instruments: np.ndarray | None = None,
+        regressor_noise: np.ndarray | None = None,
     ) -> Regression:
         """A regression from a filtered regressor and offset-free measurements of one's own.
 
@@ -190,6 +266,12 @@ class Regression:
             None: the colour of the noise is estimated.
         bodies
             Which columns are a body's ten parameters.
+        instruments
+            For ``iv``: the regressor of another trajectory of the same motion, filtered alike, whose errors are independent
+            of this one's (samples, channels, parameters).
+        regressor_noise
+            For ``tls``: simulated errors of the matrix, (draws, samples, channels, parameters): what your own way from
+            positions to the matrix makes of positions with fresh encoder noise on top, less the matrix. Ten draws do.
 
         Raises
         ------
@@ -206,6 +288,8 @@ class Regression:
                 where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
                 raise InputError(f"{name}{list(where)} is not finite; remove that sample or fill it from neighbours")
         samples, channels, p = matrix.shape
+        beside = _beside(instruments, matrix, "instruments", matrix.shape)
+        errors = _beside(regressor_noise, matrix, "regressor_noise", (-1, *matrix.shape))
         names = _named(parameter_names, p, "p", "parameter_names")
         channel = _named(channel_names, channels, "y", "channel_names")
         units = _named(parameter_units, p, "1", "parameter_units") if parameter_units else ("1",) * p
@@ -223,13 +307,57 @@ class Regression:
             Block(rows[a:b], clock[a:b], labels.index(ids[a].item()), True)
             for a, b in zip(starts, np.append(starts[1:], samples), strict=True)
         ]
+        noise = None if errors is None else _array_noise(blocks, errors[:, :, :, base.independent])
         poles = None
         if low_pass is not None:
             poles = low_pass.poles(float(np.median(np.diff(clock[: len(blocks[0].times)]))))
         return cls(
             base, (), (), channel, ("",) * channels, tuple(str(k) for k in labels), lambda: blocks,
             row_count=samples, known_poles=poles, bodies=tuple(tuple(b) for b in bodies), _kept=blocks,
+            instruments=None if beside is None else _array_instruments(blocks, beside[:, :, base.independent], noise),
+            regressor_noise=noise,
         )  # fmt: skip
+
+
+def _beside(given: np.ndarray | None, matrix: np.ndarray, argument: str, shape: tuple[int, ...]) -> np.ndarray | None:
+    """An optional array whose last axes are the matrix's."""
+    if given is None:
+        return None
+    array = np.asarray(given, float)
+    if array.ndim != len(shape) or array.shape[-3:] != matrix.shape or not array.size:
+        wanted = "(samples, channels, parameters)" if len(shape) == 3 else "(draws, samples, channels, parameters)"
+        raise InputError(f"{argument} has shape {array.shape} beside a matrix of {matrix.shape}; give {wanted}")
+    if not np.isfinite(array).all():
+        where = [int(i) for i in np.argwhere(~np.isfinite(array))[0]]
+        raise InputError(f"{argument}{where} is not finite; remove that sample or fill it from neighbours")
+    return array
+
+
+def _array_instruments(blocks: list[Block], beside: np.ndarray, noise: RegressorNoise | None) -> Instruments:
+    def pairs(regressors: Iterable[Block] = blocks) -> Iterator[Pair]:
+        first = 0
+        for block in regressors:
+            rows = np.concatenate([beside[first : first + len(block.rows)], block.rows[:, :, -1:]], axis=2)
+            yield Pair(block, replace(block, rows=rows))
+            first += len(block.rows)
+
+    drawn = None if noise is None else lambda draw: pairs(noise.perturbed(draw, 1.0))
+    return Instruments(pairs, lambda: {"instruments": ["as given"]}, drawn)
+
+
+def _array_noise(blocks: list[Block], errors: np.ndarray) -> RegressorNoise:
+    def perturbed(draw: int, sign: float) -> Iterator[Block]:
+        first = 0
+        for block in blocks:
+            rows = block.rows.copy()
+            rows[:, :, :-1] += sign * errors[draw, first : first + len(rows)]
+            first += len(rows)
+            yield replace(block, rows=rows)
+
+    def rehearsed(draw: int | None) -> Iterable[Block]:
+        return blocks if draw is None else perturbed(draw, 1.0)
+
+    return RegressorNoise(perturbed, rehearsed, lambda: bool(errors.any()), lambda: {"regressor_noise": "as given"}, len(errors))
 
 
 def _named(given, count, letter, argument) -> tuple[str, ...]:
@@ -263,8 +391,14 @@ def _spread(blocks: Iterable[Block], rows: int) -> Iterator[Block]:
 
 
 def in_order(work: Callable, jobs: Iterable) -> Iterator:
-    """Results in order from a few threads, with only a few results waiting at any time."""
+    """Results in order from a few threads, with only a few results waiting at any time; a single job needs none."""
     threads = min(os.cpu_count() or 1, 8)
+    jobs = iter(jobs)
+    few = list(islice(jobs, 2))
+    if len(few) < 2:
+        yield from map(work, few)
+        return
+    jobs = chain(few, jobs)
     with ThreadPoolExecutor(threads) as pool:
         waiting: deque = deque()
         for job in jobs:

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayesid.base_parameters import BaseParameters
-from bayesid.effects import Effect, State
+from bayesid.effects import Effect, Point, State, linearised
 from bayesid.errors import InputError
 from bayesid.filters import HALF_WIDTH, LowPass, low_pass, project
 from bayesid.momentum import Channels, dynamics_regressor, momentum_regressors
@@ -46,6 +46,10 @@ class Recording:
         Whether a sensor's constant offset is in it.
     poses
         Whether every sample is a pose at rest of its own.
+    commanded
+        Commanded positions (N, n), if they were recorded.
+    period
+        The motion repeats with it [s], if it does.
     """
 
     times: np.ndarray
@@ -56,6 +60,8 @@ class Recording:
     gravity: bool = True
     offset: bool = True
     poses: bool = False
+    commanded: np.ndarray | None = None
+    period: float | None = None
 
     def measured(self, first: int, last: int) -> np.ndarray:
         """Readings of samples first ... last - 1 less what is known (k, channels)."""
@@ -66,8 +72,9 @@ class Recording:
         span = slice(first, last)
         known = self.known if self.known.ndim == 1 else self.known[span]
         return replace(
-            self, times=self.times[span], positions=self.positions[span], readings=self.readings[span], known=known
-        )
+            self, times=self.times[span], positions=self.positions[span], readings=self.readings[span], known=known,
+            commanded=None if self.commanded is None else self.commanded[span],
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -84,6 +91,8 @@ class Recipe:
         Distance of rows [s].
     filters
         The paper's low-passes, or None for rows straight from the smoothed trajectory.
+    point
+        Where the readings are linearised, where effects are not plain columns beside the rigid ones.
     """
 
     robot: Robot
@@ -93,16 +102,23 @@ class Recipe:
     bandwidth: float
     step: float
     filters: LowPass | None = None
+    point: Point | None = None
 
     @property
     def margin(self) -> float:
-        """Time at both ends of a stretch where the smoothed trajectory is too loose to be used [s]."""
-        return 0.75 / self.bandwidth
+        """Time at both ends of a stretch where trajectory or mount have not settled [s]."""
+        settling = 0.0 if self.point is None else self.point.settling(self.effects)
+        return max(0.75 / self.bandwidth, settling)
+
+    @property
+    def free(self) -> np.ndarray:
+        """Which of the effects' parameters are estimated (p,)."""
+        return np.ones(sum(len(e.column_names) for e in self.effects), bool) if self.point is None else self.point.free
 
     @property
     def extra_columns(self) -> int:
-        """Number of effect parameters."""
-        return sum(len(e.column_names) for e in self.effects)
+        """Number of effect parameters that are estimated."""
+        return int(self.free.sum())
 
     def state(self, recording: Recording, first: int, last: int) -> State:
         """Smoothed trajectory of samples first ... last - 1, from them and enough neighbours."""
@@ -123,8 +139,27 @@ class Recipe:
             parts.append(np.zeros_like(columns) if effect.name == "sensor_offset" and not recording.offset else columns)
         return np.concatenate(parts, axis=2)
 
+    def about_point(self, recording: Recording, first: int, last: int) -> np.ndarray:
+        """Unfiltered rows of samples about the point: regressor, effects, shifted target (N, channels, p + 1)."""
+        assert self.point is not None
+        a, b = first, last
+        if not recording.poses:
+            times = recording.times
+            reach = self.point.reach(self.effects, self.bandwidth, float(np.median(np.diff(times[:1000]))))
+            a = int(np.searchsorted(times, times[first] - reach))
+            b = int(np.searchsorted(times, times[last - 1] + reach, side="right"))
+        scene = replace(self.state(recording, a, b), still=recording.poses, bandwidth=self.bandwidth, middle=self.point.middle)
+        read = recording.readings[a:b] if recording.gravity else recording.measured(a, b)
+        rigid, others, target = linearised(
+            self.robot, self.channels, scene, self.effects, self.point, self.base.independent, read, gravity=recording.gravity
+        )
+        part = slice(first - a, last - a)
+        return np.concatenate([rigid[part], others[part], target[part, :, None]], axis=2)
+
     def samples(self, recording: Recording, first: int, last: int) -> np.ndarray:
         """Unfiltered rows of samples: regressor, effects, measured (N, channels, p + 1)."""
+        if self.point is not None:
+            return self.about_point(recording, first, last)
         state = self.state(recording, first, last)
         rank, effects = self.base.rank, self.effect_columns(recording, state)
         out = np.empty((last - first, len(self.channels), rank + effects.shape[2] + 1))
@@ -184,6 +219,10 @@ def _direct(recipe: Recipe, recording: Recording, a: int, b: int) -> Iterator[_P
     def work(first: int) -> _Part:
         last = min(first + _CHUNK, b)
         times = recording.times[first:last]
+        if recipe.point is not None:
+            begin, rows, energy = _empty(recipe, start, times, recipe.base.rank + recipe.extra_columns + 1)
+            project(times, recipe.about_point(recording, first, last), start, recipe.step, begin, rows, energy)
+            return begin, rows, energy
         state = recipe.state(recording, first, last)
         rest = np.concatenate([recipe.effect_columns(recording, state), recording.measured(first, last)[:, :, None]], axis=2)
         begin, rigid, energy = _empty(recipe, start, times, recipe.base.rank)
@@ -209,6 +248,14 @@ def _filtered(recipe: Recipe, recording: Recording, a: int, b: int) -> Iterator[
     rigid_state = other_state = None
     for first in range(a, b, _CHUNK):
         last = min(first + _CHUNK, b)
+        if recipe.point is not None:
+            # The momentum has no simple form there: accelerations stand in for its rate.
+            times, wide = recording.times[first:last], recipe.about_point(recording, first, last)
+            begin, rows, energy = _empty(recipe, start, times, wide.shape[2])
+            filtered, other_state = low_pass(recipe.filters, times, -wide.reshape(len(times), -1), None, other_state)
+            project(times, filtered.reshape(wide.shape), start, recipe.step, begin, rows, energy)
+            yield begin, rows, energy
+            continue
         # One sample more on each side, for the correction below; the margin always leaves that.
         state = recipe.state(recording, first - 1, last + 1)
         begin, rows, energy = _empty(recipe, start, recording.times[first:last], recipe.base.rank + recipe.extra_columns + 1)

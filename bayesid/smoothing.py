@@ -47,11 +47,14 @@ class Smoother:
         Random error of one position sample around the smooth motion (n,) [rad or m].
     reason
         Where the bandwidth comes from, one sentence.
+    automatic
+        The bandwidth that cross-validation chooses [Hz]; 0: there was nothing to choose from.
     """
 
     bandwidth: float
     position_std: np.ndarray
     reason: str
+    automatic: float = 0.0
 
     @property
     def spacing(self) -> float:
@@ -152,7 +155,7 @@ def choose_smoother(
         if moving.any()
         else "no joint moves; the lowest bandwidth searched"
     )
-    return Smoother(bandwidth, np.maximum(errors[chosen], np.sqrt(floor)), reason)
+    return Smoother(bandwidth, np.maximum(errors[chosen], np.sqrt(floor)), reason, bandwidth)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

@@ -5,7 +5,7 @@ from robots import ur5, write
 from scipy.signal import lfilter
 
 from bayesid.errors import InputError
-from bayesid.estimators import METHODS, LeastSquares, Ridge, TruncatedSVD, fit
+from bayesid.estimators import LeastSquares, Ridge, TruncatedSVD, fit
 from bayesid.filters import LowPass
 from bayesid.problem import prepare
 from bayesid.regression import Regression
@@ -66,7 +66,7 @@ def test_weak_regularisation_and_full_rank_are_least_squares():
 def test_equal_white_noise_makes_all_methods_agree():
     matrix, target = make(np.random.default_rng(3), samples=4000, scales=(0.01, 0.01))
     regression = Regression.from_arrays(matrix, target)
-    values = [fit(regression, m).values for m in METHODS]
+    values = [fit(regression, m).values for m in ("ols", "wls", "gls", "ridge", "tsvd")]
     for v in values[1:]:
         np.testing.assert_allclose(v, values[0], rtol=1e-3)
 

@@ -2,11 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import fields, is_dataclass, replace
 from difflib import get_close_matches
 
 from bayesid.errors import InputError
+from bayesid.estimators.bounds import Bounds, load_bounds
+from bayesid.estimators.errors_in_variables import TotalLeastSquares
 from bayesid.estimators.estimator import Estimate, Estimator
+from bayesid.estimators.instrumental_variables import InstrumentalVariables
 from bayesid.estimators.least_squares import LeastSquares, Ridge, TruncatedSVD
+from bayesid.estimators.physical import Physical
+from bayesid.estimators.robust import Huber, Student
+from bayesid.priors import Prior
 from bayesid.regression import Regression
 
 #: Estimators by the names that the command line and `fit` understand.
@@ -16,6 +23,11 @@ METHODS: dict[str, Estimator] = {
     "gls": LeastSquares("gls", "noise"),
     "ridge": Ridge(),
     "tsvd": TruncatedSVD(),
+    "tls": TotalLeastSquares(),
+    "iv": InstrumentalVariables(),
+    "huber": Huber(),
+    "student": Student(),
+    "sdp": Physical(),
 }
 DEFAULT_METHOD = "wls"
 
@@ -37,7 +49,7 @@ def estimator(method: str | Estimator) -> Estimator:
     return METHODS[method]
 
 
-def fit(regression: Regression, method: str | Estimator = DEFAULT_METHOD) -> Estimate:
+def fit(regression: Regression, method: str | Estimator = DEFAULT_METHOD, prior: Prior | None = None) -> Estimate:
     """Estimate the parameters of a regression.
 
     Parameters
@@ -46,13 +58,36 @@ def fit(regression: Regression, method: str | Estimator = DEFAULT_METHOD) -> Est
         From an experiment or from `Regression.from_arrays`.
     method
         A name of `METHODS`, or an object with ``fit(regression) -> Estimate``.
+    prior
+        Replaces what the regression says about the nominal model, for estimators with a field ``prior``.
 
     Raises
     ------
     InputError
-        No estimator has this name.
+        No estimator has this name, or it takes no prior.
     """
-    return estimator(method).fit(regression)
+    chosen = estimator(method)
+    if prior is not None:
+        if not (is_dataclass(chosen) and "prior" in (f.name for f in fields(chosen))):
+            takes = [name for name, other in METHODS.items() if hasattr(other, "prior")]
+            raise InputError(f"method '{chosen.name}' takes no prior; leave it out, or choose {' or '.join(takes)}")
+        chosen = replace(chosen, prior=prior)
+    return chosen.fit(regression)
 
 
-__all__ = ["DEFAULT_METHOD", "METHODS", "Estimate", "Estimator", "LeastSquares", "Ridge", "TruncatedSVD", "estimator", "fit"]
+__all__ = [
+    "DEFAULT_METHOD",
+    "METHODS",
+    "Bounds",
+    "Estimate",
+    "Estimator",
+    "Huber",
+    "LeastSquares",
+    "Physical",
+    "Ridge",
+    "Student",
+    "TruncatedSVD",
+    "estimator",
+    "fit",
+    "load_bounds",
+]

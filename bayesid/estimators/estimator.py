@@ -65,6 +65,8 @@ class Estimate:
         Largest autocorrelation of whitened residuals over lags 1 ... 10, times sqrt(rows).
     details
         What the method chose, and why.
+    links
+        Link parameters of its own (P,), ``base.matrix @ links == values``; None: the nearest to the nominal ones.
     """
 
     method: str
@@ -83,6 +85,7 @@ class Estimate:
     whiteness: float
     interval_reason: str = ""
     details: dict[str, Any] = field(default_factory=dict)
+    links: np.ndarray | None = None
 
     @property
     def names(self) -> tuple[str, ...]:

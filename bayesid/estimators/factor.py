@@ -149,8 +149,12 @@ def learn_weights(regression: Regression) -> Weights:
     Channel-weighted least squares comes first. Rounds of generalised least squares then follow, so that the
     colour of the noise is not hidden by parameters that followed it. But an efficient fit trusts whatever is
     quiet, so on a model with something missing it goes astray: where the two fits differ by more than the noise
-    explains, the residuals of the first one count.
+    explains, the residuals of the first one count. A regression's weights are learned once for all estimators.
     """
+    return regression.once("weights", lambda: _learned(regression))
+
+
+def _learned(regression: Regression) -> Weights:
     blocks = regression.pilot()
     channels = blocks[0].rows.shape[1]
     scale = np.ones(channels)

@@ -1,0 +1,242 @@
+"""python tests/benchmarks/posterior_speed.py [--write]: effective samples a second, beside numpyro's NUTS, in one run.
+
+One 40 s recording of a six-joint arm; the posterior without bounds (flat prior) and that of bodies that can exist
+(nominal prior). Both sides take turns on the same machine with one thread; NUTS is compiled before the clock starts,
+adapts a dense mass matrix beforehand, and is not charged for that. Its rates are given both on the rows, as a user would
+write the model, and on bayesid's factors. The smallest bulk effective sample size over base parameters, effects and scales
+is divided by seconds of the processor, which other work on the machine does not change.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parent.parent
+sys.path[:0] = [str(ROOT), str(HERE.parent)]
+NUMPYRO = ROOT / ".venv-numpyro" / "bin" / "python"
+
+import bayesid  # noqa: E402
+from bayesid.experiment import Motion, Sensor  # noqa: E402
+from bayesid.posterior import Likelihood, PosteriorModel, choose_engine, coordinates  # noqa: E402
+from bayesid.posterior.diagnostics import convergence  # noqa: E402
+from bayesid.posterior.ensemble import Ensemble  # noqa: E402
+from bayesid.priors import Prior  # noqa: E402
+from bayesid.problem import prepare  # noqa: E402
+from bayesid.robot import load_robot  # noqa: E402
+from bayesid.simulation import perturbed_links  # noqa: E402
+
+TRUST = 0.3
+CHAINS, CHAINS_NUTS = 4, 2
+#: Draws of each chain: enough for effective sizes to be known to a few per cent.
+KEPT = {"unconstrained": 6000, "physical": 1500}
+
+
+def recorded(folder: Path):
+    """A 40 s recording of a UR5 with links off their nominal values, and a 20 s motion for validation."""
+    from recordings import experiment, fourier, recording
+    from robots import ur5, write
+
+    robot = load_robot(write(folder, ur5()))
+    links = perturbed_links(robot, TRUST, 1).ravel()
+    sensor = Sensor()
+    motions = [
+        Motion(name, role, recording(
+            robot, sensor, fourier(robot, seed, seconds), seed=seed, force_std=0.5, torque_std=0.05, resolution=2e-5, offset=3.0,
+            phi=links))
+        for name, role, seed, seconds in (("one", "identification", 1, 40.0), ("two", "validation", 2, 20.0))
+    ]  # fmt: skip
+    return experiment(robot, motions, sensor, inertia_rel_std=TRUST)
+
+
+def problem_file(model: PosteriorModel, path: Path, draw: np.ndarray) -> None:
+    """Everything that NUTS needs, at coordinates of about unit size; it starts from a draw of the posterior."""
+    q = model.quadratic
+    arrays = {
+        "factors": model.likelihood.factors, "white": model.likelihood.white[0], "counts": model.likelihood.counts,
+        "to_columns": model.to_columns, "bodies": np.array(model.bodies),
+    }  # fmt: skip
+    std = np.sqrt(np.diag(q.root @ q.root.T))
+    if model.prior is None:
+        arrays |= {"centre": q.centre, "scale": std, "start": np.zeros(len(std))}
+    else:
+        n = model.link_count
+        size = np.sqrt(np.diag(model.prior.precision))
+        root = np.linalg.cholesky(model.prior.precision / np.outer(size, size)).T * size
+        bodies = coordinates.to_log_cholesky((model.entries @ model.split(draw)[0])[:n].reshape(-1, 10)).ravel()
+        arrays |= {
+            "from_entries": model.from_entries, "prior": root, "prior_mean": model.prior.mean, "effect_scale": std[n:],
+            "start": np.concatenate([bodies, model.split(draw)[0][n:] / std[n:]]),
+        }  # fmt: skip
+    np.savez(path, **arrays)
+
+
+def smallest(model: PosteriorModel, draws: np.ndarray) -> float:
+    """Smallest bulk effective sample size over base parameters, effects and scales of (chains, n, names)."""
+    linear, scales, _ = model.split(draws)
+    numbers = np.concatenate([linear @ model.to_columns.T, scales], axis=-1)
+    return float(convergence(numbers, tuple(map(str, range(numbers.shape[-1])))).ess_bulk.min())
+
+
+def own(model: PosteriorModel, kept: int) -> dict[str, float]:
+    """The engine that `bayesid.sample` takes, every step kept."""
+    engine = choose_engine(model)
+    if isinstance(engine, Ensemble):
+        engine = replace(engine, thin=1)
+    begin = time.process_time()
+    states = [engine.start(np.random.default_rng(k)) for k in range(CHAINS)]
+    warm = time.process_time() - begin
+    count = max(kept * (5 if engine.walkers > 1 else 1) // engine.walkers, 2)
+    begin = time.process_time()
+    draws = np.stack([engine.advance(s, count, 1) for s in states])
+    seconds = time.process_time() - begin
+    flat = np.swapaxes(draws, 1, 2).reshape(CHAINS, -1, draws.shape[-1])
+    ess = smallest(model, flat)
+    return {"seconds": seconds, "warm_up_s": warm, "draws": flat.shape[0] * flat.shape[1], "ess": ess, "rate": ess / seconds,
+            "engine": engine.name, "flat": flat}  # fmt: skip
+
+
+def nuts(model: PosteriorModel, path: Path, draws: int, warm_up: int, rows: bool) -> dict[str, float]:
+    """NUTS in its own environment."""
+    out = path.with_suffix(".draws.npz")
+    one = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "XLA_FLAGS": one}
+    command = [str(NUMPYRO), str(HERE / "nuts_posterior.py"), str(path), str(out), "--draws", str(draws),
+               "--chains", str(CHAINS_NUTS), "--warm-up", str(warm_up)]  # fmt: skip
+    done = subprocess.run(command + (["--rows"] if rows else []), capture_output=True, text=True, env=environment, check=False)
+    if done.returncode:
+        raise SystemExit(f"nuts_posterior.py failed:\n{done.stderr}")
+    result = json.loads(done.stdout.strip().splitlines()[-1])
+    flat = np.load(out)["draws"]
+    result |= {"ess": smallest(model, flat), "draws": flat.shape[0] * flat.shape[1], "flat": flat}
+    return result | {"rate": result["ess"] / result["seconds"]}
+
+
+def agreement(model: PosteriorModel, one: np.ndarray, other: np.ndarray) -> float:
+    """Largest difference of the two samplers' means of base parameters and effects, in standard deviations."""
+    a, b = (model.split(x)[0] @ model.to_columns.T for x in (one, other))
+    return float(np.max(np.abs(a.mean(axis=(0, 1)) - b.mean(axis=(0, 1))) / a.std(axis=(0, 1))))
+
+
+def compare(regression, folder: Path, repeats: int, draws: int, warm_up: int) -> dict:
+    """Both posteriors, in turns."""
+    result = {}
+    for name, prior in (("unconstrained", None), ("physical", Prior.nominal(regression.nominal_links, TRUST))):
+        model = PosteriorModel.of(regression, prior)
+        path = folder / f"{name}.npz"
+        draw = own(model, 100)["flat"][0, -1]
+        problem_file(replace(model, likelihood=Likelihood.of(regression, keep_rows=True)), path, draw)
+        runs: dict[str, list[dict]] = {"bayesid": [], "nuts": [], "nuts_factors": []}
+        apart = 0.0
+        for _ in range(repeats):
+            mine = own(model, KEPT[name])
+            runs["bayesid"].append(mine)
+            # In the cone a step on rows would take minutes a draw; NUTS gets the faster density.
+            for key, rows in (("nuts", True), ("nuts_factors", False))[prior is not None :]:
+                theirs = nuts(model, path, draws, warm_up, rows)
+                apart = max(apart, agreement(model, mine["flat"], theirs["flat"]))
+                runs[key].append(theirs)
+        entry = {k: {m: statistics.median(r[m] for r in v) for m in ("rate", "seconds", "warm_up_s", "ess", "draws")}
+                 for k, v in runs.items() if v}  # fmt: skip
+        entry["engine"] = runs["bayesid"][0]["engine"]
+        entry["steps"] = runs["nuts_factors"][0]["steps"]
+        entry["means_apart_in_std"] = apart
+        for key in [k for k in ("nuts", "nuts_factors") if runs[k]]:
+            pairs = [a["rate"] / b["rate"] for a, b in zip(runs["bayesid"], runs[key], strict=True)]
+            entry[f"bayesid_over_{key}"] = [min(pairs), statistics.median(pairs), max(pairs)]
+        result[name] = entry
+        print(name, json.dumps(entry, indent=1), flush=True)
+    result["versions"] = {k: runs["nuts_factors"][0][k] for k in ("numpyro", "jax")}
+    return result
+
+
+def _ratio(entry: dict) -> str:
+    """A ratio of rates says something only where NUTS has converged."""
+    if entry["nuts_factors"]["ess"] < 100:
+        ess, steps = entry["nuts_factors"]["ess"], entry["steps"]
+        return f"none: NUTS has not converged ({steps:.0f} steps a draw, {ess:.0f} effective draws)"
+    return f"{entry['bayesid_over_nuts_factors'][1]:,.0f}"
+
+
+def page(result: dict) -> str:
+    """The results as a page of the documentation."""
+    versions = result["versions"]
+    lines = [
+        "# Speed of the samplers",
+        "",
+        f"A 40 s recording of a UR5 (wrench, {result['rows']} rows of six channels), one thread, Python {result['python']},",
+        f"numpyro {versions['numpyro']} on JAX {versions['jax']}. Medians of {result['repeats']} runs in turns; `make bench`",
+        "repeats them, `python tests/benchmarks/posterior_speed.py --write` makes this page. Effective samples a second: the",
+        "smallest bulk effective sample size over base parameters, effects and scales, over processor seconds. NUTS was compiled",
+        f"and had adapted its dense mass matrix over {result['warm_up']} steps, from a draw of the posterior, before its clock",
+        f"started ({result['nuts_draws']} draws in each of {CHAINS_NUTS} chains); it samples the same density, by log-Cholesky",
+        "in the second row. On *rows* it evaluates every reading, as the model is usually written; on *factors* it is given",
+        "bayesid's reduction.",
+        "",
+        "| posterior | bayesid | NUTS on rows | ratio | NUTS on factors | ratio | means apart |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for name in ("unconstrained", "physical"):
+        e = result[name]
+        lines.append(
+            f"| {name} ({e['engine']}) | {e['bayesid']['rate']:,.0f} /s | "
+            + (f"{e['nuts']['rate']:,.1f} /s | {e['bayesid_over_nuts'][1]:,.0f} | " if "nuts" in e else "- | - | ")
+            + f"{e['nuts_factors']['rate']:,.1f} /s | {_ratio(e)} | {e['means_apart_in_std']:.2f} std |"
+        )
+    lines += ["", "`bayesid.sample` as a whole (reading rows, noise, 2,000 converged draws, predictions):", ""]
+    lines += [f"- {k} prior: {v['seconds']:.1f} s, largest R-hat {v['r_hat']:.4f}" for k, v in result["whole"].items()]
+    return "\n".join([*lines, ""])
+
+
+def whole(experiment) -> dict:
+    """Seconds of the verb's call for both priors, converged."""
+    out = {}
+    for prior in ("flat", "nominal"):
+        times = []
+        for seed in range(3):
+            begin = time.perf_counter()
+            posterior = bayesid.sample(experiment, seed=seed, prior=prior)
+            times.append(time.perf_counter() - begin)
+        out[prior] = {"seconds": statistics.median(times), "r_hat": float(posterior.diagnosis.r_hat.max())}
+    return out
+
+
+def main() -> None:
+    """Run all."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--draws", type=int, default=1000, help="of each chain of NUTS")
+    parser.add_argument("--warm-up", type=int, default=1000, help="steps in which each chain of NUTS adapts")
+    parser.add_argument("--write", action="store_true", help="write docs/posterior-speed.json and .md")
+    options = parser.parse_args()
+    if not NUMPYRO.exists():
+        raise SystemExit("numpyro is not installed: make .venv-numpyro/ready")
+    with tempfile.TemporaryDirectory() as temporary, threadpool_limits(1):
+        folder = Path(temporary)
+        experiment = recorded(folder)
+        problem = prepare(experiment, "wrench")
+        result = compare(problem.regression, folder, options.repeats, options.draws, options.warm_up)
+        result |= {"rows": problem.regression.row_count, "python": platform.python_version(), "repeats": options.repeats,
+                   "warm_up": options.warm_up, "nuts_draws": options.draws}  # fmt: skip
+        result["whole"] = whole(experiment)
+        print(json.dumps(result["whole"], indent=1))
+    if options.write:
+        (ROOT / "docs" / "posterior-speed.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+        (ROOT / "docs" / "posterior-speed.md").write_text(page(result), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
