@@ -1,0 +1,85 @@
+"""Draws as ArviZ keeps them: InferenceData before version 1, a DataTree since."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+
+@dataclass(frozen=True, eq=False)
+class Groups:
+    """Named groups of arrays.
+
+    Attributes
+    ----------
+    arrays
+        By variable by group.
+    coordinates
+        Labels of every dimension.
+    dimensions
+        Of every variable, beyond chains and draws.
+    """
+
+    arrays: dict[str, dict[str, np.ndarray]] = field(default_factory=dict)
+    coordinates: dict[str, Any] = field(default_factory=dict)
+    dimensions: dict[str, list[str]] = field(default_factory=dict)
+
+
+def load_arviz() -> Any:
+    """ArviZ, imported only when needed: that takes seconds, and version 0.23 announces the next one once a day."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=r"\s*ArviZ is undergoing", category=FutureWarning)
+        import arviz
+    return arviz
+
+
+def before_trees(az: Any) -> bool:
+    """Whether this ArviZ has InferenceData of its own; from version 1 on it is xarray's DataTree."""
+    return int(az.__version__.partition(".")[0]) < 1
+
+
+def to_arviz(
+    groups: dict[str, dict[str, np.ndarray]],
+    coordinates: dict[str, Any],
+    dimensions: dict[str, list[str]],
+    attributes: dict[str, Any],
+) -> Any:
+    """InferenceData or DataTree of named groups.
+
+    Parameters
+    ----------
+    groups
+        Arrays by variable by group; chains and draws first, but in ``observed_data``.
+    coordinates
+        Labels of every dimension.
+    dimensions
+        Further dimensions of every variable.
+    attributes
+        Of the posterior group; numbers and texts.
+    """
+    az = load_arviz()
+    if before_trees(az):
+        used = {name for arrays in groups.values() for name in arrays}
+        return az.from_dict(
+            **groups, coords=coordinates, dims={k: v for k, v in dimensions.items() if k in used}, posterior_attrs=attributes
+        )
+    tree = az.from_dict(groups, coords=coordinates, dims=dimensions)
+    tree["posterior"].attrs.update(attributes)
+    return tree
+
+
+def write_netcdf(data: Any, path: Path) -> None:
+    """Write what `to_arviz` made as NetCDF, compressed."""
+    az = load_arviz()
+    if before_trees(az):
+        data.to_netcdf(str(path), engine="h5netcdf")
+        return
+    packed = {
+        f"/{group}": {name: {"zlib": True, "complevel": 4} for name, array in node.data_vars.items() if array.ndim}
+        for group, node in data.children.items()
+    }
+    data.to_netcdf(path, engine="h5netcdf", encoding=packed)

@@ -1,0 +1,99 @@
+"""The likelihood on factors: one triangular factor a whitened channel, whatever the number of rows.
+
+After whitening (`bayesid.noise`), row t of channel c is
+
+    y_c(t) = x_c(t)' beta + s_c u_c(t),
+
+with u of unit variance and one unknown scale s_c a channel, near one. With Gaussian u everything that the rows
+say about (beta, s) is in the factors R_c of [X_c y_c] and their numbers of rows,
+
+    log p(y | beta, s) = -sum_c [ n_c log s_c + |R_c (beta; -1)|^2 / (2 s_c^2) ] + constant.
+
+Student's t takes the instant as the unit: a tap or a contact strikes all channels together, so all channels of an
+instant share one weight w ~ Gamma(nu/2, nu/2), u = N(0, 1) / sqrt(w) [Lange1989]_.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayesid.estimators.factor import Weights, learn_weights, stack, whitened
+from bayesid.noise import NoiseModel
+from bayesid.regression import Regression
+
+_PANEL = 4096
+
+
+@dataclass(frozen=True, eq=False)
+class Likelihood:
+    """Whitened rows, reduced channel by channel.
+
+    Attributes
+    ----------
+    factors
+        Triangular factor of each channel's [X y] (k, p + 1, p + 1), channels of one group after the other.
+    counts
+        Rows of each (k,).
+    names
+        Of the scales (k,): the channel, with its group where there are several.
+    groups
+        In the order of the factors.
+    white
+        Whitened rows of each group (N, channels, p + 1); kept for Student's t alone.
+    noise
+        What they were whitened with, by group.
+    complete
+        False where the fit that the noise was learned from said that something is missing in the model: then the
+        colour is that of the residuals of channel-weighted least squares, model error included.
+    agreement
+        The probability that this rests on.
+    """
+
+    factors: np.ndarray
+    counts: np.ndarray
+    names: tuple[str, ...]
+    groups: tuple[str, ...] = ("trajectory",)
+    white: tuple[np.ndarray, ...] = ()
+    noise: dict[str, NoiseModel] | None = None
+    complete: bool = True
+    agreement: float = 1.0
+
+    @classmethod
+    def of(cls, regression: Regression, weights: Weights | None = None, *, keep_rows: bool = False) -> Likelihood:
+        """Whiten and reduce a regression.
+
+        Parameters
+        ----------
+        regression
+            Read once, block by block.
+        weights
+            The noise; default: learned as for generalised least squares.
+        keep_rows
+            Whether whitened rows are kept, too.
+        """
+        weights = learn_weights(regression) if weights is None else weights
+        columns, channels = len(regression.column_names) + 1, len(regression.channel_names)
+        factors: dict[str, list[np.ndarray]] = {}
+        counts: dict[str, int] = {}
+        rows: dict[str, list[np.ndarray]] = {}
+        for block, white in whitened(regression.blocks(), weights.noise):
+            own = factors.setdefault(block.group, [np.zeros((columns, columns))] * channels)
+            for a in range(0, len(white), _PANEL):
+                own = [stack(r, white[a : a + _PANEL, c]) for c, r in enumerate(own)]
+            factors[block.group] = own
+            counts[block.group] = counts.get(block.group, 0) + len(white)
+            if keep_rows:
+                rows.setdefault(block.group, []).append(white)
+        names = [f"{c} ({g})" if len(factors) > 1 else c for g in factors for c in regression.channel_names]
+        return cls(
+            np.concatenate([np.stack(own) for own in factors.values()]),
+            np.repeat(list(counts.values()), channels),
+            tuple(names),
+            tuple(factors),
+            tuple(np.concatenate(parts) for parts in rows.values()),
+            weights.noise,
+            weights.complete,
+            weights.agreement,
+        )

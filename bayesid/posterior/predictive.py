@@ -1,0 +1,126 @@
+"""What the posterior says of rows: replicated readings, and how likely the measured ones are."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from scipy.linalg import cholesky
+from scipy.signal import lfilter
+
+from bayesid.estimators.factor import whitened
+from bayesid.noise import NoiseModel
+from bayesid.posterior.convert import Groups
+from bayesid.posterior.model import log_student
+from bayesid.posterior.result import Posterior
+from bayesid.regression import Block
+
+#: Draws that readings are replicated for, rows that are kept of them, and rows looked at before thinning.
+DRAWS, ROWS, CONSIDERED = 200, 400, 4096
+#: Rows after which the noise has forgotten how it started.
+_RUN_IN = 200
+
+
+def predictive_groups(
+    posterior: Posterior, fitted: Iterable[Block], validation: Iterable[Block], channels: tuple[str, ...]
+) -> Groups:
+    """Groups ``posterior_predictive``, ``log_likelihood`` (of the fitted rows) and ``observed_data``.
+
+    Parameters
+    ----------
+    posterior
+        What to predict with.
+    fitted, validation
+        Rows that were fitted, and rows that were not; at most 4096 of each are looked at and about 400 kept.
+    channels
+        Names of the channels.
+    """
+    rng = np.random.default_rng([posterior.seed, 1])
+    groups: dict[str, dict[str, np.ndarray]] = {"posterior_predictive": {}, "log_likelihood": {}, "observed_data": {}}
+    coordinates: dict[str, Any] = {"channel": list(channels)}
+    dimensions: dict[str, list[str]] = {}
+    for name, blocks in (("fitted", _some(fitted)), ("validation", _some(validation))):
+        if not blocks:
+            continue
+        keep = _picked(blocks)
+        groups["posterior_predictive"][name] = np.concatenate(
+            [_replicated(posterior, b, rng)[:, :, k].astype(np.float32) for b, k in zip(blocks, keep, strict=True)], axis=2
+        )
+        groups["observed_data"][name] = np.concatenate([b.target[k] for b, k in zip(blocks, keep, strict=True)])
+        coordinates[f"{name}_row"] = list(range(sum(map(len, keep))))
+        dimensions[name] = [f"{name}_row", "channel"]
+        if name == "fitted":
+            groups["log_likelihood"]["rows"] = _log_likelihood(posterior, blocks, keep)
+            dimensions["rows"] = ["fitted_row"]
+    return Groups({name: arrays for name, arrays in groups.items() if arrays}, coordinates, dimensions)
+
+
+def _some(blocks: Iterable[Block]) -> list[Block]:
+    out, total = [], 0
+    for block in blocks:
+        if total >= CONSIDERED:
+            break
+        count = min(len(block.rows), CONSIDERED - total)
+        out.append(Block(block.rows[:count], block.times[:count], block.motion, block.start, block.group))
+        total += count
+    return out
+
+
+def _picked(blocks: list[Block]) -> list[np.ndarray]:
+    """Evenly spaced rows of every block, about `ROWS` in all."""
+    step = max(-(-sum(len(b.rows) for b in blocks) // ROWS), 1)
+    return [np.arange(0, len(b.rows), step) for b in blocks]
+
+
+def _noise(posterior: Posterior, group: str) -> tuple[NoiseModel, slice]:
+    """Noise of a group of rows and its scales; of a group that was not fitted, another's without its colour."""
+    likelihood = posterior.model.likelihood
+    assert likelihood.noise is not None
+    known = group if group in likelihood.groups else likelihood.groups[0]
+    model = likelihood.noise[known] if known == group else likelihood.noise[known].uncoloured()
+    first = likelihood.groups.index(known) * len(model.std)
+    return model, slice(first, first + len(model.std))
+
+
+def _replicated(posterior: Posterior, block: Block, rng: np.random.Generator) -> np.ndarray:
+    """Readings with fresh noise (chains, draws, rows, channels) for a few draws."""
+    chains, draws = posterior.columns.shape[:2]
+    at = np.unique(np.linspace(0, draws - 1, max(DRAWS // chains, 1)).astype(int))
+    noise, part = _noise(posterior, block.group)
+    columns, scales = posterior.columns[:, at], posterior.scales[:, at, part]
+    mean = np.einsum("tcp,nmp->nmtc", block.matrix, columns, optimize=True)
+    run_in = 0 if noise.from_zero or noise.order == 0 else _RUN_IN
+    shape = (*mean.shape[:2], len(block.rows) + run_in, mean.shape[3])
+    innovations = rng.normal(size=shape) * scales[:, :, None]
+    dof = posterior.model.split(posterior.chains.draws)[2][:, at]
+    if posterior.model.noise == "student":
+        half = 0.5 * dof[:, :, None]
+        innovations /= np.sqrt(rng.gamma(half, size=shape[:3]) / half)[..., None]
+    innovations = innovations @ cholesky(noise.innovation, lower=True).T
+    for c, polynomial in enumerate(noise.coefficients):
+        mean[..., c] += np.asarray(lfilter([1.0], polynomial, innovations[..., c], axis=2))[:, :, run_in:]
+    return mean
+
+
+def _log_likelihood(posterior: Posterior, blocks: list[Block], keep: list[np.ndarray]) -> np.ndarray:
+    """Log density of kept rows, all channels together, for every draw (chains, draws, rows)."""
+    assert posterior.model.likelihood.noise is not None
+    dof = posterior.model.split(posterior.chains.draws)[2]
+    out = []
+    for (block, white), rows in zip(whitened(blocks, posterior.model.likelihood.noise), keep, strict=True):
+        noise, part = _noise(posterior, block.group)
+        chosen = white[rows[rows < len(white)]]
+        if len(white) < len(block.rows):  # the first rows of a block out of the middle have no past
+            chosen = white[np.minimum(rows, len(white) - 1)]
+        scales = posterior.scales[..., part]
+        residual = chosen[:, :, -1] - np.einsum("tcp,nmp->nmtc", chosen[:, :, :-1], posterior.columns, optimize=True)
+        squares = np.sum((residual / scales[:, :, None]) ** 2, axis=-1)
+        size = np.sum(np.log(scales), axis=-1) + 0.5 * np.linalg.slogdet(noise.innovation)[1]
+        channels = chosen.shape[1]
+        if posterior.model.noise == "student":
+            density = log_student(squares, channels, dof[:, :, None])
+        else:
+            density = -0.5 * squares - 0.5 * channels * np.log(2 * np.pi)
+        out.append(density - size[:, :, None])
+    return np.concatenate(out, axis=2).astype(np.float32)

@@ -1,0 +1,379 @@
+"""The posterior as a result: draws by name, summaries, and its density for samplers of one's own."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from html import escape
+from typing import Any
+
+import numpy as np
+
+from bayesid.base_parameters import BaseParameters
+from bayesid.estimators.estimator import LEVEL
+from bayesid.posterior import coordinates
+from bayesid.posterior.convert import Groups, to_arviz
+from bayesid.posterior.diagnostics import Convergence
+from bayesid.posterior.model import PosteriorModel
+from bayesid.posterior.run import Chains
+
+#: A parameter whose standard deviation stays above this share of the prior's is driven by the prior.
+PRIOR_DRIVEN = 0.9
+_PRIOR_DRAWS = 4000
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """Draws from the posterior of a `PosteriorModel`.
+
+    Attributes
+    ----------
+    model
+        What was sampled.
+    chains
+        Draws, engine, last states.
+    seed
+        Of the run.
+    extra
+        Further groups for ArviZ, such as the posterior predictive.
+    """
+
+    model: PosteriorModel
+    chains: Chains
+    seed: int = 0
+    extra: Groups = field(default_factory=Groups, repr=False)
+
+    # ---- draws ------------------------------------------------------------------------------------------------
+
+    @property
+    def linear(self) -> np.ndarray:
+        """Draws of link (or base) and effect parameters (chains, draws, d)."""
+        return self.model.split(self.chains.draws)[0]
+
+    @property
+    def scales(self) -> np.ndarray:
+        """Draws of the noise's scales, in units of the noise that the rows were whitened with (chains, draws, k)."""
+        return self.model.split(self.chains.draws)[1]
+
+    @property
+    def dof(self) -> np.ndarray | None:
+        """Draws of Student's degrees of freedom (chains, draws); None where they are not sampled."""
+        return self.model.split(self.chains.draws)[2] if self.model.dof_free else None
+
+    @cached_property
+    def columns(self) -> np.ndarray:
+        """Draws of base parameters, then effect parameters (chains, draws, p)."""
+        return self.linear @ self.model.to_columns.T
+
+    @property
+    def base_draws(self) -> np.ndarray:
+        """Draws of the base parameters (chains, draws, r)."""
+        return self.columns[..., : self.base.rank]
+
+    @property
+    def effect_draws(self) -> np.ndarray:
+        """Draws of the effect parameters (chains, draws, e)."""
+        return self.columns[..., self.base.rank :]
+
+    @property
+    def link_draws(self) -> np.ndarray | None:
+        """Draws of the link parameters (chains, draws, P); None with a flat prior, which is on base parameters."""
+        return None if self.model.prior is None else self.linear[..., : self.model.link_count]
+
+    @cached_property
+    def log_posterior(self) -> np.ndarray:
+        """Logarithm of the joint density of every draw, up to a constant (chains, draws)."""
+        return self.model.log_joint(*self.model.split(self.chains.draws))
+
+    # ---- summaries of the base parameters ---------------------------------------------------------------------
+
+    @property
+    def base(self) -> BaseParameters:
+        """What the base parameters are combinations of."""
+        return self.model.base
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the base parameters (r,)."""
+        return self.base.names
+
+    @property
+    def values(self) -> np.ndarray:
+        """Posterior means of the base parameters (r,)."""
+        return self.base_draws.mean(axis=(0, 1))
+
+    @property
+    def std(self) -> np.ndarray:
+        """Posterior standard deviations of the base parameters (r,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """Posterior covariance of the base parameters (r, r)."""
+        return np.atleast_2d(np.cov(self.base_draws.reshape(-1, self.base.rank).T))
+
+    @property
+    def low(self) -> np.ndarray:
+        """Lower ends of the central 95 % intervals of the base parameters (r,)."""
+        return np.quantile(self.base_draws, 0.5 - LEVEL / 2, axis=(0, 1))
+
+    @property
+    def high(self) -> np.ndarray:
+        """Upper ends of the central 95 % intervals of the base parameters (r,)."""
+        return np.quantile(self.base_draws, 0.5 + LEVEL / 2, axis=(0, 1))
+
+    @cached_property
+    def prior_std(self) -> tuple[np.ndarray, np.ndarray]:
+        """Standard deviations under the prior, its bounds included, of base (r,) and link parameters (P,).
+
+        Infinite with a flat prior.
+        """
+        draws = self.model.prior_draws(_PRIOR_DRAWS, np.random.default_rng(self.seed))
+        if draws is None:
+            return np.full(self.base.rank, np.inf), np.zeros(0)
+        return (draws @ self.base.matrix.T).std(axis=0), draws.std(axis=0)
+
+    @property
+    def prior_share(self) -> np.ndarray:
+        """Posterior over prior standard deviation of the base parameters (r,); 0 with a flat prior."""
+        return self.std / self.prior_std[0]
+
+    @property
+    def link_prior_share(self) -> np.ndarray:
+        """Posterior over prior standard deviation of the link parameters (P,); empty with a flat prior."""
+        links = self.link_draws
+        return np.zeros(0) if links is None else links.std(axis=(0, 1)) / self.prior_std[1]
+
+    @property
+    def classes(self) -> tuple[str, ...]:
+        """``alone``, ``combination`` or, where the prior decides, ``prior`` for each base parameter."""
+        several = np.count_nonzero(self.base.matrix, axis=1) > 1
+        return tuple(
+            "prior" if share > PRIOR_DRIVEN else "combination" if many else "alone"
+            for share, many in zip(self.prior_share, several, strict=True)
+        )
+
+    @property
+    def diagnosis(self) -> Convergence:
+        """Convergence of everything sampled and of the base parameters."""
+        return self.chains.diagnosis
+
+    # ---- the density, for other samplers ----------------------------------------------------------------------
+
+    @property
+    def theta_names(self) -> tuple[str, ...]:
+        """Names of the unconstrained coordinates, see `log_density` (q,)."""
+        model = self.model
+        linear = [f"log {n}" if k in model.bounded else n for k, n in enumerate(model.linear_names)]
+        if model.bodies:
+            bodies = [model.linear_names[10 * k].rpartition(".")[0] for k in range(model.bodies)]
+            linear[: 10 * model.bodies] = [f"{b}.{n}" for b in bodies for n in coordinates.NAMES]
+        return (*linear, *(f"log scale {n}" for n in model.scale_names), *(("log nu",) if model.dof_free else ()))
+
+    def log_density(self, theta: np.ndarray) -> np.ndarray:
+        """Logarithm of the posterior density of unconstrained coordinates, up to a constant: bring your own sampler.
+
+        ``theta`` holds, in this order: for every body its log-Cholesky parameters (`bayesid.posterior.coordinates`;
+        with a flat prior the base parameters instead), effect parameters, logarithms of those that cannot be
+        negative, logarithms of the scales, and that of Student's degrees of freedom. All Jacobians are included. A
+        call costs nothing in the number of rows with Gaussian noise.
+
+        Parameters
+        ----------
+        theta
+            (..., q).
+        """
+        return self._density(np.asarray(theta, float))[0]
+
+    def _density(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Log density (...,), linear parameters, scales and degrees of freedom."""
+        model = self.model
+        d, k = len(model.linear_names), len(model.scale_names)
+        x, jacobian = theta[..., :d].copy(), np.zeros(theta.shape[:-1])
+        if model.bodies:
+            part = theta[..., : 10 * model.bodies].reshape(*theta.shape[:-1], model.bodies, 10)
+            entries, logs = coordinates.from_log_cholesky(part)
+            x[..., : 10 * model.bodies] = entries.reshape(*theta.shape[:-1], -1)
+            jacobian = jacobian + logs.sum(axis=-1) + np.linalg.slogdet(model.from_entries)[1]
+        x[..., model.bounded] = np.exp(theta[..., model.bounded])
+        jacobian = jacobian + theta[..., model.bounded].sum(axis=-1)
+        linear = x @ model.from_entries.T
+        shape = theta.shape[:-1]
+        scales = np.exp(theta[..., d : d + k]) if k else np.ones((*shape, len(model.likelihood.names)))
+        fixed = np.inf if model.noise == "gaussian" else model.dof_prior.fixed or 0.0
+        dof = np.exp(theta[..., -1]) if model.dof_free else np.full(shape, fixed)
+        if model.dof_free:
+            jacobian = jacobian + theta[..., -1]
+        return model.log_joint(linear, scales, dof) + jacobian, linear, scales, dof
+
+    def log_density_gradient(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """`log_density` and its gradient in ``theta``, (...,) and (..., q); Gaussian noise only.
+
+        Raises
+        ------
+        NotImplementedError
+            The noise is Student's.
+        """
+        model = self.model
+        if model.noise != "gaussian":
+            raise NotImplementedError("the gradient is there for Gaussian noise only")
+        theta = np.asarray(theta, float)
+        density, linear, scales, _ = self._density(theta)
+        q, d = model.quadratic, len(model.linear_names)
+        z = np.linalg.solve(q.root, (linear - q.centre)[..., None])[..., 0]
+        weights = np.concatenate([scales**-2, np.ones((*scales.shape[:-1], 1))], axis=-1)
+        slope = np.einsum("...k,kj->...j", weights, q.linear) - np.einsum("...k,kij,...j->...i", weights, q.gram, z)
+        in_linear = np.linalg.solve(q.root.T, slope[..., None])[..., 0]
+        out = np.empty_like(theta)
+        in_x = in_linear @ model.from_entries
+        out[..., :d] = in_x
+        if model.bodies:
+            shape = (*theta.shape[:-1], model.bodies, 10)
+            end = 10 * model.bodies
+            bodies = coordinates.pull_back(theta[..., :end].reshape(shape), in_x[..., :end].reshape(shape))
+            out[..., :end] = bodies.reshape(*theta.shape[:-1], end)
+        out[..., model.bounded] = in_x[..., model.bounded] * np.exp(theta[..., model.bounded]) + 1.0
+        if model.scale_names:
+            prior = model.scale_prior
+            squares = q.squares(z)[..., :-1]
+            part = -model.likelihood.counts + (squares + 2.0 * prior.rate) / scales**2 - 2.0 * prior.shape
+            out[..., d : d + len(model.scale_names)] = part
+        return density, out
+
+    def to_theta(self, draws: np.ndarray | None = None) -> np.ndarray:
+        """Unconstrained coordinates (..., q) of draws as in ``model.names``; default: this posterior's."""
+        model = self.model
+        draws = self.chains.draws if draws is None else np.asarray(draws, float)
+        linear, scales, dof = model.split(draws)
+        x = linear @ model.entries.T
+        if model.bodies:
+            part = x[..., : 10 * model.bodies].reshape(*x.shape[:-1], model.bodies, 10)
+            x[..., : 10 * model.bodies] = coordinates.to_log_cholesky(part).reshape(*x.shape[:-1], -1)
+        x[..., model.bounded] = np.log(x[..., model.bounded])
+        parts = [x] + ([np.log(scales)] if model.scale_names else []) + ([np.log(dof)[..., None]] if model.dof_free else [])
+        return np.concatenate(parts, axis=-1)
+
+    # ---- results as data -----------------------------------------------------------------------------------------
+
+    def to_arviz(self) -> Any:
+        """InferenceData (ArviZ 0.x) or DataTree (1.x) with coordinates named after the parameters."""
+        model = self.model
+        posterior = {"base": self.base_draws}
+        coords: dict[str, Any] = {"base_parameter": list(self.names)}
+        dims = {"base": ["base_parameter"]}
+        if self.link_draws is not None:
+            posterior["link"] = self.link_draws
+            coords["link_parameter"], dims["link"] = list(self.base.parameter_names), ["link_parameter"]
+        if model.effect_names:
+            posterior["effect"] = self.effect_draws
+            coords["effect_parameter"], dims["effect"] = list(model.effect_names), ["effect_parameter"]
+        if model.scale_names:
+            posterior["scale"] = self.scales
+            coords["scale_channel"], dims["scale"] = list(model.scale_names), ["scale_channel"]
+        if self.dof is not None:
+            posterior["nu"] = self.dof
+        groups = {"posterior": posterior, "sample_stats": {"lp": self.log_posterior}, **self.extra.arrays}
+        return to_arviz(groups, {**coords, **self.extra.coordinates}, {**dims, **self.extra.dimensions}, self._attributes())
+
+    def _attributes(self) -> dict[str, Any]:
+        model = self.model
+        prior = "flat on base parameters" if model.prior is None else "normal about nominal links"
+        attributes: dict[str, Any] = {
+            "prior": prior + (", bodies that can exist only" if model.physical else ""),
+            "noise": model.noise,
+            "engine": self.chains.engine,
+            "steps_between_draws": self.chains.thin,
+            "seed": self.seed,
+            "model_complete": int(model.likelihood.complete),
+        }
+        if model.prior is not None:
+            attributes["prior_mean_of_links"] = model.prior.mean
+            attributes["prior_std_of_links"] = self.prior_std[1]
+        return attributes
+
+    def to_dict(self) -> dict[str, Any]:
+        """The posterior's part of ``posterior.json``."""
+        model, covariance = self.model, self.covariance
+        share = self.prior_share
+        base = [
+            {"name": n, "unit": u, "value": float(v), "std": float(s), "low": float(lo), "high": float(hi), "class": c,
+             "label": label, "prior_share": float(p), "prior_driven": bool(p > PRIOR_DRIVEN)}
+            for n, u, v, s, lo, hi, c, label, p in zip(
+                self.names, self.base.units, self.values, self.std, self.low, self.high, self.classes, self.base.labels, share,
+                strict=True)
+        ]  # fmt: skip
+        links = self.link_draws
+        d = self.diagnosis
+        return {
+            "prior": self._attributes()["prior"],
+            "noise": model.noise,
+            "model_complete": model.likelihood.complete,
+            "base_parameters": base,
+            "interval": "credible",
+            "covariance": covariance.tolist(),
+            "base_map": self.base.matrix.tolist(),
+            "link_parameter_names": list(self.base.parameter_names),
+            "link_parameters": None if links is None else _summaries(self.base.parameter_names, links, self.link_prior_share),
+            "effect_parameters": _summaries(model.effect_names, self.effect_draws, units=model.effect_units),
+            "scales": _summaries(model.scale_names, self.scales) if model.scale_names else [],
+            "degrees_of_freedom": None if self.dof is None else _summaries(("nu",), self.dof[..., None])[0],
+            "sampler": {
+                "engine": self.chains.engine,
+                "chains": self.chains.draws.shape[0],
+                "draws": int(np.prod(self.chains.draws.shape[:2])),
+                "steps_between_draws": self.chains.thin,
+                "seed": self.seed,
+                "converged": d.passed,
+                "largest_r_hat": float(d.r_hat.max()),
+                "smallest_ess_bulk": float(d.ess_bulk.min()),
+                "smallest_ess_tail": float(d.ess_tail.min()),
+            },
+        }
+
+    def __str__(self) -> str:
+        """Table of the base and effect parameters."""
+        d = self.diagnosis
+        shape = self.chains.draws.shape
+        lines = [
+            f"posterior: {self.base.rank} base parameters, {shape[0]} chains of {shape[1]} draws ({self.chains.engine}), "
+            f"largest R-hat {d.r_hat.max():.4f}, smallest ESS {d.ess.min():.0f}"
+        ]
+        width = min(max(map(len, [*self.base.labels, *self.model.effect_names]), default=0), 60)
+        for name, value, std, low, high, unit, note in self._table():
+            lines.append(f"  {name[:60]:<{width}}  {value:>11.5g} ± {std:<10.3g} [{low:>11.5g}, {high:>11.5g}] {unit}{note}")
+        return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        """The same as an HTML table for notebooks."""
+        rows = "".join(
+            f"<tr><td>{escape(n)}</td><td>{v:.5g}</td><td>{s:.3g}</td><td>{lo:.5g} … {hi:.5g}</td>"
+            f"<td>{u}</td><td>{note}</td></tr>"
+            for n, v, s, lo, hi, u, note in self._table()
+        )
+        head = "<tr><th>posterior</th><th>mean</th><th>std</th><th>95 %</th><th>unit</th><th></th></tr>"
+        return f"<table>{head}{rows}</table>"
+
+    def _table(self):
+        e = self.effect_draws
+        ends = [np.array([np.quantile(e[..., k], q) for k in range(e.shape[2])]) for q in (0.5 - LEVEL / 2, 0.5 + LEVEL / 2)]
+        notes = ["  prior-driven" if share > PRIOR_DRIVEN else "" for share in self.prior_share]
+        yield from zip(self.base.labels, self.values, self.std, self.low, self.high, self.base.units, notes, strict=True)
+        yield from zip(
+            self.model.effect_names, e.mean(axis=(0, 1)), e.std(axis=(0, 1)), *ends, self.model.effect_units,
+            [""] * e.shape[2], strict=True,
+        )  # fmt: skip
+
+
+def _summaries(names, draws: np.ndarray, share: np.ndarray | None = None, units=None) -> list[dict[str, Any]]:
+    """Mean, standard deviation and central 95 % interval by name."""
+    low, high = np.quantile(draws, [0.5 - LEVEL / 2, 0.5 + LEVEL / 2], axis=(0, 1)) if len(names) else (np.zeros(0), np.zeros(0))
+    out = []
+    for k, name in enumerate(names):
+        entry = {"name": name, "value": float(draws[..., k].mean()), "std": float(draws[..., k].std()),
+                 "low": float(low[k]), "high": float(high[k])}  # fmt: skip
+        if units is not None:
+            entry["unit"] = units[k]
+        if share is not None:
+            entry |= {"prior_share": float(share[k]), "prior_driven": bool(share[k] > PRIOR_DRIVEN)}
+        out.append(entry)
+    return out

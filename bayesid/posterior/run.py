@@ -1,0 +1,248 @@
+"""Run chains until they have converged, with progress, checkpoints and a limit."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from hashlib import sha256
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from tqdm import tqdm
+
+from bayesid.errors import InputError
+from bayesid.posterior.cone import ReflectiveGibbs
+from bayesid.posterior.diagnostics import Convergence, convergence
+from bayesid.posterior.ensemble import Ensemble
+from bayesid.posterior.model import PosteriorModel
+
+ENGINES = ("hmc", "emcee")
+_ROUNDS = 10
+#: Draws a chain to be asked for at least, and draws in all that convergence is judged by at least.
+_FEWEST, _JUDGED = 50, 1600
+
+
+class Engine(Protocol):
+    """What moves the chains; a state is a dictionary that holds everything a chain needs to go on."""
+
+    @property
+    def name(self) -> str:
+        """What results call it."""
+        ...
+
+    @property
+    def walkers(self) -> int:
+        """Points that a chain consists of."""
+        ...
+
+    @property
+    def thin(self) -> int:
+        """Steps from one draw to the next."""
+        ...
+
+    def start(self, rng: np.random.Generator) -> dict[str, Any]:
+        """A first state, warmed up."""
+        ...
+
+    def advance(self, state: dict[str, Any], count: int, thin: int) -> np.ndarray:
+        """Draws (count, walkers, names), ``thin`` steps apart; the state moves on in place."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Chains:
+    """What a run gives.
+
+    Attributes
+    ----------
+    draws
+        (chains, draws, names); of an ensemble walker by walker, so that what correlation is left stands side by
+        side and is counted.
+    engine
+        Its name.
+    thin
+        Steps from one kept draw to the next, beyond the engine's own.
+    states
+        Last states of the chains.
+    diagnosis
+        By at least 1600 draws, of all numbers sampled, and of the base parameters where the links are sampled.
+    """
+
+    draws: np.ndarray
+    engine: str
+    thin: int
+    states: list[dict[str, Any]]
+    diagnosis: Convergence
+
+
+def choose_engine(model: PosteriorModel, engine: str | None = None, moves: str = "laplace") -> Engine:
+    """The engine of a name; default: exact trajectories where there are walls or Student's weights, else emcee.
+
+    Raises
+    ------
+    InputError
+        No engine has this name, or it cannot sample this posterior.
+    """
+    if engine is None:
+        engine = "hmc" if model.bodies or model.noise == "student" or len(model.bounded) else "emcee"
+    if engine == "hmc":
+        return ReflectiveGibbs(model)
+    if engine == "emcee":
+        return Ensemble(model, moves)
+    raise InputError(f"engine '{engine}': choose one of {', '.join(ENGINES)}")
+
+
+def run(
+    model: PosteriorModel,
+    engine: Engine,
+    *,
+    draws: int = 2000,
+    chains: int = 4,
+    seed: int = 0,
+    longest: int = 32,
+    checkpoint: Path | None = None,
+    resume: bool = False,
+    bar: bool = False,
+    tell: Callable[[str], None] | None = None,
+    stop_after: int | None = None,
+) -> Chains:
+    """Sample until the chains agree.
+
+    Chains start far apart with generators of their own. Where they do not pass the checks, every second draw is
+    dropped and they run on at twice the distance, so that memory does not grow. Of few draws nothing can be said: then
+    more are made, and those asked for picked evenly.
+
+    Parameters
+    ----------
+    model, engine
+        What is sampled and how.
+    draws, chains
+        Kept in all, and the number of independent chains they come from.
+    seed
+        Same seed, same draws; also if the run was interrupted and resumed.
+    longest
+        Give up when draws would have to be more than so many times the engine's own distance apart.
+    checkpoint
+        File that the run is saved in after every tenth; None: nowhere.
+    resume
+        Go on from the checkpoint, if there is one.
+    bar, tell
+        Whether a bar is shown on a terminal; called with how far the run is, in words.
+    stop_after
+        Stop after so many rounds, as an interruption would; for tests.
+
+    Raises
+    ------
+    InputError
+        Numbers out of range, or a checkpoint of another run.
+    KeyboardInterrupt
+        Also by ``stop_after``; the checkpoint holds what was done.
+    """
+    if chains < 2:
+        raise InputError(f"chains = {chains}: at least 2 are needed to see whether they agree")
+    if draws < _FEWEST * chains:
+        raise InputError(f"draws = {draws}: give at least {_FEWEST * chains}, {_FEWEST} for each of {chains} chains")
+    if longest < 1:
+        raise InputError(f"longest = {longest}: give at least 1")
+    asked = -(-draws // chains)
+    each = max(asked, -(-_JUDGED // chains))
+    wanted = max(-(-each // engine.walkers), 2)
+    mark = fingerprint(model, engine, draws, chains, seed)
+    saved = _load(checkpoint, mark) if resume and checkpoint is not None else None
+    if saved is None:
+        sequences = np.random.SeedSequence(seed).spawn(chains)
+        states = [engine.start(np.random.Generator(np.random.PCG64(s))) for s in sequences]
+        kept, thin, rounds = np.empty((chains, 0, engine.walkers, len(model.names))), 1, 0
+    else:
+        states, kept, thin, rounds = saved["states"], saved["kept"], saved["thin"], saved["rounds"]
+    size = max(-(-wanted // _ROUNDS), 1)
+    show = bar and sys.stderr.isatty()
+    with tqdm(total=wanted, initial=kept.shape[1], desc="sampling", unit="step", disable=not show, leave=False) as shown:
+        while True:
+            while kept.shape[1] < wanted:
+                if stop_after is not None and rounds >= stop_after:
+                    raise KeyboardInterrupt
+                count = min(size, wanted - kept.shape[1])
+                kept = np.concatenate([kept, np.stack([engine.advance(s, count, thin) for s in states])], axis=1)
+                rounds += 1
+                shown.update(count)
+                if tell is not None:
+                    apart = f", draws {thin} times farther apart" if thin > 1 else ""
+                    tell(f"sampling{apart}: {100 * kept.shape[1] // wanted} %")
+                if checkpoint is not None:
+                    _save(checkpoint, mark, {"states": states, "kept": kept, "thin": thin, "rounds": rounds})
+            flat = np.swapaxes(kept, 1, 2).reshape(chains, -1, kept.shape[-1])[:, :each]
+            diagnosis = convergence(*_monitored(model, flat))
+            if diagnosis.passed or thin >= longest:
+                even = np.linspace(0, each - 1, asked).astype(int)
+                return Chains(flat[:, even], engine.name, thin, states, diagnosis)
+            kept, thin = kept[:, 1::2], 2 * thin
+            shown.reset(total=wanted)
+            shown.set_description(f"sampling, draws {thin} times farther apart")
+            shown.update(kept.shape[1])
+
+
+def _monitored(model: PosteriorModel, draws: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
+    """What must have converged: everything sampled, and the base parameters."""
+    if model.prior is None:
+        return draws, model.names
+    base = draws[..., : model.link_count] @ model.base.matrix.T
+    return np.concatenate([draws, base], axis=-1), model.names + model.base.names
+
+
+def fingerprint(model: PosteriorModel, engine: Engine, draws: int, chains: int, seed: int) -> str:
+    """What a checkpoint belongs to: data, model, engine and seed."""
+    digest = sha256()
+    for array in (model.likelihood.factors, model.likelihood.counts, model.to_columns, model._prior_factor):
+        digest.update(np.ascontiguousarray(array).tobytes())
+    settings = [model.names, model.noise, str(model.scale_prior), str(model.dof_prior), model.physical, engine.name,
+                engine.walkers, getattr(engine, "moves", ""), draws, chains, seed]  # fmt: skip
+    digest.update(json.dumps(settings).encode())
+    return digest.hexdigest()
+
+
+def _save(path: Path, mark: str, content: dict[str, Any]) -> None:
+    """Atomically: an interruption leaves the last checkpoint."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    draft = path.with_name(path.name + ".part")
+    rest = {key: value for key, value in content.items() if key != "kept"}
+    with draft.open("wb") as file:
+        np.savez(file, kept=content["kept"], rest=json.dumps({"mark": mark, **rest}, default=_encode))
+    draft.replace(path)
+
+
+def _load(path: Path, mark: str) -> dict[str, Any] | None:
+    if not path.exists():
+        return None
+    try:
+        with np.load(path) as stored:
+            content = {"kept": stored["kept"], **json.loads(str(stored["rest"]), object_hook=_decode)}
+    except (ValueError, KeyError, OSError) as error:
+        raise InputError(f"{path}: is no checkpoint ({error}); leave out --resume or delete it") from None
+    if content["mark"] != mark:
+        raise InputError(f"{path}: belongs to another run (data, model, draws or seed differ); leave out --resume or delete it")
+    return content
+
+
+def _encode(value: Any) -> Any:
+    """Arrays and generators as JSON; Python writes floats so that they come back the same."""
+    if isinstance(value, np.ndarray):
+        return {"array": value.tolist(), "type": value.dtype.str}
+    if isinstance(value, np.random.Generator):
+        return {"generator": value.bit_generator.state}
+    if isinstance(value, np.generic):
+        return value.item()
+    raise TypeError(type(value))
+
+
+def _decode(value: dict[str, Any]) -> Any:
+    if value.keys() == {"array", "type"}:
+        return np.array(value["array"], value["type"])
+    if value.keys() == {"generator"}:
+        generator = np.random.Generator(np.random.PCG64())
+        generator.bit_generator.state = value["generator"]
+        return generator
+    return value

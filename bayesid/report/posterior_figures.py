@@ -1,0 +1,121 @@
+"""Figures of `sample`: names and draws go in, a Figure comes out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from bayesid.plots import CLASSES, CYCLE, GREY, NOISE, add_legend, make_grid, styled
+
+_COLUMNS = 6
+_BINS = 36
+_RANKS = 20
+
+
+@styled
+def marginals(names: Sequence[str], draws: np.ndarray, prior: np.ndarray | None, nominal: np.ndarray | None) -> Figure:
+    """Marginal posterior of every base parameter beside its prior.
+
+    Parameters
+    ----------
+    names
+        Short names (r,).
+    draws
+        (n, r).
+    prior
+        Draws from the prior (m, r), or None where it is flat.
+    nominal
+        (r,), or None.
+    """
+    rows = -(-len(names) // _COLUMNS)
+    figure, axes = make_grid(rows, _COLUMNS, 1.0, left=0.2, gap=0.22)
+    figure.subplots_adjust(hspace=0.6)
+    for k, ax in enumerate(axes.ravel()):
+        if k >= len(names):
+            ax.set_visible(False)
+            continue
+        x = draws[:, k]
+        low, high = np.quantile(x, [0.001, 0.999])
+        reach = 0.6 * max(high - low, 1e-12 * max(abs(high), 1.0))
+        middle = 0.5 * (low + high)
+        if nominal is not None and abs(nominal[k] - middle) < 3.0 * reach:
+            reach = max(reach, 1.15 * abs(nominal[k] - middle))
+        edges = np.linspace(middle - reach, middle + reach, _BINS + 1)
+        height, _ = np.histogram(x, edges, density=True)
+        ax.stairs(height, edges, fill=True, color=CYCLE[0], alpha=0.75, label="posterior")
+        if prior is not None:
+            # A smooth curve of the prior on its own scale: it is often much wider than the picture.
+            wide, where = np.histogram(prior[:, k], 40, density=True)
+            centre = 0.5 * (where[1:] + where[:-1])
+            grid = np.linspace(edges[0], edges[-1], 60)
+            ax.plot(grid, np.interp(grid, centre, wide, left=0.0, right=0.0), color=CLASSES["weak"], lw=1.4, label="prior")
+        if nominal is not None and edges[0] <= nominal[k] <= edges[-1]:
+            ax.axvline(nominal[k], color=GREY, lw=1.0, ls="--", label="nominal")
+        ax.set_title(f"{names[k]}  ({k + 1})", fontsize=8)
+        ax.set_yticks([])
+        ax.set(xlim=(edges[0], edges[-1]), ylim=(0.0, 1.12 * height.max()))
+        ax.xaxis.set_major_locator(MaxNLocator(3))
+        ax.tick_params(labelsize=7, pad=1)
+        ax.spines["left"].set_visible(False)
+    handles: dict[str, object] = {}
+    for ax in axes.ravel():
+        handles |= {label: handle for handle, label in zip(*ax.get_legend_handles_labels(), strict=True)}
+    add_legend(figure, list(handles.values()), list(handles))
+    return figure
+
+
+@styled
+def narrowing(groups: Sequence[tuple[str, Sequence[str], np.ndarray]], driven: float) -> Figure:
+    """Posterior over prior standard deviation: what the data narrowed, and what they did not.
+
+    Parameters
+    ----------
+    groups
+        Title, names and ratios (k,) of each panel.
+    driven
+        Ratio from which a parameter counts as driven by the prior.
+    """
+    figure, axes = make_grid(len(groups), 1, 1.7, left=0.6)
+    figure.subplots_adjust(hspace=0.85)
+    for ax, (title, names, share) in zip(axes[:, 0], groups, strict=True):
+        at = np.arange(len(share))
+        colours = [CLASSES["weak"] if s > driven else CYCLE[0] for s in share]
+        ax.bar(at, np.minimum(share, 1.1), width=0.75, color=colours, lw=0)
+        ax.axhline(driven, color=CLASSES["weak"], lw=0.9, ls="--")
+        ax.axhline(1.0, color=GREY, lw=0.8)
+        ax.set(xlim=(-0.7, len(share) - 0.3), ylim=(0.0, 1.12), title=title, ylabel="posterior / prior std")
+        ax.set_xticks(at, names, rotation=90, fontsize=6 if len(share) > 45 else 7)
+        ax.grid(axis="x", visible=False)
+        ax.tick_params(axis="x", length=0)
+    return figure
+
+
+@styled
+def ranks(names: Sequence[str], draws: np.ndarray) -> Figure:
+    """Ranks of each chain's draws among all: alike and level where the chains agree.
+
+    Parameters
+    ----------
+    names
+        Of the numbers shown (k,).
+    draws
+        (chains, draws, k).
+    """
+    chains, count, numbers = draws.shape
+    figure, axes = make_grid(1, numbers, 1.5, left=0.35, gap=0.3)
+    for k, ax in enumerate(axes[0]):
+        order = np.argsort(np.argsort(draws[:, :, k].ravel())).reshape(chains, count)
+        edges = np.linspace(0, chains * count, _RANKS + 1)
+        level = count / _RANKS
+        spread = 1.96 * np.sqrt(level * (1 - 1 / _RANKS))
+        ax.axhspan(level - spread, level + spread, color=NOISE, alpha=0.12, lw=0, label="95 % of bars, chains alike")
+        for c in range(chains):
+            ax.stairs(np.histogram(order[c], edges)[0], edges, color=CYCLE[c % len(CYCLE)], lw=1.2, label=f"chain {c + 1}")
+        ax.set_title(names[k] if len(names[k]) < 34 else names[k][:31] + "...", fontsize=8)
+        ax.set(ylim=(0, 2.0 * level), xlim=(0, chains * count), xlabel="rank", yticks=[])
+        ax.xaxis.set_major_locator(MaxNLocator(3))
+    add_legend(figure, *axes[0, 0].get_legend_handles_labels())
+    return figure
