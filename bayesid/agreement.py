@@ -1,0 +1,134 @@
+"""How far estimates from the same rows lie apart, and whether the noise explains it.
+
+Such estimates are correlated: their difference is not as large as both intervals together say. So differences are
+given in one stated unit, and tested only against the efficient estimate, where the covariance of the difference is known.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from bayesid.estimators import Estimate
+from bayesid.estimators.factor import SMALLEST_AGREEMENT
+
+#: Eigenvalues of a difference of covariances, relative to the larger one, below which it says nothing.
+_SMALLEST_GAP = 0.05
+
+
+@dataclass(frozen=True)
+class Gap:
+    """How far apart two estimators are, parameter by parameter, in standard deviations of the reference.
+
+    Estimates from the same rows are correlated, so this is no test: 1 says that the choice of the estimator
+    moves the result by as much as the noise does.
+
+    Attributes
+    ----------
+    first, second
+        Which estimators.
+    compared
+        How many base parameters both and the reference determine.
+    rms, largest
+        Of the differences [standard deviations of the reference].
+    where
+        Label of the base parameter that differs most.
+    """
+
+    first: str
+    second: str
+    compared: int
+    rms: float
+    largest: float
+    where: str
+
+
+@dataclass(frozen=True)
+class HausmanTest:
+    """Whether an estimator differs from the efficient one by more than the noise explains [Hausman1978]_.
+
+    Attributes
+    ----------
+    method, efficient
+        Which estimators.
+    statistic, degrees
+        ``d' (V - V_efficient)^-1 d`` and how many directions it sums; 0 where no direction can be tested.
+    probability
+        Of a statistic at least as large if both are consistent; None where the test does not apply.
+    reason
+        Why it does not apply.
+    """
+
+    method: str
+    efficient: str
+    statistic: float = 0.0
+    degrees: int = 0
+    probability: float | None = None
+    reason: str = ""
+
+    @property
+    def contradiction(self) -> bool:
+        """Whether chance cannot explain the difference; there are several tests, so the level is low."""
+        return self.probability is not None and self.probability < SMALLEST_AGREEMENT
+
+
+def gaps(estimates: dict[str, Estimate], reference: str) -> list[Gap]:
+    """Differences of all pairs, in one unit, so that they can be compared with each other.
+
+    Parameters
+    ----------
+    estimates
+        By name, from the same rows.
+    reference
+        Whose standard deviations are the unit.
+    """
+    names, std = list(estimates), estimates[reference].std
+    rank, labels, out = len(std), estimates[reference].base.labels, []
+    for i, first in enumerate(names):
+        for second in names[i + 1 :]:
+            one, other = estimates[first], estimates[second]
+            at = np.flatnonzero((std > 0) & ~one.undetermined[:rank] & ~other.undetermined[:rank])
+            if not len(at):
+                continue
+            z = np.abs(one.values - other.values)[at] / std[at]
+            k = int(np.argmax(z))
+            out.append(Gap(first, second, len(at), float(np.sqrt(np.mean(z**2))), float(z[k]), labels[at[k]]))
+    return out
+
+
+def hausman(method: str, estimate: Estimate, efficient: str, best: Estimate) -> HausmanTest:
+    """Test an estimate against the efficient one from the same rows.
+
+    The difference of a consistent estimate and the efficient one is uncorrelated with the latter, so its
+    covariance is ``V - V_efficient`` [Hausman1978]_. That fails for a biased estimate, and for one that knows more
+    than the rows say, such as a prior or a constraint: then ``V - V_efficient`` is not positive semidefinite.
+
+    Parameters
+    ----------
+    method, estimate
+        Any estimator's.
+    efficient, best
+        Generalised least squares, efficient where the noise is as modelled.
+    """
+    if estimate.full_covariance is None or best.full_covariance is None:
+        return HausmanTest(method, efficient, reason="an estimator without intervals cannot be tested")
+    if estimate.interval != "confidence":
+        return HausmanTest(method, efficient, reason="its intervals hold a prior")
+    seen = ~(estimate.undetermined | best.undetermined) & (np.diag(estimate.full_covariance) > 0)
+    if not seen.any():
+        return HausmanTest(method, efficient, reason="nothing is determined by both")
+    covariance = estimate.full_covariance[np.ix_(seen, seen)]
+    size = np.sqrt(np.diag(covariance))
+    gap = (covariance - best.full_covariance[np.ix_(seen, seen)]) / np.outer(size, size)
+    values, vectors = np.linalg.eigh(gap)
+    if values[0] < -_SMALLEST_GAP:
+        return HausmanTest(method, efficient, reason=f"it claims to be surer than {efficient} in some direction")
+    # Where both are almost equally sure, the tiny difference is one of estimated weights, not of fits.
+    keep = values > _SMALLEST_GAP
+    if not keep.any():
+        return HausmanTest(method, efficient, reason=f"it is as efficient as {efficient}: there is nothing to test")
+    z = vectors.T[keep] @ ((estimate.solution - best.solution)[seen] / size) / np.sqrt(values[keep])
+    statistic, degrees = float(z @ z), int(keep.sum())
+    return HausmanTest(method, efficient, statistic, degrees, float(chi2.sf(statistic, degrees)))

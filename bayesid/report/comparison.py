@@ -1,0 +1,380 @@
+"""The report of `compare`, and its tables as text: turns a `Comparison` into what is shown."""
+
+from __future__ import annotations
+
+import platform
+from html import escape
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+
+from bayesid.prediction import BAND, band_error
+from bayesid.report.comparison_figures import proof_side_by_side, values_side_by_side
+from bayesid.report.identification import HALF, STATIC, chance, channel_text, mood_of, short_names
+from bayesid.report.page import DASH, number, percent, render, svg, with_half
+
+_SHOWN_MOTIONS = 4
+_TEXT_MOTIONS = 3
+#: Two residuals closer than this do not tell two estimators apart.
+_TIE = 0.02
+_DESCRIPTIONS = {
+    "ols": "ordinary least squares: every reading counts the same, whatever its unit and noise",
+    "wls": "least squares with every channel weighted by its noise; the default",
+    "gls": "generalised least squares: weighted by the noise's colour, too; the most exact where the model is complete",
+    "ridge": "least squares drawn towards the nominal model; biased, so without an interval",
+    "tsvd": "least squares in the directions that these motions show well; the others stay nominal",
+    "tls": "total least squares: encoder noise in the regressor counts",
+    "iv": "instrumental variables: free of the bias that encoder noise brings",
+    "huber": "robust: samples far off the model, such as taps and contact, count less",
+    "student": "robust: noise with heavy tails, samples far off count little",
+    "sdp": "only links that can exist, drawn towards the nominal model where the data say little",
+}
+
+
+def comparison_report(comparison: Any) -> str:
+    """The report of ``compare``.
+
+    Parameters
+    ----------
+    comparison
+        The verb's result, a `Comparison`.
+
+    Returns
+    -------
+    page
+        HTML with all figures inside.
+    """
+    result, problem = comparison, comparison.problem
+    done = [e for e in result.entries if e.estimate is not None]
+    motions = [_motion_errors(result, k) for k in range(len(done[0].proof))]
+    return render(
+        "comparison.html",
+        name="Comparison of estimators" if problem is None else problem.experiment.name,
+        source="a regression of one's own" if problem is None else
+        f"the {channel_text(problem.channel)} of {', '.join(problem.fitted)}",
+        count=len(result.entries),
+        warning_list=result.warnings,
+        lead=_lead(result),
+        card_list=_cards(result),
+        reference=result.reference,
+        efficient=result.tests[0].efficient if result.tests else "",
+        shown=[p.motion for p in done[0].proof[:_TEXT_MOTIONS]],
+        validated=bool(done[0].validation),
+        robot=problem is not None,
+        links_known=any(e.impossible is not None for e in result.entries),
+        band=number(BAND, 2),
+        overview=[_row(result, e) for e in (*result.baselines, *result.entries)],
+        refused=[{"name": e.name, "reason": e.refusal} for e in result.entries if e.estimate is None],
+        descriptions=[(e.name, _describe(e)) for e in (*result.baselines, *result.entries)],
+        proof=svg(_proof_figure(result), "proof") if motions else "",
+        values_figure=svg(_values_figure(result), "values") if result.reference else "",
+        columns=[e.name for e in done],
+        nominal=result.regression.nominal is not None,
+        values=_values(result),
+        effects=_values(result, effects=True),
+        gaps=_matrix(result),
+        farthest=[
+            {"pair": f"{g.first} and {g.second}", "compared": g.compared, "rms": _sigmas(g.rms),
+             "largest": _sigmas(g.largest), "where": g.where}
+            for g in sorted(result.gaps, key=lambda g: -g.rms)
+        ],
+        tests=[_test(t) for t in result.tests],
+        errors=motions,
+        impossible=[(e.name, ", ".join(e.impossible)) for e in result.entries if e.impossible],
+        credible=[e.name for e in done if e.estimate.interval == "credible"],
+        intervals=[(e.name, e.estimate.interval_reason) for e in done if e.estimate.interval == "none"],
+        how=_how(result),
+    )  # fmt: skip
+
+
+def comparison_text(comparison: Any, *, html: bool = False) -> str:
+    """The estimators in a table, then their values; for a terminal or a notebook.
+
+    Parameters
+    ----------
+    comparison
+        A `Comparison`.
+    html
+        As two HTML tables instead of text.
+    """
+    result = comparison
+    done = [e for e in result.entries if e.estimate is not None]
+    motions = [p.motion for p in done[0].proof[:_TEXT_MOTIONS]]
+    head = ["estimator"]
+    for motion in motions:
+        head += [f"{motion}: error", "x noise"]
+    known = any(e.impossible is not None for e in (*result.baselines, *result.entries))
+    head += ["links"] * known
+    if result.reference:
+        head += ["interval", f"from {result.reference}", "largest"]
+    head += [*(f"Hausman {t.efficient}" for t in result.tests[:1]), "time"]
+    rows = []
+    for entry in (*result.baselines, *(e for e in result.entries if e.estimate is not None)):
+        row = _row(result, entry)
+        cells = [row["name"]]
+        for m in row["motions"]:
+            cells += [m["error"], m["white"]]
+        cells += [row["links"]] * known
+        if result.reference:
+            cells += [row["width"], row["rms"], row["largest"]]
+        rows.append([*cells, *([row["test"]] * bool(result.tests)), row["time"]])
+    refused = [f"{e.name} refused: {e.refusal}" for e in result.entries if e.estimate is None]
+    names = [e.name for e in done]
+    table = [*_values(result), *_values(result, effects=True)]
+    values = [[v["label"], *(c["text"] for c in v["cells"]), v["unit"]] for v in table]
+    notes = [*refused, *(f"warning: {w}" for w in result.warnings)]
+    title = _title(result)
+    if html:
+        lists = "".join(f"<p>{escape(n)}</p>" for n in notes)
+        return f"<p>{escape(title)}</p>{_html(head, rows)}{lists}{_html(['base parameter', *names, 'unit'], values)}"
+    legend = []
+    if motions:
+        role = "not fitted" if done[0].validation else "fitted: no validation motion"
+        legend.append(f"  error: of the signal below {BAND:g} Hz, on motions {role}; x noise: what is left, 1 is perfect")
+    if result.reference:
+        legend.append(f"  interval: median width relative to {result.reference}")
+        legend.append(f"  from {result.reference}: rms and largest difference in its sigmas")
+        if any(e.estimate.interval == "credible" for e in done):
+            legend.append("  *: credible, counts what was known before")
+    if result.tests:
+        legend.append("  Hausman: chance of so large a difference if the model is complete")
+    if known:
+        legend.append("  links: whether all can exist")
+    return "\n".join([title, *_text(head, rows), *legend, *(f"  {n}" for n in notes), "",
+                      *_text(["value ± 95 %", *names, "unit"], values)])  # fmt: skip
+
+
+def _title(result: Any) -> str:
+    rank, count = result.regression.base.rank, len(result.entries)
+    estimators = f"{count} estimator{'s' if count > 1 else ''}"
+    if result.problem is None:
+        return f"{estimators} on one regression, {rank} base parameters"
+    p = result.problem
+    return f"{p.experiment.name}: {estimators} on the {channel_text(p.channel)} of {', '.join(p.fitted)}, {rank} base parameters"
+
+
+def _text(head: list[str], rows: list[list[str]]) -> list[str]:
+    """Columns of a width, the first to the left, the others to the right."""
+    cells = [head, *([_cut(row[0]), *row[1:]] for row in rows)]
+    widths = [max(len(row[k]) for row in cells) for k in range(len(head))]
+    return ["  " + "  ".join([row[0].ljust(widths[0]), *(c.rjust(w) for c, w in zip(row[1:], widths[1:], strict=True))]).rstrip()
+            for row in cells]  # fmt: skip
+
+
+def _cut(text: str, width: int = 44) -> str:
+    return text if len(text) <= width else text[: width - 2] + " …"
+
+
+def _html(head: list[str], rows: list[list[str]]) -> str:
+    top = "".join(f"<th>{escape(h)}</th>" for h in head)
+    body = "".join("<tr>" + "".join(f"<td>{escape(c)}</td>" for c in row) + "</tr>" for row in rows)
+    return f"<table><tr>{top}</tr>{body}</table>"
+
+
+def _row(result: Any, entry: Any) -> dict[str, Any]:
+    """One line of the overview."""
+    own = None if any(entry is b for b in result.baselines) else entry.estimate
+    gap = next((g for g in result.gaps if {g.first, g.second} == {entry.name, result.reference}), None)
+    test = next((t for t in result.tests if t.method == entry.name), None)
+    width = DASH
+    if own is not None and result.reference is not None:
+        width = "none"
+        if own.full_covariance is not None:
+            std = result[result.reference].std
+            both = (std > 0) & np.isfinite(own.std)
+            width = f"{number(float(np.median(own.std[both] / std[both])), 3)} ×" if both.any() else DASH
+            width += " *" * (own.interval == "credible")
+    links = DASH if entry.impossible is None else f"{len(entry.impossible)} impossible" if entry.impossible else "possible"
+    return {
+        "name": entry.name,
+        "refused": entry.refusal,
+        "baseline": any(entry is b for b in result.baselines),
+        "motions": [
+            {"error": percent(band_error(p)), "white": number(p.whitened_rms, 3), "mood": mood_of(p.whitened_rms)}
+            for p in entry.proof[:_TEXT_MOTIONS]
+        ],
+        "links": links,
+        "links_mood": "" if entry.impossible is None else "bad" if entry.impossible else "good",
+        "width": width,
+        "rms": DASH if gap is None else _sigmas(gap.rms),
+        "largest": DASH if gap is None else _sigmas(gap.largest),
+        "test": DASH if test is None or test.probability is None else chance(test.probability),
+        "test_mood": "bad" if test is not None and test.contradiction else "",
+        "time": DASH if own is None else f"{number(entry.seconds, 2)} s",
+    }
+
+
+def _sigmas(value: float | None) -> str:
+    return "< 0.01" if value is not None and value < 0.01 else number(value, 3)
+
+
+def _describe(entry: Any) -> str:
+    return _DESCRIPTIONS.get(entry.name) or entry.description or "an estimator of one's own"
+
+
+def _score(entry: Any) -> float:
+    """Residual over all proof motions in units of the noise: root mean square."""
+    return float(np.sqrt(np.mean([p.whitened_rms**2 for p in entry.proof])))
+
+
+def _error(entry: Any) -> float:
+    """Relative error over all proof motions: root mean square."""
+    return float(np.sqrt(np.mean([band_error(p) ** 2 for p in entry.proof])))
+
+
+def _lead(result: Any) -> str:
+    done = [e for e in result.entries if e.estimate is not None]
+    refused = len(result.entries) - len(done)
+    sorry = f" {refused} of {len(result.entries)} could not work with these data." if refused else ""
+    if not done[0].proof:
+        return (
+            "The same rows, fitted by several estimators. A regression of one's own has no motion to validate on, so what can be "
+            f"compared is values, intervals and how far they agree.{sorry}"
+        )
+    scores = {e.name: _score(e) for e in done}
+    best = min(scores, key=lambda n: scores[n])
+    ties = [n for n in scores if n != best and scores[n] <= (1 + _TIE) * scores[best]]
+    where = "motions that were not fitted" if done[0].validation else "the fitted motions (there is no other)"
+    text = f"On {where}, {best} leaves least: {number(scores[best], 3)} times the noise"
+    nominal = result.baselines[-1] if result.baselines else None
+    if nominal is not None:
+        text += f", where {_baseline(nominal.name)} leaves {number(_score(nominal), 3)}"
+    text += "."
+    errors = {e.name: _error(e) for e in done}
+    closest = min(errors, key=lambda n: errors[n])
+    if errors[best] > (1 + _TIE) * errors[closest] or (nominal is not None and _error(nominal) < errors[closest]):
+        text += f" In per cent of the signal, where strong channels count most, {closest} is closest ({percent(errors[closest])}"
+        text += ")." if nominal is None else f", {_baseline(nominal.name)} {percent(_error(nominal))})."
+    if len(ties) == len(done) - 1 and ties:
+        text += " All others are within 2 % of it: prediction does not tell these estimators apart here."
+    elif ties:
+        text += f" {', '.join(ties)} {'is' if len(ties) == 1 else 'are'} within 2 % of it, too close to tell apart."
+    return text + sorry
+
+
+def _cards(result: Any) -> list[dict[str, str]]:
+    done = [e for e in result.entries if e.estimate is not None]
+    cards = []
+    if done[0].proof:
+        best = min(done, key=_score)
+        cards.append({"value": f"{number(_score(best), 3)} ×", "mood": mood_of(_score(best)),
+                      "text": f"noise is left by the best prediction ({best.name}); 1 is perfect"})  # fmt: skip
+        worst = max(done, key=_score)
+        if worst is not best:
+            cards.append({"value": f"{number(_score(worst), 3)} ×", "mood": mood_of(_score(worst)),
+                          "text": f"by the worst ({worst.name})"})  # fmt: skip
+    for e in result.baselines:
+        cards.append({"value": f"{number(_score(e), 3)} ×", "mood": mood_of(_score(e)), "text": f"by {_baseline(e.name)}"})
+    if result.gaps:
+        far = max(result.gaps, key=lambda g: g.rms)
+        pair = f"{far.first} and {far.second}, the farthest pair"
+        cards.append({"value": f"{_sigmas(far.rms)} σ", "mood": "",
+                      "text": f"rms between {pair}, in standard deviations of {result.reference}"})  # fmt: skip
+    known = [e for e in done if e.impossible is not None]
+    if known:
+        fine = sum(not e.impossible for e in known)
+        cards.append({"value": f"{fine} of {len(known)}", "mood": "good" if fine == len(known) else "",
+                      "text": "estimators give links that can all exist"})  # fmt: skip
+    return cards
+
+
+def _baseline(name: str) -> str:
+    return "the nominal model" if name == "nominal" else "the nominal model with fitted effects"
+
+
+def _proof_figure(result: Any):
+    entries = [e for e in (*result.baselines, *result.entries) if e.estimate is not None]
+    motions = []
+    for k in range(min(len(entries[0].proof), _SHOWN_MOTIONS)):
+        ps = [e.proof[k] for e in entries]
+        motions.append(
+            (ps[0].motion, ps[0].channel_names,
+             100 * np.array([p.nrmse for p in ps]), 100 * np.array([band_error(p) for p in ps]),
+             np.array([p.whitened_rms_by_channel for p in ps]), np.array([p.whitened_rms for p in ps]))
+        )  # fmt: skip
+    return proof_side_by_side([e.name for e in entries], len(result.baselines), motions)
+
+
+def _values_figure(result: Any):
+    reference = result[result.reference]
+    shown = np.flatnonzero(reference.std > 0)
+    names = [f"{name}  ({k + 1})" for k, name in enumerate(short_names(reference.base)) if k in shown]
+    estimates = result.estimates.values()
+    std = reference.std[shown]
+    hidden = np.array([e.undetermined[: e.base.rank][shown] for e in estimates])
+    difference = np.array([(e.values - reference.values)[shown] / std for e in estimates])
+    half = np.array([HALF * e.std[shown] / std for e in estimates])
+    return values_side_by_side(names, list(result.estimates), np.where(hidden, np.nan, difference), half, result.reference)
+
+
+def _values(result: Any, *, effects: bool = False) -> list[dict[str, Any]]:
+    """A line for each base (or effect) parameter, a cell for each estimator."""
+    base, regression = result.regression.base, result.regression
+    labels, units = (regression.effect_names, regression.effect_units) if effects else (base.labels, base.units)
+    first, rows = base.rank if effects else 0, []
+    nominal = None if effects or regression.nominal is None else regression.nominal
+    if nominal is not None:  # rounding is no parameter
+        nominal = np.where(np.abs(nominal) > 1e-9 * regression.nominal_scale, nominal, 0.0)
+    for k, (label, unit) in enumerate(zip(labels, units, strict=True)):
+        cells = []
+        for estimate in result.estimates.values():
+            value, half = with_half(estimate.solution[first + k], HALF * estimate.full_std[first + k])
+            cells.append({"value": value, "half": half, "text": value if half == DASH else f"{value} ± {half}"})
+        rows.append({"index": k + 1, "label": label, "unit": unit, "cells": cells,
+                     "nominal": DASH if nominal is None else number(nominal[k])})  # fmt: skip
+    return rows
+
+
+def _matrix(result: Any) -> list[dict[str, Any]]:
+    """Root mean square differences of all pairs."""
+    names = list(result.estimates)
+    found = {frozenset((g.first, g.second)): g.rms for g in result.gaps}
+    return [{"name": a, "cells": [DASH if a == b else _sigmas(found.get(frozenset((a, b)))) for b in names]} for a in names]
+
+
+def _test(test: Any) -> dict[str, str]:
+    if test.probability is None:
+        return {"name": test.method, "statistic": DASH, "degrees": DASH, "probability": DASH, "mood": "", "verdict": test.reason}
+    bad = test.contradiction
+    return {
+        "name": test.method, "statistic": number(test.statistic, 3), "degrees": str(test.degrees),
+        "probability": chance(test.probability), "mood": "bad" if bad else "good",
+        "verdict": "differs by more than the noise explains" if bad else "differs by no more than the noise explains",
+    }  # fmt: skip
+
+
+def _motion_errors(result: Any, index: int) -> dict[str, Any]:
+    """Errors of one motion, channel by channel and estimator by estimator."""
+    entries = [e for e in (*result.baselines, *result.entries) if e.estimate is not None]
+    ps = [e.proof[index] for e in entries]
+    channels = [
+        {"name": name, "unit": unit,
+         "cells": [{"rmse": number(p.rmse[c], 3), "nrmse": percent(p.nrmse[c]), "white": number(p.whitened_rms_by_channel[c], 3)}
+                   for p in ps]}
+        for c, (name, unit) in enumerate(zip(ps[0].channel_names, ps[0].channel_units, strict=True))
+    ]  # fmt: skip
+    whole = [{"nrmse": percent(band_error(p)), "white": number(p.whitened_rms, 3), "mood": mood_of(p.whitened_rms)} for p in ps]
+    return {"title": ps[0].motion, "names": [e.name for e in entries], "channels": channels, "whole": whole,
+            "repeats": f"This motion repeats the fitted ‘{ps[0].repeats}’." if ps[0].repeats else ""}  # fmt: skip
+
+
+def _how(result: Any) -> list[tuple[str, str]]:
+    problem, regression = result.problem, result.regression
+    packages = [f"{p} {version(p)}" for p in ("bayesid", "numpy", "scipy", "pin")]
+    how = []
+    if problem is not None:
+        filters = problem.recipe.filters
+        how += [
+            ("Bandwidth of the motion", f"{number(problem.smoother.bandwidth, 3)} Hz; {problem.smoother.reason}"),
+            ("Accelerations", "from a spline through the positions, without delay" if filters is None else
+             f"none: low-pass filters on both sides, l = {number(filters.l, 3)} and d = {number(filters.d, 3)} rad/s"),
+            ("Static readings", STATIC[problem.static]),
+        ]  # fmt: skip
+    how += [
+        ("Rows", f"{regression.row_count} of {len(regression.channel_names)} channels, the same for all estimators"),
+        ("Noise", "learned once; what is left is counted in it for all, so that no estimator is judged by a noise of its own"),
+        ("Run time", ", ".join(f"{stage} {number(s, 2)} s" for stage, s in result.seconds.items())),
+        ("Versions", ", ".join([f"Python {platform.python_version()}", *packages])),
+    ]  # fmt: skip
+    return how
