@@ -1,0 +1,191 @@
+"""Diagnose a blind set and say how often the truth was named: rates, coverage of the intervals, confusion matrix.
+
+    python case_studies/blind_naming/judge.py SET [--jobs 2] [--seed 0] [--write]
+
+SET is what make.py wrote. Diagnoses go to SET/diagnoses; those that are there are not made again, so a run can be
+interrupted. ``--write`` puts results.json, confusion.png and the table of README.md beside this script.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections import Counter
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+from tqdm import tqdm
+
+HERE = Path(__file__).parent
+CLAIMS = ("named", "ambiguous")
+#: In the wrench alone these can only be told from each other by what is thought possible (EXPERIMENT_FORMAT).
+SAME = ({"payload", "inertia_error"},)
+
+
+def diagnose_one(folder: Path, seed: int) -> None:
+    """Diagnose one case and keep its JSON."""
+    from bayesid import diagnose
+
+    answer = json.loads((folder.parent / "answers" / f"{folder.name}.json").read_text())
+    target = folder.parent / "diagnoses" / folder.name / "diagnosis.json"
+    if not target.exists():
+        result = diagnose(folder, answer["channel"], seed=seed).to_dict()
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_text(json.dumps(result, allow_nan=False))
+
+
+def read(set_folder: Path) -> Iterator[tuple[dict, dict]]:
+    """Answers with their diagnoses."""
+    for path in sorted((set_folder / "answers").glob("*.json")):
+        answer = json.loads(path.read_text())
+        yield answer, json.loads((set_folder / "diagnoses" / answer["case"] / "diagnosis.json").read_text())
+
+
+def within(truth: dict, alternatives: list, claim: dict) -> bool:
+    """Whether the truth is the effect claimed, one that looks the same on these motions, or in the set of at most three."""
+    names = {claim["name"], *(rival["name"] for rival in claim["ambiguous_with"])}
+    for same in SAME:
+        names |= same if names & same else set()
+    return truth["name"] in names and len(names) <= 4 or any(claim["name"] == name for name, _ in alternatives)
+
+
+def there(truth: dict, alternatives: list, claim: dict) -> bool:
+    """Whether the place is right, or one of those declared as not told apart."""
+    places = {(claim["name"], claim["where"]), *((rival["name"], rival["where"]) for rival in claim["ambiguous_with"])}
+    return any(where == truth["where"] for _, where in places) or any((n, w) in places for n, w in alternatives)
+
+
+def judge(pairs: list[tuple[dict, dict]]) -> dict:
+    """All rates as (share, number of cases)."""
+    counts: dict[str, list[bool]] = {}
+    scores: list[float] = []
+    gaps: list[float] = []
+    seconds = [said["runtime_s"] for _, said in pairs]
+    for answer, said in pairs:
+        claims = said["effects"] if said["verdict"] in CLAIMS else []
+        kind, level = answer["kind"], answer["level"]
+        if kind == "none":
+            counts.setdefault("nothing hidden: nothing named", []).append(said["verdict"] == "nothing_missing")
+            counts.setdefault("nothing hidden: an effect named", []).append(bool(claims))
+        elif kind == "unlisted":
+            counts.setdefault(f"unlisted, {level}: unknown", []).append(said["verdict"] == "unknown")
+        elif kind == "pair":
+            left, found = list(claims), 0
+            for truth, alternatives in zip(answer["effects"], answer["alternatives"], strict=True):
+                hit = next((c for c in left if within(truth, alternatives, c)), None)
+                if hit is not None:
+                    left.remove(hit)
+                    found += 1
+            counts.setdefault(f"pair, {level}: both and nothing else", []).append(found == 2 and not left)
+        else:
+            truth, alternatives = answer["effects"][0], answer["alternatives"][0]
+            quiet = said["verdict"] == "nothing_missing" and "nothing_missing" in answer["acceptable_verdicts"]
+            hits = [c for c in claims if within(truth, alternatives, c)]
+            exact = len(claims) == 1 and claims[0]["name"] == truth["name"] and said["verdict"] == "named"
+            group = "three times the floor or more" if level in ("clear", "moderate") else "smaller"
+            if truth["name"] in ("payload", "inertia_error", "rotor_momentum"):
+                group += f", {truth['name']}"
+            counts.setdefault(f"single, {group}: in the set", []).append(bool(hits) or quiet)
+            counts.setdefault(f"single, {group}: outright", []).append(exact)
+            if hits:
+                counts.setdefault(f"single, {group}: right place", []).append(there(truth, alternatives, hits[0]))
+            if exact and claims[0]["where"] == truth["where"]:
+                scores += deviations(truth, claims[0])
+                if said["gap"] is not None and said["gap"]["after"] is not None:
+                    gaps.append(said["gap"]["after"] / said["gap"]["floor"])
+    rates = {key: [float(np.mean(v)), len(v)] for key, v in sorted(counts.items())}
+    sizes = np.abs(scores)
+    return {
+        "cases": len(pairs),
+        "rates": rates,
+        "coverage_95": [float(np.mean(sizes < 1.96)), len(sizes)] if len(sizes) else None,
+        "gap_after_within_1.1_of_floor": [float(np.mean(np.array(gaps) <= 1.1)), len(gaps)] if gaps else None,
+        "seconds": {"median": float(np.median(seconds)), "largest": float(np.max(seconds))},
+    }
+
+
+def deviations(truth: dict, claim: dict) -> list[float]:
+    """Deviations of the main parameters from the truth in their standard deviations."""
+    out = []
+    for key, item in truth["parameters"].items():
+        got = claim["parameters"].get(key)
+        if got and got["std"] and item.get("main", True):
+            out.append((got["value"] - item["value"]) / got["std"])
+    return out
+
+
+def label(said: dict) -> str:
+    """What a diagnosis said, as one word for the confusion matrix."""
+    if said["verdict"] not in CLAIMS:
+        return said["verdict"]
+    return said["effects"][0]["name"] if len(said["effects"]) == 1 else "several"
+
+
+def draw(pairs: list[tuple[dict, dict]], path: Path) -> None:
+    """Confusion matrix of single, unlisted and no effects."""
+    table = Counter(
+        (answer["effects"][0]["name"] if answer["kind"] == "single" else answer["kind"], label(said))
+        for answer, said in pairs
+        if answer["kind"] != "pair"
+    )
+    order = sorted({a for a, _ in table} - {"none", "unlisted"})
+    rows = [*order, "none", "unlisted"]
+    columns = [*order, *sorted({b for _, b in table} - {*order, "nothing_missing", "unknown", "several"})]
+    columns += ["several", "nothing_missing", "unknown"]
+    shares = np.array([[table[a, b] for b in columns] for a in rows], float)
+    totals = np.maximum(shares.sum(axis=1, keepdims=True), 1)
+    figure, axes = plt.subplots(figsize=(11, 9.5), layout="constrained")
+    axes.imshow(shares / totals, cmap="Blues", vmin=0, vmax=1, aspect="auto")
+    for i, j in zip(*np.nonzero(shares), strict=True):
+        dark = shares[i, j] / totals[i, 0] > 0.6
+        axes.text(j, i, f"{int(shares[i, j])}", ha="center", va="center", fontsize=7, color="white" if dark else "black")
+    axes.set_xticks(range(len(columns)), [c.replace("_", " ") for c in columns], rotation=60, ha="right", fontsize=8)
+    axes.set_yticks(range(len(rows)), [r.replace("_", " ") for r in rows], fontsize=8)
+    axes.set_xlabel("said")
+    axes.set_ylabel("hidden")
+    axes.set_title("Blind naming: number of recordings; shade: share of the row", fontsize=10)
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("set", type=Path)
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--write", action="store_true", help="renew results.json, confusion.png and README.md's table")
+    options = parser.parse_args()
+    folders = sorted(p.parent for p in options.set.glob("*/experiment.toml"))
+    with ProcessPoolExecutor(options.jobs) as pool:
+        list(tqdm(pool.map(partial(diagnose_one, seed=options.seed), folders), total=len(folders), unit="case", disable=None))
+    pairs = list(read(options.set))
+    results = judge(pairs)
+    print(json.dumps(results, indent=1))
+    if options.write:
+        (HERE / "results.json").write_text(json.dumps(results, indent=1) + "\n")
+        draw(pairs, HERE / "confusion.png")
+        fill(HERE / "README.md", results)
+
+
+def fill(readme: Path, results: dict) -> None:
+    """Put the table of rates between README.md's marks."""
+    begin, end = "<!-- results -->", "<!-- end of results -->"
+    lines = ["| | share | cases |", "| --- | --- | --- |"]
+    lines += [f"| {key} | {100 * share:.1f} % | {count} |" for key, (share, count) in results["rates"].items()]
+    for key, text in (
+        ("coverage_95", "95 % intervals of named effects that hold the truth"),
+        ("gap_after_within_1.1_of_floor", "gap on unseen motions at most 1.1 times the floor afterwards"),
+    ):
+        if results[key]:
+            lines.append(f"| {text} | {100 * results[key][0]:.1f} % | {results[key][1]} |")
+    text = readme.read_text()
+    before, rest = text.split(begin)
+    readme.write_text(before + begin + "\n" + "\n".join(lines) + "\n" + end + rest.split(end)[1])
+
+
+if __name__ == "__main__":
+    main()
