@@ -8,6 +8,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet
 READY := $(VENV)/ready
 FIGAROH := .venv-figaroh
+NUMPYRO := .venv-numpyro
 
 .DEFAULT_GOAL := help
 .PHONY: help demo test test-slow bench lint clean
@@ -17,8 +18,9 @@ help:
 	@echo "make test       the test suite"
 	@echo "make test-slow  long statistical studies"
 	@echo "make bench      speed and memory, also against FIGAROH (its own environment, $(FIGAROH))"
+	@echo "                and the samplers, also against numpyro's NUTS ($(NUMPYRO))"
 	@echo "make lint       ruff, pyright and the layers of imports"
-	@echo "make clean      remove both environments and everything built"
+	@echo "make clean      remove all environments and everything built"
 
 demo: $(READY)
 	$(BIN)/bayesid demo
@@ -29,8 +31,9 @@ test: $(READY)
 test-slow: $(READY)
 	$(BIN)/python -m pytest -m slow
 
-bench: $(READY) $(FIGAROH)/ready
+bench: $(READY) $(FIGAROH)/ready $(NUMPYRO)/ready
 	$(BIN)/python tests/benchmarks/run.py
+	$(BIN)/python tests/benchmarks/posterior_speed.py
 
 lint: $(READY)
 	$(BIN)/ruff check
@@ -38,7 +41,7 @@ lint: $(READY)
 	$(BIN)/lint-imports
 
 clean:
-	rm -rf $(VENV) $(FIGAROH) build dist bayesid.egg-info
+	rm -rf $(VENV) $(FIGAROH) $(NUMPYRO) build dist bayesid.egg-info
 
 # An environment that was left half made, or whose Python is gone, is made anew.
 $(READY): pyproject.toml constraints.txt
@@ -52,4 +55,9 @@ $(READY): pyproject.toml constraints.txt
 $(FIGAROH)/ready:
 	@$(FIGAROH)/bin/python -m pip --version >/dev/null 2>&1 || $(PYTHON) -m venv --clear $(FIGAROH)
 	$(FIGAROH)/bin/python -m pip --disable-pip-version-check install --quiet figaroh==1.0.2 pin==4.1.0 numpy==2.4.6 scipy==1.17.1
+	@touch $@
+
+$(NUMPYRO)/ready:
+	@$(NUMPYRO)/bin/python -m pip --version >/dev/null 2>&1 || $(PYTHON) -m venv --clear $(NUMPYRO)
+	$(NUMPYRO)/bin/python -m pip --disable-pip-version-check install --quiet numpyro==0.22.0 jax==0.10.2 numpy==2.4.6 scipy==1.17.1
 	@touch $@

@@ -14,12 +14,14 @@ import click
 from rich.console import Console
 
 import bayesid
+from bayesid.comparison import DEFAULT_SET
 from bayesid.demo import NAME as DEMO_NAME
 from bayesid.demo import demo as run_demo
-from bayesid.errors import BayesidError, InputError
+from bayesid.errors import BayesidError, EstimationError, InputError
 from bayesid.filters import LowPass
 from bayesid.output import check_output
 from bayesid.plant import complete_effects
+from bayesid.sampling import checkpoint_of
 from bayesid.schema import read_model
 from bayesid.simulation import Recorder, load_setup, write_simulation
 from bayesid.trajectories import make_trajectories
@@ -71,6 +73,11 @@ def commands() -> None:
 
 _EXPERIMENT = click.argument("experiment", type=click.Path(path_type=Path))
 _OUT = click.option("--out", type=click.Path(path_type=Path), help="Folder for the results.")
+_STATIC = click.option(
+    "--static", type=click.Choice(["motion", "joint"]), default="motion", show_default=True,
+    help="Subtract a stop-and-go run, or fit it along.",
+)  # fmt: skip
+_BOUNDS = click.option("--bounds", type=click.Path(path_type=Path), help="A TOML file of what is known of the links; for sdp.")
 _SEED = click.option("--seed", type=int, default=0, show_default=True, help="Seed of everything random.")
 
 
@@ -110,6 +117,23 @@ def _load(experiment: Path, model: Path | None):
     return replace(loaded, effects=effects, effect_values=values)
 
 
+def _bounded(method, bounds: Path | None, loaded):
+    """The estimator with the bounds of a file."""
+    if bounds is None:
+        return method
+    if not isinstance(method, bayesid.Physical):
+        raise InputError(f"--bounds is given with --method {method.name}, which takes none; add --method sdp")
+    return replace(method, bounds=bayesid.load_bounds(bounds, loaded.robot, loaded.locked))
+
+
+def _all_bounded(names, bounds: Path, loaded) -> list:
+    """Estimators by name, those that take bounds with the bounds of a file."""
+    chosen = [bayesid.estimator(name) for name in names]
+    if not any(isinstance(method, bayesid.Physical) for method in chosen):
+        raise InputError("--bounds is given, but none of --methods takes any; add sdp to --methods")
+    return [_bounded(method, bounds, loaded) if isinstance(method, bayesid.Physical) else method for method in chosen]
+
+
 def _out(out: Path | None, name: str, verb: str) -> Path:
     return check_output(out or Path("bayesid-out") / f"{name}-{verb}")
 
@@ -134,29 +158,124 @@ def check(experiment: Path, out: Path | None, seed: int) -> None:
 @_EXPERIMENT
 @_model_options
 @click.option("--method", default=bayesid.DEFAULT_METHOD, show_default=True, help=", ".join(bayesid.METHODS))
-@click.option(
-    "--static", type=click.Choice(["motion", "joint"]), default="motion", show_default=True,
-    help="Subtract a stop-and-go run, or fit it along.",
-)  # fmt: skip
+@_BOUNDS
+@_STATIC
 @_OUT
 @_SEED
-def identify(experiment, channel, filter_l, filter_d, bandwidth, motions, effects, model, method, static, out, seed) -> None:
+def identify(
+    experiment, channel, filter_l, filter_d, bandwidth, motions, effects, model, method, bounds, static, out, seed
+) -> None:
     """Base parameters with honest uncertainty, link parameters, proof on the validation motions."""
     del seed
     if out is not None:
         check_output(out)
     filters = _low_pass(filter_l, filter_d)
-    bayesid.estimator(method)
+    chosen = bayesid.estimator(method)
     with _progress() as progress:
         progress("reading")
         loaded = _load(experiment, model)
+        chosen = _bounded(chosen, bounds, loaded)
         result = bayesid.identify(
-            loaded, channel, method, low_pass=filters, motions=motions, effects=effects, static=static,
+            loaded, channel, chosen, low_pass=filters, motions=motions, effects=effects, static=static,
             bandwidth=bandwidth, progress=progress,
         )  # fmt: skip
         progress("report")
         report = result.write(_out(out, loaded.name, "identify"))
     click.echo(bayesid.summary(result))
+    click.echo(f"report: {report}")
+
+
+@commands.command()
+@_EXPERIMENT
+@_model_options
+@click.option("--methods", callback=_names, help="Estimators, separated by commas; default: one of each kind.")
+@_BOUNDS
+@_STATIC
+@_OUT
+@_SEED
+def compare(
+    experiment, channel, filter_l, filter_d, bandwidth, motions, effects, model, methods, bounds, static, out, seed
+) -> None:
+    """Several estimators on the same data, side by side, and the nominal model beside them."""
+    del seed
+    if out is not None:
+        check_output(out)
+    filters = _low_pass(filter_l, filter_d)
+    for method in methods or ():
+        bayesid.estimator(method)
+    with _progress() as progress:
+        progress("reading")
+        loaded = _load(experiment, model)
+        if bounds is not None:
+            methods = _all_bounded(methods or DEFAULT_SET, bounds, loaded)
+        result = bayesid.compare(
+            loaded, methods, channel, low_pass=filters, motions=motions, effects=effects, static=static,
+            bandwidth=bandwidth, progress=progress,
+        )  # fmt: skip
+        progress("report")
+        report = result.write(_out(out, loaded.name, "compare"))
+    click.echo(str(result))
+    click.echo(f"report: {report}")
+
+
+@commands.command()
+@_EXPERIMENT
+@_model_options
+@click.option("--draws", type=int, default=2000, show_default=True, help="Draws in all.")
+@click.option("--chains", type=int, default=4, show_default=True, help="Independent chains.")
+@click.option("--prior", help="nominal or flat; default: nominal where the experiment has an inertia_rel_std above 0.")
+@click.option("--prior-std", type=float, help="Relative standard deviation of every nominal mass; default: inertia_rel_std.")
+@click.option("--noise", default="gaussian", show_default=True, help="gaussian, or student against outliers.")
+@click.option("--engine", help="hmc or emcee; default: the one that suits.")
+@click.option("--longest", type=int, default=32, show_default=True, help="Times the usual length before giving up.")
+@click.option("--keep-going", is_flag=True, help="Write draws that have not converged, with a warning.")
+@click.option("--resume", is_flag=True, help="Go on with a run of the same --out that was interrupted.")
+@_STATIC
+@_OUT
+@_SEED
+def sample(experiment, filter_l, filter_d, model, out, resume, **options) -> None:
+    """Draws from the posterior, with convergence checks and proof on the validation motions."""
+    if out is not None:
+        check_output(out)
+    filters = _low_pass(filter_l, filter_d)
+    loaded = _load(experiment, model)
+    folder = _out(out, loaded.name, "sample")
+    kept = checkpoint_of(folder)
+    try:
+        with _progress() as progress:
+            result = bayesid.sample(
+                loaded, low_pass=filters, checkpoint=kept, resume=resume, progress=progress, **options
+            )
+            progress("report")
+            report = result.write(folder)
+    except KeyboardInterrupt:
+        raise EstimationError(f"interrupted; add --resume to go on from {kept}" if kept.exists() else "interrupted") from None
+    kept.unlink(missing_ok=True)
+    click.echo(str(result))
+    for warning in result.warnings:
+        click.echo(f"  warning: {warning}")
+    click.echo(f"report: {report}")
+
+
+@commands.command()
+@_EXPERIMENT
+@click.option("--channel", type=click.Choice(["wrench", "torque", "both"]), help="Which readings to compare.")
+@click.option("--motions", callback=_names, help="Motions to fit, separated by commas.")
+@click.option("--effects", callback=_names, help="Effects that the model already has, separated by commas.")
+@click.option("--model", type=click.Path(path_type=Path), help="A model.toml that replaces [model].")
+@_OUT
+@_SEED
+def diagnose(experiment, channel, motions, effects, model, out, seed) -> None:
+    """Where model and data disagree, which effect is missing, and proof on motions that were not fitted."""
+    if out is not None:
+        check_output(out)
+    with _progress() as progress:
+        progress("reading")
+        loaded = _load(experiment, model)
+        result = bayesid.diagnose(loaded, channel, motions=motions, effects=effects, seed=seed, progress=progress)
+        progress("report")
+        report = result.write(_out(out, loaded.name, "diagnose"))
+    click.echo(str(result))
     click.echo(f"report: {report}")
 
 

@@ -10,6 +10,7 @@ from scipy.stats import chi2
 from bayesid.base_parameters import structural_base
 from bayesid.errors import InputError
 from bayesid.estimators import Estimate, Estimator, fit
+from bayesid.nonlinear import solve
 from bayesid.problem import Problem, make_channels, prepare, restrict
 
 
@@ -109,15 +110,15 @@ def wrench_against_torque(problem: Problem, method: str | Estimator) -> Agreemen
     """
     experiment, recipe = problem.experiment, problem.recipe
     names = list(problem.fitted)
-    effects = [f"{e.name}@{e.where}" if e.joint is not None else e.name for e in recipe.effects]
+    effects = [e.spec for e in recipe.effects]
     wrench, torque = (
-        fit(
+        solve(
             prepare(
                 experiment, channel, filters=recipe.filters, motions=names, effects=effects, static="joint",
                 bandwidth=problem.smoother.bandwidth,
-            ).regression,
+            ),
             method,
-        )
+        )[1]
         for channel in ("wrench", "torque")
     )  # fmt: skip
     if wrench.covariance is None or torque.covariance is None:
@@ -143,4 +144,4 @@ def static_both_ways(problem: Problem, method: str | Estimator) -> Estimate | No
         effects=[f"{e.name}@{e.where}" for e in recipe.effects if e.name != "sensor_offset"],
         bandwidth=problem.smoother.bandwidth,
     )  # fmt: skip
-    return fit(joint.regression, method)
+    return solve(joint, method)[1]

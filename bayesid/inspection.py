@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from bayesid.base_parameters import BaseParameters, structural_base
-from bayesid.effects import UnsupportedEffectError, parse_effects
+from bayesid.effects import parse_effects
 from bayesid.errors import InputError
 from bayesid.experiment import Experiment, Motion
 from bayesid.output import write_results
@@ -203,8 +203,6 @@ def inspect(experiment: Experiment, progress: Callable[[str], None] = lambda _: 
     bandwidth, reason, position_std = None, "", np.full(experiment.robot.n, np.nan)
     try:
         parse_effects(experiment.effects, experiment.robot.joint_names, [*WRENCH_COLUMNS, "tau1"])
-    except UnsupportedEffectError as error:
-        warnings.append(f"identify will refuse this folder as it is: {error}")
     except InputError as error:
         raise InputError(f"experiment.toml: [model] effects: {error}") from None
     try:

@@ -9,6 +9,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from bayesid.errors import InputError
 
 
@@ -58,3 +60,18 @@ def write_results(
         for path in made.iterdir():
             shutil.move(path, folder / path.name)
     return folder / "report.html"
+
+
+def strict(value: Any) -> Any:
+    """The same for strict JSON: plain numbers, null for those that are not finite, text for whatever else there is."""
+    if isinstance(value, dict):
+        return {str(k): strict(v) for k, v in value.items()}
+    if isinstance(value, np.ndarray):
+        return strict(value.tolist())
+    if isinstance(value, (list, tuple)):
+        return [strict(v) for v in value]
+    if isinstance(value, np.generic):
+        return strict(value.item())
+    if isinstance(value, float):
+        return value if np.isfinite(value) else None
+    return value if value is None or isinstance(value, (bool, int, str)) else str(value)

@@ -26,7 +26,7 @@ MEASURED, PREDICTED, NOISE, GREY = "#a9bbd6", "#b91c1c", "#0f766e", "#64748b"
 WEAK = 1.96
 #: Colours of the classes of base parameters.
 CLASSES = {"alone": "#1d4ed8", "combination": "#7c3aed", "weak": "#d97706", "prior": "#94a3b8"}
-_CYCLE = ("#1d4ed8", "#c2410c", "#0f766e", "#7c3aed", "#be185d", "#a16207", "#475569", "#0891b2", "#65a30d", "#dc2626")
+CYCLE = ("#1d4ed8", "#c2410c", "#0f766e", "#7c3aed", "#be185d", "#a16207", "#475569", "#0891b2", "#65a30d", "#dc2626")
 _WIDTH = 10.4  # inches; the page is about a hundred times that in pixels
 _DENSE = 1500  # points from which a curve is smaller as an image
 _STYLE: dict[Any, Any] = {
@@ -59,7 +59,7 @@ _STYLE: dict[Any, Any] = {
 _P = ParamSpec("_P")
 
 
-def _styled(draw: Callable[_P, Figure]) -> Callable[_P, Figure]:
+def styled(draw: Callable[_P, Figure]) -> Callable[_P, Figure]:
     """Draw with the house style, and leave the caller's own style as it was."""
 
     @functools.wraps(draw)
@@ -102,7 +102,7 @@ def to_svg(figure: Figure, name: str) -> str:
     return re.sub(r' (width|height)="[^"]*"', "", opening) + ">" + rest
 
 
-@_styled
+@styled
 def parameter_intervals(
     names: Sequence[str],
     change: np.ndarray,
@@ -130,7 +130,7 @@ def parameter_intervals(
         What ``change`` is counted from.
     """
     count = len(names)
-    figure, axes = _grid(1, 2, 0.3 + 0.2 * count, left=0.3 + 0.062 * max(map(len, names), default=0), gap=0.4,
+    figure, axes = make_grid(1, 2, 0.3 + 0.2 * count, left=0.3 + 0.062 * max(map(len, names), default=0), gap=0.4,
                          sharey=True, width_ratios=(1.9, 1.0))  # fmt: skip
     left, right = axes[0]
     y = np.arange(count)
@@ -169,24 +169,24 @@ def parameter_intervals(
         right.set_xscale("log")
         right.set_xlim(10 ** np.floor(np.log10(positive.min()) - 0.1), 10 ** np.ceil(np.log10(positive.max()) + 0.1))
         right.axvline(100.0 * WEAK, color=CLASSES["weak"], lw=0.9, ls="--")
-        _plain_log(right.xaxis)
+        plain_log(right.xaxis)
     else:
         right.set(title="", xlabel="", xticks=[], frame_on=False)
         right.text(0.5, 0.5, "no honest interval", transform=right.transAxes, ha="center", color=GREY)
     left.tick_params(axis="y", length=0)
     right.tick_params(axis="y", length=0)
     handles, labels = left.get_legend_handles_labels()
-    _legend(figure, handles, labels)
+    add_legend(figure, handles, labels)
     return figure
 
 
-@_styled
+@styled
 def measured_against_predicted(prediction: Prediction) -> Figure:
     """Each channel of one motion, measured and predicted: the paper's figure 5."""
     count = len(prediction.channel_names)
     columns = 2 if count > 1 else 1
     rows = -(-count // columns)
-    figure, axes = _grid(rows, columns, 1.15, sharex=True)
+    figure, axes = make_grid(rows, columns, 1.15, sharex=True)
     # A wrench: forces on the left, moments on the right. Anything else: row by row.
     order = axes.T.ravel() if prediction.channel_names == WRENCH_COLUMNS else axes.ravel()
     x, (measured, predicted) = _with_breaks(prediction, prediction.measured, prediction.predicted)
@@ -204,18 +204,18 @@ def measured_against_predicted(prediction: Prediction) -> Figure:
     for ax in order[count:]:
         ax.set_visible(False)
     _label_lowest(axes, "pose" if prediction.poses else "time [s]")
-    _legend(figure, *order[0].get_legend_handles_labels())
+    add_legend(figure, *order[0].get_legend_handles_labels())
     return figure
 
 
-@_styled
+@styled
 def residuals(prediction: Prediction) -> Figure:
     """What is left of each channel, in time and in frequency, beside the noise."""
     spectrum, count = prediction.spectrum, len(prediction.channel_names)
     if spectrum is None:
-        figure, axes = _grid(count, 1, 0.95, sharex=True)
+        figure, axes = make_grid(count, 1, 0.95, sharex=True)
     else:
-        figure, axes = _grid(count, 2, 0.95, sharex="col", width_ratios=(1.7, 1.0))
+        figure, axes = make_grid(count, 2, 0.95, sharex="col", width_ratios=(1.7, 1.0))
     x, (left,) = _with_breaks(prediction, prediction.measured - prediction.predicted)
     level = None if spectrum is None or spectrum.filtered else noise_in_band(spectrum)
     for k, (name, unit) in enumerate(zip(prediction.channel_names, prediction.channel_units, strict=True)):
@@ -237,15 +237,15 @@ def residuals(prediction: Prediction) -> Figure:
             ax.loglog(spectrum.frequencies, spectrum.noise[:, k], color=NOISE, lw=1.8, label="noise model")
             ax.set_title(f"{name} [{unit}/√Hz]")
             ax.set_xlim(spectrum.frequencies[0], spectrum.frequencies[-1])
-            _plain_log(ax.xaxis)
-            _plain_log(ax.yaxis)
+            plain_log(ax.xaxis)
+            plain_log(ax.yaxis)
     axes[-1, 0].set_xlabel("pose" if prediction.poses else "time [s]")
     handles, labels = axes[0, 0].get_legend_handles_labels()
     if spectrum is not None:
         axes[-1, 1].set_xlabel("frequency [Hz]")
         more = axes[0, 1].get_legend_handles_labels()
         handles, labels = [*handles, *more[0]], [*labels, *more[1]]
-    _legend(figure, handles, labels)
+    add_legend(figure, handles, labels)
     return figure
 
 
@@ -256,7 +256,7 @@ def noise_in_band(spectrum: Spectrum, band: float = BAND) -> np.ndarray:
     return np.sqrt(np.sum(spectrum.noise[inside] ** 2, axis=0) * width)
 
 
-@_styled
+@styled
 def joint_ranges(
     names: Sequence[str],
     lower: np.ndarray,
@@ -276,7 +276,7 @@ def joint_ranges(
         Name, lowest and highest positions (n,) of each.
     """
     count, shown = len(names), list(motions)[:8]
-    figure, axes = _grid(1, 1, count * (0.22 + 0.13 * len(shown)), left=0.3 + 0.062 * max(map(len, names)))
+    figure, axes = make_grid(1, 1, count * (0.22 + 0.13 * len(shown)), left=0.3 + 0.062 * max(map(len, names)))
     ax = axes[0, 0]
     slot = 0.8 / max(len(shown), 1)
     for j in range(count):
@@ -286,19 +286,19 @@ def joint_ranges(
     for k, (name, low, high) in enumerate(shown):
         at = np.arange(count) - 0.4 + (k + 0.5) * slot
         thickness = min(0.8 * slot, 0.3)
-        ax.barh(at, high - low, left=low, height=thickness, color=_CYCLE[k % len(_CYCLE)], lw=0, label=name)
+        ax.barh(at, high - low, left=low, height=thickness, color=CYCLE[k % len(CYCLE)], lw=0, label=name)
         still = high - low < 1e-9
-        ax.plot(low[still], at[still], "|", ms=7, color=_CYCLE[k % len(_CYCLE)])
+        ax.plot(low[still], at[still], "|", ms=7, color=CYCLE[k % len(CYCLE)])
     ax.set_yticks(np.arange(count), names)
     ax.set_ylim(count - 0.4, -0.6)
     ax.tick_params(axis="y", length=0)
     ax.grid(axis="y", visible=False)
     ax.set_xlabel("position [" + " or ".join(dict.fromkeys(units)) + "]")
-    _legend(figure, *ax.get_legend_handles_labels())
+    add_legend(figure, *ax.get_legend_handles_labels())
     return figure
 
 
-@_styled
+@styled
 def recording(
     times: np.ndarray, panels: Sequence[tuple[str, str, Sequence[str], np.ndarray]], breaks: Sequence[int], poses: bool
 ) -> Figure:
@@ -315,14 +315,14 @@ def recording(
     poses
         Whether each sample stands for itself.
     """
-    figure, grid = _grid(len(panels), 1, 1.5, right=1.0, top=0.25, sharex=True)
+    figure, grid = make_grid(len(panels), 1, 1.5, right=1.0, top=0.25, sharex=True)
     axes = grid[:, 0]
     x = np.arange(1.0, len(times) + 1) if poses else times
     x = np.insert(x, list(breaks), np.nan)
     for ax, (title, unit, names, values) in zip(axes, panels, strict=True):
         for k, (name, curve) in enumerate(zip(names, np.insert(values, list(breaks), np.nan, axis=0).T, strict=True)):
             style: dict[str, Any] = {"marker": "o", "ls": "", "ms": 3} if poses else {"lw": 1.0, "rasterized": len(x) > _DENSE}
-            ax.plot(x, curve, color=_CYCLE[k % len(_CYCLE)], label=name, **style)
+            ax.plot(x, curve, color=CYCLE[k % len(CYCLE)], label=name, **style)
         ax.set_title(f"{title} [{unit}]")
         ax.yaxis.set_major_locator(MaxNLocator(4))
         ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), handlelength=1.2, borderaxespad=0.3, labelspacing=0.25)
@@ -331,7 +331,7 @@ def recording(
     return figure
 
 
-def _grid(
+def make_grid(
     rows: int, columns: int, height: float, *, left: float = 0.7, right: float = 0.2, top: float = 0.5, gap: float = 0.75,
     **options: Any,
 ) -> tuple[Figure, np.ndarray]:  # fmt: skip
@@ -347,9 +347,10 @@ def _grid(
     return figure, figure.subplots(rows, columns, squeeze=False, **options)
 
 
-def _legend(figure: Figure, handles: list, labels: list) -> None:
+def add_legend(figure: Figure, handles: list, labels: list, lines: int = 1) -> None:
+    """One legend for all panels, in the figure's upper right corner."""
     if handles:
-        figure.legend(handles, labels, loc="upper right", ncols=len(handles), borderaxespad=0.1, handletextpad=0.6)
+        figure.legend(handles, labels, loc="upper right", ncols=-(-len(handles) // lines), borderaxespad=0.1, handletextpad=0.6)
 
 
 def _with_breaks(prediction: Prediction, *curves: np.ndarray) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
@@ -385,7 +386,7 @@ def _label_lowest(axes: np.ndarray, label: str) -> None:
             visible[-1].tick_params(labelbottom=True)
 
 
-def _plain_log(axis) -> None:
+def plain_log(axis) -> None:
     """Round plain numbers on a logarithmic axis: no minor ticks, no mathematics font."""
     low, high = sorted(axis.get_view_interval())
     decades = np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)) + 1)

@@ -120,6 +120,13 @@ def relative_error(prediction: Prediction) -> float:
     return float(np.linalg.norm(prediction.rmse_raw) / max(np.linalg.norm(signal), 1e-300))
 
 
+def band_error(prediction: Prediction) -> float:
+    """Error norm over signal norm of all channels together, in the band."""
+    known = prediction.nrmse > 0
+    signal = np.where(known, prediction.rmse / np.where(known, prediction.nrmse, 1), 0)
+    return float(np.linalg.norm(prediction.rmse) / max(np.linalg.norm(signal), 1e-300))
+
+
 def predict(problem: Problem, estimate: Estimate, motion: Motion) -> Prediction:
     """Predict a motion's readings with an estimate and compare.
 
@@ -178,7 +185,8 @@ def _one(problem: Problem, estimate: Estimate, recording: Recording):
     parts = []
     for first in range(a, b, _CHUNK):
         rows = problem.recipe.samples(recording, first, min(first + _CHUNK, b))
-        parts.append(rows[:, :, :-1] @ estimate.solution)
+        # By way of the residual: rows about a point have a shifted target.
+        parts.append(recording.measured(first, first + len(rows)) + rows[:, :, :-1] @ estimate.solution - rows[:, :, -1])
     return times[a:b], recording.measured(a, b), np.concatenate(parts)
 
 

@@ -14,10 +14,11 @@ from threadpoolctl import threadpool_limits
 from bayesid import inertia
 from bayesid.base_parameters import BaseParameters, structural_base
 from bayesid.consistency import Agreement, motions_apart, static_both_ways, wrench_against_torque
-from bayesid.estimators import DEFAULT_METHOD, Estimate, Estimator, estimator, fit
+from bayesid.estimators import DEFAULT_METHOD, Estimate, Estimator, estimator
 from bayesid.experiment import Experiment, load_experiment
 from bayesid.filters import LowPass
 from bayesid.links import nearest_links, write_urdf
+from bayesid.nonlinear import solve
 from bayesid.output import write_results
 from bayesid.prediction import Prediction, predict, relative_error
 from bayesid.problem import Problem, prepare
@@ -43,7 +44,7 @@ class Identification:
     problem, estimate
         The model and its parameters.
     link_parameters
-        Nearest to the nominal ones with these base parameters (10 bodies,).
+        Those of the estimator, or the nearest to the nominal ones with these base parameters (10 bodies,).
     fitted, validation
         Predictions of the fitted motions and of the others.
     agreements
@@ -147,11 +148,15 @@ class Identification:
         }
 
     def _effects(self) -> list[dict[str, Any]]:
-        values, stds = self.estimate.solution[self.base.rank :], self.estimate.full_std[self.base.rank :]
+        recipe = self.problem.recipe
+        values = np.zeros(len(recipe.free)) if recipe.point is None else recipe.point.values.copy()
+        stds = np.full(len(recipe.free), np.nan)
+        values[recipe.free] = self.estimate.solution[self.base.rank :]
+        stds[recipe.free] = self.estimate.full_std[self.base.rank :]
         out, column = [], 0
-        for effect in self.problem.recipe.effects:
+        for effect in recipe.effects:
             parameters = {}
-            for k, (key, unit) in enumerate(zip(effect.kind.parameters, effect.kind.units, strict=True)):
+            for k, (key, unit) in enumerate(zip(effect.kind.parameters, effect.units, strict=True)):
                 value, std = values[column], stds[column]
                 if effect.name == "sensor_offset" and self.offset is not None:
                     value, std = self.offset[0][k], self.offset[1][k]
@@ -224,7 +229,7 @@ def identify(
         for _ in problem.regression.blocks():
             pass
         clock("estimate")
-        estimate = fit(problem.regression, method)
+        problem, estimate = solve(problem, method)
         clock("prediction")
         predictions = [predict(problem, estimate, m) for m in experiment.motions if m.name in problem.recordings]
         clock("consistency")
@@ -234,7 +239,9 @@ def identify(
             across = wrench_against_torque(problem, method)
             agreements += [across] if across is not None else []
         kept = ~estimate.undetermined[: problem.recipe.base.rank]
-        links = nearest_links(experiment.robot, problem.recipe.base, estimate.values, kept)
+        links = estimate.links
+        if links is None:
+            links = nearest_links(experiment.robot, problem.recipe.base, estimate.values, kept)
         unexcited = _unexcited(problem, estimate)
     result = Identification(
         problem=problem,

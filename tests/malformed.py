@@ -350,7 +350,7 @@ CASES = [
     Malformed("unknown method", nothing, ("method", "olss", "ols"), identify("--method", "olss")),
     Malformed("unknown effect", toml("sensor_offset", "sensor_ofset"), ("[model] effects", "sensor_ofset", "sensor_offset")),
     Malformed("unknown effect, identify", toml("sensor_offset", "sensor_ofset"), ("sensor_ofset", "sensor_offset"), identify()),
-    Malformed("effect that cannot be estimated yet", toml("sensor_offset", "sensor_gain@fx"), ("sensor_gain", "yet"), identify()),
+    Malformed("effect on an axis that is none", toml("sensor_offset", "sensor_gain@fq"), ("sensor_gain", "fx, fy"), identify()),
     Malformed("effect at an unknown place", nothing, ("joint99",), identify("--effects", "viscous_friction@joint99")),
     Malformed("unknown motion", nothing, ("validatoin",), identify("--motions", "validatoin")),
     Malformed("no such model", nothing, ("no_model.toml", "no such file"), identify("--model", "{folder}/no_model.toml")),

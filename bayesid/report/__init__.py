@@ -4,7 +4,10 @@ Pages come from the templates in ``bayesid/templates``. Results of the layers ab
 """
 
 from bayesid.report.check import check_report
+from bayesid.report.comparison import comparison_report
+from bayesid.report.diagnosis import diagnosis_report
 from bayesid.report.identification import identification_report
 from bayesid.report.page import render
+from bayesid.report.posterior import posterior_report
 
-__all__ = ["check_report", "identification_report", "render"]
+__all__ = ["check_report", "comparison_report", "diagnosis_report", "identification_report", "posterior_report", "render"]

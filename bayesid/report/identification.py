@@ -18,7 +18,9 @@ from bayesid.report.page import DASH, interval, number, percent, physical, rende
 
 #: Figures of at most so many motions of each role are shown.
 SHOWN_MOTIONS = 6
-_HALF = 1.959964
+#: Half a central 95 % interval in standard deviations.
+HALF = 1.959964
+STATIC = {"motion": "subtracted sample by sample", "joint": "fitted along", "none": "none"}
 #: Residuals up to so many times the noise count as good and as fair.
 _GOOD, _FAIR = 1.15, 1.5
 
@@ -44,7 +46,7 @@ def identification_report(identification: Any) -> str:
         "identification.html",
         name=problem.experiment.name,
         robot=problem.experiment.robot.name,
-        channel=_channel(problem.channel),
+        channel=channel_text(problem.channel),
         fitted=problem.fitted,
         method=estimate.method,
         warning_list=result.warnings,
@@ -68,7 +70,7 @@ def identification_report(identification: Any) -> str:
         absorbed=_absorbed(estimate.base),
         links=_links(result),
         agreements=[
-            {**a.to_dict(), "rms": number(a.rms, 3), "probability": _probability(a.probability)} for a in result.agreements
+            {**a.to_dict(), "rms": number(a.rms, 3), "probability": chance(a.probability)} for a in result.agreements
         ],
         static=_both_ways(result),
         how=_how(result),
@@ -81,7 +83,8 @@ _OFFSET_NOTE = (
 )
 
 
-def _channel(channel: str) -> str:
+def channel_text(channel: str) -> str:
+    """The readings that were fitted, in words."""
     return {"wrench": "sensor's wrench", "torque": "joint torques", "both": "sensor's wrench and joint torques"}[channel]
 
 
@@ -91,7 +94,8 @@ def _most_telling(predictions: Sequence[Prediction]) -> list[Prediction]:
     return [p for p in predictions if p in worst] if len(predictions) > SHOWN_MOTIONS else list(predictions)
 
 
-def _mood(white: float) -> str:
+def mood_of(white: float) -> str:
+    """``good``, ``fair`` or ``bad`` for a residual in units of the noise."""
     return "good" if white <= _GOOD else "fair" if white <= _FAIR else "bad"
 
 
@@ -128,7 +132,7 @@ def _verdict(result: Any) -> str:
     worst = max(result.validation, key=relative_error if explained else lambda p: p.whitened_rms)
     unseen = "the motion" if len(result.validation) == 1 else f"the worst of {len(result.validation)} motions"
     text = (
-        f"{count} On {unseen} not used for the fit (‘{worst.motion}’), the {_channel(problem.channel)} "
+        f"{count} On {unseen} not used for the fit (‘{worst.motion}’), the {channel_text(problem.channel)} "
         f"{'are' if problem.channel != 'wrench' else 'is'} predicted to {percent(relative_error(worst), 2)} of the signal on raw "
         f"samples ({_sizes(worst)} below {number(BAND, 2)} Hz); {_judged(worst)}."
     )
@@ -142,7 +146,7 @@ def _cards(result: Any) -> list[dict[str, str]]:
     total = problem.experiment.robot.nominal.size
     cards = [{"value": str(estimate.base.rank), "mood": "", "text": f"base parameters (rank), of {total} in the links"}]
     for p in _most_telling(result.validation)[:2]:
-        mood = _mood(p.whitened_rms)
+        mood = mood_of(p.whitened_rms)
         cards += [
             {"value": percent(relative_error(p)), "mood": mood, "text": f"error of the signal on ‘{p.motion}’, raw samples"},
             {"value": f"{number(p.whitened_rms, 3)} ×", "mood": mood, "text": f"noise is left on ‘{p.motion}’; 1 is perfect"},
@@ -175,7 +179,7 @@ def _reference(regression: Any, estimate: Estimate) -> tuple[np.ndarray, np.ndar
     """Nominal base parameters (zero without a model) and their natural sizes (r,)."""
     rank = estimate.base.rank
     nominal = np.zeros(rank) if regression.nominal is None else regression.nominal
-    half = np.nan_to_num(_HALF * estimate.std)
+    half = np.nan_to_num(HALF * estimate.std)
     own = np.maximum(np.maximum(np.abs(estimate.values), np.abs(nominal)), np.maximum(half, 1e-9))
     scale = own if regression.nominal_scale is None else regression.nominal_scale
     return nominal, np.where(np.isfinite(scale) & (scale > 1e-9 * own), scale, own)
@@ -184,14 +188,14 @@ def _reference(regression: Any, estimate: Estimate) -> tuple[np.ndarray, np.ndar
 def _intervals(regression: Any, estimate: Estimate):
     nominal, scale = _reference(regression, estimate)
     names = [f"{name}  ({k + 1})" for k, name in enumerate(short_names(estimate.base))]
-    return plots.parameter_intervals(names, estimate.values - nominal, _HALF * estimate.std, scale, estimate.classes)
+    return plots.parameter_intervals(names, estimate.values - nominal, HALF * estimate.std, scale, estimate.classes)
 
 
 def _parameters(regression: Any, estimate: Estimate) -> list[dict[str, Any]]:
     rows = []
     known = regression.nominal is not None
     for k, (label, unit, kind) in enumerate(zip(estimate.base.labels, estimate.base.units, estimate.classes, strict=True)):
-        half = _HALF * estimate.std[k]
+        half = HALF * estimate.std[k]
         value, spread = with_half(estimate.values[k], half)
         rows.append(
             {
@@ -208,7 +212,7 @@ def _effects(effects: list[dict[str, Any]]) -> list[dict[str, Any]]:
     for effect in effects:
         for k, (key, parameter) in enumerate(effect["parameters"].items()):
             std = parameter["std"]
-            value, half = with_half(parameter["value"], None if std is None else _HALF * std)
+            value, half = with_half(parameter["value"], None if std is None else HALF * std)
             name = effect["name"].replace("_", " ")
             rows.append(
                 {"first": k == 0, "name": name if k == 0 else "", "where": effect["where"] if k == 0 else "",
@@ -246,7 +250,7 @@ def _motion(prediction: Prediction, role: str, index: int) -> dict[str, Any]:
 def _errors(p: Prediction, role: str) -> dict[str, Any]:
     channels = [
         {"name": name, "unit": unit, "rmse": number(a, 3), "nrmse": percent(b), "raw": number(c, 3), "nraw": percent(d),
-         "white": number(w, 3), "mood": _mood(w)}
+         "white": number(w, 3), "mood": mood_of(w)}
         for name, unit, a, b, c, d, w in zip(
             p.channel_names, p.channel_units, p.rmse, p.nrmse, p.rmse_raw, p.nrmse_raw, p.whitened_rms_by_channel, strict=True
         )
@@ -256,7 +260,7 @@ def _errors(p: Prediction, role: str) -> dict[str, Any]:
         "channels": channels,
         "relative": percent(relative_error(p)),
         "white": number(p.whitened_rms, 3),
-        "mood": _mood(p.whitened_rms),
+        "mood": mood_of(p.whitened_rms),
         "coverage": percent(p.coverage),
         "repeats": f"This motion repeats the fitted ‘{p.repeats}’." if p.repeats else "",
     }
@@ -314,7 +318,8 @@ def _links(result: Any) -> list[dict[str, Any]]:
     return rows
 
 
-def _probability(p: float) -> str:
+def chance(p: float) -> str:
+    """A probability as per cent."""
     return "< 0.01 %" if p < 1e-4 else percent(p, 2)
 
 
@@ -326,7 +331,7 @@ def _both_ways(result: Any) -> dict[str, Any] | None:
     subtracted = result.problem.static == "motion"
     tables = []
     for estimate in (result.estimate, other):
-        half = _HALF * estimate.std
+        half = HALF * estimate.std
         tables.append({n: (*with_half(v, h), lab, u) for n, v, h, lab, u in zip(
             estimate.base.names, estimate.values, half, estimate.base.labels, estimate.base.units, strict=True)})  # fmt: skip
     first, second = tables if subtracted else tables[::-1]
@@ -363,7 +368,7 @@ def _how(result: Any) -> list[tuple[str, str]]:
         ("Accelerations", "from a spline through the positions, without delay" if filters is None else
          f"none: low-pass filters on both sides, l = {number(filters.l, 3)} and d = {number(filters.d, 3)} rad/s"),
         ("Rows", f"{estimate.rows} numbers, {number(1.0 / problem.recipe.step, 3)} rows a second"),
-        ("Static readings", {"motion": "subtracted sample by sample", "joint": "fitted along", "none": "none"}[problem.static]),
+        ("Static readings", STATIC[problem.static]),
         ("Noise", "autoregressive in time, correlated between channels; order "
          + ", ".join(f"{o} ({g})" for g, o in orders.items())),
         ("Noise of a sample", "; ".join(sizes)),
@@ -384,5 +389,5 @@ def _plain(key: str, value: Any) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     if key == "agreement_of_gls_and_wls":
-        return _probability(value)
+        return chance(value)
     return number(value, 3) if isinstance(value, float) else str(value)

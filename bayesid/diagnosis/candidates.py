@@ -1,0 +1,236 @@
+"""Proposals: what each effect at each place would explain of what is left, from columns alone.
+
+An effect enters here by columns that are linear in unknown amplitudes: its derivatives at zero, or, where its
+equation has a shape, columns for a grid of shapes. What they explain of the residual, once links and effects already
+found are projected out, is what the effect could gain at most; the best go on to exact fits, from the values found
+here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from bayesid.diagnosis.case import Case
+from bayesid.diagnosis.contacts import contact_terms
+from bayesid.diagnosis.fit import LINKS, Fit, Rigid, model_rows, residual_rows, term_rows
+from bayesid.diagnosis.ripples import RippleScan
+from bayesid.effects import KINDS, Effect, Term
+
+#: Speeds below which a Stribeck law may fall [rad/s or m/s].
+STRIBECK_SPEEDS = np.geomspace(0.01, 0.6, 8)
+#: Resonances of the mount [Hz] and their damping.
+RESONANCES = np.geomspace(2.5, 60.0, 14)
+DAMPING = 0.05
+#: Standard deviations by which an effect stands out.
+DETECTED = 5.0
+
+
+@dataclass(frozen=True, eq=False)
+class Proposal:
+    """An effect with the values at which an exact fit should start.
+
+    Attributes
+    ----------
+    term
+        The effect and its values.
+    gain
+        What it explains at most, in units of chi2.
+    parameters
+        How many amplitudes that took.
+    minimum
+        Size of its first parameter that would stand out by five standard deviations; None where it has no amplitude.
+    others
+        Other values to start from.
+    """
+
+    term: Term
+    gain: float
+    parameters: int
+    minimum: float | None = None
+    others: tuple[Term, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """``name@where``."""
+        return self.term.effect.spec
+
+
+@dataclass(frozen=True, eq=False)
+class _Block:
+    """Columns of one effect (with one shape), links projected out, and how amplitudes become values."""
+
+    effect: Effect
+    rows: np.ndarray
+    values: Callable[[np.ndarray], np.ndarray]
+
+
+@dataclass(eq=False)
+class Library:
+    """Every effect that could be there, as columns at the user's model, made once.
+
+    Attributes
+    ----------
+    rigid
+        What is projected out.
+    base
+        The user's model.
+    blocks
+        Columns by effect and shape.
+    """
+
+    rigid: Rigid
+    base: Fit
+    blocks: list[_Block] = field(default_factory=list)
+    ripples: RippleScan | None = None
+
+    def propose(self, fit: Fit, without: Sequence[str] = ()) -> list[Proposal]:
+        """Proposals beside the effects of a fit, best gain first; one for each effect and place."""
+        rigid, case = self.rigid, self.rigid.case
+        found = orthonormal(rigid.rest(rigid.padded(model_rows(case, case.stretches, fit.links, fit.terms))))
+        residual = np.concatenate([fit.residual, -_prior_rows(rigid, fit)])
+        left = rigid.rest(residual)
+        left = left - found @ (found.T @ left)
+        taken = {t.effect.spec for t in fit.terms} | set(without)
+        best: dict[str, Proposal] = {}
+        for block in self.blocks:
+            name = block.effect.spec
+            if name in taken:
+                continue
+            rows = block.rows - found @ (found.T @ block.rows)
+            amplitudes, gain, count = _explained(rows, left)
+            if name not in best or gain - _cost(count) > best[name].gain - _cost(best[name].parameters):
+                length = float(np.linalg.norm(rows[:, 0]))
+                minimum = DETECTED / length if length > 0 else None
+                best[name] = Proposal(Term(block.effect, _inside(block.effect, block.values(amplitudes))), gain, count, minimum)
+        shaped = [([term], gain) for term, gain in [*self._mounts(fit), *self._ripples(fit, left, found)]]
+        for terms, gain in [*shaped, *contact_terms(rigid, fit, left[: rigid.rows])]:
+            if terms[0].effect.spec not in taken:
+                best[terms[0].effect.spec] = Proposal(terms[0], gain, len(terms[0].values), others=tuple(terms[1:]))
+        return sorted(best.values(), key=lambda p: -(p.gain - _cost(p.parameters)))
+
+    def temper(self, fit: Fit) -> float:
+        """Mean square of what the fit and all columns together leave, at least 1.
+
+        What no effect of the library explains, however combined, is noise beyond the one measured, or a stranger.
+        """
+        rigid = self.rigid
+        model = model_rows(rigid.case, rigid.case.stretches, fit.links, fit.terms)
+        everything = [rigid.rest(rigid.padded(model)), *(b.rows for b in self.blocks)]
+        q = orthonormal(np.hstack(everything))
+        left = rigid.rest(np.concatenate([fit.residual, -_prior_rows(rigid, fit)]))
+        left = (left - q @ (q.T @ left))[: rigid.rows]
+        return max(float(left @ left) / max(rigid.rows - q.shape[1], 1), 1.0)
+
+    def _mounts(self, fit: Fit) -> Iterator[tuple[Term, float]]:
+        """Resonances of the mount: no small amplitude, so each is tried as it is."""
+        case, rigid = self.rigid.case, self.rigid
+        if case.channel == "torque" or case.experiment.sensor is None or case.experiment.sensor.joint is not None:
+            return
+        effect = case.places("base_compliance")[0]
+        below = -_prior_rows(rigid, fit)
+        now = np.sum(rigid.rest(np.concatenate([fit.residual, below])) ** 2)
+        best = (0.0, RESONANCES[0])
+        for resonance in RESONANCES:
+            term = Term(effect, (resonance, DAMPING))
+            rows = residual_rows(case, case.stretches, fit.links, fit.offset, (*fit.terms, term))
+            gain = float(now - np.sum(rigid.rest(np.concatenate([rows, below])) ** 2))
+            best = max(best, (gain, resonance)) if np.isfinite(gain) else best
+        yield Term(effect, (best[1], DAMPING)), best[0]
+
+    def _ripples(self, fit: Fit, left: np.ndarray, found: np.ndarray) -> Iterator[tuple[Term, float]]:
+        if self.ripples is None:
+            return
+        case, rigid = self.rigid.case, self.rigid
+        effects = case.places("torque_ripple")
+        for joint, periods in self.ripples.best(left[: rigid.rows]):
+            effect = effects[joint]
+            rows = term_rows(case, case.stretches, fit.links, fit.terms, Term(effect, (1.0, periods, 0.0)))
+            rows = rigid.rest(rigid.padded(rows[:, [0, 2]]))  # sine and cosine
+            amplitudes, gain, _ = _explained(rows - found @ (found.T @ rows), left)
+            a, b = amplitudes
+            yield Term(effect, (np.hypot(a, b), periods, np.arctan2(b, a))), gain
+
+
+def make_library(rigid: Rigid, base: Fit) -> Library:
+    """Columns of every effect that acts on the case's channels and is not in the user's model."""
+    case = rigid.case
+    library = Library(rigid, base, ripples=RippleScan(case) if case.channel != "wrench" else None)
+    for effect, values, to_values in _columns_wanted(case):
+        rows = term_rows(case, case.stretches, base.links, base.terms, Term(effect, tuple(values)))
+        library.blocks.append(_Block(effect, rigid.rest(rigid.padded(rows)), to_values))
+    return library
+
+
+def _columns_wanted(case: Case) -> Iterator[tuple[Effect, np.ndarray, Callable]]:
+    """Effects with the values at which their derivatives are taken, and what amplitudes of those mean."""
+    names = case.channels.names
+    for kind in KINDS.values():
+        if kind.name in ("base_compliance", "external_contact", "torque_ripple") or not any(kind.acts_on(c) for c in names):
+            continue
+        if kind.name == "sensor_offset" and case.offset_free:
+            continue
+        if kind.name in LINKS and (case.experiment.inertia_rel_std is None or kind.name == "payload"):
+            continue  # a payload has the same columns; which it is, the fit decides
+        if kind.name == "rotor_momentum" and case.channel != "both" and case.experiment.inertia_rel_std is None:
+            continue
+        zero = np.zeros(len(kind.parameters))
+        for effect in case.places(kind.name):
+            if kind.name == "tether":
+                yield effect, np.array([1.0, 0, 0, 0, 0, 0, 0, 0]), _tether
+            elif kind.name == "spring":
+                yield effect, np.array([1.0, 0.0]), lambda a: np.array([a[0], a[1] / a[0] if a[0] else 0.0])
+            elif kind.name == "stribeck_friction":
+                for speed in STRIBECK_SPEEDS:
+                    yield effect, np.array([1.0, speed]), lambda a, s=speed: np.array([a[0], s])
+            else:
+                yield effect, zero, lambda a: a
+
+
+def _tether(a: np.ndarray) -> np.ndarray:
+    """Stiffness and anchor of ``k (anchor - x)`` from the amplitudes of its derivatives at k = 1, anchor 0."""
+    stiffness = max(a[0], 1e-6)
+    return np.array([stiffness, 0.0, *(a[2:5] / stiffness), 0.0, 0.0, 0.0])
+
+
+def _inside(effect: Effect, values: np.ndarray) -> tuple[float, ...]:
+    """Values inside what is possible."""
+    return tuple(float(v) for v in np.clip(values, effect.kind.lower, effect.kind.upper))
+
+
+def _cost(parameters: int) -> float:
+    """What that many parameters gain by chance and more; only for the order of proposals."""
+    return 8.0 * parameters
+
+
+def _explained(rows: np.ndarray, left: np.ndarray) -> tuple[np.ndarray, float, int]:
+    """Amplitudes of columns, what they explain of the residual, and how many of them count."""
+    length = np.linalg.norm(rows, axis=0)
+    out = np.zeros(rows.shape[1])
+    seen = length > 1e-7 * max(length.max(initial=0.0), 1e-300)
+    if not seen.any():
+        return out, 0.0, 1
+    u, s, vt = np.linalg.svd(rows[:, seen] / length[seen], full_matrices=False)
+    keep = s > 1e-5 * s[0]
+    along = u.T[keep] @ left
+    out[seen] = (vt[keep].T @ (along / s[keep])) / length[seen]
+    return out, float(along @ along), int(keep.sum())
+
+
+def orthonormal(rows: np.ndarray) -> np.ndarray:
+    """An orthonormal basis of columns (rows, k)."""
+    length = np.linalg.norm(rows, axis=0)
+    rows = rows[:, length > 0] / length[length > 0]
+    if not rows.shape[1]:
+        return rows
+    u, s, _ = np.linalg.svd(rows, full_matrices=False)
+    return u[:, s > 1e-6 * s[0]]
+
+
+def _prior_rows(rigid: Rigid, fit: Fit) -> np.ndarray:
+    out = fit.coordinates.copy()
+    if rigid.offset:
+        out[-6:] *= 1e-6
+    return out

@@ -1,0 +1,249 @@
+"""An experiment made ready for diagnosis: stretches with their noise, the nominal links and how far they are trusted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from bayesid.diagnosis.spectra import Stretch, encoder_count, sensor_noise, with_noise
+from bayesid.effects import Effect, Scene, Term, places, readings, rigid_columns
+from bayesid.errors import InputError
+from bayesid.experiment import Experiment, Motion
+from bayesid.momentum import Channels
+from bayesid.priors import Prior
+from bayesid.problem import default_channel, make_channels
+from bayesid.robot import Robot
+from bayesid.smoothing import choose_smoother, smooth
+from bayesid.tables import Table, usual_step
+
+#: Trajectories are smoothed at least this loosely [Hz]; what their noise does above the motion is weighed, not cut.
+BANDWIDTH = 12.0
+#: Trust in links of which nothing is known: they may be many times their nominal size.
+UNKNOWN_TRUST = 100.0
+#: Predictions are made at this rate [Hz]; friction reverses at once and needs a higher one.
+SMOOTH_RATE, FRICTION_RATE = 60.0, 120.0
+_SHORTEST = 2.0  # stretches shorter than this tell no frequencies apart [s]
+
+
+@dataclass(frozen=True)
+class Episode(Term):
+    """An effect that happened once, in one recording.
+
+    Attributes
+    ----------
+    motion
+        In which; nothing is known of others.
+    """
+
+    motion: str = ""
+
+
+def here(stretch: Stretch, terms: Sequence[Term]) -> tuple[Term, ...]:
+    """The effects that act in a stretch."""
+    return tuple(
+        t for t in terms
+        if not (t.effect.name == "external_contact" and (stretch.still or stretch.role == "validation"))
+        and not (isinstance(t, Episode) and t.motion != stretch.motion)
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """What a diagnosis looks at.
+
+    Attributes
+    ----------
+    experiment, channel, channels
+        The recordings and what of them is compared.
+    stretches
+        Of the identification motions, with their noise.
+    unseen
+        Of the validation motions, with their noise.
+    prior
+        Of the links; None where they are exact.
+    terms
+        Effects of the user's model at their starting values.
+    """
+
+    experiment: Experiment
+    channel: str
+    channels: Channels
+    stretches: tuple[Stretch, ...]
+    unseen: tuple[Stretch, ...]
+    prior: Prior | None
+    terms: tuple[Term, ...]
+
+    @property
+    def robot(self) -> Robot:
+        """The nominal robot."""
+        return self.experiment.robot
+
+    @property
+    def offset_free(self) -> bool:
+        """Whether a static run removes the sensor's constant offset."""
+        return any(s.still for s in self.stretches)
+
+    @cached_property
+    def links(self) -> np.ndarray:
+        """Nominal link parameters (10 b,)."""
+        return self.robot.nominal.ravel()
+
+    def fixed(self, term: Term) -> bool:
+        """Whether the user's model keeps this effect's values."""
+        return bool(self.experiment.effect_values.get(term.effect.spec, {}).get("fixed", False))
+
+    def places(self, name: str) -> tuple[Effect, ...]:
+        """Everywhere that an effect can be."""
+        return places(name, self.robot.joint_names, self.channels.names, self.experiment.gear_ratio)
+
+    def predict(self, stretch: Stretch, links: np.ndarray, terms: Sequence[Term]) -> np.ndarray:
+        """Readings of a stretch (M, c)."""
+        return readings(self.robot, self.channels, stretch.scene, links, here(stretch, terms))
+
+    def rigid(self, stretch: Stretch, terms: Sequence[Term]) -> np.ndarray:
+        """Their derivatives with respect to the links, at the nominal ones (N, c, 10 b)."""
+        return rigid_columns(self.robot, self.channels, stretch.scene, self.links, here(stretch, terms))
+
+
+def make_case(
+    experiment: Experiment, channel: str | None, terms: Sequence[Term], motions: Sequence[str] | None, seed: int
+) -> Case:
+    """Cut the recordings into stretches, smooth them and measure their noise.
+
+    Parameters
+    ----------
+    experiment
+        The recordings.
+    channel
+        ``wrench``, ``torque`` or ``both``; default as for `bayesid.identify`.
+    terms
+        Effects of the user's model.
+    motions
+        Which to fit; default those with role ``identification``.
+    seed
+        Of the encoders' repeated rounding.
+
+    Raises
+    ------
+    InputError
+        Nothing to fit, or samples that are not evenly spaced.
+    """
+    channel = channel or default_channel(experiment)
+    channels = make_channels(experiment, channel)
+    names = [m.name for m in experiment.identification] if motions is None else list(motions)
+    known = {m.name for m in experiment.motions}
+    for name in names:
+        if name not in known:
+            raise InputError(f"--motions {name}: no such motion in experiment.toml; it has {', '.join(sorted(known))}")
+    usable = [m for m in experiment.motions if m.kind == "trajectory" and _has(m.table, channel)]
+    chosen = [m for m in usable if m.name in names]
+    if not chosen:
+        raise InputError(f"no motion with readings for --channel {channel} can be fitted; add one with role identification")
+    unseen = [m for m in usable if m.role == "validation" and m.name not in names]
+    bandwidth = _bandwidth(experiment, [*chosen, *unseen])
+    # One mount, one stiffness: "the middle of the motion" is the same pose for all motions, the one that the first
+    # motion starts from, about which an exciting motion swings.
+    middle = chosen[0].table.positions[0]
+    fitted = [s for m in chosen for s in _stretches(m, channel, bandwidth, middle)]
+    others = [s for m in unseen for s in _stretches(m, channel, bandwidth, middle)]
+    if not fitted:
+        raise InputError(f"the motions to fit have no stretch of {_SHORTEST:g} s without a gap; record longer ones")
+    trust = experiment.inertia_rel_std
+    prior = None if trust == 0 else Prior.warped(experiment.robot.nominal, UNKNOWN_TRUST if trust is None else trust)
+    case = Case(experiment, channel, channels, tuple(fitted), tuple(others), prior, tuple(terms))
+    return with_noise_of(case, case.links, case.terms, seed)
+
+
+def _has(table: Table, channel: str) -> bool:
+    wrench, torque = table.wrench is not None, table.torques is not None
+    return {"wrench": wrench, "torque": torque, "both": wrench and torque}[channel]
+
+
+def _bandwidth(experiment: Experiment, motions: Sequence[Motion]) -> float:
+    pieces = [(m.table.times[p], m.table.positions[p]) for m in motions for p in m.table.segments() if p.stop - p.start > 40]
+    pieces = [(t[:5000], q[:5000]) for t, q in pieces]
+    rate = min((1.0 / usual_step(t) for t, _ in pieces), default=100.0)
+    chosen = choose_smoother(pieces, experiment.position_resolution, experiment.position_std).bandwidth if pieces else BANDWIDTH
+    return min(max(chosen, BANDWIDTH), 0.2 * rate)
+
+
+def _stretches(motion: Motion, channel: str, bandwidth: float, middle: np.ndarray) -> list[Stretch]:
+    tables = [(motion.table, False)]
+    # At rest drives hold with friction whatever it takes; only the wrench of a static run is a measurement.
+    if channel == "wrench" and motion.static is not None and motion.static.wrench is not None and motion.stop_and_go:
+        tables.append((motion.static, True))
+    out = []
+    for table, still in tables:
+        for part in table.segments():
+            times = table.times[part]
+            if times[-1] - times[0] < _SHORTEST:
+                continue
+            step = np.diff(times)
+            if np.abs(times - np.linspace(times[0], times[-1], len(times))).max() > 2.0 * np.median(step):
+                raise InputError(f"{table.source}: samples are not evenly spaced; resample them to a constant rate")
+            read = _readings(table, channel)[part]
+            rate = FRICTION_RATE if channel != "wrench" else SMOOTH_RATE
+            positions = table.positions[part]
+            scene = smoothed(times, positions, _grid(times, rate), bandwidth, still, middle)
+            torques = tuple((read.shape[1] - scene.positions.shape[1] + j, j) for j in range(scene.positions.shape[1]))
+            torques = () if channel == "wrench" else torques
+            out.append(Stretch(motion.name, motion.role, times, positions, read, scene, still, torques, np.zeros(0)))
+    return out
+
+
+def _grid(times: np.ndarray, rate: float) -> np.ndarray:
+    """Even times at about this rate, the middles of equal parts of a recording's time."""
+    step = (times[-1] - times[0]) / (len(times) - 1)
+    count = min(int(np.ceil(len(times) * step * rate)), len(times))
+    return times[0] - 0.5 * step + (np.arange(count) + 0.5) * (len(times) * step / count)
+
+
+def smoothed(
+    times: np.ndarray, positions: np.ndarray, grid: np.ndarray, bandwidth: float, still: bool, middle: np.ndarray
+) -> Scene:
+    """The scene of encoder readings (N, n) on a grid (M,)."""
+    q, v, a = smooth(times, positions, bandwidth, at=np.clip(grid, times[0], times[-1]))
+    return Scene(grid, q, 0.0 * v, 0.0 * a, True, bandwidth, middle) if still else Scene(grid, q, v, a, False, bandwidth, middle)
+
+
+def _readings(table: Table, channel: str) -> np.ndarray:
+    wanted = [table.wrench if channel != "torque" else None, table.torques if channel != "wrench" else None]
+    return np.hstack([a for a in wanted if a is not None])
+
+
+def with_noise_of(case: Case, links: np.ndarray, terms: Sequence[Term], seed: int) -> Case:
+    """Both sets of stretches with the covariance of their coefficients, as a model passes the encoders' errors on.
+
+    A model with a resonance or a gain amplifies them; so once effects are found, the noise is measured anew.
+    """
+    rng = np.random.default_rng(seed)
+    everything = [*case.stretches, *case.unseen]
+    sensor = {
+        still: sensor_noise([s for s in everything if s.still == still]) for still in sorted({s.still for s in everything})
+    }
+    moving = [s for s in everything if not s.still]
+    n = case.robot.n
+    stated = case.experiment.position_resolution
+    count = np.array([stated or max(encoder_count(s.encoders[:, j]) for s in moving) for j in range(n)])
+    smooth_ = [smooth(s.times, s.encoders, s.scene.bandwidth)[0] for s in moving]
+    error = np.sqrt(np.mean([np.mean((s.encoders - q) ** 2, axis=0) for s, q in zip(moving, smooth_, strict=True)], axis=0))
+    random = np.sqrt(np.maximum(error**2 - count**2 / 12.0, 0.0))
+    random = np.where(random > 0.5 * count, random, 0.0)
+    if case.experiment.position_std is not None:
+        random = np.full(n, case.experiment.position_std)
+
+    def predict(stretch: Stretch) -> np.ndarray:
+        return case.predict(stretch, links, terms)
+
+    def resmooth(stretch: Stretch, read: np.ndarray) -> Stretch:
+        old = stretch.scene
+        scene = smoothed(stretch.times, read, old.times, old.bandwidth, stretch.still, old.middle_positions)
+        return replace(stretch, scene=scene)
+
+    def noisy(stretches: Sequence[Stretch]) -> tuple[Stretch, ...]:
+        return tuple(with_noise(s, predict, resmooth, sensor[s.still], count, random, rng) for s in stretches)
+
+    return replace(case, stretches=noisy(case.stretches), unseen=noisy(case.unseen))

@@ -1,0 +1,82 @@
+"""Contacts: when something pushed, and where it may have."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from bayesid.diagnosis.case import Episode
+from bayesid.diagnosis.fit import Fit, Rigid, term_rows
+from bayesid.diagnosis.spectra import Stretch
+from bayesid.effects import Effect, Term
+from bayesid.effects.catalogue import CONTACT_RAMP
+
+#: Columns this much shorter than the longest say nothing.
+DEAD = 1e-6
+#: Lengths of the windows tried [s]; starts are a quarter of them apart.
+LENGTHS = (0.4, 0.7, 1.2, 2.0, 3.5, 6.0, 10.0)
+
+
+def windows(stretch: Stretch) -> list[tuple[float, float]]:
+    """Windows tried in a stretch, (start, end) [s]."""
+    first, last = stretch.times[0], stretch.times[-1]
+    out = []
+    for length in LENGTHS:
+        if length < 0.8 * (last - first):
+            out += [(t, t + length) for t in np.arange(first, last - length, 0.25 * length)]
+    return out
+
+
+def pulse(times: np.ndarray, start: float, end: float) -> np.ndarray:
+    """A contact's course (N,): 0 outside, 1 inside, ramps in between."""
+    ramp = min(CONTACT_RAMP, 0.5 * (end - start))
+    return np.clip(np.minimum(times - start, end - times) / ramp, 0.0, 1.0)
+
+
+def contact_terms(rigid: Rigid, fit: Fit, left: np.ndarray) -> Iterator[tuple[list[Term], float]]:
+    """Contacts on each link, with the window in which a constant load would explain most of the residual (rows,)."""
+    case = rigid.case
+    best: tuple[float, float, float, str] | None = None
+    at = 0
+    for s in case.stretches:
+        count = s.shape[0] * s.shape[1]
+        mine, at = left[at : at + count].reshape(s.shape), at + count
+        if s.still:
+            continue
+        tried = windows(s)
+        if not tried:
+            continue
+        course = np.stack([pulse(s.scene.times, a, b) for a, b in tried], axis=1)
+        spectrum = s.course(course)  # (K, windows)
+        whitener = s.whitener
+        score = np.einsum("kw,kdc,kd->wc", spectrum, whitener, mine, optimize=True)
+        gram = np.einsum("kw,kcd->wcd", spectrum**2, np.matmul(whitener.transpose(0, 2, 1), whitener), optimize=True)
+        gain = np.einsum("wc,wc->w", score, np.linalg.solve(gram, score[:, :, None])[:, :, 0])
+        top = int(np.argmax(gain))
+        if best is None or gain[top] > best[0]:
+            best = (float(gain[top]), *tried[top], s.motion)
+    if best is None:
+        return
+    _, start, end, motion = best
+    residual = np.concatenate([left, np.zeros(rigid.size)])
+
+    def columns_at(effect: Effect, force: np.ndarray) -> np.ndarray:
+        term = Episode(effect, (start, end, *force, 0.0, 0.0, 0.0), motion)
+        return rigid.rest(rigid.padded(term_rows(case, case.stretches, fit.links, fit.terms, term)))
+
+    for effect in case.places("external_contact"):
+        if effect.where == "robot":
+            continue
+        # With the force f at the point r the reading is linear in f and in the products r f'.
+        unit = [columns_at(effect, axis) for axis in np.eye(3)]
+        rows = np.hstack([unit[0][:, 2:5], *(u[:, 5:8] for u in unit)])
+        length = np.linalg.norm(rows, axis=0)
+        length = np.where(length > DEAD * length.max(), length, np.inf)
+        plain, *_ = np.linalg.lstsq(rows[:, :3] / length[:3], residual, rcond=1e-6)
+        both, *_ = np.linalg.lstsq(rows / length, residual, rcond=1e-3)
+        gain = float(np.sum((rows[:, :3] / length[:3] @ plain) ** 2))
+        force, products = both[:3] / length[:3], (both[3:] / length[3:]).reshape(3, 3)
+        point = np.clip(force @ products / max(force @ force, 1e-12), -0.5, 0.5)
+        starts = ((*(plain / length[:3]), 0.0, 0.0, 0.0), (*force, *point))
+        yield [Episode(effect, (start, end, *(float(v) for v in s)), motion) for s in starts], gain

@@ -1,0 +1,298 @@
+"""The diagnosis: search, verdict, proof, and what the missing effects had done to the parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from bayesid.base_parameters import structural_base
+from bayesid.diagnosis import memo
+from bayesid.diagnosis.case import Case, make_case
+from bayesid.diagnosis.locate import Disagreement, locate
+from bayesid.diagnosis.proof import Gap, prove, residual_spectra
+from bayesid.diagnosis.search import ACCEPT, Found, Search, make_rigid, search
+from bayesid.effects import KINDS, Effect, Term, parse_effects
+from bayesid.experiment import Experiment, load_experiment
+from bayesid.problem import default_channel, make_channels
+
+SCHEMA = 1
+#: Mean square of whitened residuals above which something is left that no effect found explains.
+UNEXPLAINED = 1.45
+#: More unrelated effects than this at once are taken for a patchwork that imitates an unknown one.
+LIKELY = 2
+#: A found effect must not make unseen motions worse by more than this share of their squared residual.
+WORSE = 0.02
+
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Diagnosis:
+    """What `diagnose` found.
+
+    Attributes
+    ----------
+    case
+        What was compared.
+    verdict
+        ``named``, ``ambiguous``, ``unknown`` or ``nothing_missing``.
+    search
+        The models fitted.
+    found
+        The effects named, none for the last two verdicts.
+    where
+        Where the user's model and the data disagree.
+    gap
+        On the validation motions; None without any.
+    shifts
+        Base parameters that the missing effects had moved: label, value before, after, and by how many standard
+        deviations.
+    remarks
+        What the reader should know.
+    next_experiment
+        What would settle what is open.
+    seconds
+        Run time.
+    """
+
+    case: Case
+    verdict: str
+    search: Search
+    found: tuple[Found, ...]
+    where: tuple[Disagreement, ...]
+    gap: Gap | None
+    shifts: tuple[tuple[str, float, float, float], ...]
+    remarks: tuple[str, ...]
+    next_experiment: str
+    seconds: float = 0.0
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """Effects of the model after the diagnosis: the user's and those named."""
+        known = self.search.best.terms[: len(self.search.base.terms)]
+        return (*known, *(f.term for f in self.found))
+
+    @property
+    def needed(self) -> float:
+        """Log evidence that an effect has to bring to be named."""
+        return ACCEPT
+
+    @property
+    def noise_level(self) -> float:
+        """Mean square of whitened residuals that counts as noise when disagreements are looked for."""
+        return max(1.0, min(self.search.temper, UNEXPLAINED))
+
+    def __str__(self) -> str:
+        """A few lines: the verdict, values, the gap, where it disagrees."""
+        return memo.summary(self)
+
+    def _repr_html_(self) -> str:
+        """The same for notebooks."""
+        return memo.notebook(self)
+
+    def write(self, folder: str | Path) -> Path:
+        """Write ``diagnosis.json``, ``model.toml`` and ``report.html``; returns the report's path."""
+        return memo.write(self, folder)
+
+    def to_dict(self) -> dict[str, Any]:
+        """``diagnosis.json``."""
+        each = float(np.log(self.search.rigid.rows))
+        return {
+            "schema": SCHEMA,
+            "experiment": self.case.experiment.name,
+            "channel": self.case.channel,
+            "verdict": self.verdict,
+            "effects": [self._effect(f) for f in self.found],
+            "where": [d.to_dict() for d in self.where],
+            "gap": None if self.gap is None else self.gap.to_dict(),
+            "candidates": [
+                {
+                    "name": p.term.effect.name, "where": p.term.effect.where,
+                    "log_bayes_factor": 0.5 * (p.gain / self.search.temper - p.parameters * each),
+                    "minimum_detectable": p.minimum,
+                }
+                for p in self.search.proposals
+            ],
+            "identification": {
+                "rows": self.search.rigid.rows,
+                "before": float(np.sqrt(self.search.base.chi2 / self.search.rigid.rows)),
+                "after": float(np.sqrt(self.search.best.chi2 / self.search.rigid.rows)),
+                "unexplained": float(np.sqrt(self.search.temper)),
+            },
+            "base_parameter_shifts": [
+                dict(zip(("label", "before", "after", "sigmas"), shift, strict=True)) for shift in self.shifts
+            ],
+            "remarks": list(self.remarks),
+            "next_experiment": self.next_experiment,
+            "runtime_s": self.seconds,
+        }  # fmt: skip
+
+    def _effect(self, found: Found) -> dict[str, Any]:
+        effect = found.term.effect
+        std = found.std
+        parameters = {
+            key: {"value": float(value), "std": float(s) if np.isfinite(s) and s > 0 else None, "unit": unit}
+            for key, value, s, unit in zip(effect.kind.parameters, found.term.values, std, effect.units, strict=True)
+        }
+        rivals = [{"name": t.effect.name, "where": t.effect.where} for t, _ in found.rivals]
+        odds = np.array([0.0, *(-lack for _, lack in found.rivals)])
+        return {
+            "name": effect.name, "where": effect.where, "probability": float(1.0 / np.exp(odds).sum()),
+            "log_bayes_factor": found.gain, "parameters": parameters, "ambiguous_with": rivals,
+        }  # fmt: skip
+
+
+def diagnose(
+    experiment: Experiment | str | Path,
+    channel: str | None = None,
+    *,
+    motions: Sequence[str] | None = None,
+    effects: Sequence[str] | None = None,
+    seed: int = 0,
+    progress: Progress = lambda _: None,
+) -> Diagnosis:
+    """Find where model and data disagree, name the missing effect, add it and prove that the gap shrank.
+
+    Parameters
+    ----------
+    experiment
+        Loaded, or its folder.
+    channel
+        ``wrench``, ``torque`` or ``both``; default as for `bayesid.identify`.
+    motions
+        Which to fit; default those with role ``identification``.
+    effects
+        Replaces ``[model] effects``.
+    seed
+        Of everything random.
+    progress
+        Called with the name of every stage.
+
+    Raises
+    ------
+    InputError
+        Bad input; the message says what to do.
+    """
+    import time
+
+    since = time.perf_counter()
+    with threadpool_limits(1, user_api="blas"):
+        if not isinstance(experiment, Experiment):
+            experiment = load_experiment(experiment)
+        if effects is not None:
+            experiment = replace(experiment, effects=tuple(effects))
+        progress("noise of sensors and encoders")
+        channel = channel or default_channel(experiment)
+        case = make_case(experiment, channel, known_terms(experiment, channel, effects), motions, seed)
+        found = search(make_rigid(case, case.terms), case.terms, seed, progress)
+        progress("proof on unseen motions")
+        result = _decide(found.rigid.case, found, seed)
+    return Diagnosis(**{**result.__dict__, "seconds": time.perf_counter() - since})
+
+
+def known_terms(experiment: Experiment, channel: str, effects: Sequence[str] | None) -> tuple[Term, ...]:
+    """The user's effects at their starting values."""
+    names = make_channels(experiment, channel).names
+    specs = experiment.effects if effects is None else effects
+    parsed = parse_effects(specs, experiment.robot.joint_names, names, experiment.gear_ratio)
+    return tuple(Term(e, _start(experiment, e)) for e in parsed)
+
+
+def _start(experiment: Experiment, effect: Effect) -> tuple[float, ...]:
+    given = experiment.effect_values.get(effect.spec) or experiment.effect_values.get(effect.name) or {}
+    kind = KINDS[effect.name]
+    return tuple(float(given.get(key, start)) for key, start in zip(kind.parameters, kind.starts, strict=True))
+
+
+def _decide(case: Case, s: Search, seed: int) -> Diagnosis:
+    left = s.best.chi2 / s.rigid.rows
+    gap = prove(s.rigid, s.base, s.best, s.temper, seed)
+    remarks: list[str] = []
+    found, verdict = s.found, "named"
+    tried = ", ".join(f.term.effect.spec for f in found)
+    unseen = 0.0 if gap is None else (gap.after / gap.floor) ** 2
+    local = all(f.term.effect.name == "external_contact" for f in found)
+    if max(left, unseen) > UNEXPLAINED:
+        verdict = "unknown"
+        elsewhere = "" if gap is None else f" and {gap.after:.3g} times on the unseen ones"
+        remarks.append(
+            "Something is missing that no effect of the library explains: residuals stay at "
+            f"{np.sqrt(left):.3g} times the noise on the fitted motions{elsewhere}"
+            + (f", even with the best fit of {tried}." if tried else ".")
+        )
+    elif not found:
+        verdict = "nothing_missing"
+    elif gap is not None and not local and gap.after**2 > gap.before**2 * (1.0 + WORSE):
+        verdict = "unknown"
+        remarks.append(f"{tried} fits the fitted motions, but predicts the unseen ones no better: not named.")
+    elif _patchwork(case, found):
+        verdict = "unknown"
+        remarks.append(
+            f"Only {tried} together explain the residual. So many unrelated effects at once are less likely than one that the "
+            "library does not have and that they patch up between them: not named."
+        )
+    elif any(f.rivals for f in found):
+        verdict = "ambiguous"
+    if verdict == "unknown":
+        found = ()
+    if found and gap is None:
+        remarks.append("No validation motion: the effect is named on the fitted motions alone, nothing proves it elsewhere.")
+    if case.experiment.inertia_rel_std is None:
+        remarks.append(
+            "No trust in the nominal inertias is stated (inertia_rel_std): every rigid parameter is free, and a payload or a "
+            "wrong inertia cannot be told from the nominal model being wrong."
+        )
+    white = residual_spectra(case, case.stretches, s.base)
+    where = locate(case, case.stretches, white, max(1.0, min(s.temper, UNEXPLAINED)))
+    return Diagnosis(
+        case, verdict, s, found, where, gap, _shifts(case, s) if found else (), tuple(remarks), _next(verdict, found)
+    )
+
+
+def _patchwork(case: Case, found: Sequence[Found]) -> bool:
+    """Whether more effects are needed than a robot is likely to hide; one kind on most joints counts as one."""
+    names = [f.term.effect.name for f in found]
+    alone = [n for n in set(names) for _ in range(names.count(n)) if names.count(n) < max(2, case.robot.n / 2)]
+    return len(alone) > LIKELY
+
+
+def _shifts(case: Case, s: Search) -> tuple[tuple[str, float, float, float], ...]:
+    """Base parameters that the effects found had moved by more than three standard deviations."""
+    if case.prior is None:
+        return ()
+    base = structural_base(case.robot, case.channels, gravity=True, offset=case.channel != "torque", at_rest=False)
+    inverse = np.linalg.inv(s.rigid.r)[: s.rigid.root.shape[1]]
+    spread = base.matrix @ s.rigid.root @ inverse
+    std = np.sqrt(s.temper * np.sum(spread**2, axis=1))
+    before, after = base.matrix @ s.base.links, base.matrix @ s.best.links
+    sigmas = (before - after) / np.maximum(std, 1e-300)
+    order = np.argsort(-np.abs(sigmas))
+    return tuple((base.labels[k], float(before[k]), float(after[k]), float(sigmas[k])) for k in order if abs(sigmas[k]) > 3)
+
+
+def _next(verdict: str, found: Sequence[Found]) -> str:
+    """What to record next, in a sentence."""
+    if verdict == "ambiguous":
+        pairs = [(f.term.effect.spec, ", ".join(t.effect.spec for t, _ in f.rivals)) for f in found if f.rivals]
+        names = "; ".join(f"{a} from {b}" for a, b in pairs)
+        return (
+            f"To tell {names}: move other joints and repeat the motion at half and at full speed; effects that look alike "
+            "on one motion differ in how they grow with speed and change with posture."
+        )
+    if verdict == "unknown":
+        return (
+            "Record one joint at a time, slowly and fast, forth and back through the same poses: what stays with position is a "
+            "spring, a cable or a calibration; what changes sign with velocity is friction or drag; what grows with acceleration "
+            "is inertia or delay."
+        )
+    if verdict == "nothing_missing":
+        return "Nothing is left to settle with these motions; faster motions of all joints would show smaller effects."
+    return "Repeat the validation on a new motion with the effect in the model (model.toml), to see the smaller gap hold."
+
+
+__all__ = ["ACCEPT", "Diagnosis", "diagnose"]

@@ -1,0 +1,294 @@
+"""Exact fits of the links and any effects, and how much the data prefer one set of effects to another.
+
+Links, with the trust in them as a prior, and the offset that a static run removes are in every model and enter
+linearly, so they are projected out once: with ``[A; I] = Q R`` of their whitened columns A over their prior, a column z
+of an effect keeps ``z - Q Q' z``, the part that no change of the links explains. What is left are a handful of
+parameters, found by Gauss-Newton steps on the exact readings.
+
+Models are compared by ``score = -chi2 / 2 - k / 2 log n`` over n rows: the evidence under a prior with the
+information of one row for each of the k parameters [Schwarz1978]_.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bayesid.diagnosis.case import Case, here
+from bayesid.diagnosis.spectra import Stretch
+from bayesid.effects import Term, columns
+from bayesid.priors import Prior
+
+_STEPS = 15
+#: Damping of the first step, in units of a column's squared length, and how often a step is damped more.
+_DAMPING, _TRIALS = 1e-3, 6
+#: A fit has settled when a step changes chi2 by less.
+_SETTLED = 0.02
+#: Effects that are a change of a whole link.
+LINKS = ("payload", "inertia_error")
+#: Share of a column's length that must be left once the links are projected out.
+ALIVE = 1e-5
+#: A column in sigmas per SI unit this small is rounding: a million newtons or radians would not be seen.
+_ROUNDING = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Rigid:
+    """Whitened columns of the links and the offset over their prior, reduced once.
+
+    Attributes
+    ----------
+    case
+        What is fitted.
+    root
+        ``links = nominal + root @ u`` with u ~ N(0, 1) (10 b, m).
+    offset
+        Whether a constant offset is among the columns, behind the links'.
+    q, r
+        Factors of ``[A; I]`` (rows + m + 6, m + 6).
+    rows
+        Number of rows that are data.
+    """
+
+    case: Case
+    root: np.ndarray
+    offset: bool
+    q: np.ndarray
+    r: np.ndarray
+    rows: int
+
+    @property
+    def size(self) -> int:
+        """Number of columns projected out."""
+        return self.r.shape[1]
+
+    def rest(self, stacked: np.ndarray) -> np.ndarray:
+        """What the links cannot explain of rows with their prior's below (rows + size, ...)."""
+        return stacked - self.q @ (self.q.T @ stacked)
+
+    def padded(self, rows: np.ndarray) -> np.ndarray:
+        """Rows of data with zeros for the prior (rows + size, ...)."""
+        return np.concatenate([rows, np.zeros((self.size, *rows.shape[1:]))])
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A model fitted to the identification motions.
+
+    Attributes
+    ----------
+    terms
+        Effects with their values.
+    links
+        (10 b,).
+    offset
+        Constant offset (c,), zero where none is fitted.
+    chi2
+        Sum of squares of whitened rows and of the links against their prior.
+    parameters
+        How many of the effects' parameters the data determine.
+    score
+        See the module.
+    covariance
+        Of the effects' free parameters in the order of ``terms`` (k, k), the links' uncertainty included.
+    free
+        (term, parameter) of each of them.
+    coordinates
+        The links and the offset in the coordinates of `Rigid` (size,).
+    residual
+        Whitened rows (rows,).
+    """
+
+    terms: tuple[Term, ...]
+    links: np.ndarray
+    offset: np.ndarray
+    chi2: float
+    parameters: int
+    score: float
+    covariance: np.ndarray
+    free: tuple[tuple[int, int], ...]
+    coordinates: np.ndarray
+    residual: np.ndarray
+
+
+def make_rigid(case: Case, terms: Sequence[Term]) -> Rigid:
+    """Reduce the columns that are in every model, at the given effects."""
+    root = np.zeros((len(case.links), 0))
+    if case.prior is not None:
+        size = np.sqrt(np.diag(case.prior.covariance))
+        root = size[:, None] * np.linalg.cholesky(case.prior.covariance / np.outer(size, size) + 1e-12 * np.eye(len(size)))
+    offset = case.offset_free and case.channel == "wrench"
+    parts = []
+    for s in case.stretches:
+        mine = []
+        if case.prior is not None:
+            spectrum = s.whiten(s.spectrum(case.rigid(s, terms)))
+            mine.append(spectrum.reshape(-1, spectrum.shape[2]) @ root)
+        if offset:
+            mine.append(offset_columns(s))
+        parts.append(np.hstack(mine) if mine else np.zeros((s.shape[0] * s.shape[1], 0)))
+    data = np.vstack(parts)
+    below = np.eye(data.shape[1])
+    if offset:
+        below[-6:] *= 1e-6  # nothing is known of an offset
+    q, r = np.linalg.qr(np.vstack([data, below]))
+    return Rigid(case, root, offset, q, r, len(data))
+
+
+def offset_columns(stretch: Stretch) -> np.ndarray:
+    """Whitened columns of a constant in every channel (rows, c)."""
+    channels = stretch.readings.shape[1]
+    ones = np.broadcast_to(np.eye(channels), (len(stretch.readings), channels, channels))
+    return stretch.whiten(stretch.measured(ones)).reshape(-1, channels)
+
+
+def residual_rows(case: Case, stretches: Sequence[Stretch], links: np.ndarray, offset: np.ndarray, terms: Sequence[Term]):
+    """Whitened rows of what was measured less what is predicted (rows,)."""
+    out = []
+    for s in stretches:
+        measured = s.measured(s.readings - offset)
+        with np.errstate(all="ignore"):  # a mount as soft as rubber runs away; its fit is then refused
+            out.append(s.whiten(measured - s.spectrum(case.predict(s, links, terms))).ravel())
+    return np.concatenate(out)
+
+
+def term_rows(case: Case, stretches: Sequence[Stretch], links: np.ndarray, terms: Sequence[Term], term: Term) -> np.ndarray:
+    """Whitened derivatives of the readings with respect to a term's parameters beside other terms (rows, k)."""
+    parts = []
+    for s in stretches:
+        if here(s, [term]):
+            found = columns(case.robot, case.channels, s.scene, links, here(s, terms), term.effect, term.values)
+            parts.append(s.white(found))
+        else:
+            parts.append(np.zeros((s.shape[0] * s.shape[1], len(term.values))))
+    return np.vstack(parts)
+
+
+def model_rows(case: Case, stretches: Sequence[Stretch], links: np.ndarray, terms: Sequence[Term]) -> np.ndarray:
+    """Whitened derivatives with respect to all free parameters of a model's effects (rows, k)."""
+    parts = [np.zeros((sum(s.shape[0] * s.shape[1] for s in stretches), 0))]
+    parts += [
+        term_rows(case, stretches, links, tuple(x for x in terms if x is not t), t) for t in terms if not case.fixed(t)
+    ]  # fmt: skip
+    return np.hstack(parts)
+
+
+def fit(rigid: Rigid, terms: Sequence[Term], start: Fit | None = None, steps: int = _STEPS) -> Fit:
+    """Fit links, offset and the effects' free parameters.
+
+    Parameters
+    ----------
+    rigid
+        The columns that are always in.
+    terms
+        Effects with starting values.
+    start
+        A fit whose links and offset to start from.
+    steps
+        At most this many Gauss-Newton steps.
+    """
+    case, terms = rigid.case, tuple(terms)
+    u = np.zeros(rigid.size) if start is None else start.coordinates.copy()
+    free = tuple((i, k) for i, t in enumerate(terms) if not case.fixed(t) for k in range(len(t.values)))
+    rows = _rows(rigid, u, terms)
+    below = _below(rigid, u)
+    chi2 = float(rows @ rows + below @ below)
+    damping = _DAMPING
+    for _ in range(steps):
+        links, _ = _split(rigid, u)
+        jacobian = model_rows(case, case.stretches, links, terms)
+        stacked = np.concatenate([rows, -below])
+        kept = rigid.rest(rigid.padded(jacobian))
+        length = np.linalg.norm(kept, axis=0)
+        scale = np.where(_alive(length, jacobian), length, np.inf)
+        values, vectors = _eigen(kept / scale)
+        pull = vectors.T @ ((kept / scale).T @ rigid.rest(stacked))
+        accepted = None
+        for _ in range(_TRIALS):
+            # Levenberg and Marquardt: where a direction says nothing yet (a point without a force), hold it back.
+            change = (vectors / (values + damping)) @ pull / scale if len(free) else np.zeros(0)
+            trial = _moved(terms, free, change)
+            taken = np.array([trial[i].values[k] - terms[i].values[k] for i, k in free])
+            du = np.linalg.solve(rigid.r, rigid.q.T @ (stacked - rigid.padded(jacobian @ taken))) if rigid.size else u
+            new_rows, new_below = _rows(rigid, u + du, trial), _below(rigid, u + du)
+            new_chi2 = float(new_rows @ new_rows + new_below @ new_below)
+            if chi2 - new_chi2 > -_SETTLED:
+                accepted = (u + du, new_rows, new_below, new_chi2, trial)
+                break
+            damping = max(10.0 * damping, 1e-4)
+        if accepted is None:
+            break
+        gain = chi2 - accepted[3]
+        u, rows, below, chi2, terms = accepted
+        damping = 0.1 * damping if damping > 1e-7 else 0.0
+        if gain < _SETTLED:
+            break
+    links, offset = _split(rigid, u)
+    jacobian = model_rows(case, case.stretches, links, terms)
+    kept = rigid.rest(rigid.padded(jacobian))
+    length = np.linalg.norm(kept, axis=0)
+    safe = np.where(_alive(length, jacobian), length, np.inf)
+    values, vectors = _eigen(kept / safe)
+    covariance = (vectors / values) @ vectors.T / np.outer(safe, safe)
+    score = -0.5 * chi2 - _price(rigid, terms, free, kept)
+    return Fit(terms, links, offset, chi2, len(values), score, covariance, free, u, rows)
+
+
+def _price(rigid: Rigid, terms: Sequence[Term], free: Sequence[tuple[int, int]], kept: np.ndarray) -> float:
+    """What the free parameters cost: ``k / 2 log n``; for a changed link, as likely as its own size, ``log det / 2``."""
+    total = 0.0
+    for i, t in enumerate(terms):
+        mine = kept[:, [column for column, (term, _) in enumerate(free) if term == i]]
+        if t.effect.name in LINKS and mine.shape[1]:
+            joint = t.effect.joint or 0
+            body = rigid.case.links[10 * joint : 10 * joint + 10]
+            prior = Prior.warped(body, 1.0).covariance
+            size = np.sqrt(np.diag(prior))
+            root = size[:, None] * np.linalg.cholesky(prior / np.outer(size, size) + 1e-12 * np.eye(10))
+            total += 0.5 * float(np.linalg.slogdet(np.eye(10) + root.T @ (mine.T @ mine) @ root)[1])
+        elif mine.shape[1]:
+            length = np.linalg.norm(mine, axis=0)
+            total += 0.5 * len(_eigen(mine / np.where(length > 0, length, 1.0))[0]) * np.log(rigid.rows)
+    return total
+
+
+def _alive(length: np.ndarray, jacobian: np.ndarray) -> np.ndarray:
+    """Whether what is left of columns can say anything: a share of them, and more than rounding (k,)."""
+    return (length > ALIVE * np.linalg.norm(jacobian, axis=0)) & (length > _ROUNDING)
+
+
+def _eigen(columns_: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Eigenvalues and vectors of the Gram matrix of scaled columns, without directions that are not there."""
+    values, vectors = np.linalg.eigh(columns_.T @ columns_) if columns_.shape[1] else (np.zeros(0), np.zeros((0, 0)))
+    keep = values > 1e-9
+    return values[keep], vectors[:, keep]
+
+
+def _split(rigid: Rigid, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    m = rigid.root.shape[1]
+    offset = u[m:] if rigid.offset else np.zeros(len(rigid.case.channels))
+    return rigid.case.links + rigid.root @ u[:m], offset
+
+
+def _below(rigid: Rigid, u: np.ndarray) -> np.ndarray:
+    """The prior's rows."""
+    out = u.copy()
+    if rigid.offset:
+        out[-6:] *= 1e-6
+    return out
+
+
+def _rows(rigid: Rigid, u: np.ndarray, terms: Sequence[Term]) -> np.ndarray:
+    links, offset = _split(rigid, u)
+    return residual_rows(rigid.case, rigid.case.stretches, links, offset, terms)
+
+
+def _moved(terms: tuple[Term, ...], free: Sequence[tuple[int, int]], change: np.ndarray) -> tuple[Term, ...]:
+    """The terms with their free parameters changed, inside what is possible."""
+    values = [np.array(t.values, float) for t in terms]
+    for (i, k), d in zip(free, change, strict=True):
+        kind = terms[i].effect.kind
+        values[i][k] = np.clip(values[i][k] + d, kind.lower[k], kind.upper[k])
+    return tuple(replace(t, values=tuple(v)) for t, v in zip(terms, values, strict=True))

@@ -1,0 +1,130 @@
+"""Proof on motions that were never fitted: the gap before and after, beside what noise alone would leave."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayesid.diagnosis.case import Case
+from bayesid.diagnosis.fit import Fit, Rigid, model_rows, offset_columns
+from bayesid.diagnosis.spectra import Stretch
+
+#: Time that the bootstrap takes for independent of the next [s], and how often it draws.
+_BLOCK = 1.5
+_DRAWS = 999
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Root mean square of whitened residuals on validation motions; 1 is sensor and encoder noise alone.
+
+    Attributes
+    ----------
+    before, after
+        With the user's model and with the effects found.
+    floor
+        What is expected of a complete model: noise, and the uncertainty of the fitted parameters on another motion.
+    closed, closed_low
+        ``(before^2 - after^2) / (before^2 - floor^2)``, and the lower end of its one-sided 95 % interval, by bootstrap
+        over blocks of time.
+    by_channel
+        Before and after by channel (c, 2).
+    motions
+        The motions compared.
+    """
+
+    before: float
+    after: float
+    floor: float
+    closed: float
+    closed_low: float
+    by_channel: np.ndarray
+    motions: tuple[str, ...]
+
+    def to_dict(self) -> dict:
+        """The entry ``gap`` of ``diagnosis.json``."""
+        numbers = {k: float(getattr(self, k)) for k in ("before", "after", "floor", "closed", "closed_low")}
+        return {
+            "metric": "whitened_rms on validation motions",
+            **{k: v if np.isfinite(v) else None for k, v in numbers.items()},
+            "motions": list(self.motions),
+        }
+
+
+def residual_spectra(case: Case, stretches: Sequence[Stretch], fit: Fit) -> list[np.ndarray]:
+    """Whitened coefficients (K, c) of every stretch; a constant offset is taken out anew, a sensor may have been zeroed."""
+    white = [s.whiten(s.measured(s.readings) - s.spectrum(case.predict(s, fit.links, fit.terms))) for s in stretches]
+    rows = without_offset(case, stretches, np.concatenate([w.ravel() for w in white]))
+    parts = np.split(rows, np.cumsum([w.size for w in white])[:-1])
+    return [part.reshape(w.shape) for part, w in zip(parts, white, strict=True)]
+
+
+def without_offset(case: Case, stretches: Sequence[Stretch], rows: np.ndarray) -> np.ndarray:
+    """Whitened rows (rows, ...) less what a constant offset of every motion explains, where a static run allows for one."""
+    if not (case.offset_free and case.channel == "wrench"):
+        return rows
+    out = rows.copy()
+    edges = np.cumsum([0, *(s.shape[0] * s.shape[1] for s in stretches)])
+    for motion in dict.fromkeys(s.motion for s in stretches):
+        mine = [k for k, s in enumerate(stretches) if s.motion == motion]
+        at = np.concatenate([np.arange(edges[k], edges[k + 1]) for k in mine])
+        q, _ = np.linalg.qr(np.vstack([offset_columns(stretches[k]) for k in mine]))
+        out[at] -= q @ (q.T @ out[at])
+    return out
+
+
+def prove(rigid: Rigid, base: Fit, best: Fit, temper: float, seed: int) -> Gap | None:
+    """Compare both models on the validation motions; None where there are none."""
+    case = rigid.case
+    if not case.unseen:
+        return None
+    before, after = (residual_spectra(case, case.unseen, f) for f in (base, best))
+    total = sum(w.size for w in after)
+    floor2 = 1.0 + _parameter_share(rigid, best, temper) / total
+    energy = np.concatenate([_by_blocks(s, b, a) for s, b, a in zip(case.unseen, before, after, strict=True)])
+    rng = np.random.default_rng(seed)
+    picks = rng.integers(len(energy), size=(_DRAWS, len(energy)))
+    sums = energy[picks].sum(axis=1)
+    counts = sums[:, 2]
+    draws = _closed(sums[:, 0] / counts, sums[:, 1] / counts, floor2)
+    whole = [float(sum(np.sum(w**2) for w in part)) / total for part in (before, after)]
+    by_channel = np.stack(
+        [np.sqrt(sum(np.sum(w**2, axis=0) for w in part) / sum(len(w) for w in part)) for part in (before, after)], axis=1
+    )
+    return Gap(
+        before=np.sqrt(whole[0]), after=np.sqrt(whole[1]), floor=np.sqrt(floor2),
+        closed=float(_closed(whole[0], whole[1], floor2)), closed_low=float(np.quantile(draws, 0.05)),
+        by_channel=by_channel, motions=tuple(dict.fromkeys(s.motion for s in case.unseen)),
+    )  # fmt: skip
+
+
+def _closed(before, after, floor2):
+    return (before - after) / np.maximum(before - floor2, 1e-3 * floor2)
+
+
+def _by_blocks(stretch: Stretch, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+    """Energies before and after and number of coefficients, by block of time (blocks, 3)."""
+    energies = [np.sum(stretch.samples(w) ** 2, axis=1) for w in (before, after)]
+    count = max(int((stretch.times[-1] - stretch.times[0]) / _BLOCK), 1)
+    edges = np.linspace(0, len(energies[0]), count + 1).astype(int)
+    sums = [np.add.reduceat(e, edges[:-1]) for e in energies]
+    return np.stack([*sums, np.full(count, before.size / count)], axis=1)
+
+
+def _parameter_share(rigid: Rigid, best: Fit, temper: float) -> float:
+    """Expected sum of squares that the uncertainty of links and effects adds to whitened residuals of other motions."""
+    case = rigid.case
+    effects = without_offset(case, case.unseen, model_rows(case, case.unseen, best.links, best.terms))
+    share = 0.0
+    if rigid.root.shape[1]:
+        links = np.vstack([s.white(case.rigid(s, best.terms)) @ rigid.root for s in case.unseen])
+        links = without_offset(case, case.unseen, links)
+        inverse = np.linalg.inv(rigid.r)[: rigid.root.shape[1]]
+        share += float(np.sum((links @ inverse) ** 2))
+        # Where an effect's estimate is off, the links have made up for it on the fitted motions.
+        fitted = rigid.padded(model_rows(case, case.stretches, best.links, best.terms))
+        effects = effects - links @ (inverse @ (rigid.q.T @ fitted))
+    share += float(np.einsum("ij,jk,ik->", effects, best.covariance, effects))
+    return temper * share

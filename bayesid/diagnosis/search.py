@@ -1,0 +1,290 @@
+"""Which effects the data demand: forwards from proposals, always on exact fits, with every choice taken back once.
+
+Effects are added one by one; after each, every effect found earlier is exchanged against its rivals with the others
+held, for a first choice made beside a missing second effect is often the wrong one. Evidence is counted in
+units of what the richest linear model leaves unexplained: a stranger in the data then raises the bar for all names.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import cvxpy as cp
+import numpy as np
+from scipy.stats import chi2
+
+from bayesid import inertia
+from bayesid.diagnosis.candidates import Library, Proposal, make_library, orthonormal
+from bayesid.diagnosis.case import with_noise_of
+from bayesid.diagnosis.fit import Fit, Rigid, fit, make_rigid, term_rows
+from bayesid.effects import Term
+from bayesid.priors import Prior
+from bayesid.regression import in_order
+
+#: An effect must gain this much log evidence: the odds of one among a hundred, times a thousand.
+ACCEPT = 12.0
+#: Rivals within this log evidence of the best (odds of 20 to 1) cannot be told from it.
+RIVAL = 3.0
+#: At most this many families of effects are sought, and this many proposals fitted exactly in one round.
+MOST = 4
+_FITTED = 6
+#: Of one kind at most this many places, and so many rounds of exchanges.
+_ALIKE, _SWEEPS = 2, 3
+#: A change of a link is a possible body unless its distance to one has a smaller probability.
+_POSSIBLE = 0.05
+_DRAWN = 5000
+#: A link's length, for the solver's units [m].
+_LENGTH = 0.1
+#: An effect contains another if its columns leave no more than this share of the other's.
+_WITHIN = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """An effect that the data demand.
+
+    Attributes
+    ----------
+    term
+        The effect with its values.
+    gain
+        Log evidence lost without it, in tempered units.
+    std
+        Standard deviations of its values, the links' uncertainty included.
+    rivals
+        Other effects that explain it nearly as well, with the log evidence they lack.
+    """
+
+    term: Term
+    gain: float
+    std: np.ndarray
+    rivals: tuple[tuple[Term, float], ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """What the search found.
+
+    Attributes
+    ----------
+    rigid, base
+        What is always in, and the user's model fitted alone.
+    best
+        The model with all effects found.
+    found
+        Those effects.
+    temper
+        Mean square of what no model of the library explains, at least 1; evidence and covariances are relative to it.
+    proposals
+        The first round's, for the report.
+    library
+        Columns of all effects at the user's model, for the report.
+    """
+
+    rigid: Rigid
+    base: Fit
+    best: Fit
+    found: tuple[Found, ...]
+    temper: float
+    proposals: tuple[Proposal, ...]
+    library: Library | None = None
+
+
+def search(rigid: Rigid, terms: Sequence[Term], seed: int, progress: Callable[[str], None]) -> Search:
+    """Find the effects that the data demand beside the user's model."""
+    progress("fitting the model as it is")
+    base = fit(rigid, terms)
+    progress("what each effect would explain")
+    library = make_library(rigid, base)
+    first = library.propose(base)
+    best, temper = base, library.temper(base)
+    for _ in range(MOST):
+        progress("naming what is missing")
+        better = _forward(library, best, temper)
+        if better is None:
+            break
+        best = better
+        best = _exchanged(library, best, len(base.terms), temper)
+        temper = library.temper(best)
+    best = _pruned(library, best, len(base.terms), temper)
+    if len(best.terms) > len(base.terms):
+        progress("noise as the new model passes it on")
+        rigid = make_rigid(with_noise_of(rigid.case, best.links, best.terms, seed), base.terms)
+        base, best = fit(rigid, base.terms, base), fit(rigid, best.terms, best)
+        library = make_library(rigid, base)
+        temper = library.temper(best)
+    progress("rivals")
+    found: tuple[Found, ...] = ()
+    for _ in range(_SWEEPS):
+        found, better = _found(library, best, len(base.terms), temper)
+        if better is None:
+            break
+        best = better
+    return Search(rigid, base, best, found, temper, tuple(first), library)
+
+
+def _forward(library: Library, best: Fit, temper: float) -> Fit | None:
+    """The best exact fit with one effect more, if the data demand it; with its whole family, if other joints show it, too."""
+    fits = _exact(library, best, best.terms, library.propose(best), temper)
+    if not fits or fits[0].score - best.score < ACCEPT * temper:
+        return None
+    one = fits[0]
+    kind = one.terms[-1].effect.kind
+    if kind.at != "joint" or kind.channels != ("torque",):
+        return one
+    temper = library.temper(one)
+    family = [p for p in library.propose(one) if p.term.effect.name == kind.name and 0.5 * p.gain > ACCEPT * temper]
+    if not family:
+        return one
+    whole = fit(library.rigid, (*one.terms, *(p.term for p in family)), one)
+    return whole if whole.score > one.score + ACCEPT * temper else one
+
+
+def _exact(
+    library: Library, start: Fit, held: Sequence[Term], proposals: Sequence[Proposal], temper: float, most: int = _FITTED
+) -> list[Fit]:
+    """Exact fits of the most promising proposals beside the effects held, best first."""
+    terms = [term for p in _shortlist(proposals, temper, most) for term in _starts(p)]
+    fits = in_order(lambda term: fit(library.rigid, (*held, term), start), terms)
+    return sorted(fits, key=lambda f: -f.score)
+
+
+def _shortlist(proposals: Sequence[Proposal], temper: float, most: int) -> list[Proposal]:
+    """The best proposals, but few of one kind: neighbouring links explain alike and would crowd out other kinds."""
+    kept: list[Proposal] = []
+    for p in proposals:
+        same = sum(k.term.effect.name == p.term.effect.name for k in kept)
+        if len(kept) < most and same < _ALIKE and 0.5 * p.gain > ACCEPT * temper:
+            kept.append(p)
+    return kept
+
+
+def _starts(proposal: Proposal) -> list[Term]:
+    """Values to start from; more than one where a shape may hold the fit back."""
+    term = proposal.term
+    if term.effect.name != "tether":
+        return [term, *proposal.others]
+    k, _, *rest = term.values
+    return [term, replace(term, values=(1.5 * k, 0.3, *rest))]
+
+
+def _exchanged(library: Library, best: Fit, known: int, temper: float) -> Fit:
+    """Each effect found against its rivals, the others held, until no exchange is for the better.
+
+    An effect with a shape (a contact's time and point, a hose's anchor) is its own rival, too: beside other effects
+    it may start better than where it first settled.
+    """
+    for _ in range(_SWEEPS):
+        before = best
+        for i in range(known, len(best.terms)):
+            own, held = best.terms[i], tuple(t for k, t in enumerate(best.terms) if k != i)
+            if not held:
+                break  # the first effect alone has just been chosen against all others
+            without = fit(library.rigid, held, best, steps=4)
+            rivals = [p for p in library.propose(without) if p.name != own.effect.spec or len(own.effect.kind.shape) > 1]
+            fits = _exact(library, without, held, rivals, temper, most=3)
+            if fits and fits[0].score > best.score + temper:
+                best = fits[0]
+        if best is before:
+            break
+    return best
+
+
+def _pruned(library: Library, best: Fit, known: int, temper: float) -> Fit:
+    """Without effects that the others have made superfluous."""
+    i = known
+    while i < len(best.terms) and len(best.terms) > known + 1:
+        held = tuple(t for k, t in enumerate(best.terms) if k != i)
+        without = fit(library.rigid, held, best)
+        if best.score - without.score < ACCEPT * temper:
+            best = without
+        else:
+            i += 1
+    return best
+
+
+def _found(library: Library, best: Fit, known: int, temper: float) -> tuple[tuple[Found, ...], Fit | None]:
+    """The effects of the best model with their rivals; and a model with a rival that turned out to be better, if any."""
+    out = []
+    for i in range(known, len(best.terms)):
+        held = tuple(t for k, t in enumerate(best.terms) if k != i)
+        without = fit(library.rigid, held, best)
+        term = best.terms[i]
+        proposals = [p for p in library.propose(without) if p.name != term.effect.spec]
+        fits = _exact(library, without, held, proposals, temper)
+        if fits and fits[0].score > best.score + temper:
+            return (), fits[0]
+        named, bonus = _as_payload(library.rigid, best, i, temper)
+        lacks: dict[str, tuple[Term, float]] = {}
+        for f in reversed(fits):
+            rival, own = _as_payload(library.rigid, f, len(f.terms) - 1, temper)
+            lacks[f.terms[-1].effect.spec] = (rival, (best.score - f.score) / temper + bonus - own)
+        rivals = [
+            (t, lack) for t, lack in lacks.values() if lack < RIVAL and not _contains(library.rigid, without, t, term)
+        ]  # fmt: skip
+        term = named
+        at = [column for column, (index, _) in enumerate(best.free) if index == i]
+        std = np.sqrt(np.maximum(temper * np.diag(best.covariance)[at], 0.0))
+        out.append(Found(term, (best.score - without.score) / temper, std, tuple(rivals)))
+    return tuple(out), None
+
+
+def _contains(rigid: Rigid, without: Fit, wider: Term, term: Term) -> bool:
+    """Whether an effect can do all that another does and more (a spring, an offset): no rival, but a longer name for it."""
+    case = rigid.case
+    outer, inner = (
+        rigid.rest(rigid.padded(term_rows(case, case.stretches, without.links, without.terms, t))) for t in (wider, term)
+    )
+    if outer.shape[1] <= inner.shape[1]:
+        return False
+    q = orthonormal(outer)
+    left = inner - q @ (q.T @ inner)
+    return bool(np.linalg.norm(left) < _WITHIN * np.linalg.norm(inner))
+
+
+def _as_payload(rigid: Rigid, fitted: Fit, index: int, temper: float) -> tuple[Term, float]:
+    """A change of a link as an attached body, if a possible body is near enough, and what that adds to its evidence.
+
+    Among all changes of a link as large as itself few are bodies that could be attached: if the one found is, that speaks
+    for a payload by one over their share. Any other effect is returned as it is.
+    """
+    term = fitted.terms[index]
+    if term.effect.name != "inertia_error":
+        return term, 0.0
+    at = [column for column, (owner, _) in enumerate(fitted.free) if owner == index]
+    values, covariance = np.array(term.values), temper * fitted.covariance[np.ix_(at, at)]
+    size = np.sqrt(np.maximum(np.diag(covariance), 1e-30))
+    spread, axes = np.linalg.eigh(covariance / np.outer(size, size))
+    root = (axes / np.sqrt(np.maximum(spread, 1e-9 * spread[-1]))).T / size
+    # In units of the change's own size, so that masses and moments of inertia weigh alike in the solver.
+    body, pseudo = cp.Variable(10), cp.Variable((4, 4), PSD=True)
+    length = np.array([_LENGTH, _LENGTH, _LENGTH, 1.0])
+    basis = (inertia.BASIS / np.outer(length, length)).reshape(10, 16) * size[:, None]
+    same: list[cp.Constraint] = [cp.vec(pseudo, order="C") == basis.T @ body]
+    problem = cp.Problem(cp.Minimize(cp.sum_squares((root * size) @ body - root @ values)), same)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # a distance of three digits is accurate enough
+        try:
+            distance = float(problem.solve(solver=cp.CLARABEL))  # pyright: ignore[reportArgumentType]
+        except cp.SolverError:
+            return term, 0.0
+    if body.value is None or chi2.sf(distance, 10) < _POSSIBLE:
+        return term, 0.0
+    effect = next(e for e in rigid.case.places("payload") if e.where == term.effect.where)
+    joint = effect.joint or 0
+    return Term(effect, tuple(size * body.value)), _rarity(rigid.case.links[10 * joint : 10 * joint + 10])
+
+
+def _rarity(link: np.ndarray) -> float:
+    """Log of one over the share of changes of a link, as large as itself, that are possible bodies."""
+    covariance = Prior.warped(link, 1.0).covariance
+    size = np.sqrt(np.diag(covariance))
+    root = size[:, None] * np.linalg.cholesky(covariance / np.outer(size, size) + 1e-12 * np.eye(10))
+    changes = np.random.default_rng(0).normal(size=(_DRAWN, 10)) @ root.T
+    possible = np.linalg.eigvalsh(inertia.pseudo_inertia(changes))[:, 0] >= 0.0
+    return float(np.log(_DRAWN / max(np.count_nonzero(possible), 1)))
+
+
+__all__ = ["Found", "Search", "make_rigid", "search"]

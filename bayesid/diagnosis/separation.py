@@ -1,0 +1,110 @@
+"""What these motions could show at all, and which effects they cannot tell apart: before the data decide."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayesid.diagnosis.candidates import DETECTED, Library
+from bayesid.effects import Effect, typical
+from bayesid.robot import Robot
+
+#: Nearer to one than this a share is rounding: the two leave the same trace.
+_SAME = 1.0 - 1e-8
+#: An effect that is seen only from so many times its usual size is not seen; rounding leaves as much.
+_ABSURD = 100.0
+_THIN = 1e-6
+
+
+@dataclass(frozen=True)
+class Visible:
+    """How small an effect these motions could show.
+
+    Attributes
+    ----------
+    effect
+        Which, and where.
+    parameter
+        Index of the parameter by which its size is told.
+    usual
+        A usual size of that parameter; the others have theirs in proportion.
+    seen
+        Size whose trace, less what the links could explain, stands out by five standard deviations; None where no
+        plausible size does.
+    twin
+        The effect elsewhere in the library whose trace is most like it; None without any other.
+    share
+        Part of the trace's energy that the twin would explain, at its best values.
+    named
+        Size from which what the twin leaves stands out as much; None where no plausible size does.
+    """
+
+    effect: Effect
+    parameter: int
+    usual: float
+    seen: float | None
+    twin: Effect | None
+    share: float
+    named: float | None
+
+
+def visible(library: Library) -> tuple[Visible, ...]:
+    """Smallest sizes that could be seen and told from any one other effect, for every effect with an amplitude.
+
+    With the whitened columns of two effects, links projected out, the trace z of the first at its usual values, and an
+    orthonormal basis Q of the second, the second explains ``|Q' z|^2 / |z|^2`` of it. The usual size has a length of |z|
+    standard deviations, so ``5 / |z|`` of it is seen and ``5 / (|z| sqrt(1 - share))`` of it told apart.
+
+    Parameters
+    ----------
+    library
+        Columns of all effects at the user's model.
+    """
+    robot = library.rigid.case.robot
+    if not library.blocks:
+        return ()
+    traces = np.stack([b.rows @ _amplitudes(b.effect, robot) for b in library.blocks], axis=1)
+    lengths = np.linalg.norm(traces, axis=0)
+    traces = traces / np.where(lengths > 0, lengths, 1.0)
+    bases = [_basis(b.rows) for b in library.blocks]
+    whole = np.stack([np.sum((q.T @ traces) ** 2, axis=0) for q in bases])  # (explaining, explained)
+    specs = [b.effect.spec for b in library.blocks]
+    out: dict[str, Visible] = {}
+    for k, block in enumerate(library.blocks):
+        if specs[k] in out:  # another shape of the same effect
+            continue
+        usual = typical(block.effect, robot)
+        by = int(np.flatnonzero(usual)[0]) if usual.any() else 0
+        size = abs(float(usual[by]))
+        nearest = max((i for i, s in enumerate(specs) if s != specs[k]), key=lambda i: whole[i, k], default=None)  # noqa: B023
+        share = 0.0 if nearest is None else float(np.clip(whole[nearest, k], 0.0, 1.0))
+        seen = DETECTED / float(lengths[k]) * size if lengths[k] > 0 and size > 0 else None
+        seen = None if seen is None or seen > _ABSURD * size else seen
+        named = None if seen is None or share > _SAME else seen / float(np.sqrt(1.0 - share))
+        named = None if named is None or named > _ABSURD * size else named
+        twin = None if nearest is None else library.blocks[nearest].effect
+        out[specs[k]] = Visible(block.effect, by, size, seen, twin, share, named)
+    return tuple(out.values())
+
+
+def _amplitudes(effect: Effect, robot: Robot) -> np.ndarray:
+    """Usual values as amplitudes of an effect's columns in the library (k,)."""
+    values = typical(effect, robot)
+    if effect.name == "tether":  # k (anchor - x), by derivatives at k = 1 with the anchor at the origin
+        return np.array([values[0], 0.0, *(values[0] * values[2:5]), 0.0, 0.0, 0.0])
+    if effect.name == "spring":
+        return np.array([values[0], values[0] * values[1]])
+    if effect.name == "stribeck_friction":
+        return np.array([values[0], 0.0])
+    return values
+
+
+def _basis(rows: np.ndarray) -> np.ndarray:
+    """An orthonormal basis of columns (rows, at most k), without directions that are not there."""
+    length = np.linalg.norm(rows, axis=0)
+    alive = length > 1e-7 * max(length.max(initial=0.0), 1e-300)
+    if not alive.any():
+        return rows[:, :0]
+    u, s, _ = np.linalg.svd(rows[:, alive] / length[alive], full_matrices=False)
+    return u[:, s > _THIN * s[0]]

@@ -1,0 +1,276 @@
+"""Readings in a frequency basis, where their noise is white once it is divided by its known spectrum.
+
+A stretch of samples becomes its lowest discrete cosine coefficients, up to `BAND`. Each coefficient is one
+frequency, so a noise that depends on frequency is a small covariance across channels for each of them:
+
+    S(f) = diag(sensor noise) + E(f) + accuracy of the model
+
+The sensor's share is white and read off above the band. E is what the encoders' counts do to the prediction:
+rounding, smoothing and prediction are repeated with other roundings. It grows with the fourth power of
+frequency, so that low frequencies tell most, and an unweighted error in the time domain wastes nearly all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.fft import dct, idct
+from scipy.ndimage import binary_opening, convolve
+from scipy.stats import chi2
+
+from bayesid.effects import REST_SPEED, Scene
+from bayesid.smoothing import smooth
+
+#: Highest frequency compared [Hz].
+BAND = 10.0
+#: Relative error of any model, of numbers written with few digits and samples taken not quite at the same time.
+ACCURACY = 1e-4
+#: Time in which a recording's weight rises from nothing at both ends [s].
+RAMP = 0.5
+#: A joint rests while it is slower than this share of its highest speed, if that lasts [s].
+REST_SHARE, REST_TIME = 0.005, 0.25
+#: Repetitions of the encoders' rounding.
+ROUNDINGS = 12
+#: Frequencies pooled on each side for E(f).
+_POOL = 6
+#: Samples of a window whose high frequencies are taken for noise, and which of the windows count as quiet.
+_WINDOW = 64
+_QUIET = 0.1
+#: Steps that must be whole multiples before they count as an encoder's.
+_ENOUGH = 20
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """One gap-free recording of a motion or of its static run.
+
+    Attributes
+    ----------
+    motion, role
+        Which motion it belongs to.
+    times, encoders
+        (N,) [s] and the encoders' readings (N, n).
+    readings
+        Measured (N, c).
+    scene
+        Smoothed trajectory on a coarser even grid over the same time (M, n): predictions have little above the band.
+    still
+        Whether every sample is a pose at rest.
+    torque_channels
+        (channel, joint) of the channels that are joint torques.
+    covariance
+        Of the coefficients (K, c, c); empty until it is known.
+    """
+
+    motion: str
+    role: str
+    times: np.ndarray
+    encoders: np.ndarray
+    readings: np.ndarray
+    scene: Scene
+    still: bool
+    torque_channels: tuple[tuple[int, int], ...]
+    covariance: np.ndarray
+
+    @property
+    def step(self) -> float:
+        """Time between samples [s]."""
+        return float((self.times[-1] - self.times[0]) / (len(self.times) - 1))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Number of coefficients and channels."""
+        return len(self.frequencies), self.readings.shape[1]
+
+    @cached_property
+    def frequencies(self) -> np.ndarray:
+        """Of the coefficients (K,) [Hz]."""
+        spacing = 0.5 / (len(self.times) * self.step)
+        band = min(BAND, 0.4 / self.step, 0.8 * self.scene.bandwidth)
+        return spacing * np.arange(max(int(band / spacing), 1))
+
+    def spectrum(self, samples: np.ndarray) -> np.ndarray:
+        """Coefficients (K, c, ...) of predicted samples (M, c, ...).
+
+        A reading is the mean over one sample's time, a prediction a point: its coefficients get the mean's
+        share, ``sin(pi f h) / (pi f h)``. Poses at rest are points on both sides.
+        """
+        out = _transform(samples, self.weight(self.scene.times), len(self.frequencies))
+        out *= np.sqrt(len(self.times) / len(self.scene.times))
+        return out if self.still else out * np.sinc(self.frequencies * self.step).reshape((-1,) + (1,) * (samples.ndim - 1))
+
+    def measured(self, samples: np.ndarray) -> np.ndarray:
+        """Coefficients (K, c, ...) of measured samples (N, c, ...)."""
+        return _transform(samples, self.weight(self.times), len(self.frequencies))
+
+    def course(self, samples: np.ndarray) -> np.ndarray:
+        """Coefficients (K, ...) of courses in time (M, ...) on the scene's grid that belong to no channel."""
+        edge = taper(self.scene.times, self.times, self.scene.bandwidth)[:, None]
+        flat = _transform(samples.reshape(len(samples), -1), edge, len(self.frequencies))
+        return flat.reshape(-1, *samples.shape[1:]) * np.sqrt(len(self.times) / len(samples))
+
+    def weight(self, times: np.ndarray) -> np.ndarray:
+        """Weight of times in every channel (k, c): the taper at both ends, and for torques what `mobile` says."""
+        return taper(times, self.times, self.scene.bandwidth)[:, None] * self.mobile(times)
+
+    def mobile(self, times: np.ndarray) -> np.ndarray:
+        """How far a reading is determined (k, c): a joint at rest may stick, and its drive then holds anything."""
+        out = np.ones((len(times), self.readings.shape[1]))
+        for channel, joint in self.torque_channels:
+            out[:, channel] = np.interp(times, self.scene.times, self._moving[:, joint])
+        return out
+
+    @cached_property
+    def _moving(self) -> np.ndarray:
+        """1 where a joint moves, 0 where it rests for longer than `REST_TIME`, with smooth flanks (M, n)."""
+        step = float(np.median(np.diff(self.scene.times)))
+        speed = np.abs(self.scene.velocities)
+        rest = speed < np.maximum(REST_SHARE * speed.max(axis=0), 2.0 * REST_SPEED)
+        length = max(int(REST_TIME / step), 1)
+        # A rest that lasts: opening (erosion, then dilation) along time. Then the flanks.
+        rest = binary_opening(rest, np.ones((length, 1), bool))
+        wide = np.hanning(2 * length + 3)[1:-1, None]
+        return np.clip(1.0 - convolve(rest.astype(float), wide / wide.sum() * 2.0, mode="nearest"), 0.0, 1.0)
+
+    def samples(self, coefficients: np.ndarray) -> np.ndarray:
+        """The band-limited signal (N, ...) of coefficients (K, ...)."""
+        full = np.zeros((len(self.times), *coefficients.shape[1:]))
+        full[: len(coefficients)] = coefficients
+        return np.asarray(idct(full, axis=0, norm="ortho"))
+
+    @cached_property
+    def whitener(self) -> np.ndarray:
+        """Root of the inverse covariance, one matrix a coefficient (K, c, c)."""
+        return np.linalg.inv(np.linalg.cholesky(self.covariance))
+
+    def whiten(self, coefficients: np.ndarray) -> np.ndarray:
+        """Coefficients (K, c, ...) in units of their noise."""
+        flat = coefficients.reshape(*coefficients.shape[:2], -1)
+        return np.matmul(self.whitener, flat).reshape(coefficients.shape)
+
+    def white(self, samples: np.ndarray) -> np.ndarray:
+        """Predicted samples (M, c, ...) as white rows (K c, ...)."""
+        return self.whiten(self.spectrum(samples)).reshape(-1, *samples.shape[2:])
+
+
+def _transform(samples: np.ndarray, weight: np.ndarray, count: int) -> np.ndarray:
+    weighted = samples * weight.reshape(weight.shape + (1,) * (samples.ndim - 2))
+    return np.asarray(dct(weighted, axis=0, norm="ortho"))[:count]
+
+
+def taper(times: np.ndarray, whole: np.ndarray, bandwidth: float) -> np.ndarray:
+    """Weight of times (k,) in a recording: 1, but falling to 0 at both ends, where the smoothed trajectory is loose.
+
+    It falls within `RAMP` as a squared cosine of a squared sine's argument, so gently that the large constant weight
+    of a robot leaks no more than 1e-6 of itself into the band when predictions are made on a coarse grid.
+    """
+    length = min(max(RAMP, 1.5 / bandwidth), 0.25 * (whole[-1] - whole[0]))
+    inside = np.clip(np.minimum(times - whole[0], whole[-1] - times) / length, 0.0, 1.0)
+    return np.sin(0.5 * np.pi * np.sin(0.5 * np.pi * inside) ** 2) ** 2
+
+
+def sensor_noise(stretches: Sequence[Stretch]) -> np.ndarray:
+    """Standard deviation of one sample's white noise (c,), from quiet moments above the motion's band.
+
+    Power at high frequencies in short windows. Real motion reaches there, too, where the robot hurries, reverses or is
+    struck; so the quietest windows count: a low quantile of the windows' powers, over what that quantile would be if
+    the noise were all there is. Second differences first, so that a slow, large motion does not leak upwards; the
+    gain of a second difference is (2 sin(pi f h))^4.
+
+    Parameters
+    ----------
+    stretches
+        Recordings made in the same way (a static run may average its readings longer than a moving one).
+    """
+    powers, bins = [], 1
+    for s in stretches:
+        length = min(_WINDOW, len(s.readings) // 2)
+        pieces = len(s.readings) // length
+        cut = np.diff(s.readings[: pieces * length].reshape(pieces, length, -1), n=2, axis=1)
+        count = cut.shape[1]
+        frequency = np.fft.rfftfreq(count, s.step) * s.step
+        shape = np.hanning(count + 2)[1:-1]
+        power = np.abs(np.fft.rfft(cut * shape[:, None], axis=1)) ** 2 / np.sum(shape**2)
+        high = (frequency > 0.3) & (frequency < 0.48)
+        # A Hann window spreads each frequency over about three bins' worth, 1.5 of them independent.
+        bins = max(int(np.count_nonzero(high) / 1.5), 1)
+        powers.append(np.mean(power[:, high] / ((2.0 * np.sin(np.pi * frequency[high])) ** 4)[:, None], axis=1))
+    together = np.concatenate(powers)
+    return np.sqrt(np.quantile(together, _QUIET, axis=0) / (chi2.ppf(_QUIET, 2 * bins) / (2 * bins)))
+
+
+def with_noise(
+    stretch: Stretch,
+    predict: Callable[[Stretch], np.ndarray],
+    resmooth: Callable[[Stretch, np.ndarray], Stretch],
+    sensor: np.ndarray,
+    resolution: np.ndarray,
+    position_std: np.ndarray,
+    rng: np.random.Generator,
+) -> Stretch:
+    """The stretch with the covariance of its coefficients.
+
+    Parameters
+    ----------
+    stretch
+        A recording.
+    predict
+        Readings predicted for a stretch (N, c).
+    resmooth
+        The stretch with other encoder readings (N, n).
+    sensor
+        White noise of one sample (c,).
+    resolution, position_std
+        One encoder count and random noise on top, by joint (n,) [rad or m].
+    rng
+        For the roundings.
+    """
+    exact = predict(stretch)
+    smoothed_positions = smooth(stretch.times, stretch.encoders, stretch.scene.bandwidth)[0]
+    channels = exact.shape[1]
+    signal = stretch.spectrum(exact)
+    scatter = np.zeros((len(stretch.frequencies), channels, channels))
+    if resolution.any() or position_std.any():
+        for _ in range(ROUNDINGS):
+            # Where within a count the truth lies is unknown: another shift, another rounding.
+            shift = rng.uniform(-0.5, 0.5, stretch.encoders.shape[1]) * resolution
+            q = smoothed_positions + shift
+            read = q + position_std * rng.normal(size=q.shape)
+            count = np.where(resolution > 0, resolution, 1.0)
+            read = np.where(resolution > 0, np.round(read / count) * count, read)
+            error = stretch.spectrum(predict(resmooth(stretch, read - shift)) - exact)
+            scatter += error[:, :, None] * error[:, None, :] / ROUNDINGS
+        scatter = _pooled(scatter)
+    weight = stretch.weight(stretch.times)
+    floor = np.diag(sensor**2) * (weight.T @ weight / len(weight))
+    rough = np.zeros_like(scatter)
+    power = _pooled(signal[:, :, None] ** 2)[:, :, 0]
+    rough[:, np.arange(channels), np.arange(channels)] = ACCURACY**2 * power
+    return replace(stretch, covariance=floor + scatter + rough)
+
+
+def _pooled(values: np.ndarray) -> np.ndarray:
+    """Mean over neighbouring frequencies, fewer at the ends."""
+    total = np.cumsum(np.concatenate([np.zeros((1, *values.shape[1:])), values]), axis=0)
+    index = np.arange(len(values))
+    reach = np.minimum(_POOL, np.maximum(index // 2, 1))
+    low, high = np.maximum(index - reach, 0), np.minimum(index + reach + 1, len(values))
+    return (total[high] - total[low]) / (high - low).reshape((-1,) + (1,) * (values.ndim - 1))
+
+
+def encoder_count(positions: np.ndarray) -> float:
+    """The step that all readings (N,) are whole multiples of, apart from one another; 0 if there is none [rad or m]."""
+    values = np.unique(positions)
+    steps = np.diff(values)
+    steps = steps[steps > 1e-9]
+    if not len(steps):
+        return 0.0
+    # Numbers written with few decimals are off by up to half of the last one; a step is then no exact multiple.
+    for part in (1, 2, 3):
+        multiples = steps / (steps.min() / part)
+        if len(steps) > _ENOUGH and np.mean(np.abs(multiples - np.round(multiples)) < 0.1) > 0.98:
+            return float(steps.min() / part)
+    return 0.0

@@ -1,0 +1,203 @@
+"""The numbers behind the report's pictures: residuals before and after by window, by band and as signals in time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from bayesid.diagnosis.locate import BANDS, LEVEL, by_band, by_window, places_looked_at
+from bayesid.diagnosis.proof import residual_spectra
+from bayesid.diagnosis.separation import Visible, visible
+from bayesid.diagnosis.spectra import Stretch, sensor_noise
+
+if TYPE_CHECKING:
+    from bayesid.diagnosis.diagnose import Diagnosis
+
+#: Recordings in the picture of residuals, and channels in the picture of signals.
+_PANELS, _CHANNELS = 4, 3
+#: Signals are shown below one of these frequencies, the one at which the disagreement stands out most [Hz].
+_CUTS = (1.0, 3.0, 10.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """Residuals of one recording in units of the noise, before and after.
+
+    Attributes
+    ----------
+    title, unseen
+        Which recording, and whether it took part in no fit.
+    pieces
+        For each gap-free stretch: edges of the windows (w + 1,) [s], root mean squares before and after (w, c, 2), and
+        whether they are significant (w, c, 2).
+    bands
+        Root mean squares by band (b, c, 2).
+    """
+
+    title: str
+    unseen: bool
+    pieces: tuple[tuple[np.ndarray, np.ndarray, np.ndarray], ...]
+    bands: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Signal:
+    """Measured less predicted in one channel, before and after.
+
+    Attributes
+    ----------
+    channel, unit, motion
+        Which.
+    times, values
+        (N,) [s] and (N, 2).
+    noise
+        Standard deviation that sensor and encoders leave in the same band.
+    below
+        Highest frequency shown [Hz].
+    """
+
+    channel: str
+    unit: str
+    motion: str
+    times: np.ndarray
+    values: np.ndarray
+    noise: float
+    below: float
+
+
+@dataclass(frozen=True, eq=False)
+class Noise:
+    """Where the noise floor of a channel comes from.
+
+    Attributes
+    ----------
+    channel, unit
+        Which.
+    sample
+        Standard deviation of the sensor's noise in one sample.
+    sensor, encoders
+        What of it, and of the encoders' noise in the prediction, falls into the band that is compared.
+    """
+
+    channel: str
+    unit: str
+    sample: float
+    sensor: float
+    encoders: float
+
+
+@dataclass(frozen=True, eq=False)
+class Views:
+    """All that the report shows beside the diagnosis itself.
+
+    Attributes
+    ----------
+    panels, signals, noise, visible
+        See there.
+    by_channel
+        Whitened root mean squares before and after on the motions of the proof (c, 2).
+    bands
+        Their limits [Hz].
+    changed
+        Whether a model other than the user's was fitted, so that there is an "after".
+    """
+
+    panels: tuple[Panel, ...]
+    signals: tuple[Signal, ...]
+    noise: tuple[Noise, ...]
+    visible: tuple[Visible, ...]
+    by_channel: np.ndarray
+    bands: tuple[tuple[float, float], ...]
+    changed: bool
+
+
+def views(diagnosis: Diagnosis) -> Views:
+    """Evaluate both models on all recordings."""
+    case, s = diagnosis.case, diagnosis.search
+    sides = []
+    for stretches in (case.stretches, case.unseen):
+        sides.append([residual_spectra(case, stretches, fit) for fit in (s.base, s.best)] if stretches else [[], []])
+    pairs = [
+        (stretch, np.stack([before, after], axis=-1), unseen)
+        for stretches, (b, a), unseen in zip((case.stretches, case.unseen), sides, (False, True), strict=True)
+        for stretch, before, after in zip(stretches, b, a, strict=True)
+    ]  # fmt: skip
+    judged = [p for p in pairs if p[2]] or pairs
+    energy = np.sum([np.sum(w**2, axis=0) for _, w, _ in judged], axis=0)
+    by_channel = np.sqrt(energy / sum(len(w) for _, w, _ in judged))
+    return Views(
+        panels=_panels(pairs, diagnosis.noise_level),
+        signals=_signals(diagnosis, judged, by_channel),
+        noise=_noise(diagnosis),
+        visible=() if s.library is None else visible(s.library),
+        by_channel=by_channel,
+        bands=BANDS,
+        changed=s.best is not s.base and len(s.best.terms) > len(s.base.terms),
+    )
+
+
+def _panels(pairs: list[tuple[Stretch, np.ndarray, bool]], level: float) -> tuple[Panel, ...]:
+    """Moving recordings first, fitted ones before unseen ones; then the runs at rest."""
+    looked = {unseen: places_looked_at([s for s, _, u in pairs if u == unseen]) for unseen in (False, True)}
+    groups: dict[tuple[str, bool], list[tuple[Stretch, np.ndarray, bool]]] = {}
+    for pair in pairs:
+        groups.setdefault((pair[0].motion, pair[0].still), []).append(pair)
+    order = sorted(groups, key=lambda k: (k[1], groups[k][0][2]))
+    moving = [k for k in order if not k[1]]
+    fitted, unseen = ([k for k in moving if groups[k][0][2] == u] for u in (False, True))
+    room = max(_PANELS - 1 - min(len(unseen), 2), 1)
+    chosen = [*fitted[:room], *unseen[:2]]
+    chosen += [k for k in order if k not in chosen and not groups[k][0][2]][: _PANELS - len(chosen)]
+    out = []
+    for motion, still in chosen:
+        group = groups[motion, still]
+        pieces = []
+        for s, w, u in group:
+            sides = [by_window(s, w[..., k], 1.0, looked[u]) for k in (0, 1)]
+            marks = [by_window(s, w[..., k], level, looked[u])[3] < LEVEL for k in (0, 1)]
+            edges = s.times[np.minimum(sides[0][0], len(s.times) - 1)]
+            ratio = np.stack([np.sqrt(energy / freedom) for _, energy, freedom, _ in sides], axis=-1)
+            pieces.append((edges, ratio, np.stack(marks, axis=-1)))
+        counts = np.array([len(w) for _, w, _ in group], float)
+        squares = np.stack([np.stack([by_band(s, w[..., k]) for k in (0, 1)], axis=-1) ** 2 for s, w, _ in group])
+        bands = np.sqrt(np.average(squares, axis=0, weights=counts))
+        title = f"{motion}, the run at rest" if still else motion
+        out.append(Panel(title, group[0][2], tuple(pieces), bands))
+    return tuple(out)
+
+
+def _signals(diagnosis: Diagnosis, judged: list[tuple[Stretch, np.ndarray, bool]], by_channel: np.ndarray) -> tuple[Signal, ...]:
+    """The channels that disagreed most, on the recording on which they did."""
+    channels = diagnosis.case.channels
+    moving = [p for p in judged if not p[0].still] or judged
+    worst = np.argsort(-by_channel[:, 0])[:_CHANNELS]
+    # One recording for all of them: the one with the largest residual.
+    s, w, _ = max(moving, key=lambda p: float(np.mean(p[1][..., 0] ** 2)))
+    root = np.linalg.cholesky(s.covariance)
+    left = np.matmul(root, w)  # the residual's coefficients in the channels' units (K, c, 2)
+    out = []
+    for c in np.sort(worst):
+        variance = s.covariance[:, c, c]
+        cuts = [f for f in _CUTS if f <= s.frequencies[-1] * 1.05] or [float(s.frequencies[-1])]
+        inside = {f: s.frequencies <= f for f in cuts}
+        below = max(cuts, key=lambda f: float(np.sum(left[inside[f], c, 0] ** 2) / np.sum(variance[inside[f]])))
+        kept = np.where(inside[below][:, None], left[:, c], 0.0)
+        noise = float(np.sqrt(np.sum(variance[inside[below]]) / len(s.times)))
+        out.append(Signal(channels.names[c], channels.units[c], s.motion, s.times, s.samples(kept), noise, below))
+    return tuple(out)
+
+
+def _noise(diagnosis: Diagnosis) -> tuple[Noise, ...]:
+    case = diagnosis.case
+    moving = [s for s in (*case.stretches, *case.unseen) if not s.still]
+    sample = sensor_noise(moving)
+    count = sum(len(s.times) for s in moving)
+    band = np.sum([len(s.frequencies) * np.mean(s.weight(s.times) ** 2, axis=0) for s in moving], axis=0) / count
+    total = np.sum([np.einsum("kcc->c", s.covariance) for s in moving], axis=0) / count
+    sensor = sample**2 * band
+    return tuple(
+        Noise(name, unit, float(sample[c]), float(np.sqrt(sensor[c])), float(np.sqrt(max(total[c] - sensor[c], 0.0))))
+        for c, (name, unit) in enumerate(zip(case.channels.names, case.channels.units, strict=True))
+    )

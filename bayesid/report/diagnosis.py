@@ -1,0 +1,266 @@
+"""The report of `diagnose`: turns a `Diagnosis` and its views into what is shown."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Sequence
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+
+from bayesid.effects import KINDS
+from bayesid.report.diagnosis_figures import before_and_after, evidence, residual_maps, signals
+from bayesid.report.identification import chance, channel_text, mood_of
+from bayesid.report.page import DASH, number, percent, render, svg
+
+#: Bars in the picture of the evidence, lines in the table of parameters that moved.
+_BARS, _SHIFTS = 14, 12
+#: Two traces that share more than this part of their energy look alike until the effect is large.
+_ALIKE = 0.99
+_VERDICTS = {
+    "named": ("named", "good"),
+    "ambiguous": ("ambiguous", "fair"),
+    "unknown": ("unknown", "bad"),
+    "nothing_missing": ("nothing missing", "good"),
+}
+
+
+def diagnosis_report(diagnosis: Any, views: Any, text: dict[str, Any]) -> str:
+    """The report of ``diagnose``.
+
+    Parameters
+    ----------
+    diagnosis
+        The verb's result, a `Diagnosis`.
+    views
+        What its pictures show, a `Views`.
+    text
+        Its sentences: ``verdict``, ``proof``, ``effects``, ``tried`` and ``closed``.
+
+    Returns
+    -------
+    page
+        HTML with all figures inside.
+    """
+    d, case = diagnosis, diagnosis.case
+    channels = case.channels.names
+    fitted = list(dict.fromkeys(s.motion for s in case.stretches))
+    changed = views.changed
+    proposals = _proposals(d)
+    shown = [p for p in proposals if p["evidence"] > 0][:_BARS]
+    floor = None if d.gap is None else d.gap.floor
+    seen = _seen(views)
+    curves = [(f"{s.channel} [{s.unit}] below {s.below:g} Hz", s.times, s.values, s.noise) for s in views.signals]
+    return render(
+        "diagnosis.html",
+        name=case.experiment.name,
+        channel=channel_text(case.channel),
+        fitted=fitted,
+        unseen=[] if d.gap is None else d.gap.motions,
+        verdict=d.verdict,
+        verdict_text=_VERDICTS[d.verdict],
+        text=text,
+        known=[t.effect.spec for t in d.search.base.terms],
+        card_list=_cards(d, text, changed),
+        remarks=text["notes"],
+        changed=changed,
+        maps=svg(_maps(channels, views), "maps"),
+        still=any("at rest" in p.title for p in views.panels),
+        torque=case.channel != "wrench",
+        where=[_place(w.to_dict()) for w in d.where],
+        evidence=svg(
+            evidence([p["spec"] for p in shown], np.array([p["evidence"] for p in shown]), [p["kind"] for p in shown], d.needed),
+            "evidence",
+        ) if shown else "",
+        proposals=[_line(p) for p in proposals],
+        found=[_rivals(f) for f in d.found],
+        runner_up=_runner_up(proposals) if len(d.found) == 1 else None,
+        needed=f"{d.needed:g}",
+        shifts=[_shift(s) for s in d.shifts[:_SHIFTS]],
+        more_shifts=max(len(d.shifts) - _SHIFTS, 0),
+        exact=case.prior is None,
+        bars=svg(before_and_after(channels, views.by_channel, floor, changed), "bars"),
+        signals=svg(signals(curves, changed), "signals"),
+        signal_motion=views.signals[0].motion,
+        seen=seen,
+        every=[_visible(v) for v in views.visible],
+        twins=_twins(views),
+        noise=[
+            {"channel": n.channel, "unit": n.unit, "sample": number(n.sample, 3), "sensor": number(n.sensor, 3),
+             "encoders": number(n.encoders, 3), "whole": number(float(np.hypot(n.sensor, n.encoders)), 3)}
+            for n in views.noise
+        ],
+        temper=number(float(np.sqrt(d.search.temper)), 3),
+        tempered=d.search.temper > 1.05,
+        next_experiment=d.next_experiment,
+        how=_how(d),
+    )  # fmt: skip
+
+
+def _maps(channels: Sequence[str], views: Any):
+    panels = [
+        (f"{p.title}, {'not fitted' if p.unseen else 'fitted'}", p.pieces, p.bands) for p in views.panels
+    ]  # fmt: skip
+    return residual_maps(channels, panels, [f"{low:g}–{high:g}" for low, high in views.bands], views.changed)
+
+
+def _cards(d: Any, text: dict[str, Any], changed: bool) -> list[dict[str, str]]:
+    words, mood = _VERDICTS[d.verdict]
+    cards = [{"value": words, "mood": mood, "text": "the verdict"}]
+    where = "on motions that were not fitted"
+    if d.gap is not None:
+        before, after, floor = d.gap.before, d.gap.after, d.gap.floor
+    else:
+        before, after = (float(np.sqrt(f.chi2 / d.search.rigid.rows)) for f in (d.search.base, d.search.best))
+        floor, where = None, "on the fitted motions; there are no others"
+    what = f"noise is left by the model as it was, {where}"
+    cards.append({"value": f"{number(before, 3)} ×", "mood": mood_of(before), "text": what})
+    if changed:
+        what = "with the missing effect added" if d.found else "by the best attempt"
+        cards.append({"value": f"{number(after, 3)} ×", "mood": mood_of(after / (floor or 1.0)), "text": f"noise is left {what}"})
+    if floor is not None:
+        cards.append({"value": f"{number(floor, 3)} ×", "mood": "", "text": "is the floor: what a complete model would leave"})
+    if d.found and text["closed"]:
+        least = f", at least {text['closed_low']} with 95 % confidence" if text["closed_low"] else ""
+        cards.append({"value": text["closed"], "mood": "", "text": f"of the gap to the floor is closed{least}"})
+    return cards
+
+
+def _place(w: dict[str, Any]) -> dict[str, str]:
+    low, high = w["band_hz"]
+    return {
+        "channel": w["channel"], "motion": w["motion"] + (", at rest" if w["at_rest"] else ""),
+        "time": f"{w['start']:.1f} – {w['end']:.1f} s",
+        "ratio": number(w["times_noise"], 3), "band": f"{low:g} – {high:g} Hz", "joint": w["joint"] or DASH,
+        "chance": chance(w["p_value"]),
+    }  # fmt: skip
+
+
+def _proposals(d: Any) -> list[dict[str, Any]]:
+    """All effects tried on their own, with what they would explain."""
+    s = d.search
+    excess = max(s.base.chi2 - s.rigid.rows, 1.0)
+    taken = {_columns_of(f.term.effect) for f in d.found}
+    rivals = {_columns_of(t.effect) for f in d.found for t, _ in f.rivals}
+    out = []
+    for p, entry in zip(s.proposals, d.to_dict()["candidates"], strict=True):
+        name = _columns_of(p.term.effect)
+        kind = "named" if name in taken else "rival" if name in rivals else "other"
+        out.append({"spec": p.term.effect.spec, "evidence": float(entry["log_bayes_factor"]), "kind": kind,
+                    "share": min(p.gain / excess, 1.0), "summary": p.term.effect.kind.summary})  # fmt: skip
+    return sorted(out, key=lambda p: -p["evidence"])
+
+
+def _columns_of(effect: Any) -> str:
+    """An attached body and a wrong inertia have the same columns; only an exact fit tells them apart."""
+    return f"inertia_error@{effect.where}" if effect.name == "payload" else effect.spec
+
+
+def _line(p: dict[str, Any]) -> dict[str, str]:
+    return {**p, "evidence": _large(p["evidence"]), "share": percent(p["share"], 2)}
+
+
+def _rivals(found: Any) -> dict[str, Any]:
+    return {
+        "spec": found.term.effect.spec,
+        "gain": _large(found.gain),
+        "rivals": [
+            {"spec": t.effect.spec, "lack": number(lack, 2), "summary": t.effect.kind.summary} for t, lack in found.rivals
+        ],
+    }
+
+
+def _runner_up(proposals: list[dict[str, Any]]) -> dict[str, str] | None:
+    """The best effect on its own that is neither named nor a rival, and how far it is behind."""
+    if not proposals or proposals[0]["kind"] != "named":
+        return None
+    other = next((p for p in proposals if p["kind"] == "other"), None)
+    return other and {"spec": other["spec"], "lack": _large(proposals[0]["evidence"] - other["evidence"])}
+
+
+def _large(value: float) -> str:
+    return f"{value:,.0f}".replace(",", " ").replace("-", "−") if abs(value) >= 100 else number(value, 3)
+
+
+def _shift(shift: tuple[str, float, float, float]) -> dict[str, str]:
+    label, before, after, sigmas = shift
+    return {"label": label, "before": number(before), "after": number(after), "sigmas": number(sigmas, 3)}
+
+
+def _visible(v: Any) -> dict[str, Any]:
+    return {
+        "spec": v.effect.spec, "parameter": v.effect.kind.parameters[v.parameter], "unit": _unit(v),
+        "seen": "never" if v.seen is None else number(v.seen, 2),
+        "twin": DASH if v.twin is None else v.twin.spec, "share": _near_one(v.share),
+        "named": "never" if v.named is None else number(v.named, 2),
+    }  # fmt: skip
+
+
+def _unit(v: Any) -> str:
+    unit = v.effect.units[v.parameter]
+    return "" if unit == "1" else unit
+
+
+def _seen(views: Any) -> list[dict[str, str]]:
+    """One line for each kind of effect: the smallest sizes, over all its places."""
+    groups: dict[tuple[str, str], list[Any]] = {}
+    for v in views.visible:
+        groups.setdefault((v.effect.name, _unit(v)), []).append(v)
+    rows = []
+    for (name, unit), members in groups.items():
+        best, worst = (pick(members, key=lambda v: np.inf if v.seen is None else v.seen) for pick in (min, max))
+        told = [v.named for v in members if v.named is not None]
+        sizes = [v.usual for v in members]
+        rows.append({
+            "name": name, "summary": KINDS[name].summary, "parameter": KINDS[name].parameters[best.parameter], "unit": unit,
+            "best": _at(best.seen, best, members), "worst": _at(worst.seen, worst, members) if len(members) > 1 else "",
+            "named": "never" if not told else _span(min(told), max(told)) + ("" if len(told) == len(members) else ", or never"),
+            "usual": _span(min(sizes), max(sizes)),
+        })  # fmt: skip
+    return rows
+
+
+def _at(size: float | None, v: Any, members: Sequence[Any]) -> str:
+    return ("never" if size is None else number(size, 2)) + (f" ({v.effect.where})" if len(members) > 1 else "")
+
+
+def _span(low: float, high: float) -> str:
+    one, other = number(low, 2), number(high, 2)
+    return one if one == other else f"{one} … {other}"
+
+
+def _twins(views: Any) -> list[dict[str, str]]:
+    """Pairs of effects that look alike, most alike first."""
+    pairs: dict[frozenset[str], Any] = {}
+    for v in sorted(views.visible, key=lambda v: -v.share):
+        if v.twin is not None and v.seen is not None and v.share > _ALIKE:
+            pairs.setdefault(frozenset((v.effect.spec, v.twin.spec)), v)
+    return [{"one": v.effect.spec, "other": v.twin.spec, "share": _near_one(v.share)} for v in list(pairs.values())[:8]]
+
+
+def _near_one(share: float) -> str:
+    return f"{np.floor(1e6 * share) / 1e4:.6g} %" if share > 0.99 else percent(share, 2)
+
+
+def _how(d: Any) -> list[tuple[str, str]]:
+    case, s = d.case, d.search
+    trust = case.experiment.inertia_rel_std
+    if trust is None:
+        links = "every rigid parameter is free: inertia_rel_std is not stated, so a wrong inertia is no candidate"
+    elif trust == 0:
+        links = "nominal links are taken as exact (inertia_rel_std = 0)"
+    else:
+        links = f"nominal links count as known to {percent(trust, 3)} of every mass (inertia_rel_std), and are fitted along"
+    highest = max(x.frequencies[-1] for x in case.stretches)
+    packages = [f"{p} {version(p)}" for p in ("bayesid", "numpy", "scipy", "pin")]
+    return [
+        ("Model as it was", ", ".join(t.effect.spec for t in s.base.terms) or "rigid bodies only"),
+        ("Links", links),
+        ("Compared", f"{s.rigid.rows} numbers: readings as amplitudes by frequency, up to {highest:.3g} Hz"),
+        ("Tried", f"{len(s.proposals)} effects and places, the best of them by exact fits, alone and together"),
+        ("Left on fitted motions", f"{number(float(np.sqrt(s.base.chi2 / s.rigid.rows)), 3)} times the noise before, "
+         f"{number(float(np.sqrt(s.best.chi2 / s.rigid.rows)), 3)} after"),
+        ("Run time", f"{number(d.seconds, 3)} s"),
+        ("Versions", ", ".join([f"Python {platform.python_version()}", *packages])),
+    ]  # fmt: skip

@@ -1,0 +1,213 @@
+"""Figures of `diagnose`: names and numbers go in, a Figure comes out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.colors import LinearSegmentedColormap, LogNorm
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from bayesid.plots import GREY, NOISE, PREDICTED, add_legend, make_grid, plain_log, styled
+
+BEFORE, AFTER = PREDICTED, "#1d4ed8"
+#: What is noise is white; what is many times as large is dark.
+_HEAT = LinearSegmentedColormap.from_list("heat", ["#ffffff", "#fde8d0", "#f6a55b", "#d4452a", "#7a1022", "#2a0612"])
+_TOP = 10.0  # the darkest colour means at least so many times the noise
+_POINTS = 1500
+
+
+@styled
+def residual_maps(
+    channels: Sequence[str],
+    panels: Sequence[tuple[str, Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]], np.ndarray]],
+    bands: Sequence[str],
+    changed: bool,
+) -> Figure:
+    """Residuals in units of the noise: channel by time, before and after, and channel by frequency.
+
+    Parameters
+    ----------
+    channels
+        Names (c,).
+    panels
+        Title, pieces (edges (w + 1,) [s], ratios (w, c, 2), significant (w, c, 2)) and ratios by band (b, c, 2).
+    bands
+        Their names (b,).
+    changed
+        Whether there is an "after".
+    """
+    sides = 2 if changed else 1
+    count = len(channels)
+    widths = [2.0] * sides + [0.55 * sides + 0.25]
+    figure, axes = make_grid(len(panels), sides + 1, 0.17 * count + 0.35, left=0.65, right=1.15, gap=0.5, top=0.35,
+                             width_ratios=widths)  # fmt: skip
+    _spread(figure, len(panels), 0.17 * count + 0.35)
+    top = max([_TOP, *(float(np.nanmax(r)) for _, pieces, _ in panels for _, r, _ in pieces)])
+    scale = LogNorm(1.0, top)
+    middle, rows = np.arange(count), np.arange(count + 1) - 0.5
+    mesh = None
+    for line, (title, pieces, by_band) in zip(axes, panels, strict=True):
+        for k, ax in enumerate(line[:-1]):
+            for edges, ratio, marked in pieces:
+                mesh = ax.pcolormesh(edges, rows, np.maximum(ratio[..., k], 1.0).T, cmap=_HEAT, norm=scale, lw=0, rasterized=True)
+                at, channel = np.nonzero(marked[..., k])
+                ax.plot(0.5 * (edges[at] + edges[at + 1]), middle[channel], ".", ms=2.2, color="#0f172a", mew=0)
+            ax.set_title(f"{title}: {('before', 'after')[k]}" if changed else title)
+            ax.xaxis.set_major_locator(MaxNLocator(8))
+        shown = [by_band[..., k] for k in range(sides)]
+        ax = line[-1]
+        gap = np.full((1, count), np.nan)
+        stacked = np.concatenate([shown[0], gap, shown[1]]) if changed else shown[0]
+        columns = np.arange(len(stacked) + 1) - 0.5
+        ax.pcolormesh(columns, rows, np.maximum(stacked, 1.0).T, cmap=_HEAT, norm=scale, lw=0, rasterized=True)
+        names = [*bands, *([""] * changed), *(bands if changed else ())]
+        ax.set_xticks(np.arange(len(names)), names if line[0] is axes[-1, 0] else [""] * len(names), rotation=90, fontsize=7.5)
+        ax.tick_params(axis="x", length=0)
+        ax.set_title("before     after" if changed else "by frequency")
+        for ax in line:
+            ax.set_yticks(middle, list(channels) if ax is line[0] else [])
+            ax.set_ylim(count - 0.5, -0.5)
+            ax.tick_params(axis="y", length=0)
+            ax.grid(visible=False)
+            ax.hlines(rows[1:-1], *ax.get_xlim(), color="#e2e8f0", lw=0.6)
+    for ax in axes[-1, :-1]:
+        ax.set_xlabel("time [s]")
+    axes[-1, -1].set_xlabel("frequency [Hz]")
+    if mesh is not None:
+        width, height = figure.get_size_inches()
+        bar = figure.add_axes((1.0 - 0.95 / width, 0.5 - 0.6 / height, 0.13 / width, 1.2 / height))
+        figure.colorbar(mesh, cax=bar)
+        plain_log(bar.yaxis)
+        bar.grid(visible=False)
+        bar.set_title("× noise", fontsize=8.5, fontweight="normal", pad=7)
+    return figure
+
+
+def _spread(figure: Figure, rows: int, height: float) -> None:
+    """More room between panels, for numbers below one and the title of the next, and below the last."""
+    top, space, bottom = 0.35, 0.52, 0.85
+    total = top + rows * height + (rows - 1) * space + bottom
+    figure.set_size_inches(figure.get_size_inches()[0], total)
+    figure.subplots_adjust(top=1.0 - top / total, bottom=bottom / total, hspace=space / height)
+
+
+@styled
+def evidence(names: Sequence[str], values: np.ndarray, kinds: Sequence[str], needed: float) -> Figure:
+    """How much each effect alone would add to the model's log evidence.
+
+    Parameters
+    ----------
+    names
+        Of the effects, best first (p,).
+    values
+        Log evidence gained (p,), positive.
+    kinds
+        ``named``, ``rival`` or ``other`` (p,).
+    needed
+        Least log evidence that an effect has to bring.
+    """
+    count = len(names)
+    figure, axes = make_grid(1, 1, 0.21 * count + 0.15, left=0.35 + 0.066 * max(map(len, names)), right=0.8, top=0.4)
+    ax = axes[0, 0]
+    colours = {"named": AFTER, "rival": "#d97706", "other": "#cbd5e1"}
+    labels = {"named": "in the model now", "rival": "cannot be told from it"}
+    labels["other"] = "not needed" if "named" in kinds else "tried"
+    y = np.arange(count)
+    low = min(1.0, 0.3 * needed)
+    for kind in ("named", "rival", "other"):
+        at = np.array([k == kind for k in kinds])
+        if at.any():
+            wide = np.maximum(values[at], low) - low
+            ax.barh(y[at], wide, left=low, height=0.68, color=colours[kind], lw=0, label=labels[kind])
+    ax.set_xscale("log")
+    ax.set_xlim(low, 3.0 * max(values.max(), needed))
+    ax.axvline(needed, color=NOISE, lw=1.3, label="least that counts")
+    for k, v in zip(y, values, strict=True):
+        text, place = f"{v:,.0f}".replace(",", " "), (max(v, low), k)
+        ax.annotate(text, place, (4, 0), textcoords="offset points", va="center", fontsize=8, color=GREY)
+    ax.set_yticks(y, list(names))
+    ax.set_ylim(count - 0.4, -0.6)
+    ax.tick_params(axis="y", length=0)
+    ax.grid(axis="y", visible=False)
+    ax.set_xlabel("log evidence gained by this effect alone, beside the model as it was")
+    plain_log(ax.xaxis)
+    add_legend(figure, *ax.get_legend_handles_labels())
+    return figure
+
+
+@styled
+def before_and_after(channels: Sequence[str], ratios: np.ndarray, floor: float | None, changed: bool) -> Figure:
+    """What is left of each channel in units of the noise, before, after, and what a complete model would leave.
+
+    Parameters
+    ----------
+    channels
+        Names (c,).
+    ratios
+        Before and after (c, 2).
+    floor
+        Of a complete model; None where it is not known.
+    changed
+        Whether there is an "after".
+    """
+    figure, axes = make_grid(1, 1, 1.25, left=0.65, top=0.4)
+    ax = axes[0, 0]
+    x, width = np.arange(len(channels)), 0.36
+    low = 0.5 * min(float(ratios.min()), 1.0)
+    bars = [(0, "before", BEFORE), (1, "after", AFTER)] if changed else [(0, "the model as it is", BEFORE)]
+    for k, label, colour in bars:
+        at = x + (k - 0.5) * width if changed else x
+        ax.bar(at, ratios[:, k] - low, bottom=low, width=0.94 * width, color=colour, lw=0, label=label)
+        for a, v in zip(at, ratios[:, k], strict=True):
+            # On white, for small bars end where the line is.
+            ax.annotate(f"{v:.3g}", (a, v), (0, 2.5), textcoords="offset points", ha="center", fontsize=7.5, color=GREY,
+                        bbox={"fc": "white", "ec": "none", "pad": 0.6}, zorder=5)  # fmt: skip
+    ax.axhline(floor or 1.0, color=NOISE, lw=1.4, label="a complete model" if floor else "noise")
+    ax.set_yscale("log")
+    ax.set_ylim(low, 1.8 * max(float(ratios.max()), 1.5))
+    ax.set_ylabel("× noise")
+    ax.set_xticks(x, list(channels))
+    ax.tick_params(axis="x", length=0)
+    ax.grid(axis="x", visible=False)
+    plain_log(ax.yaxis)
+    add_legend(figure, *ax.get_legend_handles_labels())
+    return figure
+
+
+@styled
+def signals(rows: Sequence[tuple[str, np.ndarray, np.ndarray, float]], changed: bool) -> Figure:
+    """Measured less predicted, in the channel's unit, before and after, over the band of the noise.
+
+    Parameters
+    ----------
+    rows
+        Title, times (N,) [s], before and after (N, 2) and the standard deviation of the noise.
+    changed
+        Whether there is an "after".
+    """
+    figure, axes = make_grid(len(rows), 2 if changed else 1, 1.15, left=0.65, top=0.5, sharex=True)
+    for line, (title, times, values, noise) in zip(axes, rows, strict=True):
+        thin = max(len(times) // _POINTS, 1)
+        for k, ax in enumerate(line):
+            ax.axhspan(-1.96 * noise, 1.96 * noise, color=NOISE, alpha=0.18, lw=0, label="95 % of the noise")
+            colour, label = ((BEFORE, "before"), (AFTER, "after"))[k]
+            ax.plot(times[::thin], values[::thin, k], color=colour, lw=0.9, label=label if changed else "measured less predicted")
+            ax.axhline(0.0, color="#334155", lw=0.6)
+            reach = max(float(np.abs(values[:, k]).max()), 3.0 * noise) * 1.08
+            ax.set_ylim(-reach, reach)
+            ax.set_title(title + (f", {label}" if changed else ""))
+            ax.yaxis.set_major_locator(MaxNLocator(4, symmetric=True))
+            ax.margins(x=0.01)
+    for ax in axes[-1]:
+        ax.set_xlabel("time [s]")
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    if changed:
+        more = axes[0, 1].get_legend_handles_labels()
+        handles, labels = [*handles, more[0][1]], [*labels, more[1][1]]
+    add_legend(figure, handles, labels)
+    return figure
+
+
+__all__ = ["before_and_after", "evidence", "residual_maps", "signals"]
