@@ -335,6 +335,8 @@ def _warnings(result: Identification) -> tuple[str, ...]:
             "Efficient and plain least squares differ by more than the noise explains: something is missing in the model. "
             "Model error is counted as noise, so intervals hold for motions like the fitted ones only."
         )
+    # What the estimator itself has to say, such as weak instruments.
+    out += result.estimate.details.get("warnings", [])
     if result.unexcited:
         shown = ", ".join(result.unexcited[:6]) + (f" and {len(result.unexcited) - 6} more" if len(result.unexcited) > 6 else "")
         lost = " (the static run takes gravity with it)" if result.problem.static == "motion" else ""

@@ -1,6 +1,6 @@
 import json
 import re
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from html.parser import HTMLParser
 
 import numpy as np
@@ -11,6 +11,7 @@ from robots import lwr4, wrist_sensor_arm, write
 import bayesid
 from bayesid.inspection import inspect, sample_noise
 from bayesid.report import check_report, identification_report
+from bayesid.report.details import described
 from bayesid.report.page import number, percent, shorten, with_half
 from bayesid.robot import load_robot
 
@@ -110,6 +111,38 @@ def test_report_puts_warnings_first(result):
     text = read(html).text
     assert text.index("Look <here> first") < text.index("base parameters were identified")
     assert "No warnings" in read(identification_report(replace(result, warnings=()))).text
+
+
+@dataclass(frozen=True)
+class Doubtful:
+    """Least squares with something to say."""
+
+    name: str = "doubtful"
+
+    def fit(self, regression):
+        estimate = bayesid.fit(regression, "wls")
+        return replace(estimate, details={**estimate.details, "warnings": ["Weak <somewhere>."], "physics": "my own word"})
+
+
+def test_what_an_estimator_warns_of_stands_on_top_once(puma):
+    found = bayesid.identify(puma, method=Doubtful())
+    assert found.warnings.count("Weak <somewhere>.") == 1
+    html = identification_report(found)
+    assert html.count("Weak &lt;somewhere&gt;.") == 1 and "my own word" in html
+
+
+def test_details_are_words(puma):
+    said = dict(described({
+        "rejected_windows": {"one": [[1.0, 1.25], [3.5, 3.5]], "two": [[0.2, 0.304]]},
+        "rejected_share": 0.0312, "model_complete": np.True_, "lost": None, "at": np.arange(11), "mine": {"so_far": 0.5},
+    }))  # fmt: skip
+    assert said["Rejected times"] == "one: 1.00 to 1.25 s, 3.50 s; two: 0.20 to 0.30 s"
+    assert said["Rows rejected as taps or contacts"] == "3.12 %" and said["Model complete by that test"] == "yes"
+    assert said["Lost"] == "–" and said["At"].endswith("7 and 3 more") and said["Mine"] == "so far: 0.500"
+    assert dict(described({"rejected_windows": {}})) == {"Rejected times": "none"}
+    for method in ("huber", "iv", "tls", "sdp"):
+        for term, text in described(bayesid.identify(puma, method=method).estimate.details):
+            assert not set("_{}[]'") & set(text.replace("link_", "")), (method, term, text)
 
 
 def test_names_are_escaped(puma):

@@ -85,6 +85,7 @@ class Library:
     base: Fit
     blocks: list[_Block] = field(default_factory=list)
     ripples: RippleScan | None = None
+    _basis: tuple[Fit, np.ndarray] | None = field(default=None, repr=False)
 
     def propose(self, fit: Fit, without: Sequence[str] = ()) -> list[Proposal]:
         """Proposals beside the effects of a fit, best gain first; one for each effect and place."""
@@ -116,13 +117,26 @@ class Library:
 
         What no effect of the library explains, however combined, is noise beyond the one measured, or a stranger.
         """
-        rigid = self.rigid
-        model = model_rows(rigid.case, rigid.case.stretches, fit.links, fit.terms)
-        everything = [rigid.rest(rigid.padded(model)), *(b.rows for b in self.blocks)]
-        q = orthonormal(np.hstack(everything))
+        left = self.unexplained(fit)
+        return max(float(left @ left) / max(self.rigid.rows - self.parameters(fit), 1), 1.0)
+
+    def unexplained(self, fit: Fit) -> np.ndarray:
+        """Whitened rows less all that the fit and all columns together explain (rows,)."""
+        q, rigid = self._everything(fit), self.rigid
         left = rigid.rest(np.concatenate([fit.residual, -_prior_rows(rigid, fit)]))
-        left = (left - q @ (q.T @ left))[: rigid.rows]
-        return max(float(left @ left) / max(rigid.rows - q.shape[1], 1), 1.0)
+        return (left - q @ (q.T @ left))[: rigid.rows]
+
+    def parameters(self, fit: Fit) -> int:
+        """How many directions that takes."""
+        return self._everything(fit).shape[1]
+
+    def _everything(self, fit: Fit) -> np.ndarray:
+        """An orthonormal basis of a fit's effects and all columns, links projected out."""
+        if self._basis is None or self._basis[0] is not fit:
+            rigid = self.rigid
+            model = rigid.rest(rigid.padded(model_rows(rigid.case, rigid.case.stretches, fit.links, fit.terms)))
+            self._basis = (fit, orthonormal(np.hstack([model, *(b.rows for b in self.blocks)])))
+        return self._basis[1]
 
     def _mounts(self, fit: Fit) -> Iterator[tuple[Term, float]]:
         """Resonances of the mount: no small amplitude, so each is tried as it is."""

@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from bayesid.diagnosis.spectra import Stretch, encoder_count, sensor_noise, with_noise
+from bayesid.diagnosis.spectra import Stretch, encoder_count, low_passed, sensor_noise, with_noise
 from bayesid.effects import Effect, Scene, Term, places, readings, rigid_columns
 from bayesid.errors import InputError
 from bayesid.experiment import Experiment, Motion
@@ -66,6 +66,9 @@ class Case:
         Of the links; None where they are exact.
     terms
         Effects of the user's model at their starting values.
+    floor_known
+        Whether the noise was measured. Where readings were filtered before they were recorded it cannot be, and what the
+        richest model leaves stands in for it.
     """
 
     experiment: Experiment
@@ -75,6 +78,7 @@ class Case:
     unseen: tuple[Stretch, ...]
     prior: Prior | None
     terms: tuple[Term, ...]
+    floor_known: bool = True
 
     @property
     def robot(self) -> Robot:
@@ -140,6 +144,8 @@ def make_case(
             raise InputError(f"--motions {name}: no such motion in experiment.toml; it has {', '.join(sorted(known))}")
     usable = [m for m in experiment.motions if m.kind == "trajectory" and _has(m.table, channel)]
     chosen = [m for m in usable if m.name in names]
+    if not chosen and any(m.name in names and m.kind == "poses" for m in experiment.motions):
+        raise InputError("only poses at rest are to be fitted, and a diagnosis needs a trajectory; name one with --motions")
     if not chosen:
         raise InputError(f"no motion with readings for --channel {channel} can be fitted; add one with role identification")
     unseen = [m for m in usable if m.role == "validation" and m.name not in names]
@@ -246,4 +252,5 @@ def with_noise_of(case: Case, links: np.ndarray, terms: Sequence[Term], seed: in
     def noisy(stretches: Sequence[Stretch]) -> tuple[Stretch, ...]:
         return tuple(with_noise(s, predict, resmooth, sensor[s.still], count, random, rng) for s in stretches)
 
-    return replace(case, stretches=noisy(case.stretches), unseen=noisy(case.unseen))
+    known = not low_passed([s for s in everything if not s.still])
+    return replace(case, stretches=noisy(case.stretches), unseen=noisy(case.unseen), floor_known=known)

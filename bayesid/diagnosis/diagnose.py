@@ -109,7 +109,7 @@ class Diagnosis:
             "verdict": self.verdict,
             "effects": [self._effect(f) for f in self.found],
             "where": [d.to_dict() for d in self.where],
-            "gap": None if self.gap is None else self.gap.to_dict(),
+            "gap": None if self.gap is None else {**self.gap.to_dict(), "floor_known": self.case.floor_known},
             "candidates": [
                 {
                     "name": p.term.effect.name, "where": p.term.effect.where,
@@ -240,6 +240,11 @@ def _decide(case: Case, s: Search, seed: int) -> Diagnosis:
         verdict = "ambiguous"
     if verdict == "unknown":
         found = ()
+    if not case.floor_known:
+        remarks.append(
+            "Noise floor unknown: the readings were filtered before they were recorded, or hold far more than noise. What the "
+            "richest model of the library leaves stands in for it, so nothing can be said about effects that the library lacks."
+        )
     if found and gap is None:
         remarks.append("No validation motion: the effect is named on the fitted motions alone, nothing proves it elsewhere.")
     if case.experiment.inertia_rel_std is None:

@@ -8,8 +8,8 @@ import numpy as np
 
 from bayesid.diagnosis.case import Case
 
-#: Periods per radian or metre tried.
-PERIODS = np.concatenate([np.arange(1.0, 40.0, 0.4), np.geomspace(40.0, 200.0, 60)])
+#: Periods per radian or metre tried; slower ones than a gear's would pass for any error of weight.
+PERIODS = np.concatenate([np.arange(4.0, 40.0, 0.4), np.geomspace(40.0, 200.0, 60)])
 
 
 class RippleScan:

@@ -19,6 +19,7 @@ from bayesid import inertia
 from bayesid.diagnosis.candidates import Library, Proposal, make_library, orthonormal
 from bayesid.diagnosis.case import with_noise_of
 from bayesid.diagnosis.fit import Fit, Rigid, fit, make_rigid, term_rows
+from bayesid.diagnosis.floor import with_floor_of
 from bayesid.effects import Term
 from bayesid.priors import Prior
 from bayesid.regression import in_order
@@ -30,8 +31,13 @@ RIVAL = 3.0
 #: At most this many families of effects are sought, and this many proposals fitted exactly in one round.
 MOST = 4
 _FITTED = 6
+#: Residuals this many times the noise in mean square, with everything the library has, are no residuals of a model: the
+#: noise was measured wrongly.
+HOPELESS = 200.0
 #: Of one kind at most this many places, and so many rounds of exchanges.
 _ALIKE, _SWEEPS = 2, 3
+#: Families fitted at once in one round.
+_KINDS = 3
 #: A change of a link is a possible body unless its distance to one has a smaller probability.
 _POSSIBLE = 0.05
 _DRAWN = 5000
@@ -95,9 +101,8 @@ class Search:
 def search(rigid: Rigid, terms: Sequence[Term], seed: int, progress: Callable[[str], None]) -> Search:
     """Find the effects that the data demand beside the user's model."""
     progress("fitting the model as it is")
-    base = fit(rigid, terms)
+    rigid, base, library = _prepared(rigid, terms, None)
     progress("what each effect would explain")
-    library = make_library(rigid, base)
     first = library.propose(base)
     best, temper = base, library.temper(base)
     for _ in range(MOST):
@@ -111,10 +116,12 @@ def search(rigid: Rigid, terms: Sequence[Term], seed: int, progress: Callable[[s
     best = _pruned(library, best, len(base.terms), temper)
     if len(best.terms) > len(base.terms):
         progress("noise as the new model passes it on")
-        rigid = make_rigid(with_noise_of(rigid.case, best.links, best.terms, seed), base.terms)
-        base, best = fit(rigid, base.terms, base), fit(rigid, best.terms, best)
-        library = make_library(rigid, base)
+        known = rigid.case.floor_known
+        case = with_noise_of(rigid.case, best.links, best.terms, seed)
+        rigid, base, library = _prepared(make_rigid(replace(case, floor_known=known), base.terms), base.terms, best)
+        best = fit(rigid, best.terms, best)
         temper = library.temper(best)
+        best = _pruned(library, best, len(base.terms), temper)
     progress("rivals")
     found: tuple[Found, ...] = ()
     for _ in range(_SWEEPS):
@@ -125,21 +132,40 @@ def search(rigid: Rigid, terms: Sequence[Term], seed: int, progress: Callable[[s
     return Search(rigid, base, best, found, temper, tuple(first), library)
 
 
+def _prepared(rigid: Rigid, terms: Sequence[Term], best: Fit | None) -> tuple[Rigid, Fit, Library]:
+    """The user's model fitted, and its library; with a floor of its own where none was measured."""
+    base = fit(rigid, terms)
+    library = make_library(rigid, base)
+    if rigid.case.floor_known and library.temper(base) < HOPELESS:
+        return rigid, base, library
+    rigid = make_rigid(with_floor_of(library, base if best is None else fit(rigid, best.terms, best)), terms)
+    base = fit(rigid, terms, base)
+    return rigid, base, make_library(rigid, base)
+
+
 def _forward(library: Library, best: Fit, temper: float) -> Fit | None:
-    """The best exact fit with one effect more, if the data demand it; with its whole family, if other joints show it, too."""
-    fits = _exact(library, best, best.terms, library.propose(best), temper)
-    if not fits or fits[0].score - best.score < ACCEPT * temper:
-        return None
-    one = fits[0]
-    kind = one.terms[-1].effect.kind
-    if kind.at != "joint" or kind.channels != ("torque",):
-        return one
-    temper = library.temper(one)
-    family = [p for p in library.propose(one) if p.term.effect.name == kind.name and 0.5 * p.gain > ACCEPT * temper]
-    if not family:
-        return one
-    whole = fit(library.rigid, (*one.terms, *(p.term for p in family)), one)
-    return whole if whole.score > one.score + ACCEPT * temper else one
+    """The best exact fit with one effect more, or with one kind of effect at several joints, if the data demand it."""
+    proposals = library.propose(best)
+    fits = _exact(library, best, best.terms, proposals, temper)
+    fits += [fit(library.rigid, (*best.terms, *terms), best) for terms in _families(library, proposals, temper)]
+    top = max(fits, key=lambda f: f.score, default=None)
+    return None if top is None or top.score - best.score < ACCEPT * temper else top
+
+
+def _families(library: Library, proposals: Sequence[Proposal], temper: float) -> list[tuple[Term, ...]]:
+    """Kinds that act inside joints, at every joint that shows them; the most promising ones.
+
+    Friction is rarely in one joint alone, and joint by joint each might pass for something else.
+    """
+    kinds: dict[str, list[Proposal]] = {}
+    for p in proposals:
+        kind = p.term.effect.kind
+        if kind.at == "joint" and kind.channels == ("torque",) and 0.5 * p.gain > ACCEPT * temper:
+            kinds.setdefault(kind.name, []).append(p)
+    each = 0.5 * np.log(library.rigid.rows)
+    worth = {name: sum(0.5 * p.gain - each * len(p.term.values) for p in members) for name, members in kinds.items()}
+    order = sorted((name for name in kinds if len(kinds[name]) > 1), key=lambda name: -worth[name])
+    return [tuple(p.term for p in kinds[name]) for name in order[:_KINDS]]
 
 
 def _exact(
@@ -180,8 +206,8 @@ def _exchanged(library: Library, best: Fit, known: int, temper: float) -> Fit:
         before = best
         for i in range(known, len(best.terms)):
             own, held = best.terms[i], tuple(t for k, t in enumerate(best.terms) if k != i)
-            if not held:
-                break  # the first effect alone has just been chosen against all others
+            if not held or _in_family(best.terms, i):
+                continue  # the first effect alone has just been chosen against all others, a family by many joints
             without = fit(library.rigid, held, best, steps=4)
             rivals = [p for p in library.propose(without) if p.name != own.effect.spec or len(own.effect.kind.shape) > 1]
             fits = _exact(library, without, held, rivals, temper, most=3)
@@ -192,10 +218,27 @@ def _exchanged(library: Library, best: Fit, known: int, temper: float) -> Fit:
     return best
 
 
+def _in_family(terms: Sequence[Term], index: int) -> bool:
+    """Whether the same kind of effect is in the model at other joints, too."""
+    return sum(t.effect.name == terms[index].effect.name for t in terms) > 1
+
+
+def _standing(rigid: Rigid, best: Fit, index: int, temper: float) -> float:
+    """Log evidence of one effect among many from its estimate and covariance alone, without a fit that leaves it out."""
+    at = [column for column, (owner, _) in enumerate(best.free) if owner == index]
+    values, covariance = np.array(best.terms[index].values), best.covariance[np.ix_(at, at)]
+    size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    squared = float(values / size @ np.linalg.pinv(covariance / np.outer(size, size), hermitian=True) @ (values / size))
+    return (0.5 * squared - 0.5 * len(at) * np.log(rigid.rows)) / temper
+
+
 def _pruned(library: Library, best: Fit, known: int, temper: float) -> Fit:
     """Without effects that the others have made superfluous."""
     i = known
-    while i < len(best.terms) and len(best.terms) > known + 1:
+    while i < len(best.terms):
+        if _in_family(best.terms, i) and _standing(library.rigid, best, i, temper) > ACCEPT:
+            i += 1
+            continue
         held = tuple(t for k, t in enumerate(best.terms) if k != i)
         without = fit(library.rigid, held, best)
         if best.score - without.score < ACCEPT * temper:
@@ -209,9 +252,14 @@ def _found(library: Library, best: Fit, known: int, temper: float) -> tuple[tupl
     """The effects of the best model with their rivals; and a model with a rival that turned out to be better, if any."""
     out = []
     for i in range(known, len(best.terms)):
+        at = [column for column, (index, _) in enumerate(best.free) if index == i]
+        std = np.sqrt(np.maximum(temper * np.diag(best.covariance)[at], 0.0))
+        term = _turned_back(best.terms[i])
+        if _in_family(best.terms, i):
+            out.append(Found(term, _standing(library.rigid, best, i, temper), std))
+            continue
         held = tuple(t for k, t in enumerate(best.terms) if k != i)
         without = fit(library.rigid, held, best)
-        term = best.terms[i]
         proposals = [p for p in library.propose(without) if p.name != term.effect.spec]
         fits = _exact(library, without, held, proposals, temper)
         if fits and fits[0].score > best.score + temper:
@@ -224,11 +272,17 @@ def _found(library: Library, best: Fit, known: int, temper: float) -> tuple[tupl
         rivals = [
             (t, lack) for t, lack in lacks.values() if lack < RIVAL and not _contains(library.rigid, without, t, term)
         ]  # fmt: skip
-        term = named
-        at = [column for column, (index, _) in enumerate(best.free) if index == i]
-        std = np.sqrt(np.maximum(temper * np.diag(best.covariance)[at], 0.0))
+        term = _turned_back(named)
         out.append(Found(term, (best.score - without.score) / temper, std, tuple(rivals)))
     return tuple(out), None
+
+
+def _turned_back(term: Term) -> Term:
+    """A ripple's phase within half a turn of zero."""
+    if term.effect.name != "torque_ripple":
+        return term
+    amplitude, periods, phase = term.values
+    return replace(term, values=(amplitude, periods, float((phase + np.pi) % (2.0 * np.pi) - np.pi)))
 
 
 def _contains(rigid: Rigid, without: Fit, wider: Term, term: Term) -> bool:

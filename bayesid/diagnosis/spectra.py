@@ -39,6 +39,8 @@ _POOL = 6
 #: Samples of a window whose high frequencies are taken for noise, and which of the windows count as quiet.
 _WINDOW = 64
 _QUIET = 0.1
+#: Ratio of powers at two high frequencies above which noise is not white.
+_COLOURED = 8.0
 #: Steps that must be whole multiples before they count as an encoder's.
 _ENOUGH = 20
 
@@ -177,13 +179,30 @@ def sensor_noise(stretches: Sequence[Stretch]) -> np.ndarray:
 
     Power at high frequencies in short windows. Real motion reaches there, too, where the robot hurries, reverses or is
     struck; so the quietest windows count: a low quantile of the windows' powers, over what that quantile would be if
-    the noise were all there is. Second differences first, so that a slow, large motion does not leak upwards; the
-    gain of a second difference is (2 sin(pi f h))^4.
+    the noise were all there is.
 
     Parameters
     ----------
     stretches
         Recordings made in the same way (a static run may average its readings longer than a moving one).
+    """
+    power, bins = _quiet_power(stretches, 0.3, 0.48)
+    return np.sqrt(power / (chi2.ppf(_QUIET, 2 * bins) / (2 * bins)))
+
+
+def low_passed(stretches: Sequence[Stretch]) -> bool:
+    """Whether readings were filtered before they were recorded, so that noise above the band tells nothing of it below.
+
+    White noise has as much power at a fifth of the sampling rate as near half of it.
+    """
+    lower, upper = (_quiet_power(stretches, *band)[0] for band in ((0.15, 0.25), (0.4, 0.48)))
+    return bool(np.max(lower / np.maximum(upper, 1e-300)) > _COLOURED)
+
+
+def _quiet_power(stretches: Sequence[Stretch], low: float, high: float) -> tuple[np.ndarray, int]:
+    """Power per sample in quiet windows between two frequencies (c,) (shares of the sampling rate), and how many bins.
+
+    Second differences first, so that a slow, large motion does not leak upwards; their gain is (2 sin(pi f h))^4.
     """
     powers, bins = [], 1
     for s in stretches:
@@ -191,15 +210,14 @@ def sensor_noise(stretches: Sequence[Stretch]) -> np.ndarray:
         pieces = len(s.readings) // length
         cut = np.diff(s.readings[: pieces * length].reshape(pieces, length, -1), n=2, axis=1)
         count = cut.shape[1]
-        frequency = np.fft.rfftfreq(count, s.step) * s.step
+        frequency = np.fft.rfftfreq(count)
         shape = np.hanning(count + 2)[1:-1]
         power = np.abs(np.fft.rfft(cut * shape[:, None], axis=1)) ** 2 / np.sum(shape**2)
-        high = (frequency > 0.3) & (frequency < 0.48)
+        inside = (frequency > low) & (frequency < high)
         # A Hann window spreads each frequency over about three bins' worth, 1.5 of them independent.
-        bins = max(int(np.count_nonzero(high) / 1.5), 1)
-        powers.append(np.mean(power[:, high] / ((2.0 * np.sin(np.pi * frequency[high])) ** 4)[:, None], axis=1))
-    together = np.concatenate(powers)
-    return np.sqrt(np.quantile(together, _QUIET, axis=0) / (chi2.ppf(_QUIET, 2 * bins) / (2 * bins)))
+        bins = max(int(np.count_nonzero(inside) / 1.5), 1)
+        powers.append(np.mean(power[:, inside] / ((2.0 * np.sin(np.pi * frequency[inside])) ** 4)[:, None], axis=1))
+    return np.quantile(np.concatenate(powers), _QUIET, axis=0), bins
 
 
 def with_noise(

@@ -144,7 +144,7 @@ def inside_joint(scene: Scene, motion: tuple[np.ndarray, np.ndarray, np.ndarray]
         case "torque_offset":
             return np.full(len(v), values[0])
         case "stribeck_friction":
-            return values[0] * np.exp(-((v / values[1]) ** 2)) * sense(v)
+            return values[0] * np.exp(-((v / max(values[1], 1e-9)) ** 2)) * sense(v)
         case "load_friction":
             return values[0] * np.abs(torque) * sense(v)
         case "rotor_inertia":

@@ -11,7 +11,8 @@ import numpy as np
 
 from bayesid.prediction import BAND, band_error
 from bayesid.report.comparison_figures import proof_side_by_side, values_side_by_side
-from bayesid.report.identification import HALF, STATIC, chance, channel_text, mood_of, short_names
+from bayesid.report.details import chance
+from bayesid.report.identification import HALF, STATIC, channel_text, mood_of, short_names
 from bayesid.report.page import DASH, number, percent, render, svg, with_half
 
 _SHOWN_MOTIONS = 4

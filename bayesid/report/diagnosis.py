@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from bayesid.effects import KINDS
+from bayesid.report.details import chance
 from bayesid.report.diagnosis_figures import before_and_after, evidence, residual_maps, signals
-from bayesid.report.identification import chance, channel_text, mood_of
+from bayesid.report.identification import channel_text, mood_of
 from bayesid.report.page import DASH, number, percent, render, svg
 
 #: Bars in the picture of the evidence, lines in the table of parameters that moved.

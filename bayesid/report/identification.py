@@ -14,6 +14,7 @@ from bayesid import inertia, plots
 from bayesid.base_parameters import BaseParameters
 from bayesid.estimators import Estimate
 from bayesid.prediction import BAND, Prediction, relative_error
+from bayesid.report.details import chance, described
 from bayesid.report.page import DASH, interval, number, percent, physical, render, svg, with_half
 
 #: Figures of at most so many motions of each role are shown.
@@ -318,11 +319,6 @@ def _links(result: Any) -> list[dict[str, Any]]:
     return rows
 
 
-def chance(p: float) -> str:
-    """A probability as per cent."""
-    return "< 0.01 %" if p < 1e-4 else percent(p, 2)
-
-
 def _both_ways(result: Any) -> dict[str, Any] | None:
     """Subtracting the static run and fitting it along, side by side."""
     other = result.static_alternative
@@ -344,12 +340,6 @@ def _both_ways(result: Any) -> dict[str, Any] | None:
              "other": two[0] if two else DASH, "other_half": two[1] if two else DASH}
         )  # fmt: skip
     return {"rows": rows, "subtracted": subtracted, "only": set(first) != set(second)}
-
-
-_DETAILS = {
-    "agreement_of_gls_and_wls": "Chance of so large a gap of gls and wls",
-    "model_complete": "Model complete by that test",
-}
 
 
 def _how(result: Any) -> list[tuple[str, str]]:
@@ -377,17 +367,7 @@ def _how(result: Any) -> list[tuple[str, str]]:
         ("Condition number", f"{number(estimate.condition_number, 3)}, with columns of unit length"),
         ("Intervals", estimate.interval if not estimate.interval_reason else f"{estimate.interval}: {estimate.interval_reason}"),
     ]  # fmt: skip
-    how += [
-        (_DETAILS.get(key, key.replace("_", " ").capitalize()), _plain(key, value)) for key, value in estimate.details.items()
-    ]
+    how += described(estimate.details)
     how.append(("Run time", ", ".join(f"{stage} {number(seconds, 2)} s" for stage, seconds in result.seconds.items())))
     how.append(("Versions", ", ".join([f"Python {platform.python_version()}", *packages])))
     return how
-
-
-def _plain(key: str, value: Any) -> str:
-    if isinstance(value, bool):
-        return "yes" if value else "no"
-    if key == "agreement_of_gls_and_wls":
-        return chance(value)
-    return number(value, 3) if isinstance(value, float) else str(value)

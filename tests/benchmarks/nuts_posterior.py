@@ -20,10 +20,12 @@ import jax.numpy as jnp  # noqa: E402
 import numpy as np  # noqa: E402
 import numpyro  # noqa: E402
 import numpyro.distributions as dist  # noqa: E402
-from numpyro.infer import MCMC, NUTS  # noqa: E402
+from numpyro.infer import NUTS  # noqa: E402
 
 ROW = np.array([0, 0, 0, 0, 1, 1, 1, 2, 2, 3])
 COLUMN = np.array([0, 1, 2, 3, 1, 2, 3, 2, 3, 3])
+#: Draws of one compiled call.
+PIECE = 50
 ABOVE = (np.array([0, 0, 0, 1, 1, 2]), np.array([1, 2, 3, 2, 3, 3]))
 
 
@@ -45,6 +47,9 @@ def main() -> None:
     parser.add_argument("--draws", type=int, default=1000)
     parser.add_argument("--warm-up", type=int, default=1000)
     parser.add_argument("--chains", type=int, default=4)
+    parser.add_argument("--target", type=float, default=0.8, help="acceptance that the step size is adapted to")
+    parser.add_argument("--depth", type=int, default=10, help="at most 2^depth steps a draw")
+    parser.add_argument("--fixed-mass", action="store_true", help="keep the mass matrix that the problem brings")
     options = parser.parse_args()
     data = {key: jnp.asarray(value) for key, value in np.load(options.problem).items()}
     count, cone = int(data["bodies"]), "prior" in data
@@ -58,38 +63,58 @@ def main() -> None:
         squares = jnp.sum((data["factors"][:, :, :-1] @ columns - data["factors"][:, :, -1]) ** 2, axis=1)
         return -jnp.sum(data["counts"] * log_scales + 0.5 * squares * jnp.exp(-2 * log_scales))
 
+    def linear_of(raw):
+        if not cone:
+            return data["centre"] + raw * data["scale"], 0.0
+        entries, jacobian = bodies(raw[: 10 * count].reshape(count, 10))
+        linear = data["from_entries"] @ jnp.concatenate([entries, raw[10 * count :] * data["effect_scale"]])
+        gap = data["prior"] @ (linear[: 10 * count] - data["prior_mean"])
+        return linear, jacobian - 0.5 * jnp.sum(gap**2)
+
     def model():
         log_scales = numpyro.sample("log_scales", dist.ImproperUniform(dist.constraints.real_vector, (), (channels,)))
         raw = numpyro.sample("raw", dist.ImproperUniform(dist.constraints.real_vector, (), (d,)))
-        if cone:
-            entries, jacobian = bodies(raw[: 10 * count].reshape(count, 10))
-            linear = data["from_entries"] @ jnp.concatenate([entries, raw[10 * count :] * data["effect_scale"]])
-            gap = data["prior"] @ (linear[: 10 * count] - data["prior_mean"])
-            numpyro.factor("prior", jacobian - 0.5 * jnp.sum(gap**2))
-        else:
-            linear = data["centre"] + raw * data["scale"]
-        numpyro.deterministic("linear", linear)
+        linear, prior = linear_of(raw)
+        numpyro.factor("prior", prior)
         numpyro.factor("likelihood", log_likelihood(data["to_columns"] @ linear, log_scales))
 
-    start = {"log_scales": jnp.zeros(channels), "raw": data["start"]}
-    kernel = NUTS(model, dense_mass=True, init_strategy=numpyro.infer.init_to_value(values=start))
-    mcmc = MCMC(kernel, num_warmup=options.warm_up, num_samples=options.draws, num_chains=options.chains,
-                chain_method="sequential", progress_bar=False)  # fmt: skip
-    begin = time.process_time()
-    mcmc.warmup(jax.random.PRNGKey(0), extra_fields=("num_steps",))
-    warm = time.process_time() - begin
-    # One short call compiles what sampling needs; it does not count.
-    mcmc.run(jax.random.PRNGKey(1), extra_fields=("num_steps",))
-    begin = time.process_time()
-    mcmc.run(jax.random.PRNGKey(2), extra_fields=("num_steps",))
-    samples = mcmc.get_samples(group_by_chain=True)
-    linear = np.asarray(samples["linear"])
-    seconds = time.process_time() - begin
-    draws = np.concatenate([linear, np.exp(np.asarray(samples["log_scales"]))], axis=2)
-    np.savez(options.out, draws=draws)
-    steps = float(np.mean(np.asarray(mcmc.get_extra_fields()["num_steps"])))
+    kernel = NUTS(model, dense_mass=True, inverse_mass_matrix={("log_scales", "raw"): data["mass"]},
+                  adapt_mass_matrix=not options.fixed_mass, target_accept_prob=options.target,
+                  max_tree_depth=options.depth)  # fmt: skip
+
+    def step(state, _):
+        state = kernel.sample(state, (), {})
+        shown = {"linear": linear_of(state.z["raw"])[0], "scales": jnp.exp(state.z["log_scales"])}
+        return state, shown | {"steps": state.num_steps, "divergent": state.diverging, "acceptance": state.accept_prob}
+
+    @jax.jit
+    def advance(state):
+        return jax.lax.scan(step, state, None, length=PIECE)
+
+    def run(state, count):
+        begin, pieces = time.process_time(), []
+        for _ in range(count // PIECE):
+            state, shown = advance(state)
+            pieces.append({key: np.asarray(value) for key, value in shown.items()})
+        return state, {key: np.concatenate([p[key] for p in pieces]) for key in pieces[0]}, time.process_time() - begin
+
+    warm_up, seconds, chains = 0.0, 0.0, []
+    for k in range(options.chains):
+        # No bounds, so numpyro's own coordinates are these.
+        start = {"log_scales": data["start_scales"][k], "raw": data["start"][k]}
+        state = kernel.init(jax.random.PRNGKey(k), options.warm_up, start, (), {})
+        if k == 0:
+            jax.block_until_ready(advance(state))  # compiles; does not count
+        state, _, spent = run(state, options.warm_up)
+        warm_up += spent
+        _, shown, spent = run(state, options.draws)
+        seconds += spent
+        chains.append(shown)
+    together = {key: np.stack([c[key] for c in chains]) for key in chains[0]}
+    np.savez(options.out, draws=np.concatenate([together["linear"], together["scales"]], axis=2))
+    told = {key: float(together[key].mean()) for key in ("steps", "divergent", "acceptance")}
     versions = {"numpyro": numpyro.__version__, "jax": jax.__version__}
-    print(json.dumps({"seconds": seconds, "warm_up_s": warm, "steps": steps, **versions}))
+    print(json.dumps({"seconds": seconds, "warm_up_s": warm_up, **told, **versions}))
 
 
 if __name__ == "__main__":

@@ -62,26 +62,34 @@ def recorded(folder: Path):
     return experiment(robot, motions, sensor, inertia_rel_std=TRUST)
 
 
-def problem_file(model: PosteriorModel, path: Path, draw: np.ndarray) -> None:
-    """Everything that NUTS needs, at coordinates of about unit size; it starts from a draw of the posterior."""
+def problem_file(model: PosteriorModel, path: Path, draws: np.ndarray) -> None:
+    """Everything that NUTS needs, at coordinates of about unit size.
+
+    It is given what no user has: draws of the posterior (n, names) to start from, one for each chain, and the covariance of
+    all of them in its own coordinates as its first mass matrix.
+    """
     q = model.quadratic
     arrays = {
         "factors": model.likelihood.factors, "white": model.likelihood.white[0], "counts": model.likelihood.counts,
         "to_columns": model.to_columns, "bodies": np.array(model.bodies),
     }  # fmt: skip
     std = np.sqrt(np.diag(q.root @ q.root.T))
+    linear, scales, _ = model.split(draws)
     if model.prior is None:
-        arrays |= {"centre": q.centre, "scale": std, "start": np.zeros(len(std))}
+        arrays |= {"centre": q.centre, "scale": std}
+        theta = (linear - q.centre) / std
     else:
         n = model.link_count
         size = np.sqrt(np.diag(model.prior.precision))
         root = np.linalg.cholesky(model.prior.precision / np.outer(size, size)).T * size
-        bodies = coordinates.to_log_cholesky((model.entries @ model.split(draw)[0])[:n].reshape(-1, 10)).ravel()
+        bodies = coordinates.to_log_cholesky((linear @ model.entries.T)[:, :n].reshape(len(draws), -1, 10))
+        theta = np.concatenate([bodies.reshape(len(draws), -1), linear[:, n:] / std[n:]], axis=1)
         arrays |= {
             "from_entries": model.from_entries, "prior": root, "prior_mean": model.prior.mean, "effect_scale": std[n:],
-            "start": np.concatenate([bodies, model.split(draw)[0][n:] / std[n:]]),
         }  # fmt: skip
-    np.savez(path, **arrays)
+    mass = np.cov(np.concatenate([np.log(scales), theta], axis=1).T)
+    first = np.linspace(0, len(draws) - 1, CHAINS_NUTS).astype(int)
+    np.savez(path, **arrays, start=theta[first], start_scales=np.log(scales[first]), mass=mass)
 
 
 def smallest(model: PosteriorModel, draws: np.ndarray) -> float:
