@@ -18,12 +18,17 @@ from bayesid.diagnosis.contacts import contact_terms
 from bayesid.diagnosis.fit import LINKS, Fit, Rigid, model_rows, residual_rows, term_rows
 from bayesid.diagnosis.ripples import RippleScan
 from bayesid.effects import KINDS, Effect, Term
+from bayesid.effects.kinematics import P, link_states
 
 #: Speeds below which a Stribeck law may fall [rad/s or m/s].
 STRIBECK_SPEEDS = np.geomspace(0.01, 0.6, 8)
 #: Resonances of the mount [Hz] and their damping.
 RESONANCES = np.geomspace(2.5, 60.0, 14)
 DAMPING = 0.05
+#: Lengths of a hose that an exact fit starts from [m].
+HOSES = (0.8, 2.0)
+#: Effects with a place and a shape to find: two of one kind together can imitate one that settled wrongly, so one is sought.
+SINGLE = ("tether", "external_contact")
 #: Standard deviations by which an effect stands out.
 DETECTED = 5.0
 
@@ -94,7 +99,8 @@ class Library:
         residual = np.concatenate([fit.residual, -_prior_rows(rigid, fit)])
         left = rigid.rest(residual)
         left = left - found @ (found.T @ left)
-        taken = {t.effect.spec for t in fit.terms} | set(without)
+        present = {t.effect.name for t in fit.terms} & set(SINGLE)
+        taken = {e.spec for name in present for e in case.places(name)} | {t.effect.spec for t in fit.terms} | set(without)
         best: dict[str, Proposal] = {}
         for block in self.blocks:
             name = block.effect.spec
@@ -105,7 +111,8 @@ class Library:
             if name not in best or gain - _cost(count) > best[name].gain - _cost(best[name].parameters):
                 length = float(np.linalg.norm(rows[:, 0]))
                 minimum = DETECTED / length if length > 0 else None
-                best[name] = Proposal(Term(block.effect, _inside(block.effect, block.values(amplitudes))), gain, count, minimum)
+                starts = [Term(block.effect, _inside(block.effect, v)) for v in np.atleast_2d(block.values(amplitudes))]
+                best[name] = Proposal(starts[0], gain, count, minimum, tuple(starts[1:]))
         shaped = [([term], gain) for term, gain in [*self._mounts(fit), *self._ripples(fit, left, found)]]
         for terms, gain in [*shaped, *contact_terms(rigid, fit, left[: rigid.rows])]:
             if terms[0].effect.spec not in taken:
@@ -193,7 +200,8 @@ def _columns_wanted(case: Case) -> Iterator[tuple[Effect, np.ndarray, Callable]]
         zero = np.zeros(len(kind.parameters))
         for effect in case.places(kind.name):
             if kind.name == "tether":
-                yield effect, np.array([1.0, 0, 0, 0, 0, 0, 0, 0]), _tether
+                centre = _mean_place(case, effect.joint or 0)
+                yield effect, np.array([1.0, 0, 0, 0, 0, 0, 0, 0]), lambda a, x=centre: _hose(a, x, HOSES)
             elif kind.name == "spring":
                 yield effect, np.array([1.0, 0.0]), lambda a: np.array([a[0], a[1] / a[0] if a[0] else 0.0])
             elif kind.name == "stribeck_friction":
@@ -203,10 +211,24 @@ def _columns_wanted(case: Case) -> Iterator[tuple[Effect, np.ndarray, Callable]]
                 yield effect, zero, lambda a: a
 
 
-def _tether(a: np.ndarray) -> np.ndarray:
-    """Stiffness and anchor of ``k (anchor - x)`` from the amplitudes of its derivatives at k = 1, anchor 0."""
-    stiffness = max(a[0], 1e-6)
-    return np.array([stiffness, 0.0, *(a[2:5] / stiffness), 0.0, 0.0, 0.0])
+def _hose(a: np.ndarray, centre: np.ndarray, lengths: Sequence[float]) -> np.ndarray:
+    """Hoses of these lengths (lengths, 8) whose mean pull is that of ``k (anchor - x)``, from amplitudes at k = 1, anchor 0.
+
+    A short motion shows the pull, hardly where it comes from; so the anchor is put at a likely distance from the link's
+    mean place (3,), with a third of the length slack, and the exact fit moves it.
+    """
+    pull = a[2:5] - a[0] * centre
+    size = max(float(np.linalg.norm(pull)), 1e-12)
+    return np.array([[size / (0.7 * x), 0.3 * x, *(centre + pull / size * x), 0.0, 0.0, 0.0] for x in lengths])
+
+
+def _mean_place(case: Case, joint: int) -> np.ndarray:
+    """Mean position of a link's frame over the fitted motions, in the base frame (3,)."""
+    means = []
+    for s in case.stretches:
+        states = link_states(case.robot, s.scene.positions, s.scene.velocities, s.scene.accelerations)
+        means.append(states[:, joint, P : P + 3].mean(axis=0))
+    return np.mean(means, axis=0)
 
 
 def _inside(effect: Effect, values: np.ndarray) -> tuple[float, ...]:

@@ -24,6 +24,8 @@ from bayesid.priors import Prior
 _STEPS = 15
 #: Damping of the first step, in units of a column's squared length, and how often a step is damped more.
 _DAMPING, _TRIALS = 1e-3, 6
+#: Neighbouring frequencies whose residuals may depend on each other.
+_TOGETHER = 10
 #: A fit has settled when a step changes chi2 by less.
 _SETTLED = 0.02
 #: Effects that are a change of a whole link.
@@ -232,8 +234,34 @@ def fit(rigid: Rigid, terms: Sequence[Term], start: Fit | None = None, steps: in
     safe = np.where(_alive(length, jacobian), length, np.inf)
     values, vectors = _eigen(kept / safe)
     covariance = (vectors / values) @ vectors.T / np.outer(safe, safe)
+    covariance = _widened(rigid, covariance, kept, rows)
     score = -0.5 * chi2 - _price(rigid, terms, free, kept)
     return Fit(terms, links, offset, chi2, len(values), score, covariance, free, u, rows)
+
+
+def _widened(rigid: Rigid, covariance: np.ndarray, kept: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """The covariance, no smaller than what the residuals' own scatter makes of it.
+
+    The sandwich ``C (sum_g s_g s_g' + P'P) C`` with the scores s_g of groups of neighbouring frequencies and the prior's
+    rows P holds also where the noise is louder in some band than was thought [White1980]_. Where its standard deviation is
+    larger, it replaces the model's, with the model's correlations.
+    """
+    if not covariance.size:
+        return covariance
+    scores, at = [], 0
+    for s in rigid.case.stretches:
+        size = s.shape[0] * s.shape[1]
+        product = kept[at : at + size] * rows[at : at + size, None]
+        edges = np.arange(0, size, _TOGETHER * s.shape[1])
+        scores.append(np.add.reduceat(product, edges, axis=0))
+        at += size
+    groups = np.vstack(scores)
+    prior = kept[rigid.rows :]
+    middle = groups.T @ groups * len(groups) / max(len(groups) - kept.shape[1], 1) + prior.T @ prior
+    sandwich = np.diag(covariance @ middle @ covariance)
+    own = np.diag(covariance)
+    factor = np.sqrt(np.maximum(sandwich / np.where(own > 0, own, np.inf), 1.0))
+    return covariance * np.outer(factor, factor)
 
 
 def _price(rigid: Rigid, terms: Sequence[Term], free: Sequence[tuple[int, int]], kept: np.ndarray) -> float:

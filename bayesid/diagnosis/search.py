@@ -16,7 +16,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from bayesid import inertia
-from bayesid.diagnosis.candidates import Library, Proposal, make_library, orthonormal
+from bayesid.diagnosis.candidates import SINGLE, Library, Proposal, make_library, orthonormal
 from bayesid.diagnosis.case import with_noise_of
 from bayesid.diagnosis.fit import Fit, Rigid, fit, make_rigid, term_rows
 from bayesid.diagnosis.floor import with_floor_of
@@ -30,7 +30,9 @@ ACCEPT = 12.0
 RIVAL = 3.0
 #: At most this many families of effects are sought, and this many proposals fitted exactly in one round.
 MOST = 4
-_FITTED = 6
+_FITTED = 8
+#: Effects of which only one is sought are fitted at this many places.
+_PLACES = 4
 #: Residuals this many times the noise in mean square, with everything the library has, are no residuals of a model: the
 #: noise was measured wrongly.
 HOPELESS = 200.0
@@ -118,7 +120,8 @@ def search(rigid: Rigid, terms: Sequence[Term], seed: int, progress: Callable[[s
         progress("noise as the new model passes it on")
         known = rigid.case.floor_known
         case = with_noise_of(rigid.case, best.links, best.terms, seed)
-        rigid, base, library = _prepared(make_rigid(replace(case, floor_known=known), base.terms), base.terms, best)
+        # At the new model's state: how far a tilt is told from heavier links depends on the tilt itself.
+        rigid, base, library = _prepared(make_rigid(replace(case, floor_known=known), best.terms), base.terms, best)
         best = fit(rigid, best.terms, best)
         temper = library.temper(best)
         best = _pruned(library, best, len(base.terms), temper)
@@ -138,7 +141,7 @@ def _prepared(rigid: Rigid, terms: Sequence[Term], best: Fit | None) -> tuple[Ri
     library = make_library(rigid, base)
     if rigid.case.floor_known and library.temper(base) < HOPELESS:
         return rigid, base, library
-    rigid = make_rigid(with_floor_of(library, base if best is None else fit(rigid, best.terms, best)), terms)
+    rigid = make_rigid(with_floor_of(library, base if best is None else fit(rigid, best.terms, best)), (best or base).terms)
     base = fit(rigid, terms, base)
     return rigid, base, make_library(rigid, base)
 
@@ -172,7 +175,7 @@ def _exact(
     library: Library, start: Fit, held: Sequence[Term], proposals: Sequence[Proposal], temper: float, most: int = _FITTED
 ) -> list[Fit]:
     """Exact fits of the most promising proposals beside the effects held, best first."""
-    terms = [term for p in _shortlist(proposals, temper, most) for term in _starts(p)]
+    terms = [term for p in _shortlist(proposals, temper, most) for term in (p.term, *p.others)]
     fits = in_order(lambda term: fit(library.rigid, (*held, term), start), terms)
     return sorted(fits, key=lambda f: -f.score)
 
@@ -181,19 +184,11 @@ def _shortlist(proposals: Sequence[Proposal], temper: float, most: int) -> list[
     """The best proposals, but few of one kind: neighbouring links explain alike and would crowd out other kinds."""
     kept: list[Proposal] = []
     for p in proposals:
-        same = sum(k.term.effect.name == p.term.effect.name for k in kept)
-        if len(kept) < most and same < _ALIKE and 0.5 * p.gain > ACCEPT * temper:
+        name = p.term.effect.name
+        same = sum(k.term.effect.name == name for k in kept)
+        if len(kept) < most and same < (_PLACES if name in SINGLE else _ALIKE) and 0.5 * p.gain > ACCEPT * temper:
             kept.append(p)
     return kept
-
-
-def _starts(proposal: Proposal) -> list[Term]:
-    """Values to start from; more than one where a shape may hold the fit back."""
-    term = proposal.term
-    if term.effect.name != "tether":
-        return [term, *proposal.others]
-    k, _, *rest = term.values
-    return [term, replace(term, values=(1.5 * k, 0.3, *rest))]
 
 
 def _exchanged(library: Library, best: Fit, known: int, temper: float) -> Fit:
@@ -210,7 +205,7 @@ def _exchanged(library: Library, best: Fit, known: int, temper: float) -> Fit:
                 continue  # the first effect alone has just been chosen against all others, a family by many joints
             without = fit(library.rigid, held, best, steps=4)
             rivals = [p for p in library.propose(without) if p.name != own.effect.spec or len(own.effect.kind.shape) > 1]
-            fits = _exact(library, without, held, rivals, temper, most=3)
+            fits = _exact(library, without, held, rivals, temper, most=4)
             if fits and fits[0].score > best.score + temper:
                 best = fits[0]
         if best is before:
