@@ -109,7 +109,7 @@ class Diagnosis:
             "verdict": self.verdict,
             "effects": [self._effect(f) for f in self.found],
             "where": [d.to_dict() for d in self.where],
-            "gap": None if self.gap is None else {**self.gap.to_dict(), "floor_known": self.case.floor_known},
+            "gap": self._gap(),
             "candidates": [
                 {
                     "name": p.term.effect.name, "where": p.term.effect.where,
@@ -131,6 +131,15 @@ class Diagnosis:
             "next_experiment": self.next_experiment,
             "runtime_s": self.seconds,
         }  # fmt: skip
+
+    def _gap(self) -> dict[str, Any] | None:
+        """The gap of the model as it is handed on: an attempt that was not accepted closes nothing."""
+        if self.gap is None:
+            return None
+        out = {**self.gap.to_dict(), "floor_known": self.case.floor_known}
+        if self.verdict == "unknown":
+            out |= {"best_attempt_after": out["after"], "after": out["before"], "closed": 0.0, "closed_low": 0.0}
+        return out
 
     def _effect(self, found: Found) -> dict[str, Any]:
         effect = found.term.effect

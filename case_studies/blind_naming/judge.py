@@ -1,8 +1,8 @@
 """Diagnose a blind set and say how often the truth was named: rates, coverage of the intervals, confusion matrix.
 
-    python case_studies/blind_naming/judge.py SET [--jobs 2] [--seed 0] [--write]
+    python case_studies/blind_naming/judge.py SET ... [--jobs 2] [--seed 0] [--write]
 
-SET is what make.py wrote. Diagnoses go to SET/diagnoses; those that are there are not made again, so a run can be
+A SET is what make.py wrote. Diagnoses go to SET/diagnoses; those that are there are not made again, so a run can be
 interrupted. ``--write`` puts results.json, confusion.png and the table of README.md beside this script.
 """
 
@@ -39,10 +39,12 @@ def diagnose_one(folder: Path, seed: int) -> None:
 
 
 def read(set_folder: Path) -> Iterator[tuple[dict, dict]]:
-    """Answers with their diagnoses."""
+    """Answers with their diagnoses, as far as they have been made."""
     for path in sorted((set_folder / "answers").glob("*.json")):
         answer = json.loads(path.read_text())
-        yield answer, json.loads((set_folder / "diagnoses" / answer["case"] / "diagnosis.json").read_text())
+        made = set_folder / "diagnoses" / answer["case"] / "diagnosis.json"
+        if made.exists():
+            yield answer, json.loads(made.read_text())
 
 
 def within(truth: dict, alternatives: list, claim: dict) -> bool:
@@ -154,15 +156,18 @@ def draw(pairs: list[tuple[dict, dict]], path: Path) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("set", type=Path)
+    parser.add_argument("sets", type=Path, nargs="+", metavar="SET")
+    parser.add_argument("--only-count", action="store_true", help="make no diagnoses, count those that are there")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--write", action="store_true", help="renew results.json, confusion.png and README.md's table")
     options = parser.parse_args()
-    folders = sorted(p.parent for p in options.set.glob("*/experiment.toml"))
-    with ProcessPoolExecutor(options.jobs) as pool:
-        list(tqdm(pool.map(partial(diagnose_one, seed=options.seed), folders), total=len(folders), unit="case", disable=None))
-    pairs = list(read(options.set))
+    folders = sorted(p.parent for chosen in options.sets for p in chosen.glob("*/experiment.toml"))
+    if not options.only_count:
+        with ProcessPoolExecutor(options.jobs) as pool:
+            work = pool.map(partial(diagnose_one, seed=options.seed), folders)
+            list(tqdm(work, total=len(folders), unit="case", disable=None))
+    pairs = [pair for chosen in options.sets for pair in read(chosen)]
     results = judge(pairs)
     print(json.dumps(results, indent=1))
     if options.write:
