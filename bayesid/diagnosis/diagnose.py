@@ -27,6 +27,8 @@ UNEXPLAINED = 1.45
 LIKELY = 2
 #: A found effect must not make unseen motions worse by more than this share of their squared residual.
 WORSE = 0.02
+#: Where the gap before is this many times the floor, it has to shrink; and where it stays this many times the floor, by half.
+ROOM, OPEN = 1.05, 1.1
 
 Progress = Callable[[str], None]
 
@@ -236,7 +238,7 @@ def _decide(case: Case, s: Search, seed: int) -> Diagnosis:
         )
     elif not found:
         verdict = "nothing_missing"
-    elif gap is not None and not local and gap.after**2 > gap.before**2 * (1.0 + WORSE):
+    elif gap is not None and not local and _unproven(gap):
         verdict = "unknown"
         remarks.append(f"{tried} fits the fitted motions, but predicts the unseen ones no better: not named.")
     elif _patchwork(case, found):
@@ -266,6 +268,14 @@ def _decide(case: Case, s: Search, seed: int) -> Diagnosis:
     return Diagnosis(
         case, verdict, s, found, where, gap, _shifts(case, s) if found else (), tuple(remarks), _next(verdict, found)
     )
+
+
+def _unproven(gap: Gap) -> bool:
+    """Whether the unseen motions deny the effects found: worse, no better where there was room, or most of the gap still open."""
+    worse = gap.after**2 > gap.before**2 * (1.0 + WORSE)
+    no_better = gap.before > ROOM * gap.floor and gap.closed_low <= 0.0
+    still_open = gap.after > OPEN * gap.floor and gap.closed < 0.5
+    return worse or no_better or still_open
 
 
 def _patchwork(case: Case, found: Sequence[Found]) -> bool:

@@ -126,12 +126,13 @@ def search(rigid: Rigid, terms: Sequence[Term], seed: int, progress: Callable[[s
         temper = library.temper(best)
         best = _pruned(library, best, len(base.terms), temper)
     progress("rivals")
-    found: tuple[Found, ...] = ()
     for _ in range(_SWEEPS):
         found, better = _found(library, best, len(base.terms), temper)
         if better is None:
             break
         best = better
+    else:
+        found, _ = _found(library, best, len(base.terms), temper, exchange=False)
     return Search(rigid, base, best, found, temper, tuple(first), library)
 
 
@@ -243,7 +244,9 @@ def _pruned(library: Library, best: Fit, known: int, temper: float) -> Fit:
     return best
 
 
-def _found(library: Library, best: Fit, known: int, temper: float) -> tuple[tuple[Found, ...], Fit | None]:
+def _found(
+    library: Library, best: Fit, known: int, temper: float, *, exchange: bool = True
+) -> tuple[tuple[Found, ...], Fit | None]:
     """The effects of the best model with their rivals; and a model with a rival that turned out to be better, if any."""
     out = []
     for i in range(known, len(best.terms)):
@@ -257,7 +260,7 @@ def _found(library: Library, best: Fit, known: int, temper: float) -> tuple[tupl
         without = fit(library.rigid, held, best)
         proposals = [p for p in library.propose(without) if p.name != term.effect.spec]
         fits = _exact(library, without, held, proposals, temper)
-        if fits and fits[0].score > best.score + temper:
+        if exchange and fits and fits[0].score > best.score + temper:
             return (), fits[0]
         named, bonus = _as_payload(library.rigid, best, i, temper)
         lacks: dict[str, tuple[Term, float]] = {}

@@ -49,7 +49,7 @@ def main() -> None:
     parser.add_argument("--chains", type=int, default=4)
     parser.add_argument("--target", type=float, default=0.8, help="acceptance that the step size is adapted to")
     parser.add_argument("--depth", type=int, default=10, help="at most 2^depth steps a draw")
-    parser.add_argument("--fixed-mass", action="store_true", help="keep the mass matrix that the problem brings")
+    parser.add_argument("--adapt-mass", action="store_true", help="adapt the mass matrix instead of keeping the problem's")
     options = parser.parse_args()
     data = {key: jnp.asarray(value) for key, value in np.load(options.problem).items()}
     count, cone = int(data["bodies"]), "prior" in data
@@ -79,7 +79,7 @@ def main() -> None:
         numpyro.factor("likelihood", log_likelihood(data["to_columns"] @ linear, log_scales))
 
     kernel = NUTS(model, dense_mass=True, inverse_mass_matrix={("log_scales", "raw"): data["mass"]},
-                  adapt_mass_matrix=not options.fixed_mass, target_accept_prob=options.target,
+                  adapt_mass_matrix=options.adapt_mass, target_accept_prob=options.target,
                   max_tree_depth=options.depth)  # fmt: skip
 
     def step(state, _):

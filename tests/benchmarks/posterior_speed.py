@@ -1,10 +1,11 @@
 """python tests/benchmarks/posterior_speed.py [--write]: effective samples a second, beside numpyro's NUTS, in one run.
 
 One 40 s recording of a six-joint arm; the posterior without bounds (flat prior) and that of bodies that can exist
-(nominal prior). Both sides take turns on the same machine with one thread; NUTS is compiled before the clock starts,
-adapts a dense mass matrix beforehand, and is not charged for that. Its rates are given both on the rows, as a user would
-write the model, and on bayesid's factors. The smallest bulk effective sample size over base parameters, effects and scales
-is divided by seconds of the processor, which other work on the machine does not change.
+(nominal prior), the latter also for a small arm. Both sides take turns on the same machine with one thread. NUTS is
+compiled before the clock starts, is given the posterior's covariance as its mass matrix, adapts its step beforehand, and is
+not charged for that. Its rates are given both on the rows, as a user would write the model, and on bayesid's factors. The
+smallest bulk effective sample size over base parameters, effects and scales is divided by seconds of the processor, which
+other work on the machine does not change.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ import tempfile
 import time
 from dataclasses import replace
 from pathlib import Path
+from textwrap import wrap
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -41,6 +43,15 @@ from bayesid.simulation import perturbed_links  # noqa: E402
 
 TRUST = 0.3
 CHAINS, CHAINS_NUTS = 4, 2
+#: Arm, NUTS's target of acceptance, and description of every posterior. Where nothing is curved, its default is best.
+CASES = {
+    "unconstrained": ("ur5", 0.8, "a 40 s recording of a UR5, wrench, {rows} rows of six channels, flat prior"),
+    "physical": ("ur5", 0.9, "the same with the nominal prior (30 %) on bodies that can exist"),
+    "physical, two joints": ("puma", 0.9, "the same for 4 s of a two-joint PUMA at 20 times the noise, {rows} rows"),
+}
+SHOWN = ("rate", "seconds", "warm_up_s", "ess", "r_hat", "draws")
+#: Chains have met, and their effective draws can be counted, below this R-hat and from this number on.
+MET, ENOUGH = 1.05, 100.0
 #: Draws of each chain: enough for effective sizes to be known to a few per cent.
 KEPT = {"unconstrained": 6000, "physical": 1500}
 
@@ -62,11 +73,23 @@ def recorded(folder: Path):
     return experiment(robot, motions, sensor, inertia_rel_std=TRUST)
 
 
+def small(folder: Path):
+    """A short and noisy recording of the two-joint PUMA: the least that geometry can ask of NUTS."""
+    from recordings import experiment, fourier, puma2, recording
+
+    robot, sensor = puma2(folder), Sensor()
+    table = recording(
+        robot, sensor, fourier(robot, 1, 4.0), seed=1, force_std=10.0, torque_std=1.0, resolution=2e-5, offset=3.0,
+        phi=perturbed_links(robot, TRUST, 1).ravel(),
+    )  # fmt: skip
+    return experiment(robot, [Motion("one", "identification", table)], sensor, inertia_rel_std=TRUST)
+
+
 def problem_file(model: PosteriorModel, path: Path, draws: np.ndarray) -> None:
     """Everything that NUTS needs, at coordinates of about unit size.
 
     It is given what no user has: draws of the posterior (n, names) to start from, one for each chain, and the covariance of
-    all of them in its own coordinates as its first mass matrix.
+    all of them in its own coordinates as its mass matrix.
     """
     q = model.quadratic
     arrays = {
@@ -92,11 +115,12 @@ def problem_file(model: PosteriorModel, path: Path, draws: np.ndarray) -> None:
     np.savez(path, **arrays, start=theta[first], start_scales=np.log(scales[first]), mass=mass)
 
 
-def smallest(model: PosteriorModel, draws: np.ndarray) -> float:
-    """Smallest bulk effective sample size over base parameters, effects and scales of (chains, n, names)."""
+def worst(model: PosteriorModel, draws: np.ndarray) -> dict[str, float]:
+    """Smallest bulk effective sample size, largest R-hat: base parameters, effects and scales of (chains, n, names)."""
     linear, scales, _ = model.split(draws)
     numbers = np.concatenate([linear @ model.to_columns.T, scales], axis=-1)
-    return float(convergence(numbers, tuple(map(str, range(numbers.shape[-1])))).ess_bulk.min())
+    found = convergence(numbers, tuple(map(str, range(numbers.shape[-1]))))
+    return {"ess": float(found.ess_bulk.min()), "r_hat": float(found.r_hat.max())}
 
 
 def own(model: PosteriorModel, kept: int) -> dict[str, float]:
@@ -112,24 +136,25 @@ def own(model: PosteriorModel, kept: int) -> dict[str, float]:
     draws = np.stack([engine.advance(s, count, 1) for s in states])
     seconds = time.process_time() - begin
     flat = np.swapaxes(draws, 1, 2).reshape(CHAINS, -1, draws.shape[-1])
-    ess = smallest(model, flat)
-    return {"seconds": seconds, "warm_up_s": warm, "draws": flat.shape[0] * flat.shape[1], "ess": ess, "rate": ess / seconds,
-            "engine": engine.name, "flat": flat}  # fmt: skip
+    found = worst(model, flat)
+    return {"seconds": seconds, "warm_up_s": warm, "draws": flat.shape[0] * flat.shape[1], **found,
+            "rate": found["ess"] / seconds, "engine": engine.name, "flat": flat}  # fmt: skip
 
 
-def nuts(model: PosteriorModel, path: Path, draws: int, warm_up: int, rows: bool) -> dict[str, float]:
+def nuts(model: PosteriorModel, path: Path, options: argparse.Namespace, target: float, rows: bool) -> dict[str, float]:
     """NUTS in its own environment."""
     out = path.with_suffix(".draws.npz")
     one = "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1"
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "XLA_FLAGS": one}
-    command = [str(NUMPYRO), str(HERE / "nuts_posterior.py"), str(path), str(out), "--draws", str(draws),
-               "--chains", str(CHAINS_NUTS), "--warm-up", str(warm_up)]  # fmt: skip
+    command = [str(NUMPYRO), str(HERE / "nuts_posterior.py"), str(path), str(out), "--draws", str(options.draws),
+               "--chains", str(CHAINS_NUTS), "--warm-up", str(options.warm_up), "--target", str(target),
+               "--depth", str(options.depth)]  # fmt: skip
     done = subprocess.run(command + (["--rows"] if rows else []), capture_output=True, text=True, env=environment, check=False)
     if done.returncode:
         raise SystemExit(f"nuts_posterior.py failed:\n{done.stderr}")
     result = json.loads(done.stdout.strip().splitlines()[-1])
     flat = np.load(out)["draws"]
-    result |= {"ess": smallest(model, flat), "draws": flat.shape[0] * flat.shape[1], "flat": flat}
+    result |= worst(model, flat) | {"draws": flat.shape[0] * flat.shape[1], "flat": flat}
     return result | {"rate": result["ess"] / result["seconds"]}
 
 
@@ -139,28 +164,32 @@ def agreement(model: PosteriorModel, one: np.ndarray, other: np.ndarray) -> floa
     return float(np.max(np.abs(a.mean(axis=(0, 1)) - b.mean(axis=(0, 1))) / a.std(axis=(0, 1))))
 
 
-def compare(regression, folder: Path, repeats: int, draws: int, warm_up: int) -> dict:
-    """Both posteriors, in turns."""
+def compare(regressions: dict, folder: Path, options: argparse.Namespace) -> dict:
+    """All posteriors, in turns."""
     result = {}
-    for name, prior in (("unconstrained", None), ("physical", Prior.nominal(regression.nominal_links, TRUST))):
+    for name, (arm, target, _) in CASES.items():
+        regression = regressions[arm]
+        prior = None if name == "unconstrained" else Prior.nominal(regression.nominal_links, TRUST)
         model = PosteriorModel.of(regression, prior)
         path = folder / f"{name}.npz"
-        draw = own(model, 100)["flat"][0, -1]
-        problem_file(replace(model, likelihood=Likelihood.of(regression, keep_rows=True)), path, draw)
+        first = own(model, KEPT["physical"])["flat"]
+        whole_model = replace(model, likelihood=Likelihood.of(regression, keep_rows=True))
+        problem_file(whole_model, path, first.reshape(-1, first.shape[-1]))
         runs: dict[str, list[dict]] = {"bayesid": [], "nuts": [], "nuts_factors": []}
         apart = 0.0
-        for _ in range(repeats):
-            mine = own(model, KEPT[name])
+        for _ in range(options.repeats if prior is None else 1):
+            mine = own(model, KEPT["physical" if prior is not None else "unconstrained"])
             runs["bayesid"].append(mine)
             # In the cone a step on rows would take minutes a draw; NUTS gets the faster density.
             for key, rows in (("nuts", True), ("nuts_factors", False))[prior is not None :]:
-                theirs = nuts(model, path, draws, warm_up, rows)
+                theirs = nuts(model, path, options, target, rows)
                 apart = max(apart, agreement(model, mine["flat"], theirs["flat"]))
                 runs[key].append(theirs)
-        entry = {k: {m: statistics.median(r[m] for r in v) for m in ("rate", "seconds", "warm_up_s", "ess", "draws")}
+        entry = {k: {m: statistics.median(r[m] for r in v) for m in SHOWN}
                  for k, v in runs.items() if v}  # fmt: skip
         entry["engine"] = runs["bayesid"][0]["engine"]
-        entry["steps"] = runs["nuts_factors"][0]["steps"]
+        entry |= {key: runs["nuts_factors"][0][key] for key in ("steps", "divergent", "acceptance")}
+        entry |= {"rows": regression.row_count, "target": target}
         entry["means_apart_in_std"] = apart
         for key in [k for k in ("nuts", "nuts_factors") if runs[k]]:
             pairs = [a["rate"] / b["rate"] for a, b in zip(runs["bayesid"], runs[key], strict=True)]
@@ -171,42 +200,69 @@ def compare(regression, folder: Path, repeats: int, draws: int, warm_up: int) ->
     return result
 
 
-def _ratio(entry: dict) -> str:
-    """A ratio of rates says something only where NUTS has converged."""
-    if entry["nuts_factors"]["ess"] < 100:
-        ess, steps = entry["nuts_factors"]["ess"], entry["steps"]
-        return f"none: NUTS has not converged ({steps:.0f} steps a draw, {ess:.0f} effective draws)"
-    return f"{entry['bayesid_over_nuts_factors'][1]:,.0f}"
+def _ratio(entry: dict, key: str) -> str:
+    """A ratio of rates; chains that have not met seem to have more effective draws than they have."""
+    theirs, ratio = entry[key], entry[f"bayesid_over_{key}"][1]
+    if theirs["r_hat"] < MET and theirs["ess"] >= ENOUGH:
+        return f"{ratio:,.0f}"
+    return f"at least {float(f'{ratio:.2g}'):,.0f}: NUTS had not converged"
+
+
+def _unfinished(name: str, entry: dict) -> list[str]:
+    """What there is to say where NUTS did not converge."""
+    theirs = entry["nuts_factors"]
+    if theirs["r_hat"] < MET and theirs["ess"] >= ENOUGH:
+        return []
+    text = (
+        f"- {name}: NUTS had not converged after {theirs['warm_up_s']:.0f} s of warm-up and {theirs['seconds']:.0f} s of drawing "
+        f"(R-hat {theirs['r_hat']:.2f}, {theirs['ess']:.0f} effective of {theirs['draws']:.0f} draws, {entry['steps']:.0f} steps "
+        "each). Its rate is what these draws seem to be worth; in truth it is lower, so the ratio is at least what is shown."
+    )
+    return wrap(text, 125, subsequent_indent="  ")
 
 
 def page(result: dict) -> str:
     """The results as a page of the documentation."""
     versions = result["versions"]
+    posteriors = "; ".join(f"*{name}*: {text.format(rows=result[name]['rows'])}" for name, (_, _, text) in CASES.items())
+    how = (
+        f"One thread, Python {result['python']}, numpyro {versions['numpyro']} on JAX {versions['jax']}. "
+        f"{_times(result['repeats'])}; `make bench` repeats it, `python tests/benchmarks/posterior_speed.py --write` makes this "
+        "page. Effective samples a second: the smallest bulk effective sample size over base parameters, effects and scales, "
+        "over processor seconds. NUTS samples the same density, by log-Cholesky where only bodies that can exist count. It is "
+        "compiled before its clock starts. It is given what no user has: draws of the posterior to start from, and the "
+        "posterior's covariance in its own coordinates as dense mass matrix, which it otherwise has to adapt. It adapts "
+        f"its step for {result['warm_up']} draws that are not charged (acceptance {result['unconstrained']['target']}, in "
+        f"the cone {result['physical']['target']}; trees up to depth {result['depth']}) and makes {result['nuts_draws']} draws "
+        f"in each of {CHAINS_NUTS} chains. On *rows* it evaluates every reading, as the model is usually written; on *factors* "
+        "it is given bayesid's reduction."
+    )
     lines = [
         "# Speed of the samplers",
         "",
-        f"A 40 s recording of a UR5 (wrench, {result['rows']} rows of six channels), one thread, Python {result['python']},",
-        f"numpyro {versions['numpyro']} on JAX {versions['jax']}. Medians of {result['repeats']} runs in turns; `make bench`",
-        "repeats them, `python tests/benchmarks/posterior_speed.py --write` makes this page. Effective samples a second: the",
-        "smallest bulk effective sample size over base parameters, effects and scales, over processor seconds. NUTS was compiled",
-        f"and had adapted its dense mass matrix over {result['warm_up']} steps, from a draw of the posterior, before its clock",
-        f"started ({result['nuts_draws']} draws in each of {CHAINS_NUTS} chains); it samples the same density, by log-Cholesky",
-        "in the second row. On *rows* it evaluates every reading, as the model is usually written; on *factors* it is given",
-        "bayesid's reduction.",
+        *wrap(f"{posteriors}.", 125),
+        "",
+        *wrap(how, 125),
         "",
         "| posterior | bayesid | NUTS on rows | ratio | NUTS on factors | ratio | means apart |",
         "|---|---|---|---|---|---|---|",
     ]
-    for name in ("unconstrained", "physical"):
+    for name in CASES:
         e = result[name]
         lines.append(
             f"| {name} ({e['engine']}) | {e['bayesid']['rate']:,.0f} /s | "
-            + (f"{e['nuts']['rate']:,.1f} /s | {e['bayesid_over_nuts'][1]:,.0f} | " if "nuts" in e else "- | - | ")
-            + f"{e['nuts_factors']['rate']:,.1f} /s | {_ratio(e)} | {e['means_apart_in_std']:.2f} std |"
+            + (f"{e['nuts']['rate']:,.1f} /s | {_ratio(e, 'nuts')} | " if "nuts" in e else "- | - | ")
+            + f"{e['nuts_factors']['rate']:,.1f} /s | {_ratio(e, 'nuts_factors')} | {e['means_apart_in_std']:.2f} std |"
         )
+    unfinished = [line for name in CASES for line in _unfinished(name, result[name])]
+    lines += ["", *unfinished] if unfinished else []
     lines += ["", "`bayesid.sample` as a whole (reading rows, noise, 2,000 converged draws, predictions):", ""]
     lines += [f"- {k} prior: {v['seconds']:.1f} s, largest R-hat {v['r_hat']:.4f}" for k, v in result["whole"].items()]
     return "\n".join([*lines, ""])
+
+
+def _times(repeats: int) -> str:
+    return "One run" if repeats == 1 else f"Medians of {repeats} runs in turns (of bodies that can exist: one run)"
 
 
 def whole(experiment) -> dict:
@@ -226,8 +282,9 @@ def main() -> None:
     """Run all."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--repeats", type=int, default=3)
-    parser.add_argument("--draws", type=int, default=1000, help="of each chain of NUTS")
-    parser.add_argument("--warm-up", type=int, default=1000, help="steps in which each chain of NUTS adapts")
+    parser.add_argument("--draws", type=int, default=600, help="of each chain of NUTS")
+    parser.add_argument("--warm-up", type=int, default=250, help="draws in which each chain of NUTS adapts")
+    parser.add_argument("--depth", type=int, default=13, help="at most 2^depth steps a draw")
     parser.add_argument("--write", action="store_true", help="write docs/posterior-speed.json and .md")
     options = parser.parse_args()
     if not NUMPYRO.exists():
@@ -235,10 +292,10 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as temporary, threadpool_limits(1):
         folder = Path(temporary)
         experiment = recorded(folder)
-        problem = prepare(experiment, "wrench")
-        result = compare(problem.regression, folder, options.repeats, options.draws, options.warm_up)
-        result |= {"rows": problem.regression.row_count, "python": platform.python_version(), "repeats": options.repeats,
-                   "warm_up": options.warm_up, "nuts_draws": options.draws}  # fmt: skip
+        regressions = {"ur5": prepare(experiment, "wrench").regression, "puma": prepare(small(folder), "wrench").regression}
+        result = compare(regressions, folder, options)
+        result |= {"python": platform.python_version(), "repeats": options.repeats, "warm_up": options.warm_up,
+                   "depth": options.depth, "nuts_draws": options.draws}  # fmt: skip
         result["whole"] = whole(experiment)
         print(json.dumps(result["whole"], indent=1))
     if options.write:

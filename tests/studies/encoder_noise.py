@@ -29,7 +29,7 @@ from tests.studies.coverage import LEVEL, NAMES, band
 from tests.studies.coverage_case import DURATION, FUNDAMENTAL, NOISE, OFFSET, RATE, Setup, setup
 
 SEED = 20_260_201
-COUNT = 200
+COUNT = 100
 STD = 1e-3  # [rad]
 #: How far the commanded trajectory is ahead of the robot, as with a drive that lags [s].
 LEAD = 0.02
@@ -148,8 +148,8 @@ sensor noise are those of [coverage.md](coverage.md). `python -m tests.studies.e
 
 ## {{ names[name.split(",")[0]] }}, {{ name.split(", ")[1] }} bandwidth
 
-{{ case.recordings }} recordings, {{ case.parameters }} base parameters, {{ "%.3g" | format(case.bandwidth) }} Hz. If every interval were exact, all coverages would lie
-within {{ pct(case.band[0]) }} to {{ pct(case.band[1]) }} % with probability 99 %.
+{{ case.recordings }} recordings, {{ case.parameters }} base parameters, {{ "%.3g" | format(case.bandwidth) }} Hz. If every
+interval were exact, all coverages would lie within {{ pct(case.band[0]) }} to {{ pct(case.band[1]) }} % with probability 99 %.
 
 | fit | bias | chance | bias of `ols` removed | rms error | coverage: mean | lowest | highest |
 |---|---|---|---|---|---|---|---|
@@ -167,10 +167,10 @@ what so many recordings would show without any bias. *rms error* has the same un
 intervals; `removed` is in per cent, and left out where the bias of `ols` is not three times what chance would show.
 
 The automatic bandwidth is what the motions need; 5 Hz is set by hand, as one would for a faster motion.
+
 {% for case in summary %}
 - {{ case.title }}: {{ case.bias }} {{ case.short }}
-{%- endfor %}
-
+{% endfor %}
 
 `tls` needs no more than the positions. `iv` is as good as its instruments: the commanded trajectory (here {{ lead }} ms ahead of
 the robot) is free of noise; another period, and even and odd samples, bring noise of their own. `gls` gives little weight to the
