@@ -17,14 +17,20 @@ from bayesid.diagnosis.case import Case
 from bayesid.diagnosis.contacts import contact_terms
 from bayesid.diagnosis.fit import LINKS, Fit, Rigid, model_rows, residual_rows, term_rows
 from bayesid.diagnosis.ripples import RippleScan
-from bayesid.effects import KINDS, Effect, Term
+from bayesid.effects import KINDS, Effect, Scene, Term, readings
 from bayesid.effects.kinematics import P, link_states
+from bayesid.momentum import torque_channels
 
 #: Speeds below which a Stribeck law may fall [rad/s or m/s].
 STRIBECK_SPEEDS = np.geomspace(0.01, 0.6, 8)
 #: Resonances of the mount [Hz] and their damping.
 RESONANCES = np.geomspace(2.5, 60.0, 14)
 DAMPING = 0.05
+#: Mean square of whitened residuals above which something is left that no effect found explains.
+UNEXPLAINED = 1.45
+#: Resonances of a flexible joint [Hz], tried where columns leave something unexplained: above its resonance a link moves
+#: against its motor, which no derivative at a stiff joint foretells.
+JOINT_RESONANCES = np.geomspace(3.0, 30.0, 17)
 #: Lengths of a hose that an exact fit starts from [m].
 HOSES = (0.8, 2.0)
 #: Effects with a place and a shape to find: two of one kind together can imitate one that settled wrongly, so one is sought.
@@ -92,15 +98,18 @@ class Library:
     ripples: RippleScan | None = None
     _basis: tuple[Fit, np.ndarray] | None = field(default=None, repr=False)
 
-    def propose(self, fit: Fit, without: Sequence[str] = ()) -> list[Proposal]:
-        """Proposals beside the effects of a fit, best gain first; one for each effect and place."""
+    def propose(self, fit: Fit, *, resonances: bool = False) -> list[Proposal]:
+        """Proposals beside the effects of a fit, best gain first; one for each effect and place.
+
+        With ``resonances`` flexible joints that resonate in the motion's band are among them; that takes a while.
+        """
         rigid, case = self.rigid, self.rigid.case
         found = orthonormal(rigid.rest(rigid.padded(model_rows(case, case.stretches, fit.links, fit.terms))))
         residual = np.concatenate([fit.residual, -_prior_rows(rigid, fit)])
         left = rigid.rest(residual)
         left = left - found @ (found.T @ left)
         present = {t.effect.name for t in fit.terms} & set(SINGLE)
-        taken = {e.spec for name in present for e in case.places(name)} | {t.effect.spec for t in fit.terms} | set(without)
+        taken = {e.spec for name in present for e in case.places(name)} | {t.effect.spec for t in fit.terms}
         best: dict[str, Proposal] = {}
         for block in self.blocks:
             name = block.effect.spec
@@ -113,10 +122,13 @@ class Library:
                 minimum = DETECTED / length if length > 0 else None
                 starts = [Term(block.effect, _inside(block.effect, v)) for v in np.atleast_2d(block.values(amplitudes))]
                 best[name] = Proposal(starts[0], gain, count, minimum, tuple(starts[1:]))
-        shaped = [([term], gain) for term, gain in [*self._mounts(fit), *self._ripples(fit, left, found)]]
+        soft = self._soft_joints(fit) if resonances else ()
+        shaped = [([t], gain) for t, gain in [*self._mounts(fit), *soft, *self._ripples(fit, left, found)]]
         for terms, gain in [*shaped, *contact_terms(rigid, fit, left[: rigid.rows])]:
-            if terms[0].effect.spec not in taken:
-                best[terms[0].effect.spec] = Proposal(terms[0], gain, len(terms[0].values), others=tuple(terms[1:]))
+            name = terms[0].effect.spec
+            if name not in taken and (name not in best or gain > best[name].gain):
+                minimum = best[name].minimum if name in best else None
+                best[name] = Proposal(terms[0], gain, len(terms[0].values), minimum, tuple(terms[1:]))
         return sorted(best.values(), key=lambda p: -(p.gain - _cost(p.parameters)))
 
     def temper(self, fit: Fit) -> float:
@@ -160,6 +172,25 @@ class Library:
             gain = float(now - np.sum(rigid.rest(np.concatenate([rows, below])) ** 2))
             best = max(best, (gain, resonance)) if np.isfinite(gain) else best
         yield Term(effect, (best[1], DAMPING)), best[0]
+
+    def _soft_joints(self, fit: Fit) -> Iterator[tuple[Term, float]]:
+        """Flexible joints with their resonance in or near the motion's band, each as it is."""
+        if self.temper(fit) < UNEXPLAINED:
+            return
+        case, rigid = self.rigid.case, self.rigid
+        below = -_prior_rows(rigid, fit)
+        now = np.sum(rigid.rest(np.concatenate([fit.residual, below])) ** 2)
+        for effect, inertia in zip(case.places("joint_flexibility"), _inertia(case), strict=True):
+            if effect.spec in {t.effect.spec for t in fit.terms}:
+                continue
+            best = (0.0, 0.0)
+            for compliance in 1.0 / (inertia * (2.0 * np.pi * JOINT_RESONANCES) ** 2):
+                terms = (*fit.terms, Term(effect, (float(compliance),)))
+                rows = residual_rows(case, case.stretches, fit.links, fit.offset, terms)
+                gain = float(now - np.sum(rigid.rest(np.concatenate([rows, below])) ** 2))
+                best = max(best, (gain, compliance)) if np.isfinite(gain) else best
+            if best[0] > 0.0:
+                yield Term(effect, (float(best[1]),)), best[0]
 
     def _ripples(self, fit: Fit, left: np.ndarray, found: np.ndarray) -> Iterator[tuple[Term, float]]:
         if self.ripples is None:
@@ -229,6 +260,19 @@ def _mean_place(case: Case, joint: int) -> np.ndarray:
         states = link_states(case.robot, s.scene.positions, s.scene.velocities, s.scene.accelerations)
         means.append(states[:, joint, P : P + 3].mean(axis=0))
     return np.mean(means, axis=0)
+
+
+def _inertia(case: Case) -> np.ndarray:
+    """Mean inertia that each joint feels over the first fitted motion (n,) [kg m^2 or kg]."""
+    scene, n = case.stretches[0].scene, case.robot.n
+    poses = np.repeat(scene.positions[:: max(len(scene.positions) // 20, 1)], n, axis=0)
+    rates = np.tile(np.eye(n), (len(poses) // n, 1))
+    channels = torque_channels(case.robot)
+    torque = [
+        readings(case.robot, channels, Scene(np.arange(len(poses), dtype=float), poses, 0.0 * poses, a), case.links, ())
+        for a in (rates, 0.0 * rates)
+    ]
+    return np.einsum("knn->n", (torque[0] - torque[1]).reshape(-1, n, n)) / (len(poses) // n)
 
 
 def _inside(effect: Effect, values: np.ndarray) -> tuple[float, ...]:

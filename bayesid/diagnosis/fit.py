@@ -5,8 +5,9 @@ linearly, so they are projected out once: with ``[A; I] = Q R`` of their whitene
 of an effect keeps ``z - Q Q' z``, the part that no change of the links explains. What is left are a handful of
 parameters, found by Gauss-Newton steps on the exact readings.
 
-Models are compared by ``score = -chi2 / 2 - k / 2 log n`` over n rows: the evidence under a prior with the
-information of one row for each of the k parameters [Schwarz1978]_.
+Models are compared by ``score = -chi2 / 2 - log det S / 2 - k / 2 log n`` over n rows: the evidence under a prior with the
+information of one row for each of the k parameters [Schwarz1978]_. The noise S matters where a model makes more of it than
+another does: a flexible joint differentiates the encoders' errors twice more.
 """
 
 from __future__ import annotations
@@ -52,6 +53,8 @@ class Rigid:
         Factors of ``[A; I]`` (rows + m + 6, m + 6).
     rows
         Number of rows that are data.
+    volume
+        Log determinant of the noise of all rows.
     """
 
     case: Case
@@ -60,6 +63,7 @@ class Rigid:
     q: np.ndarray
     r: np.ndarray
     rows: int
+    volume: float
 
     @property
     def size(self) -> int:
@@ -81,6 +85,8 @@ class Fit:
 
     Attributes
     ----------
+    rigid
+        What it was fitted with.
     terms
         Effects with their values.
     links
@@ -103,6 +109,7 @@ class Fit:
         Whitened rows (rows,).
     """
 
+    rigid: Rigid
     terms: tuple[Term, ...]
     links: np.ndarray
     offset: np.ndarray
@@ -136,7 +143,8 @@ def make_rigid(case: Case, terms: Sequence[Term]) -> Rigid:
     if offset:
         below[-6:] *= 1e-6  # nothing is known of an offset
     q, r = np.linalg.qr(np.vstack([data, below]))
-    return Rigid(case, root, offset, q, r, len(data))
+    volume = sum(float(np.linalg.slogdet(s.covariance)[1].sum()) for s in case.stretches)
+    return Rigid(case, root, offset, q, r, len(data), volume)
 
 
 def offset_columns(stretch: Stretch) -> np.ndarray:
@@ -235,8 +243,8 @@ def fit(rigid: Rigid, terms: Sequence[Term], start: Fit | None = None, steps: in
     values, vectors = _eigen(kept / safe)
     covariance = (vectors / values) @ vectors.T / np.outer(safe, safe)
     covariance = _widened(rigid, covariance, kept, rows)
-    score = -0.5 * chi2 - _price(rigid, terms, free, kept)
-    return Fit(terms, links, offset, chi2, len(values), score, covariance, free, u, rows)
+    score = -0.5 * chi2 - 0.5 * rigid.volume - _price(rigid, terms, free, kept)
+    return Fit(rigid, terms, links, offset, chi2, len(values), score, covariance, free, u, rows)
 
 
 def _widened(rigid: Rigid, covariance: np.ndarray, kept: np.ndarray, rows: np.ndarray) -> np.ndarray:

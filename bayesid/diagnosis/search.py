@@ -3,24 +3,27 @@
 Effects are added one by one; after each, every effect found earlier is exchanged against its rivals with the others
 held, for a first choice made beside a missing second effect is often the wrong one. Evidence is counted in
 units of what the richest linear model leaves unexplained: a stranger in the data then raises the bar for all names.
+
+A flexible joint or mount makes much more of encoders' errors than other models do, so it competes under the noise that
+it makes itself; under the noise of stiff joints its own errors would count against it.
 """
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import cvxpy as cp
 import numpy as np
 from scipy.stats import chi2
 
 from bayesid import inertia
-from bayesid.diagnosis.candidates import SINGLE, Library, Proposal, make_library, orthonormal
+from bayesid.diagnosis.candidates import SINGLE, UNEXPLAINED, Library, Proposal, make_library, orthonormal
 from bayesid.diagnosis.case import with_noise_of
 from bayesid.diagnosis.fit import Fit, Rigid, fit, make_rigid, term_rows
 from bayesid.diagnosis.floor import with_floor_of
-from bayesid.effects import Term
+from bayesid.effects import SOFT, Term
 from bayesid.priors import Prior
 from bayesid.regression import in_order
 
@@ -107,15 +110,17 @@ def search(rigid: Rigid, terms: Sequence[Term], seed: int, progress: Callable[[s
     progress("what each effect would explain")
     first = library.propose(base)
     best, temper = base, library.temper(base)
+    noises = _Noises(seed, base.terms, {_soft(base.terms): library})
     for _ in range(MOST):
         progress("naming what is missing")
-        better = _forward(library, best, temper)
+        better = _forward(noises, best, temper)
         if better is None:
             break
         best = better
-        best = _exchanged(library, best, len(base.terms), temper)
-        temper = library.temper(best)
-    best = _pruned(library, best, len(base.terms), temper)
+        if _families_of(best.terms[len(base.terms) :]) < MOST:  # with so many it is a patchwork, however well chosen
+            best = _exchanged(noises, best, len(base.terms), temper)
+        temper = noises.library(best).temper(best)
+    best = _pruned(noises, best, len(base.terms), temper)
     if len(best.terms) > len(base.terms):
         progress("noise as the new model passes it on")
         known = rigid.case.floor_known
@@ -124,16 +129,55 @@ def search(rigid: Rigid, terms: Sequence[Term], seed: int, progress: Callable[[s
         rigid, base, library = _prepared(make_rigid(replace(case, floor_known=known), best.terms), base.terms, best)
         best = fit(rigid, best.terms, best)
         temper = library.temper(best)
-        best = _pruned(library, best, len(base.terms), temper)
+        noises = _Noises(seed, base.terms, {_soft(best.terms): library})
+        best = _pruned(noises, best, len(base.terms), temper)
     progress("rivals")
-    for _ in range(_SWEEPS):
-        found, better = _found(library, best, len(base.terms), temper)
+    # Where a stranger is left, nothing will be named, and nothing needs rivals.
+    for _ in range(_SWEEPS if best.chi2 < UNEXPLAINED * rigid.rows else 0):
+        found, better = _found(noises, best, len(base.terms), temper)
         if better is None:
             break
         best = better
     else:
-        found, _ = _found(library, best, len(base.terms), temper, exchange=False)
-    return Search(rigid, base, best, found, temper, tuple(first), library)
+        found, _ = _found(noises, best, len(base.terms), temper, exchange=False)
+    library = noises.library(best)
+    return Search(library.rigid, library.base, best, found, temper, tuple(first), library)
+
+
+def _soft(terms: Sequence[Term]) -> tuple[str, ...]:
+    """Those among effects that make much more of encoders' errors."""
+    return tuple(sorted(t.effect.spec for t in terms if t.effect.name in SOFT))
+
+
+@dataclass(eq=False)
+class _Noises:
+    """Libraries by the noise that models make: one for each set of soft effects, made when first needed."""
+
+    seed: int
+    known: tuple[Term, ...]
+    libraries: dict[tuple[str, ...], Library]
+    rigids: dict[tuple[str, ...], Rigid] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.rigids = {key: library.rigid for key, library in self.libraries.items()}
+
+    def own(self, fitted: Fit) -> Fit:
+        """A model refitted under the noise that it makes itself."""
+        key = _soft(fitted.terms)
+        case = fitted.rigid.case
+        if key not in self.rigids:
+            if not case.floor_known:
+                return fitted  # what the richest model leaves stands in for the noise, whatever makes it
+            self.rigids[key] = make_rigid(with_noise_of(case, fitted.links, fitted.terms, self.seed), fitted.terms)
+        rigid = self.rigids[key]
+        return fitted if fitted.rigid is rigid else fit(rigid, fitted.terms, fitted)
+
+    def library(self, fitted: Fit) -> Library:
+        """All effects' columns under the noise that a model was fitted with."""
+        key = next(key for key, rigid in self.rigids.items() if rigid is fitted.rigid)
+        if key not in self.libraries:
+            self.libraries[key] = make_library(fitted.rigid, fit(fitted.rigid, self.known, fitted))
+        return self.libraries[key]
 
 
 def _prepared(rigid: Rigid, terms: Sequence[Term], best: Fit | None) -> tuple[Rigid, Fit, Library]:
@@ -147,11 +191,12 @@ def _prepared(rigid: Rigid, terms: Sequence[Term], best: Fit | None) -> tuple[Ri
     return rigid, base, make_library(rigid, base)
 
 
-def _forward(library: Library, best: Fit, temper: float) -> Fit | None:
+def _forward(noises: _Noises, best: Fit, temper: float) -> Fit | None:
     """The best exact fit with one effect more, or with one kind of effect at several joints, if the data demand it."""
-    proposals = library.propose(best)
-    fits = _exact(library, best, best.terms, proposals, temper)
-    fits += [fit(library.rigid, (*best.terms, *terms), best) for terms in _families(library, proposals, temper)]
+    library = noises.library(best)
+    proposals = library.propose(best, resonances=True)
+    fits = _exact(noises, best, best.terms, proposals, temper)
+    fits += [noises.own(fit(best.rigid, (*best.terms, *terms), best)) for terms in _families(library, proposals, temper)]
     top = max(fits, key=lambda f: f.score, default=None)
     return None if top is None or top.score - best.score < ACCEPT * temper else top
 
@@ -173,12 +218,12 @@ def _families(library: Library, proposals: Sequence[Proposal], temper: float) ->
 
 
 def _exact(
-    library: Library, start: Fit, held: Sequence[Term], proposals: Sequence[Proposal], temper: float, most: int = _FITTED
+    noises: _Noises, start: Fit, held: Sequence[Term], proposals: Sequence[Proposal], temper: float, most: int = _FITTED
 ) -> list[Fit]:
-    """Exact fits of the most promising proposals beside the effects held, best first."""
+    """Exact fits of the most promising proposals beside the effects held, each under its own noise, best first."""
     terms = [term for p in _shortlist(proposals, temper, most) for term in (p.term, *p.others)]
-    fits = in_order(lambda term: fit(library.rigid, (*held, term), start), terms)
-    return sorted(fits, key=lambda f: -f.score)
+    fits = in_order(lambda term: fit(start.rigid, (*held, term), start), terms)
+    return sorted((noises.own(f) for f in fits), key=lambda f: -f.score)
 
 
 def _shortlist(proposals: Sequence[Proposal], temper: float, most: int) -> list[Proposal]:
@@ -192,7 +237,7 @@ def _shortlist(proposals: Sequence[Proposal], temper: float, most: int) -> list[
     return kept
 
 
-def _exchanged(library: Library, best: Fit, known: int, temper: float) -> Fit:
+def _exchanged(noises: _Noises, best: Fit, known: int, temper: float) -> Fit:
     """Each effect found against its rivals, the others held, until no exchange is for the better.
 
     An effect with a shape (a contact's time and point, a hose's anchor) is its own rival, too: beside other effects
@@ -204,9 +249,10 @@ def _exchanged(library: Library, best: Fit, known: int, temper: float) -> Fit:
             own, held = best.terms[i], tuple(t for k, t in enumerate(best.terms) if k != i)
             if not held or _in_family(best.terms, i):
                 continue  # the first effect alone has just been chosen against all others, a family by many joints
-            without = fit(library.rigid, held, best, steps=4)
-            rivals = [p for p in library.propose(without) if p.name != own.effect.spec or len(own.effect.kind.shape) > 1]
-            fits = _exact(library, without, held, rivals, temper, most=4)
+            without = noises.own(fit(best.rigid, held, best, steps=4))
+            proposals = noises.library(without).propose(without)
+            rivals = [p for p in proposals if p.name != own.effect.spec or len(own.effect.kind.shape) > 1]
+            fits = _exact(noises, without, held, rivals, temper, most=4)
             if fits and fits[0].score > best.score + temper:
                 best = fits[0]
         if best is before:
@@ -214,29 +260,34 @@ def _exchanged(library: Library, best: Fit, known: int, temper: float) -> Fit:
     return best
 
 
+def _families_of(terms: Sequence[Term]) -> int:
+    """How many kinds of effects there are."""
+    return len({t.effect.name for t in terms})
+
+
 def _in_family(terms: Sequence[Term], index: int) -> bool:
     """Whether the same kind of effect is in the model at other joints, too."""
     return sum(t.effect.name == terms[index].effect.name for t in terms) > 1
 
 
-def _standing(rigid: Rigid, best: Fit, index: int, temper: float) -> float:
+def _standing(best: Fit, index: int, temper: float) -> float:
     """Log evidence of one effect among many from its estimate and covariance alone, without a fit that leaves it out."""
     at = [column for column, (owner, _) in enumerate(best.free) if owner == index]
     values, covariance = np.array(best.terms[index].values), best.covariance[np.ix_(at, at)]
     size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     squared = float(values / size @ np.linalg.pinv(covariance / np.outer(size, size), hermitian=True) @ (values / size))
-    return (0.5 * squared - 0.5 * len(at) * np.log(rigid.rows)) / temper
+    return (0.5 * squared - 0.5 * len(at) * np.log(best.rigid.rows)) / temper
 
 
-def _pruned(library: Library, best: Fit, known: int, temper: float) -> Fit:
+def _pruned(noises: _Noises, best: Fit, known: int, temper: float) -> Fit:
     """Without effects that the others have made superfluous."""
     i = known
     while i < len(best.terms):
-        if _in_family(best.terms, i) and _standing(library.rigid, best, i, temper) > ACCEPT:
+        if _in_family(best.terms, i) and _standing(best, i, temper) > ACCEPT:
             i += 1
             continue
         held = tuple(t for k, t in enumerate(best.terms) if k != i)
-        without = fit(library.rigid, held, best)
+        without = noises.own(fit(best.rigid, held, best))
         if best.score - without.score < ACCEPT * temper:
             best = without
         else:
@@ -245,30 +296,31 @@ def _pruned(library: Library, best: Fit, known: int, temper: float) -> Fit:
 
 
 def _found(
-    library: Library, best: Fit, known: int, temper: float, *, exchange: bool = True
+    noises: _Noises, best: Fit, known: int, temper: float, *, exchange: bool = True
 ) -> tuple[tuple[Found, ...], Fit | None]:
     """The effects of the best model with their rivals; and a model with a rival that turned out to be better, if any."""
     out = []
+    alone = best.chi2 >= UNEXPLAINED * best.rigid.rows
     for i in range(known, len(best.terms)):
         at = [column for column, (index, _) in enumerate(best.free) if index == i]
         std = np.sqrt(np.maximum(temper * np.diag(best.covariance)[at], 0.0))
         term = _turned_back(best.terms[i])
-        if _in_family(best.terms, i):
-            out.append(Found(term, _standing(library.rigid, best, i, temper), std))
+        if alone or _in_family(best.terms, i):
+            out.append(Found(term, _standing(best, i, temper), std))
             continue
         held = tuple(t for k, t in enumerate(best.terms) if k != i)
-        without = fit(library.rigid, held, best)
-        proposals = [p for p in library.propose(without) if p.name != term.effect.spec]
-        fits = _exact(library, without, held, proposals, temper)
+        without = noises.own(fit(best.rigid, held, best))
+        proposals = [p for p in noises.library(without).propose(without) if p.name != term.effect.spec]
+        fits = _exact(noises, without, held, proposals, temper)
         if exchange and fits and fits[0].score > best.score + temper:
             return (), fits[0]
-        named, bonus = _as_payload(library.rigid, best, i, temper)
+        named, bonus = _as_payload(best, i, temper)
         lacks: dict[str, tuple[Term, float]] = {}
         for f in reversed(fits):
-            rival, own = _as_payload(library.rigid, f, len(f.terms) - 1, temper)
+            rival, own = _as_payload(f, len(f.terms) - 1, temper)
             lacks[f.terms[-1].effect.spec] = (rival, (best.score - f.score) / temper + bonus - own)
         rivals = [
-            (t, lack) for t, lack in lacks.values() if lack < RIVAL and not _contains(library.rigid, without, t, term)
+            (t, lack) for t, lack in lacks.values() if lack < RIVAL and not _contains(without, t, term)
         ]  # fmt: skip
         term = _turned_back(named)
         out.append(Found(term, (best.score - without.score) / temper, std, tuple(rivals)))
@@ -283,9 +335,9 @@ def _turned_back(term: Term) -> Term:
     return replace(term, values=(amplitude, periods, float((phase + np.pi) % (2.0 * np.pi) - np.pi)))
 
 
-def _contains(rigid: Rigid, without: Fit, wider: Term, term: Term) -> bool:
+def _contains(without: Fit, wider: Term, term: Term) -> bool:
     """Whether an effect can do all that another does and more (a spring, an offset): no rival, but a longer name for it."""
-    case = rigid.case
+    rigid, case = without.rigid, without.rigid.case
     outer, inner = (
         rigid.rest(rigid.padded(term_rows(case, case.stretches, without.links, without.terms, t))) for t in (wider, term)
     )
@@ -296,7 +348,7 @@ def _contains(rigid: Rigid, without: Fit, wider: Term, term: Term) -> bool:
     return bool(np.linalg.norm(left) < _WITHIN * np.linalg.norm(inner))
 
 
-def _as_payload(rigid: Rigid, fitted: Fit, index: int, temper: float) -> tuple[Term, float]:
+def _as_payload(fitted: Fit, index: int, temper: float) -> tuple[Term, float]:
     """A change of a link as an attached body, if a possible body is near enough, and what that adds to its evidence.
 
     Among all changes of a link as large as itself few are bodies that could be attached: if the one found is, that speaks
@@ -324,9 +376,9 @@ def _as_payload(rigid: Rigid, fitted: Fit, index: int, temper: float) -> tuple[T
             return term, 0.0
     if body.value is None or chi2.sf(distance, 10) < _POSSIBLE:
         return term, 0.0
-    effect = next(e for e in rigid.case.places("payload") if e.where == term.effect.where)
+    effect = next(e for e in fitted.rigid.case.places("payload") if e.where == term.effect.where)
     joint = effect.joint or 0
-    return Term(effect, tuple(size * body.value)), _rarity(rigid.case.links[10 * joint : 10 * joint + 10])
+    return Term(effect, tuple(size * body.value)), _rarity(fitted.rigid.case.links[10 * joint : 10 * joint + 10])
 
 
 def _rarity(link: np.ndarray) -> float:

@@ -3,10 +3,11 @@
 from bayesid.effects.catalogue import CONTACT_RAMP, KINDS, REST_SPEED, Kind
 from bayesid.effects.effect import Effect, Scene, State, Term, middle_of, parse_effects, places
 from bayesid.effects.linearised import PLAIN, Point, linearised, moved, reach_of, starting_point
-from bayesid.effects.model import columns, readings, rigid_columns
+from bayesid.effects.model import SOFT, columns, readings, rigid_columns
 from bayesid.effects.sizes import typical
 
 __all__ = [
-    "CONTACT_RAMP", "KINDS", "PLAIN", "REST_SPEED", "Effect", "Kind", "Point", "Scene", "State", "Term", "columns", "linearised",
-    "middle_of", "moved", "parse_effects", "places", "reach_of", "readings", "rigid_columns", "starting_point", "typical",
+    "CONTACT_RAMP", "KINDS", "PLAIN", "REST_SPEED", "SOFT", "Effect", "Kind", "Point", "Scene", "State", "Term", "columns",
+    "linearised", "middle_of", "moved", "parse_effects", "places", "reach_of", "readings", "rigid_columns", "starting_point",
+    "typical",
 ]  # fmt: skip

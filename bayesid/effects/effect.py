@@ -26,7 +26,10 @@ class Scene:
     still
         Whether every sample is a pose at rest of its own.
     bandwidth
-        Of the joint motion [Hz]; what is differentiated again is smoothed to less.
+        Of the joint motion [Hz].
+    clear
+        Up to where motion stands out of the encoders' noise [Hz]: what is differentiated again is smoothed to this, default
+        a share of the bandwidth.
     middle
         Joint positions at the middle of the motion (n,), for effects that refer to it; default `middle_of` this
         stretch.
@@ -39,6 +42,7 @@ class Scene:
     still: bool = False
     bandwidth: float = 10.0
     middle: np.ndarray | None = None
+    clear: float | None = None
     cache: dict = field(default_factory=dict, init=False, repr=False)
 
     @property

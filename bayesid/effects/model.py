@@ -21,6 +21,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from bayesid.effects.effect import Effect, Scene, Term, sense
+from bayesid.effects.flexible import link_motion, splines
 from bayesid.effects.forces import LOADS, Loads, body_of, rotor_couple
 from bayesid.effects.kinematics import (
     P,
@@ -38,13 +39,13 @@ from bayesid.effects.sensor import DRIVE, SENSOR, SensorChain, delayed, inside_j
 from bayesid.errors import InputError
 from bayesid.momentum import Channels, torque_channels
 from bayesid.robot import Robot
-from bayesid.smoothing import smooth
 
-_SOFT = ("joint_flexibility", "base_compliance")
+#: Effects that differentiate a load again; encoders' errors pass through them much enlarged.
+SOFT = ("joint_flexibility", "base_compliance")
 _BODIES = ("payload", "inertia_error")
-#: A joint's torque is differentiated twice where the joint gives: it is smoothed to this share of the bandwidth first.
+#: A joint's torque is differentiated twice where the joint gives: smoothed to this share of the bandwidth, unless its scene says
+#: up to where it is clear.
 SOFT_BANDWIDTH = 0.7
-_PASSES = 3  # of a flexible joint's torque, which depends on where the link is
 _KEPT = 6  # results kept with a scene
 
 #: Steps of central differences, by parameter; relative to the value where that is larger.
@@ -133,7 +134,7 @@ class Model:
     def _key(self) -> tuple:
         """What the links' motion depends on."""
         pose = tuple(sorted((t.effect.joint, t.values) for t in self._of("encoder_offset")))
-        if not self._of(*_SOFT):
+        if not self._of(*SOFT):
             return (id(self.robot), pose)
         physical = tuple((t.effect, t.values) for t in self.terms if t.effect.name not in (*SENSOR, *DRIVE))
         return (id(self.robot), pose, self.links.tobytes(), physical)
@@ -185,20 +186,27 @@ class Model:
         compliance = np.zeros(robot.n)
         for term in soft:
             compliance[term.effect.joint] += term.values[0]
-        which = np.flatnonzero(compliance)
-        link = (q, v, a)
-        for _ in range(_PASSES if len(which) else 0):
+
+        def torque(link):
             states = link_states(robot, *link)
-            torque = self._true(channels, carries, states, channel_twists(robot, channels, states), own=True)
-            give = compliance[which] * torque[:, which]
-            if scene.still or len(q) < 8:
-                parts = give, np.zeros_like(give), np.zeros_like(give)
-            else:
-                parts = smooth(scene.times, give, SOFT_BANDWIDTH * scene.bandwidth)
-            link = tuple(x.copy() for x in (q, v, a))
-            for x, part in zip(link, parts, strict=True):
-                x[:, which] -= part
-        return link
+            return self._true(channels, carries, states, channel_twists(robot, channels, states), own=True)
+
+        def inertia(joint: int) -> np.ndarray:
+            if not compliance[joint]:
+                return np.zeros(len(q))
+            states = link_states(robot, q, np.zeros_like(q), np.broadcast_to(np.eye(robot.n)[joint], q.shape))
+            wrench = body_wrenches(states, self.row_of, self.bodies, np.zeros(3))
+            return project(channel_twists(robot, channels, states), wrench, carries)[:, joint]
+
+        if not compliance.any():
+            return q, v, a
+        if scene.still or len(q) < 8:
+            return link_motion((q, v, a), torque, compliance, np.zeros_like(q), None)
+        felt = np.stack([inertia(j) for j in range(robot.n)], axis=1)
+        cutoff = SOFT_BANDWIDTH * scene.bandwidth if scene.clear is None else scene.clear
+        if "splines" not in scene.cache:
+            scene.cache["splines"] = splines(scene.times, cutoff)
+        return link_motion((q, v, a), torque, compliance, felt, scene.cache["splines"])
 
     # -- the true wrench and torques
 
@@ -230,7 +238,7 @@ class Model:
 
     def _true(self, channels: Channels, carries, states, twists, own: bool = False) -> np.ndarray:
         """True wrench and link-side torques of some channels (N, c)."""
-        if own or not self._of(*_SOFT, *LOADS, "rotor_momentum"):
+        if own or not self._of(*SOFT, *LOADS, "rotor_momentum"):
             wrench = body_wrenches(states, self.row_of, self.bodies, self.gravity)
         else:
             wrench = self._wrenches.copy()
@@ -339,7 +347,7 @@ class Model:
             return self.tangent(self._rotor_reading(self.channels, self.carries, self.states, self.twists, term)[:, :, None])
         if name in LOADS:
             return self.tangent(self._difference(term, self._load_reading))
-        if name == "base_tilt" and not self._of(*_SOFT):
+        if name == "base_tilt" and not self._of(*SOFT):
             return self.tangent(self._difference(term, self._tilt_reading))
         return self._difference(term, lambda t: self._with(t).readings)
 

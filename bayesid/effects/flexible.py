@@ -1,0 +1,85 @@
+"""Where the link of a flexible joint is, from where its motor is: q_motor = q_link + compliance x torque(q_link).
+
+The torque depends on the link's acceleration, so this is a differential equation for the link. Putting the last link
+motion into the right-hand side in turns diverges where ``compliance I w^2 > 1``, above the joint's resonance, where link and
+motor move against each other. So each turn's remainder r is divided by what the joint's own inertia I makes of a change d
+of the link's motion, ``r = d + compliance I(q) d''``, in least squares over splines: at the resonance itself the motor stands
+still whatever the link does, and nothing can be said.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy import sparse
+from scipy.interpolate import BSpline
+from scipy.sparse.linalg import splu
+
+from bayesid.smoothing import DEGREE
+
+Motion = tuple[np.ndarray, np.ndarray, np.ndarray]
+Basis = tuple[sparse.csr_array, ...]
+
+_TURNS = 5
+#: Near the resonance, where ``|1 - compliance I w^2|`` is less than the root of this, little is corrected.
+_DAMPING = 0.05
+
+
+def link_motion(
+    motor: Motion,
+    torque: Callable[[Motion], np.ndarray],
+    compliance: np.ndarray,
+    inertia: np.ndarray,
+    basis: Basis | None,
+) -> Motion:
+    """Link-side positions, velocities and accelerations, (N, n) each.
+
+    Parameters
+    ----------
+    motor
+        Motor-side positions, velocities and accelerations, (N, n) each.
+    torque
+        Joint torques (N, n) that a link motion takes.
+    compliance
+        (n,) [rad/(N m) or m/N]; zero for stiff joints.
+    inertia
+        That each joint feels (N, n) [kg m^2 or kg].
+    basis
+        Functions of time in which links move otherwise than motors, `splines`; None: every sample is a pose at rest.
+    """
+    which = np.flatnonzero(compliance)
+    link = (motor[0].copy(), motor[1].copy(), motor[2].copy())
+    if basis is None:
+        for _ in range(_TURNS):
+            link[0][:, which] = motor[0][:, which] - (compliance * torque(link))[:, which]
+        return link
+    systems = []
+    for j in which:
+        own = sparse.diags_array(compliance[j] * inertia[:, j]) @ basis[2]
+        system = basis[0] + own
+        systems.append((system.T, splu((system.T @ system + _DAMPING * own.T @ own).tocsc())))
+    for _ in range(_TURNS):
+        left = motor[0] - compliance * torque(link) - link[0]
+        for j, (transposed, factor) in zip(which, systems, strict=True):
+            change = factor.solve(transposed @ left[:, j])
+            for mine, part in zip(link, basis, strict=True):
+                mine[:, j] += part @ change
+    return link
+
+
+def splines(times: np.ndarray, cutoff: float) -> Basis:
+    """Quintic B-splines at times (N,) [s] with nothing above a cutoff [Hz], and their first two derivatives, (N, k) each."""
+    spacing = 0.5 / cutoff
+    pieces = max(int((times[-1] - times[0]) / spacing), 1)
+    spacing = (times[-1] - times[0]) / pieces
+    knots = times[0] + spacing * np.arange(-DEGREE, pieces + DEGREE + 1)
+    inside = np.clip(times, knots[DEGREE], knots[-DEGREE - 1])
+    out = []
+    for order in range(3):
+        part = BSpline.design_matrix(inside, knots[order : len(knots) - order], DEGREE - order)
+        # A uniform spline's derivative is one of a degree less, with its coefficients' differences.
+        size = pieces + DEGREE
+        difference = np.diff(np.eye(size), n=order, axis=0) / spacing**order
+        out.append(sparse.csr_array(part @ sparse.csr_array(difference)))
+    return tuple(out)
