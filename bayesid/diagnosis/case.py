@@ -8,6 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
+from bayesid.diagnosis.repeats import find_rests
+from bayesid.diagnosis.scatter import Encoders, Spectrum, measure
 from bayesid.diagnosis.spectra import Stretch, encoder_count, low_passed, sensor_noise, with_noise
 from bayesid.effects import Effect, Scene, Term, places, readings, rigid_columns
 from bayesid.errors import InputError
@@ -21,6 +23,9 @@ from bayesid.tables import Table, usual_step
 
 #: Trajectories are smoothed at least this loosely [Hz]; what their noise does above the motion is weighed, not cut.
 BANDWIDTH = 12.0
+#: Loads that are differentiated again are smoothed to where motion stands out of the encoders' noise, fitted ones to this share
+#: of it: what is left of the noise would make an estimate too small, and does no such harm to a prediction.
+FITTED = 0.7
 #: Trust in links of which nothing is known: they may be many times their nominal size.
 UNKNOWN_TRUST = 100.0
 #: Predictions are made at this rate [Hz]; friction reverses at once and needs a higher one.
@@ -69,6 +74,11 @@ class Case:
     floor_known
         Whether the noise was measured. Where readings were filtered before they were recorded it cannot be, and what the
         richest model leaves stands in for it.
+    floor_source
+        Where the noise of moving readings comes from: ``white noise above the band``, ``repeats``, ``parked``, ``stated``
+        or ``richest model``.
+    spectrum
+        The noise of moving readings where it was measured by frequency, on repeats or at rest.
     """
 
     experiment: Experiment
@@ -79,6 +89,8 @@ class Case:
     prior: Prior | None
     terms: tuple[Term, ...]
     floor_known: bool = True
+    floor_source: str = "white noise above the band"
+    spectrum: Spectrum | None = None
 
     @property
     def robot(self) -> Robot:
@@ -149,12 +161,13 @@ def make_case(
     if not chosen:
         raise InputError(f"no motion with readings for --channel {channel} can be fitted; add one with role identification")
     unseen = [m for m in usable if m.role == "validation" and m.name not in names]
-    bandwidth = _bandwidth(experiment, [*chosen, *unseen])
+    rate = min(1.0 / usual_step(m.table.times) for m in [*chosen, *unseen])
+    bandwidth = min(max(_clear(experiment, [*chosen, *unseen]), BANDWIDTH), 0.2 * rate)
     # One mount, one stiffness: "the middle of the motion" is the same pose for all motions, the one that the first
     # motion starts from, about which an exciting motion swings.
     middle = chosen[0].table.positions[0]
-    fitted = [s for m in chosen for s in _stretches(m, channel, bandwidth, middle)]
-    others = [s for m in unseen for s in _stretches(m, channel, bandwidth, middle)]
+    fitted = [s for m in chosen for s in _stretches(m, channel, bandwidth, middle, FITTED * _clear(experiment, [m]))]
+    others = [s for m in unseen for s in _stretches(m, channel, bandwidth, middle, _clear(experiment, [m]))]
     if not fitted:
         raise InputError(f"the motions to fit have no stretch of {_SHORTEST:g} s without a gap; record longer ones")
     trust = experiment.inertia_rel_std
@@ -168,15 +181,14 @@ def _has(table: Table, channel: str) -> bool:
     return {"wrench": wrench, "torque": torque, "both": wrench and torque}[channel]
 
 
-def _bandwidth(experiment: Experiment, motions: Sequence[Motion]) -> float:
+def _clear(experiment: Experiment, motions: Sequence[Motion]) -> float:
+    """Up to where motions stand out of the encoders' noise, at most 20 Hz."""
     pieces = [(m.table.times[p], m.table.positions[p]) for m in motions for p in m.table.segments() if p.stop - p.start > 40]
     pieces = [(t[:5000], q[:5000]) for t, q in pieces]
-    rate = min((1.0 / usual_step(t) for t, _ in pieces), default=100.0)
-    chosen = choose_smoother(pieces, experiment.position_resolution, experiment.position_std).bandwidth if pieces else BANDWIDTH
-    return min(max(chosen, BANDWIDTH), 0.2 * rate)
+    return choose_smoother(pieces, experiment.position_resolution, experiment.position_std).bandwidth if pieces else BANDWIDTH
 
 
-def _stretches(motion: Motion, channel: str, bandwidth: float, middle: np.ndarray) -> list[Stretch]:
+def _stretches(motion: Motion, channel: str, bandwidth: float, middle: np.ndarray, clear: float) -> list[Stretch]:
     tables = [(motion.table, False)]
     # At rest drives hold with friction whatever it takes; only the wrench of a static run is a measurement.
     if channel == "wrench" and motion.static is not None and motion.static.wrench is not None and motion.stop_and_go:
@@ -193,7 +205,7 @@ def _stretches(motion: Motion, channel: str, bandwidth: float, middle: np.ndarra
             read = _readings(table, channel)[part]
             rate = FRICTION_RATE if channel != "wrench" else SMOOTH_RATE
             positions = table.positions[part]
-            scene = smoothed(times, positions, _grid(times, rate), bandwidth, still, middle)
+            scene = smoothed(times, positions, _grid(times, rate), bandwidth, still, middle, clear)
             torques = tuple((read.shape[1] - scene.positions.shape[1] + j, j) for j in range(scene.positions.shape[1]))
             torques = () if channel == "wrench" else torques
             out.append(Stretch(motion.name, motion.role, times, positions, read, scene, still, torques, np.zeros(0)))
@@ -208,11 +220,19 @@ def _grid(times: np.ndarray, rate: float) -> np.ndarray:
 
 
 def smoothed(
-    times: np.ndarray, positions: np.ndarray, grid: np.ndarray, bandwidth: float, still: bool, middle: np.ndarray
+    times: np.ndarray,
+    positions: np.ndarray,
+    grid: np.ndarray,
+    bandwidth: float,
+    still: bool,
+    middle: np.ndarray,
+    clear: float | None = None,
 ) -> Scene:
     """The scene of encoder readings (N, n) on a grid (M,)."""
     q, v, a = smooth(times, positions, bandwidth, at=np.clip(grid, times[0], times[-1]))
-    return Scene(grid, q, 0.0 * v, 0.0 * a, True, bandwidth, middle) if still else Scene(grid, q, v, a, False, bandwidth, middle)
+    if still:
+        v, a = 0.0 * v, 0.0 * a
+    return Scene(grid, q, v, a, still, bandwidth, middle, clear)
 
 
 def _readings(table: Table, channel: str) -> np.ndarray:
@@ -246,11 +266,54 @@ def with_noise_of(case: Case, links: np.ndarray, terms: Sequence[Term], seed: in
 
     def resmooth(stretch: Stretch, read: np.ndarray) -> Stretch:
         old = stretch.scene
-        scene = smoothed(stretch.times, read, old.times, old.bandwidth, stretch.still, old.middle_positions)
+        scene = smoothed(stretch.times, read, old.times, old.bandwidth, stretch.still, old.middle_positions, old.clear)
         return replace(stretch, scene=scene)
 
-    def noisy(stretches: Sequence[Stretch]) -> tuple[Stretch, ...]:
-        return tuple(with_noise(s, predict, resmooth, sensor[s.still], count, random, rng) for s in stretches)
+    filtered = low_passed(moving)
+    spectrum = case.spectrum
+    if not moving[0].covariance.size:  # the sensor's noise is the same whatever the model
+        encoders = Encoders(predict, resmooth, count, random, seed)
+        spectrum = measure(moving, _rests(case, count), sensor[False], filtered, encoders)
+    source = spectrum.source if spectrum else "white noise above the band" if not filtered else "richest model"
+    if filtered and spectrum is None and (stated_noise := _stated_noise(case)) is not None:
+        # A filter moves noise into the band: there is no less of it there than of one sample's.
+        sensor[False], source = np.maximum(sensor[False], stated_noise), "stated"
 
-    known = not low_passed([s for s in everything if not s.still])
-    return replace(case, stretches=noisy(case.stretches), unseen=noisy(case.unseen), floor_known=known)
+    def noisy(stretches: Sequence[Stretch]) -> tuple[Stretch, ...]:
+        out = []
+        for s in stretches:
+            noise = spectrum.at(s.frequencies, sensor[False]) if spectrum and not s.still else sensor[s.still]
+            out.append(with_noise(s, predict, resmooth, noise, count, random, rng))
+        return tuple(out)
+
+    fitted, unseen, known = noisy(case.stretches), noisy(case.unseen), spectrum is not None or not filtered
+    return replace(case, stretches=fitted, unseen=unseen, floor_known=known, floor_source=source, spectrum=spectrum)
+
+
+def _rests(case: Case, count: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Times (N,) and readings (N, c) where the robot stands still, in motions and in static runs sampled like them."""
+    moving = [s for s in (*case.stretches, *case.unseen) if not s.still]
+    names = {s.motion for s in moving}
+    step = float(np.median([s.step for s in moving]))
+    parts = [(s.times, s.encoders, s.readings) for s in moving]
+    for motion in case.experiment.motions:
+        table = motion.static
+        if motion.name in names and table is not None and not motion.stop_and_go and _has(table, case.channel):
+            # Rows of poses that were averaged one by one are no recording.
+            pieces = [p for p in table.segments() if p.stop - p.start > 2]
+            pieces = [p for p in pieces if abs(usual_step(table.times[p]) / step - 1.0) < 0.1]
+            parts += [(table.times[p], table.positions[p], _readings(table, case.channel)[p]) for p in pieces]
+    out = []
+    for times, encoders, read in parts:
+        for start, end in find_rests(times, encoders, count):
+            inside = (times >= start) & (times <= end)
+            out.append((times[inside], read[inside]))
+    return out
+
+
+def _stated_noise(case: Case) -> np.ndarray | None:
+    """Noise of one sample from the data sheet (c,), where the sensor is all that is compared."""
+    sensor = case.experiment.sensor
+    if case.channel != "wrench" or sensor is None or sensor.force_std is None or sensor.torque_std is None:
+        return None
+    return np.repeat([sensor.force_std, sensor.torque_std], 3)

@@ -12,6 +12,19 @@ from bayesid.diagnosis.case import Case
 from bayesid.diagnosis.fit import Fit
 from bayesid.diagnosis.spectra import Stretch
 
+#: What a diagnosis says of its noise floor, by where that comes from.
+SOURCES = {
+    "white noise above the band": "",
+    "repeats": "Noise floor measured on repeats: how far readings scatter where the motion repeats, by frequency. What does not "
+    "repeat, a single contact or a drive that sticks now and then, counts as noise.",
+    "parked": "Noise floor measured at rest: the readings' noise while the robot stands still, by frequency. What shakes only in "
+    "motion is not in it.",
+    "stated": "Noise floor unknown: the readings were filtered before they were recorded. The data sheet's noise is taken for "
+    "the least there is, and what the richest model of the library leaves beyond it for noise, too, so nothing can be said about "
+    "effects that the library lacks.",
+    "richest model": "Noise floor unknown: the readings were filtered before they were recorded, or hold far more than noise. "
+    "What the richest model of the library leaves stands in for it, so nothing can be said about effects that the library lacks.",
+}
 #: Edges of the frequencies that share a floor [Hz].
 _EDGES = np.concatenate([[0.0], np.geomspace(0.15, 10.0, 9)])
 
@@ -41,4 +54,6 @@ def with_floor_of(library: Library, fit: Fit) -> Case:
             out.append(replace(s, covariance=root @ root.transpose(0, 2, 1)))
         return tuple(out)
 
-    return replace(case, stretches=louder(case.stretches), unseen=louder(case.unseen), floor_known=False)
+    source = case.floor_source if case.floor_source == "stated" else "richest model"
+    fitted, unseen = louder(case.stretches), louder(case.unseen)
+    return replace(case, stretches=fitted, unseen=unseen, floor_known=False, floor_source=source)

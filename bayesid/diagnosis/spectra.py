@@ -240,7 +240,7 @@ def with_noise(
     resmooth
         The stretch with other encoder readings (N, n).
     sensor
-        White noise of one sample (c,).
+        Standard deviation of white noise of one sample (c,), or the covariance of a sample for every coefficient (K, c, c).
     resolution, position_std
         One encoder count and random noise on top, by joint (n,) [rad or m].
     rng
@@ -255,19 +255,26 @@ def with_noise(
         for _ in range(ROUNDINGS):
             # Where within a count the truth lies is unknown: another shift, another rounding.
             shift = rng.uniform(-0.5, 0.5, stretch.encoders.shape[1]) * resolution
-            q = smoothed_positions + shift
-            read = q + position_std * rng.normal(size=q.shape)
-            count = np.where(resolution > 0, resolution, 1.0)
-            read = np.where(resolution > 0, np.round(read / count) * count, read)
-            error = stretch.spectrum(predict(resmooth(stretch, read - shift)) - exact)
+            read = other_readings(smoothed_positions, shift, resolution, position_std, rng)
+            error = stretch.spectrum(predict(resmooth(stretch, read)) - exact)
             scatter += error[:, :, None] * error[:, None, :] / ROUNDINGS
         scatter = _pooled(scatter)
     weight = stretch.weight(stretch.times)
-    floor = np.diag(sensor**2) * (weight.T @ weight / len(weight))
+    floor = (np.diag(sensor**2) if sensor.ndim == 1 else sensor) * (weight.T @ weight / len(weight))
     rough = np.zeros_like(scatter)
     power = _pooled(signal[:, :, None] ** 2)[:, :, 0]
     rough[:, np.arange(channels), np.arange(channels)] = ACCURACY**2 * power
     return replace(stretch, covariance=floor + scatter + rough)
+
+
+def other_readings(
+    positions: np.ndarray, shift: np.ndarray, resolution: np.ndarray, position_std: np.ndarray, rng: np.random.Generator
+) -> np.ndarray:
+    """What encoders whose counts lie elsewhere, by a shift (n,), would have read of positions (N, n) [rad or m]."""
+    q = positions + shift
+    read = q + position_std * rng.normal(size=q.shape)
+    count = np.where(resolution > 0, resolution, 1.0)
+    return np.where(resolution > 0, np.round(read / count) * count, read) - shift
 
 
 def _pooled(values: np.ndarray) -> np.ndarray:

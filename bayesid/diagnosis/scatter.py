@@ -1,0 +1,354 @@
+"""Noise measured where a recording says the same thing twice: a motion repeated, or a robot standing still.
+
+Between repeats of a motion the model's error is the same and cancels; what is left of the readings is noise, at all
+frequencies, the low ones included that a filter before the recording leaves coloured. With e = reading - prediction
+and a lag P the difference ``d(t) = e(t + P) - e(t)`` has the spectrum
+
+    S_d(f) = 2 (1 - cos(2 pi f P)) S(f),   2 S(f) on average over a band wider than 1 / P.
+
+The prediction takes out how far the motion itself failed to repeat, and brings in the encoders' errors. Those repeat
+with the positions, but not entirely; the share that does not is found by the same difference of simulated roundings,
+and subtracted. At rest the readings about their linear trend have the spectrum S(f) itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.fft import dct, idct
+from scipy.interpolate import CubicSpline
+
+from bayesid.diagnosis.repeats import Repeat, find_repeats
+from bayesid.diagnosis.spectra import BAND, ROUNDINGS, Stretch, other_readings, taper
+from bayesid.smoothing import smooth
+
+#: Frequency from which on a floor has to be measured to be called known [Hz], and degrees of freedom it needs.
+REACH, ENOUGH = 0.5, 120.0
+#: Degrees of freedom of one band at least, for a standard deviation to 13 %, and how much wider each is in ratio.
+_EACH, _WIDER = 30.0, 1.15
+#: What is left of a power once the encoders' share is subtracted is never taken for less than this share of it.
+_LEAST = 0.05
+#: Ratio of measured to white noise, in the median of windows of so long [s], from which on noise is coloured.
+_COLOURED, _WINDOW = 2.0, 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """Samples of nothing but noise.
+
+    Attributes
+    ----------
+    times, values
+        (N,) [s] and (N, c), without trend.
+    weight
+        (N, c): falls to zero at both ends, and where a joint may stick.
+    gain
+        Power of the values in units of one reading's noise: 2 for differences, 1 at rest.
+    lowest
+        Frequency from which on it can be seen [Hz].
+    share
+        Degrees of freedom for each coefficient.
+    known
+        Simulated values (k, N, c) of what does not count as the sensor's noise.
+    """
+
+    times: np.ndarray
+    values: np.ndarray
+    weight: np.ndarray
+    gain: float
+    lowest: float
+    share: float
+    known: np.ndarray
+
+    @property
+    def frequencies(self) -> np.ndarray:
+        """Of the coefficients in the band (K,) [Hz]."""
+        length = len(self.times) * (self.times[-1] - self.times[0]) / (len(self.times) - 1)
+        return 0.5 / length * np.arange(int(2.0 * length * BAND))
+
+    def power(self, values: np.ndarray) -> np.ndarray:
+        """Covariance of one sample of white noise that has the coefficients of values (N, c), by frequency (K, c, c)."""
+        z = np.asarray(dct(values * self.weight, axis=0, norm="ortho"))[: len(self.frequencies)]
+        norm = self.gain * (self.weight.T @ self.weight) / len(self.weight)
+        return z[:, :, None] * z[:, None, :] / np.maximum(norm, 1e-12)
+
+
+@dataclass(frozen=True, eq=False)
+class Spectrum:
+    """Noise of the readings by frequency.
+
+    Attributes
+    ----------
+    frequencies
+        Centres of bands (B,) [Hz].
+    std
+        Standard deviation of white noise that is as strong there (B, c).
+    correlation
+        Across channels (B, c, c).
+    freedom
+        Degrees of freedom of each band (B,).
+    lowest
+        Frequency from which on it was measured [Hz]; below, the lowest band's is taken.
+    source
+        ``repeats`` or ``parked``.
+    """
+
+    frequencies: np.ndarray
+    std: np.ndarray
+    correlation: np.ndarray
+    freedom: np.ndarray
+    lowest: float
+    source: str = ""
+
+    @property
+    def enough(self) -> bool:
+        """Whether it was measured where it matters, and often enough."""
+        return self.lowest <= REACH and float(self.freedom.sum()) >= ENOUGH
+
+    def at(self, frequencies: np.ndarray, least: np.ndarray | None = None) -> np.ndarray:
+        """Covariance of one sample (K, c, c) at frequencies (K,); standard deviations no smaller than least (c,)."""
+        x, knots = np.log(np.maximum(frequencies, 1e-3)), np.log(self.frequencies)
+        out = np.exp(np.stack([np.interp(x, knots, column) for column in np.log(self.std).T], axis=1))
+        out = out if least is None else np.maximum(out, least)
+        flat = self.correlation.reshape(len(knots), -1).T
+        between = np.stack([np.interp(x, knots, column) for column in flat], axis=1).reshape(-1, *self.correlation.shape[1:])
+        return out[:, :, None] * between * out[:, None, :]
+
+
+def repeat_pieces(
+    stretches: Sequence[Stretch],
+    repeats: Sequence[Repeat],
+    predict: Callable[[Stretch], np.ndarray],
+    roundings: Mapping[int, Sequence[Stretch]],
+) -> list[Piece]:
+    """Differences between repeats.
+
+    Parameters
+    ----------
+    stretches, repeats
+        Recordings, and where they repeat.
+    predict
+        Readings predicted for a stretch (M, c).
+    roundings
+        Every stretch several times more as other roundings of its encoders would have shown it.
+    """
+    predicted = {i: predict(stretches[i]) for r in repeats for i in (r.first, r.second)}
+    wrong = {i: [predict(s) - predicted[i] for s in roundings[i]] for i in predicted}
+    out = []
+    for r in repeats:
+        a, b = stretches[r.first], stretches[r.second]
+        times = a.times[(a.times >= r.start) & (a.times <= r.end)]
+        later = times + r.lag
+        values = _left(b, predicted[r.second], later) - _left(a, predicted[r.first], times)
+        errors = [
+            CubicSpline(b.scene.times, y)(later) - CubicSpline(a.scene.times, x)(times)
+            for x, y in zip(wrong[r.first], wrong[r.second], strict=True)
+        ]
+        edge = taper(times, times, a.scene.bandwidth)[:, None]
+        weight = edge * a.mobile(times) * b.mobile(later)
+        known = np.array([_detrended(times, e) for e in errors]).reshape(-1, *values.shape)
+        length, periodic = r.end - r.start, r.first == r.second
+        lowest = max(1.0 / length, 0.25 / r.lag if periodic else 0.0)
+        # Neighbouring differences share a period of the motion: their squares are correlated by a quarter.
+        share = 1.0 / (1.0 + 0.5 * max(1.0 - r.lag / length, 0.0)) if periodic else 1.0
+        out.append(Piece(times, _detrended(times, values), weight, 2.0, lowest, share * _kept(edge[:, 0]), known))
+    return out
+
+
+def _left(stretch: Stretch, predicted: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """Readings less predicted ones at any times within a stretch (k, c)."""
+    own = stretch.readings - CubicSpline(stretch.scene.times, predicted)(stretch.times)
+    return CubicSpline(stretch.times, own)(times)
+
+
+def rest_piece(times: np.ndarray, readings: np.ndarray, bandwidth: float) -> Piece:
+    """Readings (N, c) of a robot that stands still."""
+    edge = taper(times, times, bandwidth)
+    weight = np.repeat(edge[:, None], readings.shape[1], axis=1)
+    lowest = 1.5 / (times[-1] - times[0])
+    return Piece(times, _detrended(times, readings), weight, 1.0, lowest, _kept(edge), np.zeros((0, *readings.shape)))
+
+
+def _kept(weight: np.ndarray) -> float:
+    """Independent coefficients that a weight leaves of each."""
+    return float(np.sum(weight**2) ** 2 / (len(weight) * np.sum(weight**4)))
+
+
+def _detrended(times: np.ndarray, values: np.ndarray) -> np.ndarray:
+    line = np.vander((times - times.mean()) / np.ptp(times), 2)
+    return values - line @ np.linalg.lstsq(line, values, rcond=None)[0]
+
+
+def measured_spectrum(pieces: Sequence[Piece]) -> Spectrum | None:
+    """The spectrum of noise pooled over pieces, in bands of enough degrees of freedom; None if there are not enough."""
+    parts = []
+    for p in pieces:
+        seen = p.frequencies >= p.lowest
+        total = p.power(p.values)[seen]
+        known = np.mean([p.power(k)[seen] for k in p.known], axis=0) if len(p.known) else np.zeros_like(total)
+        parts.append((p.frequencies[seen], total, known, np.full(seen.sum(), p.share)))
+    if not parts:
+        return None
+    frequency, total, known, freedom = (np.concatenate(x) for x in zip(*parts, strict=True))
+    order = np.argsort(frequency, kind="stable")
+    frequency, total, known, freedom = frequency[order], total[order], known[order], freedom[order]
+    edges = _bands(frequency, freedom)
+    if len(edges) < 3:
+        return None
+
+    def banded(values: np.ndarray) -> np.ndarray:
+        flat = values.reshape(len(values), -1) * freedom[:, None]
+        return (np.add.reduceat(flat, edges[:-1], axis=0) / weight[:, None]).reshape(-1, *values.shape[1:])
+
+    weight = np.add.reduceat(freedom, edges[:-1])
+    all_, part = banded(total), banded(known)
+    if not np.all(np.einsum("bcc->bc", all_) > 0):
+        return None
+    rest = np.stack([_less(a, k) for a, k in zip(all_, part, strict=True)])
+    size = np.sqrt(np.einsum("bcc->bc", rest))
+    # As many degrees of freedom as there are make whitened squares larger than 1 by nu / (nu - 2) on average.
+    std = size * np.sqrt(weight / (weight - 2.0))[:, None]
+    centre = np.exp(banded(np.log(frequency)))
+    correlation = rest / (size[:, :, None] * size[:, None, :])
+    near = [slice(max(b - 1, 0), b + 2) for b in range(len(weight))]
+    sound = [_sound(np.average(correlation[n], axis=0, weights=weight[n]), float(weight[n].sum())) for n in near]
+    return Spectrum(centre, std, np.stack(sound), weight, float(frequency[0]))
+
+
+def _less(total: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """A covariance (c, c) less a part of it, in no direction less than `_LEAST` of what it was.
+
+    Encoders' errors come from a few joints and reach all channels: large in some directions, and nothing in others.
+    """
+    root = np.sqrt(np.diag(total))
+    values, vectors = np.linalg.eigh(total / np.outer(root, root))
+    half = root[:, None] * vectors * np.sqrt(np.maximum(values, 1e-9))
+    inverse = np.linalg.inv(half)
+    left, axes = np.linalg.eigh(np.eye(len(total)) - inverse @ known @ inverse.T)
+    out = half @ axes * np.sqrt(np.clip(left, _LEAST, 1.0))
+    return out @ out.T
+
+
+def _bands(frequency: np.ndarray, freedom: np.ndarray) -> np.ndarray:
+    """First indices of bands, wider with frequency, of at least `_EACH` degrees of freedom; the last is the end."""
+    edges, got = [0], 0.0
+    for i, f in enumerate(freedom):
+        got += f
+        if got >= _EACH and frequency[i] >= _WIDER * frequency[edges[-1]]:
+            edges.append(i + 1)
+            got = 0.0
+    if len(edges) > 1:
+        edges[-1] = len(freedom)
+    return np.array(edges)
+
+
+def _sound(correlation: np.ndarray, freedom: float) -> np.ndarray:
+    """A correlation matrix, shrunk by what so many degrees of freedom leave uncertain, without negative eigenvalues."""
+    channels = len(correlation)
+    out = correlation * freedom / (freedom + channels + 1.0)
+    values, vectors = np.linalg.eigh(0.5 * (out + out.T) + np.diag(1.0 - np.diag(out)))
+    out = (vectors * np.maximum(values, 0.02)) @ vectors.T
+    size = np.sqrt(np.diag(out))
+    return out / np.outer(size, size)
+
+
+def coloured(pieces: Sequence[Piece], white: np.ndarray, channels: Sequence[int]) -> bool:
+    """Whether noise in the band is stronger than the white noise (c,) read above it.
+
+    Judged by the median over windows of a second, so that what happened once, a contact, is not taken for noise; without
+    frequencies below a hertz, which do not stay within a window.
+    """
+    ratios = []
+    for p in pieces:
+        z = np.zeros(p.values.shape)
+        low, high = np.searchsorted(p.frequencies, 1.0 / _WINDOW), len(p.frequencies)
+        z[low:high] = np.asarray(dct(p.values * p.weight, axis=0, norm="ortho"))[low:high]
+        signal = np.asarray(idct(z, axis=0, norm="ortho"))
+        share = (high - low) / len(signal) * p.gain * p.weight**2
+        known = np.mean([p.power(k).diagonal(0, 1, 2).mean(axis=0) for k in p.known], axis=0) if len(p.known) else 0.0
+        pieces_ = max(int((p.times[-1] - p.times[0]) / _WINDOW), 1)
+        edges = np.linspace(0, len(signal), pieces_ + 1).astype(int)[:-1]
+        expected = np.add.reduceat(share * (white**2 + known), edges)
+        ratios.append(np.add.reduceat(signal**2, edges) / np.maximum(expected, 1e-300))
+    if not ratios:
+        return False
+    return bool(np.any(np.median(np.concatenate(ratios), axis=0)[list(channels)] > _COLOURED))
+
+
+@dataclass(frozen=True, eq=False)
+class Encoders:
+    """What their errors do to predictions.
+
+    Attributes
+    ----------
+    predict, resmooth
+        Readings predicted for a stretch (M, c); the stretch with other encoder readings (N, n).
+    resolution, position_std
+        One encoder count and random noise on top, by joint (n,) [rad or m].
+    seed
+        Of the roundings.
+    """
+
+    predict: Callable[[Stretch], np.ndarray]
+    resmooth: Callable[[Stretch, np.ndarray], Stretch]
+    resolution: np.ndarray
+    position_std: np.ndarray
+    seed: int
+
+    def roundings(self, stretches: Sequence[Stretch], wanted: set[int]) -> dict[int, list[Stretch]]:
+        """Stretches as other roundings would have shown them; an encoder's zero is the same in all."""
+        rng = np.random.default_rng([self.seed, 1])
+        out: dict[int, list[Stretch]] = {i: [] for i in sorted(wanted)}
+        if not (self.resolution.any() or self.position_std.any()):
+            return out
+        exact = {i: smooth(s.times, s.encoders, s.scene.bandwidth)[0] for i, s in enumerate(stretches) if i in wanted}
+        for _ in range(ROUNDINGS):
+            shift = rng.uniform(-0.5, 0.5, len(self.resolution)) * self.resolution
+            for i, q in exact.items():
+                read = other_readings(q, shift, self.resolution, self.position_std, rng)
+                out[i].append(self.resmooth(stretches[i], read))
+        return out
+
+
+def measure(
+    stretches: Sequence[Stretch],
+    rests: Sequence[tuple[np.ndarray, np.ndarray]],
+    white: np.ndarray,
+    filtered: bool,
+    encoders: Encoders,
+) -> Spectrum | None:
+    """The noise of moving recordings by frequency, where they allow it.
+
+    Where noise above the band is no guide (`filtered`), repeats are preferred, for they hold the noise of motion, too;
+    then rests. Otherwise the white noise read above the band is the better estimate, and is replaced only where repeats
+    or a wrench at rest show noise that is much stronger in the band.
+
+    Parameters
+    ----------
+    stretches
+        Recordings of motions.
+    rests
+        Times (N,) and readings (N, c) of a robot that stands still.
+    white
+        Standard deviation read above the band (c,).
+    filtered
+        Whether readings were filtered before they were recorded.
+    encoders
+        For what of the difference of repeats is their doing.
+    """
+    repeats = find_repeats(stretches, encoders.resolution)
+    roundings = encoders.roundings(stretches, {i for r in repeats for i in (r.first, r.second)})
+    channels = range(len(white))
+    # A drive at rest holds with friction whatever it takes, and that may wander: no reason to distrust white noise.
+    torques = {c for s in stretches for c, _ in s.torque_channels}
+    sources = [
+        ("repeats", repeat_pieces(stretches, repeats, encoders.predict, roundings), channels),
+        ("parked", [rest_piece(*r, stretches[0].scene.bandwidth) for r in rests], [c for c in channels if c not in torques]),
+    ]
+    for source, pieces, judged in sources:
+        spectrum = measured_spectrum(pieces)
+        if spectrum is not None and spectrum.enough and (filtered or coloured(pieces, white, judged)):
+            return replace(spectrum, source=source)
+    return None
