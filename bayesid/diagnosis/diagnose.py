@@ -12,23 +12,26 @@ from threadpoolctl import threadpool_limits
 
 from bayesid.base_parameters import structural_base
 from bayesid.diagnosis import memo
+from bayesid.diagnosis.candidates import UNEXPLAINED
 from bayesid.diagnosis.case import Case, make_case
+from bayesid.diagnosis.floor import SOURCES
 from bayesid.diagnosis.locate import Disagreement, locate
 from bayesid.diagnosis.proof import Gap, prove, residual_spectra
 from bayesid.diagnosis.search import ACCEPT, Found, Search, make_rigid, search
+from bayesid.diagnosis.stability import Stability, stability
 from bayesid.effects import KINDS, Effect, Term, parse_effects
 from bayesid.experiment import Experiment, load_experiment
 from bayesid.problem import default_channel, make_channels
 
 SCHEMA = 1
-#: Mean square of whitened residuals above which something is left that no effect found explains.
-UNEXPLAINED = 1.45
 #: More unrelated effects than this at once are taken for a patchwork that imitates an unknown one.
 LIKELY = 2
 #: A found effect must not make unseen motions worse by more than this share of their squared residual.
 WORSE = 0.02
 #: Where the gap before is this many times the floor, it has to shrink; and where it stays this many times the floor, by half.
 ROOM, OPEN = 1.05, 1.1
+#: Where so much of the gap on unseen motions is closed, what is left of it there is no sign of something unknown.
+CLOSED = 0.9
 
 Progress = Callable[[str], None]
 
@@ -60,6 +63,8 @@ class Diagnosis:
         What would settle what is open.
     seconds
         Run time.
+    stability
+        Each effect named without each part of the recordings; None where that says nothing.
     """
 
     case: Case
@@ -72,6 +77,7 @@ class Diagnosis:
     remarks: tuple[str, ...]
     next_experiment: str
     seconds: float = 0.0
+    stability: tuple[Stability | None, ...] = ()
 
     @property
     def terms(self) -> tuple[Term, ...]:
@@ -138,7 +144,7 @@ class Diagnosis:
         """The gap of the model as it is handed on: an attempt that was not accepted closes nothing."""
         if self.gap is None:
             return None
-        out = {**self.gap.to_dict(), "floor_known": self.case.floor_known}
+        out = {**self.gap.to_dict(), "floor_known": self.case.floor_known, "floor_source": self.case.floor_source}
         if self.verdict == "unknown":
             out |= {"best_attempt_after": out["after"], "after": out["before"], "closed": 0.0, "closed_low": 0.0}
         return out
@@ -155,6 +161,7 @@ class Diagnosis:
         return {
             "name": effect.name, "where": effect.where, "probability": float(1.0 / np.exp(odds).sum()),
             "log_bayes_factor": found.gain, "parameters": parameters, "ambiguous_with": rivals,
+            "stability": next((x.to_dict() for x in self.stability if x and x.spec == effect.spec), None),
         }  # fmt: skip
 
 
@@ -226,7 +233,8 @@ def _decide(case: Case, s: Search, seed: int) -> Diagnosis:
     remarks: list[str] = []
     found, verdict = s.found, "named"
     tried = ", ".join(f.term.effect.spec for f in found)
-    unseen = 0.0 if gap is None else (gap.after / gap.floor) ** 2
+    # What is left of a gap on livelier motions than the fitted ones is no stranger if it is a small share of the gap.
+    unseen = 0.0 if gap is None or (found and gap.closed > CLOSED) else (gap.after / gap.floor) ** 2
     local = all(f.term.effect.name == "external_contact" for f in found)
     if max(left, unseen) > UNEXPLAINED:
         verdict = "unknown"
@@ -251,11 +259,8 @@ def _decide(case: Case, s: Search, seed: int) -> Diagnosis:
         verdict = "ambiguous"
     if verdict == "unknown":
         found = ()
-    if not case.floor_known:
-        remarks.append(
-            "Noise floor unknown: the readings were filtered before they were recorded, or hold far more than noise. What the "
-            "richest model of the library leaves stands in for it, so nothing can be said about effects that the library lacks."
-        )
+    if note := SOURCES[case.floor_source]:
+        remarks.append(note)
     if found and gap is None:
         remarks.append("No validation motion: the effect is named on the fitted motions alone, nothing proves it elsewhere.")
     if case.experiment.inertia_rel_std is None:
@@ -263,10 +268,13 @@ def _decide(case: Case, s: Search, seed: int) -> Diagnosis:
             "No trust in the nominal inertias is stated (inertia_rel_std): every rigid parameter is free, and a payload or a "
             "wrong inertia cannot be told from the nominal model being wrong."
         )
+    parts = stability(s.rigid, s.best, len(s.base.terms), found, s.temper)
+    remarks += [memo.moment_sentence(x) for x in parts if x is not None and x.rests_on is not None]
     white = residual_spectra(case, case.stretches, s.base)
     where = locate(case, case.stretches, white, max(1.0, min(s.temper, UNEXPLAINED)))
     return Diagnosis(
-        case, verdict, s, found, where, gap, _shifts(case, s) if found else (), tuple(remarks), _next(verdict, found)
+        case, verdict, s, found, where, gap, _shifts(case, s) if found else (), tuple(remarks), _next(verdict, found),
+        stability=parts,
     )
 
 

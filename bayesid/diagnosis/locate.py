@@ -1,4 +1,8 @@
-"""Where model and data disagree: in which channel, when, at which frequencies and with which joint's motion."""
+"""Where model and data disagree: in which channel, when, at which frequencies and with which joint's motion.
+
+Below the compared band's end the model's residual is looked at, in windows of one and of a quarter second; above it the
+readings themselves (see `taps`).
+"""
 
 from __future__ import annotations
 
@@ -6,18 +10,23 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.fft import dct
 from scipy.stats import chi2
 
 from bayesid.diagnosis.case import Case
 from bayesid.diagnosis.spectra import Stretch
+from bayesid.diagnosis.taps import Event, runs, short_events, unlikely
 
 #: Level of significance over everything that was looked at.
 LEVEL = 0.001
-_WINDOW = 1.0  # [s]
+#: Windows [s], and into how many each is divided to look closer.
+_WINDOW, _PARTS = 1.0, 4
+#: Share of a window's excess that its significant parts must hold to stand for it.
+_INSIDE = 0.8
 #: Bands told apart [Hz].
 BANDS = ((0.0, 0.3), (0.3, 1.0), (1.0, 3.0), (3.0, 10.0))
-#: Disagreements listed, strongest first.
-_LISTED = 8
+#: Disagreements and short events listed, strongest first.
+_LISTED, _EVENTS = 8, 6
 
 
 @dataclass(frozen=True)
@@ -40,6 +49,12 @@ class Disagreement:
         Probability of as much by chance in one of all places looked at.
     still
         Whether it is in the motion's run at rest.
+    event, peak
+        Whether it is a short event above the compared band, in the readings themselves, and when that is loudest [s].
+    tap
+        Whether that looks like a tap: a broad band, over within 0.1 s.
+    unseen
+        Whether the motion took no part in the fit.
     """
 
     channel: str
@@ -51,22 +66,27 @@ class Disagreement:
     ratio: float
     p_value: float
     still: bool = False
+    event: bool = False
+    peak: float = float("nan")
+    tap: bool = False
+    unseen: bool = False
 
     def to_dict(self) -> dict:
         """An entry of ``where``."""
         return {
             "channel": self.channel, "motion": self.motion, "start": self.start, "end": self.end, "joint": self.joint,
             "band_hz": list(self.band_hz), "times_noise": self.ratio, "p_value": self.p_value,
-            "at_rest": self.still,
+            "at_rest": self.still, "looks_like": "tap" if self.tap else "short event" if self.event else None,
         }  # fmt: skip
 
 
 def locate(case: Case, stretches: Sequence[Stretch], white: Sequence[np.ndarray], temper: float) -> tuple[Disagreement, ...]:
-    """Channels and times with more residual than noise explains.
+    """Channels and times with more residual than noise explains, and short events of all motions.
 
     Coefficients are white, so the energy of a window of a channel is close to chi-squared with as many degrees of
     freedom as coefficients fall to its share, whatever the colour of the noise was; Bonferroni's bound covers all
-    windows looked at, which are then merged.
+    windows looked at, long and short, which are then merged. Encoders' counts are no steady noise: for moments they err
+    more than on average. A short window alone must therefore stand out of the other short ones, too.
 
     Parameters
     ----------
@@ -80,35 +100,93 @@ def locate(case: Case, stretches: Sequence[Stretch], white: Sequence[np.ndarray]
     looked = places_looked_at(stretches)
     found = []
     for s, w in zip(stretches, white, strict=True):
-        edges, energy, freedom, p = by_window(s, w, temper, looked)
+        p = by_window(s, w, temper, looked)[3]
+        edges, fine, share, chance = by_window(s, w, temper, looked, _PARTS)
+        alone = np.maximum(chance, np.minimum(unlikely(fine / share, share) * looked, 1.0))
         for c in range(w.shape[1]):
-            for first, last in _runs(p[:, c] < LEVEL):
+            flags = (alone[:, c] < LEVEL) | _placed(p[:, c] < LEVEL, chance[:, c] < LEVEL, (fine - share)[:, c])
+            for first, last in runs(flags, _PARTS):
                 span = slice(edges[first], edges[last])
-                ratio = float(np.sqrt(energy[first:last, c].sum() / (freedom * (last - first))))
+                course = s.samples(w[:, c])[span]
+                ratio = float(np.sqrt(fine[first:last, c].sum() / share[first:last, c].sum()))
+                least = min(p[first // _PARTS : (last - 1) // _PARTS + 1, c].min(), alone[first:last, c].min())
                 found.append(
                     Disagreement(
                         case.channels.names[c], s.motion, float(s.times[edges[first]]), float(s.times[edges[last] - 1]),
-                        _band(s, w[:, c]), _joint(case, s, s.samples(w[:, c])[span], span), ratio, float(p[first:last, c].min()),
-                        s.still,
+                        _strongest_band(s, course, span), _joint(case, s, course, span), ratio, float(least), s.still,
                     )
                 )  # fmt: skip
-    return tuple(sorted(found, key=lambda d: -d.ratio * np.sqrt(d.end - d.start))[:_LISTED])
+    strongest = sorted(found, key=_strength)[:_LISTED]
+    return tuple(sorted([*strongest, *_events(case)], key=_strength))
+
+
+def _strength(d: Disagreement) -> float:
+    """For sorting, strongest first."""
+    return -d.ratio * float(np.sqrt(d.end - d.start))
+
+
+def _events(case: Case) -> list[Disagreement]:
+    """The strongest short events of fitted and unseen motions."""
+    stretches = (*case.stretches, *case.unseen)
+    found = []
+    for k, (s, events) in enumerate(zip(stretches, short_events(stretches, LEVEL), strict=True)):
+        found += [_event(case, s, e, unseen=k >= len(case.stretches)) for e in events]
+    return sorted(found, key=_strength)[:_EVENTS]
+
+
+def _event(case: Case, stretch: Stretch, event: Event, *, unseen: bool) -> Disagreement:
+    band = (float(np.round(event.band[0], 3)), float(np.round(event.band[1], 3)))
+    return Disagreement(
+        case.channels.names[event.channel], stretch.motion, event.start, event.end, band, None, event.ratio, event.p_value,
+        event=True, peak=event.peak, tap=event.tap, unseen=unseen,
+    )  # fmt: skip
+
+
+def _placed(long: np.ndarray, short: np.ndarray, excess: np.ndarray) -> np.ndarray:
+    """Parts of the windows that disagree (parts,): those that hold nearly all of a window's excess (parts,), or all of it."""
+    kept = short & np.repeat(long, _PARTS)
+    inside = np.where(kept, excess, 0.0).reshape(-1, _PARTS).sum(axis=1)
+    return kept | np.repeat(long & (inside < _INSIDE * excess.reshape(-1, _PARTS).sum(axis=1)), _PARTS)
 
 
 def places_looked_at(stretches: Sequence[Stretch]) -> int:
-    """Windows of all channels."""
-    return sum(_windows(s) * s.shape[1] for s in stretches)
+    """Windows of all channels, and their parts."""
+    return sum((1 + _PARTS) * _windows(s) * s.shape[1] for s in stretches)
 
 
 def by_window(
-    stretch: Stretch, white: np.ndarray, temper: float, looked: int
-) -> tuple[np.ndarray, np.ndarray, float, np.ndarray]:
-    """Edges of the windows, in samples (w + 1,), energy over noise (w, c), its expectation, chance of as much in any (w, c)."""
+    stretch: Stretch, white: np.ndarray, temper: float, looked: int, parts: int = 1
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Energy of a whitened residual by windows of time.
+
+    Parameters
+    ----------
+    stretch, white
+        Recording and its whitened coefficients (K, c).
+    temper
+        Mean square of what counts as noise.
+    looked
+        Number of all places looked at.
+    parts
+        Into how many each window of one second is divided.
+
+    Returns
+    -------
+    edges, energy, freedom, chance
+        Edges of the windows in samples (w + 1,), energy over noise and its expectation (w, c), chance of as much in any
+        place (w, c). Where a recording fades in and out, or a joint rests, less is expected, but never less than one.
+    """
     count = _windows(stretch)
-    edges = np.linspace(0, len(stretch.times), count + 1).astype(int)
+    edges = _edges(len(stretch.times), count, parts)
     energy = np.add.reduceat(stretch.samples(white) ** 2, edges[:-1], axis=0) / temper
-    freedom = max(len(white) / count, 1.0)
+    weight = np.add.reduceat(stretch.weight(stretch.times) ** 2, edges[:-1], axis=0)
+    freedom = np.maximum(len(white) * weight / np.maximum(weight.sum(axis=0), 1e-300), 1.0)
     return edges, energy, freedom, np.minimum(chi2.sf(energy, freedom) * looked, 1.0)
+
+
+def _edges(samples: int, count: int, parts: int) -> np.ndarray:
+    """Edges of windows in samples, those of the parts among them."""
+    return np.arange(count * parts + 1) * samples // (count * parts)
 
 
 def by_band(stretch: Stretch, white: np.ndarray) -> np.ndarray:
@@ -125,16 +203,12 @@ def _windows(stretch: Stretch) -> int:
     return max(int((stretch.times[-1] - stretch.times[0]) / _WINDOW), 1)
 
 
-def _runs(flags: np.ndarray) -> list[tuple[int, int]]:
-    """Consecutive true entries as (first, one past the last); a gap of one window is bridged."""
-    bridged = flags.copy()
-    bridged[1:-1] |= flags[:-2] & flags[2:]
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], bridged.astype(int), [0]])))
-    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
-
-
-def _band(stretch: Stretch, white: np.ndarray) -> tuple[float, float]:
-    return BANDS[int(np.argmax(np.nan_to_num(by_band(stretch, white[:, None])[:, 0])))]
+def _strongest_band(stretch: Stretch, course: np.ndarray, span: slice) -> tuple[float, float]:
+    """The band with the largest root mean square of a whitened residual (m,) in a part of a recording."""
+    alone = np.zeros((len(stretch.times), 1))
+    alone[span, 0] = course
+    coefficients = np.asarray(dct(alone, axis=0, norm="ortho"))[: len(stretch.frequencies)]
+    return BANDS[int(np.argmax(np.nan_to_num(by_band(stretch, coefficients)[:, 0])))]
 
 
 def _joint(case: Case, stretch: Stretch, residual: np.ndarray, span: slice) -> str | None:

@@ -10,6 +10,8 @@ import numpy as np
 
 from bayesid.diagnosis.case import Episode
 from bayesid.diagnosis.locate import Disagreement
+from bayesid.diagnosis.search import ACCEPT
+from bayesid.diagnosis.taps import TAP
 from bayesid.diagnosis.views import views
 from bayesid.effects import Effect
 from bayesid.output import strict, write_results
@@ -21,6 +23,7 @@ from bayesid.schema import EffectParameters, write_model
 if TYPE_CHECKING:
     from bayesid.diagnosis.diagnose import Diagnosis
     from bayesid.diagnosis.search import Found
+    from bayesid.diagnosis.stability import Stability
 
 #: Half the width of a 95 % interval in standard deviations.
 HALF = 1.96
@@ -60,8 +63,8 @@ def proof_sentence(diagnosis: Diagnosis) -> str:
     unseen = f"On {motions}, which took no part in any fit,"
     if d.verdict == "nothing_missing":
         text = f"{unseen} {before} times the noise is left; {floor} is what a complete model would leave."
-        if d.where:
-            count = len(d.where)
+        count = sum(not w.event for w in d.where)
+        if count:
             places, them = ("one place stands", "it") if count == 1 else (f"{count} places stand", "them")
             text += f" In the fitted motions {places} out of the noise, but no effect of the library explains {them}."
         return text
@@ -81,7 +84,59 @@ def proof_sentence(diagnosis: Diagnosis) -> str:
 
 def notes(diagnosis: Diagnosis) -> list[str]:
     """What the reader should know beside the verdict and its proof."""
-    return [r for r in diagnosis.remarks if not r.startswith("Something is missing")]
+    said = [r for r in diagnosis.remarks if not r.startswith("Something is missing")]
+    return [*said, *event_sentences(diagnosis)]
+
+
+def steady_sentence(found: Found, diagnosis: Diagnosis) -> str:
+    """Between which values the parameters stay, and what evidence is left, whichever part of the recordings is left out."""
+    mine = next((x for x in diagnosis.stability if x is not None and x.spec == found.term.effect.spec), None)
+    if mine is None:
+        return ""
+    parts = []
+    for key, value, unit, (low, high) in zip(
+        found.term.effect.kind.parameters, found.term.values, found.term.effect.units, mine.ranges, strict=True
+    ):
+        if np.isfinite(low) and np.isfinite(high):
+            # As many digits as tell the two ends apart.
+            first, last = (with_half(v, max(0.2 * (high - low), 1e-6 * abs(value)))[0] for v in (low, high))
+            parts.append(f"{key} between {first} and {last}" + ("" if unit == "1" else f" {unit}"))
+        else:
+            parts.append(f"{key} not determined")
+    least = f"{mine.least:,.0f}".replace(",", " ") if mine.least >= 100 else number(mine.least, 3)
+    return f"Whichever of {mine.blocks} parts of the recordings is left out: {'; '.join(parts)}; log evidence at least {least}."
+
+
+def moment_sentence(stability: Stability) -> str:
+    """That an effect rests on one moment."""
+    at = stability.rests_on
+    if at is None:
+        return ""
+    text = f"{stability.spec} rests on one moment, {at.start:.1f} to {at.end:.1f} s of ‘{at.motion}’: without it "
+    if stability.least < ACCEPT:
+        text += f"the log evidence is {number(stability.least, 3)}, too little to name it."
+    else:
+        text += f"only {number(stability.least, 3)} of the log evidence is left."
+    return f"{text} See what happened there, or record it again."
+
+
+def event_sentences(diagnosis: Diagnosis) -> list[str]:
+    """Short events above the compared band, a sentence for each motion that has some."""
+    events = [w for w in diagnosis.where if w.event]
+    out = []
+    for motion in dict.fromkeys(w.motion for w in events):
+        mine = sorted((w for w in events if w.motion == motion), key=lambda w: w.start)
+        channels = _listed(list(dict.fromkeys(w.channel for w in mine)))
+        taps, one = sum(w.tap for w in mine), len(mine) == 1
+        times = _listed([f"{w.peak:.2f}" for w in mine])
+        text = f"{'One short event' if one else f'{len(mine)} short events'} in ‘{motion}’ at {times} s, loudest in {channels}, "
+        text += f"above the frequencies that models are compared at ({mine[0].band_hz[0]:.3g} Hz and more)"
+        text += ", in a motion that took no part in the fit" if mine[0].unseen else ""
+        if taps:
+            who = "it looks like a tap" if one else f"{'they' if taps == len(mine) else f'{taps} of them'} look like taps"
+            text += f"; {who}: a broad band, over within {TAP:g} s"
+        out.append(f"{text}. No motion of the robot explains {'it' if one else 'them'}.")
+    return out
 
 
 def worded(effect: Effect, diagnosis: Diagnosis) -> str:
@@ -109,6 +164,9 @@ def disagreement_line(where: Disagreement) -> str:
     """Channel, motion, time, band and joint of a disagreement."""
     w = where.to_dict()
     low, high = w["band_hz"]
+    if where.event:
+        text = f"{w['channel']} in {w['motion']}, {w['start']:.2f} to {w['end']:.2f} s"
+        return f"{text}: {number(w['times_noise'], 3)} x the usual level at {low:.3g} to {high:.3g} Hz, a {w['looks_like']}"
     text = f"{w['channel']} in {w['motion']}{' at rest' if w['at_rest'] else ''}, {w['start']:.1f} to {w['end']:.1f} s"
     text += f": {number(w['times_noise'], 3)} x noise, most at {low:g} to {high:g} Hz"
     return text + (f", goes with {w['joint']}" if w["joint"] else "")
@@ -199,7 +257,8 @@ def page_text(diagnosis: Diagnosis) -> dict:
         "proof": proof_sentence(d),
         "effects": [
             {"name": worded(f.term.effect, d), "spec": f.term.effect.spec, "summary": f.term.effect.kind.summary,
-             "motion": f.term.motion if isinstance(f.term, Episode) else "", "rows": parameter_rows(f)}
+             "motion": f.term.motion if isinstance(f.term, Episode) else "", "rows": parameter_rows(f),
+             "steady": steady_sentence(f, d)}
             for f in d.found
         ],
         "notes": notes(d),

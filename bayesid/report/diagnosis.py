@@ -130,11 +130,12 @@ def _cards(d: Any, text: dict[str, Any], changed: bool) -> list[dict[str, str]]:
 
 def _place(w: dict[str, Any]) -> dict[str, str]:
     low, high = w["band_hz"]
+    digits = 2 if w["looks_like"] else 1
     return {
         "channel": w["channel"], "motion": w["motion"] + (", at rest" if w["at_rest"] else ""),
-        "time": f"{w['start']:.1f} – {w['end']:.1f} s",
-        "ratio": number(w["times_noise"], 3), "band": f"{low:g} – {high:g} Hz", "joint": w["joint"] or DASH,
-        "chance": chance(w["p_value"]),
+        "time": f"{w['start']:.{digits}f} – {w['end']:.{digits}f} s",
+        "ratio": number(w["times_noise"], 3), "band": f"{low:.3g} – {high:.3g} Hz",
+        "joint": w["joint"] or w["looks_like"] or DASH, "chance": chance(w["p_value"]),
     }  # fmt: skip
 
 

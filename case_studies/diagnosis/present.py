@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -125,10 +124,13 @@ def _wrist(wrist: dict[str, Any]) -> dict[str, str]:
         spans = [f"{a:.2f} to {b:.2f} s" for windows in w["rejected"].values() for a, b in windows]
         jolt = np.argsort(w["jolts"])[::-1][:3]
         at = ", ".join(f"{w['jolt_starts'][k]:.2f} s ({w['jolts'][k]:.2g})" for k in jolt)
-        where = Counter((d["start"] < 0.1 and d["end"] > 6.0) for d in w["offset_known"]["where"])
+        below = [d for d in w["offset_known"]["where"] if d["looks_like"] is None]
+        whole = sum(d["start"] < 0.5 and d["end"] > 5.5 for d in below)
+        taps = ", ".join(f"{at:.2f} s" for at in w["events"]) or "none"
         lines.append(
             f"- `{motion}`: the accelerometer jolts most in the quarter seconds from {at}; `student` rejects "
-            f"{', '.join(spans) or 'nothing'}; of {sum(where.values())} places that `diagnose` lists, {where[True]} are the "
+            f"{', '.join(spans) or 'nothing'}; short events that `diagnose` finds: {taps}. Of {len(below)} places that it lists "
+            f"in the compared band, {whole} are nearly the "
             f"whole recording. After the best attempt the residual of a window of one second is between {min(w['left']):.2g} and "
             f"{max(w['left']):.2g} times the noise, most from {w['window_starts'][int(np.argmax(w['left']))]:.1f} s."
         )  # fmt: skip
@@ -225,13 +227,17 @@ def _draw_wrist(wrist: dict[str, Any], path: Path) -> None:
                     for ax in (top, bottom):
                         label = "rejected by student" if k == 0 and ax is bottom else None
                         ax.axvspan(a, b, color=ORANGE, alpha=0.4, lw=0, label=label)
+            for k, at in enumerate(w["events"]):
+                for ax in (top, bottom):
+                    label = "short event found by diagnose" if k == 0 and ax is bottom else None
+                    ax.axvline(at, color=GREEN, lw=1.2, ls="--", label=label)
             top.set_title(motion)
             bottom.set(xlabel="time [s]", ylim=(0, None))
         grid[0, 0].set_ylabel("jolt of the accelerometer\n[its unit a sample]")
         grid[1, 0].set_ylabel("residual / noise,\nwindows of 1 s")
         marks = [dict(zip(*ax.get_legend_handles_labels()[::-1], strict=True)) for ax in (grid[0, 1], grid[1, 1])]
         both = marks[0] | marks[1]
-        figure.legend(both.values(), both.keys(), fontsize=8, ncols=3, loc="outside upper center", frameon=False)
+        figure.legend(both.values(), both.keys(), fontsize=8, ncols=4, loc="outside upper center", frameon=False)
         figure.savefig(path, dpi=130)
 
 

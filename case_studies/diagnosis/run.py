@@ -189,10 +189,11 @@ def wrist(data: Path = DATA) -> dict[str, Any]:
             "offset_known": outcome(known),
             "rejected": robust.estimate.details.get("rejected_windows", {}),
             "window_starts": [float(stretch.times[k]) for k in edges[:-1]],
-            "left": np.sqrt(energy.sum(axis=1) / (freedom * energy.shape[1])).tolist(),
+            "left": np.sqrt(energy.sum(axis=1) / freedom.sum(axis=1)).tolist(),
             "jolt_starts": table["t"].to_numpy()[quarter[:-1]].tolist(),
             "jolts": jolts(table, quarter),
             "highest_hz": float(stretch.frequencies.max()),
+            "events": sorted(d.peak for d in known.where if d.event and d.motion == motion),
         }  # fmt: skip
     return out
 

@@ -1,0 +1,224 @@
+"""Whether what was found rests on the whole recording or on one moment: every estimate and its evidence without each part.
+
+Whitened rows are amplitudes by frequency. Their inverse cosine transform is orthogonal, so it turns rows and columns
+into courses in time, K moments for K frequencies, and keeps all inner products: with blocks of time b,
+
+    J'J = sum_b J_b'J_b + P'P,      J'e = sum_b J_b'e_b + P'e_P
+
+where P are the rows of the links' prior. Without block b one Gauss-Newton step from the estimate on all data gives
+
+    dp = (J'J - J_b'J_b)^-1 (J'e - J_b'e_b)
+
+with links and offset among the unknowns, by the orthonormal factor Q of `Rigid`. The evidence is that of the block's
+complement: what the remaining rows lose without the effect, once everything else has made up for it as well as it can.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.fft import idct
+
+from bayesid.diagnosis.fit import ALIVE, Fit, Rigid, model_rows, residual_rows
+from bayesid.diagnosis.search import ACCEPT, Found
+
+#: Blocks that all recordings together are cut into, about.
+BLOCKS = 10
+#: A moment carries an effect if its share of the evidence is this many times that of evenly spread evidence and the rest
+#: would not do to name it, or if all but a tenth is its share: rows are filtered, so a large disturbance leaves traces beside it.
+UNEVEN, ALL = 3.0, 0.9
+#: A parameter is not determined without a block if its variance grows by more than this.
+_LOST = 1e6
+#: Curvature of directions that the data do not determine, in units of a column's own.
+_FLAT = 1e-9
+#: Effects that happen at one moment by their nature.
+LOCAL = ("external_contact",)
+
+
+@dataclass(frozen=True)
+class Moment:
+    """A part of a recording: its motion, start and end [s]."""
+
+    start: float
+    end: float
+    motion: str
+
+
+@dataclass(frozen=True)
+class Stability:
+    """An effect without each part of the recordings.
+
+    Attributes
+    ----------
+    spec
+        ``name@where``.
+    blocks
+        Number of parts.
+    least
+        Its smallest log evidence without one of them.
+    rests_on
+        The part that carries it (see `UNEVEN`), or None.
+    ranges
+        By parameter, the smallest and largest estimate without a part; infinite where one part alone determines it.
+    """
+
+    spec: str
+    blocks: int
+    least: float
+    rests_on: Moment | None
+    ranges: tuple[tuple[float, float], ...]
+
+    def to_dict(self) -> dict:
+        """The entry ``stability`` of an effect."""
+        at = self.rests_on
+        return {
+            "blocks": self.blocks,
+            "least_log_bayes_factor": self.least,
+            "rests_on": None if at is None else [at.start, at.end, at.motion],
+            "ranges": [[v if np.isfinite(v) else None for v in pair] for pair in self.ranges],
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class _Sums:
+    """Inner products of all columns: links, effects' parameters, effects' traces, residual.
+
+    Attributes
+    ----------
+    whole, blocks
+        Over everything (p, p) and over each block (b, p, p).
+    links, parameters
+        How many columns of the first two kinds.
+    """
+
+    whole: np.ndarray
+    blocks: np.ndarray
+    links: int
+    parameters: int
+
+    def solved(self, gram: np.ndarray, without: Sequence[int] = (), trace: int | None = None) -> tuple[np.ndarray, float]:
+        """Best coefficients (links + parameters,) and the squared residual that they leave.
+
+        Parameters
+        ----------
+        gram
+            Inner products.
+        without
+            Parameters held.
+        trace
+            Effect whose trace is added to the residual.
+        """
+        held = {self.links + k for k in without}
+        unknown = [k for k in range(self.links + self.parameters) if k not in held]
+        target = np.zeros(len(gram))
+        target[-1] = 1.0
+        if trace is not None:
+            target[self.links + self.parameters + trace] = 1.0
+        reduced = gram @ target
+        scale = np.sqrt(np.maximum(np.diag(self.whole)[unknown], 1e-300))
+        square = gram[np.ix_(unknown, unknown)] / np.outer(scale, scale) + _FLAT * np.eye(len(unknown))
+        step = np.linalg.solve(square, reduced[unknown] / scale) / scale
+        out = np.zeros(self.links + self.parameters)
+        out[unknown] = step
+        return out, float(target @ reduced - step @ reduced[unknown])
+
+    def variances(self, gram: np.ndarray) -> np.ndarray:
+        """Of the parameters (k,), in units of the noise."""
+        count = self.links + self.parameters
+        scale = np.sqrt(np.maximum(np.diag(self.whole)[:count], 1e-300))
+        square = gram[:count, :count] / np.outer(scale, scale) + _FLAT * np.eye(count)
+        return np.diag(np.linalg.inv(square))[self.links :] / scale[self.links :] ** 2
+
+
+def stability(rigid: Rigid, best: Fit, known: int, found: Sequence[Found], temper: float) -> tuple[Stability | None, ...]:
+    """Every effect found without each part of the recordings; None for one that happens at one moment by its nature.
+
+    Parameters
+    ----------
+    rigid, best
+        The model with all effects, and what was projected out.
+    known
+        Number of the user's effects, the first in the model.
+    found
+        The effects found, in the model's order.
+    temper
+        Mean square of what counts as noise.
+    """
+    if not found:
+        return ()
+    sums, moments = _sums(rigid, best, known)
+    less = sums.whole - sums.blocks
+    steps = np.array([sums.solved(gram)[0][sums.links :] for gram in less])
+    lost = np.array([sums.variances(gram) for gram in less]) > _LOST * sums.variances(sums.whole)
+    out: list[Stability | None] = []
+    for k, f in enumerate(found):
+        index = known + k
+        at = [column for column, (owner, _) in enumerate(best.free) if owner == index]
+        if f.term.effect.name in LOCAL or not at:
+            out.append(None)
+            continue
+        gains = np.array([_gain(sums, gram, at, k) for gram in (sums.whole, *less)])
+        price = 0.5 * len(at) * np.log(rigid.rows) / temper
+        share = np.clip(gains[1:] / max(gains[0], 1e-300), 0.0, None)
+        left = (f.gain + price) * share - price
+        worst = int(np.argmin(left))
+        taken = 1.0 - share[worst]
+        carried = taken > ALL or (left[worst] < ACCEPT and taken > min(UNEVEN / len(moments), 0.5))
+        out.append(
+            Stability(
+                f.term.effect.spec, len(moments), float(left[worst]), moments[worst] if carried else None,
+                _ranges(f, steps[:, at], lost[:, at]),
+            )
+        )  # fmt: skip
+    return tuple(out)
+
+
+def _gain(sums: _Sums, gram: np.ndarray, at: Sequence[int], effect: int) -> float:
+    """How much larger chi2 would be without an effect, all else fitted anew."""
+    return max(sums.solved(gram, without=at, trace=effect)[1] - sums.solved(gram)[1], 0.0)
+
+
+def _ranges(found: Found, steps: np.ndarray, lost: np.ndarray) -> tuple[tuple[float, float], ...]:
+    """Smallest and largest estimates (k pairs) inside what is possible, from steps (b, k)."""
+    kind = found.term.effect.kind
+    values = np.clip(np.array(found.term.values) + steps, kind.lower, kind.upper)
+    low = np.where(lost, -np.inf, values).min(axis=0)
+    high = np.where(lost, np.inf, values).max(axis=0)
+    return tuple((float(a), float(b)) for a, b in zip(low, high, strict=True))
+
+
+def _sums(rigid: Rigid, best: Fit, known: int) -> tuple[_Sums, list[Moment]]:
+    case = rigid.case
+    jacobian = model_rows(case, case.stretches, best.links, best.terms)
+    kept = rigid.rest(rigid.padded(jacobian))
+    kept[:, np.linalg.norm(kept, axis=0) < ALIVE * np.linalg.norm(jacobian, axis=0)] = 0.0
+    traces = [
+        residual_rows(case, case.stretches, best.links, best.offset, tuple(t for k, t in enumerate(best.terms) if k != i))
+        - best.residual
+        for i in range(known, len(best.terms))
+    ]
+    below = best.coordinates.copy()
+    if rigid.offset:
+        below[-6:] *= 1e-6  # nothing is known of an offset
+    rest = rigid.rest(rigid.padded(np.stack(traces, axis=1)))
+    columns = np.hstack([kept, rest, np.concatenate([best.residual, -below])[:, None]])
+    prior = np.hstack([rigid.q[rigid.rows :], columns[rigid.rows :]])
+    blocks, moments, row = [], [], 0
+    total = sum(s.times[-1] - s.times[0] for s in case.stretches)
+    for s in case.stretches:
+        size = s.shape[0] * s.shape[1]
+        mine = np.hstack([rigid.q[row : row + size], columns[row : row + size]]).reshape(*s.shape, -1)
+        row += size
+        course = np.asarray(idct(mine, axis=0, norm="ortho"))
+        length = s.times[-1] - s.times[0]
+        count = int(np.clip(round(BLOCKS * length / total), 1, len(course)))
+        edges = np.linspace(0, len(course), count + 1).astype(int)
+        for a, b in zip(edges[:-1], edges[1:], strict=True):
+            part = course[a:b].reshape(-1, course.shape[2])
+            blocks.append(part.T @ part)
+            start, end = (float(s.times[0] + length * x / len(course)) for x in (a, b))
+            moments.append(Moment(start, end, s.motion))
+    stacked = np.array(blocks)
+    return _Sums(stacked.sum(axis=0) + prior.T @ prior, stacked, rigid.size, kept.shape[1]), moments

@@ -1,0 +1,202 @@
+"""Short events above the compared band: something hit or shook the robot, which no model of its motion explains.
+
+The readings themselves are looked at, high-passed, in windows of 50 ms. A window's energy is compared with what is usual
+beside it, on whichever side is louder, so that a motion that starts or hurries raises no alarm. How far such ratios
+scatter when nothing happens is read off the recording itself (an empirical null [Efron2004]_). Where a joint
+reverses, starts, stops or rests, friction kicks the arm: such moments are not looked at.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import binary_dilation, binary_opening
+from scipy.signal import butter, sosfiltfilt
+from scipy.stats import chi2, norm
+
+from bayesid.diagnosis.spectra import RAMP, REST_SHARE, REST_TIME, Stretch, sensor_noise
+from bayesid.effects import REST_SPEED
+
+#: Windows [s], but no fewer samples than this, and how far around the usual level is sought [s].
+WINDOW, _FEWEST, _AROUND = 0.05, 5, 0.5
+#: An event is this many times the usual level in root mean square, whatever its significance.
+CLEAR = 2.5
+#: Friction's kick at a reversal lasts this long [s], and a joint this many times faster than at rest has moved.
+_KICK, _MOVES = 0.12, 10.0
+#: Windows and samples that it takes to know how readings scatter when nothing happens.
+_KNOWN, _LEAST = 30, 64
+#: Marked windows closer than this are one event [s].
+_BRIDGE = 0.15
+#: A tap has this share of its energy within this time [s], spread over a band at least this wide [Hz].
+_MOST, TAP, _BROAD = 0.8, 0.1, 20.0
+_ORDER = 4
+
+
+@dataclass(frozen=True)
+class Event:
+    """A moment at which readings are loud above the band.
+
+    Attributes
+    ----------
+    channel
+        In which most.
+    start, end, peak
+        When, and when most [s].
+    band
+        What was looked at [Hz].
+    ratio
+        Root mean square over the usual one.
+    p_value
+        Probability of as much by chance in one of all places looked at.
+    tap
+        Whether it is over within `TAP` and its band is broad.
+    """
+
+    channel: int
+    start: float
+    end: float
+    peak: float
+    band: tuple[float, float]
+    ratio: float
+    p_value: float
+    tap: bool
+
+
+def short_events(stretches: Sequence[Stretch], level: float) -> tuple[tuple[Event, ...], ...]:
+    """Events of each stretch; none of a static run, whose samples may be means over long times.
+
+    Parameters
+    ----------
+    stretches
+        Recordings.
+    level
+        Probability of a false alarm over all of them.
+    """
+    moving = [s for s in stretches if not s.still and _band(s) is not None]
+    if not moving:
+        return tuple(() for _ in stretches)
+    quiet = sensor_noise(moving)
+    looked = sum(len(_edges(s)) - 1 for s in moving) * moving[0].readings.shape[1]
+    return tuple(_events(s, quiet, looked, level) if s in moving else () for s in stretches)
+
+
+def _band(stretch: Stretch) -> tuple[float, float] | None:
+    """From the compared band to half the sampling rate [Hz], if that is as wide again."""
+    low, high = float(stretch.frequencies[-1] + stretch.frequencies[min(1, len(stretch.frequencies) - 1)]), 0.5 / stretch.step
+    return (low, high) if high > 2.0 * low else None
+
+
+def _edges(stretch: Stretch) -> np.ndarray:
+    length = max(round(WINDOW / stretch.step), _FEWEST)
+    return np.linspace(0, len(stretch.times), max(len(stretch.times) // length, 1) + 1).astype(int)
+
+
+def _events(stretch: Stretch, quiet: np.ndarray, looked: int, level: float) -> tuple[Event, ...]:
+    band, edges = _band(stretch), _edges(stretch)
+    if band is None or len(edges) <= _KNOWN or len(stretch.times) < _LEAST:
+        return ()
+    high = _high(stretch, band[0])
+    energy, length = _mean_squares(high, edges), float(np.diff(edges).mean())
+    share = 1.0 - band[0] / band[1]
+    around = max(round(_AROUND / (stretch.step * length)), 3)
+    ratio = energy / np.maximum(np.maximum(_usual(energy, around), share * quiet**2), 1e-300)
+    judged = _inside(stretch, edges) & ~np.maximum.reduceat(kicks(stretch), edges[:-1])
+    chance = np.ones_like(ratio)
+    chance[judged] = np.minimum(unlikely(ratio[judged], share * length) * looked, 1.0)
+    usually = np.median(ratio[judged], axis=0) if judged.any() else np.ones(ratio.shape[1])
+    marked = (chance < level) & (ratio > CLEAR**2 * np.maximum(usually, 1.0))
+    out = []
+    for first, last in runs(np.asarray(marked.any(axis=1)), max(round(_BRIDGE / (stretch.step * length)), 1)):
+        strength = np.where(marked[first:last], ratio[first:last] / usually, 0.0)
+        row, channel = (int(k) for k in np.unravel_index(int(np.argmax(strength)), strength.shape))
+        start, end = edges[first + row], edges[first + row + 1]
+        usually_here = float(np.sqrt(energy[first + row, channel] / strength[row, channel]))
+        peak = int(start) + int(np.argmax(np.abs(high[start:end, channel])))
+        out.append(
+            Event(
+                channel, float(stretch.times[edges[first]]), float(stretch.times[edges[last] - 1]), float(stretch.times[peak]),
+                band, float(np.sqrt(strength[row, channel])), float(chance[first + row, channel]),
+                _is_tap(high[:, channel], peak, stretch.step, usually_here),
+            )
+        )  # fmt: skip
+    return tuple(out)
+
+
+def _high(stretch: Stretch, low: float) -> np.ndarray:
+    """Readings above a frequency (N, c)."""
+    return np.asarray(sosfiltfilt(butter(_ORDER, low, "high", output="sos", fs=1.0 / stretch.step), stretch.readings, axis=0))
+
+
+def _mean_squares(values: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    return np.add.reduceat(values**2, edges[:-1], axis=0) / np.diff(edges)[:, None]
+
+
+def _inside(stretch: Stretch, edges: np.ndarray) -> np.ndarray:
+    """Windows that a filter's start and end do not reach (w,)."""
+    first, last = stretch.times[edges[:-1]], stretch.times[edges[1:] - 1]
+    return (first > stretch.times[0] + RAMP) & (last < stretch.times[-1] - RAMP)
+
+
+def _usual(energy: np.ndarray, around: int) -> np.ndarray:
+    """Median energy before or after each window (w, c), whichever is larger [Hansen1973]_; near an end, of what there is."""
+    padded = np.pad(energy, ((around, around), (0, 0)), mode="reflect")
+    sides = np.median(np.lib.stride_tricks.sliding_window_view(padded, around, axis=0), axis=2)
+    return np.maximum(sides[: len(energy)], sides[around + 1 :])
+
+
+def unlikely(ratio: np.ndarray, freedom: np.ndarray | float) -> np.ndarray:
+    """Probability of as large ratios (w, c) by chance, from each channel's own median and ninth decile.
+
+    Disturbances are rare, so the lower nine tenths are what happens without. Logarithms of mean squares have a lighter
+    upper tail than a normal distribution of that spread, so its probability is a bound; no spread is taken for smaller
+    than that of white noise, a chi-squared of ``freedom``. Too few windows give no probability, 1.
+    """
+    if len(ratio) < _KNOWN:
+        return np.ones_like(ratio)
+    log = np.log(np.maximum(ratio, 1e-300))
+    middle, upper = np.quantile(log, [0.5, 0.9], axis=0)
+    most = np.max(freedom, axis=0)
+    least = np.log(chi2.ppf(0.9, most) / chi2.ppf(0.5, most))
+    return norm.sf((log - middle) * norm.ppf(0.9) / np.maximum(upper - middle, least))
+
+
+def kicks(stretch: Stretch) -> np.ndarray:
+    """Samples at which friction may kick the arm (N,): a joint reverses, starts or stops, or rests and may creep and slip."""
+    scene = stretch.scene
+    step = float(np.median(np.diff(scene.times)))
+    fastest = np.abs(scene.velocities).max(axis=0)
+    speed = scene.velocities[:, fastest > _MOVES * REST_SPEED]
+    moves = np.abs(speed) > np.maximum(REST_SHARE * np.abs(speed).max(axis=0), 2.0 * REST_SPEED)
+    rests = np.any(binary_opening(~moves, np.ones((max(round(REST_TIME / step), 1), 1), bool)), axis=1)
+    sign = np.where(moves, np.sign(speed), 0.0)
+    turns = np.concatenate([[False], (sign[1:] != sign[:-1]).any(axis=1)])
+    near = np.asarray(binary_dilation(turns, iterations=max(round(_KICK / step), 1)))
+    return np.interp(stretch.times, scene.times, np.where(near, 1.0, rests)) > 0.0
+
+
+def _is_tap(high: np.ndarray, peak: int, step: float, usual: float) -> bool:
+    """Whether most of what an event adds to the usual readings comes within `TAP`, in a broad band.
+
+    A band's width is one over the sum of squares of its power's shares, times the spacing of frequencies.
+    """
+    around = max(round(2.0 * TAP / step), 8)
+    cut = high[max(peak - around, 0) : peak + around]
+    steps = max(round(TAP / step), 1)
+    total = np.concatenate([[0.0], np.cumsum(cut**2 - usual**2)])
+    if len(total) <= steps or np.max(total[steps:] - total[:-steps]) < _MOST * total[-1]:
+        return False
+    power = np.abs(np.fft.rfft(cut)) ** 2
+    width = np.sum(power) ** 2 / np.sum(power**2) / (len(cut) * step)
+    return bool(width > _BROAD)
+
+
+def runs(flags: np.ndarray, bridge: int = 1) -> list[tuple[int, int]]:
+    """Consecutive true entries as (first, one past the last); gaps of up to ``bridge`` entries are closed."""
+    at = np.flatnonzero(flags)
+    if not len(at):
+        return []
+    cuts = np.flatnonzero(np.diff(at) > bridge + 1)
+    first, last = np.concatenate([[0], cuts + 1]), np.concatenate([cuts, [len(at) - 1]])
+    return [(int(at[a]), int(at[b]) + 1) for a, b in zip(first, last, strict=True)]
