@@ -19,12 +19,15 @@ import numpy as np
 from bayesid.effects.effect import Scene
 from bayesid.effects.kinematics import link_states
 from bayesid.robot import Robot
+from bayesid.smoothing import smooth
 
 _PASSES = 3
 #: Largest phase of the ringing that one integration step covers [rad].
 _PHASE = 0.2
 #: Loose end of a smoothed trajectory, in periods of its bandwidth.
 _LOOSE = 1.5
+#: What drives the mount is kept up to this many times the frequency up to which motion is clear: a resonance shows tails, too.
+_TAIL = 2.0
 
 
 def mount_motion(
@@ -74,7 +77,7 @@ def mount_motion(
         rise = share * share * (3.0 - 2.0 * share)
     else:
         held, rise = drive, np.ones((len(drive), 1))
-    drive = held + rise * (drive - held)
+    drive = _clear(scene, held + rise * (drive - held))
     root = np.zeros((0, 18))
     for _ in range(_PASSES):
         if scene.still:
@@ -88,8 +91,15 @@ def mount_motion(
         exact = np.stack([full[:, 0], np.sum(full * axis, axis=1)], axis=1)
         # What the linear equation did not know of, for the next pass.
         linear = (inertia @ bend[:, :, None] + (spring - stiffness * np.eye(2)) @ angle[:, :, None])[:, :, 0]
-        drive = held + rise * (exact - linear - held)
+        drive = _clear(scene, held + rise * (exact - linear - held))
     return root
+
+
+def _clear(scene: Scene, drive: np.ndarray) -> np.ndarray:
+    """What shakes the mount, without the encoders' noise that a resonance would ring with."""
+    if scene.still or scene.clear is None or len(drive) < 8:
+        return drive
+    return smooth(scene.times, drive, min(_TAIL * scene.clear, scene.bandwidth))[0]
 
 
 def _tilting(states: np.ndarray, row_of: np.ndarray, links: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
