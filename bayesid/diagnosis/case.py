@@ -282,7 +282,7 @@ def with_noise_of(case: Case, links: np.ndarray, terms: Sequence[Term], seed: in
     def noisy(stretches: Sequence[Stretch]) -> tuple[Stretch, ...]:
         out = []
         for s in stretches:
-            noise = spectrum.at(s.frequencies, sensor[False]) if spectrum and not s.still else sensor[s.still]
+            noise = spectrum.of(s.motion).at(s.frequencies, sensor[False]) if spectrum and not s.still else sensor[s.still]
             out.append(with_noise(s, predict, resmooth, noise, count, random, rng))
         return tuple(out)
 

@@ -259,6 +259,8 @@ def _decide(case: Case, s: Search, seed: int) -> Diagnosis:
         verdict = "ambiguous"
     if verdict == "unknown":
         found = ()
+        # The model handed on is the user's; what a rejected attempt could not determine is no part of its floor.
+        gap = gap and replace(gap, floor=gap.bare_floor)
     if note := SOURCES[case.floor_source]:
         remarks.append(note)
     if found and gap is None:

@@ -26,6 +26,8 @@ class Gap:
         With the user's model and with the effects found.
     floor
         What is expected of a complete model: noise, and the uncertainty of the fitted parameters on another motion.
+    bare_floor
+        The same for the user's model: noise, and the uncertainty of the links.
     closed, closed_low
         ``(before^2 - after^2) / (before^2 - floor^2)``, and the lower end of its one-sided 95 % interval, by bootstrap
         over blocks of time.
@@ -38,6 +40,7 @@ class Gap:
     before: float
     after: float
     floor: float
+    bare_floor: float
     closed: float
     closed_low: float
     by_channel: np.ndarray
@@ -82,7 +85,7 @@ def prove(rigid: Rigid, base: Fit, best: Fit, temper: float, seed: int) -> Gap |
         return None
     before, after = (residual_spectra(case, case.unseen, f) for f in (base, best))
     total = sum(w.size for w in after)
-    floor2 = 1.0 + _parameter_share(rigid, best, temper) / total
+    floor2, bare2 = (1.0 + _parameter_share(rigid, f, temper) / total for f in (best, base))
     energy = np.concatenate([_by_blocks(s, b, a) for s, b, a in zip(case.unseen, before, after, strict=True)])
     rng = np.random.default_rng(seed)
     picks = rng.integers(len(energy), size=(_DRAWS, len(energy)))
@@ -94,7 +97,7 @@ def prove(rigid: Rigid, base: Fit, best: Fit, temper: float, seed: int) -> Gap |
         [np.sqrt(sum(np.sum(w**2, axis=0) for w in part) / sum(len(w) for w in part)) for part in (before, after)], axis=1
     )
     return Gap(
-        before=np.sqrt(whole[0]), after=np.sqrt(whole[1]), floor=np.sqrt(floor2),
+        before=np.sqrt(whole[0]), after=np.sqrt(whole[1]), floor=np.sqrt(floor2), bare_floor=np.sqrt(bare2),
         closed=float(_closed(whole[0], whole[1], floor2)), closed_low=float(np.quantile(draws, 0.05)),
         by_channel=by_channel, motions=tuple(dict.fromkeys(s.motion for s in case.unseen)),
     )  # fmt: skip

@@ -14,7 +14,7 @@ and subtracted. At rest the readings about their linear trend have the spectrum 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.fft import dct, idct
@@ -93,6 +93,8 @@ class Spectrum:
         Frequency from which on it was measured [Hz]; below, the lowest band's is taken.
     source
         ``repeats`` or ``parked``.
+    own
+        Of motions that repeat themselves, by name: how far readings repeat may differ from motion to motion.
     """
 
     frequencies: np.ndarray
@@ -101,6 +103,11 @@ class Spectrum:
     freedom: np.ndarray
     lowest: float
     source: str = ""
+    own: Mapping[str, Spectrum] = field(default_factory=dict)
+
+    def of(self, motion: str) -> Spectrum:
+        """A motion's own, or else that of all."""
+        return self.own.get(motion, self)
 
     @property
     def enough(self) -> bool:
@@ -277,6 +284,17 @@ def coloured(pieces: Sequence[Piece], white: np.ndarray, channels: Sequence[int]
     return bool(np.any(np.median(np.concatenate(ratios), axis=0)[list(channels)] > _COLOURED))
 
 
+def _own(stretches: Sequence[Stretch], repeats: Sequence[Repeat], pieces: Sequence[Piece]) -> dict[str, Spectrum]:
+    """Spectra of motions that repeat themselves often enough."""
+    mine: dict[str, list[Piece]] = {}
+    for r, piece in zip(repeats, pieces, strict=True):
+        names = {stretches[r.first].motion, stretches[r.second].motion}
+        for name in names if len(names) == 1 else ():
+            mine.setdefault(name, []).append(piece)
+    found = {name: measured_spectrum(own) for name, own in mine.items()}
+    return {name: spectrum for name, spectrum in found.items() if spectrum is not None and spectrum.enough}
+
+
 @dataclass(frozen=True, eq=False)
 class Encoders:
     """What their errors do to predictions.
@@ -350,5 +368,5 @@ def measure(
     for source, pieces, judged in sources:
         spectrum = measured_spectrum(pieces)
         if spectrum is not None and spectrum.enough and (filtered or coloured(pieces, white, judged)):
-            return replace(spectrum, source=source)
+            return replace(spectrum, source=source, own=_own(stretches, repeats, pieces) if source == "repeats" else {})
     return None

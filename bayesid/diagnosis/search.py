@@ -266,8 +266,8 @@ def _families_of(terms: Sequence[Term]) -> int:
 
 
 def _in_family(terms: Sequence[Term], index: int) -> bool:
-    """Whether the same kind of effect is in the model at other joints, too."""
-    return sum(t.effect.name == terms[index].effect.name for t in terms) > 1
+    """Whether the same kind of effect is in the model at several other joints, too; two may be a coincidence."""
+    return sum(t.effect.name == terms[index].effect.name for t in terms) > 2
 
 
 def _standing(best: Fit, index: int, temper: float) -> float:

@@ -18,7 +18,7 @@ from functools import cached_property
 
 import numpy as np
 from scipy.fft import dct, idct
-from scipy.ndimage import binary_opening, convolve
+from scipy.ndimage import binary_opening, convolve, uniform_filter1d
 from scipy.stats import chi2
 
 from bayesid.effects import REST_SPEED, Scene
@@ -31,7 +31,7 @@ ACCURACY = 1e-4
 #: Time in which a recording's weight rises from nothing at both ends [s].
 RAMP = 0.5
 #: A joint rests while it is slower than this share of its highest speed, if that lasts [s].
-REST_SHARE, REST_TIME = 0.005, 0.25
+REST_SHARE, REST_TIME = 0.005, 0.1
 #: Repetitions of the encoders' rounding.
 ROUNDINGS = 12
 #: Frequencies pooled on each side for E(f).
@@ -129,9 +129,10 @@ class Stretch:
     def _moving(self) -> np.ndarray:
         """1 where a joint moves, 0 where it rests for longer than `REST_TIME`, with smooth flanks (M, n)."""
         step = float(np.median(np.diff(self.scene.times)))
-        speed = np.abs(self.scene.velocities)
-        rest = speed < np.maximum(REST_SHARE * speed.max(axis=0), 2.0 * REST_SPEED)
         length = max(int(REST_TIME / step), 1)
+        # Encoder counts make single velocities noisy; a mean over a rest is not, and one over a reversal is soon past zero.
+        speed = np.abs(uniform_filter1d(self.scene.velocities, length, axis=0))
+        rest = speed < np.maximum(REST_SHARE * speed.max(axis=0), 2.0 * REST_SPEED)
         # A rest that lasts: opening (erosion, then dilation) along time. Then the flanks.
         rest = binary_opening(rest, np.ones((length, 1), bool))
         wide = np.hanning(2 * length + 3)[1:-1, None]

@@ -16,7 +16,7 @@ from scipy.ndimage import binary_dilation, binary_opening
 from scipy.signal import butter, sosfiltfilt
 from scipy.stats import chi2, norm
 
-from bayesid.diagnosis.spectra import RAMP, REST_SHARE, REST_TIME, Stretch, sensor_noise
+from bayesid.diagnosis.spectra import RAMP, REST_SHARE, Stretch, sensor_noise
 from bayesid.effects import REST_SPEED
 
 #: Windows [s], but no fewer samples than this, and how far around the usual level is sought [s].
@@ -27,6 +27,8 @@ CLEAR = 2.5
 _KICK, _MOVES = 0.12, 10.0
 #: Windows and samples that it takes to know how readings scatter when nothing happens.
 _KNOWN, _LEAST = 30, 64
+#: A rest that lasts this long is not looked at [s].
+_REST = 0.25
 #: Marked windows closer than this are one event [s].
 _BRIDGE = 0.15
 #: A tap has this share of its energy within this time [s], spread over a band at least this wide [Hz].
@@ -169,7 +171,7 @@ def kicks(stretch: Stretch) -> np.ndarray:
     fastest = np.abs(scene.velocities).max(axis=0)
     speed = scene.velocities[:, fastest > _MOVES * REST_SPEED]
     moves = np.abs(speed) > np.maximum(REST_SHARE * np.abs(speed).max(axis=0), 2.0 * REST_SPEED)
-    rests = np.any(binary_opening(~moves, np.ones((max(round(REST_TIME / step), 1), 1), bool)), axis=1)
+    rests = np.any(binary_opening(~moves, np.ones((max(round(_REST / step), 1), 1), bool)), axis=1)
     sign = np.where(moves, np.sign(speed), 0.0)
     turns = np.concatenate([[False], (sign[1:] != sign[:-1]).any(axis=1)])
     near = np.asarray(binary_dilation(turns, iterations=max(round(_KICK / step), 1)))
