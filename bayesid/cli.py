@@ -162,9 +162,7 @@ def check(experiment: Path, out: Path | None, seed: int) -> None:
 @_STATIC
 @_OUT
 @_SEED
-def identify(
-    experiment, channel, filter_l, filter_d, bandwidth, motions, effects, model, method, bounds, static, out, seed
-) -> None:
+def identify(experiment, filter_l, filter_d, model, method, bounds, out, seed, **options) -> None:
     """Base parameters with honest uncertainty, link parameters, proof on the validation motions."""
     del seed
     if out is not None:
@@ -175,10 +173,7 @@ def identify(
         progress("reading")
         loaded = _load(experiment, model)
         chosen = _bounded(chosen, bounds, loaded)
-        result = bayesid.identify(
-            loaded, channel, chosen, low_pass=filters, motions=motions, effects=effects, static=static,
-            bandwidth=bandwidth, progress=progress,
-        )  # fmt: skip
+        result = bayesid.identify(loaded, method=chosen, low_pass=filters, progress=progress, **options)
         progress("report")
         report = result.write(_out(out, loaded.name, "identify"))
     click.echo(bayesid.summary(result))
@@ -193,9 +188,7 @@ def identify(
 @_STATIC
 @_OUT
 @_SEED
-def compare(
-    experiment, channel, filter_l, filter_d, bandwidth, motions, effects, model, methods, bounds, static, out, seed
-) -> None:
+def compare(experiment, filter_l, filter_d, model, methods, bounds, out, seed, **options) -> None:
     """Several estimators on the same data, side by side, and the nominal model beside them."""
     del seed
     if out is not None:
@@ -208,10 +201,7 @@ def compare(
         loaded = _load(experiment, model)
         if bounds is not None:
             methods = _all_bounded(methods or DEFAULT_SET, bounds, loaded)
-        result = bayesid.compare(
-            loaded, methods, channel, low_pass=filters, motions=motions, effects=effects, static=static,
-            bandwidth=bandwidth, progress=progress,
-        )  # fmt: skip
+        result = bayesid.compare(loaded, methods, low_pass=filters, progress=progress, **options)
         progress("report")
         report = result.write(_out(out, loaded.name, "compare"))
     click.echo(str(result))

@@ -25,16 +25,12 @@ from bayesid.problem import Problem, prepare
 from bayesid.regression import Regression
 from bayesid.report import comparison_report
 from bayesid.report.comparison import comparison_text
-from bayesid.workflow import Progress
+from bayesid.stages import Progress, quiet
 
 SCHEMA = 1
 #: What is compared when nothing is asked for, as far as it is there: plain, default and efficient least squares,
 #: and one estimator each against outliers, against encoder noise and for bodies that can exist.
 DEFAULT_SET = ("ols", "wls", "gls", "huber", "iv", "sdp")
-
-
-def _quiet(_: str) -> None:
-    return None
 
 
 @dataclass(frozen=True)
@@ -153,7 +149,7 @@ def compare(
     effects: Sequence[str] | None = None,
     static: str = "motion",
     bandwidth: float | None = None,
-    progress: Progress = _quiet,
+    progress: Progress = quiet,
 ) -> Comparison:
     """Fit the same rows with several estimators and put the results side by side.
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import shutil
 import tempfile
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,6 +16,7 @@ from bayesid.experiment import Experiment, Sensor
 from bayesid.output import check_output
 from bayesid.robot import load_robot
 from bayesid.simulation import Recorder, Simulation, simulate, write_simulation
+from bayesid.stages import Progress, quiet
 from bayesid.trajectories import fourier_trajectory
 from bayesid.workflow import Identification, identify, summary
 
@@ -115,7 +115,7 @@ class Demo:
         return "\n".join(lines)
 
 
-def demo(out: str | Path, seed: int = 0, progress: Callable[[str], None] = lambda _: None) -> Demo:
+def demo(out: str | Path, seed: int = 0, progress: Progress = quiet) -> Demo:
     """Simulate, identify, compare with the truth; write the results and the experiment folder.
 
     Parameters

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ from bayesid.output import write_results
 from bayesid.problem import default_channel, make_channels, prepare
 from bayesid.report import check_report
 from bayesid.smoothing import smooth
+from bayesid.stages import Progress, quiet
 from bayesid.tables import GAP, WRENCH_COLUMNS, Table
 
 SCHEMA = 1
@@ -182,7 +182,7 @@ class Inspection:
         return write_results(folder, {"check.json": self.to_dict()}, {}, check_report(self))
 
 
-def inspect(experiment: Experiment, progress: Callable[[str], None] = lambda _: None) -> Inspection:
+def inspect(experiment: Experiment, progress: Progress = quiet) -> Inspection:
     """Say what an experiment contains: robot, motions, noise, and what each set of readings could show.
 
     Parameters

@@ -143,10 +143,10 @@ def estimate_noise(
     likelihood [Dempster1977]_. Without ``spread`` all variances are enlarged alike.
     """
     known = np.array([1.0]) if known_poles is None else np.real(np.poly(known_poles))
-    rows = [_fir(known, r) for r in residuals]
+    rows = [moving_average(known, r) for r in residuals]
     total, channels = sum(len(r) for r in rows), rows[0].shape[1]
     orders = [p for p in ORDERS if p <= min(highest_order, total // 10)] or [0]
-    taken = [] if spread is None else [_fir(known, z) for z in spread]
+    taken = [] if spread is None else [moving_average(known, z) for z in spread]
     fits = []
     for c in range(channels):
         own = [np.ascontiguousarray(z[:, c]) for z in taken]
@@ -233,7 +233,7 @@ def _autocovariance(polynomial: np.ndarray, lags: int) -> np.ndarray:
     return np.array(values[: lags + 1])
 
 
-def _fir(polynomial: np.ndarray, rows: np.ndarray) -> np.ndarray:
+def moving_average(polynomial: np.ndarray, rows: np.ndarray) -> np.ndarray:
     """Moving average along the first axis, from the zero state."""
     out = polynomial[0] * rows
     for k in range(1, len(polynomial)):

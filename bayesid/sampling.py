@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -33,14 +32,11 @@ from bayesid.problem import Problem, prepare
 from bayesid.regression import Block, Regression
 from bayesid.report import posterior_report
 from bayesid.rows import make_blocks
-from bayesid.workflow import TOLERATED, Progress
+from bayesid.stages import Clock, Progress, quiet
+from bayesid.workflow import TOLERATED
 
 SCHEMA = 1
 PRIORS = ("nominal", "flat")
-
-
-def _quiet(_: str) -> None:
-    return None
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,7 +112,7 @@ def sample(
     bandwidth: float | None = None,
     checkpoint: str | Path | None = None,
     resume: bool = False,
-    progress: Progress = _quiet,
+    progress: Progress = quiet,
     bar: bool = False,
 ) -> Posterior:
     """Draws from the posterior over base parameters, the links behind them, effects and the noise.
@@ -156,8 +152,7 @@ def sample(
     ConvergenceError
         The chains did not converge; its ``partial`` holds what there is.
     """
-    seconds: dict[str, float] = {}
-    clock = _Clock(progress, seconds)
+    clock = Clock(progress)
     # The matrices are small: threads inside the linear algebra cost more than they gain here.
     with threadpool_limits(1, user_api="blas"):
         clock("reading")
@@ -217,7 +212,7 @@ def _prior(regression: Regression, prior: str | Prior | None, std: float | None)
 
 
 def _with_predictions(
-    model: PosteriorModel, result: Chains, seed: int, regression: Regression, problem: Problem | None, trust, clock: _Clock
+    model: PosteriorModel, result: Chains, seed: int, regression: Regression, problem: Problem | None, trust, clock: Clock
 ) -> Posterior:
     posterior = Posterior(model, result, seed)
     if problem is None:
@@ -308,25 +303,6 @@ def _warnings(posterior: Posterior, problem: Problem, validation: Sequence[Predi
             "--prior nominal --prior-std 0.3 does both."
         )
     return tuple([*out, *problem.experiment.warnings])
-
-
-class _Clock:
-    """Run time by stage, told to a progress display as it goes."""
-
-    def __init__(self, progress: Progress, seconds: dict[str, float]):
-        self.progress, self.seconds = progress, seconds
-        self.stage, self.since = "", time.perf_counter()
-
-    def __call__(self, stage: str) -> None:
-        self.stop()
-        self.stage = stage
-        self.progress(stage)
-
-    def stop(self) -> None:
-        now = time.perf_counter()
-        if self.stage:
-            self.seconds[self.stage] = self.seconds.get(self.stage, 0.0) + now - self.since
-        self.stage, self.since = "", now
 
 
 def checkpoint_of(folder: str | Path) -> Path:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -23,16 +22,11 @@ from bayesid.output import write_results
 from bayesid.prediction import Prediction, predict, relative_error
 from bayesid.problem import Problem, prepare
 from bayesid.report import identification_report
+from bayesid.stages import Clock, Progress, quiet
 
 SCHEMA = 1
 #: Whitened residuals on a motion that was not fitted above this say that something is missing in the model.
 TOLERATED = 1.15
-
-Progress = Callable[[str], None]
-
-
-def _quiet(_: str) -> None:
-    return None
 
 
 @dataclass(frozen=True)
@@ -185,7 +179,7 @@ def identify(
     effects: Sequence[str] | None = None,
     static: str = "motion",
     bandwidth: float | None = None,
-    progress: Progress = _quiet,
+    progress: Progress = quiet,
 ) -> Identification:
     """Base parameters with uncertainty, link parameters, and proof on the validation motions.
 
@@ -216,7 +210,7 @@ def identify(
         Bad input; the message says what to do.
     """
     method = estimator(method)
-    clock = _Clock(progress)
+    clock = Clock(progress)
     # The matrices are small: threads inside the linear algebra cost more than they gain here.
     with threadpool_limits(1, user_api="blas"):
         clock("reading")
@@ -257,26 +251,6 @@ def identify(
         seconds=clock.stop(),
     )
     return Identification(**{**result.__dict__, "warnings": _warnings(result)})
-
-
-class _Clock:
-    """Run time by stage, told to a progress display as it goes."""
-
-    def __init__(self, progress: Progress):
-        self.progress, self.seconds = progress, {}
-        self.stage, self.since = "", time.perf_counter()
-
-    def __call__(self, stage: str) -> None:
-        self.stop()
-        self.stage = stage
-        self.progress(stage)
-
-    def stop(self) -> dict[str, float]:
-        now = time.perf_counter()
-        if self.stage:
-            self.seconds[self.stage] = self.seconds.get(self.stage, 0.0) + now - self.since
-        self.stage, self.since = "", now
-        return self.seconds
 
 
 def _unexcited(problem: Problem, estimate: Estimate) -> tuple[str, ...]:

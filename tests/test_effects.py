@@ -26,7 +26,7 @@ from bayesid.effects import (
     typical,
 )  # fmt: skip
 from bayesid.effects.kinematics import link_states
-from bayesid.effects.model import _model
+from bayesid.effects.model import Model
 from bayesid.errors import InputError
 from bayesid.experiment import load_experiment
 from bayesid.momentum import dynamics_regressor, torque_channels, wrench_channels
@@ -228,9 +228,9 @@ def test_flexible_joint_bends_under_its_torque(panda):
         np.testing.assert_allclose(got[sample], oracle(panda, scene, sample, q=link), atol=1e-6)
     # Moving: the same in position and velocity, at every time.
     scene = moving(panda, 1500)
-    model = _model(panda, at_base(panda), scene, panda.nominal, [flexible])
+    model = Model.of(panda, at_base(panda), scene, panda.nominal, [flexible])
     torque = model.readings[:, 7]
-    q, v, a = model._flexed(*model.motor, model._of("joint_flexibility"))
+    q, v, a = model._flexed(*model.motor, model.named("joint_flexibility"))
     inner = slice(200, -200)
     np.testing.assert_allclose((scene.positions - q)[inner, 1], 2e-4 * torque[inner], atol=3e-5)
     np.testing.assert_allclose((scene.velocities - v)[inner, 1], 2e-4 * np.gradient(torque, scene.times)[inner], atol=3e-4)
@@ -243,7 +243,7 @@ def test_mount_obeys_its_equation_of_motion(panda):
     scene = replace(moving(panda, 1200, 0.004), middle=np.full(7, 0.3))
     resonance, damping = 9.0, 0.06
     mount = term(panda, "base_compliance", resonance, damping)
-    model = _model(panda, at_base(panda), scene, panda.nominal, [mount])
+    model = Model.of(panda, at_base(panda), scene, panda.nominal, [mount])
     root = model.states[:, panda.n]
     angles = np.stack([np.arctan2(root[:, 7], root[:, 4]), np.arctan2(root[:, 2], root[:, 0])], axis=1)
     # The x and y joints' torques by Pinocchio, with rates from the angles by differences.

@@ -2,8 +2,9 @@
 
 from bayesid.effects.catalogue import CONTACT_RAMP, KINDS, REST_SPEED, Kind
 from bayesid.effects.effect import Effect, Scene, State, Term, middle_of, parse_effects, places
+from bayesid.effects.exact import columns, readings, rigid_columns
 from bayesid.effects.linearised import PLAIN, Point, linearised, moved, reach_of, starting_point
-from bayesid.effects.model import SOFT, columns, readings, rigid_columns
+from bayesid.effects.model import SOFT
 from bayesid.effects.sizes import typical
 
 __all__ = [

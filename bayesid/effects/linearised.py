@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayesid.effects.effect import Effect, Scene, Term
-from bayesid.effects.model import columns, readings, rigid_columns
+from bayesid.effects.exact import columns, readings, rigid_columns
 from bayesid.errors import InputError
 from bayesid.momentum import Channels
 from bayesid.robot import Robot

@@ -1,4 +1,4 @@
-"""What instruments read of a robot with effects: exact readings and their derivatives.
+"""What instruments read of a robot with effects, exactly.
 
 In this order:
 
@@ -20,40 +20,24 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from bayesid.effects.effect import Effect, Scene, Term, sense
+from bayesid.effects.effect import Scene, Term
 from bayesid.effects.flexible import link_motion, splines
 from bayesid.effects.forces import LOADS, Loads, body_of, rotor_couple
-from bayesid.effects.kinematics import (
-    P,
-    R,
-    body_wrenches,
-    channel_twists,
-    is_wrench,
-    link_columns,
-    link_states,
-    project,
-    transform_matrix,
-)  # fmt: skip
+from bayesid.effects.kinematics import body_wrenches, channel_twists, is_wrench, link_states, project, transform_matrix
 from bayesid.effects.mount import mount_motion
-from bayesid.effects.sensor import DRIVE, SENSOR, SensorChain, delayed, inside_joint, sensor_chain
+from bayesid.effects.sensor import DRIVE, SENSOR, SensorChain, inside_joint, sensor_chain
 from bayesid.errors import InputError
 from bayesid.momentum import Channels, torque_channels
 from bayesid.robot import Robot
 
 #: Effects that differentiate a load again; encoders' errors pass through them much enlarged.
 SOFT = ("joint_flexibility", "base_compliance")
-_BODIES = ("payload", "inertia_error")
+#: Effects that are bodies or parts of bodies.
+BODIES = ("payload", "inertia_error")
 #: A joint's torque is differentiated twice where the joint gives: smoothed to this share of the bandwidth, unless its scene says
 #: up to where it is clear.
 SOFT_BANDWIDTH = 0.7
 _KEPT = 6  # results kept with a scene
-
-#: Steps of central differences, by parameter; relative to the value where that is larger.
-_STEPS = {
-    "delay": 1e-4, "angle": 1e-4, "compliance": 1e-6, "resonance": 0.01, "damping": 1e-3, "rest_length": 1e-4, "start": 1e-3,
-    "end": 1e-3, "velocity": 1e-3, "periods": 1e-3, "phase": 1e-3,
-}  # fmt: skip
-_STEP = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,9 +60,23 @@ class Model:
     links: np.ndarray
     terms: tuple[Term, ...]
 
+    @classmethod
+    def of(cls, robot: Robot, channels: Channels, scene: Scene, links: np.ndarray, terms: Sequence[Term]) -> Model:
+        """The model of links (b, 10) or (10 b,); InputError for another shape."""
+        links = np.ascontiguousarray(np.asarray(links, float).reshape(-1, 10))
+        if links.shape != robot.nominal.shape:
+            raise InputError(f"links have shape {links.shape}; give {robot.nominal.shape}, ten parameters a body")
+        return cls(robot, channels, scene, links, tuple(terms))
+
+    def replaced(self, term: Term) -> Model:
+        """The model with other values of one term."""
+        terms = tuple(term if t.effect == term.effect else t for t in self.terms)
+        return Model(self.robot, self.channels, self.scene, self.links, terms)
+
     # -- what the model consists of
 
-    def _of(self, *names: str) -> list[Term]:
+    def named(self, *names: str) -> list[Term]:
+        """The terms with one of these names."""
         return [t for t in self.terms if t.effect.name in names]
 
     @cached_property
@@ -106,7 +104,7 @@ class Model:
     @cached_property
     def gravity(self) -> np.ndarray:
         """Gravity in the base frame, turned by the base's tilt (3,)."""
-        return _tilted(self.robot, self._of("base_tilt"))
+        return tilted(self.robot, self.named("base_tilt"))
 
     @cached_property
     def bodies(self) -> np.ndarray:
@@ -114,8 +112,8 @@ class Model:
         robot = self.robot
         out = np.vstack([self.links, robot.static_nominal])
         for body in range(robot.n, len(robot.body_names)):
-            out[body] = _split(robot, body) @ out[body]
-        for term in self._of(*_BODIES):
+            out[body] = split_matrix(robot, body) @ out[body]
+        for term in self.named(*BODIES):
             out[body_of(robot, term.effect.joint)] += term.values
         return out
 
@@ -126,15 +124,15 @@ class Model:
         """True joint positions on the motors' side, velocities, accelerations."""
         scene = self.scene
         shift = np.zeros(self.robot.n)
-        for term in self._of("encoder_offset"):
+        for term in self.named("encoder_offset"):
             shift[term.effect.joint] += term.values[0]
         return scene.positions - shift, scene.velocities, scene.accelerations
 
     @cached_property
     def _key(self) -> tuple:
         """What the links' motion depends on."""
-        pose = tuple(sorted((t.effect.joint, t.values) for t in self._of("encoder_offset")))
-        if not self._of(*SOFT):
+        pose = tuple(sorted((t.effect.joint, t.values) for t in self.named("encoder_offset")))
+        if not self.named(*SOFT):
             return (id(self.robot), pose)
         physical = tuple((t.effect, t.values) for t in self.terms if t.effect.name not in (*SENSOR, *DRIVE))
         return (id(self.robot), pose, self.links.tobytes(), physical)
@@ -158,18 +156,18 @@ class Model:
         q, v, a = self.motor
         if scene.still:
             v = a = np.zeros_like(q)
-        soft = self._of("joint_flexibility")
+        soft = self.named("joint_flexibility")
         if soft:
             q, v, a = self._flexed(q, v, a, soft)
         root = None
-        for term in self._of("base_compliance"):
+        for term in self.named("base_compliance"):
 
             def moment(states):
                 wrench = body_wrenches(states, self.row_of, self.bodies, self.gravity)
                 total = wrench.sum(axis=1)
                 for _, force in self._loads(states):
                     total -= force
-                for rotor in self._of("rotor_momentum"):
+                for rotor in self.named("rotor_momentum"):
                     total += rotor.values[0] * self._rotor(states, rotor)[1]
                 return total[:, 3:]
 
@@ -212,7 +210,7 @@ class Model:
 
     def _loads(self, states: np.ndarray) -> Loads:
         out: Loads = []
-        for term in self._of(*LOADS):
+        for term in self.named(*LOADS):
             out += LOADS[term.effect.name](self.robot, self.scene, states, term)
         return out
 
@@ -224,7 +222,7 @@ class Model:
             return rotor_couple(self.robot, states, joint, np.zeros(len(q)), np.zeros(len(q)))
         return rotor_couple(self.robot, states, joint, v[:, joint], a[:, joint])
 
-    def _rotor_reading(self, channels: Channels, carries, states, twists, term: Term) -> np.ndarray:
+    def rotor_reading(self, channels: Channels, carries, states, twists, term: Term) -> np.ndarray:
         """What a rotor of unit inertia adds to each channel (N, c)."""
         body, couple, own = self._rotor(states, term)
         out = np.einsum("nck,nk->nc", twists, couple) * carries[:, body]
@@ -238,15 +236,15 @@ class Model:
 
     def _true(self, channels: Channels, carries, states, twists, own: bool = False) -> np.ndarray:
         """True wrench and link-side torques of some channels (N, c)."""
-        if own or not self._of(*SOFT, *LOADS, "rotor_momentum"):
+        if own or not self.named(*SOFT, *LOADS, "rotor_momentum"):
             wrench = body_wrenches(states, self.row_of, self.bodies, self.gravity)
         else:
             wrench = self._wrenches.copy()
         for body, force in self._loads(states):
             wrench[:, body] -= force
         out = project(twists, wrench, carries)
-        for term in self._of("rotor_momentum"):
-            out += term.values[0] * self._rotor_reading(channels, carries, states, twists, term)
+        for term in self.named("rotor_momentum"):
+            out += term.values[0] * self.rotor_reading(channels, carries, states, twists, term)
         return out
 
     @cached_property
@@ -272,13 +270,13 @@ class Model:
     @cached_property
     def chain(self) -> SensorChain:
         """The sensor's own effects."""
-        return sensor_chain(self.robot, self.channels, self.wrench, self._of(*SENSOR))
+        return sensor_chain(self.robot, self.channels, self.wrench, self.named(*SENSOR))
 
     @cached_property
     def torque_gain(self) -> np.ndarray:
         """1 + gain of each channel (c,)."""
         gain = np.ones(len(self.channels))
-        for term in self._of("torque_gain"):
+        for term in self.named("torque_gain"):
             if term.effect.joint in self.joints:
                 gain[self.joints[term.effect.joint]] += term.values[0]
         return gain
@@ -292,245 +290,21 @@ class Model:
         return self._with_drives(out)
 
     def _with_drives(self, out: np.ndarray) -> np.ndarray:
-        for term in self._of(*DRIVE):
+        for term in self.named(*DRIVE):
             if term.effect.joint in self.joints:
                 k = self.joints[term.effect.joint]
                 out[:, k] += inside_joint(self.scene, self.motor, self.true[:, k], term)
         return out * self.torque_gain
 
-    def tangent(self, change: np.ndarray) -> np.ndarray:
-        """Change of the readings with a change of the true wrench and torques, (N, c, k)."""
-        if not self._of(*SENSOR, "load_friction", "torque_gain"):
-            return change
-        out = np.array(change)
-        if len(self.wrench) and self._of(*SENSOR):
-            out[:, self.wrench] = self.chain.linear(self.scene, change[:, self.wrench])
-        for term in self._of("load_friction"):
-            if term.effect.joint in self.joints:
-                k = self.joints[term.effect.joint]
-                share = term.values[0] * np.sign(self.true[:, k]) * sense(self.scene.velocities[:, term.effect.joint])
-                out[:, k] += share[:, None] * change[:, k]
-        return out * self.torque_gain[:, None] if self._of("torque_gain") else out
 
-    def rigid_columns(self) -> np.ndarray:
-        """Derivative of the readings with respect to the links' parameters at the links' motion, (N, c, 10 b)."""
-        robot, b = self.robot, len(self.robot.body_names)
-        out = link_columns(self.states, self.twists, self.row_of[:b], self.carries[:, :b], self.gravity)
-        for body in range(robot.n, b):
-            part = slice(10 * body, 10 * body + 10)
-            out[:, :, part] = out[:, :, part] @ _split(robot, body)
-        return self.tangent(out)
-
-    # -- derivatives with respect to an effect's parameters
-
-    def columns(self, effect: Effect) -> np.ndarray:
-        """Derivative of the readings with respect to the parameters of one of the terms, (N, c, k)."""
-        here = [t for t in self.terms if t.effect == effect]
-        name, scene = effect.name, self.scene
-        count, channels = len(effect.kind.parameters), len(self.channels)
-        out = np.zeros((len(scene.times), channels, count))
-        if not any(effect.kind.acts_on(c) for c in self.channels.names):
-            return out
-        term = here[0]
-        if name in SENSOR:
-            out[:, self.wrench] = self._sensor_columns(term)
-            return out
-        if name in DRIVE:
-            if effect.joint in self.joints:
-                out[:, self.joints[effect.joint]] = self._drive_columns(term)
-            return out
-        if name in _BODIES:
-            body = body_of(self.robot, effect.joint)
-            carried = self.carries[:, body : body + 1]
-            return self.tangent(link_columns(self.states, self.twists, self.row_of[body : body + 1], carried, self.gravity))
-        if name == "rotor_momentum":
-            return self.tangent(self._rotor_reading(self.channels, self.carries, self.states, self.twists, term)[:, :, None])
-        if name in LOADS:
-            return self.tangent(self._difference(term, self._load_reading))
-        if name == "base_tilt" and not self._of(*SOFT):
-            return self.tangent(self._difference(term, self._tilt_reading))
-        return self._difference(term, lambda t: self._with(t).readings)
-
-    def _with(self, term: Term) -> Model:
-        """The model with other values of one term."""
-        terms = tuple(term if t.effect == term.effect else t for t in self.terms)
-        return Model(self.robot, self.channels, self.scene, self.links, terms)
-
-    def _difference(self, term: Term, reading) -> np.ndarray:
-        """Central differences with respect to the parameters of a term."""
-        out = []
-        for k, key in enumerate(term.effect.kind.parameters):
-            step = max(_STEPS.get(key, _STEP), 1e-4 * abs(term.values[k]))
-            ends = []
-            for sign in (1.0, -1.0):
-                values = list(term.values)
-                values[k] += sign * step
-                ends.append(reading(Term(term.effect, tuple(values))))
-            out.append((ends[0] - ends[1]) / (2.0 * step))
-        return np.stack(out, axis=-1)
-
-    def _load_reading(self, term: Term) -> np.ndarray:
-        out = np.zeros((len(self.scene.times), len(self.channels)))
-        for body, force in LOADS[term.effect.name](self.robot, self.scene, self.states, term):
-            out -= np.einsum("nck,nk->nc", self.twists, force) * self.carries[:, body]
-        return out
-
-    def _tilt_reading(self, term: Term) -> np.ndarray:
-        """Weight of all bodies under the tilted gravity."""
-        others = [t for t in self._of("base_tilt") if t.effect != term.effect]
-        gravity = _tilted(self.robot, [*others, term])
-        x = self.states[:, self.row_of]
-        rotation = x[:, :, R : R + 9].reshape(*x.shape[:2], 3, 3)
-        mass = self.bodies[:, 0]
-        first = mass[:, None] * x[:, :, P : P + 3] + np.einsum("nbij,bj->nbi", rotation, self.bodies[:, 1:4])
-        force = np.broadcast_to(-mass[:, None] * gravity, first.shape)
-        return project(self.twists, np.concatenate([force, -np.cross(first, gravity)], axis=2), self.carries)
-
-    def _sensor_columns(self, term: Term) -> np.ndarray:
-        scene, chain, true = self.scene, self.chain, self.true[:, self.wrench]
-        name, axes = term.effect.name, term.effect.axes
-        if name in ("sensor_offset", "sensor_drift"):
-            size = np.ones(len(scene.times)) if name == "sensor_offset" else scene.times
-            return size[:, None, None] * np.eye(6)
-        if name in ("sensor_gain", "sensor_crosstalk"):
-            out = np.zeros((len(scene.times), 6, 1))
-            out[:, axes[-1], 0] = chain.sensed(scene, true[:, :, None])[:, axes[0], 0]
-            return out
-        terms = [t for t in self._of(*SENSOR) if t.effect != term.effect]
-        if name == "sensor_translation":
-            # Linear, but its slope is wanted at the turned and delayed axes: one step of it, from zero.
-            zero = sensor_chain(self.robot, self.channels, self.wrench, [*terms, Term(term.effect, (0.0,) * 3)])
-            parts = []
-            for unit in np.eye(3):
-                shifted = sensor_chain(self.robot, self.channels, self.wrench, [*terms, Term(term.effect, tuple(unit))])
-                moved = np.einsum("ij,nj->ni", shifted.pose - zero.pose, true)
-                moved = moved if zero.delay == 0.0 or scene.still else delayed(scene.times, moved, zero.delay)
-                parts.append(moved @ zero.mix.T)
-            return np.stack(parts, axis=-1)
-        if name == "sensor_delay" and scene.still:
-            return np.zeros((len(scene.times), 6, 1))
-
-        def reading(changed: Term) -> np.ndarray:
-            chain = sensor_chain(self.robot, self.channels, self.wrench, [*terms, changed])
-            return chain.linear(scene, true[:, :, None])[:, :, 0]
-
-        return self._difference(term, reading)
-
-    def _drive_columns(self, term: Term) -> np.ndarray:
-        joint = term.effect.joint
-        assert joint is not None
-        k = self.joints[joint]
-        true = self.true[:, k]
-        if term.effect.name == "torque_gain":
-            inside = [inside_joint(self.scene, self.motor, true, t) for t in self._of(*DRIVE) if t.effect.joint == joint]
-            return (true + sum(inside))[:, None]
-        change = self._difference(term, lambda t: inside_joint(self.scene, self.motor, true, t))
-        return change * self.torque_gain[k]
-
-
-def _tilted(robot: Robot, terms: Sequence[Term]) -> np.ndarray:
+def tilted(robot: Robot, terms: Sequence[Term]) -> np.ndarray:
+    """Gravity in the base frame (3,), turned by one tilt after the other."""
     gravity = robot.gravity
     for term in terms:
         gravity = Rotation.from_euler("xy", term.values).as_matrix() @ gravity
     return np.asarray(gravity, float)
 
 
-def _split(robot: Robot, body: int) -> np.ndarray:
+def split_matrix(robot: Robot, body: int) -> np.ndarray:
     """From a split body's parameters to those in its joint's frame (10, 10)."""
     return transform_matrix(robot.body_rotation[body], robot.body_translation[body])
-
-
-def _model(robot: Robot, channels: Channels, scene: Scene, links: np.ndarray, terms: Sequence[Term]) -> Model:
-    links = np.ascontiguousarray(np.asarray(links, float).reshape(-1, 10))
-    if links.shape != robot.nominal.shape:
-        raise InputError(f"links have shape {links.shape}; give {robot.nominal.shape}, ten parameters a body")
-    return Model(robot, channels, scene, links, tuple(terms))
-
-
-def _at_rest(terms: Sequence[Term]) -> tuple[Term, ...]:
-    """The effects that a static run of the same positions has too; a sensor drifts on between the two."""
-    return tuple(t for t in terms if t.effect.name not in ("sensor_drift", "external_contact"))
-
-
-def readings(
-    robot: Robot, channels: Channels, scene: Scene, links: np.ndarray, terms: Sequence[Term] = (), *, gravity: bool = True
-) -> np.ndarray:
-    """What the channels read, everything included: a base sensor's load of the root link, too.
-
-    Parameters
-    ----------
-    robot, channels
-        What moves and what is measured.
-    scene
-        How it moves.
-    links
-        Ten parameters a body (b, 10) or (10 b,).
-    terms
-        The effects with their values.
-    gravity
-        False: less what the same positions read at rest (equation 21 of [Liu1998]_), free of offset and weight.
-
-    Returns
-    -------
-    readings
-        (N, c) [N, N m].
-
-    Raises
-    ------
-    InputError
-        Links of the wrong shape.
-    """
-    moving = _model(robot, channels, scene, links, terms).readings
-    if gravity:
-        return moving
-    return moving - _model(robot, channels, scene.at_rest, links, _at_rest(terms)).readings
-
-
-def rigid_columns(
-    robot: Robot, channels: Channels, scene: Scene, links: np.ndarray, terms: Sequence[Term] = (), *, gravity: bool = True
-) -> np.ndarray:
-    """Derivative of `readings` with respect to the links' parameters, (N, c, 10 b).
-
-    The links' motion is held: how a flexible joint or mount gives way to a change of the links is not part of it.
-
-    Parameters and errors are those of `readings`.
-    """
-    moving = _model(robot, channels, scene, links, terms).rigid_columns()
-    if gravity:
-        return moving
-    return moving - _model(robot, channels, scene.at_rest, links, _at_rest(terms)).rigid_columns()
-
-
-def columns(
-    robot: Robot,
-    channels: Channels,
-    scene: Scene,
-    links: np.ndarray,
-    terms: Sequence[Term],
-    effect: Effect,
-    values: Sequence[float] | None = None,
-    *,
-    gravity: bool = True,
-) -> np.ndarray:
-    """Derivative of `readings` with respect to an effect's parameters, (N, c, k).
-
-    Parameters
-    ----------
-    robot, channels, scene, links, terms, gravity
-        As in `readings`.
-    effect
-        One of the terms' or another.
-    values
-        Where to take the derivative; default the term's own values, or the catalogue's for an effect that is no
-        term yet.
-    """
-    own = next((t.values for t in terms if t.effect == effect), effect.kind.starts)
-    here = Term(effect, tuple(own if values is None else values))
-    full = (*(t for t in terms if t.effect != effect), here)
-    moving = _model(robot, channels, scene, links, full).columns(effect)
-    if gravity:
-        return moving
-    rest = _at_rest(full)
-    if here not in rest:
-        return moving
-    return moving - _model(robot, channels, scene.at_rest, links, rest).columns(effect)

@@ -356,12 +356,13 @@ def _prove(problem: Conic, matrix: np.ndarray, low: np.ndarray, x: np.ndarray, z
         complementarity=float(z @ slack) / (1.0 + objective),
         eigenvalues=inside + problem.margin,
         ranks=ranks,
-        active=_active(problem.bounds, slack, z),
+        active=active_bounds(problem.bounds, slack, z),
         iterations=iterations,
     )
 
 
-def _active(bounds: Sequence[Linear], slack: np.ndarray, z: np.ndarray) -> tuple[str, ...]:
+def active_bounds(bounds: Sequence[Linear], slack: np.ndarray, z: np.ndarray) -> tuple[str, ...]:
+    """Names of the bounds that hold the optimum back: a multiplier z above the slack, one number a row of each."""
     out, start = [], 0
     for group in bounds:
         part = slice(start, start := start + len(group.low))

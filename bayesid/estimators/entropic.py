@@ -14,7 +14,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from bayesid import inertia
 from bayesid.errors import EstimationError
-from bayesid.estimators.cone import Conic, Infeasible, Solution, _active
+from bayesid.estimators.cone import Conic, Infeasible, Solution, active_bounds
 
 _STEPS = 60
 
@@ -121,7 +121,7 @@ def solve_entropic(problem: Conic, matrix: np.ndarray, target: np.ndarray, rel_s
         complementarity=float(z @ slack) / (1.0 + objective),
         eigenvalues=values,
         ranks=np.full(len(values), 4),
-        active=_active(problem.bounds, slack, z),
+        active=active_bounds(problem.bounds, slack, z),
         iterations=steps,
     )
 

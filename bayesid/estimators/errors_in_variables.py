@@ -26,8 +26,8 @@ from scipy.stats import norm, t
 
 from bayesid.errors import InputError
 from bayesid.estimators.estimator import Estimate, unseen
-from bayesid.estimators.factor import Factor, Weights, _noise_of, _root_covariance, learn_weights, reduce_whitened, solve
-from bayesid.estimators.least_squares import _estimate, _inverse, _start, _towards, _weighted
+from bayesid.estimators.factor import Factor, Weights, learn_weights, noise_of_residuals, reduce_whitened, root_covariance, solve
+from bayesid.estimators.least_squares import factor_inverse, make_estimate, nominal_start, target_from_nominal, weighted_factor
 from bayesid.estimators.sensor_noise import sensor_noise
 from bayesid.noise import NoiseModel
 from bayesid.regression import Block, Pair, Regression, RegressorNoise
@@ -69,11 +69,11 @@ class Start:
 def begin(regression: Regression) -> Start:
     """Fit channel-weighted least squares, as `wls` does."""
     weights = learn_weights(regression)
-    factor, scale = _weighted(regression, weights, "channel")
-    solution = solve(factor.matrix, _towards(regression, factor))
-    solution = solution + _start(regression, len(solution))
+    factor, scale = weighted_factor(regression, weights, "channel")
+    solution = solve(factor.matrix, target_from_nominal(regression, factor))
+    solution = solution + nominal_start(regression, len(solution))
     hidden = unseen(factor.matrix)
-    return Start(weights, factor, scale, solution, hidden, _inverse(factor.matrix, hidden))
+    return Start(weights, factor, scale, solution, hidden, factor_inverse(factor.matrix, hidden))
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ class TotalLeastSquares:
             left = np.array([s - (np.eye(p) - d) @ -step for d, s in drawn])
             meat = meat + np.cov(left.T, ddof=1).reshape(p, p) / count
         covariance = start.root @ inverse @ meat @ inverse @ start.root.T
-        estimate = _estimate(
+        estimate = make_estimate(
             self.name, regression, replace(start.weights, noise=noise_of_fit(regression, start, solution)), start.factor,
             solution, covariance, start.hidden,
         )  # fmt: skip
@@ -195,7 +195,7 @@ def split_noise(
         if k < _SPECTRA:
             added.append(rows)
     blocks = regression.pilot()
-    taken = _root_covariance(reduce_whitened(blocks, start.weights.noise).matrix)
+    taken = root_covariance(reduce_whitened(blocks, start.weights.noise).matrix)
     noise = {}
     for group in start.weights.noise:
         own = [b for b in blocks if b.group == group]
@@ -214,7 +214,7 @@ def split_noise(
 def noise_of_fit(regression: Regression, start: Start, solution: np.ndarray) -> dict[str, NoiseModel]:
     """Noise of each group of rows from the residuals of a fit other than least squares."""
     blocks = regression.pilot()
-    return _noise_of(regression, blocks, solution, reduce_whitened(blocks, start.weights.noise))
+    return noise_of_residuals(regression, blocks, solution, reduce_whitened(blocks, start.weights.noise))
 
 
 def spread(noise: dict[str, NoiseModel], rows: Iterable[tuple[Block, np.ndarray]]) -> np.ndarray:

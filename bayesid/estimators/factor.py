@@ -165,23 +165,23 @@ def _learned(regression: Regression) -> Weights:
         residual = [b.target - b.matrix @ plain for b in blocks]
         power = sum(np.sum(r**2, axis=0) for r in residual) / sum(len(r) for r in residual)
         scale = np.sqrt(np.maximum(power, 1e-20 * max(power.max(), 1e-200)))
-    first = noise = _noise_of(regression, blocks, plain)
+    first = noise = noise_of_residuals(regression, blocks, plain)
     efficient = plain
     for _ in range(_PASSES):
         factor = reduce_whitened(blocks, noise)
         efficient = solve(factor.matrix, factor.target)
-        noise = _noise_of(regression, blocks, efficient, factor)
+        noise = noise_of_residuals(regression, blocks, efficient, factor)
     agreement = _hausman(blocks, noise, plain, efficient, scale)
     power = [sum(np.sum(((b.target - b.matrix @ x) / scale) ** 2) for b in blocks) for x in (plain, efficient)]
     complete = bool(agreement > SMALLEST_AGREEMENT or power[1] <= LARGEST_LOSS * power[0])
     if not complete:
         noise = first
         for _ in range(_PASSES):
-            noise = _noise_of(regression, blocks, plain, reduce_whitened(blocks, noise))
+            noise = noise_of_residuals(regression, blocks, plain, reduce_whitened(blocks, noise))
     return Weights(noise, agreement, complete)
 
 
-def _noise_of(
+def noise_of_residuals(
     regression: Regression, blocks: list[Block], values: np.ndarray, efficient: Factor | None = None
 ) -> dict[str, NoiseModel]:
     """Noise of each group of rows from the residuals of a fit; of an efficient one if its factor is given."""
@@ -194,13 +194,13 @@ def _noise_of(
             parameters=round(sum(len(b.rows) for b in own) / total * len(values)),
             known_poles=regression.known_poles if group == "trajectory" else None,
             highest_order=0 if group == "poses" else 24,
-            spread=None if efficient is None else [b.matrix @ _root_covariance(efficient.matrix) for b in own],
+            spread=None if efficient is None else [b.matrix @ root_covariance(efficient.matrix) for b in own],
         )
     return noise
 
 
-def _root_covariance(matrix: np.ndarray) -> np.ndarray:
-    """L with ``L L' = (R'R)^+``; directions that the rows say nothing about have none."""
+def root_covariance(matrix: np.ndarray) -> np.ndarray:
+    """L with ``L L' = (R'R)^+`` for a factor R (p, p); directions that the rows say nothing about have none."""
     length = np.linalg.norm(matrix, axis=0)
     length = np.where(length > 1e-14 * length.max(initial=0.0), length, 1.0)
     return np.linalg.pinv(matrix / length, rcond=1e-11) / length[:, None]

@@ -38,7 +38,7 @@ from bayesid.estimators.errors_in_variables import (
     strongest,
 )
 from bayesid.estimators.estimator import Estimate
-from bayesid.estimators.least_squares import _estimate
+from bayesid.estimators.least_squares import make_estimate
 from bayesid.noise import NoiseModel
 from bayesid.regression import Pair, Regression
 
@@ -91,7 +91,7 @@ class InstrumentalVariables:
         first = np.vstack([np.eye(p), np.zeros((p, p))])
         ordinary = first.T @ one @ first + mean.T @ both @ mean
         plain = start.root @ ordinary @ start.root.T
-        estimate = _estimate(
+        estimate = make_estimate(
             self.name, regression, replace(start.weights, noise=total), start.factor, solution, covariance, start.hidden
         )
         shift = largest_shift(solution - start.solution, plain, start.hidden)

@@ -35,18 +35,18 @@ class LeastSquares:
     def fit(self, regression: Regression) -> Estimate:
         """Estimate with the covariance that belongs to these weights."""
         weights = learn_weights(regression)
-        factor, scale = _weighted(regression, weights, self.weights)
-        solution = solve(factor.matrix, _towards(regression, factor))
-        solution = solution + _start(regression, len(solution))
+        factor, scale = weighted_factor(regression, weights, self.weights)
+        solution = solve(factor.matrix, target_from_nominal(regression, factor))
+        solution = solution + nominal_start(regression, len(solution))
         hidden = unseen(factor.matrix)
-        inverse = _inverse(factor.matrix, hidden)
+        inverse = factor_inverse(factor.matrix, hidden)
         if self.weights == "noise":
             covariance = inverse @ inverse.T
         else:
-            middle = _meat(regression, weights.noise, scale)
+            middle = sandwich_middle(regression, weights.noise, scale)
             bread = inverse @ inverse.T
             covariance = bread @ middle @ bread
-        return _estimate(self.name, regression, weights, factor, solution, covariance, hidden)
+        return make_estimate(self.name, regression, weights, factor, solution, covariance, hidden)
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class Ridge:
         if self.strength is not None and not self.strength >= 0:
             raise InputError(f"ridge strength = {self.strength}: give a number of at least 0")
         weights = learn_weights(regression)
-        factor, _ = _weighted(regression, weights, self.weights)
+        factor, _ = weighted_factor(regression, weights, self.weights)
         values, chosen = _shrink(regression, factor, self.strength, lambda s, k: s / (s**2 + k * s[0] ** 2), continuous=True)
         details = {"strength": chosen, "rule": _rule(self.strength is None)}
         return _biased(self.name, regression, weights, factor, values, details, "ridge regression is biased towards its prior")
@@ -99,7 +99,7 @@ class TruncatedSVD:
         if self.rank is not None and not 0 <= self.rank <= r:
             raise InputError(f"tsvd rank = {self.rank}: give 0 to {r}")
         weights = learn_weights(regression)
-        factor, _ = _weighted(regression, weights, self.weights)
+        factor, _ = weighted_factor(regression, weights, self.weights)
 
         def keep(s: np.ndarray, k: float) -> np.ndarray:
             return np.where((np.arange(len(s)) < k) & (s > 0), 1.0 / np.where(s > 0, s, 1.0), 0.0)
@@ -117,8 +117,21 @@ def _rule(automatic: bool) -> str:
     return "generalised cross-validation" if automatic else "as given"
 
 
-def _weighted(regression: Regression, weights: Weights, kind: str) -> tuple[Factor, dict[str, np.ndarray]]:
-    """Factor of weighted rows, and the factor each channel was weighted with."""
+def weighted_factor(regression: Regression, weights: Weights, kind: str) -> tuple[Factor, dict[str, np.ndarray]]:
+    """Factor of weighted rows, and the factor that each channel (c,) of a group of rows was weighted with.
+
+    Parameters
+    ----------
+    regression, weights
+        The rows, and their noise.
+    kind
+        ``none``, ``channel`` or ``noise``, as in `LeastSquares`; with ``noise`` rows are whitened instead.
+
+    Raises
+    ------
+    InputError
+        Another kind.
+    """
     if kind not in _WEIGHTS:
         raise InputError(f"weights '{kind}': choose one of {', '.join(_WEIGHTS)}")
     channels = len(regression.channel_names)
@@ -128,21 +141,21 @@ def _weighted(regression: Regression, weights: Weights, kind: str) -> tuple[Fact
     return reduce_rows(regression.blocks(), lambda b: b.rows * scale[b.group][:, None]), scale
 
 
-def _start(regression: Regression, p: int) -> np.ndarray:
-    """Where directions without information stay: nominal base parameters, zero effects."""
+def nominal_start(regression: Regression, p: int) -> np.ndarray:
+    """Where directions without information stay (p,): nominal base parameters, zero effects."""
     start = np.zeros(p)
     if regression.nominal is not None:
         start[: regression.base.rank] = regression.nominal
     return start
 
 
-def _towards(regression: Regression, factor: Factor) -> np.ndarray:
-    """Rotated target relative to the nominal parameters."""
-    return factor.target - factor.matrix @ _start(regression, factor.matrix.shape[1])
+def target_from_nominal(regression: Regression, factor: Factor) -> np.ndarray:
+    """Rotated target (p,) relative to the nominal parameters, of which `nominal_start` is the other part."""
+    return factor.target - factor.matrix @ nominal_start(regression, factor.matrix.shape[1])
 
 
-def _inverse(matrix: np.ndarray, hidden: np.ndarray) -> np.ndarray:
-    """Inverse of the triangular factor in the determined columns, scaled for accuracy; zero elsewhere."""
+def factor_inverse(matrix: np.ndarray, hidden: np.ndarray) -> np.ndarray:
+    """Inverse of the triangular factor (p, p) in the determined columns, scaled for accuracy; zero in the hidden ones (p,)."""
     seen = ~hidden
     length = np.linalg.norm(matrix[:, seen], axis=0)
     out = np.zeros(matrix.shape[::-1])
@@ -150,7 +163,7 @@ def _inverse(matrix: np.ndarray, hidden: np.ndarray) -> np.ndarray:
     return out
 
 
-def _meat(regression: Regression, noise: dict[str, NoiseModel], scale: dict[str, np.ndarray]) -> np.ndarray:
+def sandwich_middle(regression: Regression, noise: dict[str, NoiseModel], scale: dict[str, np.ndarray]) -> np.ndarray:
     """Sum of ``X' W' Sigma W X`` over all blocks (p, p).
 
     Blocks are long against the noise's memory; its correlation across their borders is left out.
@@ -170,7 +183,7 @@ def _shrink(regression, factor: Factor, given, inverse, *, continuous: bool) -> 
     """
     r = regression.base.rank
     effects, matrix = factor.matrix[:, r:], factor.matrix[:, :r]
-    target = _towards(regression, factor)
+    target = target_from_nominal(regression, factor)
     if effects.shape[1]:
         basis = np.linalg.qr(effects)[0]
         project = np.eye(len(target)) - basis @ basis.T
@@ -198,11 +211,11 @@ def _shrink(regression, factor: Factor, given, inverse, *, continuous: bool) -> 
         chosen = float(np.argmin([gcv(k) for k in range(len(s) + 1)]))
     base = (vt.T @ (inverse(s, chosen) * rotated)) / length
     rest = solve(effects, target - matrix @ base) if effects.shape[1] else np.zeros(0)
-    return np.concatenate([base, rest]) + _start(regression, factor.matrix.shape[1]), chosen
+    return np.concatenate([base, rest]) + nominal_start(regression, factor.matrix.shape[1]), chosen
 
 
 def _biased(name, regression, weights, factor, values, details, reason) -> Estimate:
-    estimate = _estimate(name, regression, weights, factor, values, None, unseen(factor.matrix))
+    estimate = make_estimate(name, regression, weights, factor, values, None, unseen(factor.matrix))
     return replace(estimate, interval="none", interval_reason=reason, details={**estimate.details, **details})
 
 
@@ -210,7 +223,27 @@ def _completeness(weights: Weights) -> dict:
     return {"model_complete": weights.complete, "agreement_of_gls_and_wls": weights.agreement}
 
 
-def _estimate(name, regression: Regression, weights: Weights, factor, solution, covariance, hidden) -> Estimate:
+def make_estimate(
+    name: str, regression: Regression, weights: Weights, factor: Factor, solution: np.ndarray, covariance: np.ndarray | None,
+    hidden: np.ndarray,
+) -> Estimate:
+    """An estimate with what every one says of itself: residuals in units of the noise, whiteness, weak parameters.
+
+    Parameters
+    ----------
+    name
+        Of the estimator.
+    regression, weights
+        What was fitted, and its noise.
+    factor
+        Of the rows, as they were weighted.
+    solution
+        Base and effect parameters (p,).
+    covariance
+        Theirs (p, p), or None.
+    hidden
+        Parameters that the rows say nothing about (p,).
+    """
     white = [rows[:, :, -1] - rows[:, :, :-1] @ solution for _, rows in whitened(regression.pilot(), weights.noise)]
     count = sum(w.size for w in white)
     rms = float(np.sqrt(sum(np.sum(w**2) for w in white) / max(count - len(solution), 1)))

@@ -30,7 +30,7 @@ from bayesid.estimators.cone import Conic, Infeasible, Linear, Solution, solve_c
 from bayesid.estimators.entropic import solve_entropic
 from bayesid.estimators.estimator import Estimate, unseen
 from bayesid.estimators.factor import learn_weights
-from bayesid.estimators.least_squares import _estimate, _meat, _weighted
+from bayesid.estimators.least_squares import make_estimate, sandwich_middle, weighted_factor
 from bayesid.estimators.trust import Trust, trust_of
 from bayesid.priors import Prior
 from bayesid.regression import Regression
@@ -88,9 +88,9 @@ class Physical:
             raise InputError(f"sdp closest = {self.closest}: give a confidence between 0 and 1, such as 0.95")
         learned = learn_weights(regression)
         kind = self.weights if self.weights != "auto" else "noise" if learned.complete else "channel"
-        factor, scale = _weighted(regression, learned, kind)
+        factor, scale = weighted_factor(regression, learned, kind)
         hidden = unseen(factor.matrix)
-        middle = None if kind == "noise" else _meat(regression, learned.noise, scale)
+        middle = None if kind == "noise" else sandwich_middle(regression, learned.noise, scale)
         matrix, target = _compressed(factor.matrix, factor.target, middle)
         data = Data.of(regression, matrix, target, self.prior)
         trust = trust_of(regression, data, self.prior, self.metric, self.rel_std)
@@ -111,7 +111,7 @@ class Physical:
             about = "data and nominal model" if joint else "data"
             covariance = _posterior(data, problem, regression.base.matrix) if joint else _of_data(matrix, hidden)
             reason, details["covariance_of"] = "", about
-        estimate = _estimate(self.name, regression, learned, factor, values, covariance, hidden)
+        estimate = make_estimate(self.name, regression, learned, factor, values, covariance, hidden)
         return replace(
             estimate,
             interval="none" if covariance is None else "credible" if details.get("covariance_of") != "data" else "confidence",

@@ -25,7 +25,7 @@ from scipy.stats import chi2
 from bayesid.errors import InputError
 from bayesid.estimators.estimator import Estimate, unseen
 from bayesid.estimators.factor import Factor, Weights, gram_rows, learn_weights, reduce_rows, solve, whitened
-from bayesid.estimators.least_squares import _estimate, _inverse, _start, _towards
+from bayesid.estimators.least_squares import factor_inverse, make_estimate, nominal_start, target_from_nominal
 from bayesid.estimators.losses import WHOLE, HuberLoss, Loss, StudentLoss
 from bayesid.estimators.stretches import Residuals, accepted, lengths, metrics, residuals, restlessness, weighted, windows
 from bayesid.estimators.trimmed import trimmed
@@ -131,7 +131,7 @@ class _Fit:
         metric = metrics(left, learned.noise)
         loss, good = _judge(left, learned.noise, loss)
         restless = restlessness(left, metric)
-        begin = _start(regression, len(values))
+        begin = nominal_start(regression, len(values))
         passes = 0
         while True:
             passes += 1
@@ -142,7 +142,7 @@ class _Fit:
             share[used] = loss.weights(q[used] / variance, n[used])
             weights = np.where(good, share[left.stretch], 0.0)
             factor = _factor(weighted(plain.blocks(), left, np.sqrt(weights)), learned.noise)
-            last, values = values, solve(factor.matrix, _towards(regression, factor)) + begin
+            last, values = values, solve(factor.matrix, target_from_nominal(regression, factor)) + begin
             left = residuals(plain.blocks(), values)
             if passes == _PASSES or np.linalg.norm(factor.matrix @ (values - last)) <= _TOLERANCE:
                 break
@@ -162,7 +162,7 @@ class _Fit:
             weighted(self.plain.blocks(), self.left, self.good.astype(float)),
             lambda b: noise[b.group].colour_transposed(b.matrix * scale[b.group][:, None] ** 2),
         )
-        inverse = _inverse(self.factor.matrix, hidden)
+        inverse = factor_inverse(self.factor.matrix, hidden)
         bread = inverse @ inverse.T / self._slope(inverse)
         return bread @ middle @ bread
 
@@ -208,7 +208,7 @@ class _Fit:
     def estimate(self, name: str, details: dict[str, Any]) -> Estimate:
         """The estimate, with the rejected windows among its details."""
         hidden = unseen(self.factor.matrix)
-        made = _estimate(name, self.clean, self.learned, self.factor, self.solution, self.covariance(hidden), hidden)
+        made = make_estimate(name, self.clean, self.learned, self.factor, self.solution, self.covariance(hidden), hidden)
         left, good = self.left, self.good
         rows = np.bincount(left.stretch)
         details = {

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.linalg import solve_toeplitz
 from scipy.optimize import minimize
 
-from bayesid.noise import NoiseModel, _fir
+from bayesid.noise import NoiseModel, moving_average
 
 _TERMS = (0, 1, 2, 4)
 _GRID = 512
@@ -50,18 +50,18 @@ def sensor_noise(
         False for rows that are not consecutive.
     """
     known = np.array([1.0]) if known_poles is None else np.real(np.poly(known_poles))
-    rows = [_fir(known, r) for r in residuals]
+    rows = [moving_average(known, r) for r in residuals]
     channels = rows[0].shape[1]
     grid = _GRID if coloured else 1
     power, count = np.zeros((grid, channels, channels)), sum(len(r) for r in rows)
     for r in rows:
         power += _cross_spectrum(r[:, :, None], grid)
     for s in spread:
-        power += _cross_spectrum(_fir(known, s), grid)
+        power += _cross_spectrum(moving_average(known, s), grid)
     added, drawn = np.zeros_like(power), 0
     for draw in encoder:
         for r in draw:
-            added += _cross_spectrum(_fir(known, r)[:, :, None], grid)
+            added += _cross_spectrum(moving_average(known, r)[:, :, None], grid)
             drawn += len(r)
     power, added = power / count, added / max(drawn, 1)
     curves = np.array([_curve(power[:, c, c], added[:, c, c], count if coloured else 0) for c in range(channels)])

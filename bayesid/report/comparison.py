@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import platform
 from html import escape
-from importlib.metadata import version
 from typing import Any
 
 import numpy as np
@@ -13,7 +11,7 @@ from bayesid.prediction import BAND, band_error
 from bayesid.report.comparison_figures import proof_side_by_side, values_side_by_side
 from bayesid.report.details import chance
 from bayesid.report.identification import HALF, STATIC, channel_text, mood_of, short_names
-from bayesid.report.page import DASH, number, percent, render, svg, with_half
+from bayesid.report.page import DASH, number, percent, render, run_times, svg, versions, with_half
 
 _SHOWN_MOTIONS = 4
 _TEXT_MOTIONS = 3
@@ -362,7 +360,6 @@ def _motion_errors(result: Any, index: int) -> dict[str, Any]:
 
 def _how(result: Any) -> list[tuple[str, str]]:
     problem, regression = result.problem, result.regression
-    packages = [f"{p} {version(p)}" for p in ("bayesid", "numpy", "scipy", "pin")]
     how = []
     if problem is not None:
         filters = problem.recipe.filters
@@ -375,7 +372,7 @@ def _how(result: Any) -> list[tuple[str, str]]:
     how += [
         ("Rows", f"{regression.row_count} of {len(regression.channel_names)} channels, the same for all estimators"),
         ("Noise", "learned once; what is left is counted in it for all, so that no estimator is judged by a noise of its own"),
-        ("Run time", ", ".join(f"{stage} {number(s, 2)} s" for stage, s in result.seconds.items())),
-        ("Versions", ", ".join([f"Python {platform.python_version()}", *packages])),
+        run_times(result.seconds),
+        versions("numpy", "scipy", "pin"),
     ]  # fmt: skip
     return how

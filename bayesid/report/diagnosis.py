@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import platform
 from collections.abc import Sequence
-from importlib.metadata import version
 from typing import Any
 
 import numpy as np
@@ -13,7 +11,7 @@ from bayesid.effects import KINDS
 from bayesid.report.details import chance
 from bayesid.report.diagnosis_figures import before_and_after, evidence, residual_maps, signals
 from bayesid.report.identification import channel_text, mood_of
-from bayesid.report.page import DASH, number, percent, render, svg
+from bayesid.report.page import DASH, number, percent, render, svg, versions
 
 #: Bars in the picture of the evidence, lines in the table of parameters that moved.
 _BARS, _SHIFTS = 14, 12
@@ -255,7 +253,6 @@ def _how(d: Any) -> list[tuple[str, str]]:
     else:
         links = f"nominal links count as known to {percent(trust, 3)} of every mass (inertia_rel_std), and are fitted along"
     highest = max(x.frequencies[-1] for x in case.stretches)
-    packages = [f"{p} {version(p)}" for p in ("bayesid", "numpy", "scipy", "pin")]
     return [
         ("Model as it was", ", ".join(t.effect.spec for t in s.base.terms) or "rigid bodies only"),
         ("Links", links),
@@ -264,5 +261,5 @@ def _how(d: Any) -> list[tuple[str, str]]:
         ("Left on fitted motions", f"{number(float(np.sqrt(s.base.chi2 / s.rigid.rows)), 3)} times the noise before, "
          f"{number(float(np.sqrt(s.best.chi2 / s.rigid.rows)), 3)} after"),
         ("Run time", f"{number(d.seconds, 3)} s"),
-        ("Versions", ", ".join([f"Python {platform.python_version()}", *packages])),
+        versions("numpy", "scipy", "pin"),
     ]  # fmt: skip

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import platform
 import re
 from collections.abc import Sequence
-from importlib.metadata import version
 from typing import Any
 
 import numpy as np
@@ -15,7 +13,7 @@ from bayesid.base_parameters import BaseParameters
 from bayesid.estimators import Estimate
 from bayesid.prediction import BAND, Prediction, relative_error
 from bayesid.report.details import chance, described
-from bayesid.report.page import DASH, interval, number, percent, physical, render, svg, with_half
+from bayesid.report.page import DASH, interval, number, percent, physical, render, run_times, svg, versions, with_half
 
 #: Figures of at most so many motions of each role are shown.
 SHOWN_MOTIONS = 6
@@ -352,7 +350,6 @@ def _how(result: Any) -> list[tuple[str, str]]:
         f"{group}: " + ", ".join(f"{c} {number(s, 2)} {u}" for c, s, u in zip(names, model.std, units, strict=True))
         for group, model in noise.items()
     ]
-    packages = [f"{p} {version(p)}" for p in ("bayesid", "numpy", "scipy", "pin")]
     how = [
         ("Bandwidth of the motion", f"{number(problem.smoother.bandwidth, 3)} Hz; {problem.smoother.reason}"),
         ("Accelerations", "from a spline through the positions, without delay" if filters is None else
@@ -367,7 +364,4 @@ def _how(result: Any) -> list[tuple[str, str]]:
         ("Condition number", f"{number(estimate.condition_number, 3)}, with columns of unit length"),
         ("Intervals", estimate.interval if not estimate.interval_reason else f"{estimate.interval}: {estimate.interval_reason}"),
     ]  # fmt: skip
-    how += described(estimate.details)
-    how.append(("Run time", ", ".join(f"{stage} {number(seconds, 2)} s" for stage, seconds in result.seconds.items())))
-    how.append(("Versions", ", ".join([f"Python {platform.python_version()}", *packages])))
-    return how
+    return [*how, *described(estimate.details), run_times(result.seconds), versions("numpy", "scipy", "pin")]

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import functools
+import platform
 import re
+from collections.abc import Mapping
 from importlib.metadata import version
 from typing import Any
 
@@ -81,6 +83,16 @@ def _alike(one: float, other: float, *, half: float) -> tuple[str, str]:
 def percent(share: float, digits: int = 3) -> str:
     """A share as per cent."""
     return f"{number(100 * share, digits)} %" if np.isfinite(share) else DASH
+
+
+def run_times(seconds: Mapping[str, float]) -> tuple[str, str]:
+    """The row that tells the run time [s] of every stage."""
+    return "Run time", ", ".join(f"{stage} {number(s, 2)} s" for stage, s in seconds.items())
+
+
+def versions(*packages: str) -> tuple[str, str]:
+    """The row that tells the versions of Python, this package and others."""
+    return "Versions", ", ".join([f"Python {platform.python_version()}", *(f"{p} {version(p)}" for p in ("bayesid", *packages))])
 
 
 def shorten(text: str) -> tuple[str, int]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import platform
-from importlib.metadata import version
 from typing import Any
 
 import numpy as np
@@ -11,7 +9,7 @@ import numpy as np
 from bayesid import plots
 from bayesid.prediction import BAND, Prediction, relative_error
 from bayesid.report.identification import channel_text, mood_of, short_names
-from bayesid.report.page import DASH, number, percent, render, svg, with_half
+from bayesid.report.page import DASH, number, percent, render, run_times, svg, versions, with_half
 from bayesid.report.posterior_figures import marginals, narrowing, ranks
 
 _SHOWN_MOTIONS = 3
@@ -196,15 +194,14 @@ def _how(result: Any) -> list[tuple[str, str]]:
         "gaussian": "Gaussian, one unknown scale a channel",
         "student": "Student's t, one weight an instant for all channels, unknown scales and degrees of freedom",
     }[model.noise]
-    packages = [f"{p} {version(p)}" for p in ("bayesid", "emcee", "arviz", "numpy")]
     return [
         ("Prior", prior),
         ("Noise", f"{noise}; autoregressive in time as learned from residuals, correlated between channels"),
         ("Model complete", "yes" if model.likelihood.complete else "no: model error is taken for noise"),
         ("Rows", f"{int(model.likelihood.counts.sum())} numbers, {number(1.0 / problem.recipe.step, 3)} rows a second"),
         ("Sampler", f"{engine}; a draw every {chains.thin} of its usual distances; seed {result.seed}"),
-        ("Run time", ", ".join(f"{stage} {number(s, 2)} s" for stage, s in result.seconds.items())),
-        ("Versions", ", ".join([f"Python {platform.python_version()}", *packages])),
+        run_times(result.seconds),
+        versions("emcee", "arviz", "numpy"),
     ]
 
 

@@ -223,7 +223,7 @@ def make_case(plan: Plan, seed: list[int], out: Path) -> dict[str, Any]:
     answer = _answer(setup, work, hidden, each, bases)
     if hidden:
         setup = replace(setup, motions=move(setup, hidden))
-    answer |= _record(setup, hidden, out / plan.case, rng, answer["floor_filtered"])
+    answer |= record(setup, hidden, out / plan.case, rng)
     (out / "answers").mkdir(parents=True, exist_ok=True)
     (out / "answers" / f"{plan.case}.json").write_text(json.dumps(answer, indent=1), encoding="utf-8")
     return answer
@@ -307,9 +307,25 @@ def _parameters(effect: Effect) -> dict[str, dict[str, Any]]:
     return out
 
 
-def _record(
-    setup: Setup, hidden: tuple[Effect, ...], folder: Path, rng: np.random.Generator, floor: dict[str, float]
-) -> dict[str, Any]:
+def record(setup: Setup, hidden: tuple[Effect, ...], folder: Path, rng: np.random.Generator) -> dict[str, Any]:
+    """Write the folder of one case: robot, experiment.toml and the tables that noisy instruments record.
+
+    Parameters
+    ----------
+    setup
+        Arm, sensor, motions, and how they are recorded.
+    hidden
+        Effects that the arm has.
+    folder
+        To be made; the experiment's name is the plan's.
+    rng
+        Of noise, offset, and of what experiment.toml tells.
+
+    Returns
+    -------
+    floors
+        Noise of the validation motions by channel, as it is and behind the judge's filter.
+    """
     plan, arm, sensor = setup.plan, setup.arm, setup.sensor
     folder.mkdir(parents=True)
     (folder / "robot.urdf").write_text(setup.urdf, encoding="utf-8")

@@ -88,9 +88,10 @@ class Study:
         seen = shifted(motion, got[2], still)
         base = rigid if seen is motion else inverse_dynamics(self.arm, seen.q, seen.v, seen.a)
         model = respond(self.arm, self.sensor, seen, (), base)
-        return self._pick(got[0] - model.wrench, got[1] - model.torques)
+        return self.pick(got[0] - model.wrench, got[1] - model.torques)
 
-    def _pick(self, wrench: np.ndarray, torques: np.ndarray) -> np.ndarray:
+    def pick(self, wrench: np.ndarray, torques: np.ndarray) -> np.ndarray:
+        """The measured channels (N, c) of a wrench (N, 6) and torques (N, n)."""
         both = np.hstack([wrench, torques])
         names = [*AXES, *(f"tau{j + 1}" for j in range(self.arm.n))]
         return both[:, [names.index(channel) for channel in self.channels]]
@@ -198,7 +199,7 @@ def study(
             rest = inverse_dynamics(arm, motion.q, 0 * motion.v, 0 * motion.a)
             columns = columns - regressor(arm, at[0], 0 * at[1], 0 * at[2])
         flat = np.moveaxis(columns, 2, 1).reshape(-1, 6 + arm.n)
-        read = spare._pick(sensor.read(flat[:, :6]), flat[:, 6:])
+        read = spare.pick(sensor.read(flat[:, :6]), flat[:, 6:])
         columns = np.moveaxis(read.reshape(len(rows), -1, len(channels)), 1, 2)
         parts.append(Part(motion, fine, rigid, rest, rows, columns, thin))
     floors = []
@@ -212,7 +213,7 @@ def study(
         smooth = CubicSpline(motion.t, filtered(counts, step, POSITION_CUT) - filtered(motion.q, step, POSITION_CUT))
         at = motion.q + smooth(motion.t), motion.v + smooth(motion.t, 1), motion.a + smooth(motion.t, 2)
         seen, true = (inverse_dynamics(arm, *state) for state in (at, (motion.q, motion.v, motion.a)))
-        error = spare._pick(sensor.read(seen[0] - true[0]), seen[1] - true[1])
+        error = spare.pick(sensor.read(seen[0] - true[0]), seen[1] - true[1])
         error = error + noise * np.sqrt(1 + STATIC_SHARE**2 * static) * rng.normal(size=error.shape)
         floors.append(filtered(error, step)[int(TRIM / step) : -int(TRIM / step)])
     floor = np.sqrt(np.mean(np.concatenate(floors) ** 2, axis=0))

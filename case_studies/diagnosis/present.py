@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import re
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +10,10 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
+sys.path.append(str(Path(__file__).parents[1]))
+from readme import STYLE, fill, plain, table  # noqa: E402, F401
+
 BLUE, ORANGE, GREY, GREEN = "#1f6feb", "#d9480f", "#6b7280", "#2b8a3e"
-STYLE = {"font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "axes.grid": True, "grid.alpha": 0.25}
 ROBOTS = {"kuka-lwr4": "KUKA LWR4+", "ur10": "UR10"}
 MODELS = {"rigid": "rigid bodies", "friction": "friction and offsets known"}
 COLOURS = {"named": ORANGE, "ambiguous": "#f59f00", "unknown": BLUE, "nothing_missing": GREY}
@@ -88,8 +90,8 @@ def _hose(h: dict[str, Any]) -> dict[str, str]:
         for p in h["parameters"]
     ]
     return {
-        "hose-base": text + "\n\n" + _table(head, rows),
-        "hose-said": said + "\n\n" + _table("parameter | unit | truth | found | 95 % interval", values),
+        "hose-base": text + "\n\n" + table(head, rows),
+        "hose-said": said + "\n\n" + table("parameter | unit | truth | found | 95 % interval", values),
     }
 
 
@@ -110,8 +112,8 @@ def _robot(robots: dict[str, Any]) -> dict[str, str]:
     head = "arm | model | verdict | best attempt | fitted motion before | after | unseen before | after | floor"
     head += " | squared residual gone"
     return {
-        "robot": _table(head, rows),
-        "robot-joints": _table("arm | model | " + " | ".join(f"joint {j}" for j in range(1, 8)), [r.rstrip() for r in places]),
+        "robot": table(head, rows),
+        "robot-joints": table("arm | model | " + " | ".join(f"joint {j}" for j in range(1, 8)), [r.rstrip() for r in places]),
     }
 
 
@@ -135,7 +137,7 @@ def _wrist(wrist: dict[str, Any]) -> dict[str, str]:
             f"{max(w['left']):.2g} times the noise, most from {w['window_starts'][int(np.argmax(w['left']))]:.1f} s."
         )  # fmt: skip
     head = "fitted | known | verdict | best attempt | left on the fitted motion | gap on the other before | after | floor"
-    return {"wrist": _table(head, rows), "taps": "\n".join(lines)}
+    return {"wrist": table(head, rows), "taps": "\n".join(lines)}
 
 
 def _failure(cases: list[dict[str, Any]]) -> dict[str, str]:
@@ -153,25 +155,11 @@ def _failure(cases: list[dict[str, Any]]) -> dict[str, str]:
     text = f"The fitted motions reach {cases[0]['moments']['identification']:.0f} N m."
     if named:
         text += f" A wrong name is given up to {100 * max(c['size'] for c in named):g} %."
-    return {"failure": text + "\n\n" + _table(head, rows)}
+    return {"failure": text + "\n\n" + table(head, rows)}
 
 
 def _with_rivals(c: dict[str, Any]) -> list[str]:
     return [f"{n} or {' or '.join(c['rivals'][n])}" if n in c["rivals"] else n for n in c["named"]]
-
-
-def _table(head: str, rows: list[str]) -> str:
-    return "\n".join([f"| {head} |", "|" + " --- |" * (head.count("|") + 1), *rows])
-
-
-def fill(text: str, parts: dict[str, str]) -> str:
-    """Put each part between its markers."""
-    for name, part in parts.items():
-        pattern = rf"(<!-- {name} -->\n).*?(<!-- end -->)"
-        text, found = re.subn(pattern, lambda m, part=part: f"{m[1]}{part}\n{m[2]}", text, flags=re.S)
-        if not found:
-            raise RuntimeError(f"README.md has no marker {name}")
-    return text
 
 
 def _draw_hose(h: dict[str, Any], path: Path) -> None:

@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from present import FIGURES, fill, tables
+from present import FIGURES, fill, plain, tables
 
 import bayesid
 from bayesid.diagnosis import Diagnosis
@@ -76,7 +76,7 @@ def recorded(
     name, where, values = effect(setup)
     hidden = (plant.Effect(name, where, values),)
     setup = replace(setup, motions=cases.move(setup, hidden))
-    cases._record(setup, hidden, folder, rng, {})
+    cases.record(setup, hidden, folder, rng)
     moments = {m.role: float(np.abs(plant.respond(setup.arm, setup.sensor, m).wrench[:, 4]).max()) for m in setup.motions}
     return {"values": values, "links": setup.arm.links.ravel(), "noise": setup.noise, "moments": moments}
 
@@ -227,15 +227,6 @@ def failure(sizes: tuple[float, ...] = SIZES) -> list[dict[str, Any]]:
     return out
 
 
-def plain(value: Any) -> Any:
-    """For JSON, with the digits that mean something."""
-    if isinstance(value, dict):
-        return {str(key): plain(v) for key, v in value.items()}
-    if isinstance(value, np.ndarray | list | tuple):
-        return [plain(v) for v in value]
-    return float(f"{value:.5g}") if isinstance(value, float | np.floating) else value
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, default=DATA, help="folder that holds data/ (default: BAYESID_DATA)")
@@ -253,7 +244,7 @@ def main() -> None:
         if name in ("robot", "wrist") and not (options.data / "data" / "kuka-lwr4").exists():
             print(f"{name} skipped: {options.data / 'data'} not found; set BAYESID_DATA or give --data")
             continue
-        results[name] = plain(studies[name]())
+        results[name] = plain(studies[name](), digits=5)
         (options.out / "results.json").write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
     filled = fill((HERE / "README.md").read_text(encoding="utf-8"), tables(results))
     (options.out / "README.md").write_text(filled, encoding="utf-8")

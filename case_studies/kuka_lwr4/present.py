@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-import re
+import sys
 from pathlib import Path
 
 import matplotlib as mpl
 from matplotlib.figure import Figure
+
+sys.path.append(str(Path(__file__).parents[1]))
+from readme import STYLE, fill, plain, table  # noqa: E402, F401
 
 ANSWERS = {
     "nominal": "the CAD model as it is",
@@ -29,7 +32,7 @@ def tables(results: dict) -> dict[str, str]:
         f"- `{name}`: {seconds[name]:.1f} s, joint speed {speed:.2f} rad/s rms." for name, speed in speeds.items()
     )
     trusts = results["trusts"]
-    out["trusts"] = _table(
+    out["trusts"] = table(
         "stated trust | " + " | ".join(trusts), ["| error | " + " | ".join(f"{100 * e:.1f} %" for e in trusts.values()) + " |"]
     )
     if results["trust_from_data"] is not None:
@@ -58,7 +61,7 @@ def _errors(judged: dict) -> str:
             cells.append("" if r["refit_std"] is None or name == "nominal" else f"{100 * r['refit_std']:.1f}")
         cells.append("yes" if r["consistent"] else f"no: {len(r['impossible'])} cannot")
         rows.append("| " + " | ".join(cells) + " |")
-    text = _table(head, rows)
+    text = table(head, rows)
     return text + "".join(f"\n\n`{name}` refused: {why}." for name, why in judged["refused"].items())
 
 
@@ -66,25 +69,10 @@ def _interval(row: dict) -> str:
     return f"{100 * row['difference']:+.1f} ({100 * row['low']:+.1f} to {100 * row['high']:+.1f})"
 
 
-def _table(head: str, rows: list[str]) -> str:
-    return "\n".join([f"| {head} |", "|" + " --- |" * (head.count("|") + 1), *rows])
-
-
-def fill(text: str, parts: dict[str, str]) -> str:
-    """Put each part between its markers."""
-    for name, part in parts.items():
-        pattern = rf"(<!-- {name} -->\n).*?(<!-- end -->)"
-        text, found = re.subn(pattern, lambda m, part=part: f"{m[1]}{part}\n{m[2]}", text, flags=re.S)
-        if not found:
-            raise RuntimeError(f"README.md has no marker {name}")
-    return text
-
-
 def figure(results: dict, path: Path) -> None:
     """Draw the difference to CAD on the other motion, in both directions."""
     blue, orange, grey = "#1f6feb", "#d9480f", "#6b7280"
-    style = {"font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "axes.grid": True, "grid.alpha": 0.25}
-    with mpl.rc_context(style):
+    with mpl.rc_context(STYLE):
         picture = Figure(figsize=(8.5, 3.8), layout="constrained")
         axes = picture.subplots(1, 2, sharey=True)
         shown = (("friction", "fitted: the slower motion"), ("swapped", "fitted: the faster motion"))

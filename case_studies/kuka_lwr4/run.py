@@ -16,7 +16,7 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from present import figure, fill, tables
+from present import figure, fill, plain, tables
 
 import bayesid
 from bayesid.comparison import Entry
@@ -192,15 +192,6 @@ def run(data: Path = DATA, folds: int = FOLDS) -> dict:
     }  # fmt: skip
 
 
-def _plain(value):
-    """For JSON, with the digits that mean something."""
-    if isinstance(value, dict):
-        return {key: _plain(v) for key, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(v) for v in value]
-    return float(f"{value:.6g}") if isinstance(value, float) else value
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, default=DATA, help="folder that holds data/kuka-lwr4 (default: BAYESID_DATA)")
@@ -212,7 +203,7 @@ def main() -> None:
     options.out.mkdir(parents=True, exist_ok=True)
     results = run(options.data)
     filled = fill((HERE / "README.md").read_text(encoding="utf-8"), tables(results))
-    (options.out / "results.json").write_text(json.dumps(_plain(results), indent=1) + "\n", encoding="utf-8")
+    (options.out / "results.json").write_text(json.dumps(plain(results), indent=1) + "\n", encoding="utf-8")
     (options.out / "README.md").write_text(filled, encoding="utf-8")
     figure(results, options.out / "errors.png")
     print(filled)

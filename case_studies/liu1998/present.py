@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-import re
+import sys
 from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
+
+sys.path.append(str(Path(__file__).parents[1]))
+from readme import STYLE, fill, plain, table  # noqa: E402, F401
 
 
 def tables(results: dict) -> dict[str, str]:
@@ -18,18 +21,18 @@ def tables(results: dict) -> dict[str, str]:
         f"| {r['paper']:.4f} |"
         for r in results["twelve"]
     ]
-    out["twelve"] = _table("parameter | truth | estimate | 95 % interval | error / sigma | printed 1998, other arm", rows)
+    out["twelve"] = table("parameter | truth | estimate | 95 % interval | error / sigma | printed 1998, other arm", rows)
     rows = [
         f"| {name} | {v:.3g} | {100 * results['verification']['nrmse'][name]:.2g} % |"
         for name, v in results["verification"]["rmse"].items()
     ]
-    out["verification"] = _table("channel | error rms [N, N m] | relative error", rows)
+    out["verification"] = table("channel | error rms [N, N m] | relative error", rows)
     rows = [
         f"| {drives} | {name} | {100 * r['torque_error']:.2g} % | {100 * r['relative_error']:.2g} % "
         f"| {r['rms_sigmas']:.3g} | {r['worst_sigmas']:.3g} |"
         for drives, ways in results["claim"].items() for name, r in ways.items()
     ]  # fmt: skip
-    out["claim"] = _table(
+    out["claim"] = table(
         "drives have | estimated from | error of frictionless torque | error of parameters | rms error / sigma | worst / sigma",
         rows,
     )
@@ -38,7 +41,7 @@ def tables(results: dict) -> dict[str, str]:
         f"| {100 * r['force_error']:.2g} % | {100 * r['moment_error']:.2g} % | {100 * r['bias']:.2g} % |"
         for name, r in results["recipes"].items()
     ]
-    out["recipes"] = _table(
+    out["recipes"] = table(
         "recipe | rms error / sigma | worst / sigma | own 95 % intervals that hold the truth | force error | moment error "
         "| moment error without noise",
         rows,
@@ -56,7 +59,7 @@ def tables(results: dict) -> dict[str, str]:
             f"{'cannot' if printed['projections'] else 'can'} exist; "
             f"after {printed['projections']} projection(s)\nonto bodies that can, links of {printed['masses'][0]:.1f} kg and "
             f"{printed['masses'][1]:.1f} kg have them exactly. {inside} of 12 intervals hold the truth.\n\n"
-            + _table("parameter | truth: printed 1998 | estimate | 95 % interval | error / sigma", rows)
+            + table("parameter | truth: printed 1998 | estimate | 95 % interval | error / sigma", rows)
         )
     if results["repeats"]:
         again = results["repeats"]
@@ -65,8 +68,8 @@ def tables(results: dict) -> dict[str, str]:
         out["repeats"] = (
             f"{again['count']} repeats with fresh noise: {100 * again['coverage']:.3g} % of the wrench's 95 % intervals "
             "hold the truth.\n\n"
-            + _table("estimated from | median error of frictionless torque | worst error / sigma of all", rows) + "\n\n"
-            + _table(
+            + table("estimated from | median error of frictionless torque | worst error / sigma of all", rows) + "\n\n"
+            + table(
                 "recipe | rms error / sigma | own 95 % intervals that hold the truth",
                 [f"| {name} | {r['rms_sigmas']:.3g} | {100 * r['coverage']:.3g} % |" for name, r in again["recipes"].items()],
             )
@@ -79,26 +82,11 @@ def tables(results: dict) -> dict[str, str]:
     return out
 
 
-def _table(head: str, rows: list[str]) -> str:
-    return "\n".join([f"| {head} |", "|" + " --- |" * (head.count("|") + 1), *rows])
-
-
-def fill(text: str, parts: dict[str, str]) -> str:
-    """Put each part between its markers."""
-    for name, part in parts.items():
-        pattern = rf"(<!-- {name} -->\n).*?(<!-- end -->)"
-        text, found = re.subn(pattern, lambda m, part=part: f"{m[1]}{part}\n{m[2]}", text, flags=re.S)
-        if not found:
-            raise RuntimeError(f"README.md has no marker {name}")
-    return text
-
-
 def figures(results: dict, parts: dict, folder: Path) -> None:
     """Draw the motions, the paper's figure 5 and the torques that the estimates predict."""
     blue, orange, grey = "#1f6feb", "#d9480f", "#6b7280"
-    style = {"font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "axes.grid": True, "grid.alpha": 0.25}
     setting = parts["setting"]
-    with mpl.rc_context(style):
+    with mpl.rc_context(STYLE):
         figure = Figure(figsize=(8, 2.5), layout="constrained")
         axes = figure.subplots(1, 2, sharey=True)
         for ax, motion in zip(axes, setting.motions, strict=True):

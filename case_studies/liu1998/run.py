@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from present import figures, fill, tables
+from present import figures, fill, plain, tables
 from scipy.interpolate import make_interp_spline
 
 import bayesid
@@ -320,15 +320,6 @@ def _repeat(setting: Setting, repeats: int, seed: int) -> dict:
     }  # fmt: skip
 
 
-def _plain(value):
-    """For JSON, with the digits that mean something."""
-    if isinstance(value, dict):
-        return {key: _plain(v) for key, v in value.items()}
-    if isinstance(value, list | tuple | np.ndarray):
-        return [_plain(v) for v in value]
-    return float(f"{value:.6g}") if isinstance(value, float) else value
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=HERE, help="folder for results.json, figures and the filled README.md")
@@ -336,7 +327,7 @@ def main() -> None:
     out.mkdir(parents=True, exist_ok=True)
     results, parts = run()
     filled = fill((HERE / "README.md").read_text(encoding="utf-8"), tables(results))
-    (out / "results.json").write_text(json.dumps(_plain(results), indent=1) + "\n", encoding="utf-8")
+    (out / "results.json").write_text(json.dumps(plain(results), indent=1) + "\n", encoding="utf-8")
     (out / "README.md").write_text(filled, encoding="utf-8")
     figures(results, parts, out)
     print(filled)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-import re
+import sys
 from pathlib import Path
 
 import matplotlib as mpl
 from matplotlib.figure import Figure
+
+sys.path.append(str(Path(__file__).parents[1]))
+from readme import STYLE, fill, plain, table  # noqa: E402, F401
 
 
 def tables(results: dict) -> dict[str, str]:
@@ -19,7 +22,7 @@ def tables(results: dict) -> dict[str, str]:
     ]
     # Bodies without positive pseudo-inertias or without the printed numbers would have stopped the script.
     out = {
-        "masses": _table(
+        "masses": table(
             "I2 is about | d2 [m] | possible | least moving mass [kg], proven between | link 1 and link 2 there [kg] "
             "| any mass of link 2 [kg]",
             rows,
@@ -27,7 +30,7 @@ def tables(results: dict) -> dict[str, str]:
         "hand": f"That is {results['by_hand']:.2f} kg.",
     }
     radii = list(next(iter(cases.values()))["balls"])
-    out["balls"] = _table(
+    out["balls"] = table(
         "I2 is about | d2 [m] | anywhere | " + " | ".join(f"within {r} m" for r in radii),
         [
             f"| {_about(c)} | {c['d2']:+.4f} | {c['upper']:.2f} | "
@@ -36,7 +39,7 @@ def tables(results: dict) -> dict[str, str]:
         ],
     )  # fmt: skip
     errors = list(next(iter(cases.values()))["errors"])
-    out["errors"] = _table(
+    out["errors"] = table(
         "I2 is about | d2 [m] | as printed | " + " | ".join(f"within {e}" for e in errors),
         [
             f"| {_about(c)} | {c['d2']:+.4f} | {c['lower']:.2f} | "
@@ -45,7 +48,7 @@ def tables(results: dict) -> dict[str, str]:
         ],
     )  # fmt: skip
     offsets = list(results["alone"])
-    out["alone"] = _table(
+    out["alone"] = table(
         "parameter | printed | " + " | ".join(f"possible for d2 = {float(d):+.4f}" for d in offsets),
         [
             f"| {label} | {value:.4f} | " + " | ".join(_interval(results["alone"][d][k]) for d in offsets) + " |"
@@ -63,7 +66,7 @@ def tables(results: dict) -> dict[str, str]:
         + f"\nRounding is at most {100 * 5e-5 / min(abs(v) for v in results['printed'].values()):.1g} % of any printed number."
     )
     first = next(iter(cases.values()))
-    out["prices"] = _table(
+    out["prices"] = table(
         "parameter | printed | price | printed times price [kg]",
         [
             f"| {label} | {value:.4f} | {price:.4f} | {value * price:.4f} |"
@@ -105,30 +108,15 @@ def _interval(limits) -> str:
     return f"{low:.4f} to {high:.4f}"
 
 
-def _table(head: str, rows: list[str]) -> str:
-    return "\n".join([f"| {head} |", "|" + " --- |" * (head.count("|") + 1), *rows])
-
-
-def fill(text: str, parts: dict[str, str]) -> str:
-    """Put each part between its markers."""
-    for name, part in parts.items():
-        pattern = rf"(<!-- {name} -->\n).*?(<!-- end -->)"
-        text, found = re.subn(pattern, lambda m, part=part: f"{m[1]}{part}\n{m[2]}", text, flags=re.S)
-        if not found:
-            raise RuntimeError(f"README.md has no marker {name}")
-    return text
-
-
 def figure(results: dict, path: Path) -> None:
     """Draw what the least mass depends on."""
     blue, orange, grey = "#1f6feb", "#d9480f", "#6b7280"
     curves = results["curves"]
-    style = {"font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "axes.grid": True, "grid.alpha": 0.25}
 
     def look(name: str) -> dict:
         return {"color": blue if name.startswith("joint") else orange, "ls": "--" if "= 0." in name else "-"}
 
-    with mpl.rc_context(style):
+    with mpl.rc_context(STYLE):
         picture = Figure(figsize=(9.5, 3.2), layout="constrained")
         left, middle, right = picture.subplots(1, 3)
         for name, rows in curves["trade"].items():

@@ -26,7 +26,7 @@ from feasibility import (
     range_of_link_2,
     second_moments,
 )
-from present import figure, fill, tables
+from present import figure, fill, plain, tables
 
 from bayesid.examples import PAPER_ESTIMATE, PAPER_LABELS
 
@@ -150,15 +150,6 @@ def run(points: int = 40) -> dict:
     }
 
 
-def _plain(value):
-    """For JSON, with the digits that mean something."""
-    if isinstance(value, dict):
-        return {key: _plain(v) for key, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(v) for v in value]
-    return float(f"{value:.6g}") if isinstance(value, float) else value
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=HERE, help="folder for results.json, the figure and the filled README.md")
@@ -166,7 +157,7 @@ def main() -> None:
     out.mkdir(parents=True, exist_ok=True)
     results = run()
     filled = fill((HERE / "README.md").read_text(encoding="utf-8"), tables(results))
-    (out / "results.json").write_text(json.dumps(_plain(results), indent=1) + "\n", encoding="utf-8")
+    (out / "results.json").write_text(json.dumps(plain(results), indent=1) + "\n", encoding="utf-8")
     (out / "README.md").write_text(filled, encoding="utf-8")
     figure(results, out / "least_mass.png")
     print(filled)

@@ -6,8 +6,6 @@ Robots, motions, truth and sensor noise are those of `coverage_case`; the encode
 
 from __future__ import annotations
 
-import argparse
-import json
 import sys
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
@@ -17,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, StrictUndefined
 from scipy.stats import norm
 from threadpoolctl import threadpool_limits
 
@@ -27,6 +24,7 @@ from bayesid.momentum import dynamics_regressor
 from bayesid.problem import make_channels, prepare
 from tests.studies.coverage import LEVEL, NAMES, band
 from tests.studies.coverage_case import DURATION, FUNDAMENTAL, NOISE, OFFSET, RATE, Setup, setup
+from tests.studies.page import DOCS, parsed, write_numbers, write_page
 
 SEED = 20_260_201
 COUNT = 100
@@ -35,7 +33,6 @@ STD = 1e-3  # [rad]
 LEAD = 0.02
 #: Share of the bias of `ols` that an estimator should remove.
 ENOUGH = 0.8
-DOCS = Path(__file__).parents[2] / "docs"
 
 #: Robot and bandwidth of the joint motion [Hz]; None: chosen from the data.
 CASES: dict[str, tuple[str, float | None]] = {
@@ -200,28 +197,20 @@ def summed_up(case: dict[str, Any]) -> dict[str, str]:
     return {"bias": bias, "short": short or "No coverage lies below its band."}
 
 
-def write(result: dict[str, Any], folder: Path) -> None:
+def write(result: dict[str, Any], folder: Path = DOCS) -> None:
     """Write the page and its numbers."""
     folder.mkdir(parents=True, exist_ok=True)
-    rounded = json.loads(json.dumps(result), parse_float=lambda text: float(f"{float(text):.4g}"))
-    (folder / "encoder-noise.json").write_text(json.dumps(rounded, indent=1) + "\n", encoding="utf-8")
-    environment = Environment(undefined=StrictUndefined, trim_blocks=True, keep_trailing_newline=True, autoescape=False)
-    text = environment.from_string(PAGE).render(
-        cases=rounded["cases"], names=NAMES, seed=rounded["seed"], std=rounded["encoder_std"], pct=lambda x: f"{100 * x:.1f}",
-        seen=seen, lead=round(1000 * LEAD),
+    rounded = write_numbers(result, folder / "encoder-noise.json", digits=4)
+    write_page(
+        PAGE, folder / "encoder-noise.md", cases=rounded["cases"], names=NAMES, seed=rounded["seed"],
+        std=rounded["encoder_std"], seen=seen, lead=round(1000 * LEAD),
         summary=[{"title": f"{NAMES[n.split(',')[0]]}, {n.split(', ')[1]}", **summed_up(c)} for n, c in rounded["cases"].items()],
     )  # fmt: skip
-    (folder / "encoder-noise.md").write_text(text, encoding="utf-8")
 
 
 def main(arguments: list[str]) -> None:
     """Run from the command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--count", type=int, default=COUNT, help="recordings of each case")
-    parser.add_argument("--seed", type=int, default=SEED)
-    parser.add_argument("--processes", type=int, default=2)
-    parser.add_argument("--docs", type=Path, default=DOCS, help="where the page is written")
-    given = parser.parse_args(arguments)
+    given = parsed(arguments, __doc__, count=COUNT, of="case", seed=SEED)
     write(study(given.count, given.seed, given.processes), given.docs)
 
 

@@ -7,8 +7,6 @@ Recordings are those of `coverage_case`; each is fitted as it is and with what `
 
 from __future__ import annotations
 
-import argparse
-import json
 import sys
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
@@ -17,19 +15,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, StrictUndefined
 
 from bayesid import estimators
 from bayesid.experiment import Experiment
 from bayesid.problem import prepare
 from tests.studies.coverage import LEVEL, NAMES, band
 from tests.studies.coverage_case import ARMS, DURATION, PAPER, record, setup
+from tests.studies.page import DOCS, parsed, write_numbers, write_page
 
 #: Seed of the recordings that judge; development used others.
 SEED = 20_260_303
 COUNT = 200
 TAPS = 5
-DOCS = Path(__file__).parents[2] / "docs"
 #: Fits: name -> whether the recording is disturbed, filters, method.
 FITS = {
     "clean, wls": (False, None, "wls"),
@@ -186,19 +183,16 @@ their controllers. Where touches fill more than half of a recording they cannot 
 """
 
 
-def write(study: dict[str, Any], folder: Path) -> None:
+def write(study: dict[str, Any], folder: Path = DOCS) -> None:
     """Write the page and its numbers."""
     folder.mkdir(parents=True, exist_ok=True)
-    rounded = json.loads(json.dumps(study), parse_float=lambda text: float(f"{float(text):.5g}"))
-    (folder / "outliers.json").write_text(json.dumps(rounded, indent=1) + "\n", encoding="utf-8")
-    environment = Environment(undefined=StrictUndefined, trim_blocks=True, keep_trailing_newline=True, autoescape=False)
+    rounded = write_numbers(study, folder / "outliers.json", digits=5)
     arms = rounded["arms"]
     widths = [arm["fits"][f"disturbed, {m}"]["stated_std"] for arm in arms.values() for m in ("ols", "wls")]
-    text = environment.from_string(PAGE).render(
-        arms=arms, names=NAMES, seed=study["seed"], count=next(iter(arms.values()))["recordings"], taps=TAPS,
-        wide=int(min(widths) // 10 * 10), pct=lambda x: f"{100 * x:.1f}", three=lambda x: f"{x:.3g}",
+    write_page(
+        PAGE, folder / "outliers.md", arms=arms, names=NAMES, seed=study["seed"], taps=TAPS,
+        count=next(iter(arms.values()))["recordings"], wide=int(min(widths) // 10 * 10), three=lambda x: f"{x:.3g}",
     )  # fmt: skip
-    (folder / "outliers.md").write_text(text, encoding="utf-8")
 
 
 def study(count: int = COUNT, seed: int = SEED, processes: int = 2) -> dict[str, Any]:
@@ -208,12 +202,7 @@ def study(count: int = COUNT, seed: int = SEED, processes: int = 2) -> dict[str,
 
 def main(arguments: list[str]) -> None:
     """Run from the command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--count", type=int, default=COUNT, help="recordings of each robot")
-    parser.add_argument("--seed", type=int, default=SEED)
-    parser.add_argument("--processes", type=int, default=2)
-    parser.add_argument("--docs", type=Path, default=DOCS, help="where the page is written")
-    given = parser.parse_args(arguments)
+    given = parsed(arguments, __doc__, count=COUNT, of="robot", seed=SEED)
     write(study(given.count, given.seed, given.processes), given.docs)
 
 

@@ -10,7 +10,6 @@ the true ones are drawn about them. Every run takes new links, a new motion and 
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 import tempfile
 from concurrent.futures import ProcessPoolExecutor
@@ -20,7 +19,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, StrictUndefined
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 sys.path[:0] = [str(ROOT / "tests")]
@@ -35,6 +33,7 @@ from bayesid.links import nearest_links  # noqa: E402
 from bayesid.problem import prepare  # noqa: E402
 from bayesid.robot import load_robot  # noqa: E402
 from bayesid.simulation import perturbed_links  # noqa: E402
+from tests.studies import page  # noqa: E402
 
 #: Arm, noise [N m], spread of the links about the nominal ones, which links have no extent.
 CASES = (
@@ -169,14 +168,12 @@ was at most {{ pct(alarm) }} % (the test is at 1 %); certified were {{ pct(certi
 
 def write_page(out: dict[str, Any], docs: Path) -> None:
     """JSON and page."""
-    rounded = json.loads(json.dumps(out), parse_float=lambda text: float(f"{float(text):.5g}"))
-    (docs / "physical.json").write_text(json.dumps(rounded, indent=1) + "\n", encoding="utf-8")
+    rounded = page.write_numbers(out, docs / "physical.json", digits=5)
     methods = [m for c in rounded["cases"] for m in c["methods"].values() if m["certified"] is not None]
-    text = Environment(undefined=StrictUndefined, trim_blocks=True, keep_trailing_newline=True).from_string(PAGE).render(
-        **rounded, pct=lambda x: f"{100 * x:.1f}", alarm=max(m["false_contradictions"] for m in methods),
+    page.write_page(
+        PAGE, docs / "physical.md", **rounded, alarm=max(m["false_contradictions"] for m in methods),
         certified=float(np.mean([m["certified"] for m in methods])),
     )  # fmt: skip
-    (docs / "physical.md").write_text(text, encoding="utf-8")
 
 
 def main(arguments: list[str]) -> None:

@@ -1,0 +1,102 @@
+"""Exact readings and their derivatives, as they are or less what the same positions read at rest."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from bayesid.effects.derivatives import effect_derivatives, link_derivatives
+from bayesid.effects.effect import Effect, Scene, Term
+from bayesid.effects.model import Model
+from bayesid.momentum import Channels
+from bayesid.robot import Robot
+
+
+def _at_rest(terms: Sequence[Term]) -> tuple[Term, ...]:
+    """The effects that a static run of the same positions has too; a sensor drifts on between the two."""
+    return tuple(t for t in terms if t.effect.name not in ("sensor_drift", "external_contact"))
+
+
+def readings(
+    robot: Robot, channels: Channels, scene: Scene, links: np.ndarray, terms: Sequence[Term] = (), *, gravity: bool = True
+) -> np.ndarray:
+    """What the channels read, everything included: a base sensor's load of the root link, too.
+
+    Parameters
+    ----------
+    robot, channels
+        What moves and what is measured.
+    scene
+        How it moves.
+    links
+        Ten parameters a body (b, 10) or (10 b,).
+    terms
+        The effects with their values.
+    gravity
+        False: less what the same positions read at rest (equation 21 of [Liu1998]_), free of offset and weight.
+
+    Returns
+    -------
+    readings
+        (N, c) [N, N m].
+
+    Raises
+    ------
+    InputError
+        Links of the wrong shape.
+    """
+    moving = Model.of(robot, channels, scene, links, terms).readings
+    if gravity:
+        return moving
+    return moving - Model.of(robot, channels, scene.at_rest, links, _at_rest(terms)).readings
+
+
+def rigid_columns(
+    robot: Robot, channels: Channels, scene: Scene, links: np.ndarray, terms: Sequence[Term] = (), *, gravity: bool = True
+) -> np.ndarray:
+    """Derivative of `readings` with respect to the links' parameters, (N, c, 10 b).
+
+    The links' motion is held: how a flexible joint or mount gives way to a change of the links is not part of it.
+
+    Parameters and errors are those of `readings`.
+    """
+    moving = link_derivatives(Model.of(robot, channels, scene, links, terms))
+    if gravity:
+        return moving
+    return moving - link_derivatives(Model.of(robot, channels, scene.at_rest, links, _at_rest(terms)))
+
+
+def columns(
+    robot: Robot,
+    channels: Channels,
+    scene: Scene,
+    links: np.ndarray,
+    terms: Sequence[Term],
+    effect: Effect,
+    values: Sequence[float] | None = None,
+    *,
+    gravity: bool = True,
+) -> np.ndarray:
+    """Derivative of `readings` with respect to an effect's parameters, (N, c, k).
+
+    Parameters
+    ----------
+    robot, channels, scene, links, terms, gravity
+        As in `readings`.
+    effect
+        One of the terms' or another.
+    values
+        Where to take the derivative; default the term's own values, or the catalogue's for an effect that is no
+        term yet.
+    """
+    own = next((t.values for t in terms if t.effect == effect), effect.kind.starts)
+    here = Term(effect, tuple(own if values is None else values))
+    full = (*(t for t in terms if t.effect != effect), here)
+    moving = effect_derivatives(Model.of(robot, channels, scene, links, full), effect)
+    if gravity:
+        return moving
+    rest = _at_rest(full)
+    if here not in rest:
+        return moving
+    return moving - effect_derivatives(Model.of(robot, channels, scene.at_rest, links, rest), effect)
