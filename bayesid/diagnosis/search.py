@@ -41,6 +41,8 @@ _PLACES = 4
 HOPELESS = 200.0
 #: Of one kind at most this many places, and so many rounds of exchanges.
 _ALIKE, _SWEEPS = 2, 3
+#: An effect that leaves more than this share of an unexplained residual is a patch.
+_PATCH = 0.8
 #: Families fitted at once in one round.
 _KINDS = 3
 #: A change of a link is a possible body unless its distance to one has a smaller probability.
@@ -116,7 +118,11 @@ def search(rigid: Rigid, terms: Sequence[Term], seed: int, progress: Callable[[s
         better = _forward(noises, best, temper)
         if better is None:
             break
-        best = better
+        # Small gains that leave much unexplained are a patchwork on a stranger: nothing would come of more of them.
+        before, after = (f.chi2 / f.rigid.rows - 1.0 for f in (best, better))
+        hopeless, best = after > UNEXPLAINED - 1.0 and after > _PATCH * before, better
+        if hopeless:
+            break
         if _families_of(best.terms[len(base.terms) :]) < MOST:  # with so many it is a patchwork, however well chosen
             best = _exchanged(noises, best, len(base.terms), temper)
         temper = noises.library(best).temper(best)
