@@ -206,12 +206,17 @@ class Library:
             yield Term(effect, (np.hypot(a, b), periods, np.arctan2(b, a))), gain
 
 
-def make_library(rigid: Rigid, base: Fit) -> Library:
-    """Columns of every effect that acts on the case's channels and is not in the user's model."""
-    case = rigid.case
+def make_library(rigid: Rigid, base: Fit, found: Fit | None = None) -> Library:
+    """Columns of every effect that acts on the case's channels and is not in the user's model.
+
+    Derivatives are taken at the user's model, or beside the effects of ``found``: beside a turned sensor, say, a wrong zero
+    of the first joint is more than a turn of the sensor.
+    """
+    case, at = rigid.case, found or base
     library = Library(rigid, base, ripples=RippleScan(case) if case.channel != "wrench" else None)
     for effect, values, to_values in _columns_wanted(case):
-        rows = term_rows(case, case.stretches, base.links, base.terms, Term(effect, tuple(values)))
+        beside = tuple(t for t in at.terms if t.effect != effect)
+        rows = term_rows(case, case.stretches, at.links, beside, Term(effect, tuple(values)))
         library.blocks.append(_Block(effect, rigid.rest(rigid.padded(rows)), to_values))
     return library
 

@@ -189,12 +189,12 @@ class _Noises:
 def _prepared(rigid: Rigid, terms: Sequence[Term], best: Fit | None) -> tuple[Rigid, Fit, Library]:
     """The user's model fitted, and its library; with a floor of its own where none was measured."""
     base = fit(rigid, terms)
-    library = make_library(rigid, base)
+    library = make_library(rigid, base, best)
     if rigid.case.floor_known and library.temper(base) < HOPELESS:
         return rigid, base, library
     rigid = make_rigid(with_floor_of(library, base if best is None else fit(rigid, best.terms, best)), (best or base).terms)
     base = fit(rigid, terms, base)
-    return rigid, base, make_library(rigid, base)
+    return rigid, base, make_library(rigid, base, best)
 
 
 def _forward(noises: _Noises, best: Fit, temper: float) -> Fit | None:
