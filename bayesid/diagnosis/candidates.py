@@ -9,7 +9,7 @@ here.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -129,6 +129,9 @@ class Library:
             if name not in taken and (name not in best or gain > best[name].gain):
                 minimum = best[name].minimum if name in best else None
                 best[name] = Proposal(terms[0], gain, len(terms[0].values), minimum, tuple(terms[1:]))
+            elif name in best and terms[0].effect.kind.name == "joint_flexibility":
+                # A derivative may promise more than a possible compliance keeps: a resonance is a start of its own.
+                best[name] = replace(best[name], others=(*best[name].others, *terms))
         return sorted(best.values(), key=lambda p: -(p.gain - _cost(p.parameters)))
 
     def temper(self, fit: Fit) -> float:

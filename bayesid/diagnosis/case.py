@@ -28,6 +28,8 @@ BANDWIDTH = 12.0
 FITTED = 0.7
 #: Trust in links of which nothing is known: they may be many times their nominal size.
 UNKNOWN_TRUST = 100.0
+#: The source of a floor that is measured where nothing moves a sensor: above the motion.
+WHITE = "white noise above the band"
 #: Predictions are made at this rate [Hz]; friction reverses at once and needs a higher one.
 SMOOTH_RATE, FRICTION_RATE = 60.0, 120.0
 _SHORTEST = 2.0  # stretches shorter than this tell no frequencies apart [s]
@@ -89,7 +91,7 @@ class Case:
     prior: Prior | None
     terms: tuple[Term, ...]
     floor_known: bool = True
-    floor_source: str = "white noise above the band"
+    floor_source: str = WHITE
     spectrum: Spectrum | None = None
 
     @property
@@ -274,7 +276,7 @@ def with_noise_of(case: Case, links: np.ndarray, terms: Sequence[Term], seed: in
     if not moving[0].covariance.size:  # the sensor's noise is the same whatever the model
         encoders = Encoders(predict, resmooth, count, random, seed)
         spectrum = measure(moving, _rests(case, count), sensor[False], filtered, encoders)
-    source = spectrum.source if spectrum else "white noise above the band" if not filtered else "richest model"
+    source = spectrum.source if spectrum else WHITE if not filtered else "richest model"
     if filtered and spectrum is None and (stated_noise := _stated_noise(case)) is not None:
         # A filter moves noise into the band: there is no less of it there than of one sample's.
         sensor[False], source = np.maximum(sensor[False], stated_noise), "stated"

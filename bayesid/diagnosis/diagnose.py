@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 from bayesid.base_parameters import structural_base
 from bayesid.diagnosis import memo
 from bayesid.diagnosis.candidates import UNEXPLAINED
-from bayesid.diagnosis.case import Case, make_case
+from bayesid.diagnosis.case import WHITE, Case, make_case
 from bayesid.diagnosis.floor import SOURCES
 from bayesid.diagnosis.locate import Disagreement, locate
 from bayesid.diagnosis.proof import Gap, prove, residual_spectra
@@ -261,8 +261,8 @@ def _decide(case: Case, s: Search, seed: int) -> Diagnosis:
         found = ()
         # The model handed on is the user's; what a rejected attempt could not determine is no part of its floor.
         gap = gap and replace(gap, floor=gap.bare_floor)
-    if note := SOURCES[case.floor_source]:
-        remarks.append(note)
+    if case.floor_source != WHITE:  # the usual one needs no word
+        remarks.append(SOURCES[case.floor_source])
     if found and gap is None:
         remarks.append("No validation motion: the effect is named on the fitted motions alone, nothing proves it elsewhere.")
     if case.experiment.inertia_rel_std is None:

@@ -8,13 +8,14 @@ from dataclasses import replace
 import numpy as np
 
 from bayesid.diagnosis.candidates import Library
-from bayesid.diagnosis.case import Case
+from bayesid.diagnosis.case import WHITE, Case
 from bayesid.diagnosis.fit import Fit
 from bayesid.diagnosis.spectra import Stretch
 
-#: What a diagnosis says of its noise floor, by where that comes from.
+#: What the report says of the noise floor, by where that comes from.
 SOURCES = {
-    "white noise above the band": "",
+    WHITE: "Nothing of it is assumed: the sensor's noise is read off the quietest moments above the "
+    "frequencies of the motion.",
     "repeats": "Noise floor measured on repeats: how far readings scatter where the motion repeats, by frequency. What does not "
     "repeat, a single contact or a drive that sticks now and then, counts as noise.",
     "parked": "Noise floor measured at rest: the readings' noise while the robot stands still, by frequency. What shakes only in "

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bayesid.diagnosis.case import Episode
+from bayesid.diagnosis.case import WHITE, Episode
+from bayesid.diagnosis.floor import SOURCES
 from bayesid.diagnosis.locate import Disagreement
 from bayesid.diagnosis.search import ACCEPT
 from bayesid.diagnosis.taps import TAP
@@ -264,6 +265,8 @@ def page_text(diagnosis: Diagnosis) -> dict:
         "notes": notes(d),
         "tried": [f.term.effect.spec for f in d.search.found],
         "closed": "" if d.gap is None else _known_share(d.gap.closed),
+        "floor": SOURCES[d.case.floor_source],
+        "floor_is_white": d.case.floor_source == WHITE,
         "closed_low": "" if d.gap is None else _known_share(d.gap.closed_low),
     }  # fmt: skip
 

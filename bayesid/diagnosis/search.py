@@ -43,6 +43,8 @@ HOPELESS = 200.0
 _ALIKE, _SWEEPS = 2, 3
 #: An effect that leaves more than this share of an unexplained residual is a patch.
 _PATCH = 0.8
+#: Other starts of a flexible joint that leaves something unexplained, over where it settled.
+_COMPLIANCES = (0.25, 0.5, 2.0, 4.0)
 #: Families fitted at once in one round.
 _KINDS = 3
 #: A change of a link is a possible body unless its distance to one has a smaller probability.
@@ -150,9 +152,10 @@ def search(rigid: Rigid, terms: Sequence[Term], seed: int, progress: Callable[[s
     return Search(library.rigid, library.base, best, found, temper, tuple(first), library)
 
 
-def _soft(terms: Sequence[Term]) -> tuple[str, ...]:
-    """Those among effects that make much more of encoders' errors."""
-    return tuple(sorted(t.effect.spec for t in terms if t.effect.name in SOFT))
+def _soft(terms: Sequence[Term]) -> tuple[tuple[str, int], ...]:
+    """Those among effects that make much more of encoders' errors, and how soft they are within a factor of two."""
+    soft = [t for t in terms if t.effect.name in SOFT]
+    return tuple(sorted((t.effect.spec, round(np.log2(max(t.values[0], 1e-12)))) for t in soft))
 
 
 @dataclass(eq=False)
@@ -161,8 +164,8 @@ class _Noises:
 
     seed: int
     known: tuple[Term, ...]
-    libraries: dict[tuple[str, ...], Library]
-    rigids: dict[tuple[str, ...], Rigid] = field(default_factory=dict)
+    libraries: dict[tuple[tuple[str, int], ...], Library]
+    rigids: dict[tuple[tuple[str, int], ...], Rigid] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.rigids = {key: library.rigid for key, library in self.libraries.items()}
@@ -176,7 +179,15 @@ class _Noises:
                 return fitted  # what the richest model leaves stands in for the noise, whatever makes it
             self.rigids[key] = make_rigid(with_noise_of(case, fitted.links, fitted.terms, self.seed), fitted.terms)
         rigid = self.rigids[key]
-        return fitted if fitted.rigid is rigid else fit(rigid, fitted.terms, fitted)
+        if fitted.rigid is rigid:
+            return fitted
+        refitted = fit(rigid, fitted.terms, fitted)
+        if not key or refitted.chi2 < UNEXPLAINED * rigid.rows or fitted.terms[-1].effect.name != "joint_flexibility":
+            return refitted
+        # A resonance near the motion's band is found only from nearby, and stiff joints' noise may have put the start afar.
+        last = fitted.terms[-1]
+        near = [(*fitted.terms[:-1], replace(last, values=(k * last.values[0],))) for k in _COMPLIANCES]
+        return max([refitted, *(fit(rigid, terms, fitted) for terms in near)], key=lambda f: f.score)
 
     def library(self, fitted: Fit) -> Library:
         """All effects' columns under the noise that a model was fitted with."""

@@ -35,7 +35,7 @@ def diagnosis_report(diagnosis: Any, views: Any, text: dict[str, Any]) -> str:
     views
         What its pictures show, a `Views`.
     text
-        Its sentences: ``verdict``, ``proof``, ``effects``, ``tried`` and ``closed``.
+        Its sentences: ``verdict``, ``proof``, ``effects``, ``tried``, ``closed``, ``floor`` and ``floor_is_white``.
 
     Returns
     -------
@@ -90,6 +90,8 @@ def diagnosis_report(diagnosis: Any, views: Any, text: dict[str, Any]) -> str:
              "encoders": number(n.encoders, 3), "whole": number(float(np.hypot(n.sensor, n.encoders)), 3)}
             for n in views.noise
         ],
+        white=text["floor_is_white"],
+        floor_text=text["floor"],
         temper=number(float(np.sqrt(d.search.temper)), 3),
         tempered=d.search.temper > 1.05,
         next_experiment=d.next_experiment,
