@@ -2,9 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
-from bayesid.effects import KINDS
+import numpy as np
+
+from bayesid.effects import KINDS, parse_effects
+from bayesid.effects.catalogue import WRENCH_NAMES
+from bayesid.effects.sizes import typical
+from bayesid.examples import puma560_urdf
+from bayesid.robot import load_robot
 
 PAGE = Path(__file__).resolve().parent / "effects.md"
 _PLACES = {
@@ -62,6 +70,32 @@ Starting values where none are stated are zero, except:
 """
 
 
+_SIZES = """
+## Sizes, ranges, sources
+
+**Typical** is what `simulate` takes where no values are stated, here on the example PUMA 560 (joint 2), in the units above. Most
+are shares of the robot's own weight, reach and effort limits (`bayesid/effects/sizes.py`); the shares are assumed. **Possible**
+is the range that estimates are kept in.
+
+| name | typical | possible | source |
+| --- | --- | --- | --- |
+"""
+_DEFINITION = "definition"
+_FRICTION = "[Armstrong1994](references.md)"
+#: Where an equation is more than the definition of what it is called.
+_SOURCES = {
+    "rotor_momentum": "angular momentum, cf. [Spong1987](references.md), which leaves it out",
+    "joint_flexibility": "[Spong1987](references.md), torque by the rigid model of the links",
+    "base_compliance": "a rigid body on a spring and damper",
+    "fluid_drag": "integral of the drag on a rod's elements",
+    "tether": "one-sided linear spring",
+    "viscous_friction": _FRICTION,
+    "coulomb_friction": _FRICTION,
+    "stribeck_friction": _FRICTION,
+    "load_friction": _FRICTION,
+}
+
+
 def page() -> str:
     """The whole page."""
     rows = []
@@ -79,7 +113,28 @@ def page() -> str:
         if any(kind.starts):
             values = ", ".join(f"`{key}` {value:g}" for key, value in zip(kind.parameters, kind.starts, strict=True))
             starts.append(f"- `{kind.name}`: {values}\n")
-    return _HEAD + "".join(rows) + _FOOT + "".join(starts)
+    return _HEAD + "".join(rows) + _FOOT + "".join(starts) + _SIZES + "".join(sizes())
+
+
+def sizes() -> Iterator[str]:
+    """A line for each effect: its typical values on the example arm, what is possible, and where its equation comes from."""
+    with TemporaryDirectory() as folder:
+        (path := Path(folder) / "arm.urdf").write_text(puma560_urdf(), encoding="utf-8")
+        robot = load_robot(path)
+    for kind in KINDS.values():
+        at = {"joint": "joint2", "joint|robot": "joint2", "axis": "mz", "axis->axis": "fx->mz"}.get(kind.at, kind.at)
+        [effect] = parse_effects([f"{kind.name}@{at}"], robot.joint_names, (*WRENCH_NAMES, "tau1", "tau2"), None)
+        usual = ", ".join(f"`{key}` {v:.2g}" for key, v in zip(kind.parameters, typical(effect, robot), strict=True))
+        bounds: dict[tuple[float, float], list[str]] = {}
+        for key, low, high in zip(kind.parameters, kind.lower, kind.upper, strict=True):
+            if np.isfinite([low, high]).any():
+                bounds.setdefault((low, high), []).append(f"`{key}`")
+        possible = ", ".join(f"{' '.join(keys)} {_range(*ends)}" for ends, keys in bounds.items()) or "any"
+        yield f"| `{kind.name}` | {usual} | {possible} | {_SOURCES.get(kind.name, _DEFINITION)} |\n"
+
+
+def _range(low: float, high: float) -> str:
+    return f"≥ {low:g}" if np.isinf(high) else f"≤ {high:g}" if np.isinf(low) else f"{low:g} … {high:g}"
 
 
 if __name__ == "__main__":

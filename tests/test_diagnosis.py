@@ -182,3 +182,14 @@ def test_the_gap_needs_unseen_motions(record):
     assert found.to_dict()["gap"] is None
     assert any("No validation motion" in r for r in found.remarks)
     assert proof.prove(found.search.rigid, found.search.base, found.search.best, 1.0, 0) is None
+
+
+def test_a_model_that_runs_away_is_refused(record, monkeypatch):
+    """Where derivatives overflow, a model gets no score that anything could lose against."""
+    folder, _ = record("away", "none", [], "torque", seed=9)
+    made_case, rigid = made(folder, "torque")
+    [effect] = [e for e in made_case.places("joint_flexibility") if e.where == "joint2"]
+    monkeypatch.setattr(fit, "model_rows", lambda *_: np.full((rigid.rows, 1), np.inf))
+    runaway = fit.fit(rigid, (Term(effect, (1e-4,)),))
+    assert runaway.score == -np.inf and runaway.chi2 == np.inf
+    assert not runaway.covariance.any() and np.isfinite(runaway.residual).all()

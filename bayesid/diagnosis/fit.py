@@ -169,7 +169,8 @@ def term_rows(case: Case, stretches: Sequence[Stretch], links: np.ndarray, terms
     parts = []
     for s in stretches:
         if here(s, [term]):
-            found = columns(case.robot, case.channels, s.scene, links, here(s, terms), term.effect, term.values)
+            with np.errstate(all="ignore"):  # as above
+                found = columns(case.robot, case.channels, s.scene, links, here(s, terms), term.effect, term.values)
             parts.append(s.white(found))
         else:
             parts.append(np.zeros((s.shape[0] * s.shape[1], len(term.values))))
@@ -209,6 +210,8 @@ def fit(rigid: Rigid, terms: Sequence[Term], start: Fit | None = None, steps: in
     for _ in range(steps):
         links, _ = _split(rigid, u)
         jacobian = model_rows(case, case.stretches, links, terms)
+        if not np.isfinite(jacobian).all():
+            break
         stacked = np.concatenate([rows, -below])
         kept = rigid.rest(rigid.padded(jacobian))
         length = np.linalg.norm(kept, axis=0)
@@ -237,13 +240,16 @@ def fit(rigid: Rigid, terms: Sequence[Term], start: Fit | None = None, steps: in
             break
     links, offset = _split(rigid, u)
     jacobian = model_rows(case, case.stretches, links, terms)
+    possible = bool(np.isfinite(chi2) and np.isfinite(jacobian).all())
+    if not possible:  # it runs away: refused
+        jacobian, rows, chi2 = np.zeros(jacobian.shape), np.zeros(len(rows)), np.inf
     kept = rigid.rest(rigid.padded(jacobian))
     length = np.linalg.norm(kept, axis=0)
     safe = np.where(_alive(length, jacobian), length, np.inf)
     values, vectors = _eigen(kept / safe)
     covariance = (vectors / values) @ vectors.T / np.outer(safe, safe)
     covariance = _widened(rigid, covariance, kept, rows)
-    score = -0.5 * chi2 - 0.5 * rigid.volume - _price(rigid, terms, free, kept)
+    score = -0.5 * chi2 - 0.5 * rigid.volume - _price(rigid, terms, free, kept) if possible else -np.inf
     return Fit(rigid, terms, links, offset, chi2, len(values), score, covariance, free, u, rows)
 
 

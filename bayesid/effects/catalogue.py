@@ -119,7 +119,7 @@ _ALL = (
     _kind("rotor_momentum", _BOTH, "joint", ("inertia",), ("kg m^2",), "angular momentum of a spinning rotor",
           lower=0.0, confusable_with=("inertia_error", "rotor_inertia")),
     _kind("joint_flexibility", _BOTH, "joint", ("compliance",), ("rad/(N m)",), "the link gives under the joint's torque",
-          lower=0.0, shape=("compliance",), confusable_with=("encoder_offset", "sensor_delay")),
+          lower=0.0, upper=1.0, shape=("compliance",), confusable_with=("encoder_offset", "sensor_delay")),
     _kind("encoder_offset", _BOTH, "joint", ("angle",), ("rad",), "an encoder's zero is wrong",
           lower=-0.5, upper=0.5, shape=("angle",), confusable_with=("sensor_rotation", "joint_flexibility")),
     _kind("external_contact", _BOTH, "joint|robot", ("start", "end", "fx", "fy", "fz", *_POINT),
