@@ -25,6 +25,7 @@ from bayesid.effects import (
     starting_point,
     typical,
 )  # fmt: skip
+from bayesid.effects.effect import sense
 from bayesid.effects.kinematics import link_states
 from bayesid.effects.model import Model
 from bayesid.errors import InputError
@@ -538,3 +539,12 @@ def test_states_are_made_once_a_scene(panda, monkeypatch):
     assert len(calls) == 1
     readings(panda, channels, scene, panda.nominal, [*terms, term(panda, "encoder_offset@joint2")])
     assert len(calls) == 2
+
+
+def test_friction_that_reverses_within_a_sample_is_its_mean_there():
+    """Against the mean of many signs of ``v + a t`` over the sample's time; without that time, the sign at its middle."""
+    v, a, cell = np.array([-0.03, -0.004, 0.0, 0.002, 0.009, 0.5]), np.array([2.0, 2.0, 3.0, -1.0, 2.0, 4.0]), 8e-3
+    inside = cell * (np.arange(20001) / 20000 - 0.5)
+    want = np.sign(v[:, None] + a[:, None] * inside).mean(axis=1)
+    np.testing.assert_allclose(sense(v, a, cell), want, atol=2e-4)
+    np.testing.assert_array_equal(sense(v, a, 0.0), np.sign(v))

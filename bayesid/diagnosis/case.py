@@ -234,7 +234,7 @@ def smoothed(
     q, v, a = smooth(times, positions, bandwidth, at=np.clip(grid, times[0], times[-1]))
     if still:
         v, a = 0.0 * v, 0.0 * a
-    return Scene(grid, q, v, a, still, bandwidth, middle, clear)
+    return Scene(grid, q, v, a, still, bandwidth, middle, clear, cell=float(grid[1] - grid[0]))
 
 
 def _readings(table: Table, channel: str) -> np.ndarray:

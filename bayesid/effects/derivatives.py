@@ -30,7 +30,9 @@ def tangent(model: Model, change: np.ndarray) -> np.ndarray:
     for term in model.named("load_friction"):
         if term.effect.joint in model.joints:
             k = model.joints[term.effect.joint]
-            share = term.values[0] * np.sign(model.true[:, k]) * sense(model.scene.velocities[:, term.effect.joint])
+            joint, scene = term.effect.joint, model.scene
+            way = sense(scene.velocities[:, joint], scene.accelerations[:, joint], scene.cell)
+            share = term.values[0] * np.sign(model.true[:, k]) * way
             out[:, k] += share[:, None] * change[:, k]
     return out * model.torque_gain[:, None] if model.named("torque_gain") else out
 

@@ -33,6 +33,8 @@ class Scene:
     middle
         Joint positions at the middle of the motion (n,), for effects that refer to it; default `middle_of` this
         stretch.
+    cell
+        Time that a sample stands for [s]: friction that reverses in it is its mean there. Zero: its value at the sample.
     """
 
     times: np.ndarray
@@ -43,6 +45,7 @@ class Scene:
     bandwidth: float = 10.0
     middle: np.ndarray | None = None
     clear: float | None = None
+    cell: float = 0.0
     cache: dict = field(default_factory=dict, init=False, repr=False)
 
     @property
@@ -137,16 +140,19 @@ class Effect:
         if name in channels:
             out[:, channels.index(name), 0] = {
                 "viscous_friction": lambda: state.velocities[:, joint],
-                "coulomb_friction": lambda: sense(state.velocities[:, joint]),
+                "coulomb_friction": lambda: sense(state.velocities[:, joint], state.accelerations[:, joint], state.cell),
                 "torque_offset": lambda: np.ones(len(state.times)),
                 "rotor_inertia": lambda: state.accelerations[:, joint],
             }[self.name]()
         return out
 
 
-def sense(velocity: np.ndarray) -> np.ndarray:
-    """Sign of a velocity; nearly at rest the sign is noise and the joint may stick, and a narrow ramp says so."""
-    return np.clip(velocity / REST_SPEED, -1.0, 1.0)
+def sense(velocity: np.ndarray, acceleration: np.ndarray, cell: float) -> np.ndarray:
+    """Sign of a velocity (N,), or its mean over the time that a sample stands for, in which the velocity is ``v + a t``.
+
+    Nearly at rest the sign is noise and the joint may stick, and a narrow ramp says so.
+    """
+    return np.clip(velocity / np.maximum(REST_SPEED, 0.5 * cell * np.abs(acceleration)), -1.0, 1.0)
 
 
 @dataclass(frozen=True)

@@ -140,13 +140,13 @@ def inside_joint(scene: Scene, motion: tuple[np.ndarray, np.ndarray, np.ndarray]
         case "viscous_friction":
             return values[0] * v
         case "coulomb_friction":
-            return values[0] * sense(v)
+            return values[0] * sense(v, a, scene.cell)
         case "torque_offset":
             return np.full(len(v), values[0])
         case "stribeck_friction":
-            return values[0] * np.exp(-((v / max(values[1], 1e-9)) ** 2)) * sense(v)
+            return values[0] * np.exp(-((v / max(values[1], 1e-9)) ** 2)) * sense(v, a, scene.cell)
         case "load_friction":
-            return values[0] * np.abs(torque) * sense(v)
+            return values[0] * np.abs(torque) * sense(v, a, scene.cell)
         case "rotor_inertia":
             return values[0] * a
         case "torque_ripple":

@@ -102,7 +102,7 @@ def _robot(robots: dict[str, Any]) -> dict[str, str]:
             share = 1 - (c["gap"]["after"] / c["gap"]["before"]) ** 2
             rows.append(
                 f"| {ROBOTS[name]} | {MODELS[model]} | {verdict(c)} | {counted(c)} | {c['fitted']['before']:.3g} | "
-                f"{c['fitted']['after']:.3g} | {gap(c)} | {100 * share:.0f} % |"
+                f"{c['fitted']['after']:.3g} | {gap(c)} | {c['floor_source']} | {100 * share:.0f} % |"
             )  # fmt: skip
             channels = c["gap"]["channels"]
             places.append(
@@ -110,7 +110,7 @@ def _robot(robots: dict[str, Any]) -> dict[str, str]:
                 + " |" * (8 - len(channels))
             )  # fmt: skip
     head = "arm | model | verdict | best attempt | fitted motion before | after | unseen before | after | floor"
-    head += " | squared residual gone"
+    head += " | floor from | squared residual gone"
     return {
         "robot": table(head, rows),
         "robot-joints": table("arm | model | " + " | ".join(f"joint {j}" for j in range(1, 8)), [r.rstrip() for r in places]),

@@ -103,7 +103,7 @@ def outcome(d: Diagnosis) -> dict[str, Any]:
         ],
         "fitted": {"before": float(np.sqrt(s.base.chi2 / s.rigid.rows)), "after": float(np.sqrt(s.best.chi2 / s.rigid.rows))},
         "gap": gap_of(d),
-        "floor_known": d.case.floor_known,
+        "floor_known": d.case.floor_known, "floor_source": d.case.floor_source,
         "where": [w.to_dict() for w in d.where],
     }  # fmt: skip
 
