@@ -17,15 +17,13 @@ from bayesid.diagnosis.case import WHITE, Case, make_case
 from bayesid.diagnosis.floor import SOURCES
 from bayesid.diagnosis.locate import Disagreement, locate
 from bayesid.diagnosis.proof import Gap, prove, residual_spectra
-from bayesid.diagnosis.search import ACCEPT, Found, Search, make_rigid, search
+from bayesid.diagnosis.search import ACCEPT, Found, Search, make_rigid, patchwork, search
 from bayesid.diagnosis.stability import Stability, stability
 from bayesid.effects import KINDS, Effect, Term, parse_effects
 from bayesid.experiment import Experiment, load_experiment
 from bayesid.problem import default_channel, make_channels
 
 SCHEMA = 1
-#: More unrelated effects than this at once are taken for a patchwork that imitates an unknown one.
-LIKELY = 2
 #: A found effect must not make unseen motions worse by more than this share of their squared residual.
 WORSE = 0.02
 #: Where the gap before is this many times the floor, it has to shrink; and where it stays this many times the floor, by half.
@@ -249,7 +247,7 @@ def _decide(case: Case, s: Search, seed: int) -> Diagnosis:
     elif gap is not None and not local and _unproven(gap):
         verdict = "unknown"
         remarks.append(f"{tried} fits the fitted motions, but predicts the unseen ones no better: not named.")
-    elif _patchwork(case, found):
+    elif patchwork(case, [f.term for f in found]):
         verdict = "unknown"
         remarks.append(
             f"Only {tried} together explain the residual. So many unrelated effects at once are less likely than one that the "
@@ -286,13 +284,6 @@ def _unproven(gap: Gap) -> bool:
     no_better = gap.before > ROOM * gap.floor and gap.closed_low <= 0.0
     still_open = gap.after > OPEN * gap.floor and gap.closed < 0.5
     return worse or no_better or still_open
-
-
-def _patchwork(case: Case, found: Sequence[Found]) -> bool:
-    """Whether more effects are needed than a robot is likely to hide; one kind on most joints counts as one."""
-    names = [f.term.effect.name for f in found]
-    alone = [n for n in set(names) for _ in range(names.count(n)) if names.count(n) < max(2, case.robot.n / 2)]
-    return len(alone) > LIKELY
 
 
 def _shifts(case: Case, s: Search) -> tuple[tuple[str, float, float, float], ...]:

@@ -20,7 +20,7 @@ from scipy.stats import chi2
 
 from bayesid import inertia
 from bayesid.diagnosis.candidates import SINGLE, UNEXPLAINED, Library, Proposal, make_library, orthonormal
-from bayesid.diagnosis.case import with_noise_of
+from bayesid.diagnosis.case import Case, with_noise_of
 from bayesid.diagnosis.fit import Fit, Rigid, fit, make_rigid, term_rows
 from bayesid.diagnosis.floor import with_floor_of
 from bayesid.effects import SOFT, Term
@@ -34,6 +34,8 @@ RIVAL = 3.0
 #: At most this many families of effects are sought, and this many proposals fitted exactly in one round.
 MOST = 4
 _FITTED = 8
+#: More unrelated effects than this at once are taken for a patchwork that imitates an unknown one.
+LIKELY = 2
 #: Effects of which only one is sought are fitted at this many places.
 _PLACES = 4
 #: Residuals this many times the noise in mean square, with everything the library has, are no residuals of a model: the
@@ -113,21 +115,8 @@ def search(rigid: Rigid, terms: Sequence[Term], seed: int, progress: Callable[[s
     rigid, base, library = _prepared(rigid, terms, None)
     progress("what each effect would explain")
     first = library.propose(base)
-    best, temper = base, library.temper(base)
     noises = _Noises(seed, base.terms, {_soft(base.terms): library})
-    for _ in range(MOST):
-        progress("naming what is missing")
-        better = _forward(noises, best, temper)
-        if better is None:
-            break
-        # Small gains that leave much unexplained are a patchwork on a stranger: nothing would come of more of them.
-        before, after = (f.chi2 / f.rigid.rows - 1.0 for f in (best, better))
-        hopeless, best = after > UNEXPLAINED - 1.0 and after > _PATCH * before, better
-        if hopeless:
-            break
-        if _families_of(best.terms[len(base.terms) :]) < MOST:  # with so many it is a patchwork, however well chosen
-            best = _exchanged(noises, best, len(base.terms), temper)
-        temper = noises.library(best).temper(best)
+    best, temper = _grown(noises, base, len(base.terms), progress)
     best = _pruned(noises, best, len(base.terms), temper)
     if len(best.terms) > len(base.terms):
         progress("noise as the new model passes it on")
@@ -138,18 +127,40 @@ def search(rigid: Rigid, terms: Sequence[Term], seed: int, progress: Callable[[s
         best = fit(rigid, best.terms, best)
         temper = library.temper(best)
         noises = _Noises(seed, base.terms, {_soft(best.terms): library})
+        if not known:  # a better model leaves less to stand in for the noise, and more stands out of it
+            best, temper = _grown(noises, best, len(base.terms), progress)
         best = _pruned(noises, best, len(base.terms), temper)
     progress("rivals")
-    # Where a stranger is left, nothing will be named, and nothing needs rivals.
-    for _ in range(_SWEEPS if best.chi2 < UNEXPLAINED * rigid.rows else 0):
+    # Where a stranger is left or patched up, nothing will be named, and nothing needs rivals.
+    stranger = best.chi2 >= UNEXPLAINED * rigid.rows or patchwork(rigid.case, best.terms[len(base.terms) :])
+    for _ in range(0 if stranger else _SWEEPS):
         found, better = _found(noises, best, len(base.terms), temper)
         if better is None:
             break
         best = better
     else:
-        found, _ = _found(noises, best, len(base.terms), temper, exchange=False)
+        found, _ = _found(noises, best, len(base.terms), temper, exchange=False, rivals=not stranger)
     library = noises.library(best)
     return Search(library.rigid, library.base, best, found, temper, tuple(first), library)
+
+
+def _grown(noises: _Noises, best: Fit, known: int, progress: Callable[[str], None]) -> tuple[Fit, float]:
+    """A model with effects added one by one, each round's choice exchanged against rivals, and what it leaves unexplained."""
+    temper = noises.library(best).temper(best)
+    for _ in range(MOST):
+        progress("naming what is missing")
+        better = _forward(noises, best, temper)
+        if better is None:
+            break
+        # Small gains that leave much unexplained are a patchwork on a stranger: nothing would come of more of them.
+        before, after = (f.chi2 / f.rigid.rows - 1.0 for f in (best, better))
+        hopeless, best = after > UNEXPLAINED - 1.0 and after > _PATCH * before, better
+        if hopeless:
+            break
+        if _families_of(best.terms[known:]) < MOST:  # with so many it is a patchwork, however well chosen
+            best = _exchanged(noises, best, known, temper)
+        temper = noises.library(best).temper(best)
+    return best, temper
 
 
 def _soft(terms: Sequence[Term]) -> tuple[tuple[str, int], ...]:
@@ -277,6 +288,12 @@ def _exchanged(noises: _Noises, best: Fit, known: int, temper: float) -> Fit:
     return best
 
 
+def patchwork(case: Case, terms: Sequence[Term]) -> bool:
+    """Whether more effects are needed than a robot is likely to hide; one kind on most joints counts as one."""
+    names = [t.effect.name for t in terms]
+    return sum(names.count(n) < max(2, case.robot.n / 2) for n in names) > LIKELY
+
+
 def _families_of(terms: Sequence[Term]) -> int:
     """How many kinds of effects there are."""
     return len({t.effect.name for t in terms})
@@ -313,16 +330,15 @@ def _pruned(noises: _Noises, best: Fit, known: int, temper: float) -> Fit:
 
 
 def _found(
-    noises: _Noises, best: Fit, known: int, temper: float, *, exchange: bool = True
+    noises: _Noises, best: Fit, known: int, temper: float, *, exchange: bool = True, rivals: bool = True
 ) -> tuple[tuple[Found, ...], Fit | None]:
     """The effects of the best model with their rivals; and a model with a rival that turned out to be better, if any."""
     out = []
-    alone = best.chi2 >= UNEXPLAINED * best.rigid.rows
     for i in range(known, len(best.terms)):
         at = [column for column, (index, _) in enumerate(best.free) if index == i]
         std = np.sqrt(np.maximum(temper * np.diag(best.covariance)[at], 0.0))
         term = _turned_back(best.terms[i])
-        if alone or _in_family(best.terms, i):
+        if not rivals or _in_family(best.terms, i):
             out.append(Found(term, _standing(best, i, temper), std))
             continue
         held = tuple(t for k, t in enumerate(best.terms) if k != i)
@@ -336,11 +352,9 @@ def _found(
         for f in reversed(fits):
             rival, own = _as_payload(f, len(f.terms) - 1, temper)
             lacks[f.terms[-1].effect.spec] = (rival, (best.score - f.score) / temper + bonus - own)
-        rivals = [
-            (t, lack) for t, lack in lacks.values() if lack < RIVAL and not _contains(without, t, term)
-        ]  # fmt: skip
+        near = [(t, lack) for t, lack in lacks.values() if lack < RIVAL and not _contains(without, t, term)]
         term = _turned_back(named)
-        out.append(Found(term, (best.score - without.score) / temper, std, tuple(rivals)))
+        out.append(Found(term, (best.score - without.score) / temper, std, tuple(near)))
     return tuple(out), None
 
 
@@ -408,4 +422,4 @@ def _rarity(link: np.ndarray) -> float:
     return float(np.log(_DRAWN / max(np.count_nonzero(possible), 1)))
 
 
-__all__ = ["Found", "Search", "make_rigid", "search"]
+__all__ = ["Found", "Search", "make_rigid", "patchwork", "search"]
