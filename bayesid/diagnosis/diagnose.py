@@ -26,8 +26,8 @@ from bayesid.problem import default_channel, make_channels
 SCHEMA = 1
 #: A found effect must not make unseen motions worse by more than this share of their squared residual.
 WORSE = 0.02
-#: Where the gap before is this many times the floor, it has to shrink; and where it stays this many times the floor, by half.
-ROOM, OPEN = 1.05, 1.1
+#: Where the gap before is this many times the floor, it has to shrink; and where it stays this many times the floor, mostly.
+ROOM, OPEN, MOSTLY = 1.05, 1.1, 0.7
 #: Where so much of the gap on unseen motions is closed, what is left of it there is no sign of something unknown.
 CLOSED = 0.9
 
@@ -282,7 +282,7 @@ def _unproven(gap: Gap) -> bool:
     """Whether the unseen motions deny the effects found: worse, no better where there was room, or most of the gap still open."""
     worse = gap.after**2 > gap.before**2 * (1.0 + WORSE)
     no_better = gap.before > ROOM * gap.floor and gap.closed_low <= 0.0
-    still_open = gap.after > OPEN * gap.floor and gap.closed < 0.5
+    still_open = gap.after > OPEN * gap.floor and gap.closed < MOSTLY
     return worse or no_better or still_open
 
 

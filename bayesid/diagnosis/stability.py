@@ -129,7 +129,8 @@ class _Sums:
         count = self.links + self.parameters
         scale = np.sqrt(np.maximum(np.diag(self.whole)[:count], 1e-300))
         square = gram[:count, :count] / np.outer(scale, scale) + _FLAT * np.eye(count)
-        return np.diag(np.linalg.inv(square))[self.links :] / scale[self.links :] ** 2
+        with np.errstate(over="ignore"):  # infinite for a parameter that nothing shows, as a hose's length while it is slack
+            return np.diag(np.linalg.inv(square))[self.links :] / scale[self.links :] ** 2
 
 
 def stability(rigid: Rigid, best: Fit, known: int, found: Sequence[Found], temper: float) -> tuple[Stability | None, ...]:
