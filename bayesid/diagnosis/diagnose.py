@@ -14,6 +14,7 @@ from bayesid.base_parameters import structural_base
 from bayesid.diagnosis import memo
 from bayesid.diagnosis.candidates import UNEXPLAINED
 from bayesid.diagnosis.case import WHITE, Case, make_case
+from bayesid.diagnosis.fit import LINKS
 from bayesid.diagnosis.floor import SOURCES
 from bayesid.diagnosis.locate import Disagreement, locate
 from bayesid.diagnosis.proof import Gap, prove, residual_spectra
@@ -233,7 +234,9 @@ def _decide(case: Case, s: Search, seed: int) -> Diagnosis:
     tried = ", ".join(f.term.effect.spec for f in found)
     # What is left of a gap on livelier motions than the fitted ones is no stranger if it is a small share of the gap.
     unseen = 0.0 if gap is None or (found and gap.closed > CLOSED) else (gap.after / gap.floor) ** 2
-    local = all(f.term.effect.name == "external_contact" for f in found)
+    # A contact does not come again, and a change of a link is denied by the trust in it: the same motion is predicted as well
+    # by many links that are a little off.
+    local = all(f.term.effect.name in ("external_contact", *LINKS) for f in found)
     if max(left, unseen) > UNEXPLAINED:
         verdict = "unknown"
         elsewhere = "" if gap is None else f" and {gap.after:.3g} times on the unseen ones"

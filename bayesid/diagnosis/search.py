@@ -226,7 +226,10 @@ def _forward(noises: _Noises, best: Fit, temper: float) -> Fit | None:
     fits = _exact(noises, best, best.terms, proposals, temper)
     fits += [noises.own(fit(best.rigid, (*best.terms, *terms), best)) for terms in _families(library, proposals, temper)]
     top = max(fits, key=lambda f: f.score, default=None)
-    return None if top is None or top.score - best.score < ACCEPT * temper else top
+    if top is None:
+        return None
+    as_body = _as_payload(top, len(top.terms) - 1, temper)[1]
+    return None if top.score - best.score + as_body * temper < ACCEPT * temper else top
 
 
 def _families(library: Library, proposals: Sequence[Proposal], temper: float) -> list[tuple[Term, ...]]:
@@ -322,7 +325,7 @@ def _pruned(noises: _Noises, best: Fit, known: int, temper: float) -> Fit:
             continue
         held = tuple(t for k, t in enumerate(best.terms) if k != i)
         without = noises.own(fit(best.rigid, held, best))
-        if best.score - without.score < ACCEPT * temper:
+        if best.score - without.score + _as_payload(best, i, temper)[1] * temper < ACCEPT * temper:
             best = without
         else:
             i += 1
