@@ -9,11 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.stats import multivariate_normal
 
 from bayesid import diagnose
 from bayesid.diagnosis import candidates, case, fit, proof, search, spectra
 from bayesid.effects import Term
 from bayesid.experiment import load_experiment
+from bayesid.priors import Prior
 
 PLANT = Path(__file__).parents[1] / "case_studies" / "blind_naming"
 
@@ -193,3 +195,21 @@ def test_a_model_that_runs_away_is_refused(record, monkeypatch):
     runaway = fit.fit(rigid, (Term(effect, (1e-4,)),))
     assert runaway.score == -np.inf and runaway.chi2 == np.inf
     assert not runaway.covariance.any() and np.isfinite(runaway.residual).all()
+
+
+def test_a_changed_link_is_priced_by_its_marginal_likelihood(record):
+    """The score's gain is that of Gaussian densities with the link's columns under the prior of the best width."""
+    folder, _ = record("heavier", "single", ["inertia_error"], "torque", trust=0.05, seed=11)
+    made_case, rigid = made(folder, "torque")
+    base = fit.fit(rigid, ())
+    [effect] = [e for e in made_case.places("inertia_error") if e.where == "joint2"]
+    changed = fit.fit(rigid, (Term(effect, (0.0,) * 10),), base)
+    zero = np.zeros(made_case.robot.n)
+    rows = fit.residual_rows(made_case, made_case.stretches, made_case.links, zero, ())
+    links = np.vstack([s.white(made_case.rigid(s, ())) for s in made_case.stretches])
+    own = Prior.warped(made_case.links[10:20], 1.0).covariance
+    plain = np.eye(len(rows)) + links @ rigid.root @ (links @ rigid.root).T
+    change = links[:, 10:20] @ own @ links[:, 10:20].T
+    free = max(multivariate_normal.logpdf(rows, cov=plain + w**2 * change) for w in fit.WIDTHS)
+    want = free - multivariate_normal.logpdf(rows, cov=plain) - np.log(len(fit.WIDTHS))
+    assert changed.score - base.score == pytest.approx(want, abs=1e-3 * abs(want) + 0.02)
