@@ -63,9 +63,11 @@ def test_a_curved_reading_is_caught_when_it_is_large(results):
     assert any(c["named"] for c in results["failure"])
 
 
-def test_an_unknown_floor_is_said(results):
-    for cases in results["robot"].values():
-        assert not any(c["floor_known"] for c in cases.values())
+def test_where_the_real_arms_floors_come_from_is_said(results):
+    """The KUKA repeats its motions; the UR10's readings were filtered and nothing repeats. Neither is given a name."""
+    sources = {name: {(c["floor_known"], c["floor_source"]) for c in cases.values()} for name, cases in results["robot"].items()}
+    assert sources == {"kuka-lwr4": {(True, "repeats")}, "ur10": {(False, "richest model")}}
+    assert {c["verdict"] for cases in results["robot"].values() for c in cases.values()} == {"unknown"}
 
 
 def test_real_taps_are_what_student_rejects(study, shared):
