@@ -231,7 +231,7 @@ def _decide(case: Case, s: Search, seed: int) -> Diagnosis:
     gap = prove(s.rigid, s.base, s.best, s.temper, seed)
     remarks: list[str] = []
     found, verdict = s.found, "named"
-    tried = ", ".join(f.term.effect.spec for f in found)
+    tried = ", ".join(memo.by_kind(f.term for f in found))
     # What is left of a gap on livelier motions than the fitted ones is no stranger if it is a small share of the gap.
     unseen = 0.0 if gap is None or (found and gap.closed > CLOSED) else (gap.after / gap.floor) ** 2
     # A contact does not come again, and a change of a link is denied by the trust in it: the same motion is predicted as well

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,7 +15,7 @@ from bayesid.diagnosis.locate import Disagreement
 from bayesid.diagnosis.search import ACCEPT
 from bayesid.diagnosis.taps import TAP
 from bayesid.diagnosis.views import views
-from bayesid.effects import Effect
+from bayesid.effects import Effect, Term
 from bayesid.output import strict, write_results
 from bayesid.report import diagnosis_report
 from bayesid.report.identification import channel_text
@@ -70,7 +71,7 @@ def proof_sentence(diagnosis: Diagnosis) -> str:
             text += f" In the fitted motions {places} out of the noise, but no effect of the library explains {them}."
         return text
     if d.verdict == "unknown":
-        tried = _listed([f.term.effect.spec for f in s.found])
+        tried = _listed(by_kind(f.term for f in s.found))
         fitted = number(float(np.sqrt(s.best.chi2 / s.rigid.rows)), 3)
         end = f"a complete model would leave {floor}. On the fitted motions {fitted} times the noise stays."
         if not tried:
@@ -194,7 +195,7 @@ def summary(diagnosis: Diagnosis) -> str:
             text += f", {closed} closed" + (f", at least {least}" if least else "")
         lines.append(text)
     if d.verdict == "unknown" and d.search.found:
-        lines.append(f"  best attempt: {', '.join(f.term.effect.spec for f in d.search.found)}")
+        lines.append(f"  best attempt: {', '.join(by_kind(f.term for f in d.search.found))}")
     word = "unexplained" if d.verdict == "nothing_missing" else "disagrees"
     for w in d.where[:_SHOWN]:
         lines.append(f"  {word}: {disagreement_line(w)}")
@@ -263,7 +264,7 @@ def page_text(diagnosis: Diagnosis) -> dict:
             for f in d.found
         ],
         "notes": notes(d),
-        "tried": [f.term.effect.spec for f in d.search.found],
+        "tried": by_kind(f.term for f in d.search.found),
         "closed": "" if d.gap is None else _known_share(d.gap.closed),
         "floor": SOURCES[d.case.floor_source],
         "floor_is_white": d.case.floor_source == WHITE,
@@ -273,6 +274,14 @@ def page_text(diagnosis: Diagnosis) -> dict:
 
 def _known_share(share: float) -> str:
     return share_text(share) if np.isfinite(share) and share > 0 else ""
+
+
+def by_kind(terms: Iterable[Term]) -> list[str]:
+    """``name@place`` of each effect; of a kind at several joints ``name@joint1+joint4``, places in order."""
+    places: dict[str, list[str]] = {}
+    for t in terms:
+        places.setdefault(t.effect.name, []).append(t.effect.where)
+    return [f"{name}@{'+'.join(sorted(where))}" for name, where in places.items()]
 
 
 def _listed(words: list[str]) -> str:
