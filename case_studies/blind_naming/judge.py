@@ -22,6 +22,8 @@ from tqdm import tqdm
 
 HERE = Path(__file__).parent
 CLAIMS = ("named", "ambiguous")
+#: Counted with all others and again alone: how large they have to be to be seen is a question of trust in the links.
+APART = ("payload", "inertia_error", "rotor_momentum")
 #: In the wrench alone these can only be told from each other by what is thought possible (EXPERIMENT_FORMAT).
 SAME = ({"payload", "inertia_error"},)
 
@@ -89,12 +91,17 @@ def judge(pairs: list[tuple[dict, dict]]) -> dict:
             hits = [c for c in claims if within(truth, alternatives, c)]
             exact = len(claims) == 1 and claims[0]["name"] == truth["name"] and said["verdict"] == "named"
             group = "three times the floor or more" if level in ("clear", "moderate") else "smaller"
-            if truth["name"] in ("payload", "inertia_error", "rotor_momentum"):
-                group += f", {truth['name']}"
-            counts.setdefault(f"single, {group}: in the set", []).append(bool(hits) or quiet)
-            counts.setdefault(f"single, {group}: outright", []).append(exact)
-            if hits:
-                counts.setdefault(f"single, {group}: right place", []).append(there(truth, alternatives, hits[0]))
+            # A rotor in the wrench alone is the same as a change of two links' inertia.
+            groups = [group] if truth["name"] != "rotor_momentum" or answer["channel"] != "wrench" else []
+            if truth["name"] in APART:
+                groups.append(f"{group}, {truth['name']}")
+            elif groups:
+                groups.append(f"{group}, all but payload, inertia error, rotor")
+            for group in groups:
+                counts.setdefault(f"single, {group}: in the set", []).append(bool(hits) or quiet)
+                counts.setdefault(f"single, {group}: outright", []).append(exact)
+                if hits:
+                    counts.setdefault(f"single, {group}: right place", []).append(there(truth, alternatives, hits[0]))
             if exact and claims[0]["where"] == truth["where"]:
                 scores += deviations(truth, claims[0])
                 if said["gap"] is not None and said["gap"]["after"] is not None:
