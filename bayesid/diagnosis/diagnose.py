@@ -18,7 +18,7 @@ from bayesid.diagnosis.fit import LINKS
 from bayesid.diagnosis.floor import SOURCES
 from bayesid.diagnosis.locate import Disagreement, locate
 from bayesid.diagnosis.proof import Gap, prove, residual_spectra
-from bayesid.diagnosis.search import ACCEPT, Found, Search, make_rigid, patchwork, search
+from bayesid.diagnosis.search import ACCEPT, EXPLAINED, Found, Search, explained, make_rigid, patchwork, search
 from bayesid.diagnosis.stability import Stability, stability
 from bayesid.effects import KINDS, Effect, Term, parse_effects
 from bayesid.experiment import Experiment, load_experiment
@@ -232,12 +232,13 @@ def _decide(case: Case, s: Search, seed: int) -> Diagnosis:
     remarks: list[str] = []
     found, verdict = s.found, "named"
     tried = ", ".join(memo.by_kind(f.term for f in found))
+    nearly = gap is not None and gap.closed > CLOSED and gap.after <= OPEN * gap.floor and explained(s.base, s.best) > EXPLAINED
     # What is left of a gap on livelier motions than the fitted ones is no stranger if it is a small share of the gap.
     unseen = 0.0 if gap is None or (found and gap.closed > CLOSED) else (gap.after / gap.floor) ** 2
     # A contact does not come again, and a change of a link is denied by the trust in it: the same motion is predicted as well
     # by many links that are a little off.
     local = all(f.term.effect.name in ("external_contact", *LINKS) for f in found)
-    if max(left, unseen) > UNEXPLAINED:
+    if max(left if not (found and nearly) else 0.0, unseen) > UNEXPLAINED:
         verdict = "unknown"
         elsewhere = "" if gap is None else f" and {gap.after:.3g} times on the unseen ones"
         remarks.append(

@@ -34,6 +34,8 @@ RIVAL = 3.0
 #: At most this many families of effects are sought, and this many proposals fitted exactly in one round.
 MOST = 4
 _FITTED = 8
+#: A model that explains so much of the residual may leave more than noise: no model of a drive is exact to a hundredth.
+EXPLAINED = 0.95
 #: More unrelated effects than this at once are taken for a patchwork that imitates an unknown one.
 LIKELY = 2
 #: Effects of which only one is sought are fitted at this many places.
@@ -132,7 +134,8 @@ def search(rigid: Rigid, terms: Sequence[Term], seed: int, progress: Callable[[s
         best = _pruned(noises, best, len(base.terms), temper)
     progress("rivals")
     # Where a stranger is left or patched up, nothing will be named, and nothing needs rivals.
-    stranger = best.chi2 >= UNEXPLAINED * rigid.rows or patchwork(rigid.case, best.terms[len(base.terms) :])
+    stranger = best.chi2 >= UNEXPLAINED * rigid.rows and explained(base, best) < EXPLAINED
+    stranger = stranger or patchwork(rigid.case, best.terms[len(base.terms) :])
     for _ in range(0 if stranger else _SWEEPS):
         found, better = _found(noises, best, len(base.terms), temper)
         if better is None:
@@ -291,6 +294,12 @@ def _exchanged(noises: _Noises, best: Fit, known: int, temper: float) -> Fit:
     return best
 
 
+def explained(base: Fit, best: Fit) -> float:
+    """Share of what stands out of the noise on the fitted motions that a model explains."""
+    before, after = (f.chi2 / f.rigid.rows - 1.0 for f in (base, best))
+    return 1.0 - after / before if before > 0.0 else 0.0
+
+
 def patchwork(case: Case, terms: Sequence[Term]) -> bool:
     """Whether more effects are needed than a robot is likely to hide; one kind on most joints counts as one."""
     names = [t.effect.name for t in terms]
@@ -425,4 +434,4 @@ def _rarity(link: np.ndarray) -> float:
     return float(np.log(_DRAWN / max(np.count_nonzero(possible), 1)))
 
 
-__all__ = ["Found", "Search", "make_rigid", "patchwork", "search"]
+__all__ = ["EXPLAINED", "Found", "Search", "explained", "make_rigid", "patchwork", "search"]
