@@ -10,21 +10,17 @@ it makes itself; under the noise of stiff joints its own errors would count agai
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
-import cvxpy as cp
 import numpy as np
-from scipy.stats import chi2
 
-from bayesid import inertia
+from bayesid.diagnosis.bodies import as_payload
 from bayesid.diagnosis.candidates import SINGLE, UNEXPLAINED, Library, Proposal, make_library, orthonormal
 from bayesid.diagnosis.case import Case, with_noise_of
 from bayesid.diagnosis.fit import Fit, Rigid, fit, make_rigid, term_rows
 from bayesid.diagnosis.floor import with_floor_of
 from bayesid.effects import SOFT, Term
-from bayesid.priors import Prior
 from bayesid.regression import in_order
 
 #: An effect must gain this much log evidence: the odds of one among a hundred, times a thousand.
@@ -51,11 +47,6 @@ _PATCH = 0.8
 _COMPLIANCES = (0.25, 0.5, 2.0, 4.0)
 #: Families fitted at once in one round.
 _KINDS = 3
-#: A change of a link is a possible body unless its distance to one has a smaller probability.
-_POSSIBLE = 0.05
-_DRAWN = 5000
-#: A link's length, for the solver's units [m].
-_LENGTH = 0.1
 #: An effect contains another if its columns leave no more than this share of the other's.
 _WITHIN = 0.05
 
@@ -231,7 +222,7 @@ def _forward(noises: _Noises, best: Fit, temper: float) -> Fit | None:
     top = max(fits, key=lambda f: f.score, default=None)
     if top is None:
         return None
-    as_body = _as_payload(top, len(top.terms) - 1, temper)[1]
+    as_body = as_payload(top, len(top.terms) - 1, temper)[1]
     return None if top.score - best.score + as_body * temper < ACCEPT * temper else top
 
 
@@ -334,7 +325,7 @@ def _pruned(noises: _Noises, best: Fit, known: int, temper: float) -> Fit:
             continue
         held = tuple(t for k, t in enumerate(best.terms) if k != i)
         without = noises.own(fit(best.rigid, held, best))
-        if best.score - without.score + _as_payload(best, i, temper)[1] * temper < ACCEPT * temper:
+        if best.score - without.score + as_payload(best, i, temper)[1] * temper < ACCEPT * temper:
             best = without
         else:
             i += 1
@@ -359,10 +350,10 @@ def _found(
         fits = _exact(noises, without, held, proposals, temper)
         if exchange and fits and fits[0].score > best.score + temper:
             return (), fits[0]
-        named, bonus = _as_payload(best, i, temper)
+        named, bonus = as_payload(best, i, temper)
         lacks: dict[str, tuple[Term, float]] = {}
         for f in reversed(fits):
-            rival, own = _as_payload(f, len(f.terms) - 1, temper)
+            rival, own = as_payload(f, len(f.terms) - 1, temper)
             lacks[f.terms[-1].effect.spec] = (rival, (best.score - f.score) / temper + bonus - own)
         near = [(t, lack) for t, lack in lacks.values() if lack < RIVAL and not _contains(without, t, term)]
         term = _turned_back(named)
@@ -389,49 +380,6 @@ def _contains(without: Fit, wider: Term, term: Term) -> bool:
     q = orthonormal(outer)
     left = inner - q @ (q.T @ inner)
     return bool(np.linalg.norm(left) < _WITHIN * np.linalg.norm(inner))
-
-
-def _as_payload(fitted: Fit, index: int, temper: float) -> tuple[Term, float]:
-    """A change of a link as an attached body, if a possible body is near enough, and what that adds to its evidence.
-
-    Among all changes of a link as large as itself few are bodies that could be attached: if the one found is, that speaks
-    for a payload by one over their share. Any other effect is returned as it is.
-    """
-    term = fitted.terms[index]
-    if term.effect.name != "inertia_error":
-        return term, 0.0
-    at = [column for column, (owner, _) in enumerate(fitted.free) if owner == index]
-    values, covariance = np.array(term.values), temper * fitted.covariance[np.ix_(at, at)]
-    size = np.sqrt(np.maximum(np.diag(covariance), 1e-30))
-    spread, axes = np.linalg.eigh(covariance / np.outer(size, size))
-    root = (axes / np.sqrt(np.maximum(spread, 1e-9 * spread[-1]))).T / size
-    # In units of the change's own size, so that masses and moments of inertia weigh alike in the solver.
-    body, pseudo = cp.Variable(10), cp.Variable((4, 4), PSD=True)
-    length = np.array([_LENGTH, _LENGTH, _LENGTH, 1.0])
-    basis = (inertia.BASIS / np.outer(length, length)).reshape(10, 16) * size[:, None]
-    same: list[cp.Constraint] = [cp.vec(pseudo, order="C") == basis.T @ body]
-    problem = cp.Problem(cp.Minimize(cp.sum_squares((root * size) @ body - root @ values)), same)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # a distance of three digits is accurate enough
-        try:
-            distance = float(problem.solve(solver=cp.CLARABEL))  # pyright: ignore[reportArgumentType]
-        except cp.SolverError:
-            return term, 0.0
-    if body.value is None or chi2.sf(distance, 10) < _POSSIBLE:
-        return term, 0.0
-    effect = next(e for e in fitted.rigid.case.places("payload") if e.where == term.effect.where)
-    joint = effect.joint or 0
-    return Term(effect, tuple(size * body.value)), _rarity(fitted.rigid.case.links[10 * joint : 10 * joint + 10])
-
-
-def _rarity(link: np.ndarray) -> float:
-    """Log of one over the share of changes of a link, as large as itself, that are possible bodies."""
-    covariance = Prior.warped(link, 1.0).covariance
-    size = np.sqrt(np.diag(covariance))
-    root = size[:, None] * np.linalg.cholesky(covariance / np.outer(size, size) + 1e-12 * np.eye(10))
-    changes = np.random.default_rng(0).normal(size=(_DRAWN, 10)) @ root.T
-    possible = np.linalg.eigvalsh(inertia.pseudo_inertia(changes))[:, 0] >= 0.0
-    return float(np.log(_DRAWN / max(np.count_nonzero(possible), 1)))
 
 
 __all__ = ["EXPLAINED", "Found", "Search", "explained", "make_rigid", "patchwork", "search"]

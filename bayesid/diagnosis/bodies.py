@@ -1,0 +1,63 @@
+"""Payload or inertia error? Both change one link; a payload's change is a body that could exist."""
+
+from __future__ import annotations
+
+import warnings
+
+import cvxpy as cp
+import numpy as np
+from scipy.stats import chi2
+
+from bayesid import inertia
+from bayesid.diagnosis.fit import Fit
+from bayesid.effects import Term
+from bayesid.priors import Prior
+
+#: A change of a link is a possible body unless its distance to one has a smaller probability.
+_POSSIBLE = 0.05
+_DRAWN = 5000
+#: A link's length, for the solver's units [m].
+_LENGTH = 0.1
+
+
+def as_payload(fitted: Fit, index: int, temper: float) -> tuple[Term, float]:
+    """A change of a link as an attached body, if a possible body is near enough, and what that adds to its evidence.
+
+    Among all changes of a link as large as itself few are bodies that could be attached: if the one found is, that speaks
+    for a payload by one over their share. Any other effect is returned as it is.
+    """
+    term = fitted.terms[index]
+    if term.effect.name != "inertia_error":
+        return term, 0.0
+    at = [column for column, (owner, _) in enumerate(fitted.free) if owner == index]
+    values, covariance = np.array(term.values), temper * fitted.covariance[np.ix_(at, at)]
+    size = np.sqrt(np.maximum(np.diag(covariance), 1e-30))
+    spread, axes = np.linalg.eigh(covariance / np.outer(size, size))
+    root = (axes / np.sqrt(np.maximum(spread, 1e-9 * spread[-1]))).T / size
+    # In units of the change's own size, so that masses and moments of inertia weigh alike in the solver.
+    body, pseudo = cp.Variable(10), cp.Variable((4, 4), PSD=True)
+    length = np.array([_LENGTH, _LENGTH, _LENGTH, 1.0])
+    basis = (inertia.BASIS / np.outer(length, length)).reshape(10, 16) * size[:, None]
+    same: list[cp.Constraint] = [cp.vec(pseudo, order="C") == basis.T @ body]
+    problem = cp.Problem(cp.Minimize(cp.sum_squares((root * size) @ body - root @ values)), same)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # a distance of three digits is accurate enough
+        try:
+            distance = float(problem.solve(solver=cp.CLARABEL))  # pyright: ignore[reportArgumentType]
+        except cp.SolverError:
+            return term, 0.0
+    if body.value is None or chi2.sf(distance, 10) < _POSSIBLE:
+        return term, 0.0
+    effect = next(e for e in fitted.rigid.case.places("payload") if e.where == term.effect.where)
+    joint = effect.joint or 0
+    return Term(effect, tuple(size * body.value)), _rarity(fitted.rigid.case.links[10 * joint : 10 * joint + 10])
+
+
+def _rarity(link: np.ndarray) -> float:
+    """Log of one over the share of changes of a link, as large as itself, that are possible bodies."""
+    covariance = Prior.warped(link, 1.0).covariance
+    size = np.sqrt(np.diag(covariance))
+    root = size[:, None] * np.linalg.cholesky(covariance / np.outer(size, size) + 1e-12 * np.eye(10))
+    changes = np.random.default_rng(0).normal(size=(_DRAWN, 10)) @ root.T
+    possible = np.linalg.eigvalsh(inertia.pseudo_inertia(changes))[:, 0] >= 0.0
+    return float(np.log(_DRAWN / max(np.count_nonzero(possible), 1)))
