@@ -1,0 +1,57 @@
+"""python tests/benchmarks/diagnosis.py [--write]: how long `diagnose` takes on 40 s of a six-joint arm.
+
+The example PUMA 560, wrench and torques in turn, two motions of 20 s and one of 12 s for the proof, one hidden effect each.
+``--write`` renews docs/diagnosis-speed.json.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import statistics
+import tempfile
+from pathlib import Path
+
+import bayesid
+from bayesid.examples import puma560_urdf
+from bayesid.robot import load_robot
+
+ROOT = Path(__file__).resolve().parent.parent.parent
+HIDDEN = (
+    ("wrench", ()), ("wrench", ("sensor_gain@mx",)), ("wrench", ("tether@joint3",)), ("wrench", ("base_tilt",)),
+    ("wrench", ("encoder_offset@joint2",)), ("torque", ()), ("torque", ("viscous_friction@joint2",)),
+    ("torque", ("torque_ripple@joint3",)), ("torque", ("payload@joint6",)),
+    ("both", ("sensor_delay",)), ("both", ("joint_flexibility@joint2",)),
+)  # fmt: skip
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--write", action="store_true")
+    options = parser.parse_args()
+    cases = []
+    with tempfile.TemporaryDirectory() as folder:
+        (path := Path(folder) / "puma560.urdf").write_text(puma560_urdf(), encoding="utf-8")
+        robot = load_robot(path)
+        motions = [
+            bayesid.fourier_trajectory(robot, name, role, duration=duration, seed=seed)
+            for seed, (name, role, duration) in enumerate(
+                [("first", "identification", 20.0), ("second", "identification", 20.0), ("unseen", "validation", 12.0)]
+            )
+        ]
+        for channel, effects in HIDDEN:
+            recorder = bayesid.Recorder(force_std=0.2, torque_std=0.02, resolution=2e-5)
+            recorded = bayesid.simulate(robot, motions, effects=effects, recorder=recorder, perturb=0.02, seed=1)
+            found = bayesid.diagnose(recorded, channel)
+            names = [f.term.effect.spec for f in found.found]
+            cases.append({"channel": channel, "hidden": list(effects), "named": names, "seconds": round(found.seconds, 1)})
+            print(json.dumps(cases[-1]), flush=True)
+    result = {"cpus": os.cpu_count(), "median_s": statistics.median(c["seconds"] for c in cases), "cases": cases}
+    print(f"median {result['median_s']:.1f} s on {result['cpus']} cores")
+    if options.write:
+        (ROOT / "docs" / "diagnosis-speed.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
