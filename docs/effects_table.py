@@ -64,6 +64,7 @@ true wrench that the sensor applies, `tau` a joint's true torque. Written by `do
 _FOOT = """
 The steps act in this order: encoder offset and flexible joints; the compliant base; bodies, gravity and what pulls or pushes
 them; inside the joints, then the torque's gain; the sensor's pose, its delay, gains and cross-talk, offset and drift.
+A flexible joint gives way to the torques of a base at rest: with a base that rings as well, what the ringing bends is left out.
 
 Starting values where none are stated are zero, except:
 

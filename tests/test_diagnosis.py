@@ -12,8 +12,8 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from bayesid import diagnose
-from bayesid.diagnosis import candidates, case, fit, proof, search, spectra
-from bayesid.effects import Term
+from bayesid.diagnosis import candidates, case, fit, patchwork, proof, search, spectra
+from bayesid.effects import Term, parse_effects
 from bayesid.experiment import load_experiment
 from bayesid.priors import Prior
 
@@ -79,6 +79,25 @@ def test_two_hidden_effects_are_both_named(record):
     folder, answer = record("pair", "pair", ["sensor_gain", "fluid_drag"], "wrench", seed=3)
     found = diagnose(folder, "wrench")
     assert {f.term.effect.spec for f in found.found} == {f"{e['name']}@{e['where']}" for e in answer["effects"]}
+
+
+def test_what_nearly_complete_models_leave_is_no_third_effect(record):
+    """Of three effects in a model one that explains next to nothing is dropped; three that all explain much stay."""
+    for hidden, extra, dropped in (
+        (["sensor_gain", "fluid_drag"], ["sensor_crosstalk@fx->mz"], ["sensor_crosstalk@fx->mz"]),
+        (["sensor_gain", "fluid_drag", "base_tilt"], [], []),
+    ):
+        folder, answer = record(f"hidden-{len(hidden)}", "pair", hidden, "wrench", seed=3)
+        comparison, rigid = made(folder, "wrench")
+        names = [f"{e['name']}@{e['where']}" for e in answer["effects"]] + extra
+        robot, channels = comparison.robot, [*"fx fy fz mx my mz".split()]
+        terms = [Term(e, e.kind.starts) for e in parse_effects(names, robot.joint_names, channels, None)]
+        base, best = fit.fit(rigid, ()), fit.fit(rigid, terms)
+        noises = search._Noises(0, (), {(): candidates.make_library(rigid, base)})
+        few, rest = search._essential(noises, base, best, 1.0)
+        assert patchwork.patchwork(comparison, best.terms)
+        assert [t.effect.spec for t in rest] == dropped
+        assert [t.effect.spec for t in few.terms] == [n for n in names if n not in dropped]
 
 
 def test_a_stranger_is_unknown(record):

@@ -17,8 +17,9 @@ from bayesid.diagnosis.case import WHITE, Case, make_case
 from bayesid.diagnosis.fit import LINKS
 from bayesid.diagnosis.floor import SOURCES
 from bayesid.diagnosis.locate import Disagreement, locate
+from bayesid.diagnosis.patchwork import EXPLAINED, explained, patchwork
 from bayesid.diagnosis.proof import Gap, prove, residual_spectra
-from bayesid.diagnosis.search import ACCEPT, EXPLAINED, Found, Search, explained, make_rigid, patchwork, search
+from bayesid.diagnosis.search import ACCEPT, Found, Search, make_rigid, search
 from bayesid.diagnosis.stability import Stability, stability
 from bayesid.effects import KINDS, Effect, Term, parse_effects
 from bayesid.experiment import Experiment, load_experiment
@@ -251,10 +252,11 @@ def _decide(case: Case, s: Search, seed: int) -> Diagnosis:
     elif gap is not None and not local and _unproven(gap):
         verdict = "unknown"
         remarks.append(f"{tried} fits the fitted motions, but predicts the unseen ones no better: not named.")
-    elif patchwork(case, [f.term for f in found]):
+    elif patchwork(case, [f.term for f in found]) or (s.dropped and not nearly):
         verdict = "unknown"
+        together = ", ".join(memo.by_kind((*(f.term for f in found), *s.dropped)))
         remarks.append(
-            f"Only {tried} together explain the residual. So many unrelated effects at once are less likely than one that the "
+            f"Only {together} together explain the residual. So many unrelated effects at once are less likely than one that the "
             "library does not have and that they patch up between them: not named."
         )
     elif any(f.rivals for f in found):
@@ -265,6 +267,11 @@ def _decide(case: Case, s: Search, seed: int) -> Diagnosis:
         gap = gap and replace(gap, floor=gap.bare_floor)
     if case.floor_source != WHITE:  # the usual one needs no word
         remarks.append(SOURCES[case.floor_source])
+    if found and s.dropped:
+        remarks.append(
+            f"{tried} explain {100 * explained(s.base, s.best):.3g} % of what stands out of the noise. What is left would fit "
+            f"{', '.join(memo.by_kind(s.dropped))}, but is no more than these models may be inexact by: not named."
+        )
     if found and gap is None:
         remarks.append("No validation motion: the effect is named on the fitted motions alone, nothing proves it elsewhere.")
     if case.experiment.inertia_rel_std is None:

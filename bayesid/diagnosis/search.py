@@ -17,9 +17,10 @@ import numpy as np
 
 from bayesid.diagnosis.bodies import as_payload
 from bayesid.diagnosis.candidates import SINGLE, UNEXPLAINED, Library, Proposal, make_library, orthonormal
-from bayesid.diagnosis.case import Case, with_noise_of
+from bayesid.diagnosis.case import with_noise_of
 from bayesid.diagnosis.fit import Fit, Rigid, fit, make_rigid, term_rows
 from bayesid.diagnosis.floor import with_floor_of
+from bayesid.diagnosis.patchwork import EXPLAINED, explained, patchwork
 from bayesid.effects import SOFT, Term
 from bayesid.regression import in_order
 
@@ -30,10 +31,6 @@ RIVAL = 3.0
 #: At most this many families of effects are sought, and this many proposals fitted exactly in one round.
 MOST = 4
 _FITTED = 8
-#: A model that explains so much of the residual may leave more than noise: no model of a drive is exact to a hundredth.
-EXPLAINED = 0.95
-#: More unrelated effects than this at once are taken for a patchwork that imitates an unknown one.
-LIKELY = 2
 #: Effects of which only one is sought are fitted at this many places.
 _PLACES = 4
 #: Residuals this many times the noise in mean square, with everything the library has, are no residuals of a model: the
@@ -91,6 +88,9 @@ class Search:
         The first round's, for the report.
     library
         Columns of all effects at the user's model, for the report.
+    dropped
+        Effects that the data demanded beside those found, for so small a share that those found may be a little inexact
+        instead.
     """
 
     rigid: Rigid
@@ -100,6 +100,7 @@ class Search:
     temper: float
     proposals: tuple[Proposal, ...]
     library: Library | None = None
+    dropped: tuple[Term, ...] = ()
 
 
 def search(rigid: Rigid, terms: Sequence[Term], seed: int, progress: Callable[[str], None]) -> Search:
@@ -123,6 +124,7 @@ def search(rigid: Rigid, terms: Sequence[Term], seed: int, progress: Callable[[s
         if not known:  # a better model leaves less to stand in for the noise, and more stands out of it
             best, temper = _grown(noises, best, len(base.terms), progress)
         best = _pruned(noises, best, len(base.terms), temper)
+    best, dropped = _essential(noises, base, best, temper)
     progress("rivals")
     # Where a stranger is left or patched up, nothing will be named, and nothing needs rivals.
     stranger = best.chi2 >= UNEXPLAINED * rigid.rows and explained(base, best) < EXPLAINED
@@ -135,7 +137,7 @@ def search(rigid: Rigid, terms: Sequence[Term], seed: int, progress: Callable[[s
     else:
         found, _ = _found(noises, best, len(base.terms), temper, exchange=False, rivals=not stranger)
     library = noises.library(best)
-    return Search(library.rigid, library.base, best, found, temper, tuple(first), library)
+    return Search(library.rigid, library.base, best, found, temper, tuple(first), library, dropped)
 
 
 def _grown(noises: _Noises, best: Fit, known: int, progress: Callable[[str], None]) -> tuple[Fit, float]:
@@ -285,16 +287,19 @@ def _exchanged(noises: _Noises, best: Fit, known: int, temper: float) -> Fit:
     return best
 
 
-def explained(base: Fit, best: Fit) -> float:
-    """Share of what stands out of the noise on the fitted motions that a model explains."""
-    before, after = (f.chi2 / f.rigid.rows - 1.0 for f in (base, best))
-    return 1.0 - after / before if before > 0.0 else 0.0
+def _essential(noises: _Noises, base: Fit, best: Fit, temper: float) -> tuple[Fit, tuple[Term, ...]]:
+    """Of a patchwork the few effects that explain nearly everything, and the others; or all of it where none do.
 
-
-def patchwork(case: Case, terms: Sequence[Term]) -> bool:
-    """Whether more effects are needed than a robot is likely to hide; one kind on most joints counts as one."""
-    names = [t.effect.name for t in terms]
-    return sum(names.count(n) < max(2, case.robot.n / 2) for n in names) > LIKELY
+    What a joint's or a mount's real springs do beyond the model of one would otherwise count as one effect more.
+    """
+    known, few = len(base.terms), best
+    while patchwork(few.rigid.case, few.terms[known:]):
+        least = min(range(known, len(few.terms)), key=lambda k: _standing(few, k, temper))
+        few = noises.own(fit(few.rigid, tuple(t for k, t in enumerate(few.terms) if k != least), few))
+        if explained(base, few) < EXPLAINED:
+            return best, ()
+    kept = {t.effect for t in few.terms}
+    return few, tuple(t for t in best.terms if t.effect not in kept)
 
 
 def _families_of(terms: Sequence[Term]) -> int:
@@ -382,4 +387,4 @@ def _contains(without: Fit, wider: Term, term: Term) -> bool:
     return bool(np.linalg.norm(left) < _WITHIN * np.linalg.norm(inner))
 
 
-__all__ = ["EXPLAINED", "Found", "Search", "explained", "make_rigid", "patchwork", "search"]
+__all__ = ["Found", "Search", "make_rigid", "search"]

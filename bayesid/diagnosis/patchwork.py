@@ -1,0 +1,30 @@
+"""Whether a model is one or two missing effects, or many that patch up something unknown between them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from bayesid.diagnosis.case import Case
+from bayesid.diagnosis.fit import Fit
+from bayesid.effects import Term
+
+#: A model that explains so much of the residual may leave more than noise: no model of a drive is exact to a hundredth.
+EXPLAINED = 0.95
+#: More unrelated effects than this at once are taken for a patchwork that imitates an unknown one.
+LIKELY = 2
+
+
+def explained(base: Fit, best: Fit) -> float:
+    """Share of what stands out of the noise on the fitted motions that a model explains."""
+    before, after = (f.chi2 / f.rigid.rows - 1.0 for f in (base, best))
+    return 1.0 - after / before if before > 0.0 else 0.0
+
+
+def patchwork(case: Case, terms: Sequence[Term]) -> bool:
+    """Whether more effects are needed than a robot is likely to hide; one kind on most joints counts as one."""
+    names = [t.effect.name for t in terms]
+    return sum(names.count(n) < max(2, case.robot.n / 2) for n in names) > LIKELY
+
+
+
+__all__ = ["EXPLAINED", "LIKELY", "explained", "patchwork"]
