@@ -26,5 +26,4 @@ def patchwork(case: Case, terms: Sequence[Term]) -> bool:
     return sum(names.count(n) < max(2, case.robot.n / 2) for n in names) > LIKELY
 
 
-
 __all__ = ["EXPLAINED", "LIKELY", "explained", "patchwork"]
