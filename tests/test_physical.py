@@ -157,6 +157,17 @@ def test_a_wrong_solution_is_not_certified(panda):
         assert not _prove(problem, matrix, low, x, z, 1).certified
 
 
+def test_readings_of_no_body_are_warned_of(tmp_path):
+    """Torques of the wrong sign are those of negative masses."""
+    robot, truth, _ = simulated(tmp_path, trust=0.3)
+    table = recording(robot, None, fourier(robot, 0), torque_std=0.02, resolution=1e-5, phi=truth, seed=0)
+    flipped = replace(table, torques=-table.torques)
+    for given, warned in ((flipped, True), (table, False)):
+        made = experiment(robot, [Motion("a", "identification", given)], inertia_rel_std=0.3)
+        found = identify(made, "torque", "sdp")
+        assert any("contradict physics" in w for w in found.warnings) == warned
+
+
 def test_links_can_exist_and_have_the_base_parameters(tmp_path):
     """Noise that makes plain least squares impossible; what simulators get is inside the cone."""
     _, truth, made = simulated(tmp_path, rel=0.3, std=2.0, trust=0.3, seed=4)

@@ -242,6 +242,11 @@ def _solved(method: Physical, data: Data, trust: Trust, groups: tuple[Linear, ..
     details["misfit"] = _misfit(data, solution.x)
     directions = len(data.target) - _free(data, groups)
     details["physics"] = contradiction(nearest if tested else 0.0, directions) | {"tested": tested}
+    if details["physics"]["data_contradict_physics"]:
+        details["warnings"] = [
+            "The data contradict physics: no body that can exist fits them to their noise (chance at most "
+            f"{details['physics']['probability_at_most']:.2g}). The model misses something; the intervals do not cover that."
+        ]
     details["certificate"] = certificate(problem, solution, data.names)
     return solution, problem, details
 

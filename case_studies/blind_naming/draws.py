@@ -79,6 +79,9 @@ def plausible(effect: Effect, study: Study) -> bool:
     if effect.name == "joint_flexibility":  # its own resonance is clear of the motion, as in any arm that works
         inertia = study.part_inertia(effect.joint)
         return effect.values["compliance"] * inertia * (2 * np.pi * SOFTEST) ** 2 < 1.0
+    if effect.name == "backlash":  # the encoder stays within the joint's range
+        model, j = study.arm.model, 7 + effect.joint
+        return effect.values["gap"] < model.upperPositionLimit[j] - model.lowerPositionLimit[j]
     if effect.name == "base_compliance":
         return 2.5 < effect.values["resonance"] < 45.0
     if effect.name == "sensor_crosstalk":
