@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from bayesid import diagnose
-from bayesid.diagnosis import candidates, case, fit, patchwork, proof, search, spectra
+from bayesid.diagnosis import bodies, candidates, case, fit, patchwork, proof, search, spectra
 from bayesid.effects import Term, parse_effects
 from bayesid.experiment import load_experiment
 from bayesid.priors import Prior
@@ -210,10 +211,18 @@ def test_a_model_that_runs_away_is_refused(record, monkeypatch):
     folder, _ = record("away", "none", [], "torque", seed=9)
     made_case, rigid = made(folder, "torque")
     [effect] = [e for e in made_case.places("joint_flexibility") if e.where == "joint2"]
-    monkeypatch.setattr(fit, "model_rows", lambda *_: np.full((rigid.rows, 1), np.inf))
-    runaway = fit.fit(rigid, (Term(effect, (1e-4,)),))
-    assert runaway.score == -np.inf and runaway.chi2 == np.inf
-    assert not runaway.covariance.any() and np.isfinite(runaway.residual).all()
+    [body] = [e for e in made_case.places("inertia_error") if e.where == "joint2"]
+    library = candidates.make_library(rigid, base := fit.fit(rigid, ()))
+    proposals = [p for p in library.propose(base) if p.name == body.spec]
+    endless = lambda *given: np.full((rigid.rows, sum(len(t.values) for t in given[-1])), np.inf)  # noqa: E731
+    monkeypatch.setattr(fit, "model_rows", endless)
+    for term in (Term(effect, (1e-4,)), Term(body, body.kind.starts)):
+        runaway = fit.fit(rigid, (term,))
+        assert runaway.score == -np.inf and runaway.chi2 == np.inf
+        assert not runaway.covariance.any() and np.isfinite(runaway.residual).all()
+        assert bodies.as_payload(runaway, 0, 1.0) == (runaway.terms[0], 0.0)
+    noises = search._Noises(0, (), {(): library})
+    assert search._exact(noises, base, (), [replace(p, gain=1e3) for p in proposals], 1.0) == []
 
 
 def test_a_changed_link_is_priced_by_its_marginal_likelihood(record):

@@ -27,7 +27,7 @@ def as_payload(fitted: Fit, index: int, temper: float) -> tuple[Term, float]:
     for a payload by one over their share. Any other effect is returned as it is.
     """
     term = fitted.terms[index]
-    if term.effect.name != "inertia_error":
+    if term.effect.name != "inertia_error" or not np.isfinite(fitted.score):
         return term, 0.0
     at = [column for column, (owner, _) in enumerate(fitted.free) if owner == index]
     values, covariance = np.array(term.values), temper * fitted.covariance[np.ix_(at, at)]

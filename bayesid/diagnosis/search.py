@@ -121,6 +121,7 @@ def search(rigid: Rigid, terms: Sequence[Term], seed: int, progress: Callable[[s
         # At the new model's state: how far a tilt is told from heavier links depends on the tilt itself.
         rigid, base, library = _prepared(make_rigid(replace(case, floor_known=known), best.terms), base.terms, best)
         best = fit(rigid, best.terms, best)
+        best = best if np.isfinite(best.score) else base  # it holds under the noise of another model only
         temper = library.temper(best)
         noises = _Noises(seed, base.terms, {_soft(best.terms): library})
         if not known:  # a better model leaves less to stand in for the noise, and more stands out of it
@@ -250,10 +251,13 @@ def _families(library: Library, proposals: Sequence[Proposal], temper: float) ->
 def _exact(
     noises: _Noises, start: Fit, held: Sequence[Term], proposals: Sequence[Proposal], temper: float, most: int = _FITTED
 ) -> list[Fit]:
-    """Exact fits of the most promising proposals beside the effects held, each under its own noise, best first."""
+    """Exact fits of the most promising proposals beside the effects held, each under its own noise, best first.
+
+    Models that ran away are left out.
+    """
     terms = [term for p in _shortlist(proposals, temper, most) for term in (p.term, *p.others)]
     fits = in_order(lambda term: fit(start.rigid, (*held, term), start), terms)
-    return sorted((noises.own(f) for f in fits), key=lambda f: -f.score)
+    return sorted((f for f in map(noises.own, fits) if np.isfinite(f.score)), key=lambda f: -f.score)
 
 
 def _shortlist(proposals: Sequence[Proposal], temper: float, most: int) -> list[Proposal]:
