@@ -52,9 +52,10 @@ def read(set_folder: Path) -> Iterator[tuple[dict, dict]]:
 def within(truth: dict, alternatives: list, claim: dict) -> bool:
     """Whether the truth is the effect claimed, one that looks the same on these motions, or in the set of at most three."""
     names = {claim["name"], *(rival["name"] for rival in claim["ambiguous_with"])}
+    few = len(names) <= 3
     for same in SAME:
         names |= same if names & same else set()
-    return truth["name"] in names and len(names) <= 4 or any(claim["name"] == name for name, _ in alternatives)
+    return truth["name"] in names and few or any(claim["name"] == name for name, _ in alternatives)
 
 
 def there(truth: dict, alternatives: list, claim: dict) -> bool:
