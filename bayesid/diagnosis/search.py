@@ -42,8 +42,6 @@ _ALIKE, _SWEEPS = 2, 3
 _PATCH = 0.8
 #: Other starts of a flexible joint that leaves something unexplained, over where it settled.
 _COMPLIANCES = (0.25, 0.5, 2.0, 4.0)
-#: Gauss-Newton steps after which the best of several starts is chosen.
-_GLANCE = 3
 #: Families fitted at once in one round.
 _KINDS = 3
 #: An effect contains another if its columns leave no more than this share of the other's.
@@ -197,8 +195,7 @@ class _Noises:
         # A resonance near the motion's band is found only from nearby, and stiff joints' noise may have put the start afar.
         last = fitted.terms[-1]
         near = [(*fitted.terms[:-1], replace(last, values=(k * last.values[0],))) for k in _COMPLIANCES]
-        best = max((fit(rigid, terms, fitted, steps=_GLANCE) for terms in near), key=lambda f: f.score)
-        return max(refitted, fit(rigid, best.terms, best), key=lambda f: f.score)
+        return max([refitted, *(fit(rigid, terms, fitted) for terms in near)], key=lambda f: f.score)
 
     def library(self, fitted: Fit) -> Library:
         """All effects' columns under the noise that a model was fitted with."""
