@@ -124,7 +124,7 @@ class Library:
                 best[name] = Proposal(starts[0], gain, count, minimum, tuple(starts[1:]))
         soft = self._soft_joints(fit) if resonances else ()
         shaped = [([t], gain) for t, gain in [*self._mounts(fit), *soft, *self._ripples(fit, left, found)]]
-        for terms, gain in [*shaped, *contact_terms(rigid, fit, left[: rigid.rows])]:
+        for terms, gain in [*shaped, *contact_terms(rigid, fit, left[: rigid.length])]:
             name = terms[0].effect.spec
             if name not in taken and (name not in best or gain > best[name].gain):
                 minimum = best[name].minimum if name in best else None
@@ -146,7 +146,7 @@ class Library:
         """Whitened rows less all that the fit and all columns together explain (rows,)."""
         q, rigid = self._everything(fit), self.rigid
         left = rigid.rest(np.concatenate([fit.residual, -_prior_rows(rigid, fit)]))
-        return (left - q @ (q.T @ left))[: rigid.rows]
+        return (left - q @ (q.T @ left))[: rigid.length]
 
     def parameters(self, fit: Fit) -> int:
         """How many directions that takes."""
@@ -200,7 +200,7 @@ class Library:
             return
         case, rigid = self.rigid.case, self.rigid
         effects = case.places("torque_ripple")
-        for joint, periods in self.ripples.best(left[: rigid.rows]):
+        for joint, periods in self.ripples.best(left[: rigid.length]):
             effect = effects[joint]
             rows = term_rows(case, case.stretches, fit.links, fit.terms, Term(effect, (1.0, periods, 0.0)))
             rows = rigid.rest(rigid.padded(rows[:, [0, 2]]))  # sine and cosine

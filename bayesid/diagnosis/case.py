@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -11,7 +11,7 @@ import numpy as np
 from bayesid.diagnosis.repeats import find_rests
 from bayesid.diagnosis.scatter import Encoders, Spectrum, measure
 from bayesid.diagnosis.spectra import Stretch, encoder_count, low_passed, sensor_noise, with_noise
-from bayesid.effects import Effect, Scene, Term, places, readings, rigid_columns
+from bayesid.effects import Effect, Scene, Term, middle_of, places, readings, rigid_columns
 from bayesid.errors import InputError
 from bayesid.experiment import Experiment, Motion
 from bayesid.momentum import Channels
@@ -32,7 +32,7 @@ UNKNOWN_TRUST = 100.0
 WHITE = "white noise above the band"
 #: Predictions are made at this rate [Hz]; friction reverses at once and needs a higher one.
 SMOOTH_RATE, FRICTION_RATE = 60.0, 120.0
-_SHORTEST = 2.0  # stretches shorter than this tell no frequencies apart [s]
+SHORTEST = 2.0  # stretches shorter than this tell no frequencies apart [s]
 
 
 @dataclass(frozen=True)
@@ -81,6 +81,10 @@ class Case:
         or ``richest model``.
     spectrum
         The noise of moving readings where it was measured by frequency, on repeats or at rest.
+    held
+        Effects of the user's model, ``name@where``, whose values are kept.
+    skipped
+        Validation motions that cannot be compared.
     """
 
     experiment: Experiment
@@ -93,11 +97,18 @@ class Case:
     floor_known: bool = True
     floor_source: str = WHITE
     spectrum: Spectrum | None = None
+    held: frozenset[str] = frozenset()
+    skipped: tuple[str, ...] = ()
 
     @property
     def robot(self) -> Robot:
         """The nominal robot."""
         return self.experiment.robot
+
+    @property
+    def instants(self) -> bool:
+        """Whether readings are taken for values at their times."""
+        return any(s.instant for s in self.stretches)
 
     @property
     def offset_free(self) -> bool:
@@ -111,7 +122,7 @@ class Case:
 
     def fixed(self, term: Term) -> bool:
         """Whether the user's model keeps this effect's values."""
-        return bool(self.experiment.effect_values.get(term.effect.spec, {}).get("fixed", False))
+        return term.effect.spec in self.held
 
     def places(self, name: str) -> tuple[Effect, ...]:
         """Everywhere that an effect can be."""
@@ -127,7 +138,12 @@ class Case:
 
 
 def make_case(
-    experiment: Experiment, channel: str | None, terms: Sequence[Term], motions: Sequence[str] | None, seed: int
+    experiment: Experiment,
+    channel: str | None,
+    terms: Sequence[Term],
+    motions: Sequence[str] | None,
+    seed: int,
+    held: Collection[str] = (),
 ) -> Case:
     """Cut the recordings into stretches, smooth them and measure their noise.
 
@@ -143,6 +159,8 @@ def make_case(
         Which to fit; default those with role ``identification``.
     seed
         Of the encoders' repeated rounding.
+    held
+        Effects among these, ``name@where``, whose values are kept.
 
     Raises
     ------
@@ -165,16 +183,19 @@ def make_case(
     unseen = [m for m in usable if m.role == "validation" and m.name not in names]
     rate = min(1.0 / usual_step(m.table.times) for m in [*chosen, *unseen])
     bandwidth = min(max(_clear(experiment, [*chosen, *unseen]), BANDWIDTH), 0.2 * rate)
-    # One mount, one stiffness: "the middle of the motion" is the same pose for all motions, the one that the first
-    # motion starts from, about which an exciting motion swings.
-    middle = chosen[0].table.positions[0]
+    # One mount, one stiffness: "the middle of the motion" is the same pose for all motions, the first one's.
+    middle = middle_of(chosen[0].table.positions)
     fitted = [s for m in chosen for s in _stretches(m, channel, bandwidth, middle, FITTED * _clear(experiment, [m]))]
     others = [s for m in unseen for s in _stretches(m, channel, bandwidth, middle, _clear(experiment, [m]))]
     if not fitted:
-        raise InputError(f"the motions to fit have no stretch of {_SHORTEST:g} s without a gap; record longer ones")
+        raise InputError(f"the motions to fit have no stretch of {SHORTEST:g} s without a gap; record longer ones")
     trust = experiment.inertia_rel_std
     prior = None if trust == 0 else Prior.warped(experiment.robot.nominal, UNKNOWN_TRUST if trust is None else trust)
-    case = Case(experiment, channel, channels, tuple(fitted), tuple(others), prior, tuple(terms))
+    proofs = {m.name for m in experiment.motions if m.role == "validation" and m.kind == "trajectory" and m.name not in names}
+    case = Case(
+        experiment, channel, channels, tuple(fitted), tuple(others), prior, tuple(terms), held=frozenset(held),
+        skipped=tuple(sorted(proofs - {s.motion for s in others})),
+    )  # fmt: skip
     return with_noise_of(case, case.links, case.terms, seed)
 
 
@@ -199,7 +220,7 @@ def _stretches(motion: Motion, channel: str, bandwidth: float, middle: np.ndarra
     for table, still in tables:
         for part in table.segments():
             times = table.times[part]
-            if times[-1] - times[0] < _SHORTEST:
+            if times[-1] - times[0] < SHORTEST:
                 continue
             step = np.diff(times)
             if np.abs(times - np.linspace(times[0], times[-1], len(times))).max() > 2.0 * np.median(step):
@@ -207,7 +228,8 @@ def _stretches(motion: Motion, channel: str, bandwidth: float, middle: np.ndarra
             read = _readings(table, channel)[part]
             rate = FRICTION_RATE if channel != "wrench" else SMOOTH_RATE
             positions = table.positions[part]
-            scene = smoothed(times, positions, _grid(times, rate), bandwidth, still, middle, clear)
+            grid = _grid(times, rate)
+            scene = smoothed(times, positions, grid, bandwidth, still, middle, clear, float(grid[1] - grid[0]))
             torques = tuple((read.shape[1] - scene.positions.shape[1] + j, j) for j in range(scene.positions.shape[1]))
             torques = () if channel == "wrench" else torques
             out.append(Stretch(motion.name, motion.role, times, positions, read, scene, still, torques, np.zeros(0)))
@@ -229,17 +251,35 @@ def smoothed(
     still: bool,
     middle: np.ndarray,
     clear: float | None = None,
+    cell: float = 0.0,
 ) -> Scene:
-    """The scene of encoder readings (N, n) on a grid (M,)."""
+    """The scene of encoder readings (N, n) on a grid (M,); ``cell`` as in `Scene`."""
     q, v, a = smooth(times, positions, bandwidth, at=np.clip(grid, times[0], times[-1]))
     if still:
         v, a = 0.0 * v, 0.0 * a
-    return Scene(grid, q, v, a, still, bandwidth, middle, clear, cell=float(grid[1] - grid[0]))
+    return Scene(grid, q, v, a, still, bandwidth, middle, clear, cell)
 
 
 def _readings(table: Table, channel: str) -> np.ndarray:
     wanted = [table.wrench if channel != "torque" else None, table.torques if channel != "wrench" else None]
     return np.hstack([a for a in wanted if a is not None])
+
+
+def at_instants(case: Case, links: np.ndarray, terms: Sequence[Term], seed: int) -> Case:
+    """The case with moving readings taken for the values at their times, not for means over a sample's time.
+
+    To friction that reverses it makes a difference: one sample near the reversal is all of it or half of it.
+    """
+
+    def points(stretches: Sequence[Stretch]) -> tuple[Stretch, ...]:
+        out = []
+        for s in stretches:
+            old = s.scene
+            scene = smoothed(s.times, s.encoders, s.times, old.bandwidth, s.still, old.middle_positions, old.clear)
+            out.append(s if s.still else replace(s, scene=scene, instant=True))
+        return tuple(out)
+
+    return with_noise_of(replace(case, stretches=points(case.stretches), unseen=points(case.unseen)), links, terms, seed)
 
 
 def with_noise_of(case: Case, links: np.ndarray, terms: Sequence[Term], seed: int) -> Case:
@@ -268,7 +308,8 @@ def with_noise_of(case: Case, links: np.ndarray, terms: Sequence[Term], seed: in
 
     def resmooth(stretch: Stretch, read: np.ndarray) -> Stretch:
         old = stretch.scene
-        scene = smoothed(stretch.times, read, old.times, old.bandwidth, stretch.still, old.middle_positions, old.clear)
+        at = old.times, old.bandwidth, stretch.still, old.middle_positions, old.clear, old.cell
+        scene = smoothed(stretch.times, read, *at)
         return replace(stretch, scene=scene)
 
     filtered = low_passed(moving)

@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 from bayesid.base_parameters import structural_base
 from bayesid.diagnosis import memo
 from bayesid.diagnosis.candidates import UNEXPLAINED
-from bayesid.diagnosis.case import WHITE, Case, make_case
+from bayesid.diagnosis.case import SHORTEST, WHITE, Case, make_case
 from bayesid.diagnosis.fit import LINKS
 from bayesid.diagnosis.floor import SOURCES
 from bayesid.diagnosis.locate import Disagreement, locate
@@ -21,7 +21,7 @@ from bayesid.diagnosis.patchwork import EXPLAINED, explained, patchwork
 from bayesid.diagnosis.proof import Gap, prove, residual_spectra
 from bayesid.diagnosis.search import ACCEPT, Found, Search, make_rigid, search
 from bayesid.diagnosis.stability import Stability, stability
-from bayesid.effects import KINDS, Effect, Term, parse_effects
+from bayesid.effects import Term, parse_effects, starting_point
 from bayesid.experiment import Experiment, load_experiment
 from bayesid.problem import default_channel, make_channels
 
@@ -32,6 +32,8 @@ WORSE = 0.02
 ROOM, OPEN, MOSTLY = 1.05, 1.1, 0.7
 #: Where so much of the gap on unseen motions is closed, what is left of it there is no sign of something unknown.
 CLOSED = 0.9
+#: A floor this many times the noise says that predictions of the unseen motions are vague.
+VAGUE = 1.5
 
 Progress = Callable[[str], None]
 
@@ -81,8 +83,9 @@ class Diagnosis:
 
     @property
     def terms(self) -> tuple[Term, ...]:
-        """Effects of the model after the diagnosis: the user's and those named."""
-        known = self.search.best.terms[: len(self.search.base.terms)]
+        """Effects of the model after the diagnosis: the user's, as they are beside those named, and those."""
+        fitted = self.search.best if self.found else self.search.base
+        known = fitted.terms[: len(self.search.base.terms)]
         return (*known, *(f.term for f in self.found))
 
     @property
@@ -206,25 +209,30 @@ def diagnose(
             experiment = replace(experiment, effects=tuple(effects))
         progress("noise of sensors and encoders")
         channel = channel or default_channel(experiment)
-        case = make_case(experiment, channel, known_terms(experiment, channel, effects), motions, seed)
+        terms, held = known_terms(experiment, channel, effects)
+        case = make_case(experiment, channel, terms, motions, seed, held)
         found = search(make_rigid(case, case.terms), case.terms, seed, progress)
         progress("proof on unseen motions")
         result = _decide(found.rigid.case, found, seed)
     return Diagnosis(**{**result.__dict__, "seconds": time.perf_counter() - since})
 
 
-def known_terms(experiment: Experiment, channel: str, effects: Sequence[str] | None) -> tuple[Term, ...]:
-    """The user's effects at their starting values."""
+def known_terms(
+    experiment: Experiment, channel: str, effects: Sequence[str] | None
+) -> tuple[tuple[Term, ...], frozenset[str]]:
+    """The user's effects at their starting values, and which of them (``name@where``) keep those."""
     names = make_channels(experiment, channel).names
     specs = experiment.effects if effects is None else effects
     parsed = parse_effects(specs, experiment.robot.joint_names, names, experiment.gear_ratio)
-    return tuple(Term(e, _start(experiment, e)) for e in parsed)
-
-
-def _start(experiment: Experiment, effect: Effect) -> tuple[float, ...]:
-    given = experiment.effect_values.get(effect.spec) or experiment.effect_values.get(effect.name) or {}
-    kind = KINDS[effect.name]
-    return tuple(float(given.get(key, start)) for key, start in zip(kind.parameters, kind.starts, strict=True))
+    values, free = starting_point(parsed, experiment.effect_values, experiment.robot.joint_names)
+    terms, held, start = [], set(), 0
+    for effect in parsed:
+        own = slice(start, start + len(effect.kind.parameters))
+        terms.append(Term(effect, tuple(map(float, values[own]))))
+        if not free[own].all():
+            held.add(effect.spec)
+        start = own.stop
+    return tuple(terms), frozenset(held)
 
 
 def _decide(case: Case, s: Search, seed: int) -> Diagnosis:
@@ -272,8 +280,25 @@ def _decide(case: Case, s: Search, seed: int) -> Diagnosis:
             f"{tried} explain {100 * explained(s.base, s.best):.3g} % of what stands out of the noise. What is left would fit "
             f"{', '.join(memo.by_kind(s.dropped))}, but is no more than these models may be inexact by: not named."
         )
+    if case.instants:
+        remarks.append(
+            "Dry friction fits better with readings as values at their times than as means over a sample's time, so they are "
+            "taken for that."
+        )
+    if gap is not None and gap.floor > VAGUE:
+        remarks.append(
+            f"On the unseen motions a complete model would be off by {gap.floor:.3g} times the noise, for the fitted motions "
+            "leave its parameters that uncertain: they prove little."
+        )
+    if case.skipped:
+        remarks.append(
+            f"Not compared: {', '.join(case.skipped)}; a validation motion needs the same readings and a stretch of "
+            f"{SHORTEST:g} s without a gap."
+        )
     if found and gap is None:
-        remarks.append("No validation motion: the effect is named on the fitted motions alone, nothing proves it elsewhere.")
+        remarks.append(
+            "No validation motion was compared: the effect is named on the fitted motions alone, nothing proves it elsewhere."
+        )
     if case.experiment.inertia_rel_std is None:
         remarks.append(
             "No trust in the nominal inertias is stated (inertia_rel_std): every rigid parameter is free, and a payload or a "

@@ -54,7 +54,7 @@ class Rigid:
     q, r
         Factors of ``[A; I]`` (rows + m + 6, m + 6).
     rows
-        Number of rows that are data.
+        Number of rows that are data: those of channels that say anything.
     volume
         Log determinant of the noise of all rows.
     """
@@ -71,6 +71,11 @@ class Rigid:
     def size(self) -> int:
         """Number of columns projected out."""
         return self.r.shape[1]
+
+    @property
+    def length(self) -> int:
+        """Number of rows above the prior's, those of channels that say nothing among them."""
+        return len(self.q) - self.size
 
     def rest(self, stacked: np.ndarray) -> np.ndarray:
         """What the links cannot explain of rows with their prior's below (rows + size, ...)."""
@@ -146,7 +151,7 @@ def make_rigid(case: Case, terms: Sequence[Term]) -> Rigid:
         below[-6:] *= 1e-6  # nothing is known of an offset
     q, r = np.linalg.qr(np.vstack([data, below]))
     volume = sum(float(np.linalg.slogdet(s.covariance)[1].sum()) for s in case.stretches)
-    return Rigid(case, root, offset, q, r, len(data), volume)
+    return Rigid(case, root, offset, q, r, sum(s.count for s in case.stretches), volume)
 
 
 def offset_columns(stretch: Stretch) -> np.ndarray:
@@ -272,7 +277,7 @@ def _widened(rigid: Rigid, covariance: np.ndarray, kept: np.ndarray, rows: np.nd
         scores.append(np.add.reduceat(product, edges, axis=0))
         at += size
     groups = np.vstack(scores)
-    prior = kept[rigid.rows :]
+    prior = kept[rigid.length :]
     middle = groups.T @ groups * len(groups) / max(len(groups) - kept.shape[1], 1) + prior.T @ prior
     sandwich = np.diag(covariance @ middle @ covariance)
     own = np.diag(covariance)

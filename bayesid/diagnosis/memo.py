@@ -58,7 +58,7 @@ def proof_sentence(diagnosis: Diagnosis) -> str:
     s = d.search
     if gap is None:
         before, after = (number(float(np.sqrt(f.chi2 / s.rigid.rows)), 3) for f in (s.base, s.best))
-        text = f"There is no motion that took no part in the fit. On the fitted ones the residual is {before} times the noise"
+        text = f"No motion that took no part in the fit was compared. On the fitted ones the residual is {before} times the noise"
         return f"{text}." if d.verdict == "nothing_missing" or not s.found else f"{text} before and {after} times after."
     motions = _listed([f"‘{m}’" for m in gap.motions])
     before, after, floor = (number(v, 3) for v in (gap.before, gap.after, gap.floor))

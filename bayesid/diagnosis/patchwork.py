@@ -23,7 +23,8 @@ def explained(base: Fit, best: Fit) -> float:
 def patchwork(case: Case, terms: Sequence[Term]) -> bool:
     """Whether more effects are needed than a robot is likely to hide; one kind on most joints counts as one."""
     names = [t.effect.name for t in terms]
-    return sum(names.count(n) < max(2, case.robot.n / 2) for n in names) > LIKELY
+    many = max(2, case.robot.n / 2)
+    return sum(1 if names.count(n) >= many else names.count(n) for n in set(names)) > LIKELY
 
 
 __all__ = ["EXPLAINED", "LIKELY", "explained", "patchwork"]

@@ -30,7 +30,7 @@ class Gap:
         The same for the user's model: noise, and the uncertainty of the links.
     closed, closed_low
         ``(before^2 - after^2) / (before^2 - floor^2)``, and the lower end of its one-sided 95 % interval, by bootstrap
-        over blocks of time.
+        over blocks of time. NaN where there was no gap: ``before`` is no more than the floor.
     by_channel
         Before and after by channel (c, 2).
     motions
@@ -84,7 +84,7 @@ def prove(rigid: Rigid, base: Fit, best: Fit, temper: float, seed: int) -> Gap |
     if not case.unseen:
         return None
     before, after = (residual_spectra(case, case.unseen, f) for f in (base, best))
-    total = sum(w.size for w in after)
+    total = sum(s.count for s in case.unseen)
     floor2, bare2 = (1.0 + _parameter_share(rigid, f, temper) / total for f in (best, base))
     energy = np.concatenate([_by_blocks(s, b, a) for s, b, a in zip(case.unseen, before, after, strict=True)])
     rng = np.random.default_rng(seed)
@@ -93,12 +93,14 @@ def prove(rigid: Rigid, base: Fit, best: Fit, temper: float, seed: int) -> Gap |
     counts = sums[:, 2]
     draws = _closed(sums[:, 0] / counts, sums[:, 1] / counts, floor2)
     whole = [float(sum(np.sum(w**2) for w in part)) / total for part in (before, after)]
+    room = whole[0] > floor2  # there is a gap to close
     by_channel = np.stack(
         [np.sqrt(sum(np.sum(w**2, axis=0) for w in part) / sum(len(w) for w in part)) for part in (before, after)], axis=1
     )
     return Gap(
         before=np.sqrt(whole[0]), after=np.sqrt(whole[1]), floor=np.sqrt(floor2), bare_floor=np.sqrt(bare2),
-        closed=float(_closed(whole[0], whole[1], floor2)), closed_low=float(np.quantile(draws, 0.05)),
+        closed=float(_closed(whole[0], whole[1], floor2)) if room else np.nan,
+        closed_low=float(np.quantile(draws, 0.05)) if room else np.nan,
         by_channel=by_channel, motions=tuple(dict.fromkeys(s.motion for s in case.unseen)),
     )  # fmt: skip
 
@@ -113,7 +115,7 @@ def _by_blocks(stretch: Stretch, before: np.ndarray, after: np.ndarray) -> np.nd
     count = max(int((stretch.times[-1] - stretch.times[0]) / _BLOCK), 1)
     edges = np.linspace(0, len(energies[0]), count + 1).astype(int)
     sums = [np.add.reduceat(e, edges[:-1]) for e in energies]
-    return np.stack([*sums, np.full(count, before.size / count)], axis=1)
+    return np.stack([*sums, np.full(count, stretch.count / count)], axis=1)
 
 
 def _parameter_share(rigid: Rigid, best: Fit, temper: float) -> float:

@@ -17,7 +17,7 @@ import numpy as np
 
 from bayesid.diagnosis.bodies import as_payload
 from bayesid.diagnosis.candidates import SINGLE, UNEXPLAINED, Library, Proposal, make_library, orthonormal
-from bayesid.diagnosis.case import with_noise_of
+from bayesid.diagnosis.case import Case, at_instants, with_noise_of
 from bayesid.diagnosis.fit import Fit, Rigid, fit, make_rigid, term_rows
 from bayesid.diagnosis.floor import with_floor_of
 from bayesid.diagnosis.patchwork import EXPLAINED, explained, patchwork
@@ -44,6 +44,8 @@ _PATCH = 0.8
 _COMPLIANCES = (0.25, 0.5, 2.0, 4.0)
 #: Families fitted at once in one round.
 _KINDS = 3
+#: Friction that reverses at once; between samples closer than this, where in a sample's time it does makes no difference [s].
+DRY, _SHORT = ("coulomb_friction", "stribeck_friction", "load_friction"), 0.0025
 #: An effect contains another if its columns leave no more than this share of the other's.
 _WITHIN = 0.05
 
@@ -107,10 +109,17 @@ def search(rigid: Rigid, terms: Sequence[Term], seed: int, progress: Callable[[s
     """Find the effects that the data demand beside the user's model."""
     progress("fitting the model as it is")
     rigid, base, library = _prepared(rigid, terms, None)
+    if (points := _points(base, seed)) is not None:
+        rigid, base, library = _prepared(make_rigid(points, terms), terms, None)
     progress("what each effect would explain")
     first = library.propose(base)
     noises = _Noises(seed, base.terms, {_soft(base.terms): library})
     best, temper = _grown(noises, base, len(base.terms), progress)
+    if (points := _points(best, seed)) is not None:
+        progress("readings as values at their times")
+        rigid, base, library = _prepared(make_rigid(points, terms), terms, None)
+        noises = _Noises(seed, base.terms, {_soft(base.terms): library})
+        best, temper = _grown(noises, base, len(base.terms), progress)
     best = _pruned(noises, best, len(base.terms), temper)
     if len(best.terms) > len(base.terms):
         progress("noise as the new model passes it on")
@@ -139,6 +148,17 @@ def search(rigid: Rigid, terms: Sequence[Term], seed: int, progress: Callable[[s
         found, _ = _found(noises, best, len(base.terms), temper, exchange=False, rivals=not stranger)
     library = noises.library(best)
     return Search(library.rigid, library.base, best, found, temper, tuple(first), library, dropped)
+
+
+def _points(best: Fit, seed: int) -> Case | None:
+    """The case with readings as values at their times, if that suits a model with dry friction better than means do."""
+    case = best.rigid.case
+    dry = any(t.effect.name in DRY for t in best.terms)
+    if not dry or case.instants or not case.floor_known or max(s.step for s in case.stretches) < _SHORT:
+        return None
+    points = at_instants(case, best.links, best.terms, seed)
+    fitted = fit(make_rigid(points, best.terms), best.terms, best)
+    return points if fitted.score > best.score + ACCEPT else None
 
 
 def _grown(noises: _Noises, best: Fit, known: int, progress: Callable[[str], None]) -> tuple[Fit, float]:

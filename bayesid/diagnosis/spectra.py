@@ -65,6 +65,8 @@ class Stretch:
         (channel, joint) of the channels that are joint torques.
     covariance
         Of the coefficients (K, c, c); empty until it is known.
+    instant
+        Whether a reading is the value at its time; otherwise it is the mean over one sample's time.
     """
 
     motion: str
@@ -76,6 +78,7 @@ class Stretch:
     still: bool
     torque_channels: tuple[tuple[int, int], ...]
     covariance: np.ndarray
+    instant: bool = False
 
     @property
     def step(self) -> float:
@@ -88,6 +91,16 @@ class Stretch:
         return len(self.frequencies), self.readings.shape[1]
 
     @cached_property
+    def alive(self) -> np.ndarray:
+        """Channels that say anything (c,): a torque whose joint rests all the time says nothing."""
+        return np.asarray(self.weight(self.times).any(axis=0))
+
+    @property
+    def count(self) -> int:
+        """Number of coefficients of all channels that say anything."""
+        return len(self.frequencies) * int(self.alive.sum())
+
+    @cached_property
     def frequencies(self) -> np.ndarray:
         """Of the coefficients (K,) [Hz]."""
         spacing = 0.5 / (len(self.times) * self.step)
@@ -97,12 +110,25 @@ class Stretch:
     def spectrum(self, samples: np.ndarray) -> np.ndarray:
         """Coefficients (K, c, ...) of predicted samples (M, c, ...).
 
-        A reading is the mean over one sample's time, a prediction a point: its coefficients get the mean's
-        share, ``sin(pi f h) / (pi f h)``. Poses at rest are points on both sides.
+        A reading is the mean over one sample's time h, a prediction a point: its coefficients get the mean's
+        share, ``sin(pi f h) / (pi f h)``. Readings are averaged before they are weighted, so what averaging does to the
+        weight w is taken back: ``w mean(p) = mean(w p) - h^2 / 24 (2 w' p' + w'' p)``. Poses at rest and instants are points
+        on both sides.
         """
-        out = _transform(samples, self.weight(self.scene.times), len(self.frequencies))
-        out *= np.sqrt(len(self.times) / len(self.scene.times))
-        return out if self.still else out * np.sinc(self.frequencies * self.step).reshape((-1,) + (1,) * (samples.ndim - 1))
+        times = self.scene.times
+        weight = self.weight(times)
+        if self.still or self.instant:
+            return _transform(samples, weight, len(self.frequencies)) * np.sqrt(len(self.times) / len(times))
+        slope = np.gradient(weight, times, axis=0)
+        bend = np.gradient(slope, times, axis=0)
+        at = np.flatnonzero(np.abs(slope).max(axis=1) + np.abs(bend).max(axis=1) > 0.0)
+        after, before = np.minimum(at + 1, len(times) - 1), np.maximum(at - 1, 0)
+        wide = lambda x: x.reshape(x.shape + (1,) * (samples.ndim - x.ndim))  # noqa: E731
+        rate = (samples[after] - samples[before]) / wide(times[after] - times[before])
+        weighted = samples * wide(weight)
+        weighted[at] -= self.step**2 / 24.0 * (2.0 * wide(slope[at]) * rate + wide(bend[at]) * samples[at])
+        share = np.sinc(self.frequencies * self.step) * np.sqrt(len(self.times) / len(times))
+        return np.asarray(dct(weighted, axis=0, norm="ortho"))[: len(share)] * wide(share)
 
     def measured(self, samples: np.ndarray) -> np.ndarray:
         """Coefficients (K, c, ...) of measured samples (N, c, ...)."""
@@ -261,7 +287,8 @@ def with_noise(
             scatter += error[:, :, None] * error[:, None, :] / ROUNDINGS
         scatter = _pooled(scatter)
     weight = stretch.weight(stretch.times)
-    floor = (np.diag(sensor**2) if sensor.ndim == 1 else sensor) * (weight.T @ weight / len(weight))
+    share = weight.T @ weight / len(weight) + np.diag(~stretch.alive)  # a channel that says nothing has any noise
+    floor = (np.diag(sensor**2) if sensor.ndim == 1 else sensor) * share
     rough = np.zeros_like(scatter)
     power = _pooled(signal[:, :, None] ** 2)[:, :, 0]
     rough[:, np.arange(channels), np.arange(channels)] = ACCURACY**2 * power

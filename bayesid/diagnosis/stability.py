@@ -205,7 +205,7 @@ def _sums(rigid: Rigid, best: Fit, known: int) -> tuple[_Sums, list[Moment]]:
         below[-6:] *= 1e-6  # nothing is known of an offset
     rest = rigid.rest(rigid.padded(np.stack(traces, axis=1)))
     columns = np.hstack([kept, rest, np.concatenate([best.residual, -below])[:, None]])
-    prior = np.hstack([rigid.q[rigid.rows :], columns[rigid.rows :]])
+    prior = np.hstack([rigid.q[rigid.length :], columns[rigid.length :]])
     blocks, moments, row = [], [], 0
     total = sum(s.times[-1] - s.times[0] for s in case.stretches)
     for s in case.stretches:

@@ -36,8 +36,8 @@ hidden effect each. Median {{ median_s }} s, at most {{ largest_s }} s, on {{ cp
 | {{ case.channel }} | {{ case.hidden | join or "nothing" }} | {{ case.named | join(", ") or "nothing" }} | {{ case.seconds }} |
 {% endfor %}
 
-Longest are flexible joints and mounts, whose noise is measured again for every compliance tried: on seven joints, or beside a second
-effect, up to two minutes.
+Longest are flexible joints and mounts, whose noise is measured again for every compliance tried: on seven joints, or beside a
+second effect, up to two minutes.
 """
 HIDDEN = (
     ("wrench", ()), ("wrench", ("sensor_gain@mx",)), ("wrench", ("tether@joint3",)), ("wrench", ("base_tilt",)),
