@@ -78,7 +78,7 @@ _STATIC = click.option(
     help="Subtract a stop-and-go run, or fit it along.",
 )  # fmt: skip
 _BOUNDS = click.option("--bounds", type=click.Path(path_type=Path), help="A TOML file of what is known of the links; for sdp.")
-_SEED = click.option("--seed", type=int, default=0, show_default=True, help="Seed of everything random.")
+_SEED = click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of everything random.")
 
 
 def _names(_context, _parameter, value: str | None) -> list[str] | None:

@@ -13,7 +13,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from bayesid import diagnose
-from bayesid.diagnosis import bodies, candidates, case, fit, patchwork, proof, search, spectra
+from bayesid.diagnosis import bodies, candidates, case, fit, noises, patchwork, proof, search, spectra
 from bayesid.effects import Term, parse_effects
 from bayesid.experiment import load_experiment
 from bayesid.priors import Prior
@@ -94,8 +94,8 @@ def test_what_nearly_complete_models_leave_is_no_third_effect(record):
         robot, channels = comparison.robot, [*"fx fy fz mx my mz".split()]
         terms = [Term(e, e.kind.starts) for e in parse_effects(names, robot.joint_names, channels, None)]
         base, best = fit.fit(rigid, ()), fit.fit(rigid, terms)
-        noises = search._Noises(0, (), {(): candidates.make_library(rigid, base)})
-        few, rest = search._essential(noises, base, best, 1.0)
+        held = noises.Noises(0, (), {(): candidates.make_library(rigid, base)})
+        few, rest = search._essential(held, base, best, 1.0)
         assert patchwork.patchwork(comparison, best.terms)
         assert [t.effect.spec for t in rest] == dropped
         assert [t.effect.spec for t in few.terms] == [n for n in names if n not in dropped]
@@ -221,8 +221,8 @@ def test_a_model_that_runs_away_is_refused(record, monkeypatch):
         assert runaway.score == -np.inf and runaway.chi2 == np.inf
         assert not runaway.covariance.any() and np.isfinite(runaway.residual).all()
         assert bodies.as_payload(runaway, 0, 1.0) == (runaway.terms[0], 0.0)
-    noises = search._Noises(0, (), {(): library})
-    assert search._exact(noises, base, (), [replace(p, gain=1e3) for p in proposals], 1.0) == []
+    held = noises.Noises(0, (), {(): library})
+    assert search._exact(held, base, (), [replace(p, gain=1e3) for p in proposals], 1.0) == []
 
 
 def test_a_changed_link_is_priced_by_its_marginal_likelihood(record):

@@ -105,3 +105,13 @@ def test_without_a_gap_there_is_no_share_of_it(robot):
     for gap in gaps:
         said = json.loads(json.dumps(gap.to_dict(), allow_nan=False))
         assert (said["closed"] is None) == (gap.before <= gap.floor)
+
+
+def test_what_takes_no_part_is_said(robot):
+    """An effect of the other channel, and times since some day in 1970."""
+    given = recorded(robot, both(robot))
+    later = [replace(m, table=replace(m.table, times=m.table.times + 1.7e9)) for m in given.motions]
+    found = bayesid.diagnose(replace(given, motions=tuple(later)), effects=["viscous_friction@joint1"])
+    assert found.verdict == "nothing_missing"
+    assert any("viscous_friction@joint1 of the model cannot be seen" in r for r in found.remarks)
+    assert any("Times start at 1.7e+09 s" in r for r in found.remarks)

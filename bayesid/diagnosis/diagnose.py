@@ -32,6 +32,8 @@ WORSE = 0.02
 ROOM, OPEN, MOSTLY = 1.05, 1.1, 0.7
 #: Where so much of the gap on unseen motions is closed, what is left of it there is no sign of something unknown.
 CLOSED = 0.9
+#: From here on the slope of a drift is lost in its size at the start [s].
+LATE = 1e5
 #: A floor this many times the noise says that predictions of the unseen motions are vague.
 VAGUE = 1.5
 
@@ -279,6 +281,15 @@ def _decide(case: Case, s: Search, seed: int) -> Diagnosis:
         remarks.append(
             f"{tried} explain {100 * explained(s.base, s.best):.3g} % of what stands out of the noise. What is left would fit "
             f"{', '.join(memo.by_kind(s.dropped))}, but is no more than these models may be inexact by: not named."
+        )
+    parts = {t.effect.name for t in case.terms}
+    if idle := [spec for spec in case.experiment.effects if spec.split("@")[0] not in parts]:
+        remarks.append(
+            f"{', '.join(idle)} of the model cannot be seen in what is compared (--channel {case.channel}), and took no part."
+        )
+    if (start := max(abs(x.times[0]) for x in case.stretches)) > LATE:
+        remarks.append(
+            f"Times start at {start:.3g} s. A drift counts from time zero, so it is one with an offset here; subtract the start."
         )
     if case.instants:
         remarks.append(

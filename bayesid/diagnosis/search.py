@@ -3,29 +3,24 @@
 Effects are added one by one; after each, every effect found earlier is exchanged against its rivals with the others
 held, for a first choice made beside a missing second effect is often the wrong one. Evidence is counted in
 units of what the richest linear model leaves unexplained: a stranger in the data then raises the bar for all names.
-
-A flexible joint or mount makes much more of encoders' errors than other models do, so it competes under the noise that
-it makes itself; under the noise of stiff joints its own errors would count against it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from bayesid.diagnosis.bodies import as_payload
-from bayesid.diagnosis.candidates import SINGLE, UNEXPLAINED, Library, Proposal, make_library, orthonormal
-from bayesid.diagnosis.case import Case, at_instants, with_noise_of
+from bayesid.diagnosis.candidates import SINGLE, UNEXPLAINED, Library, Proposal, orthonormal
+from bayesid.diagnosis.case import with_noise_of
 from bayesid.diagnosis.fit import Fit, Rigid, fit, make_rigid, term_rows
-from bayesid.diagnosis.floor import with_floor_of
+from bayesid.diagnosis.noises import ACCEPT, Noises, as_points, prepared, soft_terms
 from bayesid.diagnosis.patchwork import EXPLAINED, explained, patchwork
-from bayesid.effects import SOFT, Term
+from bayesid.effects import Term
 from bayesid.regression import in_order
 
-#: An effect must gain this much log evidence: the odds of one among a hundred, times a thousand.
-ACCEPT = 12.0
 #: Rivals within this log evidence of the best (odds of 20 to 1) cannot be told from it.
 RIVAL = 3.0
 #: At most this many families of effects are sought, and this many proposals fitted exactly in one round.
@@ -33,19 +28,12 @@ MOST = 4
 _FITTED = 8
 #: Effects of which only one is sought are fitted at this many places.
 _PLACES = 4
-#: Residuals this many times the noise in mean square, with everything the library has, are no residuals of a model: the
-#: noise was measured wrongly.
-HOPELESS = 200.0
 #: Of one kind at most this many places, and so many rounds of exchanges.
 _ALIKE, _SWEEPS = 2, 3
 #: An effect that leaves more than this share of an unexplained residual is a patch.
 _PATCH = 0.8
-#: Other starts of a flexible joint that leaves something unexplained, over where it settled.
-_COMPLIANCES = (0.25, 0.5, 2.0, 4.0)
 #: Families fitted at once in one round.
 _KINDS = 3
-#: Friction that reverses at once; between samples closer than this, where in a sample's time it does makes no difference [s].
-DRY, _SHORT = ("coulomb_friction", "stribeck_friction", "load_friction"), 0.0025
 #: An effect contains another if its columns leave no more than this share of the other's.
 _WITHIN = 0.05
 
@@ -108,17 +96,17 @@ class Search:
 def search(rigid: Rigid, terms: Sequence[Term], seed: int, progress: Callable[[str], None]) -> Search:
     """Find the effects that the data demand beside the user's model."""
     progress("fitting the model as it is")
-    rigid, base, library = _prepared(rigid, terms, None)
-    if (points := _points(base, seed)) is not None:
-        rigid, base, library = _prepared(make_rigid(points, terms), terms, None)
+    rigid, base, library = prepared(rigid, terms, None)
+    if (points := as_points(base, seed)) is not None:
+        rigid, base, library = prepared(make_rigid(points, terms), terms, None)
     progress("what each effect would explain")
     first = library.propose(base)
-    noises = _Noises(seed, base.terms, {_soft(base.terms): library})
+    noises = Noises(seed, base.terms, {soft_terms(base.terms): library})
     best, temper = _grown(noises, base, len(base.terms), progress)
-    if (points := _points(best, seed)) is not None:
+    if (points := as_points(best, seed)) is not None:
         progress("readings as values at their times")
-        rigid, base, library = _prepared(make_rigid(points, terms), terms, None)
-        noises = _Noises(seed, base.terms, {_soft(base.terms): library})
+        rigid, base, library = prepared(make_rigid(points, terms), terms, None)
+        noises = Noises(seed, base.terms, {soft_terms(base.terms): library})
         best, temper = _grown(noises, base, len(base.terms), progress)
     best = _pruned(noises, best, len(base.terms), temper)
     if len(best.terms) > len(base.terms):
@@ -126,11 +114,11 @@ def search(rigid: Rigid, terms: Sequence[Term], seed: int, progress: Callable[[s
         known = rigid.case.floor_known
         case = with_noise_of(rigid.case, best.links, best.terms, seed)
         # At the new model's state: how far a tilt is told from heavier links depends on the tilt itself.
-        rigid, base, library = _prepared(make_rigid(replace(case, floor_known=known), best.terms), base.terms, best)
+        rigid, base, library = prepared(make_rigid(replace(case, floor_known=known), best.terms), base.terms, best)
         best = fit(rigid, best.terms, best)
         best = best if np.isfinite(best.score) else base  # it holds under the noise of another model only
         temper = library.temper(best)
-        noises = _Noises(seed, base.terms, {_soft(best.terms): library})
+        noises = Noises(seed, base.terms, {soft_terms(best.terms): library})
         if not known:  # a better model leaves less to stand in for the noise, and more stands out of it
             best, temper = _grown(noises, best, len(base.terms), progress)
         best = _pruned(noises, best, len(base.terms), temper)
@@ -150,18 +138,7 @@ def search(rigid: Rigid, terms: Sequence[Term], seed: int, progress: Callable[[s
     return Search(library.rigid, library.base, best, found, temper, tuple(first), library, dropped)
 
 
-def _points(best: Fit, seed: int) -> Case | None:
-    """The case with readings as values at their times, if that suits a model with dry friction better than means do."""
-    case = best.rigid.case
-    dry = any(t.effect.name in DRY for t in best.terms)
-    if not dry or case.instants or not case.floor_known or max(s.step for s in case.stretches) < _SHORT:
-        return None
-    points = at_instants(case, best.links, best.terms, seed)
-    fitted = fit(make_rigid(points, best.terms), best.terms, best)
-    return points if fitted.score > best.score + ACCEPT else None
-
-
-def _grown(noises: _Noises, best: Fit, known: int, progress: Callable[[str], None]) -> tuple[Fit, float]:
+def _grown(noises: Noises, best: Fit, known: int, progress: Callable[[str], None]) -> tuple[Fit, float]:
     """A model with effects added one by one, each round's choice exchanged against rivals, and what it leaves unexplained."""
     temper = noises.library(best).temper(best)
     for _ in range(MOST):
@@ -180,63 +157,7 @@ def _grown(noises: _Noises, best: Fit, known: int, progress: Callable[[str], Non
     return best, temper
 
 
-def _soft(terms: Sequence[Term]) -> tuple[tuple[str, int], ...]:
-    """Those among effects that make much more of encoders' errors, and how soft they are within a factor of two."""
-    soft = [t for t in terms if t.effect.name in SOFT]
-    return tuple(sorted((t.effect.spec, round(np.log2(max(t.values[0], 1e-12)))) for t in soft))
-
-
-@dataclass(eq=False)
-class _Noises:
-    """Libraries by the noise that models make: one for each set of soft effects, made when first needed."""
-
-    seed: int
-    known: tuple[Term, ...]
-    libraries: dict[tuple[tuple[str, int], ...], Library]
-    rigids: dict[tuple[tuple[str, int], ...], Rigid] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        self.rigids = {key: library.rigid for key, library in self.libraries.items()}
-
-    def own(self, fitted: Fit) -> Fit:
-        """A model refitted under the noise that it makes itself."""
-        key = _soft(fitted.terms)
-        case = fitted.rigid.case
-        if key not in self.rigids:
-            if not case.floor_known:
-                return fitted  # what the richest model leaves stands in for the noise, whatever makes it
-            self.rigids[key] = make_rigid(with_noise_of(case, fitted.links, fitted.terms, self.seed), fitted.terms)
-        rigid = self.rigids[key]
-        if fitted.rigid is rigid:
-            return fitted
-        refitted = fit(rigid, fitted.terms, fitted)
-        if not key or refitted.chi2 < UNEXPLAINED * rigid.rows or fitted.terms[-1].effect.name != "joint_flexibility":
-            return refitted
-        # A resonance near the motion's band is found only from nearby, and stiff joints' noise may have put the start afar.
-        last = fitted.terms[-1]
-        near = [(*fitted.terms[:-1], replace(last, values=(k * last.values[0],))) for k in _COMPLIANCES]
-        return max([refitted, *(fit(rigid, terms, fitted) for terms in near)], key=lambda f: f.score)
-
-    def library(self, fitted: Fit) -> Library:
-        """All effects' columns under the noise that a model was fitted with."""
-        key = next(key for key, rigid in self.rigids.items() if rigid is fitted.rigid)
-        if key not in self.libraries:
-            self.libraries[key] = make_library(fitted.rigid, fit(fitted.rigid, self.known, fitted))
-        return self.libraries[key]
-
-
-def _prepared(rigid: Rigid, terms: Sequence[Term], best: Fit | None) -> tuple[Rigid, Fit, Library]:
-    """The user's model fitted, and its library; with a floor of its own where none was measured."""
-    base = fit(rigid, terms)
-    library = make_library(rigid, base, best)
-    if rigid.case.floor_known and library.temper(base) < HOPELESS:
-        return rigid, base, library
-    rigid = make_rigid(with_floor_of(library, base if best is None else fit(rigid, best.terms, best)), (best or base).terms)
-    base = fit(rigid, terms, base)
-    return rigid, base, make_library(rigid, base, best)
-
-
-def _forward(noises: _Noises, best: Fit, temper: float) -> Fit | None:
+def _forward(noises: Noises, best: Fit, temper: float) -> Fit | None:
     """The best exact fit with one effect more, or with one kind of effect at several joints, if the data demand it."""
     library = noises.library(best)
     proposals = library.propose(best, resonances=True)
@@ -266,7 +187,7 @@ def _families(library: Library, proposals: Sequence[Proposal], temper: float) ->
 
 
 def _exact(
-    noises: _Noises, start: Fit, held: Sequence[Term], proposals: Sequence[Proposal], temper: float, most: int = _FITTED
+    noises: Noises, start: Fit, held: Sequence[Term], proposals: Sequence[Proposal], temper: float, most: int = _FITTED
 ) -> list[Fit]:
     """Exact fits of the most promising proposals beside the effects held, each under its own noise, best first.
 
@@ -288,7 +209,7 @@ def _shortlist(proposals: Sequence[Proposal], temper: float, most: int) -> list[
     return kept
 
 
-def _exchanged(noises: _Noises, best: Fit, known: int, temper: float) -> Fit:
+def _exchanged(noises: Noises, best: Fit, known: int, temper: float) -> Fit:
     """Each effect found against its rivals, the others held, until no exchange is for the better.
 
     An effect with a shape (a contact's time and point, a hose's anchor) is its own rival, too: beside other effects
@@ -311,7 +232,7 @@ def _exchanged(noises: _Noises, best: Fit, known: int, temper: float) -> Fit:
     return best
 
 
-def _essential(noises: _Noises, base: Fit, best: Fit, temper: float) -> tuple[Fit, tuple[Term, ...]]:
+def _essential(noises: Noises, base: Fit, best: Fit, temper: float) -> tuple[Fit, tuple[Term, ...]]:
     """Of a patchwork the few effects that explain nearly everything, and the others; or all of it where none do.
 
     What a joint's or a mount's real springs do beyond the model of one would otherwise count as one effect more.
@@ -345,7 +266,7 @@ def _standing(best: Fit, index: int, temper: float) -> float:
     return (0.5 * squared - 0.5 * len(at) * np.log(best.rigid.rows)) / temper
 
 
-def _pruned(noises: _Noises, best: Fit, known: int, temper: float) -> Fit:
+def _pruned(noises: Noises, best: Fit, known: int, temper: float) -> Fit:
     """Without effects that the others have made superfluous."""
     i = known
     while i < len(best.terms):
@@ -362,7 +283,7 @@ def _pruned(noises: _Noises, best: Fit, known: int, temper: float) -> Fit:
 
 
 def _found(
-    noises: _Noises, best: Fit, known: int, temper: float, *, exchange: bool = True, rivals: bool = True
+    noises: Noises, best: Fit, known: int, temper: float, *, exchange: bool = True, rivals: bool = True
 ) -> tuple[tuple[Found, ...], Fit | None]:
     """The effects of the best model with their rivals; and a model with a rival that turned out to be better, if any."""
     out = []

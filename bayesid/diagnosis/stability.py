@@ -151,7 +151,9 @@ def stability(rigid: Rigid, best: Fit, known: int, found: Sequence[Found], tempe
         return ()
     sums, moments = _sums(rigid, best, known)
     less = sums.whole - sums.blocks
-    steps = np.array([sums.solved(gram)[0][sums.links :] for gram in less])
+    # A fit that stopped a little before its minimum would take the rest of the way in every block: that is none of theirs.
+    stopped = sums.solved(sums.whole)[0]
+    steps = np.array([(sums.solved(gram)[0] - stopped)[sums.links :] for gram in less])
     lost = np.array([sums.variances(gram) for gram in less]) > _LOST * sums.variances(sums.whole)
     out: list[Stability | None] = []
     for k, f in enumerate(found):
