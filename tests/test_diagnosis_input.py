@@ -115,3 +115,13 @@ def test_what_takes_no_part_is_said(robot):
     assert found.verdict == "nothing_missing"
     assert any("viscous_friction@joint1 of the model cannot be seen" in r for r in found.remarks)
     assert any("Times start at 1.7e+09 s" in r for r in found.remarks)
+
+
+def test_a_payload_that_links_can_hide_is_explained(robot):
+    """The same motions, carrying more than the trust in the last link allows: no residual, but links far from nominal."""
+    body = {"m": 3.0, "mcx": 1.0, "mcy": 0.2, "Ixx": 0.1, "Iyy": 0.5, "Izz": 0.5}
+    given = recorded(robot, both(robot), {"payload@joint2": body})
+    found = bayesid.diagnose(given)
+    assert [f.term.effect.where for f in found.found] == ["joint2"]
+    assert found.gap.before < 1.05 * found.gap.floor
+    assert any("What speaks for it is the trust" in r for r in found.remarks)

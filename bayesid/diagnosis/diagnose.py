@@ -296,6 +296,14 @@ def _decide(case: Case, s: Search, seed: int) -> Diagnosis:
             "Dry friction fits better with readings as values at their times than as means over a sample's time, so they are "
             "taken for that."
         )
+    if found and gap is not None and gap.before <= ROOM * gap.floor and all(f.term.effect.name in LINKS for f in found):
+        count = s.rigid.root.shape[1]
+        far, near = (float(np.sum(f.coordinates[:count] ** 2)) for f in (s.base, s.best))
+        remarks.append(
+            f"The residual does not show {tried}, for changed links stand in for it on all motions. What speaks for it is the "
+            f"trust in them: the squared distance from the nominal links, in units of that trust, is {far:.3g} without it and "
+            f"{near:.3g} with it, for {count} parameters."
+        )
     if gap is not None and gap.floor > VAGUE:
         remarks.append(
             f"On the unseen motions a complete model would be off by {gap.floor:.3g} times the noise, for the fitted motions "
