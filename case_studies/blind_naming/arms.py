@@ -130,7 +130,7 @@ def warped(links: np.ndarray, rel_std: float, rng: np.random.Generator) -> np.nd
 def warped_urdf(urdf: str, rel_std: float, rng: np.random.Generator) -> str:
     """The URDF text with every inertia but the root link's warped."""
     tree = ET.fromstring(urdf)
-    children = {element.find("child").get("link") for element in tree.iter("joint")}  # type: ignore[union-attr]
+    children = {child.get("link") for child in tree.iterfind("joint/child")}
     for link in tree.iter("link"):
         inertial = link.find("inertial")
         if inertial is None or link.get("name") not in children:
