@@ -26,7 +26,7 @@ demo: $(READY)
 	$(BIN)/bayesid demo
 
 test: $(READY)
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n 2
 
 test-slow: $(READY)
 	$(BIN)/python -m pytest -m slow

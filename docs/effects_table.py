@@ -11,8 +11,8 @@ import numpy as np
 from bayesid.effects import KINDS, parse_effects
 from bayesid.effects.catalogue import WRENCH_NAMES
 from bayesid.effects.sizes import typical
-from bayesid.examples import puma560_urdf
-from bayesid.robot import load_robot
+from bayesid.robot.examples import puma560_urdf
+from bayesid.robot.robot import load_robot
 
 PAGE = Path(__file__).resolve().parent / "effects.md"
 _PLACES = {

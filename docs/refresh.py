@@ -10,9 +10,9 @@ import tempfile
 from pathlib import Path
 
 import bayesid
-from bayesid import plots
 from bayesid.cli import main
-from bayesid.demo import demo_experiment
+from bayesid.report import plots
+from bayesid.workflows.demo import demo_experiment
 
 DOCS = Path(__file__).resolve().parent
 README = DOCS.parent / "README.md"

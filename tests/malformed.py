@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from bayesid.examples import Joint, Link, urdf_text
+from bayesid.robot.examples import Joint, Link, urdf_text
 
 # Real recordings: the folder "shared" beside the repository, or where BAYESID_DATA says.
 DATA = Path(os.environ.get("BAYESID_DATA", Path(__file__).resolve().parents[2] / "shared"))

@@ -6,16 +6,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from recordings import Motion, experiment, fourier, recording
-from robots import ROBOTS, write
 
-from bayesid import inertia
-from bayesid.estimators.bounds import Bounds
-from bayesid.estimators.cone import Conic
-from bayesid.estimators.physical import Data, conic
-from bayesid.estimators.trust import Trust, trust_of
-from bayesid.problem import Problem, prepare
-from bayesid.robot import Robot, load_robot
+from bayesid.estimators.conic.bounds import Bounds
+from bayesid.estimators.conic.cone import Conic
+from bayesid.estimators.conic.physical import Data, conic
+from bayesid.estimators.conic.prior_strength import Trust, trust_of
+from bayesid.regression.problem import Problem, prepare
+from bayesid.robot import inertia
+from bayesid.robot.robot import Robot, load_robot
+from tests.robots import ROBOTS, write
+from tests.simulated import Motion, experiment, fourier, recording
 
 
 @dataclass(frozen=True)

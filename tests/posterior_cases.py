@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from bayesid import inertia
-from bayesid.base_parameters import regroup
-from bayesid.noise import NoiseModel
+from bayesid.dynamics.base_parameters import regroup
 from bayesid.posterior import Likelihood, PosteriorModel
-from bayesid.priors import Prior
-from bayesid.regression import Regression
+from bayesid.regression.regression import Regression
+from bayesid.robot import inertia
+from bayesid.robot.prior import Prior
+from bayesid.signals.noise import NoiseModel
 
 BODY = inertia.from_mass_com_inertia(2.0, np.array([0.05, -0.02, 0.1]), np.diag([0.02, 0.025, 0.015]))
 

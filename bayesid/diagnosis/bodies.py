@@ -8,10 +8,10 @@ import cvxpy as cp
 import numpy as np
 from scipy.stats import chi2
 
-from bayesid import inertia
 from bayesid.diagnosis.fit import Fit
 from bayesid.effects import Term
-from bayesid.priors import Prior
+from bayesid.robot import inertia
+from bayesid.robot.prior import Prior
 
 #: A change of a link is a possible body unless its distance to one has a smaller probability.
 _POSSIBLE = 0.05

@@ -17,9 +17,9 @@ from bayesid.diagnosis.case import Case
 from bayesid.diagnosis.contacts import contact_terms
 from bayesid.diagnosis.fit import LINKS, Fit, Rigid, model_rows, residual_rows, term_rows
 from bayesid.diagnosis.ripples import RippleScan
+from bayesid.dynamics.channels import torque_channels
+from bayesid.dynamics.kinematics import P, link_states
 from bayesid.effects import KINDS, Effect, Scene, Term, readings
-from bayesid.effects.kinematics import P, link_states
-from bayesid.momentum import torque_channels
 
 #: Speeds below which a Stribeck law may fall [rad/s or m/s].
 STRIBECK_SPEEDS = np.geomspace(0.01, 0.6, 8)

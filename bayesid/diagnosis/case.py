@@ -11,15 +11,15 @@ import numpy as np
 from bayesid.diagnosis.repeats import find_rests
 from bayesid.diagnosis.scatter import Encoders, Spectrum, measure
 from bayesid.diagnosis.spectra import Stretch, encoder_count, low_passed, sensor_noise, with_noise
+from bayesid.dynamics.channels import Channels
 from bayesid.effects import Effect, Scene, Term, middle_of, places, readings, rigid_columns
 from bayesid.errors import InputError
-from bayesid.experiment import Experiment, Motion
-from bayesid.momentum import Channels
-from bayesid.priors import Prior
-from bayesid.problem import default_channel, make_channels
-from bayesid.robot import Robot
-from bayesid.smoothing import choose_smoother, smooth
-from bayesid.tables import Table, usual_step
+from bayesid.recordings.experiment import Experiment, Motion
+from bayesid.recordings.table import Table, usual_step
+from bayesid.regression.problem import default_channel, make_channels
+from bayesid.robot.prior import Prior
+from bayesid.robot.robot import Robot
+from bayesid.signals.smoothing import choose_smoother, smooth
 
 #: Trajectories are smoothed at least this loosely [Hz]; what their noise does above the motion is weighed, not cut.
 BANDWIDTH = 12.0

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from bayesid.base_parameters import structural_base
 from bayesid.diagnosis import memo
 from bayesid.diagnosis.candidates import UNEXPLAINED
 from bayesid.diagnosis.case import SHORTEST, WHITE, Case, make_case
@@ -21,9 +20,10 @@ from bayesid.diagnosis.patchwork import EXPLAINED, explained, patchwork
 from bayesid.diagnosis.proof import Gap, prove, residual_spectra
 from bayesid.diagnosis.search import ACCEPT, Found, Search, make_rigid, search
 from bayesid.diagnosis.stability import Stability, stability
+from bayesid.dynamics.base_parameters import structural_base
 from bayesid.effects import Term, parse_effects, starting_point
-from bayesid.experiment import Experiment, load_experiment
-from bayesid.problem import default_channel, make_channels
+from bayesid.recordings.experiment import Experiment, load_experiment
+from bayesid.regression.problem import default_channel, make_channels
 
 SCHEMA = 1
 #: A found effect must not make unseen motions worse by more than this share of their squared residual.

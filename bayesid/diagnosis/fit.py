@@ -20,7 +20,7 @@ import numpy as np
 from bayesid.diagnosis.case import Case, here
 from bayesid.diagnosis.spectra import Stretch
 from bayesid.effects import Term, columns
-from bayesid.priors import Prior
+from bayesid.robot.prior import Prior
 
 _STEPS = 15
 #: Damping of the first step, in units of a column's squared length, and how often a step is damped more.

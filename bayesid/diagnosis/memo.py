@@ -16,11 +16,11 @@ from bayesid.diagnosis.search import ACCEPT
 from bayesid.diagnosis.taps import TAP
 from bayesid.diagnosis.views import views
 from bayesid.effects import Effect, Term
-from bayesid.output import strict, write_results
+from bayesid.recordings.schema import EffectParameters, write_model
 from bayesid.report import diagnosis_report
 from bayesid.report.identification import channel_text
 from bayesid.report.page import DASH, interval, number, percent, with_half
-from bayesid.schema import EffectParameters, write_model
+from bayesid.results.files import strict, write_results
 
 if TYPE_CHECKING:
     from bayesid.diagnosis.diagnose import Diagnosis
@@ -228,7 +228,7 @@ def notebook(diagnosis: Diagnosis) -> str:
 
 
 def model(diagnosis: Diagnosis) -> tuple[tuple[str, ...], EffectParameters]:
-    """The experiment's model with the named effects added, as `bayesid.schema.write_model` takes it.
+    """The experiment's model with the named effects added, as `bayesid.recordings.schema.write_model` takes it.
 
     Effects that act on other channels stay as they are; all others get the values fitted here as starting values.
     """

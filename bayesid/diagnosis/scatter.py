@@ -22,7 +22,7 @@ from scipy.interpolate import CubicSpline
 
 from bayesid.diagnosis.repeats import Repeat, find_repeats
 from bayesid.diagnosis.spectra import BAND, ROUNDINGS, Stretch, other_readings, taper
-from bayesid.smoothing import smooth
+from bayesid.signals.smoothing import smooth
 
 #: Frequency from which on a floor has to be measured to be called known [Hz], and degrees of freedom it needs.
 REACH, ENOUGH = 0.5, 120.0

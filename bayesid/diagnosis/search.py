@@ -19,7 +19,7 @@ from bayesid.diagnosis.fit import Fit, Rigid, fit, make_rigid, term_rows
 from bayesid.diagnosis.noises import ACCEPT, Noises, as_points, prepared, soft_terms
 from bayesid.diagnosis.patchwork import EXPLAINED, explained, patchwork
 from bayesid.effects import Term
-from bayesid.regression import in_order
+from bayesid.regression.regression import in_order
 
 #: Rivals within this log evidence of the best (odds of 20 to 1) cannot be told from it.
 RIVAL = 3.0

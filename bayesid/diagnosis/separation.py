@@ -8,7 +8,7 @@ import numpy as np
 
 from bayesid.diagnosis.candidates import DETECTED, Library
 from bayesid.effects import Effect, typical
-from bayesid.robot import Robot
+from bayesid.robot.robot import Robot
 
 #: Nearer to one than this a share is rounding: the two leave the same trace.
 _SAME = 1.0 - 1e-8

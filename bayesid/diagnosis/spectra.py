@@ -22,7 +22,7 @@ from scipy.ndimage import binary_opening, convolve, uniform_filter1d
 from scipy.stats import chi2
 
 from bayesid.effects import REST_SPEED, Scene
-from bayesid.smoothing import smooth
+from bayesid.signals.smoothing import smooth
 
 #: Highest frequency compared [Hz].
 BAND = 10.0

@@ -8,8 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import inf
 
-from bayesid import inertia
-from bayesid.momentum import WRENCH_NAMES
+from bayesid.dynamics.channels import WRENCH_NAMES
+from bayesid.robot import inertia
 
 #: Speed below which a joint counts as nearly at rest and friction as partly mobilised [rad/s or m/s].
 REST_SPEED = 1e-3

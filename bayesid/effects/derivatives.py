@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 
+from bayesid.dynamics.kinematics import P, R, link_columns, project
 from bayesid.effects.effect import Effect, Term, sense
 from bayesid.effects.forces import LOADS, body_of
-from bayesid.effects.kinematics import P, R, link_columns, project
 from bayesid.effects.model import BODIES, SOFT, Model, split_matrix, tilted
 from bayesid.effects.sensor import DRIVE, SENSOR, delayed, inside_joint, sensor_chain
 

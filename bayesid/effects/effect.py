@@ -8,9 +8,9 @@ from difflib import get_close_matches
 
 import numpy as np
 
+from bayesid.dynamics.channels import WRENCH_NAMES
 from bayesid.effects.catalogue import KINDS, REST_SPEED, Kind
 from bayesid.errors import InputError
-from bayesid.momentum import WRENCH_NAMES
 
 
 @dataclass(frozen=True, eq=False)

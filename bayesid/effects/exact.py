@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from bayesid.dynamics.channels import Channels
 from bayesid.effects.derivatives import effect_derivatives, link_derivatives
 from bayesid.effects.effect import Effect, Scene, Term
 from bayesid.effects.model import Model
-from bayesid.momentum import Channels
-from bayesid.robot import Robot
+from bayesid.robot.robot import Robot
 
 
 def _at_rest(terms: Sequence[Term]) -> tuple[Term, ...]:

@@ -16,7 +16,7 @@ from scipy import sparse
 from scipy.interpolate import BSpline
 from scipy.sparse.linalg import splu
 
-from bayesid.smoothing import DEGREE
+from bayesid.signals.smoothing import DEGREE
 
 Motion = tuple[np.ndarray, np.ndarray, np.ndarray]
 Basis = tuple[sparse.csr_array, ...]

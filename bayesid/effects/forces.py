@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from bayesid.dynamics.kinematics import DW, P, R, V, W
 from bayesid.effects.catalogue import CONTACT_RAMP
 from bayesid.effects.effect import Scene, Term
-from bayesid.effects.kinematics import DW, P, R, V, W
-from bayesid.robot import Robot
+from bayesid.robot.robot import Robot
 
 Loads = list[tuple[int, np.ndarray]]
 # Drag along a rod: five Gauss points, exact for the linear part, ample for |v| v.

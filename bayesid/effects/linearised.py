@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bayesid.dynamics.channels import Channels
 from bayesid.effects.effect import Effect, Scene, Term
 from bayesid.effects.exact import columns, readings, rigid_columns
 from bayesid.errors import InputError
-from bayesid.momentum import Channels
-from bayesid.robot import Robot
-from bayesid.smoothing import OVERLAP
+from bayesid.robot.robot import Robot
+from bayesid.signals.smoothing import OVERLAP
 
 #: Effects whose columns the joint motion alone gives: models of these only need no point.
 PLAIN = ("sensor_offset", "sensor_drift", "viscous_friction", "coulomb_friction", "torque_offset", "rotor_inertia")

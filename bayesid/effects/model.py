@@ -20,15 +20,15 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from bayesid.dynamics.channels import Channels, torque_channels
+from bayesid.dynamics.kinematics import body_wrenches, channel_twists, is_wrench, link_states, project, transform_matrix
 from bayesid.effects.effect import Scene, Term
 from bayesid.effects.flexible import link_motion, splines
 from bayesid.effects.forces import LOADS, Loads, body_of, rotor_couple
-from bayesid.effects.kinematics import body_wrenches, channel_twists, is_wrench, link_states, project, transform_matrix
 from bayesid.effects.mount import mount_motion
 from bayesid.effects.sensor import DRIVE, SENSOR, SensorChain, inside_joint, sensor_chain
 from bayesid.errors import InputError
-from bayesid.momentum import Channels, torque_channels
-from bayesid.robot import Robot
+from bayesid.robot.robot import Robot
 
 #: Effects that differentiate a load again; encoders' errors pass through them much enlarged.
 SOFT = ("joint_flexibility", "base_compliance")
@@ -139,7 +139,7 @@ class Model:
 
     @cached_property
     def states(self) -> np.ndarray:
-        """Poses and rates of the links, `bayesid.effects.kinematics`."""
+        """Poses and rates of the links, `bayesid.dynamics.kinematics`."""
         return self._keep(("states", self._key), self._states)[1]
 
     def _keep(self, key, make):

@@ -16,10 +16,10 @@ from collections.abc import Callable
 import numba
 import numpy as np
 
+from bayesid.dynamics.kinematics import link_states
 from bayesid.effects.effect import Scene
-from bayesid.effects.kinematics import link_states
-from bayesid.robot import Robot
-from bayesid.smoothing import smooth
+from bayesid.robot.robot import Robot
+from bayesid.signals.smoothing import smooth
 
 _PASSES = 3
 #: Largest phase of the ringing that one integration step covers [rad].

@@ -13,9 +13,9 @@ import numpy as np
 from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation
 
+from bayesid.dynamics.channels import Channels
 from bayesid.effects.effect import Scene, Term, sense
-from bayesid.momentum import Channels
-from bayesid.robot import Robot
+from bayesid.robot.robot import Robot
 
 SENSOR = (
     "sensor_offset", "sensor_drift", "sensor_gain", "sensor_crosstalk", "sensor_rotation", "sensor_translation", "sensor_delay",

@@ -2,7 +2,7 @@
 
 Most are shares of the robot's own scales: the weight and reach beyond a joint, the effort limit of its drive. The
 shares are assumed, within the usual percentages; a rotor's inertia is as in the PUMA 560's drives, where gear
-ratio^2 x rotor inertia is about 1 % of the effort limit (source: `bayesid.demo.puma_friction`).
+ratio^2 x rotor inertia is about 1 % of the effort limit (source: `bayesid.workflows.demo.puma_friction`).
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from bayesid.effects.effect import Effect
-from bayesid.robot import Robot
-from bayesid.trajectories import motion_limits
+from bayesid.robot.limits import motion_limits
+from bayesid.robot.robot import Robot
 
 #: Effort where the URDF states none [N m or N].
 ANY_EFFORT = 100.0

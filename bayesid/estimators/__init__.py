@@ -6,15 +6,15 @@ from dataclasses import fields, is_dataclass, replace
 from difflib import get_close_matches
 
 from bayesid.errors import InputError
-from bayesid.estimators.bounds import Bounds, load_bounds
+from bayesid.estimators.conic.bounds import Bounds, load_bounds
+from bayesid.estimators.conic.physical import Physical
 from bayesid.estimators.errors_in_variables import TotalLeastSquares
 from bayesid.estimators.estimator import Estimate, Estimator
 from bayesid.estimators.instrumental_variables import InstrumentalVariables
 from bayesid.estimators.least_squares import LeastSquares, Ridge, TruncatedSVD
-from bayesid.estimators.physical import Physical
-from bayesid.estimators.robust import Huber, Student
-from bayesid.priors import Prior
-from bayesid.regression import Regression
+from bayesid.estimators.robust.m_estimators import Huber, Student
+from bayesid.regression.regression import Regression
+from bayesid.robot.prior import Prior
 
 #: Estimators by the names that the command line and `fit` understand.
 METHODS: dict[str, Estimator] = {

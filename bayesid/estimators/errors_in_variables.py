@@ -2,7 +2,7 @@
 
 Encoder noise U in the regressor ``X = X0 + U`` attenuates least squares: ``E[b_ls] - b = -(X'WX)^-1 E[U'WU] b``, with W
 the channels' weights. The law of U is known: it is what the encoders' noise becomes on its way through smoother,
-dynamics and filters (`bayesid.encoder_noise`), all columns from the same few joints. Let X* be the regressor with
+dynamics and filters (`bayesid.regression.encoder_noise`), all columns from the same few joints. Let X* be the regressor with
 that noise once more. ``E[X*'WX*]`` exceeds ``X'WX`` by what X'WX exceeds X0'WX0 on average, curvature of the dynamics
 included, up to fourth order in the noise of positions and velocities (and exactly for accelerations, in which X is linear). So
 
@@ -29,8 +29,8 @@ from bayesid.estimators.estimator import Estimate, unseen
 from bayesid.estimators.factor import Factor, Weights, learn_weights, noise_of_residuals, reduce_whitened, root_covariance, solve
 from bayesid.estimators.least_squares import factor_inverse, make_estimate, nominal_start, target_from_nominal, weighted_factor
 from bayesid.estimators.sensor_noise import sensor_noise
-from bayesid.noise import NoiseModel
-from bayesid.regression import Block, Pair, Regression, RegressorNoise
+from bayesid.regression.regression import Block, Pair, Regression, RegressorNoise
+from bayesid.signals.noise import NoiseModel
 
 #: Least squares shifted by this many of its own standard deviations matters: a 95 % interval then covers 92 %.
 LARGEST_SHIFT = 0.5

@@ -10,9 +10,9 @@ from typing import Any, Protocol
 import numpy as np
 from scipy.stats import norm
 
-from bayesid.base_parameters import BaseParameters
-from bayesid.noise import NoiseModel
-from bayesid.regression import Regression
+from bayesid.dynamics.base_parameters import BaseParameters
+from bayesid.regression.regression import Regression
+from bayesid.signals.noise import NoiseModel
 
 #: Central probability of ``low`` to ``high``.
 LEVEL = 0.95

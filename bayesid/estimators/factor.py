@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import chi2
 
-from bayesid.noise import NoiseModel, estimate_noise
-from bayesid.regression import Block, Regression, in_order
+from bayesid.regression.regression import Block, Regression, in_order
+from bayesid.signals.noise import NoiseModel, estimate_noise
 
 _PASSES = 3
 _PANEL = 4096

@@ -5,8 +5,9 @@ regressor's: ``E[Z'W U] = 0``. Then
 
     b = (Z'WX)^-1 Z'Wy
 
-is free of the attenuation of least squares ([Janot2014]_; `bayesid.encoder_noise` says where Z comes from). Where the splines
-through even and odd samples are the instruments of each other, both orders count: ``(Z'WX + X'WZ) b = Z'Wy + X'Wy``.
+is free of the attenuation of least squares ([Janot2014]_; `bayesid.regression.encoder_noise` says where Z comes from).
+Where the splines through even and odd samples are the instruments of each other, both orders count:
+``(Z'WX + X'WZ) b = Z'Wy + X'Wy``.
 
 The covariance is ``A^-1 M A^-T``, ``A = Z'WX``, with M the covariance of ``Z'W (e - U b)``: the sensor's noise, colour
 included, and the encoders', simulated; where their law is not known, that of the residuals.
@@ -39,8 +40,8 @@ from bayesid.estimators.errors_in_variables import (
 )
 from bayesid.estimators.estimator import Estimate
 from bayesid.estimators.least_squares import make_estimate
-from bayesid.noise import NoiseModel
-from bayesid.regression import Pair, Regression
+from bayesid.regression.regression import Pair, Regression
+from bayesid.signals.noise import NoiseModel
 
 #: Below this probability the Durbin-Wu-Hausman test sees encoder noise.
 SMALLEST_PROBABILITY = 0.01

@@ -1,7 +1,7 @@
 """Coordinates of the posterior: bodies as matrices near the unit matrix, and without any bounds as log-Cholesky.
 
 Each body's pseudo-inertia P is measured by the nominal one, ``M = N P N'`` with ``N P0 N' = 1`` (P0 is solid, see
-`bayesid.inertia.solid`), and the sampler's coordinates are the ten entries of M. The unconstrained ones are
+`bayesid.robot.inertia.solid`), and the sampler's coordinates are the ten entries of M. The unconstrained ones are
 
     M = U U',   U upper triangular,   theta = (log u_kk, u_ij),
 
@@ -13,8 +13,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from bayesid import inertia
 from bayesid.posterior.trajectory import COLUMN, ROW
+from bayesid.robot import inertia
 
 #: Positions of theta in U: four logarithms of the diagonal, then the entries above it by rows.
 _DIAGONAL = np.arange(4)

@@ -1,6 +1,6 @@
 """The likelihood on factors: one triangular factor a whitened channel, whatever the number of rows.
 
-After whitening (`bayesid.noise`), row t of channel c is
+After whitening (`bayesid.signals.noise`), row t of channel c is
 
     y_c(t) = x_c(t)' beta + s_c u_c(t),
 
@@ -20,8 +20,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesid.estimators.factor import Weights, learn_weights, stack, whitened
-from bayesid.noise import NoiseModel
-from bayesid.regression import Regression
+from bayesid.regression.regression import Regression
+from bayesid.signals.noise import NoiseModel
 
 _PANEL = 4096
 

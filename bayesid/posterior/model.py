@@ -14,14 +14,14 @@ from scipy.linalg import solve_triangular
 from scipy.linalg.lapack import dpotrf, dpotrs
 from scipy.special import gammaln
 
-from bayesid.base_parameters import BaseParameters
+from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.errors import InputError
 from bayesid.estimators.estimator import unseen
 from bayesid.posterior import coordinates
 from bayesid.posterior.likelihood import Likelihood
 from bayesid.posterior.trajectory import travel
-from bayesid.priors import Prior
-from bayesid.regression import Regression
+from bayesid.regression.regression import Regression
+from bayesid.robot.prior import Prior
 
 NOISES = ("gaussian", "student")
 _SHOWN = 4

@@ -10,11 +10,11 @@ from scipy.linalg import cholesky
 from scipy.signal import lfilter
 
 from bayesid.estimators.factor import whitened
-from bayesid.noise import NoiseModel
 from bayesid.posterior.convert import Groups
 from bayesid.posterior.model import log_student
 from bayesid.posterior.result import Posterior
-from bayesid.regression import Block
+from bayesid.regression.regression import Block
+from bayesid.signals.noise import NoiseModel
 
 #: Draws that readings are replicated for, rows that are kept of them, and rows looked at before thinning.
 DRAWS, ROWS, CONSIDERED = 200, 400, 4096

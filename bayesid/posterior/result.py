@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from bayesid.base_parameters import BaseParameters
+from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.estimators.estimator import LEVEL
 from bayesid.posterior import coordinates
 from bayesid.posterior.convert import Groups, to_arviz

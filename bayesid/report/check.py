@@ -6,9 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from bayesid import inertia, plots
+from bayesid.recordings.table import WRENCH_COLUMNS
+from bayesid.report import plots
 from bayesid.report.page import DASH, number, percent, render, svg
-from bayesid.tables import WRENCH_COLUMNS
+from bayesid.robot import inertia
 
 _SHOWN_MOTIONS = 8
 _PLOTTED = 1500

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from bayesid.prediction import BAND, band_error
 from bayesid.report.comparison_figures import proof_side_by_side, values_side_by_side
 from bayesid.report.details import chance
 from bayesid.report.identification import HALF, STATIC, channel_text, mood_of, short_names
 from bayesid.report.page import DASH, number, percent, render, run_times, svg, versions, with_half
+from bayesid.validation.prediction import BAND, band_error
 
 _SHOWN_MOTIONS = 4
 _TEXT_MOTIONS = 3

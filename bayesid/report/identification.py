@@ -8,12 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from bayesid import inertia, plots
-from bayesid.base_parameters import BaseParameters
+from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.estimators import Estimate
-from bayesid.prediction import BAND, Prediction, relative_error
+from bayesid.report import plots
 from bayesid.report.details import chance, described
 from bayesid.report.page import DASH, interval, number, percent, physical, render, run_times, svg, versions, with_half
+from bayesid.robot import inertia
+from bayesid.validation.prediction import BAND, Prediction, relative_error
 
 #: Figures of at most so many motions of each role are shown.
 SHOWN_MOTIONS = 6

@@ -13,7 +13,8 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from bayesid import inertia, plots
+from bayesid.report import plots
+from bayesid.robot import inertia
 
 DASH = "–"
 _LONGEST_LABEL = 90
@@ -27,7 +28,7 @@ def render(template: str, **context: Any) -> str:
 @functools.cache
 def _environment() -> Environment:
     environment = Environment(
-        loader=PackageLoader("bayesid", "templates"), autoescape=True, undefined=StrictUndefined,
+        loader=PackageLoader("bayesid.report", "templates"), autoescape=True, undefined=StrictUndefined,
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
     environment.filters |= {"shorten": shorten, "unit": lambda text: text.replace("^2", "²").replace("^3", "³")}

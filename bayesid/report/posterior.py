@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from bayesid import plots
-from bayesid.prediction import BAND, Prediction, relative_error
+from bayesid.report import plots
 from bayesid.report.identification import channel_text, mood_of, short_names
 from bayesid.report.page import DASH, number, percent, render, run_times, svg, versions, with_half
 from bayesid.report.posterior_figures import marginals, narrowing, ranks
+from bayesid.validation.prediction import BAND, Prediction, relative_error
 
 _SHOWN_MOTIONS = 3
 _RANKED = 4

@@ -19,9 +19,9 @@ import numpy as np
 from present import figure, fill, plain, tables
 
 import bayesid
-from bayesid.comparison import Entry
-from bayesid.estimators.physical import Physical
-from bayesid.priors import Prior
+from bayesid.estimators.conic.physical import Physical
+from bayesid.robot.prior import Prior
+from bayesid.workflows.compare import Entry
 
 HERE = Path(__file__).parent
 DATA = Path(os.environ.get("BAYESID_DATA", HERE.parents[2] / "shared"))

@@ -18,14 +18,15 @@ from present import figures, fill, plain, tables
 from scipy.interpolate import make_interp_spline
 
 import bayesid
-from bayesid import inertia
-from bayesid.base_parameters import structural_base
-from bayesid.demo import puma_friction, puma_setup
-from bayesid.examples import PAPER_ESTIMATE, PAPER_LABELS, paper_base_map
-from bayesid.filters import LowPass, low_pass
-from bayesid.links import nearest_links
-from bayesid.momentum import dynamics_regressor, momentum_regressors, torque_channels
-from bayesid.problem import make_channels, prepare
+from bayesid.dynamics.base_parameters import structural_base
+from bayesid.dynamics.channels import torque_channels
+from bayesid.dynamics.nearest_links import nearest_links
+from bayesid.dynamics.regressors import dynamics_regressor, momentum_regressors
+from bayesid.regression.problem import make_channels, prepare
+from bayesid.robot import inertia
+from bayesid.robot.examples import PAPER_ESTIMATE, PAPER_LABELS, paper_base_map
+from bayesid.signals.filters import LowPass, low_pass
+from bayesid.workflows.demo import puma_friction, puma_setup
 
 HERE = Path(__file__).parent
 STEP = 0.008  # the paper's sampling

@@ -20,8 +20,8 @@ from fractions import Fraction
 import cvxpy as cp
 import numpy as np
 
-from bayesid import inertia
-from bayesid.examples import PAPER_ESTIMATE
+from bayesid.robot import inertia
+from bayesid.robot.examples import PAPER_ESTIMATE
 
 PRINTED = [Fraction(repr(value)) for value in PAPER_ESTIMATE]  # the decimals as printed
 A2 = Fraction("0.4318")  # length of the upper arm [m], Armstrong et al. 1986

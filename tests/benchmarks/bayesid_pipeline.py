@@ -14,10 +14,10 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from bayesid.estimators import fit
-from bayesid.experiment import Experiment, Motion, Sensor
-from bayesid.problem import prepare
-from bayesid.robot import load_robot
-from bayesid.tables import Table
+from bayesid.recordings.experiment import Experiment, Motion, Sensor
+from bayesid.recordings.table import Table
+from bayesid.regression.problem import prepare
+from bayesid.robot.robot import load_robot
 
 
 def memory(field: str) -> float:

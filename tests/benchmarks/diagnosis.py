@@ -15,8 +15,8 @@ import tempfile
 from pathlib import Path
 
 import bayesid
-from bayesid.examples import puma560_urdf
-from bayesid.robot import load_robot
+from bayesid.robot.examples import puma560_urdf
+from bayesid.robot.robot import load_robot
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 sys.path.insert(0, str(ROOT / "tests"))

@@ -21,13 +21,13 @@ import numpy as np
 ROOT = Path(__file__).resolve().parent.parent.parent
 sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
 
-from physical_cases import arm, flat_bodies  # noqa: E402
 from test_physical import by_cvxpy  # noqa: E402
 
 from bayesid.estimators import Bounds  # noqa: E402
-from bayesid.estimators.cone import solve_conic  # noqa: E402
-from bayesid.estimators.physical import Data, conic  # noqa: E402
-from bayesid.estimators.trust import trust_of  # noqa: E402
+from bayesid.estimators.conic.cone import solve_conic  # noqa: E402
+from bayesid.estimators.conic.physical import Data, conic  # noqa: E402
+from bayesid.estimators.conic.prior_strength import trust_of  # noqa: E402
+from tests.physical_cases import arm, flat_bodies  # noqa: E402
 
 
 def clock(work):

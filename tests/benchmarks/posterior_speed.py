@@ -32,14 +32,14 @@ sys.path[:0] = [str(ROOT), str(HERE.parent)]
 NUMPYRO = ROOT / ".venv-numpyro" / "bin" / "python"
 
 import bayesid  # noqa: E402
-from bayesid.experiment import Motion, Sensor  # noqa: E402
 from bayesid.posterior import Likelihood, PosteriorModel, choose_engine, coordinates  # noqa: E402
 from bayesid.posterior.diagnostics import convergence  # noqa: E402
 from bayesid.posterior.ensemble import Ensemble  # noqa: E402
-from bayesid.priors import Prior  # noqa: E402
-from bayesid.problem import prepare  # noqa: E402
-from bayesid.robot import load_robot  # noqa: E402
-from bayesid.simulation import perturbed_links  # noqa: E402
+from bayesid.recordings.experiment import Motion, Sensor  # noqa: E402
+from bayesid.regression.problem import prepare  # noqa: E402
+from bayesid.robot.prior import Prior  # noqa: E402
+from bayesid.robot.robot import load_robot  # noqa: E402
+from bayesid.simulation.simulation import perturbed_links  # noqa: E402
 
 TRUST = 0.3
 CHAINS, CHAINS_NUTS = 4, 2
@@ -58,8 +58,8 @@ KEPT = {"unconstrained": 6000, "physical": 1500}
 
 def recorded(folder: Path):
     """A 40 s recording of a UR5 with links off their nominal values, and a 20 s motion for validation."""
-    from recordings import experiment, fourier, recording
-    from robots import ur5, write
+    from tests.robots import ur5, write
+    from tests.simulated import experiment, fourier, recording
 
     robot = load_robot(write(folder, ur5()))
     links = perturbed_links(robot, TRUST, 1).ravel()
@@ -75,7 +75,7 @@ def recorded(folder: Path):
 
 def small(folder: Path):
     """A short and noisy recording of the two-joint PUMA: the least that geometry can ask of NUTS."""
-    from recordings import experiment, fourier, puma2, recording
+    from tests.simulated import experiment, fourier, puma2, recording
 
     robot, sensor = puma2(folder), Sensor()
     table = recording(

@@ -120,7 +120,7 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--write", action="store_true", help="write docs/benchmarks.json")
     options = parser.parse_args()
-    from robots import ur5
+    from tests.robots import ur5
 
     if not FIGAROH.exists():
         print("FIGAROH is not installed (make bench does that); measuring without it")

@@ -40,9 +40,8 @@ NAMES = {"puma": "two-joint PUMA, static run", "ur5": "UR5, no static run"}
 def _sources() -> str:
     """Fingerprint of the code that the results depend on, so that a stale run is not gone on with."""
     package = Path(bayesid.__file__).parent
-    modules = "robot inertia momentum filters noise smoothing base_parameters regression rows problem examples".split()
-    files = [package / f"{m}.py" for m in modules]
-    files += [file for part in ("effects", "estimators") for file in sorted((package / part).glob("*.py"))]
+    parts = ("robot", "signals", "dynamics", "regression", "effects", "estimators")
+    files = [file for part in parts for file in sorted((package / part).rglob("*.py"))]
     digest = hashlib.sha256()
     for file in [*files, Path(coverage_case.__file__), Path(coverage_case.__file__).parents[1] / "robots.py"]:
         digest.update(file.read_bytes())

@@ -21,13 +21,15 @@ from pathlib import Path
 
 import numpy as np
 
-from bayesid import estimators, examples, inertia
-from bayesid.base_parameters import BaseParameters, structural_base
-from bayesid.experiment import Experiment, Motion, Sensor, Table
-from bayesid.filters import LowPass, low_pass
-from bayesid.momentum import Channels, dynamics_regressor
-from bayesid.problem import Problem, make_channels, prepare
-from bayesid.robot import Robot, load_robot
+from bayesid import estimators
+from bayesid.dynamics.base_parameters import BaseParameters, structural_base
+from bayesid.dynamics.channels import Channels
+from bayesid.dynamics.regressors import dynamics_regressor
+from bayesid.recordings.experiment import Experiment, Motion, Sensor, Table
+from bayesid.regression.problem import Problem, make_channels, prepare
+from bayesid.robot import examples, inertia
+from bayesid.robot.robot import Robot, load_robot
+from bayesid.signals.filters import LowPass, low_pass
 from tests.robots import ur5
 
 RATE, DURATION = 125.0, 20.0  # [Hz], [s]

@@ -19,9 +19,9 @@ from scipy.stats import norm
 from threadpoolctl import threadpool_limits
 
 from bayesid import estimators
-from bayesid.experiment import Experiment, Motion, Sensor, Table
-from bayesid.momentum import dynamics_regressor
-from bayesid.problem import make_channels, prepare
+from bayesid.dynamics.regressors import dynamics_regressor
+from bayesid.recordings.experiment import Experiment, Motion, Sensor, Table
+from bayesid.regression.problem import make_channels, prepare
 from tests.studies.coverage import LEVEL, NAMES, band
 from tests.studies.coverage_case import DURATION, FUNDAMENTAL, NOISE, OFFSET, RATE, Setup, setup
 from tests.studies.page import DOCS, parsed, write_numbers, write_page

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 
 from bayesid import estimators
-from bayesid.experiment import Experiment
-from bayesid.problem import prepare
+from bayesid.recordings.experiment import Experiment
+from bayesid.regression.problem import prepare
 from tests.studies.coverage import LEVEL, NAMES, band
 from tests.studies.coverage_case import ARMS, DURATION, PAPER, record, setup
 from tests.studies.page import DOCS, parsed, write_numbers, write_page

@@ -23,16 +23,16 @@ import numpy as np
 ROOT = Path(__file__).resolve().parent.parent.parent
 sys.path[:0] = [str(ROOT / "tests")]
 
-from recordings import Motion, experiment, fourier, recording  # noqa: E402
-from robots import ROBOTS, write  # noqa: E402
 from scipy.stats import binom  # noqa: E402
 
+from bayesid.dynamics.nearest_links import nearest_links  # noqa: E402
 from bayesid.estimators import Physical, fit  # noqa: E402
-from bayesid.inertia import from_mass_com_inertia, is_physically_consistent  # noqa: E402
-from bayesid.links import nearest_links  # noqa: E402
-from bayesid.problem import prepare  # noqa: E402
-from bayesid.robot import load_robot  # noqa: E402
-from bayesid.simulation import perturbed_links  # noqa: E402
+from bayesid.regression.problem import prepare  # noqa: E402
+from bayesid.robot.inertia import from_mass_com_inertia, is_physically_consistent  # noqa: E402
+from bayesid.robot.robot import load_robot  # noqa: E402
+from bayesid.simulation.simulation import perturbed_links  # noqa: E402
+from tests.robots import ROBOTS, write  # noqa: E402
+from tests.simulated import Motion, experiment, fourier, recording  # noqa: E402
 from tests.studies import page  # noqa: E402
 
 #: Arm, noise [N m], spread of the links about the nominal ones, which links have no extent.

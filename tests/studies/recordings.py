@@ -54,7 +54,11 @@ def figures(folder: Path, diagnosis: bool, seed: int = 0) -> dict[str, Any]:
         }
     if diagnosis:
         since = time.process_time()
-        shown = bayesid.diagnose(experiment, seed=seed).to_dict()
+        try:
+            shown = bayesid.diagnose(experiment, seed=seed).to_dict()
+        except bayesid.BayesidError as error:
+            out["diagnosis"] = {"error": str(error)}
+            return out
         out["diagnosis"] = {
             "verdict": shown["verdict"],
             "effects": [(e["name"], e["where"], e["parameters"]) for e in shown["effects"]],
@@ -75,7 +79,7 @@ def row(name: str, found: dict[str, Any]) -> str:
         worst = max((u["whitened_rms"] for u in f["unseen"].values()), default=float("nan"))
         parts.append(f"{method} r={f['rank']} {f['mass']:.3g} kg unseen {worst:.3g} x noise")
     if "diagnosis" in found:
-        d = found["diagnosis"]
+        d = {"verdict": "refused", "effects": [], "gap": None, "seconds": 0.0} | found["diagnosis"]
         named = ", ".join(f"{name}@{where}" for name, where, _ in d["effects"]) or "-"
         gap = "" if d["gap"] is None else f" {d['gap']['before']:.3g} -> {d['gap']['after']:.3g} / {d['gap']['floor']:.3g}"
         parts.append(f"{d['verdict']}: {named}{gap} ({d['seconds']:.3g} s)")

@@ -30,13 +30,14 @@ from scipy.stats import binom
 from threadpoolctl import threadpool_limits
 
 import bayesid
-from bayesid import inertia
-from bayesid.base_parameters import BaseParameters, structural_base
-from bayesid.momentum import dynamics_regressor, torque_channels, wrench_channels
-from bayesid.noise import NoiseModel
+from bayesid.dynamics.base_parameters import BaseParameters, structural_base
+from bayesid.dynamics.channels import torque_channels, wrench_channels
+from bayesid.dynamics.regressors import dynamics_regressor
 from bayesid.posterior import DofPrior, Likelihood, PosteriorModel, ScalePrior, choose_engine
-from bayesid.priors import Prior
-from bayesid.robot import load_robot
+from bayesid.robot import inertia
+from bayesid.robot.prior import Prior
+from bayesid.robot.robot import load_robot
+from bayesid.signals.noise import NoiseModel
 from tests import robots
 
 SEED = 20_260_301
@@ -369,7 +370,7 @@ def page(study: dict[str, Any]) -> str:
 def sources() -> str:
     """Fingerprint of the code that the results depend on."""
     package = Path(bayesid.__file__).parent
-    files = [*sorted((package / "posterior").glob("*.py")), package / "priors.py", package / "inertia.py", Path(__file__)]
+    files = [*sorted((package / "posterior").glob("*.py")), package / "robot" / "prior.py", package / "robot" / "inertia.py", Path(__file__)]
     digest = hashlib.sha256()
     for file in files:
         digest.update(file.read_bytes())

@@ -1,0 +1,79 @@
+from .diagnosis.diagnose import Diagnosis, diagnose
+from .errors import BayesidError, BayesidWarning, EstimationError, InputError
+from .estimators import DEFAULT_METHOD, METHODS, estimator, fit
+from .estimators.conic.bounds import Bounds, load_bounds
+from .estimators.conic.physical import Physical
+from .estimators.errors_in_variables import TotalLeastSquares
+from .estimators.estimator import Estimate, Estimator
+from .estimators.instrumental_variables import InstrumentalVariables
+from .estimators.least_squares import LeastSquares, Ridge, TruncatedSVD
+from .estimators.robust.m_estimators import Huber, Student
+from .posterior.diagnostics import ConvergenceError
+from .posterior.result import Posterior
+from .recordings.experiment import Experiment, Motion, Sensor, load_experiment, write_experiment
+from .recordings.table import Table
+from .regression.regression import Regression
+from .robot.prior import Prior
+from .robot.robot import Robot, load_robot
+from .signals.filters import LowPass
+from .simulation.simulation import Recorder, Simulation, simulate, write_simulation
+from .simulation.trajectories import Trajectory, fourier_trajectory
+from .workflows.check import Inspection, check
+from .workflows.compare import Comparison, compare
+from .workflows.identify import Identification, identify, summary
+from .workflows.sample import ExperimentPosterior, sample
+
+__version__: str
+
+__all__ = [
+    "DEFAULT_METHOD",
+    "METHODS",
+    "BayesidError",
+    "BayesidWarning",
+    "Bounds",
+    "Comparison",
+    "ConvergenceError",
+    "Diagnosis",
+    "Estimate",
+    "EstimationError",
+    "Estimator",
+    "Experiment",
+    "ExperimentPosterior",
+    "Huber",
+    "Identification",
+    "InputError",
+    "Inspection",
+    "InstrumentalVariables",
+    "LeastSquares",
+    "LowPass",
+    "Motion",
+    "Physical",
+    "Posterior",
+    "Prior",
+    "Recorder",
+    "Regression",
+    "Ridge",
+    "Robot",
+    "Sensor",
+    "Simulation",
+    "Student",
+    "Table",
+    "TotalLeastSquares",
+    "Trajectory",
+    "TruncatedSVD",
+    "check",
+    "compare",
+    "diagnose",
+    "estimator",
+    "fit",
+    "fourier_trajectory",
+    "identify",
+    "load_bounds",
+    "load_experiment",
+    "load_robot",
+    "sample",
+    "simulate",
+    "summary",
+    "write_experiment",
+    "write_simulation",
+]

@@ -1,0 +1,7 @@
+"""``python -m bayesid.cli``."""
+
+import sys
+
+from bayesid.cli.main import main
+
+sys.exit(main())

@@ -1,0 +1,51 @@
+"""The verb ``compare``."""
+
+from __future__ import annotations
+
+import click
+
+import bayesid
+from bayesid.cli.bounds import all_bounded
+from bayesid.cli.options import (
+    BOUNDS,
+    EXPERIMENT,
+    OUT,
+    SEED,
+    STATIC,
+    load,
+    low_pass,
+    model_options,
+    names,
+    output_folder,
+    show_progress,
+)
+from bayesid.results.files import check_output
+from bayesid.workflows.compare import DEFAULT_SET
+
+
+@click.command()
+@EXPERIMENT
+@model_options
+@click.option("--methods", callback=names, help="Estimators, separated by commas; default: one of each kind.")
+@BOUNDS
+@STATIC
+@OUT
+@SEED
+def compare(experiment, filter_l, filter_d, model, methods, bounds, out, seed, **options) -> None:
+    """Several estimators on the same data, side by side, and the nominal model beside them."""
+    del seed
+    if out is not None:
+        check_output(out)
+    filters = low_pass(filter_l, filter_d)
+    for method in methods or ():
+        bayesid.estimator(method)
+    with show_progress() as progress:
+        progress("reading")
+        loaded = load(experiment, model)
+        if bounds is not None:
+            methods = all_bounded(methods or DEFAULT_SET, bounds, loaded)
+        result = bayesid.compare(loaded, methods, low_pass=filters, progress=progress, **options)
+        progress("report")
+        report = result.write(output_folder(out, loaded.name, "compare"))
+    click.echo(str(result))
+    click.echo(f"report: {report}")

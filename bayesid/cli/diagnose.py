@@ -1,0 +1,33 @@
+"""The verb ``diagnose``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+import bayesid
+from bayesid.cli.options import EXPERIMENT, OUT, SEED, load, names, output_folder, show_progress
+from bayesid.results.files import check_output
+
+
+@click.command()
+@EXPERIMENT
+@click.option("--channel", type=click.Choice(["wrench", "torque", "both"]), help="Which readings to compare.")
+@click.option("--motions", callback=names, help="Motions to fit, separated by commas.")
+@click.option("--effects", callback=names, help="Effects that the model already has, separated by commas.")
+@click.option("--model", type=click.Path(path_type=Path), help="A model.toml that replaces [model].")
+@OUT
+@SEED
+def diagnose(experiment, channel, motions, effects, model, out, seed) -> None:
+    """Where model and data disagree, which effect is missing, and proof on motions that were not fitted."""
+    if out is not None:
+        check_output(out)
+    with show_progress() as progress:
+        progress("reading")
+        loaded = load(experiment, model)
+        result = bayesid.diagnose(loaded, channel, motions=motions, effects=effects, seed=seed, progress=progress)
+        progress("report")
+        report = result.write(output_folder(out, loaded.name, "diagnose"))
+    click.echo(str(result))
+    click.echo(f"report: {report}")

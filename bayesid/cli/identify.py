@@ -1,0 +1,36 @@
+"""The verb ``identify``."""
+
+from __future__ import annotations
+
+import click
+
+import bayesid
+from bayesid.cli.bounds import bounded
+from bayesid.cli.options import BOUNDS, EXPERIMENT, OUT, SEED, STATIC, load, low_pass, model_options, output_folder, show_progress
+from bayesid.results.files import check_output
+
+
+@click.command()
+@EXPERIMENT
+@model_options
+@click.option("--method", default=bayesid.DEFAULT_METHOD, show_default=True, help=", ".join(bayesid.METHODS))
+@BOUNDS
+@STATIC
+@OUT
+@SEED
+def identify(experiment, filter_l, filter_d, model, method, bounds, out, seed, **options) -> None:
+    """Base parameters with honest uncertainty, link parameters, proof on the validation motions."""
+    del seed
+    if out is not None:
+        check_output(out)
+    filters = low_pass(filter_l, filter_d)
+    chosen = bayesid.estimator(method)
+    with show_progress() as progress:
+        progress("reading")
+        loaded = load(experiment, model)
+        chosen = bounded(chosen, bounds, loaded)
+        result = bayesid.identify(loaded, method=chosen, low_pass=filters, progress=progress, **options)
+        progress("report")
+        report = result.write(output_folder(out, loaded.name, "identify"))
+    click.echo(bayesid.summary(result))
+    click.echo(f"report: {report}")

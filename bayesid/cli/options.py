@@ -1,0 +1,94 @@
+"""Options that verbs share, and what they mean."""
+
+from __future__ import annotations
+
+import contextlib
+import warnings
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from bayesid.errors import InputError
+
+if TYPE_CHECKING:
+    from bayesid.recordings.experiment import Experiment
+    from bayesid.signals.filters import LowPass
+
+
+@contextlib.contextmanager
+def show_progress() -> Iterator:
+    """Shows the stage on a terminal; silent elsewhere. Library warnings become one line each."""
+    from rich.console import Console
+
+    console = Console(stderr=True)
+    with warnings.catch_warnings():
+        warnings.showwarning = lambda message, *_, **__: click.echo(f"warning: {message}", err=True)
+        if not console.is_terminal:
+            yield lambda stage: None
+            return
+        with console.status("starting") as status:
+            yield lambda stage: status.update(f"{stage} ...")
+
+
+EXPERIMENT = click.argument("experiment", type=click.Path(path_type=Path))
+OUT = click.option("--out", type=click.Path(path_type=Path), help="Folder for the results.")
+STATIC = click.option(
+    "--static", type=click.Choice(["motion", "joint"]), default="motion", show_default=True,
+    help="Subtract a stop-and-go run, or fit it along.",
+)  # fmt: skip
+BOUNDS = click.option("--bounds", type=click.Path(path_type=Path), help="A TOML file of what is known of the links; for sdp.")
+SEED = click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of everything random.")
+
+
+def names(_context, _parameter, value: str | None) -> list[str] | None:
+    """Parts of an option that commas separate."""
+    return None if value is None else [part.strip() for part in value.split(",") if part.strip()]
+
+
+def model_options(command):
+    """Options of every verb that fits a model."""
+    options = [
+        click.option("--channel", type=click.Choice(["wrench", "torque", "both"]), help="Which readings to fit."),
+        click.option("--filter-l", type=float, help="First low-pass of the paper [rad/s]; default: none."),
+        click.option("--filter-d", type=float, help="Second low-pass of the paper [rad/s]; default 50 with --filter-l."),
+        click.option("--bandwidth", type=float, help="Bandwidth of the joint motion [Hz]; default: from the positions."),
+        click.option("--motions", callback=names, help="Motions to fit, separated by commas."),
+        click.option("--effects", callback=names, help="Effects in the model, separated by commas."),
+        click.option("--model", type=click.Path(path_type=Path), help="A model.toml that replaces [model]."),
+    ]
+    for option in reversed(options):
+        command = option(command)
+    return command
+
+
+def low_pass(l: float | None, d: float | None) -> LowPass | None:  # noqa: E741
+    """The paper's filters, or None where neither option is given."""
+    from bayesid.signals.filters import LowPass
+
+    if l is None and d is None:
+        return None
+    if l is None:
+        raise InputError("--filter-d is given without --filter-l; give both, for example --filter-l 1 --filter-d 50")
+    return LowPass(l, 50.0 if d is None else d)
+
+
+def load(experiment: Path, model: Path | None) -> Experiment:
+    """The experiment folder, with the model of another file where one is named."""
+    from bayesid.recordings.experiment import load_experiment
+    from bayesid.recordings.schema import read_model
+
+    loaded = load_experiment(experiment)
+    if model is None:
+        return loaded
+    effects, values = read_model(model)
+    return replace(loaded, effects=effects, effect_values=values)
+
+
+def output_folder(out: Path | None, name: str, verb: str) -> Path:
+    """Where the results go: ``--out``, or the default folder of the verb."""
+    from bayesid.results.files import check_output
+
+    return check_output(out or Path("bayesid-out") / f"{name}-{verb}")

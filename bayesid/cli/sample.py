@@ -1,0 +1,50 @@
+"""The verb ``sample``."""
+
+from __future__ import annotations
+
+import click
+
+import bayesid
+from bayesid.cli.options import EXPERIMENT, OUT, SEED, STATIC, load, low_pass, model_options, output_folder, show_progress
+from bayesid.errors import EstimationError
+from bayesid.results.files import check_output
+from bayesid.workflows.sample import checkpoint_of
+
+
+@click.command()
+@EXPERIMENT
+@model_options
+@click.option("--draws", type=int, default=2000, show_default=True, help="Draws in all.")
+@click.option("--chains", type=int, default=4, show_default=True, help="Independent chains.")
+@click.option("--prior", help="nominal or flat; default: nominal where the experiment has an inertia_rel_std above 0.")
+@click.option("--prior-std", type=float, help="Relative standard deviation of every nominal mass; default: inertia_rel_std.")
+@click.option("--noise", default="gaussian", show_default=True, help="gaussian, or student against outliers.")
+@click.option("--engine", help="hmc or emcee; default: the one that suits.")
+@click.option("--longest", type=int, default=32, show_default=True, help="Times the usual length before giving up.")
+@click.option("--keep-going", is_flag=True, help="Write draws that have not converged, with a warning.")
+@click.option("--resume", is_flag=True, help="Go on with a run of the same --out that was interrupted.")
+@STATIC
+@OUT
+@SEED
+def sample(experiment, filter_l, filter_d, model, out, resume, **options) -> None:
+    """Draws from the posterior, with convergence checks and proof on the validation motions."""
+    if out is not None:
+        check_output(out)
+    filters = low_pass(filter_l, filter_d)
+    loaded = load(experiment, model)
+    folder = output_folder(out, loaded.name, "sample")
+    kept = checkpoint_of(folder)
+    try:
+        with show_progress() as progress:
+            result = bayesid.sample(
+                loaded, low_pass=filters, checkpoint=kept, resume=resume, progress=progress, **options
+            )
+            progress("report")
+            report = result.write(folder)
+    except KeyboardInterrupt:
+        raise EstimationError(f"interrupted; add --resume to go on from {kept}" if kept.exists() else "interrupted") from None
+    kept.unlink(missing_ok=True)
+    click.echo(str(result))
+    for warning in result.warnings:
+        click.echo(f"  warning: {warning}")
+    click.echo(f"report: {report}")

@@ -1,0 +1,60 @@
+"""The verb ``simulate``."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import click
+
+import bayesid
+from bayesid.cli.options import EXPERIMENT, OUT, SEED, names, output_folder, show_progress
+from bayesid.errors import InputError
+from bayesid.recordings.schema import read_model
+from bayesid.results.files import check_output
+from bayesid.simulation.plant import complete_effects
+from bayesid.simulation.simulation import Recorder, load_setup, write_simulation
+from bayesid.simulation.trajectories import make_trajectories
+
+
+@click.command()
+@EXPERIMENT
+@click.option("--new", is_flag=True, help="New random motions; default: those of the experiment's tables again.")
+@click.option("--duration", type=float, help="Length of a new motion [s]; default 20.")
+@click.option("--rate", type=float, help="Samples a second of a new motion; default 125.")
+@click.option("--static/--no-static", default=None, help="Whether stop-and-go runs are made; default: as recorded, or none.")
+@click.option("--effects", callback=names, help="What the plant has beyond rigid bodies, by commas; default: [model] effects.")
+@click.option("--model", type=click.Path(path_type=Path), help="A model.toml with values of the effects.")
+@click.option("--perturb", type=float, default=0.0, help="Relative standard deviation of the true links about the nominal ones.")
+@click.option("--force-std", type=float, help="Noise of a sample [N].")
+@click.option("--torque-std", type=float, help="Noise of a sample [N m].")
+@click.option("--resolution", type=float, help="One encoder count [rad or m].")
+@click.option("--position-std", type=float, help="Random encoder noise [rad or m].")
+@OUT
+@SEED
+def simulate(experiment, new, duration, rate, static, effects, model, perturb, out, seed, **instruments) -> None:
+    """Simulate a recording with known truth (truth.json); [model] stays the experiment's, whatever the plant has."""
+    if not new and (duration is not None or rate is not None):
+        raise InputError(f"--{'rate' if duration is None else 'duration'} is for new motions; add --new")
+    if not (math.isfinite(perturb) and perturb >= 0):
+        raise InputError(f"--perturb {perturb}: give a number of at least 0, such as 0.1")
+    if out is not None:
+        check_output(out)
+    recorder = Recorder(**instruments)
+    with show_progress() as progress:
+        progress("simulating")
+        setup = load_setup(experiment) if new else bayesid.load_experiment(experiment)
+        hidden, values = (setup.effects, setup.effect_values) if model is None else read_model(model)
+        plant = complete_effects(setup.robot, hidden if effects is None else effects, values)
+        made = make_trajectories(
+            setup, new=new, duration=20.0 if duration is None else duration, rate=125.0 if rate is None else rate,
+            static=static, seed=seed,
+        )  # fmt: skip
+        simulation = bayesid.simulate(setup, made, effects=plant, perturb=perturb, recorder=recorder, seed=seed)
+        folder = output_folder(out, simulation.name, "simulate")
+        write_simulation(simulation, folder)
+    for spec, given in simulation.truth.effects.items():
+        click.echo(f"  {spec}: " + ", ".join(f"{key} {value:.4g}" for key, value in given.items()))
+    for motion in simulation.motions:
+        click.echo(f"  {motion.role} '{motion.name}': {len(motion.table)} samples" + (", static run" if motion.static else ""))
+    click.echo(f"experiment: {folder}")

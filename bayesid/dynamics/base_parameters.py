@@ -1,0 +1,201 @@
+"""Base parameters: the combinations of inertial parameters that a set of readings can determine at all.
+
+Columns of the regressor are taken in a fixed order, nearest link first, first moments before inertias before
+masses, and each is kept when it is independent of those kept before; the others are expressed by the kept
+ones. For revolute joints that is the classical regrouping towards the base [Gautier1990]_, and for the paper's
+two-joint PUMA it gives the twelve parameters of [Liu1998]_ in their form.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayesid.dynamics.channels import Channels
+from bayesid.dynamics.regressors import dynamics_regressor
+from bayesid.robot.robot import Robot
+
+#: A column whose part outside the kept ones is below this share of its length counts as dependent. URDFs round
+#: right angles to 1.5708, which tilts axes by 4e-6 and would otherwise pass for identifiable structure.
+TOLERANCE = 3e-5
+_PREFERENCE = {"mcx": 0, "mcy": 1, "mcz": 2, "Ixy": 3, "Iyy": 4, "Ixz": 5, "Iyz": 6, "Izz": 7, "Ixx": 8, "m": 9}
+
+
+@dataclass(frozen=True)
+class BaseParameters:
+    """Identifiable combinations ``base = matrix @ parameters``.
+
+    Attributes
+    ----------
+    matrix
+        K, (r, p): a unit matrix in the kept columns, the regrouping in the others.
+    independent
+        Indices of the kept columns (r,); regressor times parameters is these columns times ``base``.
+    parameter_names
+        Names of the p parameters behind.
+    names, labels, units
+        Of each base parameter: exact with numbers, for reading, SI.
+    absorbed
+        How a constant offset of the wrench takes up the parameters that look like one (6, p), or None.
+    """
+
+    matrix: np.ndarray
+    independent: np.ndarray
+    parameter_names: tuple[str, ...]
+    names: tuple[str, ...]
+    labels: tuple[str, ...]
+    units: tuple[str, ...]
+    absorbed: np.ndarray | None = None
+
+    @property
+    def rank(self) -> int:
+        """Number of base parameters."""
+        return len(self.independent)
+
+    @property
+    def invisible(self) -> tuple[str, ...]:
+        """Parameters that influence no reading at all."""
+        seen = np.abs(self.matrix).max(axis=0, initial=0.0) > 0
+        return tuple(self.parameter_names[k] for k in np.flatnonzero(~seen).tolist())
+
+
+def structural_base(
+    robot: Robot, channels: Channels, *, gravity: bool = True, offset: bool = False, at_rest: bool = False, seed: int = 0
+) -> BaseParameters:
+    """Base parameters of a robot and its readings, for the richest possible motion.
+
+    Parameters
+    ----------
+    robot, channels
+        What moves and what is measured.
+    gravity
+        False for motion wrenches, from which gravity has been subtracted.
+    offset
+        Whether constant offsets of a wrench are estimated beside: what looks like one drops out.
+    at_rest
+        Only static poses: nothing but gravity acts.
+    seed
+        Of the random states that the rank is taken on; the result does not depend on it.
+    """
+    rng = np.random.default_rng(seed)
+    count = max(60, 12 * len(robot.body_names))
+    # Turning joints anywhere: the structure does not depend on limits. Rates of about 1 keep columns comparable.
+    q = rng.uniform(-np.pi, np.pi, (count, robot.n))
+    q[:, robot.prismatic] *= 0.2
+    v, a = (np.zeros((2, count, robot.n)) if at_rest else rng.normal(0.0, [[[1.0]], [[4.0]]], (2, count, robot.n)))
+    rows = dynamics_regressor(robot, channels, q, v, a, gravity=gravity)
+    wrench = [c for c, name in enumerate(channels.names) if not name.startswith("tau")]
+    constants = np.zeros((count, len(channels), len(wrench) if offset else 0))
+    for k, c in enumerate(wrench[: constants.shape[2]]):
+        constants[:, c, k] = 1.0
+    flat = count * len(channels)
+    return regroup(
+        rows.reshape(flat, -1), robot.parameter_names, robot.parameter_units, constants.reshape(flat, constants.shape[2])
+    )
+
+
+def regroup(
+    rows: np.ndarray,
+    names: Sequence[str],
+    units: tuple[str, ...] | list[str],
+    nuisance: np.ndarray | None = None,
+    tolerance: float = TOLERANCE,
+) -> BaseParameters:
+    """Split columns into independent ones and combinations of those.
+
+    Parameters
+    ----------
+    rows
+        Regressor rows, or a triangular factor of them (k, p).
+    names, units
+        Of the p parameters.
+    nuisance
+        Columns that are estimated beside (k, o); combinations with them do not count as identifiable.
+    tolerance
+        Relative length of what must remain of a column outside the kept ones.
+
+    Notes
+    -----
+    Columns that are zero to tolerance are dropped before the others are brought to unit length: scaling first
+    would blow rounding up to full size and count it as information.
+    """
+    rows = np.asarray(rows, float)
+    p = rows.shape[1]
+    length = np.linalg.norm(rows, axis=0)
+    visible = length > tolerance * length.max(initial=0.0)
+    scaled = rows / np.where(visible, length, 1.0)
+    basis = np.zeros((rows.shape[0], 0))
+    extra = np.zeros((rows.shape[0], 0)) if nuisance is None else nuisance
+    if extra.shape[1]:
+        basis = np.linalg.qr(extra)[0]
+    kept = []
+    for column in sorted(np.flatnonzero(visible).tolist(), key=lambda k: _order(names[k], k)):
+        rest = scaled[:, column]
+        for _ in range(2):  # twice is enough for orthogonality to rounding
+            rest = rest - basis @ (basis.T @ rest)
+        if np.linalg.norm(rest) > tolerance:
+            basis = np.column_stack([basis, rest / np.linalg.norm(rest)])
+            kept.append(column)
+    independent = np.sort(np.array(kept, int))
+    matrix = np.zeros((len(independent), p))
+    matrix[np.arange(len(independent)), independent] = 1.0
+    absorbed = np.zeros((extra.shape[1], p))
+    dependent = np.setdiff1d(np.flatnonzero(visible), independent)
+    if len(dependent):
+        left = np.column_stack([extra, scaled[:, independent]])
+        solution = np.linalg.lstsq(left, rows[:, dependent], rcond=None)[0]
+        solution[extra.shape[1] :] /= length[independent][:, None]
+        # What is below the tolerance, in units in which both columns are of unit length, is no relation.
+        relative = np.abs(solution) * np.concatenate([np.linalg.norm(extra, axis=0), length[independent]])[:, None]
+        solution[relative < tolerance * length[dependent]] = 0.0
+        matrix[:, dependent] = solution[extra.shape[1] :]
+        absorbed[:, dependent] = solution[: extra.shape[1]]
+    for array in (matrix, independent, absorbed):
+        array.setflags(write=False)
+    return BaseParameters(
+        matrix=matrix,
+        independent=independent,
+        parameter_names=tuple(names),
+        names=tuple(_combination(row, names, str) for row in matrix),
+        labels=tuple(_combination(row, names, _readable(names)) for row in matrix),
+        units=tuple(units[k] for k in independent.tolist()),
+        absorbed=absorbed if extra.shape[1] else None,
+    )
+
+
+def _order(name: str, position: int) -> tuple:
+    """Masses last of all; otherwise link by link in the order of the parameters, then by preference."""
+    kind = name.rsplit(".", 1)[-1]
+    if kind not in _PREFERENCE:
+        return (0, position, 0)
+    return (kind == "m", position - position % 10, _PREFERENCE[kind])
+
+
+def _combination(row: np.ndarray, names: Sequence[str], show) -> str:
+    """A sum such as ``joint1.mcz + 0.2435 joint2.m``; unit factors are left out."""
+    text = ""
+    for k in np.flatnonzero(row).tolist():
+        size = abs(row[k])
+        factor = "" if abs(size - 1.0) < 1e-9 else f"{size:.4g} "
+        sign = "-" if row[k] < 0 else "+"
+        text += f" {sign} {factor}{show(names[k])}" if text else f"{'-' if row[k] < 0 else ''}{factor}{show(names[k])}"
+    return text
+
+
+def _readable(names: Sequence[str]):
+    """The paper's notation: ``joint2.mcx`` reads ``m2 r2x``, ``joint2.Ixx`` reads ``I2xx``."""
+    bodies = list(dict.fromkeys(n.rsplit(".", 1)[0] for n in names))
+
+    def show(name: str) -> str:
+        match = re.fullmatch(r"(.+)\.(m|mc[xyz]|I[xyz]{2})", name)
+        if not match:
+            return name
+        i, kind = bodies.index(match[1]) + 1, match[2]
+        if kind == "m":
+            return f"m{i}"
+        return f"m{i} r{i}{kind[-1]}" if kind.startswith("mc") else f"I{i}{kind[1:]}"
+
+    return show

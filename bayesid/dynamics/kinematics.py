@@ -1,0 +1,274 @@
+"""Kernels over samples: poses and rates of every link, body wrenches, channel twists, columns of link parameters.
+
+Everything is in the base frame, moments about its origin. A row of the state is one joint's frame (the last row is
+the root, which may itself turn): rotation R (9), origin p, spin w, its rate, the origin's acceleration without
+gravity, and its velocity (3 each).
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numba
+import numpy as np
+
+from bayesid.dynamics.channels import WRENCH_NAMES, Channels
+from bayesid.robot import inertia
+from bayesid.robot.robot import Robot
+
+_jit = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz", "reassoc"})
+R, P, W, DW, A, V, WIDTH = 0, 9, 12, 15, 18, 21, 24
+
+_dot = _jit(lambda a, b: a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
+_add = _jit(lambda a, b, k=1.0: (a[0] + k * b[0], a[1] + k * b[1], a[2] + k * b[2]))
+_cross = _jit(lambda a, b: (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]))
+_get = _jit(lambda x, i: (x[i], x[i + 1], x[i + 2]))
+
+
+@_jit
+def _put(x, i, value):
+    x[i], x[i + 1], x[i + 2] = value
+
+
+@_jit
+def _turn(row, x):
+    """R x."""
+    return (_dot(_get(row, 0), x), _dot(_get(row, 3), x), _dot(_get(row, 6), x))
+
+
+@_jit
+def _back(row, x):
+    """R' x."""
+    return (
+        row[0] * x[0] + row[3] * x[1] + row[6] * x[2],
+        row[1] * x[0] + row[4] * x[1] + row[7] * x[2],
+        row[2] * x[0] + row[5] * x[1] + row[8] * x[2],
+    )
+
+
+@_jit
+def _states(q, v, a, order, parent, turn, translation, axis, slides, root, out):
+    n, samples = q.shape[1], len(q)
+    for s in range(samples):
+        base = out[s, n]
+        base[:] = 0.0
+        if len(root):
+            base[:18] = root[s]
+        else:
+            base[0] = base[4] = base[8] = 1.0
+        for i in order:
+            up, here = out[s, parent[i]], out[s, i]
+            sine, cosine, slide = np.sin(q[s, i]), np.cos(q[s, i]), slides[i]
+            for r in range(3):
+                for c in range(3):
+                    total = 0.0
+                    for k in range(3):
+                        j = 3 * k + c
+                        total += up[3 * r + k] * (turn[i, 0, j] + cosine * turn[i, 1, j] + sine * turn[i, 2, j])
+                    here[3 * r + c] = total
+            d, fixed = _turn(up, _get(axis[i], 0)), _get(translation[i], 0)
+            offset = _add(_turn(up, fixed), d, slide * q[s, i])
+            w, dw = _get(up, W), _get(up, DW)
+            speed, rate = v[s, i], a[s, i]
+            bend, turns = _cross(w, d), 1.0 - slide
+            _put(here, P, _add(_get(up, P), offset))
+            _put(here, W, _add(w, d, turns * speed))
+            _put(here, DW, _add(_add(dw, d, turns * rate), bend, turns * speed))
+            pull = _add(_add(_cross(dw, offset), _cross(w, _cross(w, offset))), d, slide * rate)
+            _put(here, A, _add(_get(up, A), _add(pull, bend, 2.0 * slide * speed)))
+            _put(here, V, _add(_get(up, V), _add(_cross(w, offset), d, slide * speed)))
+
+
+@lru_cache(maxsize=16)
+def _tables(holder: _Holder):
+    robot = holder.robot
+    along = robot.axis[:, :, None] * robot.axis[:, None, :]
+    crossed = np.cross(robot.axis[:, None], np.eye(3)).swapaxes(1, 2)
+    turn = robot.rotation[:, None] @ np.stack([along, np.eye(3) - along, crossed], 1)
+    turn[robot.prismatic] = 0.0
+    turn[robot.prismatic, 0] = robot.rotation[robot.prismatic]
+    axis = np.einsum("rij,rj->ri", robot.rotation, robot.axis)
+    parent = np.where(robot.parent < 0, robot.n, robot.parent)
+    return (
+        robot.order, parent, turn.reshape(-1, 3, 9), np.ascontiguousarray(robot.translation, dtype=float), axis,
+        robot.prismatic.astype(float),
+    )  # fmt: skip
+
+
+class _Holder:
+    """Keeps a robot alive as long as its tables; equal for the same object."""
+
+    def __init__(self, robot: Robot):
+        self.robot = robot
+
+    def __hash__(self):
+        return id(self.robot)
+
+    def __eq__(self, other):
+        return isinstance(other, _Holder) and self.robot is other.robot
+
+
+def link_states(
+    robot: Robot, positions: np.ndarray, velocities: np.ndarray, accelerations: np.ndarray, root: np.ndarray | None = None
+) -> np.ndarray:
+    """Poses and rates of every joint's frame and of the root, (N, n + 1, 24).
+
+    Parameters
+    ----------
+    robot
+        Its kinematics.
+    positions, velocities, accelerations
+        (N, n) each.
+    root
+        (N, 18): rotation, origin, spin and its rate of a root that turns; default at rest in the base frame.
+    """
+    q, v, a = (np.ascontiguousarray(x, dtype=float) for x in (positions, velocities, accelerations))
+    out = np.empty((len(q), robot.n + 1, WIDTH))
+    held = np.zeros((0, 18)) if root is None else np.ascontiguousarray(root)
+    _states(q, v, a, *_tables(_Holder(robot)), held, out)  # pyright: ignore[reportCallIssue]
+    return out
+
+
+@_jit
+def _wrenches(states, row_of, links, gravity, out):
+    g = _get(gravity, 0)
+    for s in range(len(states)):
+        for b in range(len(links)):
+            x, phi = states[s, row_of[b]], links[b]
+            mass = phi[0]
+            moment1 = _turn(x, _get(phi, 1))
+            w, dw, acc = _get(x, W), _get(x, DW), _add(_get(x, A), g, -1.0)
+            force = _add(_cross(dw, moment1), _cross(w, _cross(w, moment1)))
+            force = _add(force, acc, mass)
+            wl, dl = _back(x, w), _back(x, dw)
+            iw = (
+                phi[4] * wl[0] + phi[5] * wl[1] + phi[7] * wl[2],
+                phi[5] * wl[0] + phi[6] * wl[1] + phi[8] * wl[2],
+                phi[7] * wl[0] + phi[8] * wl[1] + phi[9] * wl[2],
+            )
+            idw = (
+                phi[4] * dl[0] + phi[5] * dl[1] + phi[7] * dl[2],
+                phi[5] * dl[0] + phi[6] * dl[1] + phi[8] * dl[2],
+                phi[7] * dl[0] + phi[8] * dl[1] + phi[9] * dl[2],
+            )
+            spin = _turn(x, _add(idw, _cross(wl, iw)))
+            moment = _add(_add(spin, _cross(moment1, acc)), _cross(_get(x, P), force))
+            _put(out[s, b], 0, force)
+            _put(out[s, b], 3, moment)
+
+
+def body_wrenches(states: np.ndarray, row_of: np.ndarray, links: np.ndarray, gravity: np.ndarray) -> np.ndarray:
+    """What each body's motion and weight take, force and moment about the base origin, (N, b, 6).
+
+    Parameters
+    ----------
+    states
+        From `link_states`.
+    row_of
+        Row of the state that each body moves with (b,).
+    links
+        Ten parameters a body in that row's frame (b, 10).
+    gravity
+        (3,) [m/s^2].
+    """
+    out = np.empty((len(states), len(links), 6))
+    _wrenches(states, row_of, np.ascontiguousarray(links, dtype=float), np.ascontiguousarray(gravity, dtype=float), out)  # pyright: ignore[reportCallIssue]
+    return out
+
+
+@_jit
+def _twists(states, rows, fixed, out):
+    for s in range(len(states)):
+        for c in range(len(rows)):
+            x = states[s, rows[c]]
+            angular = _turn(x, _get(fixed[c], 3))
+            _put(out[s, c], 0, _add(_turn(x, _get(fixed[c], 0)), _cross(_get(x, P), angular)))
+            _put(out[s, c], 3, angular)
+
+
+def channel_twists(robot: Robot, channels: Channels, states: np.ndarray) -> np.ndarray:
+    """Twist of each channel about the base origin, (N, c, 6)."""
+    out = np.empty((len(states), len(channels), 6))
+    rows = np.where(channels.joint < 0, robot.n, channels.joint)
+    _twists(states, rows, np.ascontiguousarray(root_twists(channels)), out)  # pyright: ignore[reportCallIssue]
+    return out
+
+
+def root_twists(channels: Channels) -> np.ndarray:
+    """Twists in their joint's frame, those on the root in the base frame (c, 6)."""
+    rotation, translation = channels.reference_rotation, channels.reference_translation
+    angular = channels.twist[:, 3:] @ rotation.T
+    moved = np.hstack([channels.twist[:, :3] @ rotation.T + np.cross(translation, angular), angular])
+    return np.where((channels.joint < 0)[:, None], moved, channels.twist)
+
+
+@_jit
+def _project(twists, wrenches, carries, out):
+    for s in range(len(twists)):
+        for c in range(len(carries)):
+            total = 0.0
+            for b in range(carries.shape[1]):
+                if carries[c, b]:
+                    for k in range(6):
+                        total += twists[s, c, k] * wrenches[s, b, k]
+            out[s, c] = total
+
+
+def project(twists: np.ndarray, wrenches: np.ndarray, carries: np.ndarray) -> np.ndarray:
+    """Readings (N, c): the twist's power with the wrenches (N, b, 6) of the bodies that the channel carries (c, b)."""
+    out = np.empty(twists.shape[:2])
+    _project(twists, wrenches, carries, out)  # pyright: ignore[reportCallIssue]
+    return out
+
+
+@_jit
+def _columns(states, twists, row_of, carries, gravity, out):
+    g = _get(gravity, 0)
+    block = np.zeros((10, 6))
+    zero = (0.0, 0.0, 0.0)
+    for s in range(len(states)):
+        for b in range(len(row_of)):
+            x = states[s, row_of[b]]
+            p, w, dw, acc = _get(x, P), _get(x, W), _get(x, DW), _add(_get(x, A), g, -1.0)
+            _put(block[0], 0, acc)
+            _put(block[0], 3, _cross(p, acc))
+            for k in range(3):
+                arm = (x[k], x[3 + k], x[6 + k])
+                force = _add(_cross(dw, arm), _cross(w, _cross(w, arm)))
+                _put(block[1 + k], 0, force)
+                _put(block[1 + k], 3, _add(_cross(p, force), _cross(arm, acc)))
+            d, e = _back(x, dw), _back(x, w)
+            _put(block[4], 3, _turn(x, (d[0], e[2] * e[0], -e[1] * e[0])))
+            _put(block[5], 3, _turn(x, (d[1] - e[2] * e[0], d[0] + e[2] * e[1], e[0] * e[0] - e[1] * e[1])))
+            _put(block[6], 3, _turn(x, (-e[2] * e[1], d[1], e[0] * e[1])))
+            _put(block[7], 3, _turn(x, (d[2] + e[1] * e[0], e[2] * e[2] - e[0] * e[0], d[0] - e[1] * e[2])))
+            _put(block[8], 3, _turn(x, (e[1] * e[1] - e[2] * e[2], d[2] - e[0] * e[1], d[1] + e[0] * e[2])))
+            _put(block[9], 3, _turn(x, (e[1] * e[2], -e[0] * e[2], d[2])))
+            for k in range(4, 10):
+                _put(block[k], 0, zero)
+            for c in range(len(carries)):
+                for k in range(10):
+                    total = 0.0
+                    if carries[c, b]:
+                        for i in range(6):
+                            total += twists[s, c, i] * block[k, i]
+                    out[s, c, 10 * b + k] = total
+
+
+def link_columns(
+    states: np.ndarray, twists: np.ndarray, row_of: np.ndarray, carries: np.ndarray, gravity: np.ndarray
+) -> np.ndarray:
+    """Derivative of the readings with respect to the bodies' parameters in their rows' frames, (N, c, 10 b)."""
+    out = np.empty((len(states), len(carries), 10 * len(row_of)))
+    _columns(states, twists, row_of, carries, np.ascontiguousarray(gravity, dtype=float), out)  # pyright: ignore[reportCallIssue]
+    return out
+
+
+def is_wrench(channels: Channels) -> np.ndarray:
+    """Which channels are a sensor's (c,)."""
+    return np.array([name in WRENCH_NAMES for name in channels.names])
+
+
+def transform_matrix(rotation: np.ndarray, translation: np.ndarray) -> np.ndarray:
+    """`bayesid.robot.inertia.transform` as a matrix (10, 10)."""
+    return np.array([inertia.transform(unit, rotation, translation) for unit in np.eye(10)]).T

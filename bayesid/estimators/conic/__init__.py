@@ -1,0 +1,1 @@
+"""Physically consistent estimation: conic problems over bodies that can exist."""

@@ -1,0 +1,232 @@
+"""What is known of bodies for sure: masses, centres of mass, and the space they fill, as linear bounds.
+
+With the pseudo-inertia P of a body, the second moment of its mass in homogeneous coordinates, whatever quadratic form q is
+positive on the space that the body fills, ``q(x) = [x; 1]' Q [x; 1] >= 0``, gives the linear bound ``tr(Q P) >= 0``, its mean
+over the mass [Wensing2018]_. Together with P >= 0
+
+* for an ellipsoid, the one form ``1 - (x - c)' S^-1 (x - c)`` is all there is: necessary and sufficient [Wensing2018]_;
+* for a box, the products of any two of ``x_k - low_k`` and ``high_k - x_k``: necessary, and sufficient for every pair of axes
+  [Anstreicher2010]_; it contains the bound on the centre of mass.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bayesid.errors import InputError
+from bayesid.estimators.conic.collision import collision_boxes
+from bayesid.estimators.conic.cone import Linear
+from bayesid.robot import inertia
+from bayesid.robot.robot import Robot
+
+Range = tuple[float, float]
+Corner = Sequence[float]
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Bounds on bodies by their names; frames are the bodies' (their joints'), as everywhere.
+
+    Attributes
+    ----------
+    total_mass
+        Of all moving bodies together (low, high) [kg]; infinite where there is none.
+    mass
+        Of a body (low, high) [kg].
+    com
+        Box that holds a body's centre of mass: lower and upper corner (3,), (3,) [m].
+    ellipsoid
+        Ellipsoid that a body's mass is in: centre (3,) and half axes along the frame's (3,) [m].
+    box
+        Box that a body's mass is in: lower and upper corner (3,), (3,) [m]; see `collision_boxes`.
+    """
+
+    total_mass: Range | None = None
+    mass: Mapping[str, Range] = field(default_factory=dict)
+    com: Mapping[str, tuple[Corner, Corner]] = field(default_factory=dict)
+    ellipsoid: Mapping[str, tuple[Corner, Corner]] = field(default_factory=dict)
+    box: Mapping[str, tuple[Corner, Corner]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be meant."""
+        total = {} if self.total_mass is None else {"total_mass": self.total_mass}
+        for key, (low, high) in {**total, **_keys("mass", self.mass)}.items():
+            if not (float(low) <= float(high) and float(high) >= 0):
+                raise InputError(f"bounds: {key} = [{low}, {high}]: give the lower bound, then the upper one")
+        for key, (low, high) in {**_keys("com", self.com), **_keys("box", self.box)}.items():
+            a, b = np.asarray(low, float), np.asarray(high, float)
+            if a.shape != (3,) or b.shape != (3,) or not (a <= b).all():
+                raise InputError(f"bounds: {key}: give the lower and the upper corner, three numbers each [m]")
+            if key.startswith("box.") and not np.isfinite([a, b]).all():
+                raise InputError(f"bounds: {key}: give finite corners, or bound the centre of mass only (com)")
+        for key, (centre, axes) in _keys("ellipsoid", self.ellipsoid).items():
+            c, h = np.asarray(centre, float), np.asarray(axes, float)
+            if c.shape != (3,) or h.shape != (3,) or not (h > 0).all() or not np.isfinite([c, h]).all():
+                raise InputError(f"bounds: {key}: give the centre and the three half axes above 0, three numbers each [m]")
+
+    @classmethod
+    def from_dict(cls, table: Mapping[str, Any]) -> Bounds:
+        """Bounds from a table such as a TOML file's.
+
+        Parameters
+        ----------
+        table
+            ``total_mass = [low, high]``, and tables ``mass``, ``com``, ``ellipsoid`` and ``box`` with one entry a body.
+
+        Raises
+        ------
+        InputError
+            A key is unknown or a value has another form.
+        """
+        known = [f.name for f in fields(cls)]
+        for key in table:
+            if key not in known:
+                close = get_close_matches(key, known, 1)
+                raise InputError(f"bounds: key '{key}' is unknown; {_hint(close, known)}")
+        out: dict[str, Any] = {}
+        for key, value in table.items():
+            entries = {key: value} if key == "total_mass" else value
+            if not isinstance(entries, Mapping):
+                raise InputError(f"bounds: {key} has to be a table with one entry a body")
+            for name, pair in entries.items():
+                nested = key not in ("total_mass", "mass")
+                if not _is_pair(pair, nested):
+                    form = "[[x, y, z], [x, y, z]]" if nested else "[low, high]"
+                    raise InputError(f"bounds: {key}{'' if key == 'total_mass' else f'.{name}'} = {pair}: give {form}")
+            out[key] = tuple(value) if key == "total_mass" else {k: tuple(v) for k, v in value.items()}
+        return cls(**out)
+
+    def linear(self, names: Sequence[str], bodies: Sequence[Sequence[int]], columns: int) -> tuple[Linear, ...]:
+        """The bounds as rows.
+
+        Parameters
+        ----------
+        names, bodies
+            Name and ten columns of each body.
+        columns
+            Number of all columns.
+
+        Raises
+        ------
+        InputError
+            A bound names no body.
+        """
+        where = dict(zip(names, bodies, strict=True))
+        for name in [*self.mass, *self.com, *self.ellipsoid, *self.box]:
+            if name not in where:
+                raise InputError(f"bounds: there is no body '{name}'; {_hint(get_close_matches(name, names, 1), names)}")
+        out = []
+        if self.total_mass is not None:
+            total = np.zeros((1, columns))
+            total[0, [b[0] for b in bodies]] = 1.0
+            out.append(_between("total mass", total, *self.total_mass))
+        for name, limits in self.mass.items():
+            row = np.zeros((1, columns))
+            row[0, where[name][0]] = 1.0
+            out.append(_between(f"mass of {name}", row, *limits))
+        for kind, regions, forms in (
+            ("centre of mass", self.com, _com_forms),
+            ("ellipsoid", self.ellipsoid, _ellipsoid_forms),
+            ("box", self.box, _box_forms),
+        ):
+            for name, pair in regions.items():
+                form = forms(np.asarray(pair[0], float), np.asarray(pair[1], float))
+                rows = np.zeros((len(form), columns))
+                # tr(Q P) is linear in the ten parameters.
+                rows[:, list(where[name])] = np.einsum("qij,kij->qk", form, inertia.BASIS)
+                out.append(Linear(f"{kind} of {name} {_text(kind, pair)}", rows, np.zeros(len(form))))
+        return tuple(group for group in out if len(group.low))
+
+
+def load_bounds(path: str | Path, robot: Robot | None = None, locked: Mapping[str, float] | None = None) -> Bounds:
+    """Bounds from a TOML file; see `Bounds.from_dict`.
+
+    Parameters
+    ----------
+    path
+        The file.
+    robot, locked
+        For ``box = "collision"``: whose collision geometry, see `bayesid.estimators.conic.collision.collision_boxes`.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or its content is refused.
+    """
+    try:
+        table = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise InputError(f"{path}: cannot be read as TOML: {error}") from None
+    try:
+        if table.get("box") == "collision" and robot is not None:
+            table["box"] = {name: [low.tolist(), high.tolist()] for name, (low, high) in collision_boxes(robot, locked).items()}
+        return Bounds.from_dict(table)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+
+
+def _keys(kind: str, table: Mapping[str, Any]) -> dict[str, Any]:
+    return {f"{kind}.{name}": value for name, value in table.items()}
+
+
+def _hint(close: Sequence[str], known: Sequence[str]) -> str:
+    return f"did you mean '{close[0]}'?" if close else f"choose one of {', '.join(known)}"
+
+
+def _is_pair(value: Any, nested: bool) -> bool:
+    if not isinstance(value, list | tuple) or len(value) != 2:
+        return False
+    numbers = [n for part in value for n in part] if nested and all(isinstance(p, list | tuple) for p in value) else value
+    return all(isinstance(n, int | float) and not isinstance(n, bool) for n in numbers)
+
+
+def _between(name: str, row: np.ndarray, low: float, high: float) -> Linear:
+    keep = np.isfinite([low, high])
+    text = f"in [{low:g}, {high:g}] kg" if keep.all() else f">= {low:g} kg" if keep[0] else f"<= {high:g} kg"
+    return Linear(f"{name} {text}", np.concatenate([row, -row])[keep], np.array([low, -high])[keep])
+
+
+def _text(kind: str, pair: tuple[Corner, Corner]) -> str:
+    first, second = ("(" + ", ".join(f"{v:g}" for v in part) + ")" for part in pair)
+    return f"with centre {first} and half axes {second} m" if kind == "ellipsoid" else f"between {first} and {second} m"
+
+
+def _com_forms(low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Faces of the box, ``m low <= h <= m high``; infinite corners bound nothing."""
+    forms = []
+    for k in range(3):
+        for sign, value in ((1.0, low[k]), (-1.0, high[k])):
+            if np.isfinite(value):
+                forms.append(_form(sign * np.eye(3)[k], -sign * value, np.zeros(3), 1.0))
+    return np.array(forms).reshape(-1, 4, 4)
+
+
+def _ellipsoid_forms(centre: np.ndarray, axes: np.ndarray) -> np.ndarray:
+    """The form ``1 - (x - c)' S^-1 (x - c)``."""
+    inverse = np.diag(1.0 / axes**2)
+    out = np.zeros((1, 4, 4))
+    out[0, :3, :3] = -inverse
+    out[0, :3, 3] = out[0, 3, :3] = inverse @ centre
+    out[0, 3, 3] = 1.0 - centre @ inverse @ centre
+    return out
+
+
+def _box_forms(low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Products ``(x_k - low_k)(high_k - x_k)``, and those of the faces of different axes."""
+    faces = [[(np.eye(3)[k], -low[k]), (-np.eye(3)[k], high[k])] for k in range(3)]
+    forms = [_form(*faces[k][0], *faces[k][1]) for k in range(3)]
+    forms += [_form(*f, *g) for i in range(3) for j in range(i) for f in faces[i] for g in faces[j]]
+    return np.array(forms)
+
+
+def _form(a: np.ndarray, a0: float, b: np.ndarray, b0: float) -> np.ndarray:
+    """The symmetric matrix of the product ``(a'x + a0)(b'x + b0)``."""
+    first, second = np.append(a, a0), np.append(b, b0)
+    return 0.5 * (np.outer(first, second) + np.outer(second, first))

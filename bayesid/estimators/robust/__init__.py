@@ -1,0 +1,1 @@
+"""Robust estimators: losses that bound what a segment of rows can do."""

@@ -1,0 +1,227 @@
+"""Stretches of neighbouring rows, and windows in time that are rejected as a whole.
+
+What touches an arm lasts: a hammer's tap is spread over a few rows by the kernels that thin them, a contact over a second.
+So lengths of residuals are taken over stretches, and a window grows from a stretch that is too long over its
+neighbours as long as those are unusual, too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.signal import lfilter
+from scipy.stats import chi2
+
+from bayesid.regression.regression import Block
+from bayesid.signals.noise import NoiseModel
+
+#: Length of a stretch [s] and its smallest number of rows.
+STRETCH_SECONDS = 0.2
+STRETCH_ROWS = 4
+#: A window grows over neighbouring stretches that are longer than all but this share of normal ones ...
+GROWTH = 0.01
+#: ... and closes over good ones of at most this many stretches between two windows.
+CLOSED = 2
+#: Rows beside a window that go with it: a kernel's main lobe.
+MARGIN = 1
+_IMPULSE = 4096
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """Residuals of all rows, and what is known of each row.
+
+    Attributes
+    ----------
+    values
+        (N, channels).
+    times, motion
+        (N,) [s] and index of the recording.
+    run
+        (N,) gap-free pieces of recordings.
+    stretch
+        (N,) stretches; a pose is one of its own.
+    poses
+        (N,) whether the row is one of separate poses.
+    sizes
+        Number of rows of each block.
+    """
+
+    values: np.ndarray
+    times: np.ndarray
+    motion: np.ndarray
+    run: np.ndarray
+    stretch: np.ndarray
+    poses: np.ndarray
+    sizes: tuple[int, ...]
+
+    @property
+    def count(self) -> int:
+        """Number of stretches."""
+        return int(self.stretch[-1]) + 1
+
+    def groups(self) -> dict[str, np.ndarray]:
+        """Which rows belong to each group of noise."""
+        masks = {"trajectory": ~self.poses, "poses": self.poses}
+        return {name: mask for name, mask in masks.items() if mask.any()}
+
+    @cached_property
+    def first(self) -> np.ndarray:
+        """First row of each stretch."""
+        return np.flatnonzero(np.append(True, np.diff(self.stretch) > 0))
+
+    def split(self, rows: np.ndarray) -> list[np.ndarray]:
+        """An array with an entry for each row, block by block."""
+        return np.split(rows, np.cumsum(self.sizes)[:-1])
+
+
+def residuals(blocks: Iterable[Block], values: np.ndarray) -> Residuals:
+    """Residuals of a fit, with the rows laid out in stretches."""
+    parts, run, stretch = [], -1, 0
+    for block in blocks:
+        left = block.target - block.matrix @ values
+        k = len(left)
+        poses = block.group == "poses"
+        step = float(np.median(np.diff(block.times))) if k > 1 else np.inf
+        run += int(block.start or not parts or parts[-1][2][0] != block.motion or block.times[0] - parts[-1][1][-1] > 1.5 * step)
+        own = np.arange(k) // (1 if poses else max(round(STRETCH_SECONDS / max(step, 1e-9)), STRETCH_ROWS))
+        parts.append((left, block.times, np.full(k, block.motion), np.full(k, run), stretch + own, np.full(k, poses)))
+        stretch += int(own[-1]) + 1
+    columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
+    return Residuals(*columns, sizes=tuple(len(p[0]) for p in parts))
+
+
+@dataclass(frozen=True)
+class Metric:
+    """Covariance of a group's rows at lags 0, 1, ... (lags, channels, channels)."""
+
+    covariance: np.ndarray
+
+    @classmethod
+    def of(cls, noise: NoiseModel, lags: int) -> Metric:
+        """Of a stationary noise model."""
+        impulse = np.zeros(_IMPULSE if noise.order else 1)
+        impulse[0] = 1.0
+        response = np.array([lfilter([1.0], a, impulse) for a in noise.coefficients])
+        return cls(
+            np.array([
+                response[:, lag:] @ response[:, : response.shape[1] - lag].T * noise.innovation
+                if lag < response.shape[1] else np.zeros_like(noise.innovation)
+                for lag in range(lags)
+            ])
+        )  # fmt: skip
+
+    def lengths(self, rows: np.ndarray) -> np.ndarray:
+        """Squared Mahalanobis lengths of rows (k, channels)."""
+        lower = np.linalg.cholesky(self.covariance[0])
+        return np.sum(np.linalg.solve(lower, rows.T) ** 2, axis=0)
+
+    @property
+    def precision(self) -> np.ndarray:
+        """Inverse of the covariance at lag 0."""
+        return np.linalg.inv(self.covariance[0])
+
+    def freedom(self) -> np.ndarray:
+        """Degrees of freedom of stretches of 0 ... lags rows.
+
+        The squared length q of m rows has mean ``c m`` and, where neighbouring rows are alike, a larger variance than
+        ``2 c m``: as if there were only ``c m / (1 + (2 / c) sum_l (1 - l / m) |C_l|^2)`` numbers, C_l the
+        correlation of whitened rows at lag l.
+        """
+        inverse = np.linalg.inv(np.linalg.cholesky(self.covariance[0]))
+        alike = np.sum((inverse @ self.covariance @ inverse.T) ** 2, axis=(1, 2))
+        lags, c = len(alike), self.covariance.shape[1]
+        m = np.arange(lags + 1)
+        share = np.clip(1.0 - np.arange(1, lags) / np.maximum(m[:, None], 1), 0.0, None)
+        return c * m / (1.0 + 2.0 / c * share @ alike[1:])
+
+
+def metrics(left: Residuals, noise: dict[str, NoiseModel]) -> dict[str, Metric]:
+    """Metrics of all groups, with lags for their longest stretch."""
+    rows = np.bincount(left.stretch)
+    return {g: Metric.of(noise[g], int(rows[left.stretch[mask]].max())) for g, mask in left.groups().items()}
+
+
+def lengths(
+    left: Residuals, metric: dict[str, Metric], good: np.ndarray, restless: dict[str, float] | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Squared length q of each stretch's good rows and its degrees of freedom n, so that q ~ chi2(n); 0, 0 without any.
+
+    ``restless``: each group's share of the degrees of freedom, see `restlessness`.
+    """
+    q, n = np.zeros(left.count), np.zeros(left.count)
+    for group, mask in left.groups().items():
+        use = mask & good
+        free = metric[group].freedom() * (1.0 if restless is None else restless[group])
+        rows = np.bincount(left.stretch[use], minlength=left.count)
+        channels = left.values.shape[1]
+        squares = np.bincount(left.stretch[use], metric[group].lengths(left.values[use]), minlength=left.count)
+        q += squares * free[rows] / np.maximum(channels * rows, 1)
+        n += free[rows]
+    return q, n
+
+
+def restlessness(left: Residuals, metric: dict[str, Metric]) -> dict[str, float]:
+    """Share of the degrees of freedom of each group's stretches that their actual spread leaves, at most 1.
+
+    Where a model lacks something, residuals are louder in some stretches than in others without anything touching the
+    arm. The ratio of the lower quartile of q to its median shows that, and hardly feels a fifth of contaminated stretches;
+    chi-squares of fewer degrees of freedom have the same.
+    """
+    out = {}
+    q, n = lengths(left, metric, np.ones(len(left.values), bool))
+    for group, mask in left.groups().items():
+        own = np.unique(left.stretch[mask])
+        typical = float(np.median(n[own]))
+        low, middle = np.quantile(q[own] / n[own], (0.25, 0.5))
+        seen = low / middle if middle > 0 else 1.0
+        grid = typical * np.geomspace(0.02, 1.0, 200)
+        ratio = chi2.ppf(0.25, grid) / chi2.median(grid)
+        out[group] = float(np.interp(seen, ratio, grid)) / typical
+    return out
+
+
+def accepted(left: Residuals, q: np.ndarray, n: np.ndarray, seeds: np.ndarray) -> np.ndarray:
+    """Rows outside of the windows that grow from ``seeds``, stretches that are too long (N,)."""
+    if not seeds.any():
+        return np.ones(len(left.values), bool)
+    run, poses = left.run[left.first], left.poses[left.first]
+    together = (run[1:] == run[:-1]) & ~poses[1:] & ~poses[:-1]
+    bad, unusual = seeds.copy(), chi2.sf(q, n) < GROWTH
+    for order in (slice(None), slice(None, None, -1)):
+        b, u, t = bad[order], unusual[order], together[order]
+        for k in np.flatnonzero(u[1:] & t) + 1:  # few: the unusual ones only
+            b[k] |= b[k - 1]
+    # Good stretches between two windows of the same run.
+    at = np.flatnonzero(bad)
+    for a, b in zip(at[:-1], at[1:], strict=True):
+        if 1 < b - a <= CLOSED + 1 and together[a:b].all():
+            bad[a:b] = True
+    rows = bad[left.stretch]
+    edge = (left.run[1:] == left.run[:-1]) & ~left.poses[1:] & ~left.poses[:-1]
+    for _ in range(MARGIN):
+        wider = rows.copy()
+        wider[1:] |= rows[:-1] & edge
+        wider[:-1] |= rows[1:] & edge
+        rows = wider
+    return ~rows
+
+
+def weighted(blocks: Iterable[Block], left: Residuals, weights: np.ndarray) -> Iterator[Block]:
+    """Blocks with every row times its weight."""
+    for block, w in zip(blocks, left.split(weights), strict=True):
+        yield block if (w == 1.0).all() else replace(block, rows=block.rows * w[:, None, None])
+
+
+def windows(left: Residuals, good: np.ndarray, names: tuple[str, ...]) -> dict[str, list[list[float]]]:
+    """Rejected windows of each recording: times of the first and the last row [s]."""
+    out: dict[str, list[list[float]]] = {}
+    change = np.flatnonzero(np.diff(good) | (np.diff(left.run) != 0)) + 1
+    for part in np.split(np.arange(len(good)), change):
+        if not good[part[0]]:
+            span = [round(float(left.times[part[k]]), 4) for k in (0, -1)]
+            out.setdefault(names[left.motion[part[0]]], []).append(span)
+    return out

@@ -1,0 +1,1 @@
+"""Recordings: tables, the experiment folder, and the checks on both."""

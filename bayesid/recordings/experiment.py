@@ -1,0 +1,336 @@
+"""The experiment folder: read it, check it, write it. docs/experiment.md describes it."""
+
+from __future__ import annotations
+
+import itertools
+import re
+import shutil
+import uuid
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import tomli_w
+
+from bayesid.errors import InputError
+from bayesid.recordings import checks
+from bayesid.recordings.robot_section import read_robot
+from bayesid.recordings.schema import (
+    EffectParameters,
+    ExperimentFile,
+    MotionSection,
+    check_keys,
+    dump_model,
+    model_parts,
+    read_file,
+    read_model,
+)
+from bayesid.recordings.table import WRENCH_COLUMNS, Table, read_table, write_table
+from bayesid.robot.robot import Robot
+
+__all__ = ["WRENCH_COLUMNS", "Experiment", "Motion", "Sensor", "Table", "load_experiment", "write_experiment"]
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """One recording and what is known about it.
+
+    Attributes
+    ----------
+    name, role, kind
+        As in experiment.toml; a motion of role ``validation`` is never fitted.
+    table
+        The samples.
+    static
+        Readings with the robot stopped: row by row those of `table` (`stop_and_go`), or separate poses.
+    period
+        The motion repeats with it [s].
+    parked
+        (start, end) times in which the robot stands still [s].
+    """
+
+    name: str
+    role: Literal["identification", "validation"]
+    table: Table
+    kind: Literal["trajectory", "poses"] = "trajectory"
+    static: Table | None = None
+    period: float | None = None
+    parked: tuple[tuple[float, float], ...] = ()
+
+    @property
+    def stop_and_go(self) -> bool:
+        """Whether the static table holds the motion's own positions, row by row."""
+        return self.static is not None and len(self.static) == len(self.table)
+
+
+@dataclass(frozen=True, eq=False)
+class Sensor:
+    """The force/torque sensor.
+
+    Attributes
+    ----------
+    joint
+        The URDF joint it sits in; None: between the world and the base.
+    translation, rpy
+        Origin (3,) [m] and orientation (3,) [rad] of its frame in the base frame, or in that joint's child link.
+    force_std, torque_std
+        Noise of one sample [N], [N m], where known.
+    """
+
+    joint: str | None = None
+    translation: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    rpy: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    force_std: float | None = None
+    torque_std: float | None = None
+
+    def __post_init__(self) -> None:
+        """Make the vectors read-only and check their length."""
+        for name in ("translation", "rpy"):
+            vector = np.array(getattr(self, name), dtype=np.float64)
+            if vector.shape != (3,) or not np.isfinite(vector).all():
+                raise InputError(f"sensor {name}: {vector.tolist()} will not do; give three numbers")
+            vector.setflags(write=False)
+            object.__setattr__(self, name, vector)
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """A robot and every recording made with it.
+
+    Attributes
+    ----------
+    name
+        The experiment's name.
+    robot, sensor
+        What was recorded, and the sensor if there is one.
+    motions
+        In the order of experiment.toml; names differ.
+    effects, effect_values
+        What the user's model already has: ``name`` or ``name@where``; starting values, and ``fixed`` where true.
+    inertia_rel_std
+        Trust in the nominal inertias (relative, 1 sigma); 0: exact; None: not known at all.
+    position_resolution, position_std
+        One encoder count and random noise on top [rad or m], where known.
+    gear_ratio, locked
+        By joint name [1], [rad or m].
+    folder
+        Where it was read from, None if it was made in memory.
+    warnings
+        What looked doubtful on reading, one line each.
+    """
+
+    name: str
+    robot: Robot
+    motions: tuple[Motion, ...]
+    sensor: Sensor | None = None
+    effects: tuple[str, ...] = ()
+    effect_values: EffectParameters = field(default_factory=dict)
+    inertia_rel_std: float | None = None
+    position_resolution: float | None = None
+    position_std: float | None = None
+    gear_ratio: dict[str, float] = field(default_factory=dict)
+    locked: dict[str, float] = field(default_factory=dict)
+    folder: Path | None = None
+    warnings: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Check that tables have the robot's joints and that names differ."""
+        names = [motion.name for motion in self.motions]
+        for name in names:
+            if names.count(name) > 1:
+                raise InputError(f'experiment {self.name}: two motions are named "{name}"; name them apart')
+        for motion in self.motions:
+            for table in (motion.table, motion.static):
+                if table is not None and table.positions.shape[1] != self.robot.n:
+                    raise InputError(
+                        f"{table.source}: {table.positions.shape[1]} joints but the robot has {self.robot.n}; "
+                        "give a table with one column of positions per joint"
+                    )
+
+    @property
+    def identification(self) -> tuple[Motion, ...]:
+        """The motions that may be fitted."""
+        return tuple(motion for motion in self.motions if motion.role == "identification")
+
+    @property
+    def validation(self) -> tuple[Motion, ...]:
+        """The motions that may only be predicted."""
+        return tuple(motion for motion in self.motions if motion.role == "validation")
+
+    def with_model(self, path: str | Path) -> Experiment:
+        """Return this experiment with a model.toml in place of its ``[model]``.
+
+        Raises
+        ------
+        InputError
+            The file is absent or holds anything else.
+        """
+        effects, values = read_model(path)
+        return replace(self, effects=effects, effect_values=values)
+
+
+def load_experiment(folder: str | Path) -> Experiment:
+    """Read and check an experiment folder.
+
+    Parameters
+    ----------
+    folder
+        The folder with experiment.toml in it.
+
+    Raises
+    ------
+    InputError
+        Something is missing or cannot be right; the message says which file, key or column, and value, and what to do.
+    """
+    folder = Path(folder)
+    if not folder.is_dir():
+        raise InputError(f"{folder}: {'not a folder' if folder.exists() else 'no such folder'}; give an experiment folder")
+    toml = folder / "experiment.toml"
+    if not toml.is_file():
+        raise InputError(f"{folder}: has no experiment.toml; write one, or give the folder that holds it")
+    file = read_file(toml, ExperimentFile)
+    warnings = check_keys(file)
+    joint = None if file.sensor is None else file.sensor.joint
+    robot, doubts = read_robot(folder, file.robot, joint)
+    warnings += doubts
+    sensor = None
+    if file.sensor is not None:
+        given = file.sensor.model_dump()
+        for key in ("force_std", "torque_std"):
+            if given[key] == 0.0:
+                given[key] = None
+                warnings.append(f"experiment.toml: [sensor] {key}: 0 is no sensor's noise; the data's own is used instead")
+        sensor = Sensor(**given)
+    motions = []
+    for index, section in enumerate(file.motion):
+        motion, doubts = _load_motion(folder, file, section, f"[motion.{index}]", robot)
+        motions.append(motion)
+        warnings += doubts
+    warnings += _check_roles(motions)
+    effects, values = model_parts(file.model)
+    return Experiment(
+        name=file.name, robot=robot, sensor=sensor, motions=tuple(motions), effects=effects, effect_values=values,
+        inertia_rel_std=file.robot.inertia_rel_std, position_resolution=file.robot.position_resolution,
+        position_std=file.robot.position_std, gear_ratio=dict(file.robot.gear_ratio), locked=dict(file.robot.locked),
+        folder=folder, warnings=tuple(warnings),
+    )  # fmt: skip
+
+
+def write_experiment(experiment: Experiment, folder: str | Path) -> None:
+    """Write an experiment folder that `load_experiment` reads back as the same numbers.
+
+    The folder appears whole or not at all.
+
+    Parameters
+    ----------
+    experiment
+        What to write.
+    folder
+        A folder that does not exist yet, or is empty.
+
+    Raises
+    ------
+    InputError
+        The folder has something in it, is a file, or cannot be written.
+    """
+    folder = Path(folder)
+    try:
+        if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+            raise InputError(f"{folder}: is there already; name a folder that does not exist or remove it first")
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        draft = folder.absolute().parent / f".{folder.absolute().name}.{uuid.uuid4().hex}"
+        draft.mkdir()
+        try:
+            _write_into(experiment, draft)
+            if folder.exists():
+                folder.rmdir()
+            draft.rename(folder)
+        except BaseException:
+            shutil.rmtree(draft, ignore_errors=True)
+            raise
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be written ({error.strerror}); name another folder") from None
+
+
+def _load_motion(folder: Path, file: ExperimentFile, section: MotionSection, key: str, robot: Robot) -> tuple[Motion, list[str]]:
+    has_sensor, resolution = file.sensor is not None, file.robot.position_resolution
+    table, warnings = read_table(folder / section.table, section.table, robot.n, has_sensor)
+    warnings += _check_present(table, has_sensor)
+    warnings += checks.check_positions(table, robot)
+    warnings += checks.check_channels(table)
+    if section.kind == "trajectory":
+        warnings += checks.check_trajectory(table, robot, resolution)
+    warnings += checks.check_intervals(table, key, section.period, section.parked, resolution)
+    static = None
+    if section.static is not None:
+        static, doubts = read_table(folder / section.static, section.static, robot.n, has_sensor)
+        warnings += doubts + checks.check_static(table, static, resolution)
+        warnings += checks.check_positions(static, robot) + checks.check_channels(static)
+    parked = tuple((float(start), float(end)) for start, end in section.parked)
+    motion = Motion(section.name, section.role, table, section.kind, static, section.period, parked)
+    return motion, warnings
+
+
+def _check_present(table: Table, has_sensor: bool) -> list[str]:
+    """Check that there is something to explain: a wrench where there is a sensor, or torques."""
+    if table.wrench is None and table.torques is None:
+        if has_sensor:
+            raise InputError(
+                f"{table.source}: columns fx ... mz are missing although experiment.toml has a [sensor]; "
+                "add them, or torques tau1 ..."
+            )
+        raise InputError(
+            f"{table.source}: columns tau1 ... are missing and experiment.toml has no [sensor]; "
+            "add torques, or a wrench fx ... mz and a [sensor]"
+        )
+    if table.wrench is None and has_sensor:
+        return [f"{table.source}: columns fx ... mz are missing although there is a [sensor]; only its torques are used"]
+    return []
+
+
+def _check_roles(motions: list[Motion]) -> list[str]:
+    warnings = []
+    if not any(motion.role == "validation" for motion in motions):
+        warnings.append('experiment.toml: no motion has role "validation"; nothing will prove the result')
+    for one, other in itertools.combinations(motions, 2):
+        same = len(one.table) == len(other.table) and np.array_equal(one.table.positions, other.table.positions)
+        if same and one.role != other.role and np.array_equal(one.table.times, other.table.times):
+            warnings.append(f"{other.table.source}: the same motion as {one.table.source}; validation on it proves little")
+    return warnings
+
+
+def _write_into(experiment: Experiment, folder: Path) -> None:
+    shutil.copyfile(experiment.robot.urdf, folder / "robot.urdf")
+    robot: dict[str, Any] = {"urdf": "robot.urdf", "joints": list(experiment.robot.joint_names)}
+    robot |= {"locked": dict(experiment.locked)} if experiment.locked else {}
+    robot["gravity"] = [float(g) for g in experiment.robot.gravity]
+    for key in ("inertia_rel_std", "position_resolution", "position_std"):
+        value = getattr(experiment, key)
+        robot |= {} if value is None else {key: float(value)}
+    robot |= {"gear_ratio": dict(experiment.gear_ratio)} if experiment.gear_ratio else {}
+    document: dict[str, Any] = {"format": 1, "name": experiment.name, "robot": robot}
+    if (sensor := experiment.sensor) is not None:
+        given = {
+            "joint": sensor.joint, "translation": sensor.translation.tolist(), "rpy": sensor.rpy.tolist(),
+            "force_std": sensor.force_std, "torque_std": sensor.torque_std,
+        }  # fmt: skip
+        document["sensor"] = {key: value for key, value in given.items() if value is not None}
+    if experiment.effects or experiment.effect_values:
+        document["model"] = dump_model(experiment.effects, experiment.effect_values)
+    document["motion"] = []
+    stems: set[str] = set()
+    for motion in experiment.motions:
+        stem = re.sub(r"[^A-Za-z0-9_-]+", "_", motion.name)
+        while f"{stem}.csv".lower() in stems or f"{stem}_static.csv".lower() in stems:
+            stem += "_"
+        section: dict[str, Any] = {"name": motion.name, "role": motion.role, "kind": motion.kind, "table": f"{stem}.csv"}
+        write_table(motion.table, folder / section["table"])
+        if motion.static is not None:
+            section["static"] = f"{stem}_static.csv"
+            write_table(motion.static, folder / section["static"])
+        stems |= {f"{stem}.csv".lower(), f"{stem}_static.csv".lower()}
+        section |= {} if motion.period is None else {"period": float(motion.period)}
+        section |= {"parked": [list(map(float, interval)) for interval in motion.parked]} if motion.parked else {}
+        document["motion"].append(section)
+    (folder / "experiment.toml").write_text(tomli_w.dumps(document), encoding="utf-8")

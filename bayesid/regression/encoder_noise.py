@@ -1,0 +1,198 @@
+"""What encoder noise makes of the regressor: its size, rows with fresh noise, and instruments free of it.
+
+The smoothed trajectory of positions ``q + u`` is that of q plus that of u, for the smoother is linear. So the errors of
+a regressor are known in law, not column by column but as what the encoders of all joints make of them together: add
+fresh noise to the recorded positions and make the rows again. Instruments are rows of another trajectory of the
+same motion whose errors are independent of this one's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from bayesid.regression.regression import Block, Instruments, Pair, RegressorNoise
+from bayesid.regression.rows import Recipe, Recording, make_blocks
+from bayesid.signals.smoothing import DEGREE, Smoother, smooth
+
+#: Neighbouring errors are taken for independent up to this correlation of the residuals.
+LARGEST_CORRELATION = 0.3
+#: Knots that periods must be apart at least: the influence of a sample falls to 0.43**12 = 4e-5.
+_APART = 12
+_ENTROPY = 1998  # of simulated noise, the same at every call
+
+
+@dataclass(frozen=True)
+class EncoderNoise:
+    """Errors of single position samples, as the recordings themselves show them.
+
+    Attributes
+    ----------
+    std
+        (n,) [rad or m].
+    correlation
+        Of neighbouring samples (n,); well above zero where the rounding of a slow motion dominates.
+    """
+
+    std: np.ndarray
+    correlation: np.ndarray
+
+
+def measure(recordings: Sequence[Recording], bandwidth: float, most: np.ndarray) -> EncoderNoise:
+    """Size of the encoder noise from what the smoother leaves over.
+
+    Parameters
+    ----------
+    recordings
+        Those that are fitted; poses at rest show no noise.
+    bandwidth
+        Of the smoother [Hz].
+    most
+        Standard deviations that are not exceeded (n,): a bandwidth below the motion's would take motion for noise.
+    """
+    n = len(most)
+    power, product, free, pairs = np.zeros(n), np.zeros(n), 0, 0
+    for r in recordings:
+        if r.poses:
+            continue
+        residual = r.positions - smooth(r.times, r.positions, bandwidth)[0]
+        power += np.sum(residual**2, axis=0)
+        product += np.sum(residual[1:] * residual[:-1], axis=0)
+        # A spline through N samples takes as many degrees of freedom as it has functions.
+        free += max(len(r.times) - int((r.times[-1] - r.times[0]) * 2 * bandwidth) - DEGREE - 1, 1)
+        pairs += len(r.times)
+    std = np.minimum(np.sqrt(power / max(free, 1)), most)
+    return EncoderNoise(std, product / np.maximum(power, 1e-300))
+
+
+def errors_of(recipe: Recipe, recordings: Sequence[Recording], smoother: Smoother) -> tuple[RegressorNoise, Instruments]:
+    """The law of the regressor's errors, and instruments free of them.
+
+    Parameters
+    ----------
+    recipe
+        How samples become rows.
+    recordings
+        Those that are fitted.
+    smoother
+        Its positions' error is the most that is taken for encoder noise.
+
+    Notes
+    -----
+    Instruments of a recording are its commanded trajectory, which never saw the encoder; else the mean over all other periods,
+    which saw it at other times. Where neither is to be had, one spline goes through the even samples and one through the
+    odd ones: the noise of each is independent of the other's as long as it is independent from sample to sample, and each
+    serves as the instrument of the other.
+    """
+    known: list[EncoderNoise] = []
+    smoothed: list[Recording] = []
+    kinds = [_kind(recipe, r) for r in recordings]
+
+    def noise() -> EncoderNoise:
+        if not known:
+            known.append(measure(recordings, recipe.bandwidth, smoother.position_std))
+        return known[0]
+
+    def quiet() -> Sequence[Recording]:
+        """The recordings as they might truly have been: as smooth as the data allow."""
+        bandwidth = min(smoother.automatic or recipe.bandwidth, recipe.bandwidth)
+        if not smoothed:
+            for r in recordings:
+                smoothed.append(r if r.poses else replace(r, positions=smooth(r.times, r.positions, bandwidth)[0]))
+        return smoothed
+
+    def again(taken: Sequence[Recording], draw: int, sign: float = 1.0) -> list[Recording]:
+        """Recordings with fresh noise on top of the positions."""
+        rng = np.random.default_rng(np.random.SeedSequence(entropy=_ENTROPY, spawn_key=(draw,)))
+        std = sign * noise().std
+        return [replace(r, positions=r.positions + std * rng.normal(size=r.positions.shape)) for r in taken]
+
+    def pairs(taken: Sequence[Recording] = recordings) -> Iterator[Pair]:
+        for r, kind in zip(taken, kinds, strict=True):
+            first, second = _both(recipe, r, kind)
+            for x, z in zip(make_blocks(recipe, [first]), make_blocks(recipe, [second]), strict=True):
+                yield Pair(x, z, symmetric=kind == "halves")
+
+    def doubt() -> dict[str, Any]:
+        worst = float(np.max(noise().correlation, initial=0.0))
+        return {"warnings": [_not_white(worst)]} if worst > LARGEST_CORRELATION else {}
+
+    def noise_described() -> dict[str, Any]:
+        return {"encoder_std": noise().std.tolist(), "encoder_correlation": noise().correlation.tolist(), **doubt()}
+
+    def instruments_described() -> dict[str, Any]:
+        return {"instruments": [_SOURCES[k] for k in dict.fromkeys(kinds)], **(doubt() if "halves" in kinds else {})}
+
+    def present() -> bool:
+        return bool((noise().std > 0).any())
+
+    def rehearsed(draw: int | None) -> Iterator[Block]:
+        return make_blocks(recipe, quiet() if draw is None else again(quiet(), draw))
+
+    law = RegressorNoise(
+        lambda draw, sign: make_blocks(recipe, again(recordings, draw, sign)), rehearsed, present, noise_described
+    )
+    return law, Instruments(pairs, instruments_described, lambda draw: pairs(again(quiet(), draw)))
+
+
+def _both(recipe: Recipe, r: Recording, kind: str) -> tuple[Recording, Recording]:
+    """The recordings that regressors and instruments are made from."""
+    if kind == "commanded":
+        assert r.commanded is not None
+        return r, replace(r, positions=r.commanded)
+    if kind == "period":
+        return r, replace(r, positions=_other_periods(recipe, r))
+    if kind == "halves":
+        return replace(r, positions=_half(recipe, r, 0)), replace(r, positions=_half(recipe, r, 1))
+    return r, r
+
+
+def _not_white(worst: float) -> str:
+    return (
+        f"Errors of neighbouring position samples correlate by {worst:.2f} (encoder counts of a slow motion do that); "
+        "the correction takes them for independent and is too small."
+    )
+
+
+_SOURCES = {
+    "commanded": "commanded trajectory (columns qr)",
+    "period": "mean of the other periods",
+    "halves": "even samples for the odd ones, and the other way round",
+    "own": "the poses' own regressors",
+}
+
+
+def _kind(recipe: Recipe, r: Recording) -> str:
+    if r.commanded is not None:
+        return "commanded"
+    if r.poses:
+        return "own"
+    duration = r.times[-1] - r.times[0]
+    # Other periods' noise must not reach into this one's spline.
+    reach = _APART * 0.5 / recipe.bandwidth
+    if r.period is not None and duration + 1.5 * duration / len(r.times) >= 2.0 * r.period and r.period > reach:
+        return "period"
+    return "halves"
+
+
+def _half(recipe: Recipe, r: Recording, which: int) -> np.ndarray:
+    """Spline through every other sample, at all samples; smoothing it again changes nothing, for knots are the same."""
+    return smooth(r.times[which::2], np.ascontiguousarray(r.positions[which::2]), recipe.bandwidth, at=r.times)[0]
+
+
+def _other_periods(recipe: Recipe, r: Recording) -> np.ndarray:
+    """Mean of the smoothed positions one, two ... periods before and after, as far as the recording goes."""
+    assert r.period is not None
+    total, count = np.zeros_like(r.positions), np.zeros(len(r.times))
+    slack = 1.5 * (r.times[-1] - r.times[0]) / len(r.times)
+    for k in range(1, int((r.times[-1] - r.times[0] + slack) / r.period) + 1):
+        for sign in (-1, 1):
+            at = r.times + sign * k * r.period
+            inside = (at >= r.times[0] - slack) & (at <= r.times[-1] + slack)
+            if inside.any():
+                total[inside] += smooth(r.times, r.positions, recipe.bandwidth, at=at[inside])[0]
+                count[inside] += 1
+    return total / np.maximum(count, 1.0)[:, None]

@@ -1,0 +1,389 @@
+"""From an experiment and a few choices to the regression that estimators take."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import solve_toeplitz
+from scipy.spatial.transform import Rotation
+
+from bayesid.dynamics.base_parameters import BaseParameters, structural_base
+from bayesid.dynamics.channels import Channels, torque_channels, wrench_channels
+from bayesid.effects import PLAIN, Effect, Point, middle_of, parse_effects, starting_point
+from bayesid.errors import InputError
+from bayesid.recordings.experiment import Experiment, Motion
+from bayesid.recordings.table import usual_step
+from bayesid.regression.encoder_noise import errors_of
+from bayesid.regression.regression import PILOT_ROWS, PILOT_STRETCHES, Regression
+from bayesid.regression.rows import Recipe, Recording, make_blocks, row_count
+from bayesid.signals.filters import ROLL_OFF, LowPass
+from bayesid.signals.smoothing import Smoother, choose_smoother
+
+CHANNELS = ("wrench", "torque", "both")
+#: Rows a second, as a multiple of the bandwidth of the joint motion: products of joint motions reach higher.
+ROWS_PER_BANDWIDTH = 2.5
+#: At least this many rows a second, so that the noise can be told from the motion.
+LOWEST_ROW_RATE = 20.0
+#: Samples that the bandwidth is chosen from, in stretches spread over a long recording.
+_PILOT_SAMPLES = 5_000
+_STRETCHES = 4
+#: Frequencies at which the spectrum of rows is computed; order of the recursion that stands for thinning.
+_SPECTRUM = 4096
+_THINNING_ORDER = 8
+
+
+@dataclass(frozen=True)
+class Problem:
+    """An experiment made ready for estimation.
+
+    Attributes
+    ----------
+    experiment
+        Where it comes from.
+    channel
+        ``wrench``, ``torque`` or ``both``.
+    recipe
+        How samples become rows.
+    smoother
+        The bandwidth of the joint motion and why.
+    regression
+        Rows of the motions that are fitted.
+    recordings
+        Gap-free stretches of every motion, by name.
+    fitted
+        Names of the motions that are fitted.
+    static
+        ``motion`` where a static run has been subtracted, ``joint`` where static readings are fitted along,
+        ``none``.
+    """
+
+    experiment: Experiment
+    channel: str
+    recipe: Recipe
+    smoother: Smoother
+    regression: Regression
+    recordings: dict[str, list[Recording]]
+    fitted: tuple[str, ...]
+    static: str
+
+
+def default_channel(experiment: Experiment) -> str:
+    """The wrench where there is a sensor and every fitted motion has its readings, else the torques."""
+    wrench = experiment.sensor is not None and all(m.table.wrench is not None for m in experiment.identification)
+    return "wrench" if wrench else "torque"
+
+
+def stack_channels(wrench: Channels, torque: Channels) -> Channels:
+    """Both sets of channels together, computed in the base frame."""
+    twist = wrench.twist
+    if (wrench.joint < 0).all():
+        # From the sensor frame, whose pose in the base is (R, p), to the base frame: (R l + p x R w; R w).
+        rotation, translation = wrench.reference_rotation, wrench.reference_translation
+        angular = wrench.twist[:, 3:] @ rotation.T
+        twist = np.hstack([wrench.twist[:, :3] @ rotation.T + np.cross(translation, angular), angular])
+    return Channels(
+        names=wrench.names + torque.names,
+        units=wrench.units + torque.units,
+        joint=np.concatenate([wrench.joint, torque.joint]),
+        twist=np.vstack([twist, torque.twist]),
+        bodies=np.vstack([wrench.bodies, torque.bodies]),
+        reference_rotation=torque.reference_rotation,
+        reference_translation=torque.reference_translation,
+        static_wrench=np.concatenate([wrench.static_wrench, torque.static_wrench]),
+    )
+
+
+def make_channels(experiment: Experiment, channel: str) -> Channels:
+    """Channels of an experiment.
+
+    Raises
+    ------
+    InputError
+        The wrench is asked for and there is no sensor.
+    """
+    if channel not in CHANNELS:
+        raise InputError(f"--channel {channel}: choose one of {', '.join(CHANNELS)}")
+    if channel == "torque":
+        return torque_channels(experiment.robot)
+    if experiment.sensor is None:
+        raise InputError("experiment.toml: [sensor] is missing; add it, or use --channel torque")
+    rotation = Rotation.from_euler("xyz", experiment.sensor.rpy).as_matrix()
+    wrench = wrench_channels(experiment.robot, rotation, experiment.sensor.translation)
+    if channel == "wrench":
+        return wrench
+    return stack_channels(wrench, torque_channels(experiment.robot))
+
+
+def prepare(
+    experiment: Experiment,
+    channel: str | None = None,
+    *,
+    filters: LowPass | None = None,
+    motions: Sequence[str] | None = None,
+    effects: Sequence[str] | None = None,
+    static: str = "motion",
+    bandwidth: float | None = None,
+) -> Problem:
+    """Make an experiment ready: choose motions, smooth trajectories, find base parameters, lay out rows.
+
+    Parameters
+    ----------
+    experiment
+        The recordings and the nominal robot.
+    channel
+        ``wrench``, ``torque`` or ``both``; default: see `default_channel`.
+    filters
+        The paper's two low-passes, for rows without accelerations; default none.
+    motions
+        Which motions to fit; default those with role ``identification``.
+    effects
+        Replaces ``[model] effects``.
+    static
+        What to do with a stop-and-go run of the same positions: ``motion`` subtracts it (equation 21 of
+        [Liu1998]_), ``joint`` fits it along as static poses.
+    bandwidth
+        Of the joint motion [Hz]; default: chosen from the positions.
+
+    Raises
+    ------
+    InputError
+        A motion, channel, effect or column is missing.
+    """
+    channel = channel or default_channel(experiment)
+    channels = make_channels(experiment, channel)
+    chosen = _choose(experiment, motions)
+    for motion in chosen:
+        _require(motion, channel)
+    subtract = channel == "wrench" and static == "motion"
+    specs = list(experiment.effects if effects is None else effects)
+    # Validation motions are read, too: the same rows are made from them later.
+    readable = [m for m in experiment.motions if m in chosen or _readable(m, channel)]
+    recordings = {m.name: _recordings(experiment, channels, m, k, channel, subtract) for k, m in enumerate(readable)}
+    fitted = [r for m in chosen for r in recordings[m.name]]
+    if any(r.offset for r in fitted) and channel != "torque" and not any(s.partition("@")[0] == "sensor_offset" for s in specs):
+        specs.insert(0, "sensor_offset")
+    try:
+        parsed = parse_effects(specs, experiment.robot.joint_names, channels.names, experiment.gear_ratio)
+    except InputError as error:
+        place = "experiment.toml: [model] effects" if effects is None else "--effects"
+        raise type(error)(f"{place}: {error}") from None
+    base = structural_base(
+        experiment.robot,
+        channels,
+        gravity=any(r.gravity for r in fitted),
+        offset=any(r.offset for r in fitted) and channel != "torque",
+        at_rest=all(r.poses for r in fitted),
+    )
+    smoother = _smoother(experiment, [r for rs in recordings.values() for r in rs if not r.poses], bandwidth)
+    rate = min(
+        max(ROWS_PER_BANDWIDTH * smoother.bandwidth, LOWEST_ROW_RATE),
+        min((1.0 / usual_step(r.times) for rs in recordings.values() for r in rs if not r.poses), default=np.inf),
+    )
+    point = _point(experiment, base, parsed, fitted)
+    recipe = Recipe(experiment.robot, channels, base, parsed, smoother.bandwidth, 1.0 / rate, filters, point)
+    return Problem(
+        experiment=experiment,
+        channel=channel,
+        recipe=recipe,
+        smoother=smoother,
+        regression=_regression(recipe, smoother, fitted, tuple(m.name for m in readable), experiment.inertia_rel_std),
+        recordings=recordings,
+        fitted=tuple(m.name for m in chosen),
+        static="none" if all(m.static is None for m in chosen) or channel == "torque" else ("motion" if subtract else "joint"),
+    )
+
+
+def restrict(problem: Problem, motions: Sequence[str]) -> Problem:
+    """The same model fitted to other motions."""
+    recordings = [r for name in motions for r in problem.recordings[name]]
+    names, trust = problem.regression.motion_names, problem.experiment.inertia_rel_std
+    regression = _regression(problem.recipe, problem.smoother, recordings, names, trust)
+    return replace(problem, regression=regression, fitted=tuple(motions))
+
+
+def relinearised(problem: Problem, point: Point) -> Problem:
+    """The same problem with its readings linearised at another point."""
+    recipe = replace(problem.recipe, point=point)
+    recordings = [r for name in problem.fitted for r in problem.recordings[name]]
+    names, trust = problem.regression.motion_names, problem.experiment.inertia_rel_std
+    return replace(problem, recipe=recipe, regression=_regression(recipe, problem.smoother, recordings, names, trust))
+
+
+def absorbed_offset(base: BaseParameters, links: np.ndarray) -> np.ndarray:
+    """What of a sensor's estimated offset is weight (6,)."""
+    return np.zeros(6) if base.absorbed is None else base.absorbed[:6] @ np.ravel(links)
+
+
+def _point(
+    experiment: Experiment, base: BaseParameters, effects: tuple[Effect, ...], fitted: list[Recording]
+) -> Point | None:
+    """Where to start from, for effects that are more than columns beside the rigid ones."""
+    try:
+        values, free = starting_point(effects, experiment.effect_values, experiment.robot.joint_names)
+    except InputError as error:
+        raise InputError(f"experiment.toml: {error}") from None
+    if all(e.name in PLAIN for e in effects) and free.all():
+        return None
+    links = experiment.robot.nominal
+    absorbed = absorbed_offset(base, links)
+    start = 0
+    for effect in effects:
+        count = len(effect.kind.parameters)
+        if effect.name == "sensor_offset":
+            values[start : start + count] += absorbed
+        start += count
+    return Point(links, base.matrix @ links.ravel(), values, free, absorbed, _middle(fitted))
+
+
+def _middle(fitted: list[Recording]) -> np.ndarray | None:
+    """Joint positions at the middle of the first fitted motion."""
+    moving = [r for r in fitted if not r.poses]
+    return middle_of(moving[0].positions) if moving else None
+
+
+def _free(recipe: Recipe, values) -> tuple:
+    """Of a tuple with one entry a parameter of the effects, those that are estimated."""
+    return tuple(value for value, free in zip(values, recipe.free, strict=True) if free)
+
+
+def _regression(
+    recipe: Recipe, smoother: Smoother, fitted: list[Recording], names: tuple[str, ...], trust: float | None
+) -> Regression:
+    robot, base = recipe.robot, recipe.base
+    law, instruments = errors_of(recipe, fitted, smoother)
+    return Regression(
+        base=base,
+        effect_names=_free(recipe, (n for e in recipe.effects for n in e.column_names)),
+        effect_units=_free(recipe, (u for e in recipe.effects for u in e.units)),
+        channel_names=recipe.channels.names,
+        channel_units=recipe.channels.units,
+        motion_names=names,
+        source=lambda: make_blocks(recipe, fitted),
+        row_count=row_count(recipe, fitted),
+        pilot_source=lambda: make_blocks(recipe, _stretches(recipe, fitted)),
+        known_poles=_known_poles(recipe, fitted),
+        effect_non_negative=_free(recipe, (sign for e in recipe.effects for sign in e.kind.non_negative)),
+        nominal_links=robot.nominal.ravel(),
+        inertia_rel_std=trust,
+        bodies=tuple(tuple(range(10 * k, 10 * k + 10)) for k in range(len(robot.body_names))),
+        regressor_noise=law,
+        instruments=instruments,
+    )
+
+
+def _known_poles(recipe: Recipe, fitted: list[Recording]) -> np.ndarray | None:
+    """Poles of a recursion that white sensor noise obeys once it has become filtered rows.
+
+    Beside the filters' own two poles the rows' spectrum bears the mark of thinning: bilinear filters at the
+    sampling rate, times the projection's raised cosine, folded at the rate of rows. That is known, so it need
+    not be learned from few rows, and costs no parameters of the noise.
+    """
+    steps = [usual_step(r.times) for r in fitted if not r.poses]
+    if recipe.filters is None or not steps:
+        return None
+    poles = recipe.filters.poles(recipe.step)
+    cycles = np.arange(_SPECTRUM) / _SPECTRUM - 0.5  # per row
+    density = np.zeros(_SPECTRUM)
+    for fold in (-1, 0, 1):
+        f = cycles + fold
+        # Raised cosine: 1 up to (1 - ROLL_OFF) / 2, 0 from (1 + ROLL_OFF) / 2.
+        inside = np.cos(0.5 * np.pi * np.clip((np.abs(f) - 0.5 * (1 - ROLL_OFF)) / ROLL_OFF, 0.0, 1.0)) ** 2
+        warped = (2.0 / np.median(steps) * np.tan(np.pi * f * np.median(steps) / recipe.step)) ** 2
+        density += inside / ((1.0 + warped / recipe.filters.l**2) * (1.0 + warped / recipe.filters.d**2))
+    turn = np.exp(2j * np.pi * cycles)
+    density *= np.prod(np.abs(1.0 - poles[:, None] / turn) ** 2, axis=0)
+    covariance = np.real(np.fft.ifft(np.fft.ifftshift(density)))
+    rest = solve_toeplitz(covariance[:_THINNING_ORDER], -covariance[1 : _THINNING_ORDER + 1])
+    return np.concatenate([poles, np.roots(np.append(1.0, rest))])
+
+
+def _stretches(recipe: Recipe, recordings: list[Recording]) -> list[Recording]:
+    """Short pieces of long recordings, evenly spread, that make about `PILOT_ROWS` rows together."""
+    length = PILOT_ROWS / PILOT_STRETCHES * recipe.step + 2 * recipe.margin
+    whole = sum(r.times[-1] - r.times[0] for r in recordings if not r.poses)
+    out = []
+    for r in recordings:
+        duration = r.times[-1] - r.times[0]
+        count = 1 if r.poses else round(PILOT_STRETCHES * duration / whole)
+        starts = r.times[0] + max(duration - length, 0.0) * np.linspace(0.0, 1.0, max(count, 1))
+        for start in starts:
+            a = int(np.searchsorted(r.times, start))
+            b = a + PILOT_ROWS if r.poses else int(np.searchsorted(r.times, start + length, side="right"))
+            out.append(r.part(a, b))
+    return out
+
+
+def _choose(experiment: Experiment, motions: Sequence[str] | None) -> list[Motion]:
+    if motions is None:
+        return list(experiment.identification)
+    by_name = {m.name: m for m in experiment.motions}
+    for name in motions:
+        if name not in by_name:
+            raise InputError(f"--motions {name}: no such motion in experiment.toml; it has {', '.join(by_name)}")
+    return [by_name[name] for name in motions]
+
+
+def _readable(motion: Motion, channel: str) -> bool:
+    wrench, torque = motion.table.wrench is not None, motion.table.torques is not None
+    return {"wrench": wrench, "torque": torque, "both": wrench and torque}[channel]
+
+
+def _require(motion: Motion, channel: str) -> None:
+    if not _readable(motion, channel):
+        torque_missing = channel != "wrench" and motion.table.torques is None
+        columns = "tau1 ... taun" if torque_missing else "fx ... mz"
+        raise InputError(
+            f"{motion.table.source}: columns {columns} are missing, which --channel {channel} needs; "
+            f"add them, choose another --channel or leave motion '{motion.name}' out with --motions"
+        )
+
+
+def _recordings(
+    experiment: Experiment, channels: Channels, motion: Motion, index: int, channel: str, subtract: bool
+) -> list[Recording]:
+    """Gap-free stretches of one motion, and its static readings where those are fitted along."""
+    readings, known = _readings(motion.table, channel), channels.static_wrench
+    gravity = offset = True
+    rest = motion.static if channel == "wrench" and motion.static is not None and motion.static.wrench is not None else None
+    if rest is not None and rest.wrench is not None and subtract and motion.stop_and_go:
+        known = rest.wrench  # equation 21: free of offset and gravity
+        gravity = offset = False
+    table, poses = motion.table, motion.kind == "poses"
+    whole = Recording(
+        table.times, table.positions, readings, known, index, gravity, offset, poses, table.commanded, motion.period
+    )
+    out = [whole] if poses else [whole.part(p.start, p.stop) for p in table.segments()]
+    if rest is not None and rest.wrench is not None and offset:
+        out.append(
+            Recording(
+                rest.times, rest.positions, rest.wrench, channels.static_wrench, index, poses=True, commanded=rest.commanded
+            )
+        )
+    return out
+
+
+def _readings(table, channel: str) -> np.ndarray:
+    if channel == "both":
+        return np.hstack([table.wrench, table.torques])
+    return table.wrench if channel == "wrench" else table.torques
+
+
+def _smoother(experiment: Experiment, recordings: list[Recording], bandwidth: float | None) -> Smoother:
+    pieces = []
+    for r in recordings:
+        starts, length = [0], len(r.times)
+        if length > _PILOT_SAMPLES:
+            length = _PILOT_SAMPLES // _STRETCHES
+            starts = np.linspace(0, len(r.times) - length, _STRETCHES).astype(int)
+        pieces += [(r.times[a : a + length], r.positions[a : a + length]) for a in starts if length >= 20]
+    if not pieces:
+        return Smoother(bandwidth or 1.0, np.zeros(experiment.robot.n), "only poses at rest: nothing to smooth")
+    chosen = choose_smoother(pieces, experiment.position_resolution, experiment.position_std)
+    if bandwidth is not None:
+        if not bandwidth > 0:
+            raise InputError(f"--bandwidth {bandwidth}: give a positive frequency in Hz")
+        chosen = replace(chosen, bandwidth=bandwidth, reason="as given")
+    return chosen
+

@@ -1,0 +1,136 @@
+"""What is known of the links before the data: a nominal model and how far it is trusted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayesid.errors import InputError
+from bayesid.robot import inertia
+
+
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """Link parameters ``phi ~ N(mean, precision^-1)``, restricted to bodies that can exist if ``physical``.
+
+    Attributes
+    ----------
+    mean
+        Nominal link parameters (P,).
+    precision
+        Inverse covariance (P, P); singular where nothing is known.
+    bodies
+        Which parameters are a body's ten, in `bayesid.robot.inertia.PARAMETERS`' order.
+    physical
+        Whether every body's pseudo-inertia is known to be positive semidefinite.
+    """
+
+    mean: np.ndarray
+    precision: np.ndarray
+    bodies: tuple[tuple[int, ...], ...]
+    physical: bool = True
+
+    @classmethod
+    def nominal(cls, links: np.ndarray, rel_std: float, *, physical: bool = True) -> Prior:
+        """Bodies near nominal ones, by the constant pull-back metric [Lee2020]_.
+
+        ``precision = 2 M / rel_std^2`` with M of `bayesid.robot.inertia.pullback_metric`: with ``P0 = L L'`` the nominal
+        pseudo-inertia, ``L^-1 (P - P0) L^-T`` is a symmetric matrix of independent normal numbers, with standard
+        deviation ``rel_std`` on and ``rel_std / sqrt(2)`` off the diagonal. Mass and second moment about any
+        plane then have that relative standard deviation, in any frame and unit.
+
+        Parameters
+        ----------
+        links
+            Nominal parameters, ten a body (b, 10) or (10 b,).
+        rel_std
+            Relative standard deviation, above 0.
+        physical
+            See the class.
+
+        Raises
+        ------
+        InputError
+            ``rel_std`` is not a positive number, or the links are not ten a body.
+        """
+        links = np.asarray(links, float)
+        if links.size % 10:
+            raise InputError(f"links have {links.size} numbers; give ten a body")
+        if not (np.isfinite(rel_std) and rel_std > 0):
+            raise InputError(f"rel_std = {rel_std}: give a positive number, such as 0.1")
+        links = links.reshape(-1, 10)
+        precision = np.zeros((links.size, links.size))
+        for k, body in enumerate(links):
+            part = slice(10 * k, 10 * k + 10)
+            precision[part, part] = 2.0 / rel_std**2 * inertia.pullback_metric(body)
+        bodies = tuple(tuple(range(10 * k, 10 * k + 10)) for k in range(len(links)))
+        return cls(links.ravel(), precision, bodies, physical)
+
+    @classmethod
+    def warped(cls, links: np.ndarray, rel_std: float, *, physical: bool = True) -> Prior:
+        """Bodies that are nominal ones scaled, shifted and warped.
+
+        What a CAD model gets wrong is a body's mass, where its middle is and how it is spread, by a share of its
+        own size, and not ten numbers on their own: a slender link's middle may well lie a good part of its small
+        thickness off its axis, which the pull-back metric of `nominal` takes for almost impossible. The
+        pseudo-inertia becomes ``(1 + s e) T P T'`` with an affine map T near the identity: a shift of the centre of
+        mass by s times the radius of gyration along each axis, and a warp about it with every entry of standard
+        deviation s / 2.
+
+        Parameters
+        ----------
+        links
+            Nominal parameters, ten a body (b, 10) or (10 b,).
+        rel_std
+            The share s, above 0; the relative standard deviation of every mass.
+        physical
+            See the class.
+
+        Raises
+        ------
+        InputError
+            ``rel_std`` is not a positive number, or the links are not ten a body.
+        """
+        plain = cls.nominal(links, rel_std, physical=physical)
+        precision = np.zeros_like(plain.precision)
+        for body in plain.bodies:
+            covariance = _warps(plain.mean[list(body)], rel_std)
+            # A body without extent has directions that no warp reaches; a thousandth of the pull-back's reach is left.
+            covariance += 1e-3 * np.linalg.inv(plain.precision[np.ix_(body, body)])
+            size = np.sqrt(np.diag(covariance))
+            precision[np.ix_(body, body)] = np.linalg.inv(covariance / np.outer(size, size)) / np.outer(size, size)
+        return cls(plain.mean, precision, plain.bodies, physical)
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """(P, P).
+
+        Raises
+        ------
+        numpy.linalg.LinAlgError
+            Nothing is known in some direction.
+        """
+        scale = np.sqrt(np.diag(self.precision))
+        return np.linalg.inv(self.precision / np.outer(scale, scale)) / np.outer(scale, scale)
+
+
+def _warps(body: np.ndarray, size: float) -> np.ndarray:
+    """Covariance of a body's ten parameters with scale, shift and warp of this size (10, 10)."""
+    pseudo, mass = inertia.pseudo_inertia(body), max(body[0], 1e-6)
+    centre = body[1:4] / mass
+    second = pseudo[:3, :3] / mass - np.outer(centre, centre)
+    radius = np.sqrt(max(np.trace(second), 1e-8))
+    maps = [radius * np.outer(np.eye(4)[k], np.eye(4)[3]) for k in range(3)]
+    for i in range(3):
+        for j in range(3):
+            warp = np.zeros((4, 4))
+            warp[i, j], warp[i, 3] = 0.5, -0.5 * centre[j]
+            maps.append(warp)
+    changes = [body] + [inertia.from_pseudo_inertia(m @ pseudo + pseudo @ m.T) for m in maps]
+    # The shift's square, m d d': second order, but as large as a slender body's own thickness.
+    for i, j in zip(*np.triu_indices(3), strict=True):
+        square = np.zeros((4, 4))
+        square[i, j] = square[j, i] = mass * radius**2 * size
+        changes.append(inertia.from_pseudo_inertia(square))
+    return size**2 * np.einsum("gi,gj->ij", changes, changes)

@@ -1,0 +1,368 @@
+"""The robot: a URDF reduced to the joints that move, with bodies, names and nominal parameters.
+
+Locked and fixed joints merge their links into the parent link. A sensor in a fixed or locked joint splits
+the link it is in; the far part becomes a body of its own, after all joints' bodies.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin  # pyright: ignore[reportMissingImports]  (found through a .pth file)
+from scipy.spatial.transform import Rotation
+
+from bayesid.errors import InputError
+from bayesid.robot import inertia
+
+_STANDARD_GRAVITY = (0.0, 0.0, -9.81)
+
+
+@dataclass(frozen=True)
+class Robot:
+    """Kinematics and nominal inertias of a tree of ``n`` one-degree-of-freedom joints on a fixed root.
+
+    Attributes
+    ----------
+    name, urdf
+        The URDF's name and path.
+    joint_names
+        Joints in the order of q1 ... qn.
+    parent
+        Index of the joint that moves each joint's parent link, -1 for the root, (n,).
+    rotation, translation
+        Placement of each joint's frame at position zero in its parent's frame, (n, 3, 3), (n, 3) [m].
+    axis, prismatic
+        Joint axis in its own frame (n, 3) (unit length) and whether it slides instead of turning (n,).
+    lower, upper, velocity_limit, effort_limit
+        Limits from the URDF (n,) [rad or m, per second, N m or N]; infinite where it states none.
+    gravity
+        In the base frame (3,) [m/s^2].
+    body_names, body_joint
+        One body a joint, then a split sensor link's far part; the joint that moves each body (b,).
+    nominal
+        Ten nominal parameters a body (b, 10), about its joint's frame (the far part: the sensor joint's).
+    body_rotation, body_translation
+        Placement of each body's frame in the frame of the joint that moves it (b, 3, 3), (b, 3).
+    sensor_parent
+        Joint whose frame the sensor moves with, -1 for a sensor on the root.
+    sensor_rotation, sensor_translation
+        Placement of the sensor joint's child link in that frame (3, 3), (3,); identity for a base sensor.
+    sensor_bodies
+        Which bodies the sensor carries (b,).
+    static_nominal
+        Nominal parameters of what does not move but is carried by a base sensor, about the root (10,).
+    rod_joint, rods
+        Straight lines from the origin of each moving link to those of its child joints, fixed and locked ones
+        included: the joint whose frame each moves with (r,), its two ends in that frame (r, 2, 3) [m].
+    """
+
+    name: str
+    urdf: Path
+    joint_names: tuple[str, ...]
+    parent: np.ndarray
+    rotation: np.ndarray
+    translation: np.ndarray
+    axis: np.ndarray
+    prismatic: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    velocity_limit: np.ndarray
+    effort_limit: np.ndarray
+    gravity: np.ndarray
+    body_names: tuple[str, ...]
+    body_joint: np.ndarray
+    nominal: np.ndarray
+    body_rotation: np.ndarray
+    body_translation: np.ndarray
+    sensor_parent: int
+    sensor_rotation: np.ndarray
+    sensor_translation: np.ndarray
+    sensor_bodies: np.ndarray
+    static_nominal: np.ndarray
+    rod_joint: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
+    rods: np.ndarray = field(default_factory=lambda: np.zeros((0, 2, 3)))
+
+    @property
+    def n(self) -> int:
+        """Number of moving joints."""
+        return len(self.joint_names)
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """``joint1.m, joint1.mcx, ...``: ten names a body."""
+        return tuple(f"{body}.{p}" for body in self.body_names for p in inertia.PARAMETERS)
+
+    @property
+    def parameter_units(self) -> tuple[str, ...]:
+        """Unit of each parameter."""
+        return inertia.UNITS * len(self.body_names)
+
+    @property
+    def moves_with(self) -> np.ndarray:
+        """Whether joint i moves body k (n, b)."""
+        table = np.zeros((self.n, len(self.body_names)), bool)
+        for body, joint in enumerate(self.body_joint):
+            while joint >= 0:
+                table[joint, body] = True
+                joint = self.parent[joint]
+        return table
+
+    @property
+    def order(self) -> np.ndarray:
+        """Joint indices with every parent before its children (n,)."""
+        depth = np.zeros(self.n, int)
+        for i in range(self.n):
+            j = i
+            while self.parent[j] >= 0:
+                j = self.parent[j]
+                depth[i] += 1
+        return np.argsort(depth, kind="stable")
+
+
+def load_robot(
+    urdf: str | Path,
+    joints: Sequence[str] | None = None,
+    locked: Mapping[str, float] | None = None,
+    gravity: Sequence[float] = _STANDARD_GRAVITY,
+    sensor_joint: str | None = None,
+) -> Robot:
+    """Read a URDF and reduce it to the listed joints.
+
+    Parameters
+    ----------
+    urdf
+        Path of the file.
+    joints
+        Moving joints in the order of q1 ... qn; default: every moving joint in the URDF's order.
+    locked
+        Position [rad or m] of every other moving joint; default 0.
+    gravity
+        In the base frame (3,) [m/s^2].
+    sensor_joint
+        Joint in which a force/torque sensor sits; default: between the world and the base.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read as a URDF, a joint is unknown or of a kind with more than one degree of
+        freedom.
+    """
+    urdf = Path(urdf)
+    model = _read(urdf)
+    locked = dict(locked or {})
+    moving = [str(name) for name in model.names[1:]]
+    joints = list(moving if joints is None else joints)
+    for name in [*joints, *locked]:
+        if name not in moving:
+            raise InputError(_unknown_joint(urdf, model, name, moving))
+    index = {name: k for k, name in enumerate(joints)}
+    n = len(joints)
+
+    parent = np.full(n, -1)
+    rotation, translation = np.zeros((n, 3, 3)), np.zeros((n, 3))
+    axis, prismatic = np.zeros((n, 3)), np.zeros(n, bool)
+    lower, upper = np.full(n, -np.inf), np.full(n, np.inf)
+    velocity_limit, effort_limit = np.full(n, np.inf), np.full(n, np.inf)
+    anchor = [-1] * model.njoints  # moving joint that carries each URDF joint's frame
+    frame = [pin.SE3.Identity() for _ in range(model.njoints)]  # that frame in the moving joint's
+    merged: list[Any] = [pin.Inertia.Zero() for _ in range(n)]
+    static = model.inertias[0]
+    for j in range(1, model.njoints):
+        name, up = str(model.names[j]), int(model.parents[j])
+        direction, slides = _axis(urdf, model.joints[j], name)
+        placement = frame[up] * model.jointPlacements[j]
+        if name in index:
+            i = index[name]
+            parent[i], anchor[j] = anchor[up], i
+            rotation[i], translation[i] = placement.rotation, placement.translation
+            axis[i], prismatic[i] = direction, slides
+            lower[i], upper[i], velocity_limit[i], effort_limit[i] = _limits(model, j)
+        else:
+            anchor[j] = anchor[up]
+            frame[j] = placement * _motion(direction, slides, locked.get(name, 0.0))
+        if anchor[j] >= 0:
+            merged[anchor[j]] = merged[anchor[j]] + frame[j].act(model.inertias[j])
+        else:
+            static = static + frame[j].act(model.inertias[j])
+
+    nominal = np.array([body.toDynamicParameters() for body in merged]).reshape(n, 10)
+    sensor = _Sensor(-1, pin.SE3.Identity(), np.ones(n, bool), None)
+    if sensor_joint is not None:
+        sensor = _locate_sensor(urdf, model, sensor_joint, index, parent, anchor, frame)
+    names, body_joint = tuple(joints), np.arange(n)
+    body_rotation, body_translation = np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 3))
+    if sensor.far is not None and sensor.parent >= 0:
+        far_in_joint = sensor.placement.act(sensor.far).toDynamicParameters()
+        nominal[sensor.parent] -= far_in_joint
+        nominal = np.vstack([nominal, sensor.far.toDynamicParameters()])
+        names, body_joint = (*names, str(sensor_joint)), np.append(body_joint, sensor.parent)
+        body_rotation = np.concatenate([body_rotation, sensor.placement.rotation[None]])
+        body_translation = np.vstack([body_translation, sensor.placement.translation])
+    static_nominal = static.toDynamicParameters()
+    if sensor_joint is not None:
+        # Only what hangs on the sensor's far side loads it; on the root that part does not move.
+        static_nominal = (
+            sensor.placement.act(sensor.far).toDynamicParameters()
+            if sensor.far is not None and sensor.parent < 0
+            else np.zeros(10)
+        )
+    rod_joint, rods = _rods(model, anchor, frame)
+    arrays = dict(
+        rod_joint=rod_joint, rods=rods,
+        parent=parent, rotation=rotation, translation=translation, axis=axis, prismatic=prismatic, lower=lower,
+        upper=upper, velocity_limit=velocity_limit, effort_limit=effort_limit,
+        gravity=np.asarray(gravity, float), body_joint=body_joint, nominal=nominal, body_rotation=body_rotation,
+        body_translation=body_translation, sensor_rotation=sensor.placement.rotation.copy(),
+        sensor_translation=sensor.placement.translation.copy(), sensor_bodies=sensor.bodies,
+        static_nominal=static_nominal,
+    )  # fmt: skip
+    for array in arrays.values():
+        array.setflags(write=False)
+    return Robot(
+        name=str(model.name), urdf=urdf, joint_names=tuple(joints), body_names=names, sensor_parent=sensor.parent, **arrays
+    )
+
+
+@dataclass(frozen=True)
+class _Sensor:
+    parent: int
+    placement: Any  # of the sensor joint's child link in the parent joint's frame
+    bodies: np.ndarray
+    far: Any | None  # inertia of a split link's far part, in the sensor joint's child frame
+
+
+def _read(urdf: Path):
+    if not urdf.is_file():
+        raise InputError(f"{urdf}: no such file; [robot] urdf must name the robot's URDF")
+    try:
+        return pin.buildModelFromUrdf(str(urdf))
+    except (ValueError, RuntimeError) as error:
+        reason = " ".join(str(error).split()) or "not a valid URDF"
+        raise InputError(f"{urdf}: cannot be read as a URDF ({reason}); check the file with any URDF viewer") from None
+
+
+def _unknown_joint(urdf: Path, model, name: str, moving: list[str]) -> str:
+    kind = "is fixed in" if model.existFrame(name) else "is not in"
+    close = get_close_matches(name, moving, 1)
+    hint = f"did you mean '{close[0]}'?" if close else f"its moving joints are: {', '.join(moving)}"
+    return f"joint '{name}' {kind} {urdf.name}; {hint}"
+
+
+def _axis(urdf: Path, joint, name: str) -> tuple[np.ndarray, bool]:
+    """Axis of a joint in its own frame, and whether it slides."""
+    if joint.nv != 1:
+        raise InputError(
+            f"{urdf}: joint '{name}' has {joint.nv} degrees of freedom; "
+            "only revolute, continuous, prismatic and fixed joints are supported"
+        )
+    data = joint.createData()
+    joint.calc(data, pin.neutral(_single(joint)) if joint.nq != 1 else np.zeros(1))
+    subspace = np.asarray(data.S).reshape(6)
+    slides = not subspace[3:].any()
+    return (subspace[:3] if slides else subspace[3:]), slides
+
+
+def _single(joint):
+    """Model with this joint alone, to ask Pinocchio for its neutral position."""
+    model = pin.Model()
+    model.addJoint(0, joint, pin.SE3.Identity(), "joint")
+    return model
+
+
+def _motion(direction: np.ndarray, slides: bool, position: float):
+    if slides:
+        return pin.SE3(np.eye(3), position * direction)
+    return pin.SE3(Rotation.from_rotvec(position * direction).as_matrix(), np.zeros(3))
+
+
+def _limits(model, j: int) -> tuple[float, float, float, float]:
+    """Position, speed and effort limits; URDF's zeros and Pinocchio's huge numbers mean none."""
+    i, k = model.joints[j].idx_q, model.joints[j].idx_v
+    lower, upper = float(model.lowerPositionLimit[i]), float(model.upperPositionLimit[i])
+    if model.joints[j].nq != 1 or not lower < upper or max(abs(lower), abs(upper)) > 1e6:
+        lower, upper = -np.inf, np.inf
+    velocity, effort = float(model.velocityLimit[k]), float(model.effortLimit[k])
+    return lower, upper, velocity if 0 < velocity < 1e6 else np.inf, effort if 0 < effort < 1e6 else np.inf
+
+
+def _locate_sensor(urdf: Path, model, name: str, index, parent, anchor, frame) -> _Sensor:
+    kinds = (pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)
+    found = [k for k, f in enumerate(model.frames) if f.name == name and f.type in kinds]
+    if not found:
+        known = [f.name for f in model.frames if f.type in kinds and f.name != "universe"]
+        close = get_close_matches(name, known, 1)
+        hint = f"did you mean '{close[0]}'?" if close else f"its joints are: {', '.join(known)}"
+        raise InputError(f"experiment.toml: [sensor] joint '{name}' is not in {urdf.name}; {hint}")
+    n = len(parent)
+    if name in index:
+        i = index[name]
+        return _Sensor(i, pin.SE3.Identity(), np.array([_descends(parent, k, i) for k in range(n)]), None)
+    # The sensor sits in a fixed or locked joint: all frames beyond it, through fixed or locked joints, are
+    # its far part; moving joints beyond it keep their own bodies.
+    here = found[0]
+    beyond = [k for k in range(len(model.frames)) if _frame_descends(model, k, here)]
+    own_joint = int(model.frames[here].parentJoint)
+    mover = anchor[own_joint]
+    placement = frame[own_joint] * model.frames[here].placement
+    far, bodies = pin.Inertia.Zero(), np.zeros(n + (mover >= 0), bool)
+    joints_beyond = {int(model.frames[k].parentJoint) for k in beyond} - {own_joint}
+    if model.frames[here].type == pin.FrameType.JOINT:  # a locked joint carries its whole own link
+        joints_beyond.add(own_joint)
+    else:
+        for k in beyond:
+            f = model.frames[k]
+            if int(f.parentJoint) == own_joint:
+                far = far + (placement.inverse() * frame[own_joint] * f.placement).act(f.inertia)
+    for j in joints_beyond:
+        if anchor[j] == mover:
+            far = far + (placement.inverse() * frame[j]).act(model.inertias[j])
+        else:
+            bodies[[k for k in range(n) if _descends(parent, k, anchor[j])]] = True
+    bodies[n:] = True
+    return _Sensor(mover, placement, bodies, far)
+
+
+def _rods(model, anchor, frame) -> tuple[np.ndarray, np.ndarray]:
+    """Lines between the origins of neighbouring joints of moving links; none on the root."""
+    joint, ends = [], []
+    kinds = (pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)
+    for k, child in enumerate(model.frames):
+        if child.type not in kinds or k == 0:
+            continue
+        up = int(child.parentFrame)
+        while up and model.frames[up].type not in kinds:
+            up = int(model.frames[up].parentFrame)
+        # A joint's own frame sits in that joint; the line to it belongs to the link before.
+        holder = model.frames[up]
+        mover = int(holder.parentJoint)
+        if anchor[mover] < 0:
+            continue
+        if child.type == pin.FrameType.JOINT:
+            tip = frame[mover] * model.jointPlacements[int(child.parentJoint)].translation
+        else:
+            tip = frame[mover] * child.placement.translation
+        joint.append(anchor[mover])
+        ends.append([frame[mover] * holder.placement.translation, tip])
+    return np.array(joint, int), np.array(ends, float).reshape(-1, 2, 3)
+
+
+def _descends(parent: np.ndarray, joint: int, ancestor: int) -> bool:
+    while joint >= 0:
+        if joint == ancestor:
+            return True
+        joint = int(parent[joint])
+    return False
+
+
+def _frame_descends(model, frame: int, ancestor: int) -> bool:
+    while frame != ancestor:
+        up = int(model.frames[frame].parentFrame)
+        if up == frame or frame == 0:
+            return False
+        frame = up
+    return True

@@ -1,0 +1,66 @@
+"""A robot's URDF with other link parameters."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import numpy as np
+
+from bayesid.robot import inertia
+from bayesid.robot.robot import Robot
+
+
+def write_urdf(robot: Robot, parameters: np.ndarray, path: Path) -> None:
+    """Write the robot's URDF with other link parameters.
+
+    Every moving joint's child link gets its body's parameters, merged links beyond fixed or locked joints lose
+    theirs (they are in the body's), and a split sensor link's far part goes to the sensor joint's child.
+
+    Parameters
+    ----------
+    robot
+        Loaded from the URDF that is to be changed.
+    parameters
+        Ten a body (b, 10) or (10 b,).
+    path
+        File to write.
+    """
+    tree = ET.parse(robot.urdf)
+    root = tree.getroot()
+    links = {link.get("name"): link for link in root.findall("link")}
+    joints = {joint.get("name"): joint for joint in root.findall("joint")}
+    owners = [_child(joints[name]) for name in robot.body_names]
+    for name in owners:
+        for merged in _carried(name, joints, robot.body_names):
+            for old in links[merged].findall("inertial"):
+                links[merged].remove(old)
+    for name, body in zip(owners, np.reshape(parameters, (-1, 10)), strict=True):
+        links[name].insert(0, _inertial(body))
+    ET.indent(tree)
+    tree.write(path, encoding="utf-8", xml_declaration=True)
+
+
+def _child(joint: ET.Element) -> str:
+    child = joint.find("child")
+    return "" if child is None else str(child.get("link"))
+
+
+def _carried(link: str, joints: dict, bodies: tuple[str, ...]) -> list[str]:
+    """The link and all links that joints without a body of their own attach to it."""
+    out = [link]
+    for name, joint in joints.items():
+        parent = joint.find("parent")
+        if name not in bodies and parent is not None and parent.get("link") == link:
+            out += _carried(_child(joint), joints, bodies)
+    return out
+
+
+def _inertial(body: np.ndarray) -> ET.Element:
+    mass, com, about = inertia.to_mass_com_inertia(body)
+    element = ET.Element("inertial")
+    ET.SubElement(element, "origin", xyz=" ".join(repr(float(c)) for c in com), rpy="0 0 0")
+    ET.SubElement(element, "mass", value=repr(float(mass)))
+    names = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2), "izz": (2, 2)}
+    ET.SubElement(element, "inertia", {n: repr(float(about[i])) for n, i in names.items()})
+    return element

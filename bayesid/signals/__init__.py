@@ -1,0 +1,1 @@
+"""Signals: smoothing of joint positions, the filters of the paper, noise models."""

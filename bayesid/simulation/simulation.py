@@ -1,0 +1,326 @@
+"""Recordings with known truth: a robot, its sensor and drives, simulated.
+
+The true motion comes first, as arrays; then what the instruments make of it:
+
+    wrench  = Y phi + static wrench + sensor effects + noise
+    torques = Y_tau phi + friction and other effects of the drives + noise
+    encoder = count * round((q + noise) / count)
+
+With a static run, the robot is stopped at every sample (or at other poses) and all is read anew, which is the
+stop-and-go run of [Liu1998]_.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.linalg import expm
+from scipy.spatial.transform import Rotation
+
+from bayesid.dynamics.channels import torque_channels, wrench_channels
+from bayesid.effects import REST_SPEED, State, middle_of
+from bayesid.effects.sizes import ANY_EFFORT
+from bayesid.errors import InputError
+from bayesid.recordings.experiment import Experiment, Motion, Sensor, write_experiment
+from bayesid.recordings.schema import ExperimentFile, model_parts, read_file
+from bayesid.recordings.table import Table
+from bayesid.robot import inertia
+from bayesid.robot.robot import Robot, load_robot
+from bayesid.simulation.plant import Values, complete_effects, encoder_offsets, parameters, plant_readings, plant_terms
+from bayesid.simulation.trajectories import Trajectory, new_trajectories, recorded_trajectories
+
+
+@dataclass(frozen=True)
+class Recorder:
+    """The instruments. None: as the experiment states, else a common value.
+
+    Attributes
+    ----------
+    resolution
+        One encoder count, one number or one a joint [rad or m]; default 1e-4. 0: none.
+    position_std
+        Random encoder noise on top [rad or m]; default 0.
+    velocity_std
+        Noise of a velocity column [rad/s or m/s]; None: no such column.
+    force_std, torque_std
+        Noise of one sample of the force/torque sensor [N], [N m]; default 0.5 and 0.05, a strain-gauge platform.
+    drive_std
+        Noise of one sample of the joint torques, as a share of the effort limit; default 0.002 (assumed).
+    """
+
+    resolution: float | tuple[float, ...] | None = None
+    position_std: float | None = None
+    velocity_std: float | None = None
+    force_std: float | None = None
+    torque_std: float | None = None
+    drive_std: float | None = None
+
+    def __post_init__(self):
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if value is not None and not (np.isfinite(value).all() and np.min(value) >= 0):
+                raise InputError(f"{item.name} = {value}: give a number of at least 0")
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """What a simulated recording was made with.
+
+    Attributes
+    ----------
+    links
+        Ten parameters a body (b, 10).
+    effects
+        ``name@where`` with the values of its parameters.
+    recorder
+        The instruments, all values filled in.
+    seed
+        Of everything random.
+    """
+
+    links: np.ndarray
+    effects: dict[str, dict[str, float]]
+    recorder: Recorder
+    seed: int
+
+    def to_dict(self, robot: Robot) -> dict[str, Any]:
+        """``truth.json``."""
+        effects = []
+        for spec, values in self.effects.items():
+            name, _, where = spec.partition("@")
+            units = dict(zip(*parameters(name), strict=True))
+            listed = {key: {"value": float(value), "unit": units[key]} for key, value in values.items()}
+            effects.append({"name": name, "where": where, "parameters": listed})
+
+        def by_body(links):
+            return {name: [float(x) for x in body] for name, body in zip(robot.body_names, links, strict=True)}
+
+        noise = {item.name: getattr(self.recorder, item.name) for item in fields(self.recorder)}
+        return {
+            "schema": 1, "seed": self.seed, "effects": effects, "noise": noise,
+            "link_parameter_names": list(robot.parameter_names),
+            "true_links": by_body(self.links), "nominal_links": by_body(robot.nominal),
+        }  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Simulation(Experiment):
+    """An experiment whose truth is known; it can be used wherever an experiment can.
+
+    Attributes
+    ----------
+    truth
+        What it was made with.
+    """
+
+    truth: Truth = field(kw_only=True)
+
+
+def perturbed_links(robot: Robot, rel_std: float, seed: int = 0) -> np.ndarray:
+    """Bodies near the nominal ones that can exist, (b, 10).
+
+    A pseudo-inertia ``P = L L'`` becomes ``L exp(s S) L'`` with a random symmetric S, which stays positive
+    definite whatever s is, does not depend on frames or units, and changes masses and second moments by the
+    relative standard deviation s [Lee2020]_.
+
+    Parameters
+    ----------
+    robot
+        Its nominal bodies.
+    rel_std
+        The relative standard deviation s.
+    seed
+        Of S.
+
+    Raises
+    ------
+    InputError
+        A nominal body cannot exist.
+    """
+    possible = inertia.is_physically_consistent(robot.nominal)
+    if not possible.all():
+        name = robot.body_names[int(np.flatnonzero(~possible)[0])]
+        raise InputError(f"{robot.urdf.name}: no body has the nominal inertia of '{name}', so it cannot be perturbed")
+    rng = np.random.default_rng(seed)
+    links = np.empty_like(robot.nominal)
+    for k, body in enumerate(robot.nominal):
+        values, vectors = np.linalg.eigh(inertia.pseudo_inertia(body))
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
+        s = rng.normal(size=(4, 4))
+        links[k] = inertia.from_pseudo_inertia(root @ expm(rel_std * 0.5 * (s + s.T)) @ root.T)
+    return links
+
+
+def simulate(
+    setup: Experiment | Robot,
+    trajectories: Sequence[Trajectory] | None = None,
+    *,
+    effects: Mapping[str, Values | None] | Sequence[str] = (),
+    links: np.ndarray | None = None,
+    perturb: float = 0.0,
+    recorder: Recorder | None = None,
+    seed: int = 0,
+) -> Simulation:
+    """Simulate what an experiment would record.
+
+    Parameters
+    ----------
+    setup
+        The robot, its sensor and what is known of both; a bare robot gets a sensor under its base.
+    trajectories
+        True motions; default the experiment's own, or new ones.
+    effects
+        What the plant has beyond rigid bodies, ``name`` or ``name@where``, with values of its parameters
+        (`bayesid.simulation.plant.default_values` where left out).
+    links
+        True link parameters (b, 10); default nominal.
+    perturb
+        Changes them by this relative standard deviation, see `perturbed_links`.
+    recorder
+        The instruments.
+    seed
+        Of everything random.
+
+    Returns
+    -------
+    simulation
+        An experiment with the setup's nominal robot and model, and the truth.
+
+    Raises
+    ------
+    InputError
+        Unknown effect, place or parameter; links of the wrong shape.
+    """
+    if isinstance(setup, Robot):
+        setup = Experiment(setup.name, setup, (), Sensor())
+    robot = setup.robot
+    streams = [int(s.generate_state(1)[0]) for s in np.random.SeedSequence(seed).spawn(3)]
+    if trajectories is None:
+        trajectories = recorded_trajectories(setup) if setup.motions else new_trajectories(robot, seed=streams[0])
+    true = np.array(robot.nominal if links is None else links, float)
+    if true.shape != robot.nominal.shape:
+        raise InputError(f"links have shape {true.shape}; give {robot.nominal.shape}, ten parameters a body")
+    if perturb:
+        true = perturbed_links(replace(robot, nominal=true), perturb, streams[1])
+    plant = complete_effects(robot, effects, setup.effect_values)
+    recorder = _complete(recorder or Recorder(), setup)
+    bench = _Bench(setup, true, plant, recorder, np.random.default_rng(streams[2]), _middle(trajectories))
+    resolution = float(np.max(recorder.resolution or 0.0))
+    return Simulation(
+        name=setup.name, robot=robot, motions=tuple(bench.record(t) for t in trajectories),
+        sensor=None if setup.sensor is None else replace(
+            setup.sensor, force_std=recorder.force_std or None, torque_std=recorder.torque_std or None
+        ),
+        effects=setup.effects, effect_values=setup.effect_values, inertia_rel_std=perturb or setup.inertia_rel_std,
+        position_resolution=resolution or None, position_std=recorder.position_std or None, gear_ratio=setup.gear_ratio,
+        locked=setup.locked, truth=Truth(true, plant, recorder, seed),
+    )  # fmt: skip
+
+
+def write_simulation(simulation: Simulation, folder: str | Path) -> None:
+    """Write the experiment folder with ``truth.json`` in it; see `bayesid.recordings.experiment.write_experiment`."""
+    truth = json.dumps(simulation.truth.to_dict(simulation.robot), indent=1, allow_nan=False)
+    write_experiment(simulation, folder)
+    (Path(folder) / "truth.json").write_text(truth + "\n", encoding="utf-8")
+
+
+def load_setup(folder: str | Path) -> Experiment:
+    """The robot and sensor of an experiment folder, whose tables need not exist yet.
+
+    Raises
+    ------
+    InputError
+        experiment.toml or the URDF is missing or wrong.
+    """
+    folder = Path(folder)
+    if not (folder / "experiment.toml").is_file():
+        raise InputError(f"{folder}: has no experiment.toml; write one, or give the folder that holds it")
+    file = read_file(folder / "experiment.toml", ExperimentFile)
+    joint = file.sensor.joint if file.sensor is not None else None
+    given = {} if file.sensor is None else file.sensor.model_dump()
+    given |= {key: given[key] or None for key in ("force_std", "torque_std") if key in given}
+    section = file.robot
+    effects, values = model_parts(file.model)
+    robot = load_robot(folder / section.urdf, section.joints, section.locked, section.gravity, joint)
+    return Experiment(
+        name=file.name, robot=robot, motions=(), sensor=None if file.sensor is None else Sensor(**given),
+        effects=effects, effect_values=values,
+        inertia_rel_std=section.inertia_rel_std, position_resolution=section.position_resolution,
+        position_std=section.position_std, gear_ratio=dict(section.gear_ratio), locked=dict(section.locked), folder=folder,
+    )  # fmt: skip
+
+
+def _middle(trajectories: Sequence[Trajectory]) -> np.ndarray | None:
+    """Middle of the first motion that is fitted: a mount has one stiffness in all of them."""
+    moving = [t for t in trajectories if t.kind != "poses"]
+    moving = [t for t in moving if t.role == "identification"] or moving
+    return middle_of(moving[0].positions) if moving else None
+
+
+def _complete(recorder: Recorder, setup: Experiment) -> Recorder:
+    """Fill in what the setup states, else a common value."""
+    sensor = setup.sensor or Sensor()
+    stated = {
+        "resolution": (setup.position_resolution, 1e-4), "position_std": (setup.position_std, 0.0),
+        "force_std": (sensor.force_std, 0.5), "torque_std": (sensor.torque_std, 0.05), "drive_std": (None, 0.002),
+    }  # fmt: skip
+    values = {k: known if known is not None else common for k, (known, common) in stated.items() if getattr(recorder, k) is None}
+    return replace(recorder, **values)
+
+
+class _Bench:
+    """Turns true motions into recordings."""
+
+    def __init__(
+        self, setup: Experiment, links: np.ndarray, plant, recorder: Recorder, rng: np.random.Generator, middle: np.ndarray | None
+    ):
+        self.robot, self.links, self.recorder, self.rng = setup.robot, links, recorder, rng
+        self.terms = plant_terms(setup.robot, plant, setup.gear_ratio)
+        self.middle = middle
+        self.encoder_offset = encoder_offsets(setup.robot, self.terms)
+        self.torque = torque_channels(self.robot)
+        self.wrench = None
+        if setup.sensor is not None:
+            rotation = Rotation.from_euler("xyz", setup.sensor.rpy).as_matrix()
+            self.wrench = wrench_channels(self.robot, rotation, setup.sensor.translation)
+        effort = np.where(np.isfinite(self.robot.effort_limit), self.robot.effort_limit, ANY_EFFORT)
+        self.drive_std = (recorder.drive_std or 0.0) * effort
+
+    def record(self, motion: Trajectory) -> Motion:
+        poses = motion.kind == "poses"
+        moving = State(motion.times, motion.positions, motion.velocities, motion.accelerations, still=poses)
+        table = self._table(moving, motion.name)
+        static = None
+        if motion.static_positions is not None:
+            q = motion.static_positions
+            times = motion.times if len(q) == len(motion.times) else np.arange(float(len(q)))
+            held = State(times, q, np.zeros_like(q), np.zeros_like(q), still=True)
+            static = self._table(held, f"{motion.name}_static")
+        return Motion(motion.name, motion.role, table, motion.kind, static, motion.period, motion.parked)
+
+    def _table(self, state: State, name: str) -> Table:
+        rng, recorder = self.rng, self.recorder
+        # What the encoders say of the true motion, before noise: they know nothing of a joint that gives.
+        state = replace(state, positions=state.positions + self.encoder_offset, middle=self.middle)
+        q = state.positions + (recorder.position_std or 0.0) * rng.normal(size=state.positions.shape)
+        count = np.broadcast_to(np.asarray(recorder.resolution or 0.0, float), (self.robot.n,))
+        q = np.where(count > 0, np.round(q / np.where(count > 0, count, 1.0)) * count, q)
+        velocities = None
+        if recorder.velocity_std is not None:
+            velocities = state.velocities + recorder.velocity_std * rng.normal(size=q.shape)
+        wrench = None
+        if self.wrench is not None:
+            std = np.repeat([recorder.force_std or 0.0, recorder.torque_std or 0.0], 3)
+            wrench = plant_readings(self.robot, self.wrench, state, self.links, self.terms)
+            wrench += std * rng.normal(size=wrench.shape)
+        if state.still:
+            # At rest friction holds whatever the drive happens to push with: partly mobilised, as in a slow creep.
+            state = replace(state, velocities=REST_SPEED * rng.uniform(-1, 1, q.shape))
+        torques = plant_readings(self.robot, self.torque, state, self.links, self.terms)
+        torques += self.drive_std * rng.normal(size=q.shape)
+        return Table(state.times, q, velocities, None, torques, wrench, source=f"{name}.csv")

@@ -1,0 +1,156 @@
+"""True motions for a simulation: new ones within a robot's limits, or recorded ones again."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from bayesid.errors import InputError
+from bayesid.recordings.experiment import Experiment, Motion
+from bayesid.robot.limits import motion_limits
+from bayesid.robot.robot import Robot
+from bayesid.signals.smoothing import choose_smoother, smooth
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """A true motion.
+
+    Attributes
+    ----------
+    name, role, kind, period, parked
+        As in `bayesid.recordings.experiment.Motion`.
+    times
+        (N,) [s].
+    positions, velocities, accelerations
+        (N, n) [rad or m and per second (squared)].
+    static_positions
+        Poses at which the robot is read at rest (k, n); those of the motion itself make a stop-and-go run.
+    """
+
+    name: str
+    role: Literal["identification", "validation"]
+    times: np.ndarray
+    positions: np.ndarray
+    velocities: np.ndarray
+    accelerations: np.ndarray
+    kind: Literal["trajectory", "poses"] = "trajectory"
+    static_positions: np.ndarray | None = None
+    period: float | None = None
+    parked: tuple[tuple[float, float], ...] = ()
+
+
+def fourier_trajectory(
+    robot: Robot,
+    name: str = "identification",
+    role: Literal["identification", "validation"] = "identification",
+    *,
+    duration: float = 20.0,
+    rate: float = 125.0,
+    fundamental: float = 0.1,
+    harmonics: int = 5,
+    share: float = 0.8,
+    static: bool = False,
+    seed: int = 0,
+) -> Trajectory:
+    """A random periodic motion, ``sum_k a_k sin(2 pi k f t + p_k)``, about the middle of every joint's range.
+
+    Parameters
+    ----------
+    robot
+        Its position and velocity limits; where there are none, those of a small arm. Nothing looks out for
+        collisions.
+    name, role
+        Of the motion.
+    duration, rate
+        Length [s] and samples a second.
+    fundamental, harmonics
+        f [Hz] and how many multiples of it.
+    share
+        How much of the limits is used at most.
+    static
+        Whether a stop-and-go run follows.
+    seed
+        Of amplitudes and phases.
+
+    Raises
+    ------
+    InputError
+        Fewer than 20 samples, or a rate too low for the motion.
+    """
+    if not (duration > 0 and rate > 0 and duration * rate >= 20):
+        raise InputError(f"duration = {duration:g} s at {rate:g} samples a second: give at least 20 samples")
+    if rate < 10 * harmonics * fundamental:
+        raise InputError(f"rate = {rate:g}: give at least {10 * harmonics * fundamental:g} samples a second for this motion")
+    rng = np.random.default_rng(seed)
+    omega = 2 * np.pi * fundamental * np.arange(1, harmonics + 1)
+    # Amplitudes falling as 1/k: every harmonic has the same share of the speed.
+    amplitude = rng.normal(1.0, 0.4, (harmonics, robot.n)) / np.arange(1, harmonics + 1)[:, None]
+    phase = rng.uniform(0, 2 * np.pi, (harmonics, robot.n))
+
+    def series(times: np.ndarray, derivative: int) -> np.ndarray:
+        angle = times[:, None, None] * omega[:, None] + phase + derivative * np.pi / 2
+        return np.sum(omega[:, None] ** derivative * amplitude * np.sin(angle), axis=1)
+
+    cycle = np.linspace(0, 1 / fundamental, 100 * harmonics)
+    path, speed = series(cycle, 0), np.abs(series(cycle, 1)).max(axis=0)
+    lower, upper, fastest = motion_limits(robot)
+    scale = share * np.minimum((upper - lower) / np.ptp(path, axis=0), fastest / speed)
+    middle = 0.5 * (lower + upper) - 0.5 * scale * (path.max(axis=0) + path.min(axis=0))
+    times = np.arange(int(round(duration * rate))) / rate
+    q = middle + scale * series(times, 0)
+    return Trajectory(
+        name, role, times, q, scale * series(times, 1), scale * series(times, 2), static_positions=q if static else None,
+        period=1 / fundamental if duration >= 2 / fundamental else None,
+    )  # fmt: skip
+
+
+def new_trajectories(
+    robot: Robot, duration: float = 20.0, rate: float = 125.0, static: bool = False, seed: int = 0
+) -> list[Trajectory]:
+    """One motion for identification and another, 1.3 times as fast, for validation."""
+    first, second = (int(s.generate_state(1)[0]) for s in np.random.SeedSequence(seed).spawn(2))
+    return [
+        fourier_trajectory(robot, duration=duration, rate=rate, static=static, seed=first),
+        fourier_trajectory(
+            robot, "validation", "validation", duration=duration, rate=rate, static=static, fundamental=0.13, seed=second
+        ),
+    ]
+
+
+def recorded_trajectories(experiment: Experiment) -> list[Trajectory]:
+    """The motions of an experiment again: its smoothed positions are taken for the true ones."""
+    out = []
+    for motion in experiment.motions:
+        times, q, v, a = _true(motion, experiment)
+        static = None if motion.static is None else q if motion.stop_and_go else motion.static.positions
+        out.append(Trajectory(motion.name, motion.role, times, q, v, a, motion.kind, static, motion.period, motion.parked))
+    return out
+
+
+def make_trajectories(
+    setup: Experiment, *, new: bool, duration: float = 20.0, rate: float = 125.0, static: bool | None = None, seed: int = 0
+) -> list[Trajectory]:
+    """New motions, or an experiment's own, with or without stop-and-go runs (None: as recorded, new ones without).
+
+    Parameters are those of `new_trajectories`.
+    """
+    if new:
+        return new_trajectories(setup.robot, duration, rate, bool(static), seed)
+    own = recorded_trajectories(setup)
+    return own if static is None else [replace(t, static_positions=t.positions if static else None) for t in own]
+
+
+def _true(motion: Motion, experiment: Experiment) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    table = motion.table
+    if motion.kind == "poses":
+        still = np.zeros_like(table.positions)
+        return table.times, table.positions, still, still
+    pieces = [(table.times[p], table.positions[p]) for p in table.segments() if p.stop - p.start >= 20]
+    if not pieces:
+        raise InputError(f"{table.source}: no stretch of 20 samples without a gap; simulate new motions instead")
+    bandwidth = choose_smoother(pieces, experiment.position_resolution, experiment.position_std).bandwidth
+    q, v, a = (np.concatenate(part) for part in zip(*(smooth(*piece, bandwidth) for piece in pieces), strict=True))
+    return np.concatenate([times for times, _ in pieces]), q, v, a

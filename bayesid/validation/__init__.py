@@ -1,0 +1,1 @@
+"""Validation: predictions of held-out motions, cross-checks, and tests of agreement."""

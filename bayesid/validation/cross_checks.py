@@ -1,0 +1,147 @@
+"""Do the data agree with themselves? Motions among each other, wrench and torque, stop-and-go both ways."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+from bayesid.dynamics.base_parameters import structural_base
+from bayesid.errors import InputError
+from bayesid.estimators import Estimate, Estimator, fit
+from bayesid.estimators.nonlinear import solve
+from bayesid.regression.problem import Problem, make_channels, prepare, restrict
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """Whether two independent estimates of the same numbers agree.
+
+    Attributes
+    ----------
+    first, second
+        What was compared.
+    compared
+        How many independent numbers both determine.
+    rms
+        Root mean square of their differences in standard deviations; 1 is expected.
+    probability
+        Of differences at least as large, if both were right.
+    worst
+        The number that differs most, with both values.
+    """
+
+    first: str
+    second: str
+    compared: int
+    rms: float
+    probability: float
+    worst: str
+
+    @property
+    def contradiction(self) -> bool:
+        """Whether chance cannot explain the difference."""
+        return self.probability < 1e-3
+
+    def to_dict(self) -> dict:
+        """For JSON."""
+        return {**self.__dict__, "contradiction": self.contradiction}
+
+
+def compare_estimates(first: str, one: Estimate, second: str, other: Estimate) -> Agreement | None:
+    """Compare two independent estimates of the same base and effect parameters; None without covariance."""
+    shared = [n for n in one.base.names + one.effect_names if n in other.base.names + other.effect_names]
+    a = [(one.base.names + one.effect_names).index(n) for n in shared]
+    b = [(other.base.names + other.effect_names).index(n) for n in shared]
+    labels = [(one.base.labels + one.effect_names)[i] for i in a]
+    if one.full_covariance is None or other.full_covariance is None:
+        return None
+    seen = ~(one.undetermined[a] | other.undetermined[b])
+    difference = (one.solution[a] - other.solution[b])[seen]
+    covariance = (one.full_covariance[np.ix_(a, a)] + other.full_covariance[np.ix_(b, b)])[np.ix_(seen, seen)]
+    if not seen.any():
+        return None
+    return _judge(first, second, difference, covariance, [label for label, s in zip(labels, seen, strict=True) if s],
+                  one.solution[a][seen], other.solution[b][seen])  # fmt: skip
+
+
+def _judge(first, second, difference, covariance, labels, left, right) -> Agreement:
+    size = np.sqrt(np.diag(covariance))
+    values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
+    keep = values > 1e-9
+    z = vectors.T[keep] @ (difference / size) / np.sqrt(values[keep])
+    worst = int(np.argmax(np.abs(difference / size)))
+    return Agreement(
+        first=first,
+        second=second,
+        compared=int(keep.sum()),
+        rms=float(np.sqrt(np.mean(z**2))),
+        probability=float(chi2.sf(z @ z, keep.sum())),
+        worst=f"{labels[worst]}: {left[worst]:.4g} against {right[worst]:.4g} ({abs(difference[worst] / size[worst]):.1f} sigma)",
+    )
+
+
+def motions_apart(problem: Problem, method: str | Estimator) -> list[Agreement]:
+    """Fit every motion by itself and compare it with the estimate from all fitted motions but it.
+
+    Validation motions take part, too; nothing that is estimated depends on what comes out.
+    """
+    out = []
+    for name, recordings in problem.recordings.items():
+        rest = [n for n in problem.fitted if n != name]
+        if not recordings or not rest:
+            continue
+        try:
+            alone = fit(restrict(problem, [name]).regression, method)
+            others = fit(restrict(problem, rest).regression, method)
+        except (InputError, np.linalg.LinAlgError):
+            continue
+        agreement = compare_estimates(f"motion {name}", alone, f"motions {', '.join(rest)}", others)
+        if agreement is not None:
+            out.append(agreement)
+    return out
+
+
+def wrench_against_torque(problem: Problem, method: str | Estimator) -> Agreement | None:
+    """Compare the torque's base parameters with those that the wrench implies.
+
+    The wrench never sees friction, and its base parameters contain the torque's.
+    """
+    experiment, recipe = problem.experiment, problem.recipe
+    names = list(problem.fitted)
+    effects = [e.spec for e in recipe.effects]
+    wrench, torque = (
+        solve(
+            prepare(
+                experiment, channel, filters=recipe.filters, motions=names, effects=effects, static="joint",
+                bandwidth=problem.smoother.bandwidth,
+            ),
+            method,
+        )[1]
+        for channel in ("wrench", "torque")
+    )  # fmt: skip
+    if wrench.covariance is None or torque.covariance is None:
+        return None
+    at_rest = all(r.poses for n in names for r in problem.recordings[n])
+    full = structural_base(experiment.robot, make_channels(experiment, "torque"), at_rest=at_rest)
+    # Rows of K_torque as combinations of K_wrench.
+    relation = np.linalg.lstsq(wrench.base.matrix.T, full.matrix.T, rcond=None)[0].T
+    inside = np.linalg.norm(relation @ wrench.base.matrix - full.matrix, axis=1) < 1e-4 * np.linalg.norm(full.matrix, axis=1)
+    implied = (relation @ wrench.values)[inside]
+    covariance = (relation @ wrench.covariance @ relation.T + torque.covariance)[np.ix_(inside, inside)]
+    labels = [label for label, ok in zip(torque.base.labels, inside, strict=True) if ok]
+    return _judge("wrench", "torque", implied - torque.values[inside], covariance, labels, implied, torque.values[inside])
+
+
+def static_both_ways(problem: Problem, method: str | Estimator) -> Estimate | None:
+    """The estimate with the stop-and-go run fitted along instead of subtracted, where there is one."""
+    if problem.static != "motion":
+        return None
+    recipe = problem.recipe
+    joint = prepare(
+        problem.experiment, problem.channel, filters=recipe.filters, motions=problem.fitted, static="joint",
+        effects=[f"{e.name}@{e.where}" for e in recipe.effects if e.name != "sensor_offset"],
+        bandwidth=problem.smoother.bandwidth,
+    )  # fmt: skip
+    return solve(joint, method)[1]

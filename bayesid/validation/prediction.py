@@ -1,0 +1,293 @@
+"""Proof on motions: what the estimate predicts, what was measured, and how far apart they are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.signal import butter, correlate, sosfiltfilt, welch
+
+from bayesid.estimators import Estimate
+from bayesid.estimators.factor import whitened
+from bayesid.recordings.experiment import Experiment, Motion
+from bayesid.regression.problem import Problem
+from bayesid.regression.rows import Recording, make_blocks
+from bayesid.signals.noise import NoiseModel
+
+#: Band in which predictions are compared, the same whatever filter or method was used [Hz].
+BAND = 10.0
+_CHUNK = 8192
+#: Two motions whose joint paths agree to this correlation at some shift count as the same motion.
+REPEATED = 0.98
+_PLOTTED = 4000
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """Residual of a motion by frequency beside the noise that the intervals are built on.
+
+    Attributes
+    ----------
+    frequencies
+        (f,) [Hz], above zero, up to half the row rate.
+    residual, noise
+        One-sided amplitude spectral density of what was measured less what was predicted, and of the noise
+        model (f, c) [unit of the channel / sqrt(Hz)].
+    filtered
+        Whether both are those of rows behind the paper's low-passes, and so smaller than the sensor's.
+    """
+
+    frequencies: np.ndarray
+    residual: np.ndarray
+    noise: np.ndarray
+    filtered: bool = False
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Measured and predicted readings of one motion.
+
+    Attributes
+    ----------
+    motion, role
+        Which recording.
+    channel_names, channel_units
+        What is measured (c,).
+    times, measured, predicted
+        In the band, at most 4000 evenly picked samples (k,), (k, c), (k, c).
+    rmse, rmse_raw
+        Root mean square error in the band and on raw samples (c,) [unit of the channel].
+    nrmse, nrmse_raw
+        The same over the root mean square of what was measured (c,).
+    whitened_rms
+        Of the rows' residual in units of the noise; 1 is perfect.
+    whitened_rms_by_channel
+        (c,).
+    coverage
+        Share of whitened residuals inside their central 95 % prediction interval.
+    repeats
+        Name of a fitted motion that this motion repeats, or None.
+    poses
+        Whether the samples are poses at rest, one by one, rather than a motion.
+    spectrum
+        Residual and noise by frequency; None for poses and stretches too short to tell frequencies apart.
+    """
+
+    motion: str
+    role: str
+    channel_names: tuple[str, ...]
+    channel_units: tuple[str, ...]
+    times: np.ndarray
+    measured: np.ndarray
+    predicted: np.ndarray
+    rmse: np.ndarray
+    rmse_raw: np.ndarray
+    nrmse: np.ndarray
+    nrmse_raw: np.ndarray
+    whitened_rms: float
+    whitened_rms_by_channel: np.ndarray
+    coverage: float
+    repeats: str | None = None
+    poses: bool = False
+    spectrum: Spectrum | None = None
+
+    def to_dict(self) -> dict:
+        """An entry of ``validation`` in ``estimate.json``."""
+
+        def by_channel(values):
+            return {n: float(v) for n, v in zip(self.channel_names, values, strict=True)}
+
+        return {
+            "motion": self.motion,
+            "rmse": by_channel(self.rmse),
+            "nrmse": by_channel(self.nrmse),
+            "rmse_raw": by_channel(self.rmse_raw),
+            "nrmse_raw": by_channel(self.nrmse_raw),
+            "band_hz": BAND,
+            "relative_error": relative_error(self),
+            "whitened_rms": float(self.whitened_rms),
+            "whitened_rms_by_channel": by_channel(self.whitened_rms_by_channel),
+            "interval_coverage": float(self.coverage),
+            "repeats": self.repeats,
+        }
+
+
+def relative_error(prediction: Prediction) -> float:
+    """Error norm over signal norm of all channels together, raw samples."""
+    known = prediction.nrmse_raw > 0
+    signal = np.where(known, prediction.rmse_raw / np.where(known, prediction.nrmse_raw, 1), 0)
+    return float(np.linalg.norm(prediction.rmse_raw) / max(np.linalg.norm(signal), 1e-300))
+
+
+def band_error(prediction: Prediction) -> float:
+    """Error norm over signal norm of all channels together, in the band."""
+    known = prediction.nrmse > 0
+    signal = np.where(known, prediction.rmse / np.where(known, prediction.nrmse, 1), 0)
+    return float(np.linalg.norm(prediction.rmse) / max(np.linalg.norm(signal), 1e-300))
+
+
+def predict(problem: Problem, estimate: Estimate, motion: Motion) -> Prediction:
+    """Predict a motion's readings with an estimate and compare.
+
+    Parameters
+    ----------
+    problem, estimate
+        The model and its parameters.
+    motion
+        Any motion of the experiment whose columns allow it.
+    """
+    recordings = problem.recordings[motion.name]
+    moving = [r for r in recordings if not r.poses] or recordings
+    error, raw, times, measured, predicted = [], [], [], [], []
+    for recording in moving:
+        one = _one(problem, estimate, recording)
+        t, y, prediction = one
+        raw.append(prediction - y)
+        smooth_y, smooth_p = _band(t, y, recording.poses), _band(t, prediction, recording.poses)
+        error.append(smooth_p - smooth_y)
+        times.append(t)
+        measured.append(smooth_y)
+        predicted.append(smooth_p)
+    all_error, all_raw = np.concatenate(error), np.concatenate(raw)
+    y = np.concatenate(measured)
+    y_raw = y + all_error - all_raw  # only its norm is used below
+    pick = slice(None, None, max(-(-len(y) // _PLOTTED), 1))
+    rms, by_channel, coverage, spectrum = _whitened(problem, estimate, moving)
+    scale, scale_raw = _rms(y), _rms(y_raw)
+    return Prediction(
+        motion=motion.name,
+        role=motion.role,
+        channel_names=problem.recipe.channels.names,
+        channel_units=problem.recipe.channels.units,
+        times=np.concatenate(times)[pick],
+        measured=y[pick],
+        predicted=np.concatenate(predicted)[pick],
+        rmse=_rms(all_error),
+        rmse_raw=_rms(all_raw),
+        nrmse=_rms(all_error) / np.where(scale > 0, scale, np.inf),
+        nrmse_raw=_rms(all_raw) / np.where(scale_raw > 0, scale_raw, np.inf),
+        whitened_rms=rms,
+        whitened_rms_by_channel=by_channel,
+        coverage=coverage,
+        repeats=repeated(problem.experiment, motion, problem.fitted),
+        poses=all(r.poses for r in moving),
+        spectrum=spectrum,
+    )
+
+
+def _one(problem: Problem, estimate: Estimate, recording: Recording):
+    """Times, measured and predicted raw samples; where the smoothed trajectory is sound."""
+    times = recording.times
+    margin = 0.0 if recording.poses else problem.recipe.margin
+    a = int(np.searchsorted(times, times[0] + margin))
+    b = int(np.searchsorted(times, times[-1] - margin, side="right"))
+    parts = []
+    for first in range(a, b, _CHUNK):
+        rows = problem.recipe.samples(recording, first, min(first + _CHUNK, b))
+        # By way of the residual: rows about a point have a shifted target.
+        parts.append(recording.measured(first, first + len(rows)) + rows[:, :, :-1] @ estimate.solution - rows[:, :, -1])
+    return times[a:b], recording.measured(a, b), np.concatenate(parts)
+
+
+def _band(times: np.ndarray, values: np.ndarray, poses: bool) -> np.ndarray:
+    """Zero-phase low-pass to the common band; poses and slow recordings are left as they are."""
+    if poses or len(times) < 60:
+        return values
+    rate = 1.0 / np.median(np.diff(times))
+    if rate <= 2.5 * BAND:
+        return values
+    return sosfiltfilt(butter(4, BAND, fs=rate, output="sos"), values, axis=0)
+
+
+def _rms(values: np.ndarray) -> np.ndarray:
+    return np.sqrt(np.mean(values**2, axis=0))
+
+
+def _whitened(
+    problem: Problem, estimate: Estimate, recordings: list[Recording]
+) -> tuple[float, np.ndarray, float, Spectrum | None]:
+    """Root mean square of whitened residual rows, how many lie in their 95 % prediction interval, and their spectrum."""
+    power, count, inside, total = 0.0, 0, 0, 0
+    raw = []
+    noise = dict(estimate.noise)
+    for group in ("trajectory", "poses"):  # a kind of rows that was not fitted: the other's noise, uncoloured
+        if group not in noise:
+            noise[group] = next(iter(estimate.noise.values())).uncoloured()
+    for block, white in whitened(make_blocks(problem.recipe, recordings), noise):
+        if block.group == "trajectory":
+            raw.append(block.target - block.matrix @ estimate.solution)
+        residual = white[:, :, -1] - white[:, :, :-1] @ estimate.solution
+        power = power + np.sum(residual**2, axis=0)
+        count += len(residual)
+        spread = np.ones_like(residual)
+        if estimate.full_covariance is not None:
+            x = white[:, :, :-1]
+            spread = np.sqrt(1.0 + np.einsum("tcp,tcp->tc", x @ estimate.full_covariance, x))
+        inside += int(np.sum(np.abs(residual) <= 1.959964 * spread))
+        total += residual.size
+    channels = np.asarray(power) / max(count, 1)
+    spectrum = None
+    if raw:
+        rate = 1.0 / float(np.median(np.diff(next(r.times for r in recordings if not r.poses))))
+        spectrum = _spectrum(raw, noise["trajectory"], problem.recipe.step, rate, problem.recipe.filters is not None)
+    return float(np.sqrt(channels.mean())), np.sqrt(channels), inside / max(total, 1), spectrum
+
+
+def _spectrum(residuals: list[np.ndarray], noise: NoiseModel, step: float, rate: float, filtered: bool) -> Spectrum | None:
+    """Welch's estimate over all stretches of rows (k, c), and the same of the recursion that models the noise.
+
+    A row has the energy of one sample: white noise keeps its standard deviation, though rows are fewer. A
+    slow signal is therefore larger in rows by the root of the samples per row, which is divided out here.
+    """
+    length = int(np.clip(max(map(len, residuals)) // 4, 32, 256))
+    long = [r for r in residuals if len(r) >= length]
+    if not long:
+        return None
+    frequencies = np.fft.rfftfreq(length, step)[1:]
+    total = sum(len(r) for r in long)
+    keep: Any = False  # do not detrend; SciPy's annotation knows names only
+    power = sum(len(r) / total * welch(r, 1.0 / step, nperseg=length, detrend=keep, axis=0)[1][1:] for r in long)
+    gain = np.abs(np.fft.rfft(noise.coefficients, length, axis=1))[:, 1:].T
+    model = 2.0 * step * np.diag(noise.innovation) / gain**2
+    samples_per_row = max(rate * step, 1.0)
+    return Spectrum(frequencies, np.sqrt(power / samples_per_row), np.sqrt(model / samples_per_row), filtered)
+
+
+def repeated(experiment: Experiment, motion: Motion, fitted: tuple[str, ...]) -> str | None:
+    """Name of a fitted motion whose joint path this motion follows, at some shift in time, or None.
+
+    A "validation" on the motion that was fitted says little about any other motion: on repeats of its
+    training motion a published estimate was off by 2 %, on another motion by 14 %.
+    """
+    if motion.name in fitted or motion.kind == "poses":
+        return None
+    for other in experiment.motions:
+        if other.name in fitted and other.kind != "poses" and _same_path(motion, other):
+            return other.name
+    return None
+
+
+def _same_path(one: Motion, other: Motion) -> bool:
+    """Whether the shorter path is found in the longer one: largest normalised cross-correlation."""
+    step = max(max(one.table.duration, other.table.duration) / 4000, 0.02)
+    a, b = (_resampled(m, step) for m in (one, other))
+    if len(a) > len(b):
+        a, b = b, a
+    if len(a) < 10:
+        return False
+    a = a - a.mean(axis=0)
+    product = np.sum([correlate(b[:, j], a[:, j], mode="valid") for j in range(a.shape[1])], axis=0)
+    # a has no mean, so only the variance of b's window matters.
+    sums = np.vstack([np.zeros(b.shape[1]), np.cumsum(b, axis=0)])
+    squares = np.vstack([np.zeros(b.shape[1]), np.cumsum(b**2, axis=0)])
+    n = len(a)
+    variance = np.sum(squares[n:] - squares[:-n] - (sums[n:] - sums[:-n]) ** 2 / n, axis=1)
+    norm = np.sqrt(np.maximum(variance, 1e-12) * max(float(np.sum(a**2)), 1e-12))
+    return bool(np.max(product / norm) > REPEATED)
+
+
+def _resampled(motion: Motion, step: float) -> np.ndarray:
+    table = motion.table
+    grid = np.arange(table.times[0], table.times[-1], step)
+    return np.stack([np.interp(grid, table.times, q) for q in table.positions.T], axis=1)

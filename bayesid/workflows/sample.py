@@ -1,0 +1,311 @@
+"""The posterior of an experiment or a regression: draws, proof on the validation motions, files."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.linalg import cholesky
+from threadpoolctl import threadpool_limits
+
+from bayesid.errors import InputError
+from bayesid.estimators import Estimate
+from bayesid.estimators.estimator import condition, largest_autocorrelation
+from bayesid.estimators.factor import Factor, stack
+from bayesid.estimators.nonlinear import settled
+from bayesid.posterior.convert import write_netcdf
+from bayesid.posterior.diagnostics import ConvergenceError
+from bayesid.posterior.model import PosteriorModel
+from bayesid.posterior.predictive import predictive_groups
+from bayesid.posterior.result import PRIOR_DRIVEN, Posterior
+from bayesid.posterior.run import Chains, choose_engine, run
+from bayesid.recordings.experiment import Experiment, load_experiment
+from bayesid.regression.problem import Problem, prepare
+from bayesid.regression.regression import Block, Regression
+from bayesid.regression.rows import make_blocks
+from bayesid.report import posterior_report
+from bayesid.results.files import check_output, write_results
+from bayesid.robot.prior import Prior
+from bayesid.signals.filters import LowPass
+from bayesid.signals.noise import NoiseModel
+from bayesid.validation.prediction import Prediction, predict
+from bayesid.workflows.identify import TOLERATED
+from bayesid.workflows.progress import Clock, Progress, quiet
+
+SCHEMA = 1
+PRIORS = ("nominal", "flat")
+
+
+@dataclass(frozen=True, eq=False)
+class ExperimentPosterior(Posterior):
+    """The posterior of an experiment, with its predictions.
+
+    Attributes
+    ----------
+    problem
+        The experiment made ready.
+    fitted, validation
+        Predictions of the fitted motions and of the others by the posterior's mean and covariance.
+    trust
+        Relative standard deviation of the nominal bodies; None with a flat prior or one of the user's own.
+    warnings
+        What the user should know, most important first.
+    seconds
+        Run time by stage.
+    """
+
+    problem: Problem = field(kw_only=True)
+    fitted: tuple[Prediction, ...] = ()
+    validation: tuple[Prediction, ...] = ()
+    trust: float | None = None
+    warnings: tuple[str, ...] = ()
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    def to_dict(self) -> dict[str, Any]:
+        """``posterior.json``."""
+        filters = self.problem.recipe.filters
+        return {
+            "schema": SCHEMA,
+            "experiment": self.problem.experiment.name,
+            "channel": self.problem.channel,
+            "motions": list(self.problem.fitted),
+            "filter": {"l": None if filters is None else filters.l, "d": None if filters is None else filters.d},
+            "inertia_rel_std": self.trust,
+            **super().to_dict(),
+            "fit": [p.to_dict() for p in self.fitted],
+            "validation": [p.to_dict() for p in self.validation],
+            "warnings": list(self.warnings),
+            "runtime_s": self.seconds,
+        }
+
+    def write(self, folder: str | Path) -> Path:
+        """Write ``posterior.nc``, ``posterior.json`` and ``report.html``; returns the report's path."""
+        return write_results(
+            folder,
+            {"posterior.json": self.to_dict()},
+            {"posterior.nc": lambda path: write_netcdf(self.to_arviz(), path)},
+            posterior_report(self),
+        )
+
+
+def sample(
+    experiment: Experiment | Regression | str | Path,
+    draws: int = 2000,
+    seed: int = 0,
+    *,
+    channel: str | None = None,
+    prior: str | Prior | None = None,
+    prior_std: float | None = None,
+    noise: str = "gaussian",
+    engine: str | None = None,
+    moves: str = "laplace",
+    chains: int = 4,
+    longest: int = 32,
+    keep_going: bool = False,
+    low_pass: LowPass | None = None,
+    motions: Sequence[str] | None = None,
+    effects: Sequence[str] | None = None,
+    static: str = "motion",
+    bandwidth: float | None = None,
+    checkpoint: str | Path | None = None,
+    resume: bool = False,
+    progress: Progress = quiet,
+    bar: bool = False,
+) -> Posterior:
+    """Draws from the posterior over base parameters, the links behind them, effects and the noise.
+
+    Parameters
+    ----------
+    experiment
+        Loaded, its folder, or a regression of one's own.
+    draws, seed, chains
+        Draws in all, from so many independent chains; the same seed gives the same draws.
+    channel, low_pass, motions, effects, static, bandwidth
+        As in `bayesid.identify`; for experiments.
+    prior
+        ``nominal``: links near the nominal ones, and bodies that can exist only; ``flat``: on the base parameters,
+        without bounds; or a `Prior`. Default: nominal where the experiment says how far its links are trusted.
+    prior_std
+        That trust: relative standard deviation of every mass, such as 0.3; default the experiment's.
+    noise
+        ``gaussian``, or ``student`` for outliers that strike all channels of an instant.
+    engine
+        ``hmc`` (exact trajectories between walls, Gibbs for the noise) or ``emcee``; default: the one that suits.
+    moves
+        Of emcee: ``laplace``; ``de`` and ``stretch`` alone in few dimensions only.
+    longest
+        How many times longer to run while chains have not converged, before giving up.
+    keep_going
+        Return draws that have not converged, with a warning, instead of refusing.
+    checkpoint, resume
+        File that keeps an unfinished run, and whether to go on from it.
+    progress, bar
+        Called with the name of every stage; whether a bar is shown on a terminal.
+
+    Raises
+    ------
+    InputError
+        Bad input; the message says what to do.
+    ConvergenceError
+        The chains did not converge; its ``partial`` holds what there is.
+    """
+    clock = Clock(progress)
+    # The matrices are small: threads inside the linear algebra cost more than they gain here.
+    with threadpool_limits(1, user_api="blas"):
+        clock("reading")
+        if isinstance(experiment, (str, Path)):
+            experiment = load_experiment(experiment)
+        problem = None
+        if isinstance(experiment, Regression):
+            regression = experiment
+        else:
+            clock("regressor")
+            problem = prepare(
+                experiment, channel, filters=low_pass, motions=motions, effects=effects, static=static, bandwidth=bandwidth
+            )
+            problem = settled(problem)
+            regression = problem.regression
+        chosen, trust = _prior(regression, prior, prior_std)
+        clock("noise")
+        model = PosteriorModel.of(regression, chosen, noise)
+        clock("sampling")
+        result = run(
+            model, choose_engine(model, engine, moves), draws=draws, chains=chains, seed=seed, longest=longest,
+            checkpoint=None if checkpoint is None else Path(checkpoint), resume=resume, bar=bar, tell=progress,
+        )  # fmt: skip
+        clock("prediction")
+        posterior = _with_predictions(model, result, seed, regression, problem, trust, clock)
+    if not result.diagnosis.passed and not keep_going:
+        error = ConvergenceError(
+            f"the chains did not converge in {longest} times the usual length: {result.diagnosis.complaint()}; "
+            "draw longer (--longest), use engine hmc, or look at the draws with --keep-going"
+        )
+        error.partial = posterior
+        raise error
+    return posterior
+
+
+def _prior(regression: Regression, prior: str | Prior | None, std: float | None) -> tuple[Prior | None, float | None]:
+    """The prior asked for, or the default one, and its trust."""
+    if isinstance(prior, Prior):
+        return prior, None
+    stated = regression.inertia_rel_std
+    if std is not None and not (np.isfinite(std) and std > 0):
+        raise InputError(f"--prior-std {std}: give a positive number, such as 0.3")
+    if prior is None:
+        prior = "nominal" if regression.nominal_links is not None and (std or stated) else "flat"
+    if prior not in PRIORS:
+        raise InputError(f"--prior {prior}: choose one of {', '.join(PRIORS)}")
+    if prior == "flat":
+        if std is not None:
+            raise InputError(f"--prior-std {std} is for the nominal prior; leave it out with --prior flat")
+        return None, None
+    if regression.nominal_links is None:
+        raise InputError("--prior nominal: there are no nominal links; pass a Prior of your own")
+    trust = std or stated
+    if not trust:
+        raise InputError("--prior nominal: the experiment states no inertia_rel_std; add --prior-std 0.3")
+    return Prior.nominal(regression.nominal_links, trust), trust
+
+
+def _with_predictions(
+    model: PosteriorModel, result: Chains, seed: int, regression: Regression, problem: Problem | None, trust, clock: Clock
+) -> Posterior:
+    posterior = Posterior(model, result, seed)
+    if problem is None:
+        extra = predictive_groups(posterior, regression.pilot(), (), regression.channel_names)
+        clock.stop()
+        return Posterior(model, result, seed, extra)
+    others = [m for m in problem.experiment.motions if m.name in problem.recordings and m.name not in problem.fitted]
+    judges = [m for m in others if m.role == "validation"]
+    blocks = _blocks(problem, [m.name for m in judges])
+    extra = predictive_groups(posterior, regression.pilot(), blocks, regression.channel_names)
+    estimate = as_estimate(posterior, regression)
+    fitted = tuple(predict(problem, estimate, m) for m in problem.experiment.motions if m.name in problem.fitted)
+    validation = tuple(predict(problem, estimate, m) for m in judges)
+    clock.stop()
+    return ExperimentPosterior(
+        model, result, seed, extra, problem=problem, fitted=fitted, validation=validation, trust=trust,
+        warnings=_warnings(posterior, problem, validation), seconds=clock.seconds,
+    )  # fmt: skip
+
+
+def _blocks(problem: Problem, names: Sequence[str]) -> Iterator[Block]:
+    for name in names:
+        yield from make_blocks(problem.recipe, [r for r in problem.recordings[name] if not r.poses] or problem.recordings[name])
+
+
+def as_estimate(posterior: Posterior, regression: Regression) -> Estimate:
+    """The posterior's mean and covariance as an estimate, for predictions and comparisons."""
+    model = posterior.model
+    columns = posterior.columns.reshape(-1, posterior.columns.shape[-1])
+    solution = columns.mean(axis=0)
+    covariance = np.atleast_2d(np.cov(columns.T))
+    scales = np.sqrt(np.mean(posterior.scales**2, axis=(0, 1)))
+    if model.noise == "student":
+        nu = model.split(posterior.chains.draws)[2]
+        scales = scales * np.sqrt(np.median(nu / np.maximum(nu - 2.0, 0.5)))
+    assert model.likelihood.noise is not None
+    noise = {}
+    for group, part in zip(model.likelihood.groups, np.split(scales, len(model.likelihood.groups)), strict=True):
+        was = model.likelihood.noise[group]
+        root = cholesky(was.innovation, lower=True) * part
+        noise[group] = NoiseModel(was.coefficients, root @ root.T, was.from_zero)
+    r = None
+    for part in model.likelihood.factors:
+        r = stack(r, part)
+    assert r is not None
+    factor = Factor(r, int(model.likelihood.counts.sum()))
+    residual = np.sum((factor.matrix @ solution - factor.target) ** 2) + factor.least_squares
+    undetermined = np.zeros(len(solution), bool)
+    weak = np.zeros(len(solution), bool)
+    weak[: posterior.base.rank] = posterior.prior_share > PRIOR_DRIVEN
+    return Estimate(
+        method="posterior", base=posterior.base, effect_names=model.effect_names, effect_units=model.effect_units,
+        solution=solution, full_covariance=covariance, undetermined=undetermined, weak=weak, interval="credible", noise=noise,
+        rows=factor.rows, condition_number=condition(factor.matrix), residual_rms=float(np.sqrt(residual / factor.rows)),
+        whiteness=largest_autocorrelation([w[:, :, -1] - w[:, :, :-1] @ solution for w in model.likelihood.white]),
+    )  # fmt: skip
+
+
+def _warnings(posterior: Posterior, problem: Problem, validation: Sequence[Prediction]) -> tuple[str, ...]:
+    out = []
+    if not posterior.diagnosis.passed:
+        out.append(f"The chains did not converge: {posterior.diagnosis.complaint()}. Do not use these draws as a posterior.")
+    for p in validation:
+        if p.whitened_rms > TOLERATED:
+            out.append(
+                f"Motion '{p.motion}' is not predicted to the noise: residuals are {p.whitened_rms:.3g} times as large. The "
+                "model misses something there; the posterior does not cover that."
+            )
+        if p.repeats:
+            out.append(
+                f"Motion '{p.motion}' repeats the fitted motion '{p.repeats}': its error says little about other motions."
+            )
+    if not validation:
+        out.append("No validation motion: nothing proves that the posterior holds for another motion.")
+    if not posterior.model.likelihood.complete:
+        out.append(
+            "Efficient and plain least squares differ by more than the noise explains: something is missing in the model. The "
+            "likelihood takes model error for noise with the colour of the residuals; intervals hold for motions like the fitted "
+            "ones only."
+        )
+    driven = [label for label, share in zip(posterior.base.labels, posterior.prior_share, strict=True) if share > PRIOR_DRIVEN]
+    if driven:
+        shown = ", ".join(driven[:4]) + (f" and {len(driven) - 4} more" if len(driven) > 4 else "")
+        out.append(f"Driven by the prior, the data hardly narrow them: {shown}.")
+    if posterior.model.prior is None:
+        out.append(
+            "The prior is flat on the base parameters, so links are not sampled and nothing keeps them possible; "
+            "--prior nominal --prior-std 0.3 does both."
+        )
+    return tuple([*out, *problem.experiment.warnings])
+
+
+def checkpoint_of(folder: str | Path) -> Path:
+    """Where a run that will be written into a folder keeps its unfinished state: beside it, hidden."""
+    folder = check_output(folder)
+    return folder.parent / f".{folder.name}-checkpoint.npz"

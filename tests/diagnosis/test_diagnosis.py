@@ -1,0 +1,243 @@
+"""Diagnosis, on recordings of the independent plant of case_studies/blind_naming."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from bayesid import diagnose
+from bayesid.diagnosis import bodies, candidates, case, fit, noises, patchwork, proof, search, spectra
+from bayesid.effects import Term, parse_effects
+from bayesid.recordings.experiment import load_experiment
+from bayesid.robot.prior import Prior
+
+PLANT = Path(__file__).parents[2] / "case_studies" / "blind_naming"
+
+
+@pytest.fixture(scope="module")
+def plant():
+    """The plant's cases module."""
+    sys.path.insert(0, str(PLANT))
+    try:
+        yield importlib.import_module("cases")
+    finally:
+        sys.path.remove(str(PLANT))
+
+
+@pytest.fixture(scope="module")
+def record(plant, tmp_path_factory):
+    """Makes a recording of the two-joint PUMA with hidden effects; returns its folder and answer."""
+    out = tmp_path_factory.mktemp("blind")
+
+    def make(name, kind, effects, channel, *, level="clear", static=False, trust=0.03, seed=1, robot="puma2"):
+        plan = plant.Plan(name, kind, tuple(effects), level if effects else None, robot, channel, static, trust)
+        for attempt in range(8):
+            try:
+                answer = plant.make_case(plan, [seed, 0, attempt], out)
+                return out / name, answer
+            except plant.ImplausibleError:
+                continue
+        raise AssertionError(f"no draw of {effects}")
+
+    return make
+
+
+def made(folder, channel, seed=0):
+    """The case and its rigid columns."""
+    made_case = case.make_case(load_experiment(folder), channel, (), None, seed)
+    return made_case, fit.make_rigid(made_case, ())
+
+
+@pytest.mark.parametrize(
+    ("effect", "channel"),
+    [("sensor_delay", "wrench"), ("base_tilt", "wrench"), ("coulomb_friction", "torque"), ("torque_ripple", "torque")],
+)
+def test_one_hidden_effect_is_named_and_measured(record, effect, channel):
+    """Name, place, values within four standard deviations, and the gap on the unseen motions is closed."""
+    folder, answer = record(f"single-{effect}", "single", [effect], channel)
+    found = diagnose(folder, channel)
+    assert found.verdict == "named"
+    assert [(f.term.effect.name, f.term.effect.where) for f in found.found] == [(effect, answer["effects"][0]["where"])]
+    said = found.to_dict()["effects"][0]["parameters"]
+    for key, truth in answer["effects"][0]["parameters"].items():
+        if truth.get("main", True):
+            assert abs(said[key]["value"] - truth["value"]) < 4 * said[key]["std"] + 0.01 * abs(truth["value"])
+    assert found.gap is not None
+    assert found.gap.before > 1.5 * found.gap.after
+    assert found.gap.after < 1.2 * found.gap.floor
+    assert found.gap.closed_low > 0.8
+
+
+def test_two_hidden_effects_are_both_named(record):
+    """A pair, one at the sensor and one in the gravity it sees."""
+    folder, answer = record("pair", "pair", ["sensor_gain", "fluid_drag"], "wrench", seed=3)
+    found = diagnose(folder, "wrench")
+    assert {f.term.effect.spec for f in found.found} == {f"{e['name']}@{e['where']}" for e in answer["effects"]}
+
+
+def test_what_nearly_complete_models_leave_is_no_third_effect(record):
+    """Of three effects in a model one that explains next to nothing is dropped; three that all explain much stay."""
+    for hidden, extra, dropped in (
+        (["sensor_gain", "fluid_drag"], ["sensor_crosstalk@fx->mz"], ["sensor_crosstalk@fx->mz"]),
+        (["sensor_gain", "fluid_drag", "base_tilt"], [], []),
+    ):
+        folder, answer = record(f"hidden-{len(hidden)}", "pair", hidden, "wrench", seed=3)
+        comparison, rigid = made(folder, "wrench")
+        names = [f"{e['name']}@{e['where']}" for e in answer["effects"]] + extra
+        robot, channels = comparison.robot, [*"fx fy fz mx my mz".split()]
+        terms = [Term(e, e.kind.starts) for e in parse_effects(names, robot.joint_names, channels, None)]
+        base, best = fit.fit(rigid, ()), fit.fit(rigid, terms)
+        held = noises.Noises(0, (), {(): candidates.make_library(rigid, base)})
+        few, rest = search._essential(held, base, best, 1.0)
+        assert patchwork.patchwork(comparison, best.terms)
+        assert [t.effect.spec for t in rest] == dropped
+        assert [t.effect.spec for t in few.terms] == [n for n in names if n not in dropped]
+
+
+def test_a_stranger_is_unknown(record):
+    """An effect that the library does not have is not given a name."""
+    folder, _ = record("stranger", "unlisted", ["dahl"], "torque")
+    found = diagnose(folder, "torque")
+    assert found.verdict == "unknown"
+    assert not found.found
+    assert "no effect of the library" in " ".join(found.remarks)
+
+
+def test_nothing_is_named_where_nothing_is_hidden_but_a_naive_noise_names_often(record, monkeypatch):
+    """Whitened residuals have unit size and nothing is named; without the encoders' share of the noise, names abound."""
+    folders = [record(f"none-{k}", "none", [], "wrench", trust=0.0, seed=20 + k)[0] for k in range(4)]
+    honest = [diagnose(f, "wrench") for f in folders]
+    assert [d.verdict for d in honest] == ["nothing_missing"] * 4
+    for d in honest:
+        assert d.search.base.chi2 / d.search.rigid.rows == pytest.approx(1.0, abs=0.3)
+    monkeypatch.setattr(spectra, "ROUNDINGS", 0)
+    naive = [search.search(made(f, "wrench")[1], (), 0, lambda _: None) for f in folders]
+    assert sum(s.base.chi2 / s.rigid.rows > 1.5 or bool(s.found) for s in naive) >= 2
+
+
+def test_the_same_seed_gives_the_same_diagnosis(record):
+    """Everything random comes from the seed."""
+    folder, _ = record("again", "single", ["viscous_friction"], "torque", seed=5)
+    first, second = (json.loads(json.dumps(diagnose(folder, "torque", seed=4).to_dict())) for _ in range(2))
+    first.pop("runtime_s"), second.pop("runtime_s")
+    assert first == second
+
+
+def test_a_placebo_explains_nothing(record):
+    """Columns of the right effect, but of the motion run backwards, gain no more than chance."""
+    folder, _ = record("placebo", "single", ["sensor_delay"], "wrench", seed=6)
+    _, rigid = made(folder, "wrench")
+    base = fit.fit(rigid, ())
+    block = next(b for b in candidates.make_library(rigid, base).blocks if b.effect.name == "sensor_delay")
+    left = rigid.rest(np.concatenate([base.residual, -base.coordinates]))
+    column = block.rows[:, 0] / np.linalg.norm(block.rows[:, 0])
+    assert (column @ left) ** 2 > 1000
+    backwards = rigid.rest(rigid.padded(column[: rigid.rows][::-1]))
+    backwards /= np.linalg.norm(backwards)
+    # The residual is mostly the true delay, so the placebo is judged against what is left once that is out.
+    rest = left - column * (column @ left)
+    assert (backwards @ rest) ** 2 < 25
+
+
+def test_projecting_the_links_out_equals_fitting_them(record):
+    """The chi-squared of the reduced problem is that of all columns over their prior at once."""
+    folder, _ = record("links", "none", [], "torque", trust=0.05, seed=8)
+    made_case, rigid = made(folder, "torque")
+    base = fit.fit(rigid, ())
+    rows = fit.residual_rows(made_case, made_case.stretches, made_case.links, np.zeros(2), ())
+    data = np.vstack([s.white(made_case.rigid(s, ())) @ rigid.root for s in made_case.stretches])
+    stacked, target = np.vstack([data, np.eye(data.shape[1])]), np.concatenate([rows, np.zeros(data.shape[1])])
+    u, left, *_ = np.linalg.lstsq(stacked, target, rcond=None)
+    assert base.chi2 == pytest.approx(float(left[0]), rel=1e-8)
+    np.testing.assert_allclose(base.links, made_case.links + rigid.root @ u, rtol=1e-6, atol=1e-9)
+
+
+def test_white_noise_becomes_unit_rows():
+    """The spectrum of white noise has the stated variance at every frequency, whatever the taper."""
+    rng = np.random.default_rng(0)
+    times = np.arange(0, 20, 0.008)
+    noise = rng.normal(size=(len(times), 2)) * [0.5, 0.02]
+    scene = case.smoothed(times, np.sin(times)[:, None], times, 12.0, False, np.zeros(1))
+    stretch = spectra.Stretch("m", "identification", times, np.sin(times)[:, None], noise, scene, False, (), np.zeros(0))
+    np.testing.assert_allclose(spectra.sensor_noise([stretch]), [0.5, 0.02], rtol=0.12)
+    zero = np.zeros(1)
+    known = spectra.with_noise(
+        stretch, lambda s: np.zeros((len(s.scene.times), 2)), lambda s, _: s, np.array([0.5, 0.02]), zero, zero, rng
+    )
+    white = known.whiten(known.measured(noise))
+    assert np.mean(white**2) == pytest.approx(1.0, abs=0.12)
+
+
+@pytest.mark.parametrize("count", [1e-4, 2e-5])
+def test_the_encoder_count_is_read_from_the_positions(count):
+    """Positions rounded to counts and written with six decimals give the count; smooth ones give none."""
+    motion = np.sin(np.arange(0, 10, 0.01))
+    assert spectra.encoder_count(np.round(np.round(motion / count) * count, 6)) == pytest.approx(count, rel=1e-6)
+    assert spectra.encoder_count(motion) == 0.0
+
+
+def test_a_contact_is_left_out_of_other_motions(record):
+    """It happened once: neither the other motions nor the validation know it."""
+    folder, _ = record("once", "none", [], "wrench", seed=9)
+    made_case, _ = made(folder, "wrench")
+    effect = made_case.places("external_contact")[0]
+    once = case.Episode(effect, (1.0, 2.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0), made_case.stretches[0].motion)
+    assert case.here(made_case.stretches[0], [once])
+    assert not any(case.here(s, [once]) for s in made_case.unseen)
+    assert not any(case.here(s, [Term(effect, once.values)]) for s in made_case.unseen)
+
+
+def test_the_gap_needs_unseen_motions(record):
+    """Without validation motions there is a name, no proof, and a remark that says so."""
+    folder, _ = record("unproven", "single", ["viscous_friction"], "torque", seed=11)
+    experiment = load_experiment(folder)
+    every = [m.name for m in experiment.motions]
+    found = diagnose(experiment, "torque", motions=every)
+    assert found.gap is None
+    assert found.to_dict()["gap"] is None
+    assert any("No validation motion" in r for r in found.remarks)
+    assert proof.prove(found.search.rigid, found.search.base, found.search.best, 1.0, 0) is None
+
+
+def test_a_model_that_runs_away_is_refused(record, monkeypatch):
+    """Where derivatives overflow, a model gets no score that anything could lose against."""
+    folder, _ = record("away", "none", [], "torque", seed=9)
+    made_case, rigid = made(folder, "torque")
+    [effect] = [e for e in made_case.places("joint_flexibility") if e.where == "joint2"]
+    [body] = [e for e in made_case.places("inertia_error") if e.where == "joint2"]
+    library = candidates.make_library(rigid, base := fit.fit(rigid, ()))
+    proposals = [p for p in library.propose(base) if p.name == body.spec]
+    endless = lambda *given: np.full((rigid.rows, sum(len(t.values) for t in given[-1])), np.inf)  # noqa: E731
+    monkeypatch.setattr(fit, "model_rows", endless)
+    for term in (Term(effect, (1e-4,)), Term(body, body.kind.starts)):
+        runaway = fit.fit(rigid, (term,))
+        assert runaway.score == -np.inf and runaway.chi2 == np.inf
+        assert not runaway.covariance.any() and np.isfinite(runaway.residual).all()
+        assert bodies.as_payload(runaway, 0, 1.0) == (runaway.terms[0], 0.0)
+    held = noises.Noises(0, (), {(): library})
+    assert search._exact(held, base, (), [replace(p, gain=1e3) for p in proposals], 1.0) == []
+
+
+def test_a_changed_link_is_priced_by_its_marginal_likelihood(record):
+    """The score's gain is that of Gaussian densities with the link's columns under the prior of the best width."""
+    folder, _ = record("heavier", "single", ["inertia_error"], "torque", trust=0.05, seed=11)
+    made_case, rigid = made(folder, "torque")
+    base = fit.fit(rigid, ())
+    [effect] = [e for e in made_case.places("inertia_error") if e.where == "joint2"]
+    changed = fit.fit(rigid, (Term(effect, (0.0,) * 10),), base)
+    zero = np.zeros(made_case.robot.n)
+    rows = fit.residual_rows(made_case, made_case.stretches, made_case.links, zero, ())
+    links = np.vstack([s.white(made_case.rigid(s, ())) for s in made_case.stretches])
+    own = Prior.warped(made_case.links[10:20], 1.0).covariance
+    plain = np.eye(len(rows)) + links @ rigid.root @ (links @ rigid.root).T
+    change = links[:, 10:20] @ own @ links[:, 10:20].T
+    free = max(multivariate_normal.logpdf(rows, cov=plain + w**2 * change) for w in fit.WIDTHS)
+    want = free - multivariate_normal.logpdf(rows, cov=plain) - np.log(len(fit.WIDTHS))
+    assert changed.score - base.score == pytest.approx(want, abs=1e-3 * abs(want) + 0.02)

@@ -1,0 +1,348 @@
+"""What `diagnose` writes: files, words and pictures; the numbers themselves are tested elsewhere."""
+
+import json
+import tomllib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_report import read
+
+import bayesid
+from bayesid.cli import main
+from bayesid.diagnosis import memo
+from bayesid.diagnosis.case import Episode
+from bayesid.diagnosis.locate import BANDS, by_band, by_window
+from bayesid.diagnosis.proof import residual_spectra
+from bayesid.diagnosis.search import Found
+from bayesid.diagnosis.views import views
+from bayesid.effects import KINDS, Term, parse_effects
+from bayesid.recordings.schema import read_model
+from bayesid.robot.examples import PAPER_LOCKED
+from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
+
+NOISE = dict(force_std=0.3, torque_std=0.05, resolution=2e-5)
+SENSOR = Sensor(translation=np.array([0.0, 0.0, -0.1]))
+GAIN = 0.1
+
+
+def made(robot, gain, names=("identification", "validation"), **options):
+    """An arm on a sensor one axis of which reads too much."""
+    motions = []
+    for k, name in enumerate(names):
+        table = recording(robot, SENSOR, fourier(robot, k + 1, duration=8.0, rate=100.0), seed=k + 1, **NOISE)
+        wrench = table.wrench * np.array([1, 1, 1, 1 + gain, 1, 1])
+        motions.append(Motion(name, name, replace(table, wrench=wrench)))
+    return experiment(robot, motions, SENSOR, inertia_rel_std=0.03, locked=PAPER_LOCKED, **options)
+
+
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory):
+    return puma2(tmp_path_factory.mktemp("puma"))
+
+
+@pytest.fixture(scope="module")
+def folder(robot, tmp_path_factory):
+    path = tmp_path_factory.mktemp("arm") / "arm"
+    bayesid.write_experiment(made(robot, GAIN), path)
+    return path
+
+
+@pytest.fixture(scope="module")
+def named(robot):
+    return bayesid.diagnose(made(robot, GAIN))
+
+
+@pytest.fixture(scope="module")
+def clean(robot):
+    return bayesid.diagnose(made(robot, 0.0))
+
+
+@pytest.fixture(scope="module")
+def written(named, tmp_path_factory):
+    return named.write(tmp_path_factory.mktemp("out") / "out").parent
+
+
+def effect(diagnosis, spec):
+    case = diagnosis.case
+    return parse_effects([spec], case.robot.joint_names, case.channels.names)[0]
+
+
+def ambiguous(diagnosis):
+    rival = Term(effect(diagnosis, "sensor_crosstalk@my->mx"), (0.02,))
+    found = replace(diagnosis.found[0], rivals=((rival, 1.5),))
+    return replace(diagnosis, verdict="ambiguous", found=(found,), next_experiment="Move faster.")
+
+
+def unknown(diagnosis):
+    remark = "Something is missing that no effect of the library explains: residuals stay."
+    return replace(diagnosis, verdict="unknown", found=(), shifts=(), remarks=(remark, "The floor is a guess."))
+
+
+def page_of(diagnosis, folder):
+    path = diagnosis.write(folder)
+    return read(path.read_text(encoding="utf-8"))
+
+
+def text_of(page):
+    return " ".join(page.text.split())
+
+
+# ---- files -----------------------------------------------------------------------------------------------------------
+
+
+def test_the_json_is_as_promised(named, written):
+    def refuse(word):
+        raise AssertionError(word)
+
+    found = json.loads((written / "diagnosis.json").read_text(encoding="utf-8"), parse_constant=refuse)
+    assert {"schema", "channel", "verdict", "effects", "where", "gap", "candidates", "next_experiment"} <= set(found)
+    assert (found["schema"], found["channel"], found["verdict"]) == (1, "wrench", "named")
+    (one,) = found["effects"]
+    assert (one["name"], one["where"], one["ambiguous_with"]) == ("sensor_gain", "mx", [])
+    assert set(one["parameters"]["gain"]) == {"value", "std", "unit"} and 0 <= one["probability"] <= 1
+    assert abs(one["parameters"]["gain"]["value"] - GAIN) < 5 * one["parameters"]["gain"]["std"]
+    assert {"channel", "motion", "start", "end", "joint", "band_hz"} <= set(found["where"][0])
+    assert {"metric", "before", "after", "floor", "closed", "closed_low"} <= set(found["gap"])
+    assert found["gap"]["before"] > 10 * found["gap"]["after"]
+    assert {"name", "where", "log_bayes_factor", "minimum_detectable"} <= set(found["candidates"][0])
+
+
+def test_numbers_that_are_not_finite_become_null(named, tmp_path):
+    gap = replace(named.gap, closed=np.nan, closed_low=-np.inf)
+    odd = replace(named, gap=gap, found=(replace(named.found[0], std=np.array([np.inf])),))
+    page = page_of(odd, tmp_path / "out")
+    found = json.loads((tmp_path / "out" / "diagnosis.json").read_text(encoding="utf-8"))
+    assert found["gap"]["closed"] is None and found["gap"]["closed_low"] is None
+    assert found["effects"][0]["parameters"]["gain"]["std"] is None
+    assert "of the gap to the floor is closed" not in text_of(page)
+
+
+def test_a_failed_report_leaves_nothing(named, tmp_path, monkeypatch):
+    def fail(*_):
+        raise RuntimeError("no page")
+
+    monkeypatch.setattr(memo, "diagnosis_report", fail)
+    with pytest.raises(RuntimeError, match="no page"):
+        named.write(tmp_path / "out")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_model_holds_what_was_found(named, written):
+    effects, values = read_model(written / "model.toml")
+    assert effects == ("sensor_gain@mx",)
+    assert values == {"sensor_gain@mx": {"gain": named.found[0].term.values[0]}}
+
+
+def test_the_model_keeps_what_was_there(named):
+    """Effects of other channels, what was fixed, and effects named without a place stay as they were."""
+    kept = {"viscous_friction@joint1": {"coefficient": 2.0}, "sensor_delay": {"delay": 0.001, "fixed": True}}
+    case = replace(named.case.experiment, effects=("viscous_friction", "sensor_delay"), effect_values=kept)
+    delay = Term(effect(named, "sensor_delay"), (0.001,))
+    base = replace(named.search.base, terms=(delay,))
+    best = replace(named.search.best, terms=(delay, *named.search.best.terms))
+    changed = replace(named, case=replace(named.case, experiment=case), search=replace(named.search, base=base, best=best))
+    effects, values = memo.model(changed)
+    assert effects == ("viscous_friction", "sensor_delay", "sensor_gain@mx")
+    assert values["viscous_friction@joint1"] == {"coefficient": 2.0}
+    assert values["sensor_delay@sensor"] == {"delay": 0.001, "fixed": True}
+    assert values["sensor_gain@mx"]["gain"] == pytest.approx(GAIN, rel=0.1)
+
+
+def test_with_the_model_nothing_is_missing(named, written, robot):
+    """And effects that are given replace those of the experiment, in the next model.toml, too."""
+    effects, values = read_model(written / "model.toml")
+    again = bayesid.diagnose(made(robot, GAIN, effects=("sensor_delay",), effect_values=values), effects=effects)
+    assert again.verdict == "nothing_missing"
+    assert again.gap.before == pytest.approx(named.gap.after, rel=1e-3)
+    assert memo.model(again)[0] == effects
+
+
+# ---- command line ----------------------------------------------------------------------------------------------------
+
+
+def test_the_command_and_identify_with_its_model(folder, tmp_path, capsys):
+    assert main(["diagnose", str(folder), "--out", str(tmp_path / "out")]) == 0
+    printed = capsys.readouterr()
+    assert printed.err == ""
+    assert "The model misses one effect: sensor_gain at mx" in printed.out
+    assert printed.out.rstrip().splitlines()[-1] == f"report: {tmp_path / 'out' / 'report.html'}"
+    assert {p.name for p in (tmp_path / "out").iterdir()} == {"diagnosis.json", "model.toml", "report.html"}
+    whitened = {}
+    for name, more in (("plain", []), ("with", ["--model", str(tmp_path / "out" / "model.toml")])):
+        assert main(["identify", str(folder), "--out", str(tmp_path / name), *more]) == 0
+        estimate = json.loads((tmp_path / name / "estimate.json").read_text(encoding="utf-8"))
+        whitened[name] = estimate["validation"][0]["rmse"]["mx"]
+    assert whitened["with"] < 0.2 * whitened["plain"]
+    gains = [e["parameters"]["gain"]["value"] for e in estimate["effects"] if e["name"] == "sensor_gain"]
+    assert gains == [pytest.approx(GAIN, rel=0.02)]
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (["--motions", "nod"], "--motions nod"),
+        (["--effects", "sensor_gian"], "did you mean 'sensor_gain'"),
+        (["--channel", "torques"], "torques"),
+        (["--model", "absent.toml"], "absent.toml: no such file"),
+    ],
+)
+def test_bad_input_ends_with_2_and_one_line(folder, tmp_path, capsys, options, says):
+    assert main(["diagnose", str(folder), "--out", str(tmp_path / "out"), *options]) == 2
+    printed = capsys.readouterr()
+    assert says in printed.err and printed.err.count("\n") == 1 and "Traceback" not in printed.err
+    assert not (tmp_path / "out").exists()
+
+
+# ---- words -----------------------------------------------------------------------------------------------------------
+
+
+def test_the_summary_of_each_verdict(named, clean):
+    assert named.verdict == "named" and clean.verdict == "nothing_missing"
+    text = str(named)
+    assert text.startswith("test: named (sensor's wrench of identification)\n")
+    assert KINDS["sensor_gain"].summary in text and "sensor_gain@mx: gain 0.09" in text or "gain 0.1" in text
+    assert f"-> {named.gap.after:.2f} x noise (floor {named.gap.floor:.2f})" in text and "disagrees: mx in" in text
+    assert "Nothing is missing" in str(clean) and "disagrees" not in str(clean)
+    assert "either sensor_gain at mx" in str(ambiguous(named)) and "or sensor_crosstalk at my->mx" in str(ambiguous(named))
+    text = str(unknown(named))
+    assert "no effect of the library explains it" in text and "best attempt: sensor_gain@mx" in text
+    assert "note: The floor is a guess." in text and "note: Something" not in text
+
+
+def test_two_effects_and_a_contact(named):
+    where = effect(named, "external_contact@joint2")
+    contact = Episode(where, (1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 0.0, 0.0), "identification")
+    both = replace(named, found=(*named.found, Found(contact, 90.0, np.full(8, 0.1))))
+    assert "The model misses two effects: sensor_gain at mx" in str(both)
+    assert "external_contact at joint2" in str(both)
+    assert "here in ‘identification’, so other motions cannot prove it" in memo.proof_sentence(both)
+
+
+def test_shares_are_not_rounded_up_to_all(named):
+    assert memo.share_text(0.9999994) == "99.999 %"
+    assert memo.share_text(1.0) == "100 %"
+    assert memo.share_text(0.5) == "50.0 %"
+
+
+def test_a_notebook_escapes(named):
+    html = ambiguous(named)._repr_html_()
+    assert "my-&gt;mx" in html and "<table>" in html and "sensor_gain@mx" in html
+
+
+# ---- the page --------------------------------------------------------------------------------------------------------
+
+
+def test_the_page_of_a_named_effect(named, written):
+    text = text_of(read((written / "report.html").read_text(encoding="utf-8")))
+    for part in (
+        "The model misses one effect: sensor_gain at mx", "What disagrees, and where", "What it is",
+        "Why that, and not something else", "What it did to the parameters", "Before and after on unseen motions",
+        "What these motions could show at all", "Where the noise floor comes from",
+        "One axis reads (1 + gain) times the truth.", "No other effect in its place comes near",
+    ):  # fmt: skip
+        assert part in text, part
+    assert "Know this before" not in text
+
+
+def test_the_page_of_nothing(clean, tmp_path):
+    text = text_of(page_of(clean, tmp_path / "out"))
+    for part in ("Nothing is missing", "What was tried", "Anything smaller may be there unseen", "What is left on unseen"):
+        assert part in text, part
+    assert "What it is" not in text and "What it did" not in text
+
+
+def test_the_page_of_two_names(named, tmp_path):
+    text = text_of(page_of(ambiguous(named), tmp_path / "out"))
+    assert "Or, just as well: sensor_crosstalk@my->mx" in text and "loses only 1.5: too little to decide" in text
+    assert "Move faster." in text
+    given = json.loads((tmp_path / "out" / "diagnosis.json").read_text(encoding="utf-8"))["effects"][0]["ambiguous_with"]
+    assert given == [{"name": "sensor_crosstalk", "where": "my->mx"}]
+
+
+def test_the_page_of_a_stranger(named, tmp_path):
+    text = text_of(page_of(unknown(named), tmp_path / "out"))
+    for part in ("Something is missing, and no effect of the library explains it", "the best attempt was sensor_gain@mx",
+                 "The floor is a guess.", "by the best attempt"):  # fmt: skip
+        assert part in text, part
+    assert "What it is" not in text
+    assert tomllib.loads((tmp_path / "out" / "model.toml").read_text(encoding="utf-8")) == {"model": {"effects": []}}
+
+
+def test_the_page_without_validation(robot, tmp_path):
+    diagnosis = bayesid.diagnose(made(robot, GAIN, ["identification"]))
+    assert diagnosis.gap is None
+    text = text_of(page_of(diagnosis, tmp_path / "out"))
+    assert "There is no validation motion" in text and "No motion that took no part in the fit was compared" in text
+    assert "No motion that took no part" in str(diagnosis)
+
+
+# ---- the numbers behind the pictures ---------------------------------------------------------------------------------
+
+
+def test_windows_and_bands_hold_all_of_the_residual(named):
+    case = named.case
+    (stretch,) = case.unseen
+    (white,) = residual_spectra(case, case.unseen, named.search.base)
+    energy = by_window(stretch, white, 1.0, 1)[1]
+    np.testing.assert_allclose(energy.sum(axis=0), np.sum(white**2, axis=0), rtol=1e-10)
+    counts = [np.sum((stretch.frequencies >= low) & (stretch.frequencies < high)) for low, high in BANDS]
+    assert sum(counts) == len(white)
+    np.testing.assert_allclose(np.array(counts) @ by_band(stretch, white) ** 2, np.sum(white**2, axis=0), rtol=1e-10)
+
+
+def test_pictures_show_what_the_gap_says(named):
+    seen = views(named)
+    np.testing.assert_allclose(seen.by_channel, named.gap.by_channel, rtol=1e-9)
+    assert [p.unseen for p in seen.panels] == [False, True]
+    marked = np.concatenate([m for p in seen.panels for _, _, m in p.pieces])
+    mx = named.case.channels.names.index("mx")
+    assert marked[:, mx, 0].mean() > 0.8 and marked[..., 1].mean() < 0.1
+    assert seen.signals[0].motion == "validation" and "mx" in [s.channel for s in seen.signals]
+    for s in seen.signals:
+        assert np.sqrt(np.mean(s.values[:, 1] ** 2)) < 2.0 * s.noise
+    worst = next(s for s in seen.signals if s.channel == "mx")
+    assert np.sqrt(np.mean(worst.values[:, 0] ** 2)) > 5.0 * worst.noise
+
+
+def test_the_noise_band_is_that_of_drawn_noise(named):
+    """Coefficients drawn from their covariance and made into signals spread as far as the band says."""
+    (stretch,) = named.case.unseen
+    rng = np.random.default_rng(0)
+    root = np.linalg.cholesky(stretch.covariance)
+    for s in views(named).signals:
+        c = named.case.channels.names.index(s.channel)
+        drawn = np.einsum("kcd,kdn->kcn", root, rng.normal(size=(*stretch.shape, 200)))[:, c]
+        drawn[stretch.frequencies > s.below] = 0.0
+        assert np.std(stretch.samples(drawn)) == pytest.approx(s.noise, rel=0.05)
+
+
+def test_noise_is_what_was_put_in(named):
+    for n in views(named).noise:
+        put = NOISE["force_std"] if n.unit == "N" else NOISE["torque_std"]
+        assert n.sample == pytest.approx(put, rel=0.2)
+        assert 0 < n.sensor < n.sample
+
+
+def test_shares_of_look_alikes_are_those_of_least_squares(named):
+    library = named.search.library
+    by_name = {v.effect.spec: v for v in views(named).visible}
+    columns = {b.effect.spec: b.rows for b in library.blocks}
+    for spec in ("sensor_gain@mx", "sensor_delay@sensor", "encoder_offset@joint2"):
+        found, z = by_name[spec], columns[spec][:, 0]
+
+        def explained(other, z=z):
+            rows = columns[other] / np.maximum(np.linalg.norm(columns[other], axis=0), 1e-300)
+            left = z - rows @ np.linalg.lstsq(rows, z, rcond=1e-6)[0]
+            return 1.0 - left @ left / (z @ z)
+
+        best = max((o for o in columns if o != spec), key=explained)
+        assert found.share == pytest.approx(explained(best), abs=1e-6)
+        assert found.seen == pytest.approx(5.0 / np.linalg.norm(z))
+        if found.named is not None:
+            assert found.named == pytest.approx(found.seen / np.sqrt(1.0 - found.share), rel=1e-3)
+
+
+def test_the_same_seed_gives_the_same(named, robot):
+    again, first = bayesid.diagnose(made(robot, GAIN)).to_dict(), named.to_dict()
+    assert {**again, "runtime_s": 0.0} == {**first, "runtime_s": 0.0}

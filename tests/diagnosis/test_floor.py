@@ -1,0 +1,278 @@
+"""Where a diagnosis takes its noise from: repeats and rests against noise of a spectrum that is known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import butter, freqz, lfilter
+
+from bayesid import diagnose
+from bayesid.diagnosis import case, repeats, scatter
+from bayesid.diagnosis.spectra import taper
+from bayesid.dynamics.channels import torque_channels, wrench_channels
+from bayesid.dynamics.regressors import dynamics_regressor
+from bayesid.recordings.table import Table
+from tests.simulated import Motion, Sensor, experiment, fourier, puma2
+
+RATE = 125.0
+SENSOR = Sensor(translation=(0.0, 0.0, -0.1))
+STD = np.repeat([0.3, 0.03], 3)
+#: Channels share a quarter of their noise.
+MIXING = np.linalg.cholesky(0.75 * np.eye(6) + 0.25)
+#: A sensor that smooths before it is recorded, and one whose noise is red without a filter.
+FILTERED = butter(2, 4.0, fs=RATE)
+RED = (np.array([0.1]), np.array([1.0, -0.9]))
+WHITE = (np.array([1.0]), np.array([1.0]))
+
+
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory):
+    """The paper's two-joint robot."""
+    return puma2(tmp_path_factory.mktemp("robot"))
+
+
+def noise(shape: tuple[int, int], law, seed: int) -> np.ndarray:
+    """Noise of the spectrum ``STD^2 |H|^2``, correlated across channels."""
+    white = np.random.default_rng(seed).normal(size=(shape[0] + 1000, 6)) @ MIXING.T * STD
+    return lfilter(*law, white, axis=0)[1000:]
+
+
+def spectrum(law, frequencies: np.ndarray) -> np.ndarray:
+    """Standard deviation of white noise that is as strong (K, c)."""
+    return np.abs(freqz(*law, worN=frequencies, fs=RATE)[1])[:, None] * STD
+
+
+def recorded(robot, motion, law, seed: int, *, delay: float = 0.0, resolution: float = 2e-5) -> Table:
+    """A wrench and rounded positions."""
+    times, q, v, a = motion
+    channels = wrench_channels(robot, np.eye(3), SENSOR.translation)
+    wrench = dynamics_regressor(robot, channels, q, v, a) @ robot.nominal.ravel() + channels.static_wrench
+    late = np.stack([np.interp(times - delay, times, w) for w in wrench.T], axis=1) if delay else wrench
+    read = np.round(q / resolution) * resolution
+    return Table(times=times, positions=read, wrench=late + noise(late.shape, law, seed))
+
+
+def swept(robot, seed: int, duration: float):
+    """A motion that never repeats itself."""
+    times, q, v, a = fourier(robot, seed, duration=duration, speed=0.8)
+    w = 2.0 * np.pi * 0.037 * np.sqrt(np.array([2.0, 5.0]))
+    return times, q + 0.3 * np.sin(w * times[:, None]), v + 0.3 * w * np.cos(w * times[:, None]), a - 0.3 * w**2 * np.sin(
+        w * times[:, None]
+    )  # fmt: skip
+
+
+def parked(robot, seed: int, rest: float):
+    """The same with a rest at both ends, reached smoothly."""
+    times, q, _, _ = swept(robot, seed, 20.0)
+    held = int(rest * RATE)
+    s = np.clip(times / 2.0, 0, 1) * np.clip((times[-1] - times) / 2.0, 0, 1)
+    edge = s**4 * (35 - 84 * s + 70 * s**2 - 20 * s**3)
+    q = np.pad((q - q[0]) * edge[:, None], ((held, held), (0, 0)), mode="edge")
+    v = np.gradient(q, 1.0 / RATE, axis=0)
+    return np.arange(len(q)) / RATE, q, v, np.gradient(v, 1.0 / RATE, axis=0)
+
+
+def setting(robot, motion, law, unseen=None, **options):
+    """An experiment with exact links; the noise of the second motion is another draw."""
+    delay = options.pop("delay", 0.0)
+    motions = [Motion("fit", "identification", recorded(robot, motion, law, 1, delay=delay))]
+    if unseen is not None:
+        motions.append(Motion("unseen", "validation", recorded(robot, unseen, law, 2, delay=delay)))
+    return experiment(robot, motions, SENSOR, inertia_rel_std=0.0, position_resolution=2e-5, **options)
+
+
+def made(given):
+    """Its case."""
+    return case.make_case(given, "wrench", (), None, 0)
+
+
+@pytest.mark.parametrize(("law", "name"), [(FILTERED, "filtered"), (RED, "red")])
+def test_repeats_give_the_spectrum_of_coloured_noise(robot, law, name):
+    """Four periods of ten seconds; filtered noise falls by 16 within the band, red noise by 5. Bands are known to 13 %."""
+    found = made(setting(robot, fourier(robot, 3, duration=40.0), law))
+    assert (found.floor_known, found.floor_source) == (True, "repeats"), name
+    measured = found.spectrum
+    assert measured is not None
+    assert measured.lowest < 0.1
+    # Above the encoders' share, which grows with frequency, and where bands are not wider than the slope allows.
+    where = np.array([0.3, 0.7, 1.0, 2.0, 3.0, 4.0])
+    got = np.sqrt(measured.at(where).diagonal(0, 1, 2))
+    ratio = got / spectrum(law, where)
+    assert np.all((ratio > 0.7) & (ratio < 1.4)), ratio
+    assert abs(np.mean(np.log(ratio))) < 0.1
+    off = measured.correlation[:3][:, ~np.eye(6, dtype=bool)]
+    assert 0.12 < off.mean() < 0.33  # 0.25, shrunk a little
+
+
+def test_whitened_noise_of_another_draw_has_variance_one(robot):
+    """By band of frequency, on noise that the spectrum was not made from; with the white estimate it is nothing like it."""
+    motion = fourier(robot, 3, duration=40.0)
+    found = made(setting(robot, motion, FILTERED))
+    s = found.stretches[0]
+    for seed in (7, 8):
+        z = s.whiten(s.measured(noise(s.readings.shape, FILTERED, seed)))
+        for low, high in [(0.1, 1.0), (1.0, 3.0), (3.0, 6.0)]:
+            inside = (s.frequencies >= low) & (s.frequencies < high)
+            # The covariance holds the encoders' errors, too: at most 1, and not far below where they are small.
+            assert 0.75 < np.mean(z[inside] ** 2) < 1.2, (low, high)
+    assert np.mean((s.measured(noise(s.readings.shape, FILTERED, 9)) / case.sensor_noise([s])) ** 2) > 100.0
+
+
+def test_filtered_noise_raises_no_alarm_and_hides_no_delay(robot):
+    """Nothing hidden: nothing named, with the floor known. A late sensor: named, and its gap closed."""
+    motion, unseen = fourier(robot, 3, duration=30.0), swept(robot, 4, 12.0)
+    quiet = diagnose(setting(robot, motion, FILTERED, unseen))
+    assert quiet.verdict == "nothing_missing"
+    told = quiet.to_dict()["gap"]
+    assert (told["floor_known"], told["floor_source"]) == (True, "repeats")
+    assert quiet.gap is not None
+    assert 0.8 < quiet.gap.after / quiet.gap.floor < 1.15
+    assert any("repeats" in r for r in quiet.remarks)
+    late = diagnose(setting(robot, motion, FILTERED, unseen, delay=0.004))
+    assert [f.term.effect.name for f in late.found] == ["sensor_delay"]
+    assert abs(late.found[0].term.values[0] - 0.004) < 4 * late.found[0].std[0]
+
+
+def test_two_recordings_of_one_motion_are_repeats(robot):
+    """Neither repeats itself; the second starts later."""
+    times, *motion = swept(robot, 5, 22.0)
+    cut = 150
+    first = (times[:-cut], *(x[:-cut] for x in motion))
+    second = (times[:-cut], *(x[cut:] for x in motion))
+    found = made(setting(robot, first, FILTERED, second))
+    assert found.floor_source == "repeats"
+    moving = [*found.stretches, *found.unseen]
+    pair = repeats.find_repeats(moving, np.full(2, 2e-5))
+    assert [(p.first, p.second) for p in pair] == [(0, 1)]
+    assert pair[0].lag == pytest.approx(-cut / RATE, abs=2e-4)
+    where = np.array([0.5, 1.0, 2.0, 3.0])
+    ratio = np.sqrt(found.spectrum.at(where).diagonal(0, 1, 2)) / spectrum(FILTERED, where)
+    assert np.all((ratio > 0.65) & (ratio < 1.5)), ratio
+
+
+def test_encoder_errors_that_do_not_repeat_are_not_taken_for_the_sensors(robot):
+    """Random encoder noise makes differences of repeats larger. That comes off again, so that both are counted once."""
+    motion, std = fourier(robot, 3, duration=40.0), 1e-4
+    given = setting(robot, motion, FILTERED)
+
+    def read(seed: int) -> np.ndarray:
+        return motion[1] + std * np.random.default_rng(seed).normal(size=motion[1].shape)
+
+    table = replace(given.motions[0].table, positions=read(5))
+    found = made(replace(given, motions=(replace(given.motions[0], table=table),), position_resolution=0.0, position_std=std))
+    s, pair = found.stretches[0], repeats.find_repeats(found.stretches, np.zeros(2))
+    whole = scatter.measured_spectrum(scatter.repeat_pieces([s], pair, lambda x: found.predict(x, found.links, ()), {0: []}))
+    assert whole is not None
+    where = np.array([1.0, 2.0, 3.0, 4.0])
+    ratio = np.sqrt(found.spectrum.at(where).diagonal(0, 1, 2)) / spectrum(FILTERED, where)
+    raw = np.sqrt(whole.at(where).diagonal(0, 1, 2)) / spectrum(FILTERED, where)
+    assert np.mean(np.log(raw[-1])) > 0.4
+    assert abs(np.mean(np.log(ratio[:3]))) < 0.2
+    # Another recording of both: the floor is what remains, neither less nor twice as much.
+    scene = case.smoothed(s.times, read(6), s.scene.times, s.scene.bandwidth, False, s.scene.middle_positions)
+    exact = s.measured(recorded(robot, motion, FILTERED, 17).wrench)
+    z = s.whiten(exact - s.spectrum(found.predict(replace(s, scene=scene), found.links, ())))
+    # Above 6 Hz the encoders are some hundred times louder than the sensor, which is then guessed too loud, never too quiet.
+    for low, high, least in [(0.2, 1.0, 0.75), (1.0, 3.0, 0.75), (3.0, 6.0, 0.75), (6.0, 10.0, 0.5)]:
+        inside = (s.frequencies >= low) & (s.frequencies < high)
+        assert least < np.mean(z[inside] ** 2) < 1.3, (low, high)
+
+
+def test_a_robot_that_stands_still_shows_its_noise(robot):
+    """Five seconds at both ends of a motion that never repeats."""
+    found = made(setting(robot, parked(robot, 6, 5.5), FILTERED))
+    assert (found.floor_known, found.floor_source) == (True, "parked")
+    where = np.array([0.5, 1.0, 2.0, 3.0])
+    ratio = np.sqrt(found.spectrum.at(where).diagonal(0, 1, 2)) / spectrum(FILTERED, where)
+    assert np.all((ratio > 0.6) & (ratio < 1.6)), ratio
+    assert abs(np.mean(np.log(ratio))) < 0.15
+
+
+def test_neither_repeats_nor_rests_leave_the_floor_unknown(robot):
+    """Filtered readings of one motion, and of one with a rest that is too short; what the data sheet says counts as the least."""
+    for motion in (swept(robot, 5, 20.0), parked(robot, 6, 1.5)):
+        found = made(setting(robot, motion, FILTERED))
+        assert (found.floor_known, found.floor_source, found.spectrum) == (False, "richest model", None)
+    diagnosis = diagnose(setting(robot, swept(robot, 5, 8.0), FILTERED, swept(robot, 4, 8.0)))
+    assert diagnosis.verdict in ("unknown", "nothing_missing")
+    assert any("Noise floor unknown" in r for r in diagnosis.remarks)
+    stated = setting(robot, swept(robot, 5, 20.0), FILTERED)
+    stated = replace(stated, sensor=replace(SENSOR, force_std=0.3, torque_std=0.03))
+    found = made(stated)
+    assert (found.floor_known, found.floor_source) == (False, "stated")
+    s = found.stretches[0]
+    least = np.mean(s.weight(s.times) ** 2, axis=0) * STD**2
+    assert np.all(s.covariance.diagonal(0, 1, 2) > 0.999 * least)
+
+
+@pytest.mark.parametrize("motion", ["periodic", "parked", "touched"])
+def test_a_good_white_estimate_stays_to_the_last_bit(robot, motion, monkeypatch):
+    """Repeats, rests, and a touch in one period alone do not replace it."""
+    path = parked(robot, 6, 5.5) if motion == "parked" else fourier(robot, 3, duration=30.0)
+    given = setting(robot, path, WHITE)
+    if motion == "touched":
+        table = given.motions[0].table
+        push = np.outer((table.times > 12.0) & (table.times < 14.0), [4.0, 0, 0, 0, 0.5, 0])
+        given = replace(given, motions=(replace(given.motions[0], table=replace(table, wrench=table.wrench + push)),))
+    found = made(given)
+    assert (found.floor_known, found.floor_source, found.spectrum) == (True, "white noise above the band", None)
+    monkeypatch.setattr(case, "measure", lambda *_: None)
+    np.testing.assert_array_equal(found.stretches[0].covariance, made(given).stretches[0].covariance)
+
+
+def test_a_rest_of_a_drive_is_no_reason_to_distrust_white_noise(robot):
+    """Stiction holds whatever torque the drive happens to give; it may wander while nothing moves."""
+    motion = parked(robot, 6, 6.0)
+    times, q, v, a = motion
+    still = np.all(v == 0, axis=1)
+    torque = dynamics_regressor(robot, torque_channels(robot), q, v, a) @ robot.nominal.ravel()
+    rng = np.random.default_rng(2)
+    torque += 0.05 * rng.normal(size=torque.shape)
+    torque[still] += np.cumsum(0.05 * rng.normal(size=torque.shape), axis=0)[still]
+    table = Table(times=times, positions=np.round(q / 2e-5) * 2e-5, torques=torque)
+    given = experiment(robot, [Motion("fit", "identification", table)], None, inertia_rel_std=0.0, position_resolution=2e-5)
+    found = case.make_case(given, "torque", (), None, 0)
+    assert (found.floor_known, found.floor_source) == (True, "white noise above the band")
+
+
+def test_a_period_is_found_behind_a_slow_start_to_a_ten_thousandth(robot):
+    """A motion that swells up during its first seconds; the lag need not be a whole number of samples."""
+    times, q, v, a = fourier(robot, 3, duration=27.0)
+    stretch_by = 0.93337
+    given = setting(robot, (times * stretch_by, q, v / stretch_by, a / stretch_by**2), WHITE)
+    table = given.motions[0].table
+    swell = np.clip(table.times / 3.0, 0.0, 1.0)[:, None] ** 2
+    given = replace(given, motions=(replace(given.motions[0], table=replace(table, positions=table.positions * swell)),))
+    found = repeats.find_repeats(made(given).stretches, np.full(2, 2e-5))
+    assert len(found) == 1
+    assert found[0].lag == pytest.approx(10.0 * stretch_by, abs=1e-3)
+    assert found[0].start > 2.5
+
+
+def test_rests_are_where_nothing_moves():
+    """One joint still is not enough, and what rings after a stop is left out."""
+    times = np.arange(0.0, 20.0, 0.01)
+    q = np.stack([np.interp(times, [5.0, 12.0], [0.0, 1.0]), np.interp(times, [4.0, 5.0], [0.0, 0.5])], axis=1)
+    found = repeats.find_rests(times, q, np.zeros(2))
+    assert len(found) == 2
+    np.testing.assert_allclose(found, [(0.25, 3.5), (12.5, 19.75)], atol=0.02)
+
+
+def test_pieces_of_white_noise_give_its_variance():
+    """Differences and rests alike, the taper's loss included (a slow check by hand: the mean of many draws)."""
+    rng = np.random.default_rng(0)
+    times = np.arange(0, 12.0, 0.008)
+    weight = np.repeat(taper(times, times, 12.0)[:, None], 2, axis=1)
+    values = []
+    for gain in (1.0, 2.0):
+        pieces = [
+            scatter.Piece(times, np.sqrt(gain) * rng.normal(size=(len(times), 2)) * [1.0, 5.0], weight, gain, 0.1, 0.8,
+                          np.zeros((0, len(times), 2)))
+            for _ in range(20)
+        ]  # fmt: skip
+        found = scatter.measured_spectrum(pieces)
+        assert found is not None
+        values.append(np.average(found.std**2 * (1 - 2 / found.freedom)[:, None], axis=0, weights=found.freedom))
+    np.testing.assert_allclose(values, [[1.0, 25.0]] * 2, rtol=0.05)

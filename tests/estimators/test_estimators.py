@@ -1,0 +1,166 @@
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+
+from bayesid.errors import InputError
+from bayesid.estimators import LeastSquares, Ridge, TruncatedSVD, fit
+from bayesid.regression.problem import prepare
+from bayesid.regression.regression import Regression
+from bayesid.robot.robot import load_robot
+from bayesid.signals.filters import LowPass
+from tests.robots import ur5, write
+from tests.simulated import Motion, Sensor, experiment, fourier, recording
+
+NAMES = ["fx", "mx"]
+
+
+def make(rng, samples=400, p=4, colour=None, scales=(1.0, 0.1)):
+    """Rows with known parameters; ``colour`` filters both sides from the zero state."""
+    matrix = rng.normal(size=(samples, 2, p)).cumsum(axis=0) / 10
+    noise = rng.normal(size=(samples, 2)) * scales
+    target = matrix @ np.arange(1.0, p + 1) + noise
+    if colour is not None:
+        matrix, target = lfilter([1 - colour], [1, -colour], matrix, axis=0), lfilter([1 - colour], [1, -colour], target, axis=0)
+    return matrix, target
+
+
+def dense_weights(matrix, target, covariance):
+    """Textbook generalised least squares on flattened rows."""
+    x, y = matrix.reshape(-1, matrix.shape[2]), target.ravel()
+    inverse = np.linalg.inv(covariance)
+    normal = x.T @ inverse @ x
+    return np.linalg.solve(normal, x.T @ inverse @ y), np.linalg.inv(normal)
+
+
+def test_ols_is_least_squares_with_the_sandwich():
+    matrix, target = make(np.random.default_rng(0))
+    estimate = fit(Regression.from_arrays(matrix, target), "ols")
+    x = matrix.reshape(-1, 4)
+    np.testing.assert_allclose(estimate.values, np.linalg.lstsq(x, target.ravel(), rcond=None)[0], rtol=1e-9)
+    noise = estimate.noise["trajectory"]
+    assert noise.order == 0
+    sigma = np.kron(np.eye(len(target)), noise.innovation)
+    bread = np.linalg.inv(x.T @ x)
+    np.testing.assert_allclose(estimate.covariance, bread @ x.T @ sigma @ x @ bread, rtol=1e-6)
+
+
+def test_gls_is_generalised_least_squares():
+    matrix, target = make(np.random.default_rng(1))
+    estimate = fit(Regression.from_arrays(matrix, target), "gls")
+    sigma = np.kron(np.eye(len(target)), estimate.noise["trajectory"].innovation)
+    values, covariance = dense_weights(matrix, target, sigma)
+    np.testing.assert_allclose(estimate.values, values, rtol=1e-8)
+    np.testing.assert_allclose(estimate.covariance, covariance, rtol=1e-8)
+
+
+def test_weak_regularisation_and_full_rank_are_least_squares():
+    matrix, target = make(np.random.default_rng(2))
+    regression = Regression.from_arrays(matrix, target)
+    for weights, method in (("none", "ols"), ("channel", "wls"), ("noise", "gls")):
+        reference = fit(regression, LeastSquares(method, weights)).values
+        np.testing.assert_allclose(fit(regression, Ridge(strength=0.0, weights=weights)).values, reference, rtol=1e-8)
+        np.testing.assert_allclose(fit(regression, Ridge(strength=1e-14, weights=weights)).values, reference, rtol=1e-8)
+        np.testing.assert_allclose(fit(regression, TruncatedSVD(rank=4, weights=weights)).values, reference, rtol=1e-8)
+
+
+def test_equal_white_noise_makes_all_methods_agree():
+    matrix, target = make(np.random.default_rng(3), samples=4000, scales=(0.01, 0.01))
+    regression = Regression.from_arrays(matrix, target)
+    values = [fit(regression, m).values for m in ("ols", "wls", "gls", "ridge", "tsvd")]
+    for v in values[1:]:
+        np.testing.assert_allclose(v, values[0], rtol=1e-3)
+
+
+@pytest.mark.parametrize("method", ["ridge", "tsvd"])
+def test_biased_estimators_state_no_interval(method):
+    matrix, target = make(np.random.default_rng(4))
+    estimate = fit(Regression.from_arrays(matrix, target), method)
+    assert estimate.interval == "none" and estimate.interval_reason and np.isnan(estimate.std).all()
+    entry = estimate.to_dict()
+    assert entry["covariance"] is None
+    assert all(b["std"] is None and b["low"] is None and b["high"] is None for b in entry["base_parameters"])
+
+
+def test_regularisation_helps_where_least_squares_is_hopeless():
+    rng = np.random.default_rng(5)
+    errors = {m: [] for m in ("ols", "ridge", "tsvd")}
+    for _ in range(20):
+        matrix = rng.normal(size=(60, 2, 6))
+        matrix[:, :, 5] = matrix[:, :, 4] + 1e-3 * rng.normal(size=(60, 2))
+        truth = np.array([1.0, 1, 1, 1, 1, 1])
+        target = matrix @ truth + 0.5 * rng.normal(size=(60, 2))
+        for m in errors:
+            errors[m].append(np.linalg.norm(fit(Regression.from_arrays(matrix, target), m).values - truth))
+    assert np.median(errors["ridge"]) < 0.2 * np.median(errors["ols"])
+    assert np.median(errors["tsvd"]) < 0.2 * np.median(errors["ols"])
+
+
+@pytest.mark.parametrize("method", ["ols", "wls", "gls"])
+def test_intervals_cover_with_a_known_filter_and_white_noise_ones_do_not(method):
+    """Filtered noise is coloured: intervals must allow for it; textbook ones are several times too short."""
+    rng = np.random.default_rng(6)
+    times, inside, naive = np.arange(400) * 0.01, [], []
+    pole = 0.98
+    for _ in range(150):
+        matrix, target = make(rng, colour=pole)
+        low_pass = LowPass(l=-np.log(pole) / 0.01, d=1e5)
+        estimate = fit(Regression.from_arrays(matrix, target, times=times, low_pass=low_pass), method)
+        truth = np.arange(1.0, 5.0)
+        inside.append(np.abs(estimate.values - truth) <= 1.96 * estimate.std)
+        x, y = matrix.reshape(-1, 4), target.ravel()
+        b = np.linalg.lstsq(x, y, rcond=None)[0]
+        white = np.sqrt(np.sum((y - x @ b) ** 2) / (len(y) - 4) * np.diag(np.linalg.inv(x.T @ x)))
+        naive.append(np.abs(b - truth) <= 1.96 * white)
+    assert 0.92 <= np.mean(inside) <= 0.98
+    assert np.mean(naive) < 0.7
+
+
+def test_colour_is_found_where_no_filter_is_named():
+    rng = np.random.default_rng(7)
+    inside = []
+    for _ in range(100):
+        matrix, target = make(rng, samples=1500, colour=0.7)
+        estimate = fit(Regression.from_arrays(matrix, target), "wls")
+        assert estimate.noise["trajectory"].order >= 1
+        inside.append(np.abs(estimate.values - np.arange(1.0, 5.0)) <= 1.96 * estimate.std)
+    assert 0.91 <= np.mean(inside) <= 0.98
+
+
+def test_a_complete_model_is_seldom_called_incomplete():
+    rng = np.random.default_rng(8)
+    alarms = [not fit(Regression.from_arrays(*make(rng)), "wls").details["model_complete"] for _ in range(100)]
+    assert sum(alarms) <= 1
+
+
+def test_directions_without_information_stay_nominal_and_say_so(tmp_path):
+    robot = load_robot(write(tmp_path, ur5()))
+    sensor = Sensor()
+    times, q, v, a = fourier(robot, 1)
+    q[:, 3:], v[:, 3:], a[:, 3:] = 0.3, 0.0, 0.0  # the wrist never moves
+    table = recording(robot, sensor, (times, q, v, a), force_std=0.1, torque_std=0.01, seed=1)
+    estimate = fit(prepare(experiment(robot, [Motion("a", "identification", table)], sensor)).regression)
+    kinds = estimate.classes
+    assert "prior" in kinds and "alone" in kinds
+    hidden = [k for k, kind in enumerate(kinds) if kind == "prior"]
+    assert np.isnan(estimate.std[hidden]).all()
+    seen = [k for k, kind in enumerate(kinds) if kind in ("alone", "combination")]
+    truth = estimate.base.matrix @ robot.nominal.ravel()
+    assert np.abs((estimate.values - truth)[seen] / estimate.std[seen]).max() < 4.5
+
+
+def test_unknown_methods_and_options_are_refused():
+    regression = Regression.from_arrays(*make(np.random.default_rng(0)))
+    with pytest.raises(InputError, match="did you mean 'ridge'"):
+        fit(regression, "rigde")
+    with pytest.raises(InputError, match="at least 0"):
+        fit(regression, Ridge(strength=-1.0))
+    with pytest.raises(InputError, match="give 0 to 4"):
+        fit(regression, TruncatedSVD(rank=9))
+    with pytest.raises(InputError, match="choose one of"):
+        fit(regression, LeastSquares("x", "wrong"))
+
+
+def test_estimates_print_as_text_html_and_json():
+    estimate = fit(Regression.from_arrays(*make(np.random.default_rng(0))))
+    assert "p1" in str(estimate) and "<table>" in estimate._repr_html_()
+    assert estimate.to_dict()["base_parameters"][0]["name"] == "p1"

@@ -1,0 +1,118 @@
+"""Effects that readings are not linear in: simulated, estimated again, and held where they are fixed."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import bayesid
+from bayesid.effects import KINDS
+from bayesid.estimators.nonlinear import solve
+from bayesid.recordings.experiment import Experiment, Sensor
+from bayesid.regression.problem import prepare
+from bayesid.robot.robot import load_robot
+from bayesid.simulation.plant import complete_effects
+from bayesid.simulation.trajectories import new_trajectories
+from tests.robots import ROBOTS, write
+
+LOADS = ("payload", "inertia_error")
+
+
+@pytest.fixture(scope="module")
+def setup(tmp_path_factory):
+    robot = load_robot(write(tmp_path_factory.mktemp("puma"), ROBOTS["puma560"]()))
+    sensor = Sensor(translation=(0.0, 0.0, -0.1), force_std=0.2, torque_std=0.02)
+    return Experiment("puma", robot, (), sensor, inertia_rel_std=0.1, gear_ratio={"joint2": 107.0})
+
+
+@pytest.fixture(scope="module")
+def motions(setup):
+    return new_trajectories(setup.robot, 12.0)[:1]
+
+
+RECORDER = bayesid.Recorder(resolution=0.0, force_std=0.2, torque_std=0.02, drive_std=0.001)
+#: What each is started from where it would not find the truth by itself.
+STARTS = {
+    "base_compliance@base": {"resonance": 13.0, "damping": 0.06},
+    "torque_ripple@joint2": {"periods": 19.9, "amplitude": 0.1},
+}
+
+
+def fit(setup, motions, effects, channel="both", starts=None, given=None):
+    """Estimate with the effects that the recording was made with; every value with its standard deviation and the truth."""
+    plant = complete_effects(setup.robot, given or effects, {})
+    recording = bayesid.simulate(setup, motions, effects=plant, recorder=RECORDER, seed=3)
+    recording = replace(recording, effect_values=starts or {})
+    problem, estimate = solve(prepare(recording, channel, effects=effects))
+    rank = problem.recipe.base.rank
+    names = problem.regression.effect_names
+    truth = {f"{spec}.{key}": value for spec, values in plant.items() for key, value in values.items()}
+    return {
+        name: (estimate.solution[rank + k], estimate.full_std[rank + k], truth.get(name, 0.0)) for k, name in enumerate(names)
+    }, problem
+
+
+@pytest.mark.parametrize(
+    ("spec", "channel"),
+    [
+        ("sensor_gain@mx", "wrench"), ("sensor_crosstalk@fx->mz", "wrench"), ("sensor_rotation", "wrench"),
+        ("sensor_delay", "wrench"), ("base_tilt", "both"), ("encoder_offset@joint2", "wrench"),
+        ("encoder_offset@joint3", "torque"),
+        ("joint_flexibility@joint2", "both"), ("fluid_drag", "both"), ("base_compliance@base", "wrench"),
+        ("torque_gain@joint2", "both"), ("load_friction@joint2", "torque"), ("stribeck_friction@joint2", "torque"),
+        ("torque_ripple@joint2", "torque"), ("rotor_momentum@joint2", "both"),
+    ],
+)  # fmt: skip
+def test_simulated_effects_are_found_again(setup, motions, spec, channel):
+    found, problem = fit(setup, motions, [spec], channel, STARTS)
+    mine = {k: v for k, v in found.items() if not k.startswith("sensor_offset")}
+    assert mine and problem.recipe.point is not None
+    for name, (value, std, truth) in mine.items():
+        assert np.isfinite(std), name
+        # The phase of a ripple turns by whole turns.
+        miss = (value - truth + np.pi) % (2 * np.pi) - np.pi if name.endswith("phase") else value - truth
+        assert abs(miss) < 4 * std + 0.01 * abs(truth), (name, value, std, truth)
+
+
+def test_fixed_values_are_kept(setup, motions):
+    """A payload that is known is taken off, and the links are those without it."""
+    given = {"payload@joint6": {"m": 1.5, "mcx": 0.05, "mcy": 0.0, "mcz": 0.1, "Ixx": 0.02, "Iyy": 0.02, "Izz": 0.01}}
+    given["payload@joint6"] |= {"Ixy": 0.0, "Ixz": 0.0, "Iyz": 0.0}
+    starts = {"payload@joint6": given["payload@joint6"] | {"fixed": True}}
+    found, problem = fit(setup, motions, ["payload@joint6"], "torque", starts, given)
+    assert not found
+    nominal = problem.recipe.base.matrix @ setup.robot.nominal.ravel()
+    estimate = solve(problem)[1]
+    assert np.all(np.abs(estimate.values - nominal) < 5 * estimate.std + 1e-3)
+    result = bayesid.identify(
+        replace(problem.experiment, effects=("payload@joint6",), effect_values=starts), channel="torque"
+    )  # fmt: skip
+    (entry,) = result.to_dict()["effects"]
+    assert entry["parameters"]["m"] == {"value": 1.5, "std": None, "unit": "kg"}
+    assert result.fitted[0].whitened_rms == pytest.approx(1.0, abs=0.1)
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_every_effect_can_be_simulated_and_modelled(setup, motions, name):
+    """One place of each: the recording differs from that without it, and a model with the true values explains it."""
+    kind = KINDS[name]
+    where = {"joint": "@joint2", "joint|robot": "@joint2", "axis": "@fy", "axis->axis": "@mx->fz"}.get(kind.at, "")
+    spec = name + where
+    plant = complete_effects(setup.robot, [spec], {})
+    quiet = bayesid.Recorder(resolution=0.0, force_std=1e-3, torque_std=1e-4, drive_std=1e-5)
+    plain = bayesid.simulate(setup, motions, recorder=quiet, seed=1).motions[0].table
+    recording = bayesid.simulate(setup, motions, effects=plant, recorder=quiet, seed=1)
+    table = recording.motions[0].table
+    change = np.abs(np.hstack([table.wrench - plain.wrench, table.torques - plain.torques, table.positions - plain.positions]))
+    assert change.max() > 1e-3
+    held = {key: {**values, "fixed": True} for key, values in plant.items()}
+    offset = {"sensor_offset": {"fixed": True}} if name != "sensor_offset" else {}
+    known = replace(recording, effect_values=held | offset)
+    problem = prepare(known, "both", effects=[spec, *offset], bandwidth=15.0)
+    solution = problem.recipe.point.base
+    assert problem.regression.effect_names == ()
+    error, signal = 0.0, 0.0
+    for block in problem.regression.blocks():
+        error = max(error, float(np.sqrt(np.mean((block.target - block.matrix @ solution) ** 2, axis=0)).max()))
+        signal = max(signal, float(np.sqrt(np.mean(block.target**2, axis=0)).max()))
+    assert error < (0.05 if name in ("joint_flexibility", "base_compliance") else 0.01) * change.max() + 1e-3 * signal

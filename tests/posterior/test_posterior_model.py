@@ -1,0 +1,175 @@
+"""The posterior's density: against dense formulas, finite differences and quadrature."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy import stats
+
+from bayesid.errors import InputError
+from bayesid.estimators import fit
+from bayesid.estimators.factor import learn_weights, whitened
+from bayesid.posterior import DofPrior, Posterior, PosteriorModel, ScalePrior, coordinates
+from bayesid.posterior.diagnostics import Convergence
+from bayesid.posterior.run import Chains
+from bayesid.regression.regression import Regression
+from bayesid.robot import inertia
+from tests.posterior_cases import BODY, one_body, regression, unrestricted
+
+
+def bare(model):
+    """A result without draws: for its density."""
+    none = np.zeros((2, 0, len(model.names)))
+    return Posterior(model, Chains(none, "hmc", 1, [], Convergence((), np.zeros(0), np.zeros(0), np.zeros(0))))
+
+
+def numerical_gradient(f, x, step=1e-6):
+    """Central differences."""
+    eye = step * np.eye(len(x))
+    return np.array([(f(x + e) - f(x - e)) / (2 * step) for e in eye])
+
+
+@pytest.mark.parametrize("noise", ["gaussian", "student"])
+def test_log_likelihood_is_that_of_every_row(noise):
+    data = regression(1)
+    model = PosteriorModel.of(data, noise=noise)
+    weights = learn_weights(data)
+    ((_, white),) = whitened(data.blocks(), weights.noise)
+    rng = np.random.default_rng(2)
+    for _ in range(3):
+        beta, scales, nu = rng.normal(size=4), np.exp(0.3 * rng.normal(size=2)), 5.0
+        residual = (white[:, :, -1] - white[:, :, :-1] @ beta) / scales
+        if noise == "gaussian":
+            expected = stats.norm.logpdf(residual).sum() - len(white) * np.log(scales).sum()
+        else:
+            law = stats.multivariate_t(df=nu, shape=np.diag(scales**2))
+            expected = law.logpdf(residual * scales).sum()
+        assert_allclose(model.log_likelihood(beta, scales, np.array(nu)), expected, rtol=1e-9)
+
+
+def test_joint_density_is_likelihood_times_priors():
+    model = one_body(effects=1, scale_prior=ScalePrior(3.0, 2.0))
+    rng = np.random.default_rng(0)
+    values, expected = [], []
+    for _ in range(4):
+        linear = np.append(BODY * (1 + 0.1 * rng.normal(size=10)), rng.uniform(0.1, 1))
+        scales = np.exp(0.2 * rng.normal(size=2))
+        gap = linear[:10] - BODY
+        prior = -0.5 * gap @ model.prior.precision @ gap
+        # of log s: IG of s^2 times the Jacobian 2 s^2
+        prior += sum(stats.invgamma(3.0, scale=2.0).logpdf(s**2) + np.log(2 * s**2) for s in scales)
+        values.append(model.log_joint(linear, scales, np.array(np.inf)))
+        expected.append(model.log_likelihood(linear, scales, np.array(np.inf)) + prior)
+    assert_allclose(np.diff(values), np.diff(expected), rtol=1e-8, atol=1e-8)
+
+
+def test_log_cholesky_jacobian_is_that_of_finite_differences():
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        theta = 0.5 * rng.normal(size=10)
+        entries, log_jacobian = coordinates.from_log_cholesky(theta)
+        numerical = numerical_gradient(lambda t: coordinates.from_log_cholesky(t)[0], theta)
+        assert_allclose(np.linalg.slogdet(numerical)[1], log_jacobian, atol=1e-6)
+        assert np.linalg.eigvalsh(coordinates.matrices(entries))[0] > 0
+        assert_allclose(coordinates.to_log_cholesky(entries), theta, atol=1e-10)
+
+
+def test_entries_are_those_of_the_normalised_pseudo_inertia():
+    n = coordinates.normaliser(BODY)
+    rng = np.random.default_rng(0)
+    other = BODY + 0.1 * rng.normal(size=10)
+    expected = n @ inertia.pseudo_inertia(other) @ n.T
+    assert_allclose(coordinates.matrices(coordinates.entries_map(BODY) @ other), expected, atol=1e-12)
+    assert_allclose(n @ inertia.pseudo_inertia(BODY) @ n.T, np.eye(4), atol=1e-9)
+    placeholder = coordinates.normaliser(np.zeros(10))
+    assert np.isfinite(placeholder).all() and np.linalg.cond(placeholder) < 1e4
+
+
+@pytest.mark.parametrize("noise", ["gaussian", "student"])
+def test_unconstrained_density_has_the_whole_jacobian(noise):
+    """log p(theta) - log p(phi, a, s, nu) is the log determinant of the map, by finite differences."""
+    model = one_body(effects=2, noise=noise, keep=True, scale_prior=ScalePrior(3.0, 2.0))
+    posterior = bare(model)
+    rng = np.random.default_rng(3)
+    theta = 0.3 * rng.normal(size=len(posterior.theta_names))
+    density, linear, scales, dof = posterior._density(theta)
+
+    def outcome(t):
+        _, lin, sc, nu = posterior._density(t)
+        # The density is with respect to log s and nu itself.
+        return np.concatenate([lin, np.log(sc), [nu] if model.dof_free else []])
+
+    jacobian = np.linalg.slogdet(numerical_gradient(outcome, theta, 1e-5))[1]
+    assert_allclose(density - jacobian, model.log_joint(linear, scales, dof), atol=1e-4)
+    draws = np.concatenate([linear, scales, [dof] if model.dof_free else []])
+    assert_allclose(posterior.to_theta(draws), theta, atol=1e-9)
+
+
+@pytest.mark.parametrize("known", [False, True])
+def test_gradient_is_that_of_finite_differences(known):
+    for model in (one_body(effects=1, scale_prior=ScalePrior(2.0, 1.0, known)), PosteriorModel.of(regression(4))):
+        posterior = bare(model)
+        theta = 0.1 * np.random.default_rng(1).normal(size=(3, len(posterior.theta_names)))
+        density, gradient = posterior.log_density_gradient(theta)
+        for t, d, g in zip(theta, density, gradient, strict=True):
+            assert_allclose(d, posterior.log_density(t), rtol=1e-12)
+            numerical = numerical_gradient(lambda x, p=posterior: float(p.log_density(x)), t)
+            assert_allclose(g, numerical, rtol=1e-5, atol=1e-6 * np.abs(g).max())
+
+
+def test_gradient_of_student_noise_is_refused():
+    posterior = bare(one_body(noise="student", keep=True))
+    with pytest.raises(NotImplementedError, match="Gaussian"):
+        posterior.log_density_gradient(np.zeros(len(posterior.theta_names)))
+
+
+def test_quadratic_terms_are_the_normal_equations():
+    model = one_body(effects=1)
+    mean, covariance = unrestricted(model)
+    q = model.quadratic
+    assert_allclose(q.centre, mean, rtol=1e-8)
+    assert_allclose(q.root @ q.root.T, covariance, rtol=1e-7, atol=1e-12)
+    assert_allclose(q.gram.sum(axis=0), np.eye(11), atol=1e-10)
+    weights = np.array([0.5, 3.0])
+    z, lower = q.gaussian(weights)
+    assert_allclose(lower @ lower.T, 0.5 * q.gram[0] + 3.0 * q.gram[1] + q.gram[2], atol=1e-12)
+    assert_allclose((lower @ lower.T) @ z, 0.5 * q.linear[0] + 3.0 * q.linear[1] + q.linear[2], atol=1e-10)
+
+
+def test_names_and_bounds():
+    model = one_body(effects=1, noise="student", keep=True)
+    assert model.names[:2] == ("body.m", "body.mcx") and model.names[-4:] == ("e0", "scale y1", "scale y2", "nu")
+    inside = np.append(BODY, 0.1)
+    assert model.inside(inside) and not model.inside(-inside) and not model.inside(np.append(BODY, -0.1))
+    flat_body = inside.copy()
+    flat_body[4] = 0.0
+    assert not model.inside(flat_body)
+
+
+def test_what_a_flat_prior_leaves_open_is_refused():
+    rng = np.random.default_rng(0)
+    rows = rng.normal(size=(50, 2, 3))
+    data = Regression.from_arrays(np.concatenate([rows, 0 * rows[:, :, :1]], axis=2), rows[:, :, 0])
+    PosteriorModel.of(data)  # a column of zeros is no base parameter
+    with pytest.raises(InputError, match="noise 'cauchy': choose one of"):
+        PosteriorModel.of(data, noise="cauchy")
+    with pytest.raises(InputError, match="prior has 10 parameters"):
+        PosteriorModel.of(data, one_body().prior)
+    lost = one_body(effects=1)
+    factors = lost.likelihood.factors.copy()
+    factors[:, :, lost.base.rank] = 0.0
+    with pytest.raises(InputError, match="say nothing about e0"):
+        lost.with_likelihood(replace(lost.likelihood, factors=factors)).require_proper()
+    blind = replace(lost, prior=None, effect_std=np.ones(1), likelihood=replace(lost.likelihood, factors=0 * factors))
+    with pytest.raises(InputError, match="say nothing about"):
+        blind.require_proper()
+
+
+def test_conditions_of_the_fit_are_passed_on():
+    data = regression(0)
+    model = PosteriorModel.of(data, dof_prior=DofPrior(fixed=4.0), noise="student")
+    assert model.likelihood.complete and not model.dof_free
+    assert_allclose(model.likelihood.counts, 300)
+    gls = fit(data, "gls")
+    assert_allclose(model.quadratic.centre, gls.values, rtol=1e-9)

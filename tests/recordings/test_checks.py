@@ -1,0 +1,157 @@
+"""Checks of recorded data: doubts become warnings that say where, while the numbers stay as they are."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from bayesid.errors import InputError
+from bayesid.recordings.experiment import load_experiment, write_experiment
+from tests.malformed import DATA, FOLDERS, table, toml, write_good
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    return write_good(tmp_path / "arm")
+
+
+def gap(frame: pd.DataFrame) -> pd.DataFrame:
+    return frame.drop(index=range(200, 230))
+
+
+def lost(frame: pd.DataFrame) -> pd.DataFrame:
+    return frame.drop(index=[150, 160])
+
+
+def clip(frame: pd.DataFrame) -> pd.DataFrame:
+    return frame.assign(fx=frame["fx"].clip(upper=5.0))
+
+
+def freeze(frame: pd.DataFrame) -> pd.DataFrame:
+    frame.loc[201:290, "q2"] = frame.loc[200, "q2"]
+    return frame
+
+
+def freeze_without_velocities(frame: pd.DataFrame) -> pd.DataFrame:
+    return freeze(frame).drop(columns=["v1", "v2"])
+
+
+def stall(frame: pd.DataFrame) -> pd.DataFrame:
+    frame.loc[201:206, "q1":] = frame.loc[200, "q1":].to_numpy()
+    return frame
+
+
+def slip(frame: pd.DataFrame) -> pd.DataFrame:
+    frame.loc[300:, "q1"] += 1.5
+    return frame
+
+
+def beyond(frame: pd.DataFrame) -> pd.DataFrame:
+    return frame.assign(q2=frame["q2"] + 2.5)
+
+
+DOUBTS: list[tuple[str, Callable[[Path], None], tuple[str, ...]]] = [
+    ("gap", table(gap, "validation.csv"), ("validation.csv: column t", "gap at 1.99 to 2.3 s", "0.01 s")),
+    ("lost samples", table(lost, "validation.csv"), ("validation.csv: column t", "2 steps lack a sample", "1.49 s")),
+    ("clipped channel", table(clip), ("column fx", "stays at 5", "places", "clipped")),
+    ("frozen encoder", table(freeze, "validation.csv"), ("column q2: elbow stands", "from 2 to 2.9 s", "frozen")),
+    ("frozen encoder, no velocities", table(freeze_without_velocities, "validation.csv"), ("column q2: elbow stands", "2.9 s")),
+    ("logger stall", table(stall, "validation.csv"), ("validation.csv: 6 rows repeat", "2.01 to 2.06 s")),
+    ("encoder slips", table(slip, "validation.csv"), ("column q1: shoulder jumps by 1.4", "2.99 s", "encoder")),
+    ("never moves", table(lambda d: d.assign(q1=0.3, v1=0.0), "validation.csv"), ("column q1: shoulder never moves",)),
+    ("beyond a limit", table(beyond, "validation.csv"), ("column q2: elbow", "-2.5 to 2.5 rad")),
+    ("velocity off by 1.5", table(lambda d: d.assign(v1=1.5 * d["v1"])), ("column v1: 1.5 times", "q1 of shoulder")),
+    ("dead channel", table(lambda d: d.assign(my=0.25), "validation.csv"), ("column my: 0.25 in every row",)),
+    ("moving while parked", toml("[[0.0, 0.5]]", "[[0.0, 0.5], [1.0, 2.0]]"), ("[motion.0] parked: [1, 2]", "standing")),
+    ("no such period", toml("parked", "period = 1.1\nparked"), ("[motion.0] period: 1.1 s", "does not repeat")),
+    ("gravity of the Moon", toml("-9.81", "-1.62"), ("[robot] gravity", "1.62")),
+    ("values unused", toml("[[motion]]", '[model.values."spring@elbow"]\nrest = 0\n\n[[motion]]'), ("spring@elbow",)),
+    ("noise of zero", toml("force_std = 0.5", "force_std = 0"), ("[sensor] force_std: 0",)),
+    ("no validation", toml('role = "validation"', 'role = "identification"'), ('no motion has role "validation"',)),
+    ("a joint too many", table(lambda d: d.assign(q3=0.0, v3=0.0)), ("columns q3, v3 are not used",)),
+    ("torques for a wrench", table(lambda d: d[["t", "q1", "q2"]].assign(tau1=d.fx, tau2=d.fy), "validation.csv"),
+     ("validation.csv: columns fx ... mz are missing",)),
+    ("impossible body", toml('ixx="0.05"', 'ixx="5.0"', "robot.urdf"), ("robot.urdf: no body can have", "shoulder")),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("damage", "says"), [case[1:] for case in DOUBTS], ids=[case[0] for case in DOUBTS])
+def test_doubts_are_warnings_that_say_where(damage: Callable[[Path], None], says: tuple[str, ...], folder: Path) -> None:
+    damage(folder)
+    warnings = load_experiment(folder).warnings
+    assert len(warnings) == 1, warnings
+    for text in says:
+        assert text in warnings[0]
+    assert "\n" not in warnings[0]
+
+
+def test_a_wrapped_angle_is_called_so(folder: Path) -> None:
+    toml('lower="-3.141592653589793"', 'lower="-9"', "robot.urdf")(folder)
+    table(lambda d: d.assign(q1=d["q1"].where(d.index < 300, d["q1"] - 2.0 * math.pi)))(folder)
+    (folder / "static.csv").write_bytes((folder / "identification.csv").read_bytes())
+    (warning,) = load_experiment(folder).warnings
+    assert "q1: shoulder jumps by 6.2" in warning and "unwrap" in warning
+
+
+def test_the_same_motion_cannot_validate_unnoticed(folder: Path) -> None:
+    (folder / "validation.csv").write_bytes((folder / "identification.csv").read_bytes())
+    assert ["the same motion" in warning for warning in load_experiment(folder).warnings] == [True]
+
+
+def test_a_wrench_without_a_sensor_is_not_used(folder: Path) -> None:
+    for name in ("identification.csv", "static.csv", "validation.csv"):
+        table(lambda d: d.assign(tau1=d["fx"], tau2=d["fy"]), name)(folder)
+    path = folder / "experiment.toml"
+    text = path.read_text()
+    path.write_text(text[: text.index("[sensor]")] + text[text.index("[model]") :])
+    experiment = load_experiment(folder)
+    assert experiment.sensor is None and experiment.motions[0].table.wrench is None
+    assert len(experiment.warnings) == 3 and all("no [sensor]" in warning for warning in experiment.warnings)
+
+
+def test_nothing_is_repaired(folder: Path) -> None:
+    table(freeze, "validation.csv")(folder)
+    expected = pd.read_csv(folder / "validation.csv")
+    read = load_experiment(folder).validation[0].table
+    np.testing.assert_array_equal(read.positions, expected[["q1", "q2"]])
+    np.testing.assert_array_equal(read.times, expected["t"])
+
+
+def test_a_smooth_peak_or_a_rest_is_not_clipping(folder: Path) -> None:
+    """A noise-free reading in coarse counts holds its peaks, and its rests, without being clipped."""
+
+    def coarse(frame: pd.DataFrame) -> pd.DataFrame:
+        smooth = np.sin(np.outer(frame["t"], np.arange(1.0, 7.0)))
+        names = ["fx", "fy", "fz", "mx", "my", "mz"]
+        return frame.assign(**{name: np.round(column, 2) for name, column in zip(names, smooth.T, strict=True)})
+
+    table(coarse, "validation.csv")(folder)
+    assert load_experiment(folder).warnings == ()
+
+
+def test_a_slow_encoder_is_not_a_wrong_velocity(folder: Path) -> None:
+    """Encoder counts as large as a sample's step must not look like another unit."""
+    table(lambda d: d.assign(q1=d["q1"].round(2), q2=d["q2"].round(2)), "validation.csv")(folder)
+    assert load_experiment(folder).warnings == ()
+
+
+@pytest.mark.skipif(not FOLDERS, reason=f"no experiment folders under {DATA}; set BAYESID_DATA")
+@pytest.mark.parametrize("path", FOLDERS, ids=lambda path: path.name)
+def test_velocities_in_degrees_are_found_in_recordings(path: Path, tmp_path: Path) -> None:
+    experiment = load_experiment(path)
+    trajectories = [m for m in experiment.motions if m.kind == "trajectory" and m.table.velocities is not None]
+    if not trajectories:
+        pytest.skip("this recording has no velocities")
+    copied = tmp_path / "copy"
+    write_experiment(experiment, copied)
+    names = [f"v{j + 1}" for j in range(experiment.robot.n)]
+    frame = pd.read_csv(copied / f"{trajectories[0].name}.csv")
+    frame[names] *= 180.0 / math.pi
+    frame.to_csv(copied / f"{trajectories[0].name}.csv", index=False)
+    with pytest.raises(InputError, match="degrees per second"):
+        load_experiment(copied)

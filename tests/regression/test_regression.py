@@ -1,0 +1,146 @@
+import numpy as np
+import pytest
+
+from bayesid.errors import InputError
+from bayesid.estimators import fit
+from bayesid.regression import regression as regression_module
+from bayesid.regression import rows as rows_module
+from bayesid.regression.problem import prepare
+from bayesid.regression.regression import Regression
+from bayesid.robot.robot import load_robot
+from bayesid.signals.filters import LowPass
+from bayesid.validation.prediction import predict
+from tests.robots import panda, prismatic_arm, tree, ur5, write
+from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
+
+SENSOR = Sensor(translation=np.array([0.02, -0.01, -0.1]), rpy=np.array([3.1, 0.1, 0.4]))
+
+
+def noise_free(robot, sensor=SENSOR, **options):
+    one, two = fourier(robot, 1), fourier(robot, 2, speed=1.2)
+    return experiment(
+        robot,
+        [
+            Motion("identification", "identification", recording(robot, sensor, one, **options)),
+            Motion("validation", "validation", recording(robot, sensor, two, **options)),
+        ],
+        sensor,
+    )
+
+
+@pytest.mark.parametrize("l, d", [(1.0, 50.0), (5.0, 50.0), (20.0, 50.0), (50.0, 100.0)])
+def test_noise_free_puma_predicts_another_motion(l, d, tmp_path):  # noqa: E741
+    robot = puma2(tmp_path)
+    problem = prepare(noise_free(robot), filters=LowPass(l, d))
+    estimate = fit(problem.regression, "ols")
+    prediction = predict(problem, estimate, problem.experiment.validation[0])
+    assert prediction.nrmse.max() < 2e-4 and prediction.nrmse_raw.max() < 2e-4
+
+
+@pytest.mark.parametrize("text", [ur5(), panda(), prismatic_arm(), tree()], ids=["ur5", "panda", "prismatic", "tree"])
+@pytest.mark.parametrize("channel", ["wrench", "torque", "both"])
+@pytest.mark.parametrize("filters", [None, LowPass(2.0, 50.0)], ids=["direct", "filtered"])
+def test_noise_free_rows_give_the_true_parameters(text, channel, filters, tmp_path):
+    robot = load_robot(write(tmp_path, text))
+    problem = prepare(noise_free(robot), channel, filters=filters)
+    base = problem.recipe.base
+    truth = base.matrix @ robot.nominal.ravel()
+    estimate = fit(problem.regression, "ols")
+    prediction = predict(problem, estimate, problem.experiment.validation[0])
+    assert prediction.nrmse_raw.max() < 2e-3
+    size = problem.regression.nominal_scale
+    assert np.abs((estimate.values - truth) / size).max() < 5e-3
+
+
+def test_rows_do_not_depend_on_chunks(tmp_path, monkeypatch):
+    robot = load_robot(write(tmp_path, ur5()))
+    one = noise_free(robot)
+    for filters in (None, LowPass(1.0, 50.0)):
+        monkeypatch.setattr(rows_module, "_CHUNK", 1 << 20)
+        whole = list(prepare(one, filters=filters).regression.blocks())
+        monkeypatch.setattr(rows_module, "_CHUNK", 333)
+        monkeypatch.setattr(rows_module, "_PANEL", 100)
+        monkeypatch.setattr(rows_module, "_BLOCK_ROWS", 50)
+        parts = list(prepare(one, filters=filters).regression.blocks())
+        assert len(parts) > 5 and [b.start for b in parts] == [True] + [False] * (len(parts) - 1)
+        np.testing.assert_allclose(np.concatenate([b.times for b in parts]), whole[0].times, rtol=1e-12)
+        joined = np.concatenate([b.rows for b in parts])
+        np.testing.assert_allclose(joined, whole[0].rows, atol=1e-6 * np.abs(joined).max())
+        monkeypatch.undo()
+
+
+def test_gaps_are_not_filtered_across(tmp_path):
+    robot = load_robot(write(tmp_path, ur5()))
+    motion = fourier(robot, 1)
+    keep = (motion[0] < 8.0) | (motion[0] > 9.0)
+    cut = tuple(part[keep] for part in motion)
+    holed = experiment(robot, [Motion("a", "identification", recording(robot, SENSOR, cut))], SENSOR)
+    for filters in (None, LowPass(1.0, 50.0)):
+        problem = prepare(holed, filters=filters)
+        blocks = list(problem.regression.blocks())
+        assert [b.start for b in blocks] == [True, True]
+        truth = problem.recipe.base.matrix @ robot.nominal.ravel()
+        np.testing.assert_allclose(fit(problem.regression, "ols").values, truth, atol=2e-3)
+
+
+def test_static_run_removes_offset_and_gravity(tmp_path):
+    robot = puma2(tmp_path)
+    motion, offset = fourier(robot, 1), np.array([10.0, -20, 30, 1, 2, -3])
+    moving = recording(robot, SENSOR, motion, offset=offset)
+    still = recording(robot, SENSOR, motion, offset=offset, static=True)
+    with_static = experiment(robot, [Motion("a", "identification", moving, static=still)], SENSOR)
+    subtracted = prepare(with_static)
+    assert subtracted.static == "motion" and not subtracted.recipe.effects and subtracted.recipe.base.rank == 12
+    along = prepare(with_static, static="joint")
+    assert along.static == "joint" and [e.name for e in along.recipe.effects] == ["sensor_offset"]
+    for problem in (subtracted, along):
+        estimate = fit(problem.regression, "ols")
+        np.testing.assert_allclose(estimate.values, problem.recipe.base.matrix @ robot.nominal.ravel(), atol=1e-3)
+
+
+def test_arrays_of_ones_own(tmp_path):
+    rng = np.random.default_rng(0)
+    matrix = rng.normal(size=(300, 3, 5))
+    matrix[:, :, 4] = matrix[:, :, 0] + 2 * matrix[:, :, 1]
+    truth = np.array([1.0, -2, 3, 4, 0.5])
+    target = matrix @ truth + 0.1 * rng.normal(size=(300, 3))
+    regression = Regression.from_arrays(matrix, target, parameter_names=list("abcde"), channel_names=["x", "y", "z"])
+    estimate = fit(regression, "ols")
+    assert estimate.base.rank == 4 and estimate.base.names[0] == "a + e"
+    flat = matrix.reshape(-1, 5)[:, :4]
+    reference, *_ = np.linalg.lstsq(flat, target.ravel(), rcond=None)
+    np.testing.assert_allclose(estimate.values, reference, rtol=1e-10)
+    assert np.abs((estimate.values - estimate.base.matrix @ truth) / estimate.std).max() < 4
+
+
+@pytest.mark.parametrize(
+    "change, message",
+    [
+        (dict(target=np.zeros((3, 2))), "give .samples, channels, parameters."),
+        (dict(matrix=np.full((10, 2, 3), np.nan)), r"matrix\[0, 0, 0\] is not finite"),
+        (dict(parameter_names=["a"]), "1 names for 3 columns"),
+        (dict(times=np.arange(3)), "one entry for each"),
+        (dict(low_pass=LowPass(1, 50)), "without times"),
+    ],
+)
+def test_bad_arrays_are_refused(change, message):
+    good = dict(matrix=np.ones((10, 2, 3)), target=np.zeros((10, 2)))
+    good.update(change)
+    with pytest.raises(InputError, match=message):
+        Regression.from_arrays(**good)
+
+
+@pytest.mark.parametrize("filters", [None, LowPass(1.0, 50.0)])
+def test_a_recording_too_long_to_keep_gives_the_same_estimate(filters, tmp_path, monkeypatch):
+    robot = load_robot(write(tmp_path, ur5()))
+    long = fourier(robot, 1, duration=300.0)
+    noise = dict(force_std=0.5, torque_std=0.1, resolution=2e-5, seed=1)
+    one = experiment(robot, [Motion("a", "identification", recording(robot, SENSOR, long, **noise))], SENSOR)
+    kept = fit(prepare(one, filters=filters).regression)
+    monkeypatch.setattr(regression_module, "CACHE_BYTES", 0)
+    streamed_problem = prepare(one, filters=filters)
+    streamed = fit(streamed_problem.regression)
+    assert not streamed_problem.regression._kept
+    # Both weigh the channels by a noise learned from stretches, which differ a little in their ends.
+    assert np.abs((streamed.values - kept.values) / kept.std).max() < 0.2
+    np.testing.assert_allclose(streamed.std, kept.std, rtol=0.1)

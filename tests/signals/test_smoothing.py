@@ -1,0 +1,100 @@
+import numpy as np
+import pytest
+from scipy.interpolate import LSQUnivariateSpline
+
+from bayesid.errors import InputError
+from bayesid.signals.smoothing import OVERLAP, choose_smoother, smooth
+
+
+def fourier(times, seed=0, joints=3):
+    rng = np.random.default_rng(seed)
+    w = 2 * np.pi * 0.1 * np.arange(1, 6)
+    a, b = rng.normal(0, 0.3, (2, 5, joints))
+    s, c = np.sin(np.outer(times, w)), np.cos(np.outer(times, w))
+    return s @ a + c @ b, (c * w) @ a - (s * w) @ b, -(s * w**2) @ a - (c * w**2) @ b
+
+
+def test_smooth_motion_comes_back_exactly():
+    times = np.arange(0, 10, 0.008)
+    q, v, a = fourier(times)
+    qs, vs, accelerations = smooth(times, q, 10.0)
+    assert np.abs(qs - q).max() < 1e-8 and np.abs(vs - v).max() < 1e-6
+    inside = slice(20, -20)
+    assert np.abs(accelerations - a)[inside].max() < 1e-4
+
+
+def test_polynomials_of_degree_five_are_reproduced_on_uneven_times():
+    rng = np.random.default_rng(1)
+    times = np.cumsum(rng.uniform(0.004, 0.012, 400))
+    p = np.polynomial.Polynomial([0.3, -1, 2, 0.5, -0.2, 0.05])
+    q, v, a = smooth(times, p(times)[:, None], 4.0)
+    inside = slice(30, -30)  # the ends are loose and not used
+    np.testing.assert_allclose(q[inside, 0], p(times)[inside], rtol=3e-9)
+    np.testing.assert_allclose(v[inside, 0], p.deriv()(times)[inside], rtol=0, atol=1e-6)
+    np.testing.assert_allclose(a[inside, 0], p.deriv(2)(times)[inside], rtol=0, atol=1e-4)
+
+
+def test_equals_scipys_spline_away_from_the_ends():
+    times = np.arange(0, 8, 0.01)
+    rng = np.random.default_rng(2)
+    y = np.sin(2 * times) + 0.01 * rng.normal(size=len(times))
+    spacing = 0.5 / 2.0
+    q, v, _ = smooth(times, y[:, None], 2.0)
+    reference = LSQUnivariateSpline(times, y, np.arange(spacing, times[-1], spacing), k=5)
+    middle = slice(250, -250)
+    np.testing.assert_allclose(q[middle, 0], reference(times)[middle], atol=1e-6)
+    np.testing.assert_allclose(v[middle, 0], reference.derivative()(times)[middle], atol=1e-5)
+
+
+def test_no_delay():
+    """A forward difference would be half a sample early or late; the spline is not."""
+    times = np.arange(0, 20, 0.008)
+    q, v, _ = fourier(times)
+    noisy = np.round(q / 2e-5) * 2e-5
+    smoothed = smooth(times, noisy, 5.0)[1]
+    acceleration = np.gradient(v, times, axis=0)
+    delay = np.sum((smoothed - v) * acceleration) / np.sum(acceleration**2)
+    assert abs(delay) < 1e-5
+    forward = np.diff(noisy, axis=0) / 0.008
+    late = np.sum((forward - v[:-1]) * acceleration[:-1]) / np.sum(acceleration[:-1] ** 2)
+    assert abs(late - 0.004) < 2e-4
+
+
+def test_pieces_with_overlap_agree_with_the_whole():
+    times = np.arange(0, 30, 0.008)
+    rng = np.random.default_rng(3)
+    q = fourier(times)[0] + 1e-4 * rng.normal(size=(len(times), 3))
+    whole = smooth(times, q, 5.0)
+    reach = OVERLAP * 0.1
+    window = (times >= 10 - reach) & (times <= 15 + reach)
+    core = (times >= 10) & (times <= 15)
+    piece = smooth(times[window], q[window], 5.0, at=times[core])
+    rate = 2 * np.pi * 5.0
+    for a, b, unit in zip(whole, piece, (1, rate, rate**2), strict=True):
+        assert np.abs(a[core] - b).max() < 1e-3 * 1e-4 * unit  # a thousandth of the noise
+
+
+def test_bandwidth_follows_motion_and_noise():
+    times = np.arange(0, 20, 0.008)
+    q = fourier(times)[0]
+    fine = choose_smoother([(times, np.round(q / 2e-5) * 2e-5)], 2e-5)
+    coarse = choose_smoother([(times, np.round(q / 2e-3) * 2e-3)], 2e-3)
+    assert 1.0 < coarse.bandwidth < fine.bandwidth < 6.0
+    np.testing.assert_allclose(fine.position_std, 2e-5 / np.sqrt(12), rtol=0.1)
+    faster = choose_smoother([(times / 3, np.round(q / 2e-5) * 2e-5)], 2e-5)
+    assert faster.bandwidth > 2 * fine.bandwidth
+
+
+def test_chosen_bandwidth_is_near_the_best_for_accelerations():
+    times = np.arange(0, 20, 0.008)
+    q, _, a = fourier(times, seed=5)
+    noisy = np.round(q / 1e-4) * 1e-4
+    errors = {f: np.std((smooth(times, noisy, f)[2] - a)[25:-25]) for f in np.geomspace(1, 12, 12)}
+    chosen = choose_smoother([(times, noisy)], 1e-4).bandwidth
+    assert np.std((smooth(times, noisy, chosen)[2] - a)[25:-25]) < 2.0 * min(errors.values())
+
+
+def test_too_few_samples_are_refused():
+    times = np.array([0.0, 5.0, 5.01, 9.0])
+    with pytest.raises(InputError, match="too few or too uneven"):
+        smooth(times, np.full((4, 1), np.inf), 3.0)

@@ -1,0 +1,66 @@
+"""What identify says about real robots, beside the figures that others published for the same logs."""
+
+import numpy as np
+import pytest
+
+import bayesid
+from bayesid.regression.problem import prepare, restrict
+from bayesid.validation.cross_checks import compare_estimates
+from bayesid.validation.prediction import relative_error
+
+FRICTION = ["viscous_friction", "coulomb_friction", "torque_offset"]
+
+
+@pytest.fixture(scope="module")
+def wrist(shared):
+    return bayesid.identify(shared("data/kuka-med-wrist"))
+
+
+def test_wrist_poses_give_the_published_mass_and_offsets(wrist):
+    low, high = wrist.estimate.low, wrist.estimate.high
+    assert wrist.estimate.base.labels[0] == "m3" and low[0] < 0.932 < high[0]
+    com = np.array([0.28, 0.05, 43.90]) * 1e-3 * 0.9323
+    assert (low[1:] < com).all() and (com < high[1:]).all()
+    offsets = -np.array([9.0765, -1.0181, 9.9848, 0.43250, -0.69155, -0.15703])
+    value, std = wrist.offset
+    assert (np.abs(value - offsets) < 1.96 * std).all()
+
+
+def test_wrist_says_what_is_not_excited_and_that_poses_and_motion_disagree(wrist):
+    assert {label[:2] for label in wrist.unexcited} == {"I3"} and len(wrist.unexcited) == 6
+    text = " ".join(wrist.warnings)
+    assert "Not excited" in text and "do not average" in text and "baseline" in text
+    apart = {a.first: a for a in wrist.agreements}
+    assert apart["motion baseline"].contradiction and apart["motion vibrations"].contradiction
+
+
+def test_repeats_of_a_wrist_motion_agree_within_their_intervals(shared):
+    """The same slow turn recorded twice, once with hammer taps on the arm: 1 sigma rms apart."""
+    problem = prepare(bayesid.load_experiment(shared("data/kuka-med-wrist")), motions=["baseline", "vibrations"])
+    one, two = (bayesid.fit(restrict(problem, [name]).regression) for name in problem.fitted)
+    agreement = compare_estimates("baseline", one, "vibrations", two)
+    assert 0.5 < agreement.rms < 1.6 and not agreement.contradiction
+
+
+@pytest.mark.parametrize(
+    "name, published_fit, published_validation", [("data/ur10", 0.065, 0.091), ("data/kuka-lwr4", 0.022, 0.144)]
+)
+def test_joint_torques_are_predicted_as_well_as_published(shared, name, published_fit, published_validation):
+    result = bayesid.identify(shared(name), effects=FRICTION)
+    assert relative_error(result.fitted[0]) < published_fit
+    assert relative_error(result.validation[0]) < published_validation
+    # The published validations are no proof that the model is complete, and neither is this one.
+    assert any("not predicted to the noise" in w for w in result.warnings)
+    assert not result.estimate.details["model_complete"]
+
+
+def test_a_repeated_motion_is_not_called_a_validation(shared):
+    from dataclasses import replace
+
+    experiment = bayesid.load_experiment(shared("data/kuka-lwr4"))
+    first = experiment.motions[0]
+    again = replace(first, name="again", role="validation")
+    result = bayesid.identify(replace(experiment, motions=(first, again)), effects=FRICTION)
+    assert result.validation[0].repeats == "measurements_1"
+    assert any("repeats the fitted motion" in w for w in result.warnings)
+    assert bayesid.identify(experiment, effects=FRICTION).validation[0].repeats is None

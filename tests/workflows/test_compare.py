@@ -1,0 +1,309 @@
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+from scipy.stats import kstest
+from test_report import read
+
+import bayesid
+from bayesid import comparison as module
+from bayesid.cli import main
+from bayesid.estimators import factor
+from bayesid.report import comparison_report
+from bayesid.validation.agreement import gaps, hausman
+from bayesid.workflows.compare import DEFAULT_SET
+from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
+
+NOISE = dict(force_std=0.5, torque_std=0.1, resolution=2e-5)
+SENSOR = Sensor(translation=np.array([0.0, 0.0, -0.1]))
+
+
+def made(robot, offset=3.0, scale=1.0, names=("identification", "validation")):
+    phi = scale * robot.nominal.ravel()
+    return experiment(
+        robot,
+        [Motion(n, n, recording(robot, SENSOR, fourier(robot, k + 1), seed=k + 1, offset=np.full(6, offset), phi=phi, **NOISE))
+         for k, n in enumerate(names)],
+        SENSOR, inertia_rel_std=0.1,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory):
+    return puma2(tmp_path_factory.mktemp("puma"))
+
+
+@pytest.fixture(scope="module")
+def heavier(robot):
+    """Links 20 % heavier than the nominal ones."""
+    return made(robot, scale=1.2)
+
+
+class Halved:
+    """Half of ordinary least squares, which is nobody's estimator but the test's."""
+
+    name = "halved"
+
+    def fit(self, regression):
+        plain = bayesid.fit(regression, "ols")
+        links = -np.abs(regression.nominal_links)
+        details = {"share": np.float64(0.5), "lost": np.nan, "at": np.arange(2)}
+        return replace(plain, method=self.name, solution=plain.solution / 2, links=links, full_covariance=None, interval="none",
+                       interval_reason="it is wrong", details=details)  # fmt: skip
+
+
+class Refuses:
+    name = "refuses"
+
+    def fit(self, regression):
+        raise bayesid.EstimationError("it never works;\n try another")
+
+
+class Broken:
+    name = "broken"
+
+    def fit(self, regression):
+        return replace(bayesid.fit(regression, "ols"), solution=np.full(len(regression.column_names), np.nan))
+
+
+@pytest.fixture(scope="module")
+def compared(heavier):
+    return bayesid.compare(heavier, ["ols", "wls", Refuses(), "gls", Halved(), bayesid.Ridge(), bayesid.Ridge(strength=1e-6)])
+
+
+def strictly(path):
+    def refuse(constant):
+        raise AssertionError(constant)
+
+    return json.loads(path.read_text(), parse_constant=refuse)
+
+
+def test_each_is_what_it_would_be_alone(compared, heavier):
+    alone = bayesid.identify(heavier, method="gls")
+    assert (compared["gls"].values == alone.values).all() and (compared["gls"].std == alone.std).all()
+    entry = next(e for e in compared.entries if e.name == "gls")
+    assert entry.validation[0].whitened_rms == alone.validation[0].whitened_rms
+    np.testing.assert_array_equal(entry.links, alone.link_parameters)
+    assert entry.physically_consistent == alone.physically_consistent
+    assert list(compared.estimates) == ["ols", "wls", "gls", "halved", "ridge", "ridge 2"]
+    assert compared.names == alone.names
+
+
+def test_rows_and_noise_are_made_once(heavier, monkeypatch):
+    calls = {"prepare": 0, "noise": 0}
+    prepare, learned = module.prepare, factor._learned
+
+    def counted(*args, **options):
+        calls["prepare"] += 1
+        return prepare(*args, **options)
+
+    def counted_noise(regression):
+        calls["noise"] += 1
+        return learned(regression)
+
+    monkeypatch.setattr(module, "prepare", counted)
+    monkeypatch.setattr(factor, "_learned", counted_noise)
+    stages = []
+    bayesid.compare(heavier, ["ols", "wls", "gls", "ridge"], progress=stages.append)
+    assert calls == {"prepare": 1, "noise": 1}
+    assert [s for s in stages if s.startswith("estimate")][1] == "estimate: wls (2 of 4)"
+
+
+def test_own_estimators_and_refusals_stand_beside_the_others(compared):
+    refused, halved = compared.entries[2], compared.entries[4]
+    assert refused.estimate is None and refused.refusal == "it never works; try another"
+    np.testing.assert_array_equal(compared["halved"].solution, compared["ols"].solution / 2)
+    assert "nobody's estimator" in halved.description
+    # It came with links of its own, of negative mass.
+    assert halved.impossible == compared.problem.experiment.robot.body_names
+    with pytest.raises(KeyError, match="it never works"):
+        compared["refuses"]
+    with pytest.raises(KeyError, match="there are ols, wls"):
+        compared["tasty"]
+
+
+def test_an_estimate_that_is_not_finite_counts_as_a_refusal(heavier):
+    found = bayesid.compare(heavier, ["ols", Broken()])
+    assert "finite" in found.entries[1].refusal
+    with pytest.raises(bayesid.EstimationError, match="broken: gave no finite .* refuses: it never works"):
+        bayesid.compare(heavier, [Broken(), Refuses()])
+
+
+def test_nominal_model_is_the_yardstick(robot, compared):
+    # Links as nominal: only the offset keeps the nominal model from being perfect, and it is perfect once that is fitted.
+    offset, none = (bayesid.compare(made(robot, offset=o), ["wls"]).baselines for o in (3.0, 0.0))
+    assert [b.name for b in offset] == ["nominal", "nominal + effects"]
+    assert offset[0].validation[0].whitened_rms > 3.0
+    assert offset[1].validation[0].whitened_rms == pytest.approx(1.0, abs=0.03)
+    # Without an offset the nominal weight explains the constant readings, though base parameters cannot hold it.
+    assert none[0].validation[0].whitened_rms == pytest.approx(1.0, abs=0.03)
+    # Links off by a fifth: worse than what is fitted.
+    errors = [e.validation[0].whitened_rms for e in (*compared.baselines, compared.entries[1])]
+    assert errors[0] > errors[1] > 2.0 and errors[2] == pytest.approx(1.0, abs=0.05)
+    assert any("as well as or better than halved," in w and "effects fitted" in w for w in compared.warnings)
+
+
+def test_stated_values_of_effects_are_part_of_the_nominal_model(robot):
+    stated = replace(made(robot, names=("identification",)), effects=("sensor_offset",),
+                     effect_values={"sensor_offset": dict.fromkeys(("fx", "fy", "fz", "mx", "my", "mz"), 3.0)})  # fmt: skip
+    found = bayesid.compare(stated, ["wls"])
+    assert found.baselines[0].fitted[0].whitened_rms == pytest.approx(1.0, abs=0.03)
+    assert not found.baselines[0].validation and found.entries[0].proof == found.entries[0].fitted
+    assert any("No validation motion" in w for w in found.warnings)
+    text = " ".join(read(comparison_report(found)).text.split())
+    assert "There is no validation motion" in text and "fitted: no validation motion" in str(found)
+
+
+def test_differences_are_counted_in_sigmas_of_the_reference(compared):
+    assert compared.reference == "wls"
+    pair = next(g for g in compared.gaps if (g.first, g.second) == ("ols", "gls"))
+    z = np.abs(compared["ols"].values - compared["gls"].values) / compared["wls"].std
+    assert pair.rms == pytest.approx(np.linalg.norm(z) / np.sqrt(len(z))) and pair.largest == z.max()
+    assert pair.where == compared["wls"].base.labels[int(z.argmax())] and pair.compared == len(z)
+    # What an estimator could not determine is not compared.
+    hidden = compared["ols"].undetermined.copy()
+    hidden[int(z.argmax())] = True
+    (less,) = gaps({"wls": compared["wls"], "ols": replace(compared["ols"], undetermined=hidden)}, "wls")
+    assert less.compared == len(z) - 1
+    assert bayesid.compare(compared.regression, ["ridge"]).reference is None
+
+
+def test_hausman_statistic_is_the_textbooks(compared):
+    small, large = np.diag([1.0, 4.0, 9.0]), np.array([[3.0, 0.5, 0.0], [0.5, 8.0, 1.0], [0.0, 1.0, 10.0]])
+    template = compared["ols"]
+    p = len(template.solution)
+
+    def of(values, covariance):
+        wide = np.zeros((p, p))
+        wide[:3, :3] = covariance
+        solution = np.zeros(p)
+        solution[:3] = values
+        return replace(template, solution=solution, full_covariance=wide, undetermined=np.arange(p) > 2)
+
+    difference = np.array([0.7, -1.0, 1.5])
+    found = hausman("a", of(difference + 1.0, large), "b", of(np.ones(3), small))
+    expected = difference @ np.linalg.solve(large - small, difference)
+    assert found.statistic == pytest.approx(expected) and found.degrees == 3 and not found.contradiction
+    # Where the other one claims to be surer than the efficient one, the theory does not hold.
+    assert hausman("b", of(np.ones(3), small), "a", of(difference, large)).probability is None
+    assert "nothing to test" in hausman("a", of(difference, large), "b", of(np.zeros(3), large)).reason
+    credible = replace(of(difference, large), interval="credible")
+    assert "prior" in hausman("a", credible, "b", of(np.zeros(3), small)).reason
+    assert compared.tests[0].efficient == "gls" and {t.method for t in compared.tests} == set(compared.estimates) - {"gls"}
+    assert next(t for t in compared.tests if t.method == "ridge").probability is None
+
+
+def test_hausman_probabilities_are_uniform_when_the_model_is_complete():
+    rng = np.random.default_rng(5)
+    found = []
+    for _ in range(80):
+        x = rng.normal(size=(300, 2, 3))
+        y = x @ [1.0, -2.0, 3.0] + rng.normal(size=(300, 2)) * [1.0, 10.0]
+        compared = bayesid.compare(bayesid.Regression.from_arrays(x, y), ["ols", "gls"])
+        found.append(compared.tests[0].probability)
+    assert kstest(found, "uniform").pvalue > 0.01
+    assert min(found) > 1e-4
+
+
+def test_a_missing_effect_makes_estimators_contradict_each_other():
+    # A slow term that the model lacks and that its first column partly follows: whitening sees through it, wls does not.
+    rng = np.random.default_rng(0)
+    slow = lfilter([np.sqrt(1 - 0.9**2)], [1.0, -0.9], rng.normal(size=2000))
+    x = np.stack([slow + rng.normal(size=2000), rng.normal(size=2000)], axis=1)[:, None, :]
+    y = x @ [1.0, 1.0] + 2.0 * slow[:, None] + 0.1 * rng.normal(size=(2000, 1))
+    found = bayesid.compare(bayesid.Regression.from_arrays(x, y), ["wls", "gls"])
+    assert found.tests[0].contradiction and any("Hausman" in w for w in found.warnings)
+
+
+def test_regressions_of_ones_own_have_no_robot(tmp_path):
+    rng = np.random.default_rng(1)
+    regression = bayesid.Regression.from_arrays(
+        rng.normal(size=(200, 2, 3)), rng.normal(size=(200, 2)), parameter_names=["a", "b", "c"]
+    )
+    found = bayesid.compare(regression, ["ols", "gls"])
+    assert found.problem is None and not found.baselines and found.entries[0].impossible is None
+    head = str(found).splitlines()[1]
+    assert "noise" not in head and "links" not in head and "Hausman gls" in head
+    report = found.write(tmp_path / "out")
+    document = strictly(tmp_path / "out" / "comparison.json")
+    assert document["channel"] is None and "validation" not in document["methods"][0]
+    assert "physically_consistent" not in document["methods"][0]
+    text = read(report.read_text()).text
+    assert "no motion to validate on" in text and "Errors by channel" not in text
+    with pytest.raises(bayesid.InputError, match="not a Regression"):
+        bayesid.compare(regression, ["ols"], "torque")
+
+
+def test_document_is_strict_and_complete(compared, tmp_path):
+    compared.write(tmp_path)
+    document = strictly(tmp_path / "comparison.json")
+    assert document["schema"] == 1 and document["channel"] == "wrench" and document["rank"] == compared.regression.base.rank
+    methods = {m["name"]: m for m in document["methods"]}
+    assert methods["refuses"] == {"name": "refuses", "status": "refused", "reason": "it never works; try another",
+                                  "seconds": methods["refuses"]["seconds"]}  # fmt: skip
+    assert methods["halved"]["details"] == {"share": 0.5, "lost": None, "at": [0, 1]}
+    assert methods["halved"]["base_parameters"][0]["std"] is None and methods["halved"]["physically_consistent"] is False
+    proof = methods["wls"]["validation"][0]
+    assert proof["motion"] == "validation" and proof["whitened_rms"] > 0
+    assert set(proof["rmse"]) == set(proof["nrmse"]) == {"fx", "fy", "fz", "mx", "my", "mz"}
+    assert [b["name"] for b in document["baselines"]] == ["nominal", "nominal + effects"]
+    values = [p["value"] for p in methods["gls"]["base_parameters"]]
+    np.testing.assert_allclose(values, compared["gls"].values)
+    assert document["agreement"]["reference"] == "wls" and len(document["agreement"]["pairs"]) == 15
+    assert len(methods["wls"]["effects"]) == 6 and methods["wls"]["effects"][0]["std"] > 0
+
+
+def test_report_shows_all_that_took_part(compared):
+    html = comparison_report(compared)
+    text = " ".join(read(html).text.split())
+    for part in (
+        "Side by side", "How well each one predicts", "Do the estimators agree?", "Errors by channel", "it is wrong", "Hausman",
+        "refused: it never works", "ridge 2", "nominal + effects", "nobody's estimator", *compared.regression.effect_names,
+    ):  # fmt: skip
+        assert part in text, part
+    assert text.index("as well as or better than halved") < text.index("Side by side")
+    assert comparison_report(compared) == html
+
+
+def test_prints_and_shows_in_a_notebook(compared):
+    text = str(compared)
+    for part in ("7 estimators on the sensor's wrench of identification", "validation: error", "refuses refused: it never works"):
+        assert part in text
+    row = next(line for line in text.splitlines() if line.split()[:1] == ["gls"])
+    assert "±" not in row and " s" in row
+    html = compared._repr_html_()
+    assert html.count("<table>") == 2 and "it never works" in html
+
+
+def test_default_set_and_names(heavier):
+    found = bayesid.compare(heavier)
+    assert [e.name for e in found.entries] == [m for m in DEFAULT_SET if m in bayesid.METHODS]
+    assert {"ols", "wls", "gls"} <= set(found.estimates)
+    with pytest.raises(bayesid.InputError, match="did you mean 'gls'"):
+        bayesid.compare(heavier, ["ols", "glss"])
+    with pytest.raises(bayesid.InputError, match="empty"):
+        bayesid.compare(heavier, [])
+    with pytest.raises(bayesid.InputError, match="no estimator"):
+        bayesid.compare(heavier, [3])
+    assert [e.name for e in bayesid.compare(heavier, ["wls", "wls"]).entries] == ["wls"]
+
+
+def test_command_line(heavier, tmp_path, capsys):
+    folder = tmp_path / "arm"
+    bayesid.write_experiment(heavier, folder)
+    out = tmp_path / "out"
+    assert main(["compare", str(folder), "--methods", "ols, gls", "--seed", "1", "--out", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert f"report: {out / 'report.html'}" in said and "Hausman gls" in said
+    assert sorted(p.name for p in out.iterdir()) == ["comparison.json", "report.html"]
+    document = strictly(out / "comparison.json")
+    assert [m["name"] for m in document["methods"]] == ["ols", "gls"] and document["filter"] == {"l": None, "d": None}
+    assert main(["compare", str(folder), "--methods", "ols", "--filter-l", "1", "--filter-d", "50", "--out", str(out)]) == 0
+    assert strictly(out / "comparison.json")["filter"] == {"l": 1.0, "d": 50.0}
+    capsys.readouterr()
+    for wrong in (["--methods", "ols,olss"], ["--methods", ","], ["--motions", "nowhere"], ["--effects", "oil"]):
+        assert main(["compare", str(folder), *wrong, "--out", str(tmp_path / "no")]) == 2
+        assert len(capsys.readouterr().err.strip().splitlines()) == 1
+    assert not (tmp_path / "no").exists()

@@ -1,0 +1,143 @@
+import json
+
+import numpy as np
+import pytest
+
+import bayesid
+from bayesid.cli import main
+from bayesid.robot.robot import load_robot
+from tests.robots import ur5, wrist_sensor_arm, write
+from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
+
+NOISE = dict(force_std=0.5, torque_std=0.1, resolution=2e-5)
+OFFSET = np.array([12.0, -7.0, 30.0, 1.0, -2.0, 0.5])
+
+
+def two_motions(robot, sensor, **options):
+    return experiment(
+        robot,
+        [
+            Motion("identification", "identification", recording(robot, sensor, fourier(robot, 1), seed=1, **options)),
+            Motion("validation", "validation", recording(robot, sensor, fourier(robot, 2, speed=1.0), seed=2, **options)),
+        ],
+        sensor,
+        inertia_rel_std=0.1,
+        position_resolution=2e-5,
+    )
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory):
+    robot = load_robot(write(tmp_path_factory.mktemp("arm"), ur5()))
+    return two_motions(robot, Sensor(translation=np.array([0.0, 0.0, -0.1])), offset=OFFSET, **NOISE)
+
+
+@pytest.fixture(scope="module")
+def result(arm):
+    return bayesid.identify(arm)
+
+
+def test_truth_lies_in_the_intervals_and_the_validation_is_predicted_to_the_noise(result, arm):
+    truth = result.base.matrix @ arm.robot.nominal.ravel()
+    z = (result.values - truth) / result.std
+    assert result.base.rank == 40 and np.abs(z).max() < 4.5 and 0.6 < np.sqrt(np.mean(z**2)) < 1.4
+    prediction = result.validation[0]
+    assert 0.9 < prediction.whitened_rms < 1.1 and 0.93 < prediction.coverage < 0.97
+    assert prediction.repeats is None
+    np.testing.assert_allclose(prediction.rmse_raw, [0.5] * 3 + [0.1] * 3, rtol=0.1)
+
+
+def test_offset_is_told_from_the_weight_by_the_nominal_mass(result):
+    value, std = result.offset
+    assert (np.abs(value - OFFSET)[[0, 1, 3, 4, 5]] < 4 * std[[0, 1, 3, 4, 5]]).all()
+    # The total mass cannot be seen beside an offset: its uncertainty is that of the nominal masses.
+    assert abs(value[2] - OFFSET[2]) < 2 * std[2] and std[2] > 2.0
+
+
+def test_links_have_the_estimated_base_parameters_and_the_urdf_loads_back(result, arm, tmp_path):
+    np.testing.assert_allclose(result.base.matrix @ result.link_parameters, result.values, rtol=1e-8, atol=1e-10)
+    result.write(tmp_path / "out")
+    again = load_robot(tmp_path / "out" / "identified.urdf", arm.robot.joint_names)
+    np.testing.assert_allclose(again.nominal.ravel(), result.link_parameters, rtol=1e-9, atol=1e-12)
+
+
+def test_json_holds_what_is_promised(result, tmp_path):
+    report = result.write(tmp_path / "out")
+    assert report.name == "report.html" and "http" not in report.read_text().replace("http://www.w3.org", "")
+    document = json.loads((tmp_path / "out" / "estimate.json").read_text())
+    promised = {
+        "schema", "experiment", "channel", "method", "filter", "base_parameters", "covariance", "base_map",
+        "link_parameter_names", "link_parameters", "effects", "rank", "condition_number", "physically_consistent", "validation",
+        "runtime_s", "interval",
+    }  # fmt: skip
+    assert promised <= set(document)
+    first = document["base_parameters"][0]
+    assert set(first) == {"name", "unit", "value", "std", "low", "high", "class", "label"}
+    assert first["low"] < first["value"] < first["high"]
+    assert np.shape(document["base_map"]) == (document["rank"], len(document["link_parameter_names"]))
+    assert document["effects"][0]["name"] == "sensor_offset"
+    assert set(document["effects"][0]["parameters"]) == {"fx", "fy", "fz", "mx", "my", "mz"}
+    assert {"motion", "rmse", "nrmse", "whitened_rms"} <= set(document["validation"][0])
+
+
+def test_results_print(result):
+    assert "40 base parameters" in str(result) and "<table>" in result._repr_html_()
+
+
+def test_wrist_sensor_splits_the_link_and_is_identified(tmp_path):
+    robot = load_robot(write(tmp_path, wrist_sensor_arm()), sensor_joint="wrist_ft")
+    sensor = Sensor(joint="wrist_ft", translation=np.array([0.01, 0.02, 0.03]), rpy=np.array([0.3, 0.2, 0.1]))
+    found = bayesid.identify(two_motions(robot, sensor, offset=OFFSET, **NOISE))
+    assert set(found.names) == {f"wrist_ft.{p}" for p in ("m", "mcx", "mcy", "mcz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")}
+    truth = found.base.matrix @ robot.nominal.ravel()
+    assert np.abs((found.values - truth) / found.std).max() < 4
+    value, std = found.offset
+    assert (np.abs(value - OFFSET) < 4 * std).all()
+    found.write(tmp_path / "out")
+    again = load_robot(tmp_path / "out" / "identified.urdf", sensor_joint="wrist_ft")
+    np.testing.assert_allclose(again.nominal.ravel(), found.link_parameters, rtol=1e-8, atol=1e-12)
+
+
+def test_both_channels_together_agree_unless_one_is_wrong(tmp_path):
+    robot = load_robot(write(tmp_path, ur5()))
+    clean = two_motions(robot, Sensor(), offset=OFFSET, **NOISE)
+    found = bayesid.identify(clean, "both")
+    assert found.base.rank == 40 and not found.agreements[-1].contradiction and found.agreements[-1].first == "wrench"
+    truth = found.base.matrix @ robot.nominal.ravel()
+    assert np.abs((found.values - truth) / found.std).max() < 4.5
+
+    from dataclasses import replace
+
+    def too_large(motion):
+        return replace(motion, table=replace(motion.table, torques=1.05 * motion.table.torques))
+
+    spoiled = replace(clean, motions=tuple(too_large(m) for m in clean.motions))
+    last = bayesid.identify(spoiled, "both")
+    assert last.agreements[-1].contradiction and any("Wrench and torque contradict" in w for w in last.warnings)
+
+
+def test_static_run_is_reported_both_ways(tmp_path):
+    robot = puma2(tmp_path)
+    sensor, motion = Sensor(), fourier(robot, 1)
+    moving = recording(robot, sensor, motion, seed=1, offset=OFFSET, **NOISE)
+    still = recording(robot, sensor, motion, seed=2, offset=OFFSET, static=True, **NOISE)
+    found = bayesid.identify(experiment(robot, [Motion("a", "identification", moving, static=still)], sensor))
+    assert found.base.rank == 12 and found.static_alternative is not None
+    truth = found.base.matrix @ robot.nominal.ravel()
+    assert np.abs((found.values - truth) / found.std).max() < 4
+    # Gravity, which the subtraction throws away, makes the other way at least as sure.
+    assert np.mean(found.static_alternative.std[:12]) < np.mean(found.std)
+
+
+def test_command_line_writes_all_or_nothing(arm, tmp_path, capsys):
+    folder = tmp_path / "arm"
+    bayesid.write_experiment(arm, folder)
+    out = tmp_path / "out"
+    assert main(["identify", str(folder), "--out", str(out), "--method", "gls", "--filter-l", "1", "--filter-d", "50"]) == 0
+    assert {p.name for p in out.iterdir()} == {"estimate.json", "identified.urdf", "report.html"}
+    document = json.loads((out / "estimate.json").read_text())
+    assert document["method"] == "gls" and document["filter"]["l"] == 1.0
+    assert "report.html" in capsys.readouterr().out
+    assert main(["identify", str(folder), "--out", str(tmp_path / "no"), "--filter-d", "50"]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1 and "--filter-l" in error and not (tmp_path / "no").exists()

@@ -1,0 +1,142 @@
+"""What the README and the documentation show works, and what they point at exists."""
+
+from __future__ import annotations
+
+import re
+import runpy
+import shlex
+from pathlib import Path
+
+import matplotlib
+import pytest
+
+from bayesid import write_experiment
+from bayesid.cli import main
+from bayesid.effects import KINDS
+from bayesid.recordings import schema
+from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
+
+ROOT = Path(__file__).parents[2]
+README = ROOT / "README.md"
+PAGES = [README, *sorted((ROOT / "docs").glob("*.md"))]
+BY_NAME = {page.name: page for page in PAGES}
+_CODE = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+_LINK = re.compile(r"\[[^\]]*\]\(([^)]+)\)")
+_CITED = re.compile(r"\[([A-Z]\w+\d{4}\w?)\]")
+
+
+def snippets(page: Path, language: str) -> list[str]:
+    """Code of one language on a page."""
+    return [code for kind, code in _CODE.findall(page.read_text(encoding="utf-8")) if kind == language]
+
+
+def pages_with(language: str) -> list[str]:
+    """Names of the pages that have such code."""
+    return [page.name for page in PAGES if snippets(page, language)]
+
+
+@pytest.fixture(scope="module")
+def my_arm(tmp_path_factory) -> Path:
+    """A folder that holds ``my-arm``, a small experiment with all that the pages use."""
+    folder = tmp_path_factory.mktemp("readme")
+    (folder / "model").mkdir()
+    robot = puma2(folder / "model")
+    sensor = Sensor(translation=[0.0, 0.0, -0.1])
+    noise = dict(force_std=0.5, torque_std=0.05, resolution=1e-4)
+
+    def motion(name: str, role, seed: int) -> Motion:
+        path = fourier(robot, seed, duration=12.0)
+        still = recording(robot, sensor, path, seed=seed + 10, static=True, **noise)
+        return Motion(name, role, recording(robot, sensor, path, seed=seed, **noise), static=still)
+
+    motions = [motion("identification", "identification", 1), motion("validation", "validation", 2)]
+    write_experiment(experiment(robot, motions, sensor, position_resolution=1e-4), folder / "my-arm")
+    return folder
+
+
+@pytest.mark.parametrize("name", pages_with("python"))
+def test_python_snippets_run(name, my_arm, monkeypatch, capsys):
+    """Each page's snippets run one after the other, as in one notebook."""
+    monkeypatch.chdir(my_arm)
+    matplotlib.use("Agg")
+    scope: dict = {}
+    for code in snippets(BY_NAME[name], "python"):
+        exec(compile(code, name, "exec"), scope)
+    assert capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", pages_with("console"))
+def test_command_lines_run(name, my_arm, monkeypatch, capsys):
+    """Each page's calls of bayesid end well."""
+    monkeypatch.chdir(my_arm)
+    lines = [line for code in snippets(BY_NAME[name], "console") for line in code.splitlines()]
+    for line in lines:
+        words = shlex.split(line.removeprefix("$ "))
+        if words[0] == "bayesid":
+            assert main(words[1:]) == 0, f"{line}: {capsys.readouterr().err}"
+        else:
+            assert words[0] == "make" and f"\n{words[1]}:" in (ROOT / "Makefile").read_text(encoding="utf-8")
+
+
+def test_readme_shows_what_the_demo_prints(tmp_path, monkeypatch, capsys):
+    """The output in the README is the demo's; last digits may differ from machine to machine."""
+    monkeypatch.chdir(tmp_path)
+    assert main(["demo"]) == 0
+    printed = capsys.readouterr().out
+    shown = snippets(README, "text")[0]
+
+    def digits(text: str) -> list[float]:
+        return [float(x) for x in re.findall(r"-?\d+\.\d+", text)]
+
+    def words(text: str) -> list[str]:
+        return re.sub(r"-?\d+(\.\d+)?", "#", text).split()
+
+    assert words(printed) == words(shown)
+    assert digits(printed) == pytest.approx(digits(shown), rel=1e-2, abs=2e-3)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_point_at_files(page):
+    """Relative links of the pages exist."""
+    for target in _LINK.findall(page.read_text(encoding="utf-8")):
+        path, _, anchor = target.partition("#")
+        if "://" in path:
+            continue
+        file = (page.parent / path) if path else page
+        assert file.exists(), f"{page.name}: {target}"
+        if anchor:
+            titles = re.findall(r"^#+ (.+)$", file.read_text(encoding="utf-8"), re.MULTILINE)
+            assert anchor in {title.lower().replace(" ", "-") for title in titles}, f"{page.name}: {target}"
+
+
+def test_every_cited_source_is_listed():
+    """Keys that docstrings and pages cite stand in docs/references.md."""
+    text = (ROOT / "docs" / "references.md").read_text(encoding="utf-8")
+    listed = set(re.findall(r"^\*\*\[(\w+)\]\*\*", text, re.MULTILINE))
+    sources = [*(ROOT / "bayesid").rglob("*.py"), *(ROOT / "tests").rglob("*.py"), *PAGES]
+    cited = {key for source in sources for key in _CITED.findall(source.read_text(encoding="utf-8"))}
+    assert cited - {"Key"} <= listed
+    assert {"Liu1998", "Gautier1990"} <= cited
+
+
+def test_experiment_page_is_complete():
+    """Every key that is read stands on the page."""
+    text = (ROOT / "docs" / "experiment.md").read_text(encoding="utf-8")
+    sections = (schema.ExperimentFile, schema.RobotSection, schema.SensorSection, schema.MotionSection, schema.ModelSection)
+    keys = {key for section in sections for key in section.model_fields}
+    assert not {key for key in keys if not re.search(rf"\b{key}\b", text)}
+
+
+def test_effects_page_is_that_of_the_catalogue():
+    """docs/effects.md is what docs/effects_table.py makes of the catalogue, every effect included."""
+    made = runpy.run_path(str(ROOT / "docs" / "effects_table.py"))["page"]()
+    assert (ROOT / "docs" / "effects.md").read_text(encoding="utf-8") == made
+    assert not {name for name in KINDS if f"| `{name}` |" not in made}
+
+
+def test_constraints_are_pins_without_addresses():
+    """constraints.txt pins exact versions and names no place to get them from."""
+    lines = [line for line in (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines() if not line.startswith("#")]
+    assert lines
+    for line in lines:
+        assert re.fullmatch(r"[A-Za-z0-9_.-]+==[A-Za-z0-9.]+( ; .+)?", line), line
