@@ -35,15 +35,15 @@ def solve(problem: Problem, method: str | Estimator = DEFAULT_METHOD) -> tuple[P
         The problem, linearised at the estimate; the same where nothing has to be.
     """
     estimate = fit(problem.regression, method)
-    point = problem.recipe.point
+    point = problem.row_model.point
     if point is None:
         return problem, estimate
     for _ in range(_ITERATIONS):
-        here = problem.recipe.point
+        here = problem.row_model.point
         assert here is not None
         # In units of the present noise: while the point is far off, model error counts as noise, too.
         cost = _cost(problem, here, estimate)
-        others, now = slice(problem.recipe.base.rank, None), here.values[here.free]
+        others, now = slice(problem.row_model.base.rank, None), here.values[here.free]
         step = np.where(estimate.undetermined[others], 0.0, estimate.solution[others] - now)
         std = estimate.full_std[others]
         small = np.abs(step) <= np.where(np.isfinite(std) & (std > 0), SETTLED * std, 1e-6 + 1e-6 * np.abs(now))
@@ -66,25 +66,25 @@ def solve(problem: Problem, method: str | Estimator = DEFAULT_METHOD) -> tuple[P
 
 def settled(problem: Problem) -> Problem:
     """The problem linearised at its least-squares estimate; the same where nothing has to be."""
-    return problem if problem.recipe.point is None else solve(problem)[0]
+    return problem if problem.row_model.point is None else solve(problem)[0]
 
 
 def _stepped(problem: Problem, here: Point, estimate: Estimate, step: np.ndarray, share: float) -> Point:
     """The point a share of the way towards the estimate, within what is plausible."""
-    recipe = problem.recipe
-    low = np.array([v for e in recipe.effects for v in e.kind.lower])[here.free]
-    high = np.array([v for e in recipe.effects for v in e.kind.upper])[here.free]
+    row_model = problem.row_model
+    low = np.array([v for e in row_model.effects for v in e.kind.lower])[here.free]
+    high = np.array([v for e in row_model.effects for v in e.kind.upper])[here.free]
     # A shape that cannot be negative shrinks by steps: none jumps to its limit, where nothing moves any more.
-    shape = np.array([key in e.kind.shape for e in recipe.effects for key in e.kind.parameters])[here.free]
+    shape = np.array([key in e.kind.shape for e in row_model.effects for key in e.kind.parameters])[here.free]
     now = here.values[here.free]
     low = np.where(shape & (low >= 0.0), np.maximum(low, 0.4 * now), low)
     values = here.values.copy()
     values[here.free] = np.clip(values[here.free] + share * step, low, high)
-    seen = ~estimate.undetermined[: recipe.base.rank]
+    seen = ~estimate.undetermined[: row_model.base.rank]
     wanted = here.base + share * np.where(seen, estimate.values - here.base, 0.0)
-    links = nearest_links(recipe.robot, recipe.base, wanted, seen)
-    absorbed = absorbed_offset(recipe.base, links)
-    return moved(here, links.reshape(-1, 10), recipe.base.matrix @ links, values, absorbed)
+    links = nearest_links(row_model.robot, row_model.base, wanted, seen)
+    absorbed = absorbed_offset(row_model.base, links)
+    return moved(here, links.reshape(-1, 10), row_model.base.matrix @ links, values, absorbed)
 
 
 def _cost(problem: Problem, point: Point, estimate: Estimate) -> float:

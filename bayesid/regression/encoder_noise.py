@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from bayesid.regression.regression import Block, Instruments, Pair, RegressorNoise
-from bayesid.regression.rows import Recipe, Recording, make_blocks
+from bayesid.regression.rows import RowModel, Segment, make_blocks
 from bayesid.signals.smoothing import DEGREE, Smoother, smooth
 
 #: Neighbouring errors are taken for independent up to this correlation of the residuals.
@@ -41,12 +41,12 @@ class EncoderNoise:
     correlation: np.ndarray
 
 
-def measure(recordings: Sequence[Recording], bandwidth: float, most: np.ndarray) -> EncoderNoise:
+def measure(segments: Sequence[Segment], bandwidth: float, most: np.ndarray) -> EncoderNoise:
     """Size of the encoder noise from what the smoother leaves over.
 
     Parameters
     ----------
-    recordings
+    segments
         Those that are fitted; poses at rest show no noise.
     bandwidth
         Of the smoother [Hz].
@@ -55,7 +55,7 @@ def measure(recordings: Sequence[Recording], bandwidth: float, most: np.ndarray)
     """
     n = len(most)
     power, product, free, pairs = np.zeros(n), np.zeros(n), 0, 0
-    for r in recordings:
+    for r in segments:
         if r.poses:
             continue
         residual = r.positions - smooth(r.times, r.positions, bandwidth)[0]
@@ -68,52 +68,52 @@ def measure(recordings: Sequence[Recording], bandwidth: float, most: np.ndarray)
     return EncoderNoise(std, product / np.maximum(power, 1e-300))
 
 
-def errors_of(recipe: Recipe, recordings: Sequence[Recording], smoother: Smoother) -> tuple[RegressorNoise, Instruments]:
+def errors_of(row_model: RowModel, segments: Sequence[Segment], smoother: Smoother) -> tuple[RegressorNoise, Instruments]:
     """The law of the regressor's errors, and instruments free of them.
 
     Parameters
     ----------
-    recipe
+    row_model
         How samples become rows.
-    recordings
+    segments
         Those that are fitted.
     smoother
         Its positions' error is the most that is taken for encoder noise.
 
     Notes
     -----
-    Instruments of a recording are its commanded trajectory, which never saw the encoder; else the mean over all other periods,
+    Instruments of a segment are its commanded trajectory, which never saw the encoder; else the mean over all other periods,
     which saw it at other times. Where neither is to be had, one spline goes through the even samples and one through the
     odd ones: the noise of each is independent of the other's as long as it is independent from sample to sample, and each
     serves as the instrument of the other.
     """
     known: list[EncoderNoise] = []
-    smoothed: list[Recording] = []
-    kinds = [_kind(recipe, r) for r in recordings]
+    smoothed: list[Segment] = []
+    kinds = [_kind(row_model, r) for r in segments]
 
     def noise() -> EncoderNoise:
         if not known:
-            known.append(measure(recordings, recipe.bandwidth, smoother.position_std))
+            known.append(measure(segments, row_model.bandwidth, smoother.position_std))
         return known[0]
 
-    def quiet() -> Sequence[Recording]:
-        """The recordings as they might truly have been: as smooth as the data allow."""
-        bandwidth = min(smoother.automatic or recipe.bandwidth, recipe.bandwidth)
+    def quiet() -> Sequence[Segment]:
+        """The segments as they might truly have been: as smooth as the data allow."""
+        bandwidth = min(smoother.automatic or row_model.bandwidth, row_model.bandwidth)
         if not smoothed:
-            for r in recordings:
+            for r in segments:
                 smoothed.append(r if r.poses else replace(r, positions=smooth(r.times, r.positions, bandwidth)[0]))
         return smoothed
 
-    def again(taken: Sequence[Recording], draw: int, sign: float = 1.0) -> list[Recording]:
+    def again(taken: Sequence[Segment], draw: int, sign: float = 1.0) -> list[Segment]:
         """Recordings with fresh noise on top of the positions."""
         rng = np.random.default_rng(np.random.SeedSequence(entropy=_ENTROPY, spawn_key=(draw,)))
         std = sign * noise().std
         return [replace(r, positions=r.positions + std * rng.normal(size=r.positions.shape)) for r in taken]
 
-    def pairs(taken: Sequence[Recording] = recordings) -> Iterator[Pair]:
+    def pairs(taken: Sequence[Segment] = segments) -> Iterator[Pair]:
         for r, kind in zip(taken, kinds, strict=True):
-            first, second = _both(recipe, r, kind)
-            for x, z in zip(make_blocks(recipe, [first]), make_blocks(recipe, [second]), strict=True):
+            first, second = _both(row_model, r, kind)
+            for x, z in zip(make_blocks(row_model, [first]), make_blocks(row_model, [second]), strict=True):
                 yield Pair(x, z, symmetric=kind == "halves")
 
     def doubt() -> dict[str, Any]:
@@ -130,23 +130,23 @@ def errors_of(recipe: Recipe, recordings: Sequence[Recording], smoother: Smoothe
         return bool((noise().std > 0).any())
 
     def rehearsed(draw: int | None) -> Iterator[Block]:
-        return make_blocks(recipe, quiet() if draw is None else again(quiet(), draw))
+        return make_blocks(row_model, quiet() if draw is None else again(quiet(), draw))
 
     law = RegressorNoise(
-        lambda draw, sign: make_blocks(recipe, again(recordings, draw, sign)), rehearsed, present, noise_described
+        lambda draw, sign: make_blocks(row_model, again(segments, draw, sign)), rehearsed, present, noise_described
     )
     return law, Instruments(pairs, instruments_described, lambda draw: pairs(again(quiet(), draw)))
 
 
-def _both(recipe: Recipe, r: Recording, kind: str) -> tuple[Recording, Recording]:
-    """The recordings that regressors and instruments are made from."""
+def _both(row_model: RowModel, r: Segment, kind: str) -> tuple[Segment, Segment]:
+    """The segments that regressors and instruments are made from."""
     if kind == "commanded":
         assert r.commanded is not None
         return r, replace(r, positions=r.commanded)
     if kind == "period":
-        return r, replace(r, positions=_other_periods(recipe, r))
+        return r, replace(r, positions=_other_periods(row_model, r))
     if kind == "halves":
-        return replace(r, positions=_half(recipe, r, 0)), replace(r, positions=_half(recipe, r, 1))
+        return replace(r, positions=_half(row_model, r, 0)), replace(r, positions=_half(row_model, r, 1))
     return r, r
 
 
@@ -165,26 +165,26 @@ _SOURCES = {
 }
 
 
-def _kind(recipe: Recipe, r: Recording) -> str:
+def _kind(row_model: RowModel, r: Segment) -> str:
     if r.commanded is not None:
         return "commanded"
     if r.poses:
         return "own"
     duration = r.times[-1] - r.times[0]
     # Other periods' noise must not reach into this one's spline.
-    reach = _APART * 0.5 / recipe.bandwidth
+    reach = _APART * 0.5 / row_model.bandwidth
     if r.period is not None and duration + 1.5 * duration / len(r.times) >= 2.0 * r.period and r.period > reach:
         return "period"
     return "halves"
 
 
-def _half(recipe: Recipe, r: Recording, which: int) -> np.ndarray:
+def _half(row_model: RowModel, r: Segment, which: int) -> np.ndarray:
     """Spline through every other sample, at all samples; smoothing it again changes nothing, for knots are the same."""
-    return smooth(r.times[which::2], np.ascontiguousarray(r.positions[which::2]), recipe.bandwidth, at=r.times)[0]
+    return smooth(r.times[which::2], np.ascontiguousarray(r.positions[which::2]), row_model.bandwidth, at=r.times)[0]
 
 
-def _other_periods(recipe: Recipe, r: Recording) -> np.ndarray:
-    """Mean of the smoothed positions one, two ... periods before and after, as far as the recording goes."""
+def _other_periods(row_model: RowModel, r: Segment) -> np.ndarray:
+    """Mean of the smoothed positions one, two ... periods before and after, as far as the segment goes."""
     assert r.period is not None
     total, count = np.zeros_like(r.positions), np.zeros(len(r.times))
     slack = 1.5 * (r.times[-1] - r.times[0]) / len(r.times)
@@ -193,6 +193,6 @@ def _other_periods(recipe: Recipe, r: Recording) -> np.ndarray:
             at = r.times + sign * k * r.period
             inside = (at >= r.times[0] - slack) & (at <= r.times[-1] + slack)
             if inside.any():
-                total[inside] += smooth(r.times, r.positions, recipe.bandwidth, at=at[inside])[0]
+                total[inside] += smooth(r.times, r.positions, row_model.bandwidth, at=at[inside])[0]
                 count[inside] += 1
     return total / np.maximum(count, 1.0)[:, None]

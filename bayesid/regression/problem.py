@@ -16,8 +16,8 @@ from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, Motion
 from bayesid.recordings.table import usual_step
 from bayesid.regression.encoder_noise import errors_of
-from bayesid.regression.regression import PILOT_ROWS, PILOT_STRETCHES, Regression
-from bayesid.regression.rows import Recipe, Recording, make_blocks, row_count
+from bayesid.regression.regression import PILOT_ROWS, PILOT_SEGMENTS, Regression
+from bayesid.regression.rows import RowModel, Segment, make_blocks, row_count
 from bayesid.signals.filters import ROLL_OFF, LowPass
 from bayesid.signals.smoothing import Smoother, choose_smoother
 
@@ -26,9 +26,9 @@ CHANNELS = ("wrench", "torque", "both")
 ROWS_PER_BANDWIDTH = 2.5
 #: At least this many rows a second, so that the noise can be told from the motion.
 LOWEST_ROW_RATE = 20.0
-#: Samples that the bandwidth is chosen from, in stretches spread over a long recording.
+#: Samples that the bandwidth is chosen from, in pieces spread over a long recording.
 _PILOT_SAMPLES = 5_000
-_STRETCHES = 4
+_PIECES = 4
 #: Frequencies at which the spectrum of rows is computed; order of the recursion that stands for thinning.
 _SPECTRUM = 4096
 _THINNING_ORDER = 8
@@ -44,14 +44,14 @@ class Problem:
         Where it comes from.
     channel
         ``wrench``, ``torque`` or ``both``.
-    recipe
+    row_model
         How samples become rows.
     smoother
         The bandwidth of the joint motion and why.
     regression
         Rows of the motions that are fitted.
-    recordings
-        Gap-free stretches of every motion, by name.
+    segments
+        Gap-free segments of every motion, by name.
     fitted
         Names of the motions that are fitted.
     static
@@ -61,10 +61,10 @@ class Problem:
 
     experiment: Experiment
     channel: str
-    recipe: Recipe
+    row_model: RowModel
     smoother: Smoother
     regression: Regression
-    recordings: dict[str, list[Recording]]
+    segments: dict[str, list[Segment]]
     fitted: tuple[str, ...]
     static: str
 
@@ -160,8 +160,8 @@ def prepare(
     specs = list(experiment.effects if effects is None else effects)
     # Validation motions are read, too: the same rows are made from them later.
     readable = [m for m in experiment.motions if m in chosen or _readable(m, channel)]
-    recordings = {m.name: _recordings(experiment, channels, m, k, channel, subtract) for k, m in enumerate(readable)}
-    fitted = [r for m in chosen for r in recordings[m.name]]
+    segments = {m.name: _segments(experiment, channels, m, k, channel, subtract) for k, m in enumerate(readable)}
+    fitted = [r for m in chosen for r in segments[m.name]]
     if any(r.offset for r in fitted) and channel != "torque" and not any(s.partition("@")[0] == "sensor_offset" for s in specs):
         specs.insert(0, "sensor_offset")
     try:
@@ -176,20 +176,20 @@ def prepare(
         offset=any(r.offset for r in fitted) and channel != "torque",
         at_rest=all(r.poses for r in fitted),
     )
-    smoother = _smoother(experiment, [r for rs in recordings.values() for r in rs if not r.poses], bandwidth)
+    smoother = _smoother(experiment, [r for rs in segments.values() for r in rs if not r.poses], bandwidth)
     rate = min(
         max(ROWS_PER_BANDWIDTH * smoother.bandwidth, LOWEST_ROW_RATE),
-        min((1.0 / usual_step(r.times) for rs in recordings.values() for r in rs if not r.poses), default=np.inf),
+        min((1.0 / usual_step(r.times) for rs in segments.values() for r in rs if not r.poses), default=np.inf),
     )
     point = _point(experiment, base, parsed, fitted)
-    recipe = Recipe(experiment.robot, channels, base, parsed, smoother.bandwidth, 1.0 / rate, filters, point)
+    row_model = RowModel(experiment.robot, channels, base, parsed, smoother.bandwidth, 1.0 / rate, filters, point)
     return Problem(
         experiment=experiment,
         channel=channel,
-        recipe=recipe,
+        row_model=row_model,
         smoother=smoother,
-        regression=_regression(recipe, smoother, fitted, tuple(m.name for m in readable), experiment.inertia_rel_std),
-        recordings=recordings,
+        regression=_regression(row_model, smoother, fitted, tuple(m.name for m in readable), experiment.inertia_rel_std),
+        segments=segments,
         fitted=tuple(m.name for m in chosen),
         static="none" if all(m.static is None for m in chosen) or channel == "torque" else ("motion" if subtract else "joint"),
     )
@@ -197,18 +197,18 @@ def prepare(
 
 def restrict(problem: Problem, motions: Sequence[str]) -> Problem:
     """The same model fitted to other motions."""
-    recordings = [r for name in motions for r in problem.recordings[name]]
+    segments = [r for name in motions for r in problem.segments[name]]
     names, trust = problem.regression.motion_names, problem.experiment.inertia_rel_std
-    regression = _regression(problem.recipe, problem.smoother, recordings, names, trust)
+    regression = _regression(problem.row_model, problem.smoother, segments, names, trust)
     return replace(problem, regression=regression, fitted=tuple(motions))
 
 
 def relinearised(problem: Problem, point: Point) -> Problem:
     """The same problem with its readings linearised at another point."""
-    recipe = replace(problem.recipe, point=point)
-    recordings = [r for name in problem.fitted for r in problem.recordings[name]]
+    row_model = replace(problem.row_model, point=point)
+    segments = [r for name in problem.fitted for r in problem.segments[name]]
     names, trust = problem.regression.motion_names, problem.experiment.inertia_rel_std
-    return replace(problem, recipe=recipe, regression=_regression(recipe, problem.smoother, recordings, names, trust))
+    return replace(problem, row_model=row_model, regression=_regression(row_model, problem.smoother, segments, names, trust))
 
 
 def absorbed_offset(base: BaseParameters, links: np.ndarray) -> np.ndarray:
@@ -217,7 +217,7 @@ def absorbed_offset(base: BaseParameters, links: np.ndarray) -> np.ndarray:
 
 
 def _point(
-    experiment: Experiment, base: BaseParameters, effects: tuple[Effect, ...], fitted: list[Recording]
+    experiment: Experiment, base: BaseParameters, effects: tuple[Effect, ...], fitted: list[Segment]
 ) -> Point | None:
     """Where to start from, for effects that are more than columns beside the rigid ones."""
     try:
@@ -237,34 +237,34 @@ def _point(
     return Point(links, base.matrix @ links.ravel(), values, free, absorbed, _middle(fitted))
 
 
-def _middle(fitted: list[Recording]) -> np.ndarray | None:
+def _middle(fitted: list[Segment]) -> np.ndarray | None:
     """Joint positions at the middle of the first fitted motion."""
     moving = [r for r in fitted if not r.poses]
     return middle_of(moving[0].positions) if moving else None
 
 
-def _free(recipe: Recipe, values) -> tuple:
+def _free(row_model: RowModel, values) -> tuple:
     """Of a tuple with one entry a parameter of the effects, those that are estimated."""
-    return tuple(value for value, free in zip(values, recipe.free, strict=True) if free)
+    return tuple(value for value, free in zip(values, row_model.free, strict=True) if free)
 
 
 def _regression(
-    recipe: Recipe, smoother: Smoother, fitted: list[Recording], names: tuple[str, ...], trust: float | None
+    row_model: RowModel, smoother: Smoother, fitted: list[Segment], names: tuple[str, ...], trust: float | None
 ) -> Regression:
-    robot, base = recipe.robot, recipe.base
-    law, instruments = errors_of(recipe, fitted, smoother)
+    robot, base = row_model.robot, row_model.base
+    law, instruments = errors_of(row_model, fitted, smoother)
     return Regression(
         base=base,
-        effect_names=_free(recipe, (n for e in recipe.effects for n in e.column_names)),
-        effect_units=_free(recipe, (u for e in recipe.effects for u in e.units)),
-        channel_names=recipe.channels.names,
-        channel_units=recipe.channels.units,
+        effect_names=_free(row_model, (n for e in row_model.effects for n in e.column_names)),
+        effect_units=_free(row_model, (u for e in row_model.effects for u in e.units)),
+        channel_names=row_model.channels.names,
+        channel_units=row_model.channels.units,
         motion_names=names,
-        source=lambda: make_blocks(recipe, fitted),
-        row_count=row_count(recipe, fitted),
-        pilot_source=lambda: make_blocks(recipe, _stretches(recipe, fitted)),
-        known_poles=_known_poles(recipe, fitted),
-        effect_non_negative=_free(recipe, (sign for e in recipe.effects for sign in e.kind.non_negative)),
+        source=lambda: make_blocks(row_model, fitted),
+        row_count=row_count(row_model, fitted),
+        pilot_source=lambda: make_blocks(row_model, _pilot_segments(row_model, fitted)),
+        known_poles=_known_poles(row_model, fitted),
+        effect_non_negative=_free(row_model, (sign for e in row_model.effects for sign in e.kind.non_negative)),
         nominal_links=robot.nominal.ravel(),
         inertia_rel_std=trust,
         bodies=tuple(tuple(range(10 * k, 10 * k + 10)) for k in range(len(robot.body_names))),
@@ -273,7 +273,7 @@ def _regression(
     )
 
 
-def _known_poles(recipe: Recipe, fitted: list[Recording]) -> np.ndarray | None:
+def _known_poles(row_model: RowModel, fitted: list[Segment]) -> np.ndarray | None:
     """Poles of a recursion that white sensor noise obeys once it has become filtered rows.
 
     Beside the filters' own two poles the rows' spectrum bears the mark of thinning: bilinear filters at the
@@ -281,17 +281,17 @@ def _known_poles(recipe: Recipe, fitted: list[Recording]) -> np.ndarray | None:
     not be learned from few rows, and costs no parameters of the noise.
     """
     steps = [usual_step(r.times) for r in fitted if not r.poses]
-    if recipe.filters is None or not steps:
+    if row_model.filters is None or not steps:
         return None
-    poles = recipe.filters.poles(recipe.step)
+    poles = row_model.filters.poles(row_model.step)
     cycles = np.arange(_SPECTRUM) / _SPECTRUM - 0.5  # per row
     density = np.zeros(_SPECTRUM)
     for fold in (-1, 0, 1):
         f = cycles + fold
         # Raised cosine: 1 up to (1 - ROLL_OFF) / 2, 0 from (1 + ROLL_OFF) / 2.
         inside = np.cos(0.5 * np.pi * np.clip((np.abs(f) - 0.5 * (1 - ROLL_OFF)) / ROLL_OFF, 0.0, 1.0)) ** 2
-        warped = (2.0 / np.median(steps) * np.tan(np.pi * f * np.median(steps) / recipe.step)) ** 2
-        density += inside / ((1.0 + warped / recipe.filters.l**2) * (1.0 + warped / recipe.filters.d**2))
+        warped = (2.0 / np.median(steps) * np.tan(np.pi * f * np.median(steps) / row_model.step)) ** 2
+        density += inside / ((1.0 + warped / row_model.filters.l**2) * (1.0 + warped / row_model.filters.d**2))
     turn = np.exp(2j * np.pi * cycles)
     density *= np.prod(np.abs(1.0 - poles[:, None] / turn) ** 2, axis=0)
     covariance = np.real(np.fft.ifft(np.fft.ifftshift(density)))
@@ -299,14 +299,14 @@ def _known_poles(recipe: Recipe, fitted: list[Recording]) -> np.ndarray | None:
     return np.concatenate([poles, np.roots(np.append(1.0, rest))])
 
 
-def _stretches(recipe: Recipe, recordings: list[Recording]) -> list[Recording]:
-    """Short pieces of long recordings, evenly spread, that make about `PILOT_ROWS` rows together."""
-    length = PILOT_ROWS / PILOT_STRETCHES * recipe.step + 2 * recipe.margin
-    whole = sum(r.times[-1] - r.times[0] for r in recordings if not r.poses)
+def _pilot_segments(row_model: RowModel, segments: list[Segment]) -> list[Segment]:
+    """Short pieces of long segments, evenly spread, that make about `PILOT_ROWS` rows together."""
+    length = PILOT_ROWS / PILOT_SEGMENTS * row_model.step + 2 * row_model.margin
+    whole = sum(r.times[-1] - r.times[0] for r in segments if not r.poses)
     out = []
-    for r in recordings:
+    for r in segments:
         duration = r.times[-1] - r.times[0]
-        count = 1 if r.poses else round(PILOT_STRETCHES * duration / whole)
+        count = 1 if r.poses else round(PILOT_SEGMENTS * duration / whole)
         starts = r.times[0] + max(duration - length, 0.0) * np.linspace(0.0, 1.0, max(count, 1))
         for start in starts:
             a = int(np.searchsorted(r.times, start))
@@ -340,10 +340,10 @@ def _require(motion: Motion, channel: str) -> None:
         )
 
 
-def _recordings(
+def _segments(
     experiment: Experiment, channels: Channels, motion: Motion, index: int, channel: str, subtract: bool
-) -> list[Recording]:
-    """Gap-free stretches of one motion, and its static readings where those are fitted along."""
+) -> list[Segment]:
+    """Gap-free segments of one motion, and its static readings where those are fitted along."""
     readings, known = _readings(motion.table, channel), channels.static_wrench
     gravity = offset = True
     rest = motion.static if channel == "wrench" and motion.static is not None and motion.static.wrench is not None else None
@@ -351,13 +351,13 @@ def _recordings(
         known = rest.wrench  # equation 21: free of offset and gravity
         gravity = offset = False
     table, poses = motion.table, motion.kind == "poses"
-    whole = Recording(
+    whole = Segment(
         table.times, table.positions, readings, known, index, gravity, offset, poses, table.commanded, motion.period
     )
     out = [whole] if poses else [whole.part(p.start, p.stop) for p in table.segments()]
     if rest is not None and rest.wrench is not None and offset:
         out.append(
-            Recording(
+            Segment(
                 rest.times, rest.positions, rest.wrench, channels.static_wrench, index, poses=True, commanded=rest.commanded
             )
         )
@@ -370,13 +370,13 @@ def _readings(table, channel: str) -> np.ndarray:
     return table.wrench if channel == "wrench" else table.torques
 
 
-def _smoother(experiment: Experiment, recordings: list[Recording], bandwidth: float | None) -> Smoother:
+def _smoother(experiment: Experiment, segments: list[Segment], bandwidth: float | None) -> Smoother:
     pieces = []
-    for r in recordings:
+    for r in segments:
         starts, length = [0], len(r.times)
         if length > _PILOT_SAMPLES:
-            length = _PILOT_SAMPLES // _STRETCHES
-            starts = np.linspace(0, len(r.times) - length, _STRETCHES).astype(int)
+            length = _PILOT_SAMPLES // _PIECES
+            starts = np.linspace(0, len(r.times) - length, _PIECES).astype(int)
         pieces += [(r.times[a : a + length], r.positions[a : a + length]) for a in starts if length >= 20]
     if not pieces:
         return Smoother(bandwidth or 1.0, np.zeros(experiment.robot.n), "only poses at rest: nothing to smooth")

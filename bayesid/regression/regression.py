@@ -24,9 +24,9 @@ from bayesid.signals.filters import LowPass
 
 #: Rows are kept in memory up to this many bytes, and made anew at every reading beyond.
 CACHE_BYTES = 64 * 2**20
-#: About as many rows as the noise is learned from, in this many stretches spread over a long recording.
+#: About as many rows as the noise is learned from, in this many segments spread over a long recording.
 PILOT_ROWS = 2048
-PILOT_STRETCHES = 8
+PILOT_SEGMENTS = 8
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class Block:
     motion
         Index of the recording.
     start
-        Whether the recording (or a stretch after a gap) starts with the first row.
+        Whether the recording (or a segment after a gap) starts with the first row.
     group
         Rows with the same noise: ``trajectory`` or ``poses``.
     """
@@ -144,7 +144,7 @@ class Regression:
     row_count
         Number of rows in all blocks.
     pilot_source
-        Makes blocks of a few stretches alone, where there are many more rows than `PILOT_ROWS`.
+        Makes blocks of a few segments alone, where there are many more rows than `PILOT_ROWS`.
     known_poles
         Poles of the low-pass filters that the rows went through from the zero state, at the rows' spacing.
     effect_non_negative
@@ -215,7 +215,7 @@ class Regression:
         self._kept.extend(made)
 
     def pilot(self) -> list[Block]:
-        """Enough blocks to learn the noise from: all of an ordinary recording, stretches of a long one."""
+        """Enough blocks to learn the noise from: all of an ordinary recording, segments of a long one."""
         if not self._pilot:
             if self.row_count <= 2 * PILOT_ROWS:
                 self._pilot.extend(self.blocks())
@@ -377,8 +377,8 @@ def _array_base(matrix: np.ndarray, names, units) -> BaseParameters:
 
 
 def _spread(blocks: Iterable[Block], rows: int) -> Iterator[Block]:
-    """Evenly spread stretches of blocks that are in memory anyway."""
-    stretch, spacing = PILOT_ROWS // PILOT_STRETCHES, rows / PILOT_STRETCHES
+    """Evenly spread segments of blocks that are in memory anyway."""
+    length, spacing = PILOT_ROWS // PILOT_SEGMENTS, rows / PILOT_SEGMENTS
     seen, due = 0, 0.0
     for block in blocks:
         count = 0
@@ -386,7 +386,7 @@ def _spread(blocks: Iterable[Block], rows: int) -> Iterator[Block]:
             count, due = count + 1, due + spacing
         seen += len(block.rows)
         if count:
-            keep = slice(0, count * stretch)
+            keep = slice(0, count * length)
             yield replace(block, rows=block.rows[keep], times=block.times[keep])
 
 

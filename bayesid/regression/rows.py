@@ -28,8 +28,8 @@ _BLOCK_ROWS = 4096  # rows handed on at once
 
 
 @dataclass(frozen=True)
-class Recording:
-    """One gap-free stretch of a recording, ready to be turned into rows.
+class Segment:
+    """One gap-free segment of a recording, ready to be turned into rows.
 
     Attributes
     ----------
@@ -68,8 +68,8 @@ class Recording:
         """Readings of samples first ... last - 1 less what is known (k, channels)."""
         return self.readings[first:last] - (self.known if self.known.ndim == 1 else self.known[first:last])
 
-    def part(self, first: int, last: int) -> Recording:
-        """Samples first ... last - 1 as a recording of their own."""
+    def part(self, first: int, last: int) -> Segment:
+        """Samples first ... last - 1 as a segment of their own."""
         span = slice(first, last)
         known = self.known if self.known.ndim == 1 else self.known[span]
         return replace(
@@ -79,7 +79,7 @@ class Recording:
 
 
 @dataclass(frozen=True)
-class Recipe:
+class RowModel:
     """How samples become rows: everything but the samples.
 
     Attributes
@@ -107,7 +107,7 @@ class Recipe:
 
     @property
     def margin(self) -> float:
-        """Time at both ends of a stretch where trajectory or mount have not settled [s]."""
+        """Time at both ends of a segment where trajectory or mount have not settled [s]."""
         settling = 0.0 if self.point is None else self.point.settling(self.effects)
         return max(0.75 / self.bandwidth, settling)
 
@@ -121,161 +121,161 @@ class Recipe:
         """Number of effect parameters that are estimated."""
         return int(self.free.sum())
 
-    def state(self, recording: Recording, first: int, last: int) -> State:
+    def state(self, segment: Segment, first: int, last: int) -> State:
         """Smoothed trajectory of samples first ... last - 1, from them and enough neighbours."""
-        times = recording.times[first:last]
-        if recording.poses:
-            still = np.zeros_like(recording.positions[first:last])
-            return State(times, recording.positions[first:last], still, still)
+        times = segment.times[first:last]
+        if segment.poses:
+            still = np.zeros_like(segment.positions[first:last])
+            return State(times, segment.positions[first:last], still, still)
         reach = OVERLAP * 0.5 / self.bandwidth
-        a = int(np.searchsorted(recording.times, times[0] - reach))
-        b = int(np.searchsorted(recording.times, times[-1] + reach, side="right"))
-        return State(times, *smooth(recording.times[a:b], recording.positions[a:b], self.bandwidth, at=times))
+        a = int(np.searchsorted(segment.times, times[0] - reach))
+        b = int(np.searchsorted(segment.times, times[-1] + reach, side="right"))
+        return State(times, *smooth(segment.times[a:b], segment.positions[a:b], self.bandwidth, at=times))
 
-    def effect_columns(self, recording: Recording, state: State) -> np.ndarray:
+    def effect_columns(self, segment: Segment, state: State) -> np.ndarray:
         """(N, channels, effect parameters)."""
         parts = [np.zeros((len(state.times), len(self.channels), 0))]
         for effect in self.effects:
             columns = effect.columns(state, self.channels.names)
-            parts.append(np.zeros_like(columns) if effect.name == "sensor_offset" and not recording.offset else columns)
+            parts.append(np.zeros_like(columns) if effect.name == "sensor_offset" and not segment.offset else columns)
         return np.concatenate(parts, axis=2)
 
-    def about_point(self, recording: Recording, first: int, last: int) -> np.ndarray:
+    def about_point(self, segment: Segment, first: int, last: int) -> np.ndarray:
         """Unfiltered rows of samples about the point: regressor, effects, shifted target (N, channels, p + 1)."""
         assert self.point is not None
         a, b = first, last
-        if not recording.poses:
-            times = recording.times
+        if not segment.poses:
+            times = segment.times
             reach = self.point.reach(self.effects, self.bandwidth, float(np.median(np.diff(times[:1000]))))
             a = int(np.searchsorted(times, times[first] - reach))
             b = int(np.searchsorted(times, times[last - 1] + reach, side="right"))
-        scene = replace(self.state(recording, a, b), still=recording.poses, bandwidth=self.bandwidth, middle=self.point.middle)
-        read = recording.readings[a:b] if recording.gravity else recording.measured(a, b)
+        scene = replace(self.state(segment, a, b), still=segment.poses, bandwidth=self.bandwidth, middle=self.point.middle)
+        read = segment.readings[a:b] if segment.gravity else segment.measured(a, b)
         rigid, others, target = linearised(
-            self.robot, self.channels, scene, self.effects, self.point, self.base.independent, read, gravity=recording.gravity
+            self.robot, self.channels, scene, self.effects, self.point, self.base.independent, read, gravity=segment.gravity
         )
         part = slice(first - a, last - a)
         return np.concatenate([rigid[part], others[part], target[part, :, None]], axis=2)
 
-    def samples(self, recording: Recording, first: int, last: int) -> np.ndarray:
+    def samples(self, segment: Segment, first: int, last: int) -> np.ndarray:
         """Unfiltered rows of samples: regressor, effects, measured (N, channels, p + 1)."""
         if self.point is not None:
-            return self.about_point(recording, first, last)
-        state = self.state(recording, first, last)
-        rank, effects = self.base.rank, self.effect_columns(recording, state)
+            return self.about_point(segment, first, last)
+        state = self.state(segment, first, last)
+        rank, effects = self.base.rank, self.effect_columns(segment, state)
         out = np.empty((last - first, len(self.channels), rank + effects.shape[2] + 1))
         for a in range(0, last - first, _PANEL):
             part = slice(a, a + _PANEL)
             out[part, :, :rank] = dynamics_regressor(
                 self.robot, self.channels, state.positions[part], state.velocities[part], state.accelerations[part],
-                self.base.independent, gravity=recording.gravity,
+                self.base.independent, gravity=segment.gravity,
             )  # fmt: skip
         out[:, :, rank:-1] = effects
-        out[:, :, -1] = recording.measured(first, last)
+        out[:, :, -1] = segment.measured(first, last)
         return out
 
 
-def make_blocks(recipe: Recipe, recordings: Sequence[Recording]) -> Iterator[Block]:
-    """Turn recordings into blocks of rows, one after the other."""
-    for recording in recordings:
-        if recording.poses:
-            for a in range(0, len(recording.times), _CHUNK):
-                b = min(a + _CHUNK, len(recording.times))
-                rows = recipe.samples(recording, a, b)
-                yield Block(rows, recording.times[a:b], recording.motion, a == 0, "poses")
+def make_blocks(row_model: RowModel, segments: Sequence[Segment]) -> Iterator[Block]:
+    """Turn segments into blocks of rows, one after the other."""
+    for segment in segments:
+        if segment.poses:
+            for a in range(0, len(segment.times), _CHUNK):
+                b = min(a + _CHUNK, len(segment.times))
+                rows = row_model.samples(segment, a, b)
+                yield Block(rows, segment.times[a:b], segment.motion, a == 0, "poses")
             continue
-        times = recording.times
-        a = int(np.searchsorted(times, times[0] + recipe.margin))
-        b = int(np.searchsorted(times, times[-1] - recipe.margin, side="right"))
+        times = segment.times
+        a = int(np.searchsorted(times, times[0] + row_model.margin))
+        b = int(np.searchsorted(times, times[-1] - row_model.margin, side="right"))
         if b - a < 2:
             raise InputError(
-                f"a stretch of {times[-1] - times[0]:.3g} s from t = {times[0]:.6g} is too short for {recipe.bandwidth:.3g} Hz; "
-                "leave it out or record longer without gaps"
+                f"a stretch of {times[-1] - times[0]:.3g} s from t = {times[0]:.6g} is too short for "
+                f"{row_model.bandwidth:.3g} Hz; leave it out or record longer without gaps"
             )
-        yield from _merge(recipe, recording, a, b, (_filtered if recipe.filters else _direct)(recipe, recording, a, b))
+        yield from _merge(row_model, segment, a, b, (_filtered if row_model.filters else _direct)(row_model, segment, a, b))
 
 
-def row_count(recipe: Recipe, recordings: Sequence[Recording]) -> int:
+def row_count(row_model: RowModel, segments: Sequence[Segment]) -> int:
     """How many rows `make_blocks` makes."""
-    return sum(
-        len(r.times) if r.poses else max(int((r.times[-1] - r.times[0] - 2 * recipe.margin) / recipe.step), 1) for r in recordings
-    )
+    margin, step = row_model.margin, row_model.step
+    return sum(len(s.times) if s.poses else max(int((s.times[-1] - s.times[0] - 2 * margin) / step), 1) for s in segments)
 
 
 #: A chunk's share of the rows: index of its first row, rows so far, their kernels' energies.
 _Part = tuple[int, np.ndarray, np.ndarray]
 
 
-def _empty(recipe: Recipe, start: float, times: np.ndarray, columns: int) -> _Part:
+def _empty(row_model: RowModel, start: float, times: np.ndarray, columns: int) -> _Part:
     """Rows, still zero, that samples at these times contribute to."""
-    first = max(int(np.floor((times[0] - start) / recipe.step)) - HALF_WIDTH, 0)
-    count = int(np.ceil((times[-1] - start) / recipe.step)) + HALF_WIDTH + 1 - first
-    return first, np.zeros((count, len(recipe.channels), columns)), np.zeros(count)
+    first = max(int(np.floor((times[0] - start) / row_model.step)) - HALF_WIDTH, 0)
+    count = int(np.ceil((times[-1] - start) / row_model.step)) + HALF_WIDTH + 1 - first
+    return first, np.zeros((count, len(row_model.channels), columns)), np.zeros(count)
 
 
-def _direct(recipe: Recipe, recording: Recording, a: int, b: int) -> Iterator[_Part]:
+def _direct(row_model: RowModel, segment: Segment, a: int, b: int) -> Iterator[_Part]:
     """Parts from smoothed accelerations; chunks are independent, so all cores work."""
-    start = recording.times[a] + 0.5 * recipe.step
+    start = segment.times[a] + 0.5 * row_model.step
 
     def work(first: int) -> _Part:
         last = min(first + _CHUNK, b)
-        times = recording.times[first:last]
-        if recipe.point is not None:
-            begin, rows, energy = _empty(recipe, start, times, recipe.base.rank + recipe.extra_columns + 1)
-            project(times, recipe.about_point(recording, first, last), start, recipe.step, begin, rows, energy)
+        times = segment.times[first:last]
+        if row_model.point is not None:
+            begin, rows, energy = _empty(row_model, start, times, row_model.base.rank + row_model.extra_columns + 1)
+            project(times, row_model.about_point(segment, first, last), start, row_model.step, begin, rows, energy)
             return begin, rows, energy
-        state = recipe.state(recording, first, last)
-        rest = np.concatenate([recipe.effect_columns(recording, state), recording.measured(first, last)[:, :, None]], axis=2)
-        begin, rigid, energy = _empty(recipe, start, times, recipe.base.rank)
+        state = row_model.state(segment, first, last)
+        rest = np.concatenate([row_model.effect_columns(segment, state), segment.measured(first, last)[:, :, None]], axis=2)
+        begin, rigid, energy = _empty(row_model, start, times, row_model.base.rank)
         other = np.zeros((len(rigid), *rest.shape[1:]))
-        project(times, rest, start, recipe.step, begin, other, np.zeros_like(energy))
+        project(times, rest, start, row_model.step, begin, other, np.zeros_like(energy))
         buffer = np.empty((_PANEL, *rigid.shape[1:]))
         for k in range(0, last - first, _PANEL):
             part = slice(k, min(k + _PANEL, last - first))
             rows = dynamics_regressor(
-                recipe.robot, recipe.channels, state.positions[part], state.velocities[part], state.accelerations[part],
-                recipe.base.independent, gravity=recording.gravity, out=buffer[: part.stop - k],
+                row_model.robot, row_model.channels, state.positions[part], state.velocities[part], state.accelerations[part],
+                row_model.base.independent, gravity=segment.gravity, out=buffer[: part.stop - k],
             )  # fmt: skip
-            project(times[part], rows, start, recipe.step, begin, rigid, energy)
+            project(times[part], rows, start, row_model.step, begin, rigid, energy)
         return begin, np.concatenate([rigid, other], axis=2), energy
 
     yield from in_order(work, range(a, b, _CHUNK))
 
 
-def _filtered(recipe: Recipe, recording: Recording, a: int, b: int) -> Iterator[_Part]:
+def _filtered(row_model: RowModel, segment: Segment, a: int, b: int) -> Iterator[_Part]:
     """Parts through the paper's filters, acceleration-free: d/dt of the momentum is left to the filter."""
-    assert recipe.filters is not None
-    start = recording.times[a] + 0.5 * recipe.step
+    assert row_model.filters is not None
+    start = segment.times[a] + 0.5 * row_model.step
     rigid_state = other_state = None
     for first in range(a, b, _CHUNK):
         last = min(first + _CHUNK, b)
-        if recipe.point is not None:
+        if row_model.point is not None:
             # The momentum has no simple form there: accelerations stand in for its rate.
-            times, wide = recording.times[first:last], recipe.about_point(recording, first, last)
-            begin, rows, energy = _empty(recipe, start, times, wide.shape[2])
-            filtered, other_state = low_pass(recipe.filters, times, -wide.reshape(len(times), -1), None, other_state)
-            project(times, filtered.reshape(wide.shape), start, recipe.step, begin, rows, energy)
+            times, wide = segment.times[first:last], row_model.about_point(segment, first, last)
+            begin, rows, energy = _empty(row_model, start, times, wide.shape[2])
+            filtered, other_state = low_pass(row_model.filters, times, -wide.reshape(len(times), -1), None, other_state)
+            project(times, filtered.reshape(wide.shape), start, row_model.step, begin, rows, energy)
             yield begin, rows, energy
             continue
         # One sample more on each side, for the correction below; the margin always leaves that.
-        state = recipe.state(recording, first - 1, last + 1)
-        begin, rows, energy = _empty(recipe, start, recording.times[first:last], recipe.base.rank + recipe.extra_columns + 1)
+        state = row_model.state(segment, first - 1, last + 1)
+        width = row_model.base.rank + row_model.extra_columns + 1
+        begin, rows, energy = _empty(row_model, start, segment.times[first:last], width)
         for k in range(0, last - first, _PANEL):
             size = min(_PANEL, last - first - k)
             wide, part = slice(k, k + size + 2), slice(k + 1, k + size + 1)
             momentum, weight = momentum_regressors(
-                recipe.robot, recipe.channels, state.positions[wide], state.velocities[wide],
-                recipe.base.independent, gravity=recording.gravity,
+                row_model.robot, row_model.channels, state.positions[wide], state.velocities[wide],
+                row_model.base.independent, gravity=segment.gravity,
             )  # fmt: skip
             momentum = _for_trapezoids(state.times[wide], momentum)
             sub = State(state.times[part], state.positions[part], state.velocities[part], state.accelerations[part])
-            measured = recording.measured(first + k, first + k + size)
-            rest = np.concatenate([recipe.effect_columns(recording, sub), measured[:, :, None]], axis=2)
+            measured = segment.measured(first + k, first + k + size)
+            rest = np.concatenate([row_model.effect_columns(segment, sub), measured[:, :, None]], axis=2)
             flat = weight[1:-1].reshape(size, -1)
-            rigid, rigid_state = low_pass(recipe.filters, sub.times, flat, momentum.reshape(size, -1), rigid_state)
-            other, other_state = low_pass(recipe.filters, sub.times, -rest.reshape(size, -1), None, other_state)
+            rigid, rigid_state = low_pass(row_model.filters, sub.times, flat, momentum.reshape(size, -1), rigid_state)
+            other, other_state = low_pass(row_model.filters, sub.times, -rest.reshape(size, -1), None, other_state)
             filtered = np.concatenate([rigid.reshape(momentum.shape), other.reshape(rest.shape)], axis=2)
-            project(sub.times, filtered, start, recipe.step, begin, rows, energy)
+            project(sub.times, filtered, start, row_model.step, begin, rows, energy)
         yield begin, rows, energy
 
 
@@ -292,18 +292,18 @@ def _for_trapezoids(times: np.ndarray, momentum: np.ndarray) -> np.ndarray:
     return momentum[1:-1] + np.median(step) ** 2 / 12.0 * bend
 
 
-def _merge(recipe: Recipe, recording: Recording, a: int, b: int, parts: Iterable[_Part]) -> Iterator[Block]:
+def _merge(row_model: RowModel, segment: Segment, a: int, b: int, parts: Iterable[_Part]) -> Iterator[Block]:
     """Add up the rows that neighbouring chunks share, and hand on those that are complete."""
-    start = recording.times[a] + 0.5 * recipe.step
-    total = max(int((recording.times[b - 1] - recording.times[a]) / recipe.step), 1)
+    start = segment.times[a] + 0.5 * row_model.step
+    total = max(int((segment.times[b - 1] - segment.times[a]) / row_model.step), 1)
     done, waiting, energy = 0, None, np.zeros(0)
     ready: list[np.ndarray] = []
     count, begun = 0, 0
 
     def block() -> Block:
         rows = np.concatenate(ready)
-        times = start + recipe.step * np.arange(begun, begun + len(rows))
-        return Block(rows, times, recording.motion, begun == 0)
+        times = start + row_model.step * np.arange(begun, begun + len(rows))
+        return Block(rows, times, segment.motion, begun == 0)
 
     for first, rows, power in parts:
         if waiting is None:

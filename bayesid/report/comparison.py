@@ -362,7 +362,7 @@ def _how(result: Any) -> list[tuple[str, str]]:
     problem, regression = result.problem, result.regression
     how = []
     if problem is not None:
-        filters = problem.recipe.filters
+        filters = problem.row_model.filters
         how += [
             ("Bandwidth of the motion", f"{number(problem.smoother.bandwidth, 3)} Hz; {problem.smoother.reason}"),
             ("Accelerations", "from a spline through the positions, without delay" if filters is None else

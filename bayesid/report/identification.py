@@ -56,7 +56,7 @@ def identification_report(identification: Any) -> str:
         intervals=svg(_intervals(problem.regression, estimate), "intervals"),
         parameters=_parameters(problem.regression, estimate),
         effects=_effects(result.to_dict()["effects"]),
-        offset_note=_OFFSET_NOTE if offset and problem.recipe.base.absorbed is not None else "",
+        offset_note=_OFFSET_NOTE if offset and problem.row_model.base.absorbed is not None else "",
         band=number(BAND, 2),
         validation=[_motion(p, "validation", k) for k, p in enumerate(validation)],
         fits=[_motion(p, "fitted", k) for k, p in enumerate(fitted)],
@@ -344,9 +344,9 @@ def _both_ways(result: Any) -> dict[str, Any] | None:
 def _how(result: Any) -> list[tuple[str, str]]:
     """What was chosen and why, as pairs of a term and a text."""
     estimate, problem = result.estimate, result.problem
-    filters, noise = problem.recipe.filters, estimate.noise
+    filters, noise = problem.row_model.filters, estimate.noise
     orders = {group: model.order for group, model in noise.items()}
-    names, units = problem.recipe.channels.names, problem.recipe.channels.units
+    names, units = problem.row_model.channels.names, problem.row_model.channels.units
     sizes = [
         f"{group}: " + ", ".join(f"{c} {number(s, 2)} {u}" for c, s, u in zip(names, model.std, units, strict=True))
         for group, model in noise.items()
@@ -355,7 +355,7 @@ def _how(result: Any) -> list[tuple[str, str]]:
         ("Bandwidth of the motion", f"{number(problem.smoother.bandwidth, 3)} Hz; {problem.smoother.reason}"),
         ("Accelerations", "from a spline through the positions, without delay" if filters is None else
          f"none: low-pass filters on both sides, l = {number(filters.l, 3)} and d = {number(filters.d, 3)} rad/s"),
-        ("Rows", f"{estimate.rows} numbers, {number(1.0 / problem.recipe.step, 3)} rows a second"),
+        ("Rows", f"{estimate.rows} numbers, {number(1.0 / problem.row_model.step, 3)} rows a second"),
         ("Static readings", STATIC[problem.static]),
         ("Noise", "autoregressive in time, correlated between channels; order "
          + ", ".join(f"{o} ({g})" for g, o in orders.items())),

@@ -198,7 +198,7 @@ def _how(result: Any) -> list[tuple[str, str]]:
         ("Prior", prior),
         ("Noise", f"{noise}; autoregressive in time as learned from residuals, correlated between channels"),
         ("Model complete", "yes" if model.likelihood.complete else "no: model error is taken for noise"),
-        ("Rows", f"{int(model.likelihood.counts.sum())} numbers, {number(1.0 / problem.recipe.step, 3)} rows a second"),
+        ("Rows", f"{int(model.likelihood.counts.sum())} numbers, {number(1.0 / problem.row_model.step, 3)} rows a second"),
         ("Sampler", f"{engine}; a draw every {chains.thin} of its usual distances; seed {result.seed}"),
         run_times(result.seconds),
         versions("emcee", "arviz", "numpy"),

@@ -24,7 +24,7 @@ def nominal_estimates(problem: Problem, weights: Weights) -> list[tuple[str, Est
     estimates
         Two, or one where the model has no effects.
     """
-    robot, base, regression = problem.experiment.robot, problem.recipe.base, problem.regression
+    robot, base, regression = problem.experiment.robot, problem.row_model.base, problem.regression
     links, names = robot.nominal.ravel(), regression.effect_names
     values = problem.experiment.effect_values
     effects = np.zeros(len(names))

@@ -88,9 +88,9 @@ def motions_apart(problem: Problem, method: str | Estimator) -> list[Agreement]:
     Validation motions take part, too; nothing that is estimated depends on what comes out.
     """
     out = []
-    for name, recordings in problem.recordings.items():
+    for name, segments in problem.segments.items():
         rest = [n for n in problem.fitted if n != name]
-        if not recordings or not rest:
+        if not segments or not rest:
             continue
         try:
             alone = fit(restrict(problem, [name]).regression, method)
@@ -108,13 +108,13 @@ def wrench_against_torque(problem: Problem, method: str | Estimator) -> Agreemen
 
     The wrench never sees friction, and its base parameters contain the torque's.
     """
-    experiment, recipe = problem.experiment, problem.recipe
+    experiment, row_model = problem.experiment, problem.row_model
     names = list(problem.fitted)
-    effects = [e.spec for e in recipe.effects]
+    effects = [e.spec for e in row_model.effects]
     wrench, torque = (
         solve(
             prepare(
-                experiment, channel, filters=recipe.filters, motions=names, effects=effects, static="joint",
+                experiment, channel, filters=row_model.filters, motions=names, effects=effects, static="joint",
                 bandwidth=problem.smoother.bandwidth,
             ),
             method,
@@ -123,7 +123,7 @@ def wrench_against_torque(problem: Problem, method: str | Estimator) -> Agreemen
     )  # fmt: skip
     if wrench.covariance is None or torque.covariance is None:
         return None
-    at_rest = all(r.poses for n in names for r in problem.recordings[n])
+    at_rest = all(r.poses for n in names for r in problem.segments[n])
     full = structural_base(experiment.robot, make_channels(experiment, "torque"), at_rest=at_rest)
     # Rows of K_torque as combinations of K_wrench.
     relation = np.linalg.lstsq(wrench.base.matrix.T, full.matrix.T, rcond=None)[0].T
@@ -138,10 +138,10 @@ def static_both_ways(problem: Problem, method: str | Estimator) -> Estimate | No
     """The estimate with the stop-and-go run fitted along instead of subtracted, where there is one."""
     if problem.static != "motion":
         return None
-    recipe = problem.recipe
+    row_model = problem.row_model
     joint = prepare(
-        problem.experiment, problem.channel, filters=recipe.filters, motions=problem.fitted, static="joint",
-        effects=[f"{e.name}@{e.where}" for e in recipe.effects if e.name != "sensor_offset"],
+        problem.experiment, problem.channel, filters=row_model.filters, motions=problem.fitted, static="joint",
+        effects=[f"{e.name}@{e.where}" for e in row_model.effects if e.name != "sensor_offset"],
         bandwidth=problem.smoother.bandwidth,
     )  # fmt: skip
     return solve(joint, method)[1]

@@ -12,7 +12,7 @@ from bayesid.estimators import Estimate
 from bayesid.estimators.factor import whitened
 from bayesid.recordings.experiment import Experiment, Motion
 from bayesid.regression.problem import Problem
-from bayesid.regression.rows import Recording, make_blocks
+from bayesid.regression.rows import Segment, make_blocks
 from bayesid.signals.noise import NoiseModel
 
 #: Band in which predictions are compared, the same whatever filter or method was used [Hz].
@@ -71,7 +71,7 @@ class Prediction:
     poses
         Whether the samples are poses at rest, one by one, rather than a motion.
     spectrum
-        Residual and noise by frequency; None for poses and stretches too short to tell frequencies apart.
+        Residual and noise by frequency; None for poses and segments too short to tell frequencies apart.
     """
 
     motion: str
@@ -137,14 +137,14 @@ def predict(problem: Problem, estimate: Estimate, motion: Motion) -> Prediction:
     motion
         Any motion of the experiment whose columns allow it.
     """
-    recordings = problem.recordings[motion.name]
-    moving = [r for r in recordings if not r.poses] or recordings
+    segments = problem.segments[motion.name]
+    moving = [r for r in segments if not r.poses] or segments
     error, raw, times, measured, predicted = [], [], [], [], []
-    for recording in moving:
-        one = _one(problem, estimate, recording)
+    for segment in moving:
+        one = _one(problem, estimate, segment)
         t, y, prediction = one
         raw.append(prediction - y)
-        smooth_y, smooth_p = _band(t, y, recording.poses), _band(t, prediction, recording.poses)
+        smooth_y, smooth_p = _band(t, y, segment.poses), _band(t, prediction, segment.poses)
         error.append(smooth_p - smooth_y)
         times.append(t)
         measured.append(smooth_y)
@@ -158,8 +158,8 @@ def predict(problem: Problem, estimate: Estimate, motion: Motion) -> Prediction:
     return Prediction(
         motion=motion.name,
         role=motion.role,
-        channel_names=problem.recipe.channels.names,
-        channel_units=problem.recipe.channels.units,
+        channel_names=problem.row_model.channels.names,
+        channel_units=problem.row_model.channels.units,
         times=np.concatenate(times)[pick],
         measured=y[pick],
         predicted=np.concatenate(predicted)[pick],
@@ -176,18 +176,18 @@ def predict(problem: Problem, estimate: Estimate, motion: Motion) -> Prediction:
     )
 
 
-def _one(problem: Problem, estimate: Estimate, recording: Recording):
+def _one(problem: Problem, estimate: Estimate, segment: Segment):
     """Times, measured and predicted raw samples; where the smoothed trajectory is sound."""
-    times = recording.times
-    margin = 0.0 if recording.poses else problem.recipe.margin
+    times = segment.times
+    margin = 0.0 if segment.poses else problem.row_model.margin
     a = int(np.searchsorted(times, times[0] + margin))
     b = int(np.searchsorted(times, times[-1] - margin, side="right"))
     parts = []
     for first in range(a, b, _CHUNK):
-        rows = problem.recipe.samples(recording, first, min(first + _CHUNK, b))
+        rows = problem.row_model.samples(segment, first, min(first + _CHUNK, b))
         # By way of the residual: rows about a point have a shifted target.
-        parts.append(recording.measured(first, first + len(rows)) + rows[:, :, :-1] @ estimate.solution - rows[:, :, -1])
-    return times[a:b], recording.measured(a, b), np.concatenate(parts)
+        parts.append(segment.measured(first, first + len(rows)) + rows[:, :, :-1] @ estimate.solution - rows[:, :, -1])
+    return times[a:b], segment.measured(a, b), np.concatenate(parts)
 
 
 def _band(times: np.ndarray, values: np.ndarray, poses: bool) -> np.ndarray:
@@ -205,7 +205,7 @@ def _rms(values: np.ndarray) -> np.ndarray:
 
 
 def _whitened(
-    problem: Problem, estimate: Estimate, recordings: list[Recording]
+    problem: Problem, estimate: Estimate, segments: list[Segment]
 ) -> tuple[float, np.ndarray, float, Spectrum | None]:
     """Root mean square of whitened residual rows, how many lie in their 95 % prediction interval, and their spectrum."""
     power, count, inside, total = 0.0, 0, 0, 0
@@ -214,7 +214,7 @@ def _whitened(
     for group in ("trajectory", "poses"):  # a kind of rows that was not fitted: the other's noise, uncoloured
         if group not in noise:
             noise[group] = next(iter(estimate.noise.values())).uncoloured()
-    for block, white in whitened(make_blocks(problem.recipe, recordings), noise):
+    for block, white in whitened(make_blocks(problem.row_model, segments), noise):
         if block.group == "trajectory":
             raw.append(block.target - block.matrix @ estimate.solution)
         residual = white[:, :, -1] - white[:, :, :-1] @ estimate.solution
@@ -229,13 +229,13 @@ def _whitened(
     channels = np.asarray(power) / max(count, 1)
     spectrum = None
     if raw:
-        rate = 1.0 / float(np.median(np.diff(next(r.times for r in recordings if not r.poses))))
-        spectrum = _spectrum(raw, noise["trajectory"], problem.recipe.step, rate, problem.recipe.filters is not None)
+        rate = 1.0 / float(np.median(np.diff(next(r.times for r in segments if not r.poses))))
+        spectrum = _spectrum(raw, noise["trajectory"], problem.row_model.step, rate, problem.row_model.filters is not None)
     return float(np.sqrt(channels.mean())), np.sqrt(channels), inside / max(total, 1), spectrum
 
 
 def _spectrum(residuals: list[np.ndarray], noise: NoiseModel, step: float, rate: float, filtered: bool) -> Spectrum | None:
-    """Welch's estimate over all stretches of rows (k, c), and the same of the recursion that models the noise.
+    """Welch's estimate over all segments of rows (k, c), and the same of the recursion that models the noise.
 
     A row has the energy of one sample: white noise keeps its standard deviation, though rows are fewer. A
     slow signal is therefore larger in rows by the root of the samples per row, which is divided out here.

@@ -106,7 +106,7 @@ class Comparison:
     def to_dict(self) -> dict[str, Any]:
         """``comparison.json``."""
         base, problem = self.regression.base, self.problem
-        filters = None if problem is None else problem.recipe.filters
+        filters = None if problem is None else problem.row_model.filters
         return {
             "schema": SCHEMA,
             "experiment": None if problem is None else problem.experiment.name,

@@ -110,15 +110,15 @@ def attempt(name: str, method: Estimator, regression: Regression) -> Entry:
 
 def prove(entry: Entry, problem: Problem, weights: Weights) -> Entry:
     """Add links and predictions of all motions; residuals are counted in one and the same noise for all."""
-    estimate, recipe = entry.estimate, problem.recipe
+    estimate, row_model = entry.estimate, problem.row_model
     if estimate is None:
         return entry
     links = estimate.links
     if links is None:
-        kept = ~estimate.undetermined[: recipe.base.rank]
-        links = nearest_links(problem.experiment.robot, recipe.base, estimate.values, kept)
+        kept = ~estimate.undetermined[: row_model.base.rank]
+        links = nearest_links(problem.experiment.robot, row_model.base, estimate.values, kept)
     same = replace(estimate, noise=weights.noise)
-    predictions = [predict(problem, same, m) for m in problem.experiment.motions if m.name in problem.recordings]
+    predictions = [predict(problem, same, m) for m in problem.experiment.motions if m.name in problem.segments]
     return replace(
         entry,
         links=links,

@@ -112,7 +112,7 @@ class Identification:
 
     def to_dict(self) -> dict[str, Any]:
         """``estimate.json``."""
-        filters, smoother = self.problem.recipe.filters, self.problem.smoother
+        filters, smoother = self.problem.row_model.filters, self.problem.smoother
         return {
             "schema": SCHEMA,
             "experiment": self.problem.experiment.name,
@@ -123,7 +123,7 @@ class Identification:
                 "l": None if filters is None else filters.l,
                 "d": None if filters is None else filters.d,
                 "bandwidth_hz": smoother.bandwidth,
-                "row_rate_hz": 1.0 / self.problem.recipe.step,
+                "row_rate_hz": 1.0 / self.problem.row_model.step,
                 "reason": smoother.reason,
             },
             **self.estimate.to_dict(),
@@ -132,7 +132,7 @@ class Identification:
             "physically_consistent": self.physically_consistent,
             "unexcited": list(self.unexcited),
             "noise_std": {
-                group: dict(zip(self.problem.recipe.channels.names, map(float, model.std), strict=True))
+                group: dict(zip(self.problem.row_model.channels.names, map(float, model.std), strict=True))
                 for group, model in self.estimate.noise.items()
             },
             "fit": [p.to_dict() for p in self.fitted],
@@ -143,13 +143,13 @@ class Identification:
         }
 
     def _effects(self) -> list[dict[str, Any]]:
-        recipe = self.problem.recipe
-        values = np.zeros(len(recipe.free)) if recipe.point is None else recipe.point.values.copy()
-        stds = np.full(len(recipe.free), np.nan)
-        values[recipe.free] = self.estimate.solution[self.base.rank :]
-        stds[recipe.free] = self.estimate.full_std[self.base.rank :]
+        row_model = self.problem.row_model
+        values = np.zeros(len(row_model.free)) if row_model.point is None else row_model.point.values.copy()
+        stds = np.full(len(row_model.free), np.nan)
+        values[row_model.free] = self.estimate.solution[self.base.rank :]
+        stds[row_model.free] = self.estimate.full_std[self.base.rank :]
         out, column = [], 0
-        for effect in recipe.effects:
+        for effect in row_model.effects:
             parameters = {}
             for k, (key, unit) in enumerate(zip(effect.kind.parameters, effect.units, strict=True)):
                 value, std = values[column], stds[column]
@@ -226,17 +226,17 @@ def identify(
         clock("estimate")
         problem, estimate = solve(problem, method)
         clock("prediction")
-        predictions = [predict(problem, estimate, m) for m in experiment.motions if m.name in problem.recordings]
+        predictions = [predict(problem, estimate, m) for m in experiment.motions if m.name in problem.segments]
         clock("consistency")
         agreements = motions_apart(problem, method)
         alternative = static_both_ways(problem, method)
         if problem.channel == "both":
             across = wrench_against_torque(problem, method)
             agreements += [across] if across is not None else []
-        kept = ~estimate.undetermined[: problem.recipe.base.rank]
+        kept = ~estimate.undetermined[: problem.row_model.base.rank]
         links = estimate.links
         if links is None:
-            links = nearest_links(experiment.robot, problem.recipe.base, estimate.values, kept)
+            links = nearest_links(experiment.robot, problem.row_model.base, estimate.values, kept)
         unexcited = _unexcited(problem, estimate)
     result = Identification(
         problem=problem,
@@ -256,14 +256,14 @@ def identify(
 
 def _unexcited(problem: Problem, estimate: Estimate) -> tuple[str, ...]:
     """Base parameters of a rich motion that these motions do not show, and those the data say nothing about."""
-    recipe = problem.recipe
-    rich = structural_base(recipe.robot, recipe.channels, offset=recipe.base.absorbed is not None)
-    if len(rich.names) > recipe.base.rank:
-        seen = np.linalg.lstsq(recipe.base.matrix.T, rich.matrix.T, rcond=None)[0].T @ recipe.base.matrix
+    row_model = problem.row_model
+    rich = structural_base(row_model.robot, row_model.channels, offset=row_model.base.absorbed is not None)
+    if len(rich.names) > row_model.base.rank:
+        seen = np.linalg.lstsq(row_model.base.matrix.T, rich.matrix.T, rcond=None)[0].T @ row_model.base.matrix
         hidden = np.linalg.norm(seen - rich.matrix, axis=1) > 1e-6 * np.linalg.norm(rich.matrix, axis=1)
         return tuple(label for label, h in zip(rich.labels, hidden, strict=True) if h)
     kinds = estimate.classes
-    return tuple(label for label, kind in zip(recipe.base.labels, kinds, strict=True) if kind in ("weak", "prior"))
+    return tuple(label for label, kind in zip(row_model.base.labels, kinds, strict=True) if kind in ("weak", "prior"))
 
 
 def _offset(problem: Problem, estimate: Estimate, links: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
@@ -273,7 +273,7 @@ def _offset(problem: Problem, estimate: Estimate, links: np.ndarray) -> tuple[np
         return None
     at = [estimate.base.rank + estimate.effect_names.index(n) for n in names]
     value, std = estimate.solution[at].copy(), estimate.full_std[at].copy()
-    absorbed = problem.recipe.base.absorbed
+    absorbed = problem.row_model.base.absorbed
     if absorbed is not None:
         rows = absorbed[: len(at)]
         value -= rows @ links
@@ -320,7 +320,7 @@ def _warnings(result: Identification) -> tuple[str, ...]:
         out.append(
             "The link parameters nearest to the nominal ones are not those of a body that can exist; do not simulate with them."
         )
-    if result.problem.recipe.base.absorbed is not None:
+    if result.problem.row_model.base.absorbed is not None:
         out.append(
             "No static run removes the sensor's offset, so it is estimated along: what looks like an offset, "
             "above all the total mass, cannot be identified."

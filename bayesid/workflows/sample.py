@@ -66,7 +66,7 @@ class ExperimentPosterior(Posterior):
 
     def to_dict(self) -> dict[str, Any]:
         """``posterior.json``."""
-        filters = self.problem.recipe.filters
+        filters = self.problem.row_model.filters
         return {
             "schema": SCHEMA,
             "experiment": self.problem.experiment.name,
@@ -219,7 +219,7 @@ def _with_predictions(
         extra = predictive_groups(posterior, regression.pilot(), (), regression.channel_names)
         clock.stop()
         return Posterior(model, result, seed, extra)
-    others = [m for m in problem.experiment.motions if m.name in problem.recordings and m.name not in problem.fitted]
+    others = [m for m in problem.experiment.motions if m.name in problem.segments and m.name not in problem.fitted]
     judges = [m for m in others if m.role == "validation"]
     blocks = _blocks(problem, [m.name for m in judges])
     extra = predictive_groups(posterior, regression.pilot(), blocks, regression.channel_names)
@@ -235,7 +235,7 @@ def _with_predictions(
 
 def _blocks(problem: Problem, names: Sequence[str]) -> Iterator[Block]:
     for name in names:
-        yield from make_blocks(problem.recipe, [r for r in problem.recordings[name] if not r.poses] or problem.recordings[name])
+        yield from make_blocks(problem.row_model, [r for r in problem.segments[name] if not r.poses] or problem.segments[name])
 
 
 def as_estimate(posterior: Posterior, regression: Regression) -> Estimate:

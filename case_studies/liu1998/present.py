@@ -42,7 +42,7 @@ def tables(results: dict) -> dict[str, str]:
         for name, r in results["recipes"].items()
     ]
     out["recipes"] = table(
-        "recipe | rms error / sigma | worst / sigma | own 95 % intervals that hold the truth | force error | moment error "
+        "row_model | rms error / sigma | worst / sigma | own 95 % intervals that hold the truth | force error | moment error "
         "| moment error without noise",
         rows,
     )
@@ -70,7 +70,7 @@ def tables(results: dict) -> dict[str, str]:
             "hold the truth.\n\n"
             + table("estimated from | median error of frictionless torque | worst error / sigma of all", rows) + "\n\n"
             + table(
-                "recipe | rms error / sigma | own 95 % intervals that hold the truth",
+                "row_model | rms error / sigma | own 95 % intervals that hold the truth",
                 [f"| {name} | {r['rms_sigmas']:.3g} | {100 * r['coverage']:.3g} % |" for name, r in again["recipes"].items()],
             )
         )  # fmt: skip

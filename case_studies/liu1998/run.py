@@ -207,7 +207,7 @@ def paper_recipe(setting: Setting, experiment: bayesid.Simulation, velocity: str
 
 
 def answers(setting: Setting, experiment: bayesid.Simulation) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Estimates and standard deviations of the paper's recipe and bayesid's."""
+    """Estimates and standard deviations of the paper's row_model and bayesid's."""
     default = bayesid.fit(prepare(experiment).regression)
     filtered = bayesid.fit(prepare(experiment, filters=FILTERS).regression, "ols")
     return {
@@ -220,7 +220,7 @@ def answers(setting: Setting, experiment: bayesid.Simulation) -> dict[str, tuple
 
 
 def recipes(setting: Setting, experiment: bayesid.Simulation) -> dict[str, dict]:
-    """How wrong each recipe is, with the recording's noise and without any."""
+    """How wrong each row_model is, with the recording's noise and without any."""
     with_noise, without = answers(setting, experiment), answers(setting, setting.record("friction", 0, noise=False))
     std_default = with_noise["bayesid, default"][1]
     truth = setting.wrench_base.matrix @ experiment.truth.links.ravel()

@@ -185,7 +185,7 @@ def test_the_bias_of_least_squares_goes(robot, method, options):
     truth, errors, stds = None, [], []
     for seed in range(4):
         problem = prepare(tables(robot, std=1e-3, seed=seed, **options), bandwidth=8.0)
-        truth = problem.recipe.base.matrix @ robot.nominal.ravel()
+        truth = problem.row_model.base.matrix @ robot.nominal.ravel()
         both = [fit(problem.regression, m) for m in ("wls", method)]
         errors.append([e.values - truth for e in both])
         stds.append([e.std for e in both])

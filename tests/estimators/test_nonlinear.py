@@ -44,7 +44,7 @@ def fit(setup, motions, effects, channel="both", starts=None, given=None):
     recording = bayesid.simulate(setup, motions, effects=plant, recorder=RECORDER, seed=3)
     recording = replace(recording, effect_values=starts or {})
     problem, estimate = solve(prepare(recording, channel, effects=effects))
-    rank = problem.recipe.base.rank
+    rank = problem.row_model.base.rank
     names = problem.regression.effect_names
     truth = {f"{spec}.{key}": value for spec, values in plant.items() for key, value in values.items()}
     return {
@@ -66,7 +66,7 @@ def fit(setup, motions, effects, channel="both", starts=None, given=None):
 def test_simulated_effects_are_found_again(setup, motions, spec, channel):
     found, problem = fit(setup, motions, [spec], channel, STARTS)
     mine = {k: v for k, v in found.items() if not k.startswith("sensor_offset")}
-    assert mine and problem.recipe.point is not None
+    assert mine and problem.row_model.point is not None
     for name, (value, std, truth) in mine.items():
         assert np.isfinite(std), name
         # The phase of a ripple turns by whole turns.
@@ -81,7 +81,7 @@ def test_fixed_values_are_kept(setup, motions):
     starts = {"payload@joint6": given["payload@joint6"] | {"fixed": True}}
     found, problem = fit(setup, motions, ["payload@joint6"], "torque", starts, given)
     assert not found
-    nominal = problem.recipe.base.matrix @ setup.robot.nominal.ravel()
+    nominal = problem.row_model.base.matrix @ setup.robot.nominal.ravel()
     estimate = solve(problem)[1]
     assert np.all(np.abs(estimate.values - nominal) < 5 * estimate.std + 1e-3)
     result = bayesid.identify(
@@ -109,7 +109,7 @@ def test_every_effect_can_be_simulated_and_modelled(setup, motions, name):
     offset = {"sensor_offset": {"fixed": True}} if name != "sensor_offset" else {}
     known = replace(recording, effect_values=held | offset)
     problem = prepare(known, "both", effects=[spec, *offset], bandwidth=15.0)
-    solution = problem.recipe.point.base
+    solution = problem.row_model.point.base
     assert problem.regression.effect_names == ()
     error, signal = 0.0, 0.0
     for block in problem.regression.blocks():

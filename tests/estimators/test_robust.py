@@ -116,7 +116,7 @@ def test_disturbed_recordings_of_robots(method):
             clean = record(case, rng)
             disturbed, times = outliers.disturb(clean, rng)
             one, two = prepare(clean), prepare(disturbed)
-            truth = one.recipe.base.matrix @ case.truth
+            truth = one.row_model.base.matrix @ case.truth
             unit = fit(one.regression, "wls").std
             robust = fit(two.regression, method)
             for key, estimate in (

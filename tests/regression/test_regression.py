@@ -43,7 +43,7 @@ def test_noise_free_puma_predicts_another_motion(l, d, tmp_path):  # noqa: E741
 def test_noise_free_rows_give_the_true_parameters(text, channel, filters, tmp_path):
     robot = load_robot(write(tmp_path, text))
     problem = prepare(noise_free(robot), channel, filters=filters)
-    base = problem.recipe.base
+    base = problem.row_model.base
     truth = base.matrix @ robot.nominal.ravel()
     estimate = fit(problem.regression, "ols")
     prediction = predict(problem, estimate, problem.experiment.validation[0])
@@ -79,7 +79,7 @@ def test_gaps_are_not_filtered_across(tmp_path):
         problem = prepare(holed, filters=filters)
         blocks = list(problem.regression.blocks())
         assert [b.start for b in blocks] == [True, True]
-        truth = problem.recipe.base.matrix @ robot.nominal.ravel()
+        truth = problem.row_model.base.matrix @ robot.nominal.ravel()
         np.testing.assert_allclose(fit(problem.regression, "ols").values, truth, atol=2e-3)
 
 
@@ -90,12 +90,12 @@ def test_static_run_removes_offset_and_gravity(tmp_path):
     still = recording(robot, SENSOR, motion, offset=offset, static=True)
     with_static = experiment(robot, [Motion("a", "identification", moving, static=still)], SENSOR)
     subtracted = prepare(with_static)
-    assert subtracted.static == "motion" and not subtracted.recipe.effects and subtracted.recipe.base.rank == 12
+    assert subtracted.static == "motion" and not subtracted.row_model.effects and subtracted.row_model.base.rank == 12
     along = prepare(with_static, static="joint")
-    assert along.static == "joint" and [e.name for e in along.recipe.effects] == ["sensor_offset"]
+    assert along.static == "joint" and [e.name for e in along.row_model.effects] == ["sensor_offset"]
     for problem in (subtracted, along):
         estimate = fit(problem.regression, "ols")
-        np.testing.assert_allclose(estimate.values, problem.recipe.base.matrix @ robot.nominal.ravel(), atol=1e-3)
+        np.testing.assert_allclose(estimate.values, problem.row_model.base.matrix @ robot.nominal.ravel(), atol=1e-3)
 
 
 def test_arrays_of_ones_own(tmp_path):

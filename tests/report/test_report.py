@@ -100,7 +100,7 @@ def test_report_says_what_was_found_and_how_well_it_holds(page, result):
     assert "‘validation’" in text and "nothing more can be explained" in text
     for label in result.base.labels:
         assert label[:30] in text
-    for channel in result.problem.recipe.channels.names:
+    for channel in result.problem.row_model.channels.names:
         assert channel in text
 
 

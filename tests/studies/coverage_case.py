@@ -147,13 +147,13 @@ def white_noise_fit(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
     values, std
         Of the base parameters (r,).
     """
-    recipe, rank = problem.recipe, problem.recipe.base.rank
-    (recording,) = problem.recordings[problem.fitted[0]]
-    first = int(np.searchsorted(recording.times, recording.times[0] + recipe.margin))
-    rows = recipe.samples(recording, first, len(recording.times) - first)
-    if recipe.filters is not None:
+    row_model, rank = problem.row_model, problem.row_model.base.rank
+    (recording,) = problem.segments[problem.fitted[0]]
+    first = int(np.searchsorted(recording.times, recording.times[0] + row_model.margin))
+    rows = row_model.samples(recording, first, len(recording.times) - first)
+    if row_model.filters is not None:
         times = recording.times[first : len(recording.times) - first]
-        rows = low_pass(recipe.filters, times, -rows.reshape(len(times), -1))[0].reshape(rows.shape)
+        rows = low_pass(row_model.filters, times, -rows.reshape(len(times), -1))[0].reshape(rows.shape)
     scale = np.ones(rows.shape[1])
     for _ in range(2):
         flat = (rows / scale[:, None]).reshape(-1, rows.shape[2])
@@ -271,7 +271,7 @@ def fit_all(case: Setup, seed: np.random.SeedSequence) -> tuple[np.ndarray, np.n
     """
     experiment = record(case, np.random.default_rng(seed))
     problems = {f: prepare(experiment, filters=f) for f in (None, PAPER)}
-    truth = problems[None].recipe.base.matrix @ case.truth
+    truth = problems[None].row_model.base.matrix @ case.truth
     errors, stds, joint = [], [], []
     for filters, method in FITS.values():
         estimate = estimators.fit(problems[filters].regression, method)

@@ -88,7 +88,7 @@ def one(name: str, seed: int, k: int) -> tuple[np.ndarray, np.ndarray, np.ndarra
         for method, kind in FITS.values():
             problem = problems[kind]
             estimate = estimators.fit(problem.regression, method)
-            errors.append(estimate.values - problem.recipe.base.matrix @ case.truth)
+            errors.append(estimate.values - problem.row_model.base.matrix @ case.truth)
             stds.append(estimate.std)
             tests.append(estimate.details.get("durbin_wu_hausman", {}).get("p", np.nan))
     return np.array(errors), np.array(stds), np.array(tests)

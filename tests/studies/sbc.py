@@ -370,7 +370,8 @@ def page(study: dict[str, Any]) -> str:
 def sources() -> str:
     """Fingerprint of the code that the results depend on."""
     package = Path(bayesid.__file__).parent
-    files = [*sorted((package / "posterior").glob("*.py")), package / "robot" / "prior.py", package / "robot" / "inertia.py", Path(__file__)]
+    robot = package / "robot"
+    files = [*sorted((package / "posterior").glob("*.py")), robot / "prior.py", robot / "inertia.py", Path(__file__)]
     digest = hashlib.sha256()
     for file in files:
         digest.update(file.read_bytes())
