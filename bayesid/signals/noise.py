@@ -61,8 +61,10 @@ class NoiseModel:
         rows
             Consecutive rows (k, channels, ...).
         before
-            The ``order`` rows before them; None at the start of a recording.
+            The ``order`` rows before them, or all there are since the recording's start; None at the start.
         """
+        if before is not None and len(before) < self.order:  # the start is still within reach
+            return self.whiten(np.concatenate([before, rows]))[len(before) :]
         lower = cholesky(self.innovation, lower=True)
         white = self._recursion(rows, before)
         return _mix(np.linalg.inv(lower), white)

@@ -19,14 +19,13 @@ from pathlib import Path
 import numpy as np
 
 ROOT = Path(__file__).resolve().parent.parent.parent
-sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
-
-from test_physical import by_cvxpy  # noqa: E402
+sys.path.insert(0, str(ROOT))
 
 from bayesid.estimators import Bounds  # noqa: E402
 from bayesid.estimators.conic.cone import solve_conic  # noqa: E402
 from bayesid.estimators.conic.physical import Data, conic  # noqa: E402
 from bayesid.estimators.conic.prior_strength import trust_of  # noqa: E402
+from tests.estimators.test_physical import by_cvxpy  # noqa: E402
 from tests.physical_cases import arm, flat_bodies  # noqa: E402
 
 

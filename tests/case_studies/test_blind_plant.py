@@ -59,6 +59,12 @@ def test_outside_forces_do_the_same_work_in_both_channels(ur5, effect):
         np.testing.assert_allclose(power[1:-1], np.gradient(energy, motion.t)[1:-1], atol=2e-4)
     elif effect.name == "fluid_drag":
         assert power.min() >= -1e-12  # drag only takes
+    else:  # between its ramps a contact's force is constant: its power is that force along the point's velocity
+        where = arms.frames(arm, motion.q, motion.v)
+        point = where.origin[:, 4] + where.rotation[:, 4] @ effect.vector("point_x", "point_y", "point_z")
+        whole = (motion.t > 0.55) & (motion.t < 1.25)
+        own = np.gradient(point @ effect.vector("fx", "fy", "fz"), motion.t)
+        np.testing.assert_allclose(power[whole], -own[whole], atol=2e-3)
 
 
 def test_rotor_is_two_inertia_changes_in_the_wrench(ur5):

@@ -102,10 +102,10 @@ def test_iv_is_the_textbook_formula():
     expected = np.linalg.solve(z.T @ x, z.T @ y)
     np.testing.assert_allclose(estimate.values, expected, rtol=1e-9)
     noise = estimate.noise["trajectory"]
-    if noise.order == 0:
-        sigma = np.kron(np.eye(len(target)), noise.innovation * np.outer(scale, scale))
-        a = np.linalg.inv(z.T @ x)
-        np.testing.assert_allclose(estimate.covariance, a @ z.T @ sigma @ z @ a.T, rtol=1e-6)
+    assert noise.order == 0  # so that the covariance of all rows is that of one sample, again and again
+    sigma = np.kron(np.eye(len(target)), noise.innovation * np.outer(scale, scale))
+    a = np.linalg.inv(z.T @ x)
+    np.testing.assert_allclose(estimate.covariance, a @ z.T @ sigma @ z @ a.T, rtol=1e-6)
 
 
 @pytest.mark.parametrize("method", ["tls", "iv"])

@@ -77,7 +77,7 @@ def test_biased_estimators_state_no_interval(method):
     estimate = fit(Regression.from_arrays(matrix, target), method)
     assert estimate.interval == "none" and estimate.interval_reason and np.isnan(estimate.std).all()
     entry = estimate.to_dict()
-    assert entry["covariance"] is None
+    assert entry["covariance"] is None and len(entry["base_parameters"]) == len(estimate.values)
     assert all(b["std"] is None and b["low"] is None and b["high"] is None for b in entry["base_parameters"])
 
 

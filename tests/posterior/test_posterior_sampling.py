@@ -137,7 +137,7 @@ def test_command_line(recorded, tmp_path, capsys):
 def test_an_interrupted_verb_says_how_to_go_on(recorded, tmp_path, capsys, monkeypatch):
     folder, out = tmp_path / "experiment", tmp_path / "out"
     bayesid.write_experiment(recorded, folder)
-    from bayesid import sampling
+    from bayesid.workflows import sample as sampling
 
     whole = sampling.run
     monkeypatch.setattr(sampling, "run", lambda *a, **k: whole(*a, **k, stop_after=1))

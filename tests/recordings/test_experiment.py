@@ -71,8 +71,9 @@ def test_arrays_are_read_only_and_float64(folder: Path) -> None:
 
 def test_a_table_leaves_the_callers_arrays_alone() -> None:
     times = np.arange(3.0)
-    Table(times=times, positions=np.zeros((3, 1)))
-    times[0] = -1.0
+    kept = Table(times=times, positions=np.zeros((3, 1)))
+    assert np.shares_memory(kept.times, times)  # a view: recordings are long
+    assert times.flags.writeable and not kept.times.flags.writeable
 
 
 def test_column_order_other_columns_and_blank_lines_do_not_matter(folder: Path) -> None:

@@ -1,7 +1,5 @@
 import json
-import re
 from dataclasses import dataclass, replace
-from html.parser import HTMLParser
 
 import numpy as np
 import pytest
@@ -12,56 +10,12 @@ from bayesid.report.details import described
 from bayesid.report.page import number, percent, shorten, with_half
 from bayesid.robot.robot import load_robot
 from bayesid.workflows.check import check, sample_noise
+from tests.report_pages import read
 from tests.robots import lwr4, wrist_sensor_arm, write
 from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
 
 NOISE = dict(force_std=0.5, torque_std=0.1, resolution=2e-5)
 SENSOR = Sensor(translation=np.array([0.0, 0.0, -0.1]), force_std=0.5)
-VOID = {"br", "circle", "image", "line", "link", "meta", "path", "use", "rect"}
-
-
-class Page(HTMLParser):
-    """Text, ids and addresses of a page; complains about tags that do not match."""
-
-    def __init__(self, html: str):
-        super().__init__()
-        self.open, self.text, self.ids, self.addresses = [], "", [], []
-        self.feed(html)
-        assert not self.open, self.open
-
-    def handle_starttag(self, tag, attrs):
-        if tag not in VOID:
-            self.open.append(tag)
-        for key, value in attrs:
-            if key == "id":
-                self.ids.append(value)
-            elif key in ("src", "href", "xlink:href"):
-                self.addresses.append(value)
-
-    def handle_startendtag(self, tag, attrs):
-        if tag not in VOID:
-            return
-        self.handle_starttag(tag, attrs)
-
-    def handle_endtag(self, tag):
-        if tag not in VOID:
-            assert self.open.pop() == tag, tag
-
-    def handle_data(self, data):
-        if not self.open or self.open[-1] != "style":
-            self.text += data
-
-
-def read(html: str) -> Page:
-    page = Page(html)
-    assert len(page.ids) == len(set(page.ids))
-    # One file: everything it refers to is inside.
-    assert all(a.startswith(("#", "data:")) for a in page.addresses)
-    assert {a[1:] for a in page.addresses if a.startswith("#")} <= set(page.ids)
-    assert "<script" not in html and "http" not in re.sub(r"base64,[\w+/=\s]*", "", html)
-    assert "nan" not in page.text.replace("nances", "").lower().split() and "None" not in page.text
-    assert len(html) < 2e6
-    return page
 
 
 def motions(robot, sensor, names=("identification", "validation"), **options):

@@ -42,13 +42,14 @@ def test_coloured_rows_give_the_covariance_of_sums(from_zero):
     np.testing.assert_allclose(z.T @ z, flat.T @ dense(model, 40) @ flat, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.parametrize("from_zero", [True, False])
 @pytest.mark.parametrize("cut", [1, 2, 17, 39])
-def test_whitening_runs_on_over_blocks(cut):
-    model = NoiseModel(COEFFICIENTS, INNOVATION, True)
+def test_whitening_runs_on_over_blocks(cut, from_zero):
+    """Also where the first block is shorter than the order of the recursion."""
+    model = NoiseModel(COEFFICIENTS, INNOVATION, from_zero)
     x = np.random.default_rng(2).normal(size=(40, 2, 3))
-    if cut >= model.order:
-        parts = np.concatenate([model.whiten(x[:cut]), model.whiten(x[cut:], x[:cut])])
-        np.testing.assert_allclose(parts, model.whiten(x), atol=1e-12)
+    parts = np.concatenate([model.whiten(x[:cut]), model.whiten(x[cut:], x[:cut])])
+    np.testing.assert_allclose(parts, model.whiten(x), atol=1e-12)
 
 
 def test_estimated_noise_is_the_one_drawn():

@@ -5,15 +5,15 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 from scipy.stats import kstest
-from test_report import read
 
 import bayesid
-from bayesid import comparison as module
 from bayesid.cli import main
 from bayesid.estimators import factor
 from bayesid.report import comparison_report
 from bayesid.validation.agreement import gaps, hausman
+from bayesid.workflows import compare as module
 from bayesid.workflows.compare import DEFAULT_SET
+from tests.report_pages import read
 from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
 
 NOISE = dict(force_std=0.5, torque_std=0.1, resolution=2e-5)

@@ -1,0 +1,41 @@
+"""Scripts that are run by hand (benchmarks, studies, case studies, page writers) import what exists."""
+
+import ast
+import importlib.util
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+SCRIPTS = sorted(p.relative_to(ROOT) for folder in ("docs", "case_studies", "tests") for p in (ROOT / folder).rglob("*.py"))
+
+
+def imported(script: Path) -> list[tuple[str, str]]:
+    """Modules of this repository and the names taken from them, wherever in the file."""
+    found = []
+    for node in ast.walk(ast.parse((ROOT / script).read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            found += [(node.module, alias.name) for alias in node.names]
+        elif isinstance(node, ast.Import):
+            found += [(alias.name, "") for alias in node.names]
+    return [(module, name) for module, name in found if module.split(".")[0] in ("bayesid", "tests")]
+
+
+def exists(module: str, name: str) -> bool:
+    """Whether a module of the package has the name, or a test module of that name stands in the repository."""
+    if module.startswith("tests"):
+        path = ROOT / module.replace(".", "/")
+        if path.is_dir():
+            return not name or any((path / name).with_suffix(s).exists() for s in ("", ".py"))
+        tree = ast.walk(ast.parse(path.with_suffix(".py").read_text(encoding="utf-8")))
+        words = (getattr(node, "name", None) or getattr(node, "id", None) for node in tree)  # defined, assigned or imported
+        return not name or name in words
+    if not name or hasattr(importlib.import_module(module), name):
+        return True
+    return importlib.util.find_spec(f"{module}.{name}") is not None
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=str)
+def test_a_script_imports_what_exists(script):
+    for module, name in imported(script):
+        assert exists(module, name), f"{script}: from {module} import {name}"
