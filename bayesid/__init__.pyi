@@ -13,15 +13,19 @@ from .posterior.result import Posterior
 from .recordings.experiment import Experiment, Motion, Sensor, load_experiment, write_experiment
 from .recordings.table import Table
 from .regression.regression import Regression
+from .results.comparison import Comparison
+from .results.identification import Identification, summary
+from .results.inspection import Inspection
+from .results.posterior import ExperimentPosterior
 from .robot.prior import Prior
 from .robot.robot import Robot, load_robot
 from .signals.filters import LowPass
 from .simulation.simulation import Recorder, Simulation, simulate, write_simulation
 from .simulation.trajectories import Trajectory, fourier_trajectory
-from .workflows.check import Inspection, check
-from .workflows.compare import Comparison, compare
-from .workflows.identify import Identification, identify, summary
-from .workflows.sample import ExperimentPosterior, sample
+from .workflows.check import check
+from .workflows.compare import compare
+from .workflows.identify import identify
+from .workflows.sample import sample
 
 __version__: str
 

@@ -17,10 +17,9 @@ from bayesid.diagnosis.taps import TAP
 from bayesid.diagnosis.views import views
 from bayesid.effects import Effect, Term
 from bayesid.recordings.schema import EffectParameters, write_model
-from bayesid.report import diagnosis_report
-from bayesid.report.identification import channel_text
-from bayesid.report.page import DASH, interval, number, percent, with_half
+from bayesid.report.diagnosis import diagnosis_report
 from bayesid.results.files import strict, write_results
+from bayesid.results.text import DASH, channel_text, interval, number, percent, with_half
 
 if TYPE_CHECKING:
     from bayesid.diagnosis.diagnose import Diagnosis

@@ -8,30 +8,21 @@ import numpy as np
 
 from bayesid.recordings.table import WRENCH_COLUMNS
 from bayesid.report import plots
-from bayesid.report.page import DASH, number, percent, render, svg
+from bayesid.report.page import render, svg
+from bayesid.results.inspection import Inspection, MotionSummary
+from bayesid.results.text import DASH, number, percent
 from bayesid.robot import inertia
 
 _SHOWN_MOTIONS = 8
 _PLOTTED = 1500
 
 
-def check_report(check: Any) -> str:
-    """The report of ``check``.
-
-    Parameters
-    ----------
-    check
-        The verb's result, an `Inspection`.
-
-    Returns
-    -------
-    page
-        HTML with all figures inside.
-    """
+def check_report(check: Inspection) -> str:
+    """The report of ``check``: an HTML page with all figures inside."""
     return render("check.html", **_content(check))
 
 
-def _content(check: Any) -> dict[str, Any]:
+def _content(check: Inspection) -> dict[str, Any]:
     robot, experiment = check.experiment.robot, check.experiment
     units = ["m" if slides else "rad" for slides in robot.prismatic]
     shown = check.motions[:_SHOWN_MOTIONS]
@@ -85,7 +76,7 @@ def _content(check: Any) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _lead(check: Any) -> str:
+def _lead(check: Inspection) -> str:
     fitted, proof = len(check.experiment.identification), len(check.experiment.validation)
     best = next((s for s in check.sensor_sets if s.available), None)
     reading = "sensor’s wrench" if check.channel == "wrench" else "joint torques"
@@ -96,7 +87,7 @@ def _lead(check: Any) -> str:
     return text + (f", which can show at most {best.base.rank} base parameters." if best else ".")
 
 
-def _robot(check: Any) -> list[tuple[str, str]]:
+def _robot(check: Inspection) -> list[tuple[str, str]]:
     experiment, robot = check.experiment, check.experiment.robot
     trust = experiment.inertia_rel_std
     rows = [
@@ -126,7 +117,7 @@ def _robot(check: Any) -> list[tuple[str, str]]:
     return rows
 
 
-def _bandwidth(check: Any) -> str:
+def _bandwidth(check: Inspection) -> str:
     if check.bandwidth is None:
         return "The bandwidth of the joint motion could not be chosen: " + check.bandwidth_reason + "."
     text = f"Joint motion is kept up to {number(check.bandwidth, 3)} Hz ({check.bandwidth_reason})."
@@ -136,7 +127,7 @@ def _bandwidth(check: Any) -> str:
     return text
 
 
-def _stated(check: Any, channels: list[str]) -> list[str]:
+def _stated(check: Inspection, channels: list[str]) -> list[str]:
     sensor = check.experiment.sensor
     if sensor is None or (sensor.force_std is None and sensor.torque_std is None):
         return []
@@ -161,7 +152,7 @@ def _body(name: str, body: np.ndarray) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _row(m: Any) -> dict[str, Any]:
+def _row(m: MotionSummary) -> dict[str, Any]:
     motion, poses = m.motion, m.motion.kind == "poses"
     also = [f"period {number(motion.period, 4)} s"] if motion.period else []
     also += [f"parked {number(sum(b - a for a, b in motion.parked), 3)} s"] if motion.parked else []
@@ -179,7 +170,7 @@ def _fixed(value: float) -> str:
     return f"{round(value, 3) + 0.0:.3f}".replace("-", "−") if np.isfinite(value) else DASH
 
 
-def _reach(m: Any, lower: np.ndarray, upper: np.ndarray) -> dict[str, Any]:
+def _reach(m: MotionSummary, lower: np.ndarray, upper: np.ndarray) -> dict[str, Any]:
     room = upper - lower
     share = np.where(np.isfinite(room) & (room > 0), (m.highest - m.lowest) / np.where(room > 0, room, 1.0), np.nan)
     rows = [
@@ -191,7 +182,7 @@ def _reach(m: Any, lower: np.ndarray, upper: np.ndarray) -> dict[str, Any]:
     return {"name": m.motion.name, "rows": rows}
 
 
-def _figure(m: Any, prismatic: np.ndarray):
+def _figure(m: MotionSummary, prismatic: np.ndarray):
     """The recording as it is, thinned to what a page can show."""
     table, poses = m.motion.table, m.motion.kind == "poses"
     stride = 1 if poses else max(-(-len(table) // _PLOTTED), 1)

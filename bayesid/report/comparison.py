@@ -1,20 +1,21 @@
-"""The report of `compare`, and its tables as text: turns a `Comparison` into what is shown."""
+"""The report of ``compare``: turns a `Comparison` into what its template shows."""
 
 from __future__ import annotations
 
-from html import escape
 from typing import Any
 
 import numpy as np
 
 from bayesid.report.comparison_figures import proof_side_by_side, values_side_by_side
-from bayesid.report.details import chance
-from bayesid.report.identification import HALF, STATIC, channel_text, mood_of, short_names
-from bayesid.report.page import DASH, number, percent, render, run_times, svg, versions, with_half
+from bayesid.report.identification import STATIC, mood_of, short_names
+from bayesid.report.page import render, run_times, svg, versions
+from bayesid.results.comparison import TEXT_MOTIONS, Comparison, in_sigmas, overview, values_table
+from bayesid.results.entry import Entry
+from bayesid.results.text import DASH, HALF, chance, channel_text, number, percent
+from bayesid.validation.agreement import HausmanTest
 from bayesid.validation.prediction import BAND, band_error
 
 _SHOWN_MOTIONS = 4
-_TEXT_MOTIONS = 3
 #: Two residuals closer than this do not tell two estimators apart.
 _TIE = 0.02
 _DESCRIPTIONS = {
@@ -31,20 +32,9 @@ _DESCRIPTIONS = {
 }
 
 
-def comparison_report(comparison: Any) -> str:
-    """The report of ``compare``.
-
-    Parameters
-    ----------
-    comparison
-        The verb's result, a `Comparison`.
-
-    Returns
-    -------
-    page
-        HTML with all figures inside.
-    """
-    result, problem = comparison, comparison.problem
+def comparison_report(result: Comparison) -> str:
+    """The report of ``compare``: an HTML page with all figures inside."""
+    problem = result.problem
     done = [e for e in result.entries if e.estimate is not None]
     motions = [_motion_errors(result, k) for k in range(len(done[0].proof))]
     return render(
@@ -58,7 +48,7 @@ def comparison_report(comparison: Any) -> str:
         card_list=_cards(result),
         reference=result.reference,
         efficient=result.tests[0].efficient if result.tests else "",
-        shown=[p.motion for p in done[0].proof[:_TEXT_MOTIONS]],
+        shown=[p.motion for p in done[0].proof[:TEXT_MOTIONS]],
         validated=bool(done[0].validation),
         robot=problem is not None,
         links_known=any(e.impossible is not None for e in result.entries),
@@ -67,162 +57,58 @@ def comparison_report(comparison: Any) -> str:
         refused=[{"name": e.name, "reason": e.refusal} for e in result.entries if e.estimate is None],
         descriptions=[(e.name, _describe(e)) for e in (*result.baselines, *result.entries)],
         proof=svg(_proof_figure(result), "proof") if motions else "",
-        values_figure=svg(_values_figure(result), "values") if result.reference else "",
+        values_figure=svg(_values_figure(result, result.reference), "values") if result.reference else "",
         columns=[e.name for e in done],
         nominal=result.regression.nominal is not None,
-        values=_values(result),
-        effects=_values(result, effects=True),
+        values=values_table(result),
+        effects=values_table(result, effects=True),
         gaps=_matrix(result),
         farthest=[
-            {"pair": f"{g.first} and {g.second}", "compared": g.compared, "rms": _sigmas(g.rms),
-             "largest": _sigmas(g.largest), "where": g.where}
+            {"pair": f"{g.first} and {g.second}", "compared": g.compared, "rms": in_sigmas(g.rms),
+             "largest": in_sigmas(g.largest), "where": g.where}
             for g in sorted(result.gaps, key=lambda g: -g.rms)
         ],
         tests=[_test(t) for t in result.tests],
         errors=motions,
         impossible=[(e.name, ", ".join(e.impossible)) for e in result.entries if e.impossible],
-        credible=[e.name for e in done if e.estimate.interval == "credible"],
-        intervals=[(e.name, e.estimate.interval_reason) for e in done if e.estimate.interval == "none"],
+        credible=[n for n, e in result.estimates.items() if e.interval == "credible"],
+        intervals=[(n, e.interval_reason) for n, e in result.estimates.items() if e.interval == "none"],
         how=_how(result),
     )  # fmt: skip
 
 
-def comparison_text(comparison: Any, *, html: bool = False) -> str:
-    """The estimators in a table, then their values; for a terminal or a notebook.
-
-    Parameters
-    ----------
-    comparison
-        A `Comparison`.
-    html
-        As two HTML tables instead of text.
-    """
-    result = comparison
-    done = [e for e in result.entries if e.estimate is not None]
-    motions = [p.motion for p in done[0].proof[:_TEXT_MOTIONS]]
-    head = ["estimator"]
-    for motion in motions:
-        head += [f"{motion}: error", "x noise"]
-    known = any(e.impossible is not None for e in (*result.baselines, *result.entries))
-    head += ["links"] * known
-    if result.reference:
-        head += ["interval", f"from {result.reference}", "largest"]
-    head += [*(f"Hausman {t.efficient}" for t in result.tests[:1]), "time"]
-    rows = []
-    for entry in (*result.baselines, *(e for e in result.entries if e.estimate is not None)):
-        row = _row(result, entry)
-        cells = [row["name"]]
-        for m in row["motions"]:
-            cells += [m["error"], m["white"]]
-        cells += [row["links"]] * known
-        if result.reference:
-            cells += [row["width"], row["rms"], row["largest"]]
-        rows.append([*cells, *([row["test"]] * bool(result.tests)), row["time"]])
-    refused = [f"{e.name} refused: {e.refusal}" for e in result.entries if e.estimate is None]
-    names = [e.name for e in done]
-    table = [*_values(result), *_values(result, effects=True)]
-    values = [[v["label"], *(c["text"] for c in v["cells"]), v["unit"]] for v in table]
-    notes = [*refused, *(f"warning: {w}" for w in result.warnings)]
-    title = _title(result)
-    if html:
-        lists = "".join(f"<p>{escape(n)}</p>" for n in notes)
-        return f"<p>{escape(title)}</p>{_html(head, rows)}{lists}{_html(['base parameter', *names, 'unit'], values)}"
-    legend = []
-    if motions:
-        role = "not fitted" if done[0].validation else "fitted: no validation motion"
-        legend.append(f"  error: of the signal below {BAND:g} Hz, on motions {role}; x noise: what is left, 1 is perfect")
-    if result.reference:
-        legend.append(f"  interval: median width relative to {result.reference}")
-        legend.append(f"  from {result.reference}: rms and largest difference in its sigmas")
-        if any(e.estimate.interval == "credible" for e in done):
-            legend.append("  *: credible, counts what was known before")
-    if result.tests:
-        legend.append("  Hausman: chance of so large a difference if the model is complete")
-    if known:
-        legend.append("  links: whether all can exist")
-    return "\n".join([title, *_text(head, rows), *legend, *(f"  {n}" for n in notes), "",
-                      *_text(["value ± 95 %", *names, "unit"], values)])  # fmt: skip
-
-
-def _title(result: Any) -> str:
-    rank, count = result.regression.base.rank, len(result.entries)
-    estimators = f"{count} estimator{'s' if count > 1 else ''}"
-    if result.problem is None:
-        return f"{estimators} on one regression, {rank} base parameters"
-    p = result.problem
-    return f"{p.experiment.name}: {estimators} on the {channel_text(p.channel)} of {', '.join(p.fitted)}, {rank} base parameters"
-
-
-def _text(head: list[str], rows: list[list[str]]) -> list[str]:
-    """Columns of a width, the first to the left, the others to the right."""
-    cells = [head, *([_cut(row[0]), *row[1:]] for row in rows)]
-    widths = [max(len(row[k]) for row in cells) for k in range(len(head))]
-    return ["  " + "  ".join([row[0].ljust(widths[0]), *(c.rjust(w) for c, w in zip(row[1:], widths[1:], strict=True))]).rstrip()
-            for row in cells]  # fmt: skip
-
-
-def _cut(text: str, width: int = 44) -> str:
-    return text if len(text) <= width else text[: width - 2] + " …"
-
-
-def _html(head: list[str], rows: list[list[str]]) -> str:
-    top = "".join(f"<th>{escape(h)}</th>" for h in head)
-    body = "".join("<tr>" + "".join(f"<td>{escape(c)}</td>" for c in row) + "</tr>" for row in rows)
-    return f"<table><tr>{top}</tr>{body}</table>"
-
-
-def _row(result: Any, entry: Any) -> dict[str, Any]:
+def _row(result: Comparison, entry: Entry) -> dict[str, Any]:
     """One line of the overview."""
-    own = None if any(entry is b for b in result.baselines) else entry.estimate
-    gap = next((g for g in result.gaps if {g.first, g.second} == {entry.name, result.reference}), None)
     test = next((t for t in result.tests if t.method == entry.name), None)
-    width = DASH
-    if own is not None and result.reference is not None:
-        width = "none"
-        if own.full_covariance is not None:
-            std = result[result.reference].std
-            both = (std > 0) & np.isfinite(own.std)
-            width = f"{number(float(np.median(own.std[both] / std[both])), 3)} ×" if both.any() else DASH
-            width += " *" * (own.interval == "credible")
-    links = DASH if entry.impossible is None else f"{len(entry.impossible)} impossible" if entry.impossible else "possible"
     return {
+        **overview(result, entry),
         "name": entry.name,
         "refused": entry.refusal,
         "baseline": any(entry is b for b in result.baselines),
         "motions": [
             {"error": percent(band_error(p)), "white": number(p.whitened_rms, 3), "mood": mood_of(p.whitened_rms)}
-            for p in entry.proof[:_TEXT_MOTIONS]
+            for p in entry.proof[:TEXT_MOTIONS]
         ],
-        "links": links,
         "links_mood": "" if entry.impossible is None else "bad" if entry.impossible else "good",
-        "width": width,
-        "rms": DASH if gap is None else _sigmas(gap.rms),
-        "largest": DASH if gap is None else _sigmas(gap.largest),
-        "test": DASH if test is None or test.probability is None else chance(test.probability),
         "test_mood": "bad" if test is not None and test.contradiction else "",
-        "time": DASH if own is None else f"{number(entry.seconds, 2)} s",
     }
 
 
-def _sigmas(value: float | None) -> str:
-    return "< 0.01" if value is not None and value < 0.01 else number(value, 3)
-
-
-def _describe(entry: Any) -> str:
+def _describe(entry: Entry) -> str:
     return _DESCRIPTIONS.get(entry.name) or entry.description or "an estimator of one's own"
 
 
-def _score(entry: Any) -> float:
+def _score(entry: Entry) -> float:
     """Residual over all proof motions in units of the noise: root mean square."""
     return float(np.sqrt(np.mean([p.whitened_rms**2 for p in entry.proof])))
 
 
-def _error(entry: Any) -> float:
+def _error(entry: Entry) -> float:
     """Relative error over all proof motions: root mean square."""
     return float(np.sqrt(np.mean([band_error(p) ** 2 for p in entry.proof])))
 
 
-def _lead(result: Any) -> str:
+def _lead(result: Comparison) -> str:
     done = [e for e in result.entries if e.estimate is not None]
     refused = len(result.entries) - len(done)
     sorry = f" {refused} of {len(result.entries)} could not work with these data." if refused else ""
@@ -252,7 +138,7 @@ def _lead(result: Any) -> str:
     return text + sorry
 
 
-def _cards(result: Any) -> list[dict[str, str]]:
+def _cards(result: Comparison) -> list[dict[str, str]]:
     done = [e for e in result.entries if e.estimate is not None]
     cards = []
     if done[0].proof:
@@ -268,7 +154,7 @@ def _cards(result: Any) -> list[dict[str, str]]:
     if result.gaps:
         far = max(result.gaps, key=lambda g: g.rms)
         pair = f"{far.first} and {far.second}, the farthest pair"
-        cards.append({"value": f"{_sigmas(far.rms)} σ", "mood": "",
+        cards.append({"value": f"{in_sigmas(far.rms)} σ", "mood": "",
                       "text": f"rms between {pair}, in standard deviations of {result.reference}"})  # fmt: skip
     known = [e for e in done if e.impossible is not None]
     if known:
@@ -282,7 +168,7 @@ def _baseline(name: str) -> str:
     return "the nominal model" if name == "nominal" else "the nominal model with fitted effects"
 
 
-def _proof_figure(result: Any):
+def _proof_figure(result: Comparison):
     entries = [e for e in (*result.baselines, *result.entries) if e.estimate is not None]
     motions = []
     for k in range(min(len(entries[0].proof), _SHOWN_MOTIONS)):
@@ -295,44 +181,26 @@ def _proof_figure(result: Any):
     return proof_side_by_side([e.name for e in entries], len(result.baselines), motions)
 
 
-def _values_figure(result: Any):
-    reference = result[result.reference]
+def _values_figure(result: Comparison, name: str):
+    reference = result[name]
     shown = np.flatnonzero(reference.std > 0)
-    names = [f"{name}  ({k + 1})" for k, name in enumerate(short_names(reference.base)) if k in shown]
+    names = [f"{short}  ({k + 1})" for k, short in enumerate(short_names(reference.base)) if k in shown]
     estimates = result.estimates.values()
     std = reference.std[shown]
     hidden = np.array([e.undetermined[: e.base.rank][shown] for e in estimates])
     difference = np.array([(e.values - reference.values)[shown] / std for e in estimates])
     half = np.array([HALF * e.std[shown] / std for e in estimates])
-    return values_side_by_side(names, list(result.estimates), np.where(hidden, np.nan, difference), half, result.reference)
+    return values_side_by_side(names, list(result.estimates), np.where(hidden, np.nan, difference), half, name)
 
 
-def _values(result: Any, *, effects: bool = False) -> list[dict[str, Any]]:
-    """A line for each base (or effect) parameter, a cell for each estimator."""
-    base, regression = result.regression.base, result.regression
-    labels, units = (regression.effect_names, regression.effect_units) if effects else (base.labels, base.units)
-    first, rows = base.rank if effects else 0, []
-    nominal = None if effects or regression.nominal is None else regression.nominal
-    if nominal is not None:  # rounding is no parameter
-        nominal = np.where(np.abs(nominal) > 1e-9 * regression.nominal_scale, nominal, 0.0)
-    for k, (label, unit) in enumerate(zip(labels, units, strict=True)):
-        cells = []
-        for estimate in result.estimates.values():
-            value, half = with_half(estimate.solution[first + k], HALF * estimate.full_std[first + k])
-            cells.append({"value": value, "half": half, "text": value if half == DASH else f"{value} ± {half}"})
-        rows.append({"index": k + 1, "label": label, "unit": unit, "cells": cells,
-                     "nominal": DASH if nominal is None else number(nominal[k])})  # fmt: skip
-    return rows
-
-
-def _matrix(result: Any) -> list[dict[str, Any]]:
+def _matrix(result: Comparison) -> list[dict[str, Any]]:
     """Root mean square differences of all pairs."""
     names = list(result.estimates)
     found = {frozenset((g.first, g.second)): g.rms for g in result.gaps}
-    return [{"name": a, "cells": [DASH if a == b else _sigmas(found.get(frozenset((a, b)))) for b in names]} for a in names]
+    return [{"name": a, "cells": [DASH if a == b else in_sigmas(found.get(frozenset((a, b)))) for b in names]} for a in names]
 
 
-def _test(test: Any) -> dict[str, str]:
+def _test(test: HausmanTest) -> dict[str, str]:
     if test.probability is None:
         return {"name": test.method, "statistic": DASH, "degrees": DASH, "probability": DASH, "mood": "", "verdict": test.reason}
     bad = test.contradiction
@@ -343,7 +211,7 @@ def _test(test: Any) -> dict[str, str]:
     }  # fmt: skip
 
 
-def _motion_errors(result: Any, index: int) -> dict[str, Any]:
+def _motion_errors(result: Comparison, index: int) -> dict[str, Any]:
     """Errors of one motion, channel by channel and estimator by estimator."""
     entries = [e for e in (*result.baselines, *result.entries) if e.estimate is not None]
     ps = [e.proof[index] for e in entries]
@@ -358,7 +226,7 @@ def _motion_errors(result: Any, index: int) -> dict[str, Any]:
             "repeats": f"This motion repeats the fitted ‘{ps[0].repeats}’." if ps[0].repeats else ""}  # fmt: skip
 
 
-def _how(result: Any) -> list[tuple[str, str]]:
+def _how(result: Comparison) -> list[tuple[str, str]]:
     problem, regression = result.problem, result.regression
     how = []
     if problem is not None:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from bayesid.report.page import DASH, number, percent
+from bayesid.results.text import DASH, chance, number, percent
 
 #: So many entries of a list are shown.
 _SHOWN = 8
@@ -28,11 +28,6 @@ _NAMES = {
     "shift_from_least_squares": "Largest shift from least squares, in its standard deviations",
     "trust": "Trust in the nominal model",
 }
-
-
-def chance(p: float) -> str:
-    """A probability as per cent."""
-    return "< 0.01 %" if p < 1e-4 else percent(p, 2)
 
 
 def described(details: Mapping[str, Any]) -> list[tuple[str, str]]:

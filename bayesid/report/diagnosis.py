@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from bayesid.effects import KINDS
-from bayesid.report.details import chance
 from bayesid.report.diagnosis_figures import before_and_after, evidence, residual_maps, signals
-from bayesid.report.identification import channel_text, mood_of
-from bayesid.report.page import DASH, number, percent, render, svg, versions
+from bayesid.report.identification import mood_of
+from bayesid.report.page import render, svg, versions
+from bayesid.results.text import DASH, chance, channel_text, number, percent
 
 #: Bars in the picture of the evidence, lines in the table of parameters that moved.
 _BARS, _SHIFTS = 14, 12

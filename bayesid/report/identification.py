@@ -10,38 +10,27 @@ import numpy as np
 
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.estimators import Estimate
+from bayesid.regression.regression import Regression
 from bayesid.report import plots
-from bayesid.report.details import chance, described
-from bayesid.report.page import DASH, interval, number, percent, physical, render, run_times, svg, versions, with_half
+from bayesid.report.details import described
+from bayesid.report.page import physical, render, run_times, svg, versions
+from bayesid.results.identification import Identification
+from bayesid.results.text import DASH, HALF, chance, channel_text, interval, number, percent, with_half
 from bayesid.robot import inertia
 from bayesid.validation.prediction import BAND, Prediction, relative_error
 
 #: Figures of at most so many motions of each role are shown.
 SHOWN_MOTIONS = 6
-#: Half a central 95 % interval in standard deviations.
-HALF = 1.959964
 STATIC = {"motion": "subtracted sample by sample", "joint": "fitted along", "none": "none"}
 #: Residuals up to so many times the noise count as good and as fair.
 _GOOD, _FAIR = 1.15, 1.5
 
 
-def identification_report(identification: Any) -> str:
-    """The report of ``identify``.
-
-    Parameters
-    ----------
-    identification
-        The verb's result, an `Identification`.
-
-    Returns
-    -------
-    page
-        HTML with all figures inside.
-    """
-    result, estimate, problem = identification, identification.estimate, identification.problem
+def identification_report(result: Identification) -> str:
+    """The report of ``identify``: an HTML page with all figures inside."""
+    estimate, problem = result.estimate, result.problem
     validation, fitted = _most_telling(result.validation), _most_telling(result.fitted)
     left_out = len(result.validation) + len(result.fitted) - len(validation) - len(fitted)
-    offset = any(e["name"] == "sensor_offset" for e in result.to_dict()["effects"])
     return render(
         "identification.html",
         name=problem.experiment.name,
@@ -55,8 +44,8 @@ def identification_report(identification: Any) -> str:
         interval_reason=estimate.interval_reason if estimate.interval == "none" else "",
         intervals=svg(_intervals(problem.regression, estimate), "intervals"),
         parameters=_parameters(problem.regression, estimate),
-        effects=_effects(result.to_dict()["effects"]),
-        offset_note=_OFFSET_NOTE if offset and problem.row_model.base.absorbed is not None else "",
+        effects=_effects(result.effects()),
+        offset_note=_OFFSET_NOTE if result.offset is not None and problem.row_model.base.absorbed is not None else "",
         band=number(BAND, 2),
         validation=[_motion(p, "validation", k) for k, p in enumerate(validation)],
         fits=[_motion(p, "fitted", k) for k, p in enumerate(fitted)],
@@ -81,11 +70,6 @@ _OFFSET_NOTE = (
     "The sensor's offset is what is left of the estimated constant once the nominal weight that looks like one is taken off: "
     "it is only as good as the nominal masses, and has an interval only where the experiment says how far those are trusted."
 )
-
-
-def channel_text(channel: str) -> str:
-    """The readings that were fitted, in words."""
-    return {"wrench": "sensor's wrench", "torque": "joint torques", "both": "sensor's wrench and joint torques"}[channel]
 
 
 def _most_telling(predictions: Sequence[Prediction]) -> list[Prediction]:
@@ -115,7 +99,7 @@ def _judged(prediction: Prediction) -> str:
     return f"what is left is {number(white, 3)} times as large as the noise, so something is missing in the model"
 
 
-def _verdict(result: Any) -> str:
+def _verdict(result: Identification) -> str:
     """The result in a few plain sentences."""
     estimate, problem = result.estimate, result.problem
     poorly = sum(k in ("weak", "prior") for k in estimate.classes)
@@ -141,7 +125,7 @@ def _verdict(result: Any) -> str:
     return text
 
 
-def _cards(result: Any) -> list[dict[str, str]]:
+def _cards(result: Identification) -> list[dict[str, str]]:
     estimate, problem = result.estimate, result.problem
     total = problem.experiment.robot.nominal.size
     cards = [{"value": str(estimate.base.rank), "mood": "", "text": f"base parameters (rank), of {total} in the links"}]
@@ -175,7 +159,7 @@ def _notation(names: Sequence[str]) -> list[str]:
     return out
 
 
-def _reference(regression: Any, estimate: Estimate) -> tuple[np.ndarray, np.ndarray]:
+def _reference(regression: Regression, estimate: Estimate) -> tuple[np.ndarray, np.ndarray]:
     """Nominal base parameters (zero without a model) and their natural sizes (r,)."""
     rank = estimate.base.rank
     nominal = np.zeros(rank) if regression.nominal is None else regression.nominal
@@ -185,15 +169,15 @@ def _reference(regression: Any, estimate: Estimate) -> tuple[np.ndarray, np.ndar
     return nominal, np.where(np.isfinite(scale) & (scale > 1e-9 * own), scale, own)
 
 
-def _intervals(regression: Any, estimate: Estimate):
+def _intervals(regression: Regression, estimate: Estimate):
     nominal, scale = _reference(regression, estimate)
     names = [f"{name}  ({k + 1})" for k, name in enumerate(short_names(estimate.base))]
     return plots.parameter_intervals(names, estimate.values - nominal, HALF * estimate.std, scale, estimate.classes)
 
 
-def _parameters(regression: Any, estimate: Estimate) -> list[dict[str, Any]]:
+def _parameters(regression: Regression, estimate: Estimate) -> list[dict[str, Any]]:
     rows = []
-    known = regression.nominal is not None
+    nominal = [DASH] * estimate.base.rank if regression.nominal is None else [number(v) for v in regression.nominal]
     for k, (label, unit, kind) in enumerate(zip(estimate.base.labels, estimate.base.units, estimate.classes, strict=True)):
         half = HALF * estimate.std[k]
         value, spread = with_half(estimate.values[k], half)
@@ -201,7 +185,7 @@ def _parameters(regression: Any, estimate: Estimate) -> list[dict[str, Any]]:
             {
                 "index": k + 1, "label": label, "value": value, "half": spread, "unit": unit, "kind": kind,
                 "interval": interval(estimate.values[k], half),
-                "nominal": number(regression.nominal[k]) if known else DASH,
+                "nominal": nominal[k],
             }
         )  # fmt: skip
     return rows
@@ -287,7 +271,7 @@ def _absorbed(base: BaseParameters) -> list[dict[str, str]]:
     return rows
 
 
-def _links(result: Any) -> list[dict[str, Any]]:
+def _links(result: Identification) -> list[dict[str, Any]]:
     """Nominal and identified links, with how far the data alone determine each number."""
     robot, estimate = result.problem.experiment.robot, result.estimate
     bodies = result.link_parameters.reshape(-1, 10)
@@ -318,7 +302,7 @@ def _links(result: Any) -> list[dict[str, Any]]:
     return rows
 
 
-def _both_ways(result: Any) -> dict[str, Any] | None:
+def _both_ways(result: Identification) -> dict[str, Any] | None:
     """Subtracting the static run and fitting it along, side by side."""
     other = result.static_alternative
     if other is None:
@@ -341,7 +325,7 @@ def _both_ways(result: Any) -> dict[str, Any] | None:
     return {"rows": rows, "subtracted": subtracted, "only": set(first) != set(second)}
 
 
-def _how(result: Any) -> list[tuple[str, str]]:
+def _how(result: Identification) -> list[tuple[str, str]]:
     """What was chosen and why, as pairs of a term and a text."""
     estimate, problem = result.estimate, result.problem
     filters, noise = problem.row_model.filters, estimate.noise

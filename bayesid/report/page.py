@@ -14,9 +14,9 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from bayesid.report import plots
+from bayesid.results.text import number
 from bayesid.robot import inertia
 
-DASH = "–"
 _LONGEST_LABEL = 90
 
 
@@ -38,52 +38,6 @@ def _environment() -> Environment:
 def svg(figure: Any, name: str) -> Markup:
     """A figure ready to be put into a template."""
     return Markup(plots.to_svg(figure, name))
-
-
-def number(value: float | None, digits: int = 4) -> str:
-    """A number with so many significant digits, with a power of ten only where it is very small or large."""
-    if value is None or not np.isfinite(value):
-        return DASH
-    if value == 0:
-        return "0"
-    exponent = int(np.floor(np.log10(abs(float(f"{value:.{digits - 1}e}")))))
-    if -4 <= exponent < 6:
-        return f"{value:.{max(digits - 1 - exponent, 0)}f}".replace("-", "−")
-    return f"{value / 10.0**exponent:.{digits - 1}f}·10{_raised(exponent)}".replace("-", "−")
-
-
-def _raised(exponent: int) -> str:
-    return str(exponent).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
-
-
-def with_half(value: float, half: float | None) -> tuple[str, str]:
-    """A value and half its interval, both to the interval's second digit."""
-    if half is None or not np.isfinite(half) or half <= 0:
-        return number(value), DASH
-    return _alike(value, half, half=half)
-
-
-def interval(value: float, half: float) -> str:
-    """The interval's ends, to the second digit of half its width."""
-    if not np.isfinite(half) or half <= 0:
-        return DASH
-    return " … ".join(_alike(value - half, value + half, half=half))
-
-
-def _alike(one: float, other: float, *, half: float) -> tuple[str, str]:
-    """Two numbers to the second digit of ``half``, both with the same power of ten."""
-    last = int(np.floor(np.log10(half))) - 1
-    size = int(np.floor(np.log10(max(abs(one), abs(other)))))
-    plain = -4 <= size < 6 and last >= -7
-    scale, places, power = (1.0, -last, "") if plain else (10.0**size, size - last, f"·10{_raised(size)}")
-    places = max(places, 0)
-    first, second = (f"{round(v / scale, places) + 0.0:.{places}f}{power}".replace("-", "−") for v in (one, other))
-    return first, second
-
-
-def percent(share: float, digits: int = 3) -> str:
-    """A share as per cent."""
-    return f"{number(100 * share, digits)} %" if np.isfinite(share) else DASH
 
 
 def run_times(seconds: Mapping[str, float]) -> tuple[str, str]:

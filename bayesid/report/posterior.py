@@ -7,9 +7,11 @@ from typing import Any
 import numpy as np
 
 from bayesid.report import plots
-from bayesid.report.identification import channel_text, mood_of, short_names
-from bayesid.report.page import DASH, number, percent, render, run_times, svg, versions, with_half
+from bayesid.report.identification import mood_of, short_names
+from bayesid.report.page import render, run_times, svg, versions
 from bayesid.report.posterior_figures import marginals, narrowing, ranks
+from bayesid.results.posterior import ExperimentPosterior
+from bayesid.results.text import DASH, channel_text, number, percent, with_half
 from bayesid.validation.prediction import BAND, Prediction, relative_error
 
 _SHOWN_MOTIONS = 3
@@ -18,20 +20,9 @@ _PRIOR_DRAWS = 4000
 _DRIVEN = 0.9
 
 
-def posterior_report(posterior: Any) -> str:
-    """The report of ``sample``.
-
-    Parameters
-    ----------
-    posterior
-        The verb's result, an `ExperimentPosterior`.
-
-    Returns
-    -------
-    page
-        HTML with all figures inside.
-    """
-    result, problem, model = posterior, posterior.problem, posterior.model
+def posterior_report(result: ExperimentPosterior) -> str:
+    """The report of ``sample``: an HTML page with all figures inside."""
+    problem, model = result.problem, result.model
     names = short_names(result.base)
     flat = result.base_draws.reshape(-1, result.base.rank)
     prior = model.prior_draws(_PRIOR_DRAWS, np.random.default_rng(result.seed))
@@ -71,7 +62,7 @@ def _link_names(names) -> list[str]:
     return [f"{bodies.index(n.rpartition('.')[0]) + 1}.{n.rpartition('.')[2]}" for n in names]
 
 
-def _lead(result: Any) -> str:
+def _lead(result: ExperimentPosterior) -> str:
     rank, d = result.base.rank, result.diagnosis
     draws = int(np.prod(result.chains.draws.shape[:2]))
     driven = int(np.sum(result.prior_share > _DRIVEN))
@@ -94,7 +85,7 @@ def _lead(result: Any) -> str:
     return text
 
 
-def _cards(result: Any) -> list[dict[str, str]]:
+def _cards(result: ExperimentPosterior) -> list[dict[str, str]]:
     d = result.diagnosis
     mood = "good" if d.passed else "bad"
     cards = [
@@ -110,7 +101,7 @@ def _cards(result: Any) -> list[dict[str, str]]:
     return cards
 
 
-def _parameters(result: Any, nominal: np.ndarray | None) -> list[dict[str, Any]]:
+def _parameters(result: ExperimentPosterior, nominal: np.ndarray | None) -> list[dict[str, Any]]:
     rows = []
     columns = zip(
         result.base.labels, result.base.units, result.values, result.std, result.low, result.high, result.prior_share,
@@ -136,17 +127,17 @@ def _summary(name: str, unit: str, draws: np.ndarray) -> dict[str, str]:
     return {"name": name, "unit": unit, "mean": value, "std": std, "interval": _ends(*np.quantile(draws, [0.025, 0.975]))}
 
 
-def _effects(result: Any) -> list[dict[str, str]]:
+def _effects(result: ExperimentPosterior) -> list[dict[str, str]]:
     names, units = result.model.effect_names, result.model.effect_units
     return [_summary(n, u, result.effect_draws[..., k]) for k, (n, u) in enumerate(zip(names, units, strict=True))]
 
 
-def _scales(result: Any) -> list[dict[str, str]]:
+def _scales(result: ExperimentPosterior) -> list[dict[str, str]]:
     rows = [_summary(n, "× noise", result.scales[..., k]) for k, n in enumerate(result.model.scale_names)]
     return rows + ([] if result.dof is None else [_summary("degrees of freedom", "", result.dof)])
 
 
-def _worst(result: Any) -> tuple[list[str], np.ndarray]:
+def _worst(result: ExperimentPosterior) -> tuple[list[str], np.ndarray]:
     """The numbers with the largest R-hat, with their draws."""
     every = np.concatenate([result.chains.draws, result.base_draws], axis=-1)
     names = (*result.model.names, *result.names)
@@ -154,7 +145,7 @@ def _worst(result: Any) -> tuple[list[str], np.ndarray]:
     return [names[k] for k in order], every[..., order]
 
 
-def _diagnostics(result: Any) -> list[dict[str, Any]]:
+def _diagnostics(result: ExperimentPosterior) -> list[dict[str, Any]]:
     d = result.diagnosis
     order = np.argsort(-d.r_hat)
     return [
@@ -179,7 +170,7 @@ def _error(p: Prediction, role: str) -> dict[str, str]:
     }  # fmt: skip
 
 
-def _how(result: Any) -> list[tuple[str, str]]:
+def _how(result: ExperimentPosterior) -> list[tuple[str, str]]:
     model, chains, problem = result.model, result.chains, result.problem
     prior = "flat on the base parameters, no bounds on the links"
     if model.prior is not None:

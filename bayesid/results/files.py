@@ -2,16 +2,60 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import shutil
 import tempfile
 from collections.abc import Callable, Mapping
+from html import escape
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from bayesid.errors import InputError
+
+
+class Files(NamedTuple):
+    """What a verb writes.
+
+    Attributes
+    ----------
+    documents
+        JSON-serialisable objects by file name.
+    others
+        Functions that write a file at the given path, by file name.
+    report
+        Text of ``report.html``.
+    """
+
+    documents: Mapping[str, Any]
+    others: Mapping[str, Callable[[Path], Any]]
+    report: str
+
+
+@functools.singledispatch
+def files_of(result: object) -> Files:
+    """The files of a result; each verb registers its own, so that results need to know nothing of reports.
+
+    Raises
+    ------
+    TypeError
+        No verb has registered this type of result.
+    """
+    raise TypeError(f"{type(result).__name__} has no files: no verb in bayesid.workflows registers them")
+
+
+class Result:
+    """What every verb returns: plain data that can be shown, made into a dictionary and written."""
+
+    def write(self, folder: str | Path) -> Path:
+        """Write the verb's files and ``report.html``, all or none; returns the report's path."""
+        return write_results(folder, *files_of(self))
+
+    def _repr_html_(self) -> str:
+        """The text of ``str()`` for notebooks."""
+        return f"<pre>{escape(str(self))}</pre>"
 
 
 def check_output(folder: str | Path) -> Path:

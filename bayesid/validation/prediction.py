@@ -17,6 +17,8 @@ from bayesid.signals.noise import NoiseModel
 
 #: Band in which predictions are compared, the same whatever filter or method was used [Hz].
 BAND = 10.0
+#: Whitened residuals on a motion that was not fitted above this say that something is missing in the model.
+TOLERATED = 1.15
 _CHUNK = 8192
 #: Two motions whose joint paths agree to this correlation at some shift count as the same motion.
 REPEATED = 0.98

@@ -13,11 +13,12 @@ import numpy as np
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, Sensor
 from bayesid.results.files import check_output
+from bayesid.results.identification import Identification, summary
 from bayesid.robot.examples import PAPER_LOCKED, puma_two_joint_urdf
 from bayesid.robot.robot import load_robot
 from bayesid.simulation.simulation import Recorder, Simulation, simulate, write_simulation
 from bayesid.simulation.trajectories import fourier_trajectory
-from bayesid.workflows.identify import Identification, identify, summary
+from bayesid.workflows.identify import identify
 from bayesid.workflows.progress import Progress, quiet
 
 NAME = "two-joint-puma"

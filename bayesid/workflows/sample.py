@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.linalg import cholesky
@@ -26,69 +24,16 @@ from bayesid.recordings.experiment import Experiment, load_experiment
 from bayesid.regression.problem import Problem, prepare
 from bayesid.regression.regression import Block, Regression
 from bayesid.regression.rows import make_blocks
-from bayesid.report import posterior_report
-from bayesid.results.files import check_output, write_results
+from bayesid.results.files import Files, check_output, files_of
+from bayesid.results.posterior import ExperimentPosterior
 from bayesid.robot.prior import Prior
 from bayesid.signals.filters import LowPass
 from bayesid.signals.noise import NoiseModel
-from bayesid.validation.prediction import Prediction, predict
-from bayesid.workflows.identify import TOLERATED
+from bayesid.validation.prediction import TOLERATED, Prediction, predict
 from bayesid.workflows.progress import Clock, Progress, quiet
+from bayesid.workflows.warnings import listed, repeated_motion
 
-SCHEMA = 1
 PRIORS = ("nominal", "flat")
-
-
-@dataclass(frozen=True, eq=False)
-class ExperimentPosterior(Posterior):
-    """The posterior of an experiment, with its predictions.
-
-    Attributes
-    ----------
-    problem
-        The experiment made ready.
-    fitted, validation
-        Predictions of the fitted motions and of the others by the posterior's mean and covariance.
-    trust
-        Relative standard deviation of the nominal bodies; None with a flat prior or one of the user's own.
-    warnings
-        What the user should know, most important first.
-    seconds
-        Run time by stage.
-    """
-
-    problem: Problem = field(kw_only=True)
-    fitted: tuple[Prediction, ...] = ()
-    validation: tuple[Prediction, ...] = ()
-    trust: float | None = None
-    warnings: tuple[str, ...] = ()
-    seconds: dict[str, float] = field(default_factory=dict)
-
-    def to_dict(self) -> dict[str, Any]:
-        """``posterior.json``."""
-        filters = self.problem.row_model.filters
-        return {
-            "schema": SCHEMA,
-            "experiment": self.problem.experiment.name,
-            "channel": self.problem.channel,
-            "motions": list(self.problem.fitted),
-            "filter": {"l": None if filters is None else filters.l, "d": None if filters is None else filters.d},
-            "inertia_rel_std": self.trust,
-            **super().to_dict(),
-            "fit": [p.to_dict() for p in self.fitted],
-            "validation": [p.to_dict() for p in self.validation],
-            "warnings": list(self.warnings),
-            "runtime_s": self.seconds,
-        }
-
-    def write(self, folder: str | Path) -> Path:
-        """Write ``posterior.nc``, ``posterior.json`` and ``report.html``; returns the report's path."""
-        return write_results(
-            folder,
-            {"posterior.json": self.to_dict()},
-            {"posterior.nc": lambda path: write_netcdf(self.to_arviz(), path)},
-            posterior_report(self),
-        )
 
 
 def sample(
@@ -188,6 +133,15 @@ def sample(
     return posterior
 
 
+@files_of.register
+def _(result: ExperimentPosterior) -> Files:
+    """``posterior.nc``, ``posterior.json`` and the report."""
+    from bayesid.report.posterior import posterior_report
+
+    others = {"posterior.nc": lambda path: write_netcdf(result.to_arviz(), path)}
+    return Files({"posterior.json": result.to_dict()}, others, posterior_report(result))
+
+
 def _prior(regression: Regression, prior: str | Prior | None, std: float | None) -> tuple[Prior | None, float | None]:
     """The prior asked for, or the default one, and its trust."""
     if isinstance(prior, Prior):
@@ -282,9 +236,7 @@ def _warnings(posterior: Posterior, problem: Problem, validation: Sequence[Predi
                 "model misses something there; the posterior does not cover that."
             )
         if p.repeats:
-            out.append(
-                f"Motion '{p.motion}' repeats the fitted motion '{p.repeats}': its error says little about other motions."
-            )
+            out.append(repeated_motion(p))
     if not validation:
         out.append("No validation motion: nothing proves that the posterior holds for another motion.")
     if not posterior.model.likelihood.complete:
@@ -295,8 +247,7 @@ def _warnings(posterior: Posterior, problem: Problem, validation: Sequence[Predi
         )
     driven = [label for label, share in zip(posterior.base.labels, posterior.prior_share, strict=True) if share > PRIOR_DRIVEN]
     if driven:
-        shown = ", ".join(driven[:4]) + (f" and {len(driven) - 4} more" if len(driven) > 4 else "")
-        out.append(f"Driven by the prior, the data hardly narrow them: {shown}.")
+        out.append(f"Driven by the prior, the data hardly narrow them: {listed(driven, 4)}.")
     if posterior.model.prior is None:
         out.append(
             "The prior is flat on the base parameters, so links are not sampled and nothing keeps them possible; "

@@ -20,8 +20,8 @@ from present import figure, fill, plain, tables
 
 import bayesid
 from bayesid.estimators.conic.physical import Physical
+from bayesid.results.entry import Entry
 from bayesid.robot.prior import Prior
-from bayesid.workflows.compare import Entry
 
 HERE = Path(__file__).parent
 DATA = Path(os.environ.get("BAYESID_DATA", HERE.parents[2] / "shared"))

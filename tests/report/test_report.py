@@ -5,9 +5,11 @@ import numpy as np
 import pytest
 
 import bayesid
-from bayesid.report import check_report, identification_report
+from bayesid.report.check import check_report
 from bayesid.report.details import described
-from bayesid.report.page import number, percent, shorten, with_half
+from bayesid.report.identification import identification_report
+from bayesid.report.page import shorten
+from bayesid.results.text import number, percent, with_half
 from bayesid.robot.robot import load_robot
 from bayesid.workflows.check import check, sample_noise
 from tests.report_pages import read

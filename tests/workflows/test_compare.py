@@ -9,7 +9,7 @@ from scipy.stats import kstest
 import bayesid
 from bayesid.cli import main
 from bayesid.estimators import factor
-from bayesid.report import comparison_report
+from bayesid.report.comparison import comparison_report
 from bayesid.validation.agreement import gaps, hausman
 from bayesid.workflows import compare as module
 from bayesid.workflows.compare import DEFAULT_SET

@@ -1,0 +1,237 @@
+"""What ``compare`` found, and its tables as text."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from html import escape
+from typing import Any
+
+import numpy as np
+
+from bayesid.estimators import Estimate
+from bayesid.estimators.factor import Weights
+from bayesid.regression.problem import Problem
+from bayesid.regression.regression import Regression
+from bayesid.results.entry import Entry
+from bayesid.results.files import Result
+from bayesid.results.text import DASH, HALF, chance, channel_text, html_table, number, percent, text_table, with_half
+from bayesid.validation.agreement import Gap, HausmanTest
+from bayesid.validation.prediction import BAND, band_error
+
+SCHEMA = 1
+#: Errors of at most so many motions stand in the overview.
+TEXT_MOTIONS = 3
+
+
+@dataclass(frozen=True)
+class Comparison(Result):
+    """What `compare` found.
+
+    Attributes
+    ----------
+    regression
+        The rows that all estimators had.
+    problem
+        Where they come from; None for a regression of one's own.
+    weights
+        Noise that all whitened residuals are counted in.
+    entries
+        One for each estimator, in the order asked for.
+    baselines
+        The nominal model, predicted without a fit, and with its effects fitted; empty without one.
+    reference
+        Name of the estimator in whose standard deviations differences are counted; None without intervals.
+    gaps
+        Every pair of estimators.
+    tests
+        Every estimator against the efficient one, where that took part.
+    warnings
+        What the user should know, most important first.
+    seconds
+        Run time by stage.
+    """
+
+    regression: Regression
+    problem: Problem | None
+    weights: Weights
+    entries: tuple[Entry, ...]
+    baselines: tuple[Entry, ...]
+    reference: str | None
+    gaps: tuple[Gap, ...]
+    tests: tuple[HausmanTest, ...]
+    warnings: tuple[str, ...]
+    seconds: dict[str, float]
+
+    @property
+    def estimates(self) -> dict[str, Estimate]:
+        """Estimates by the names of their estimators, without those that refused."""
+        return {e.name: e.estimate for e in self.entries if e.estimate is not None}
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the base parameters (r,)."""
+        return self.regression.base.names
+
+    def __getitem__(self, name: str) -> Estimate:
+        """The estimate of a name.
+
+        Raises
+        ------
+        KeyError
+            No estimator of that name took part, or it refused; the message says why.
+        """
+        if name not in self.estimates:
+            refused = [e.refusal for e in self.entries if e.name == name]
+            raise KeyError(f"{name} refused: {refused[0]}" if refused else f"{name}; there are {', '.join(self.estimates)}")
+        return self.estimates[name]
+
+    def __str__(self) -> str:
+        """The estimators in a table, then their values."""
+        return comparison_text(self)
+
+    def _repr_html_(self) -> str:
+        """The same tables for notebooks."""
+        return comparison_text(self, html=True)
+
+    def to_dict(self) -> dict[str, Any]:
+        """``comparison.json``."""
+        base, problem = self.regression.base, self.problem
+        filters = None if problem is None else problem.row_model.filters
+        return {
+            "schema": SCHEMA,
+            "experiment": None if problem is None else problem.experiment.name,
+            "channel": None if problem is None else problem.channel,
+            "motions": list(self.regression.motion_names if problem is None else problem.fitted),
+            "static": "none" if problem is None else problem.static,
+            "filter": {"l": None if filters is None else filters.l, "d": None if filters is None else filters.d},
+            "rank": base.rank,
+            "base_map": base.matrix.tolist(),
+            "link_parameter_names": list(base.parameter_names),
+            "methods": [e.to_dict() for e in self.entries],
+            "baselines": [{"name": e.name, "description": e.description, **e.proof_to_dict()} for e in self.baselines],
+            "agreement": {
+                "reference": self.reference,
+                "unit": None if self.reference is None else f"standard deviations of {self.reference}",
+                "pairs": [asdict(g) for g in self.gaps],
+                "hausman": [asdict(t) for t in self.tests],
+            },
+            "noise_std": {
+                group: dict(zip(self.regression.channel_names, map(float, model.std), strict=True))
+                for group, model in self.weights.noise.items()
+            },
+            "model_complete": self.weights.complete,
+            "warnings": list(self.warnings),
+            "runtime_s": self.seconds,
+        }
+
+
+def comparison_text(result: Comparison, *, html: bool = False) -> str:
+    """The estimators in a table, then their values; for a terminal or a notebook.
+
+    Parameters
+    ----------
+    result
+        The comparison.
+    html
+        As two HTML tables instead of text.
+    """
+    done = [e for e in result.entries if e.estimate is not None]
+    motions = [p.motion for p in done[0].proof[:TEXT_MOTIONS]]
+    head = ["estimator"]
+    for motion in motions:
+        head += [f"{motion}: error", "x noise"]
+    known = any(e.impossible is not None for e in (*result.baselines, *result.entries))
+    head += ["links"] * known
+    if result.reference:
+        head += ["interval", f"from {result.reference}", "largest"]
+    head += [*(f"Hausman {t.efficient}" for t in result.tests[:1]), "time"]
+    rows = []
+    for entry in (*result.baselines, *(e for e in result.entries if e.estimate is not None)):
+        row = overview(result, entry)
+        cells = [entry.name]
+        for p in entry.proof[:TEXT_MOTIONS]:
+            cells += [percent(band_error(p)), number(p.whitened_rms, 3)]
+        cells += [row["links"]] * known
+        if result.reference:
+            cells += [row["width"], row["rms"], row["largest"]]
+        rows.append([*cells, *([row["test"]] * bool(result.tests)), row["time"]])
+    refused = [f"{e.name} refused: {e.refusal}" for e in result.entries if e.estimate is None]
+    names = [e.name for e in done]
+    table = [*values_table(result), *values_table(result, effects=True)]
+    values = [[v["label"], *(c["text"] for c in v["cells"]), v["unit"]] for v in table]
+    notes = [*refused, *(f"warning: {w}" for w in result.warnings)]
+    title = _title(result)
+    if html:
+        lists = "".join(f"<p>{escape(n)}</p>" for n in notes)
+        return f"<p>{escape(title)}</p>{html_table(head, rows)}{lists}{html_table(['base parameter', *names, 'unit'], values)}"
+    legend = []
+    if motions:
+        role = "not fitted" if done[0].validation else "fitted: no validation motion"
+        legend.append(f"  error: of the signal below {BAND:g} Hz, on motions {role}; x noise: what is left, 1 is perfect")
+    if result.reference:
+        legend.append(f"  interval: median width relative to {result.reference}")
+        legend.append(f"  from {result.reference}: rms and largest difference in its sigmas")
+        if any(e.interval == "credible" for e in result.estimates.values()):
+            legend.append("  *: credible, counts what was known before")
+    if result.tests:
+        legend.append("  Hausman: chance of so large a difference if the model is complete")
+    if known:
+        legend.append("  links: whether all can exist")
+    return "\n".join([title, *text_table(head, rows), *legend, *(f"  {n}" for n in notes), "",
+                      *text_table(["value ± 95 %", *names, "unit"], values)])  # fmt: skip
+
+
+def _title(result: Comparison) -> str:
+    rank, count = result.regression.base.rank, len(result.entries)
+    estimators = f"{count} estimator{'s' if count > 1 else ''}"
+    if result.problem is None:
+        return f"{estimators} on one regression, {rank} base parameters"
+    p = result.problem
+    return f"{p.experiment.name}: {estimators} on the {channel_text(p.channel)} of {', '.join(p.fitted)}, {rank} base parameters"
+
+
+def overview(result: Comparison, entry: Entry) -> dict[str, str]:
+    """An estimator's line of the overview but for its errors: links, interval, distance from the reference, test, time."""
+    own = None if any(entry is b for b in result.baselines) else entry.estimate
+    gap = next((g for g in result.gaps if {g.first, g.second} == {entry.name, result.reference}), None)
+    test = next((t for t in result.tests if t.method == entry.name), None)
+    width = DASH
+    if own is not None and result.reference is not None:
+        width = "none"
+        if own.full_covariance is not None:
+            std = result[result.reference].std
+            both = (std > 0) & np.isfinite(own.std)
+            width = f"{number(float(np.median(own.std[both] / std[both])), 3)} ×" if both.any() else DASH
+            width += " *" * (own.interval == "credible")
+    links = DASH if entry.impossible is None else f"{len(entry.impossible)} impossible" if entry.impossible else "possible"
+    return {
+        "links": links,
+        "width": width,
+        "rms": DASH if gap is None else in_sigmas(gap.rms),
+        "largest": DASH if gap is None else in_sigmas(gap.largest),
+        "test": DASH if test is None or test.probability is None else chance(test.probability),
+        "time": DASH if own is None else f"{number(entry.seconds, 2)} s",
+    }
+
+
+def in_sigmas(value: float | None) -> str:
+    """A difference in standard deviations."""
+    return "< 0.01" if value is not None and value < 0.01 else number(value, 3)
+
+
+def values_table(result: Comparison, *, effects: bool = False) -> list[dict[str, Any]]:
+    """A line for each base (or effect) parameter, a cell for each estimator."""
+    base, regression = result.regression.base, result.regression
+    labels, units = (regression.effect_names, regression.effect_units) if effects else (base.labels, base.units)
+    first, rows = base.rank if effects else 0, []
+    nominal = None if effects or regression.nominal is None else regression.nominal
+    if nominal is not None and regression.nominal_scale is not None:  # rounding is no parameter
+        nominal = np.where(np.abs(nominal) > 1e-9 * regression.nominal_scale, nominal, 0.0)
+    for k, (label, unit) in enumerate(zip(labels, units, strict=True)):
+        cells = []
+        for estimate in result.estimates.values():
+            value, half = with_half(estimate.solution[first + k], HALF * estimate.full_std[first + k])
+            cells.append({"value": value, "half": half, "text": value if half == DASH else f"{value} ± {half}"})
+        rows.append({"index": k + 1, "label": label, "unit": unit, "cells": cells,
+                     "nominal": DASH if nominal is None else number(nominal[k])})  # fmt: skip
+    return rows

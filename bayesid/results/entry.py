@@ -1,0 +1,85 @@
+"""What one estimator made of the data in a comparison."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from bayesid.estimators import Estimate
+from bayesid.results.files import strict
+from bayesid.validation.prediction import Prediction
+
+
+@dataclass(frozen=True)
+class Entry:
+    """What one estimator made of the data.
+
+    Attributes
+    ----------
+    name
+        The estimator's, made unique.
+    description
+        What it is, in one line.
+    estimate
+        None where the estimator refused; ``refusal`` says why.
+    refusal
+        Empty where there is an estimate.
+    seconds
+        Time of the fit alone; rows and noise are made once for all.
+    links
+        Link parameters (P,): the estimator's own, or the nearest to the nominal ones; None without a robot.
+    impossible
+        Names of the bodies that cannot exist; None without ``links``.
+    fitted, validation
+        Predictions of the fitted motions and of the others.
+    """
+
+    name: str
+    description: str
+    estimate: Estimate | None
+    refusal: str = ""
+    seconds: float = 0.0
+    links: np.ndarray | None = None
+    impossible: tuple[str, ...] | None = None
+    fitted: tuple[Prediction, ...] = ()
+    validation: tuple[Prediction, ...] = ()
+
+    @property
+    def physically_consistent(self) -> bool | None:
+        """Whether every link can exist; None where that is not known."""
+        return None if self.impossible is None else not self.impossible
+
+    @property
+    def proof(self) -> tuple[Prediction, ...]:
+        """Predictions of validation motions, or of the fitted ones where there is no other."""
+        return self.validation or self.fitted
+
+    def to_dict(self) -> dict[str, Any]:
+        """The estimator's part of ``comparison.json``."""
+        if self.estimate is None:
+            return {"name": self.name, "status": "refused", "reason": self.refusal, "seconds": self.seconds}
+        estimate = self.estimate
+        own = slice(estimate.base.rank, None)
+        document = {k: v for k, v in estimate.to_dict().items() if k not in ("base_map", "link_parameter_names", "rank")}
+        effects = [
+            {"name": n, "value": float(v), "std": float(s), "unit": u}
+            for n, u, v, s in zip(
+                estimate.effect_names, estimate.effect_units, estimate.solution[own], estimate.full_std[own], strict=True
+            )
+        ]
+        proof = {
+            "link_parameters": None if self.links is None else self.links.tolist(),
+            "physically_consistent": self.physically_consistent,
+            "impossible_bodies": None if self.impossible is None else list(self.impossible),
+            **self.proof_to_dict(),
+        }
+        known = {k: v for k, v in proof.items() if v is not None}
+        return strict({"name": self.name, "status": "fitted", **document, "effects": effects, **known, "seconds": self.seconds})
+
+    def proof_to_dict(self) -> dict[str, Any]:
+        """Predictions; empty where there is no motion."""
+        if not self.proof:
+            return {}
+        return {"validation": [p.to_dict() for p in self.validation], "fit": [p.to_dict() for p in self.fitted]}

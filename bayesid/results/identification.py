@@ -1,0 +1,163 @@
+"""What ``identify`` found."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from bayesid.dynamics.base_parameters import BaseParameters
+from bayesid.estimators import Estimate
+from bayesid.regression.problem import Problem
+from bayesid.results.bodies import impossible_bodies
+from bayesid.results.files import Result
+from bayesid.validation.cross_checks import Agreement
+from bayesid.validation.prediction import Prediction, relative_error
+
+SCHEMA = 1
+
+
+@dataclass(frozen=True)
+class Identification(Result):
+    """What `identify` found.
+
+    Attributes
+    ----------
+    problem, estimate
+        The model and its parameters.
+    link_parameters
+        Those of the estimator, or the nearest to the nominal ones with these base parameters (10 bodies,).
+    fitted, validation
+        Predictions of the fitted motions and of the others.
+    agreements
+        Comparisons of the data with themselves.
+    static_alternative
+        With a stop-and-go run subtracted: the estimate with the run fitted along instead, or None.
+    offset
+        Constant reading of the sensor (6,), its standard deviation (nan where the nominal mass it rests on has
+        no stated trust), or None without one.
+    unexcited
+        Parameters that other motions of this robot could show and these cannot.
+    warnings
+        What the user should know, most important first.
+    seconds
+        Run time by stage.
+    """
+
+    problem: Problem
+    estimate: Estimate
+    link_parameters: np.ndarray
+    fitted: tuple[Prediction, ...]
+    validation: tuple[Prediction, ...]
+    agreements: tuple[Agreement, ...]
+    static_alternative: Estimate | None
+    offset: tuple[np.ndarray, np.ndarray] | None
+    unexcited: tuple[str, ...]
+    warnings: tuple[str, ...]
+    seconds: dict[str, float]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the base parameters (r,)."""
+        return self.estimate.names
+
+    @property
+    def values(self) -> np.ndarray:
+        """Base parameters (r,)."""
+        return self.estimate.values
+
+    @property
+    def std(self) -> np.ndarray:
+        """Their standard deviations (r,)."""
+        return self.estimate.std
+
+    @property
+    def covariance(self) -> np.ndarray | None:
+        """Their covariance (r, r)."""
+        return self.estimate.covariance
+
+    @property
+    def base(self) -> BaseParameters:
+        """What they are combinations of."""
+        return self.estimate.base
+
+    @property
+    def physically_consistent(self) -> bool:
+        """Whether every link of ``link_parameters`` can exist."""
+        return not impossible_bodies(self.link_parameters.reshape(-1, 10), self.problem.experiment.robot.body_names)
+
+    def __str__(self) -> str:
+        """Summary with the table of parameters."""
+        return f"{summary(self)}\n\n{self.estimate}"
+
+    def _repr_html_(self) -> str:
+        """The same for notebooks."""
+        return f"<pre>{summary(self)}</pre>{self.estimate._repr_html_()}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """``estimate.json``."""
+        filters, smoother = self.problem.row_model.filters, self.problem.smoother
+        return {
+            "schema": SCHEMA,
+            "experiment": self.problem.experiment.name,
+            "channel": self.problem.channel,
+            "motions": list(self.problem.fitted),
+            "static": self.problem.static,
+            "filter": {
+                "l": None if filters is None else filters.l,
+                "d": None if filters is None else filters.d,
+                "bandwidth_hz": smoother.bandwidth,
+                "row_rate_hz": 1.0 / self.problem.row_model.step,
+                "reason": smoother.reason,
+            },
+            **self.estimate.to_dict(),
+            "link_parameters": self.link_parameters.tolist(),
+            "effects": self.effects(),
+            "physically_consistent": self.physically_consistent,
+            "unexcited": list(self.unexcited),
+            "noise_std": {
+                group: dict(zip(self.problem.row_model.channels.names, map(float, model.std), strict=True))
+                for group, model in self.estimate.noise.items()
+            },
+            "fit": [p.to_dict() for p in self.fitted],
+            "validation": [p.to_dict() for p in self.validation],
+            "agreement": [a.to_dict() for a in self.agreements],
+            "warnings": list(self.warnings),
+            "runtime_s": self.seconds,
+        }
+
+    def effects(self) -> list[dict[str, Any]]:
+        """Every effect of the model with the values, standard deviations (None without one) and units of its parameters."""
+        row_model = self.problem.row_model
+        values = np.zeros(len(row_model.free)) if row_model.point is None else row_model.point.values.copy()
+        stds = np.full(len(row_model.free), np.nan)
+        values[row_model.free] = self.estimate.solution[self.base.rank :]
+        stds[row_model.free] = self.estimate.full_std[self.base.rank :]
+        out, column = [], 0
+        for effect in row_model.effects:
+            parameters = {}
+            for k, (key, unit) in enumerate(zip(effect.kind.parameters, effect.units, strict=True)):
+                value, std = values[column], stds[column]
+                if effect.name == "sensor_offset" and self.offset is not None:
+                    value, std = self.offset[0][k], self.offset[1][k]
+                parameters[key] = {"value": float(value), "std": float(std) if np.isfinite(std) else None, "unit": unit}
+                column += 1
+            out.append({"name": effect.name, "where": effect.where, "parameters": parameters})
+        return out
+
+
+def summary(result: Identification) -> str:
+    """A few lines for the terminal."""
+    e, p = result.estimate, result.problem
+    lines = [
+        f"{p.experiment.name}: {e.base.rank} base parameters from the {p.channel} of {', '.join(p.fitted)} ({e.method})",
+        f"  bandwidth of the motion {p.smoother.bandwidth:.3g} Hz ({p.smoother.reason})",
+    ]
+    for prediction in (*result.fitted, *result.validation):
+        lines.append(
+            f"  {prediction.role} '{prediction.motion}': relative error {100 * relative_error(prediction):.3g} %, "
+            f"residual {prediction.whitened_rms:.3g} x noise"
+        )
+    lines += [f"  warning: {w}" for w in result.warnings]
+    return "\n".join(lines)

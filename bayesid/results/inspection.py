@@ -1,0 +1,166 @@
+"""What ``check`` found."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from bayesid.dynamics.base_parameters import BaseParameters
+from bayesid.recordings.experiment import Experiment, Motion
+from bayesid.results.files import Result
+
+SCHEMA = 1
+
+
+@dataclass(frozen=True)
+class MotionSummary:
+    """What one motion of the folder is.
+
+    Attributes
+    ----------
+    motion
+        The recording itself.
+    gaps
+        (start, end) of each hole in it [s].
+    rate
+        Samples a second; nan for poses.
+    columns
+        Groups of columns that it has: ``q, v, qr, tau, wrench``.
+    lowest, highest, speed
+        Reach (n,) [rad or m] and largest speed (n,) [rad/s or m/s] of the joints, nan for poses.
+    static
+        ``none``, ``stop-and-go`` (row by row the motion's positions) or ``poses``.
+    noise
+        Standard deviation of one sample by channel [unit of the channel]; empty where it cannot be had.
+    """
+
+    motion: Motion
+    gaps: tuple[tuple[float, float], ...]
+    rate: float
+    columns: tuple[str, ...]
+    lowest: np.ndarray
+    highest: np.ndarray
+    speed: np.ndarray
+    static: str
+    noise: dict[str, float]
+
+    def to_dict(self) -> dict[str, Any]:
+        """An entry of ``motions`` in ``check.json``."""
+        m = self.motion
+        return {
+            "name": m.name, "role": m.role, "kind": m.kind, "samples": len(m.table), "duration_s": m.table.duration,
+            "rate_hz": _finite(self.rate), "gaps": [list(g) for g in self.gaps], "columns": list(self.columns),
+            "lowest": self.lowest.tolist(), "highest": self.highest.tolist(), "speed": [_finite(v) for v in self.speed],
+            "static": self.static, "static_samples": 0 if m.static is None else len(m.static),
+            "period_s": m.period, "parked": [list(p) for p in m.parked], "noise_std": self.noise,
+        }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class SensorSet:
+    """A set of readings and what it can show at all.
+
+    Attributes
+    ----------
+    name
+        In words.
+    base
+        Base parameters of the richest motion.
+    available
+        Whether the motions to fit have these readings.
+    """
+
+    name: str
+    base: BaseParameters
+    available: bool
+
+
+@dataclass(frozen=True)
+class Inspection(Result):
+    """What `check` found.
+
+    Attributes
+    ----------
+    experiment
+        What was inspected.
+    motions
+        One summary a motion.
+    sensor_sets
+        What each set of readings can show.
+    channel
+        What `identify` would fit by default.
+    bandwidth, bandwidth_reason
+        Of the joint motion [Hz], as `identify` would choose it; None where it cannot be chosen.
+    position_std
+        Random error of one position sample (n,) [rad or m].
+    warnings
+        What looks doubtful, most important first.
+    """
+
+    experiment: Experiment
+    motions: tuple[MotionSummary, ...]
+    sensor_sets: tuple[SensorSet, ...]
+    channel: str
+    bandwidth: float | None
+    bandwidth_reason: str
+    position_std: np.ndarray
+    warnings: tuple[str, ...]
+
+    @property
+    def name(self) -> str:
+        """The experiment's name."""
+        return self.experiment.name
+
+    def to_dict(self) -> dict[str, Any]:
+        """``check.json``."""
+        robot, sensor = self.experiment.robot, self.experiment.sensor
+        limits = {k: [_finite(v) for v in getattr(robot, k)] for k in ("lower", "upper", "velocity_limit", "effort_limit")}
+        return {
+            "schema": SCHEMA,
+            "experiment": self.name,
+            "warnings": list(self.warnings),
+            "robot": {
+                "name": robot.name, "joints": list(robot.joint_names), "prismatic": robot.prismatic.tolist(), **limits,
+                "locked": dict(self.experiment.locked), "gravity": robot.gravity.tolist(), "bodies": list(robot.body_names),
+                "nominal": robot.nominal.ravel().tolist(), "masses": robot.nominal[:, 0].tolist(),
+                "inertia_rel_std": self.experiment.inertia_rel_std,
+            },
+            "sensor": None if sensor is None else {
+                "joint": sensor.joint, "translation": sensor.translation.tolist(), "rpy": sensor.rpy.tolist(),
+                "force_std": sensor.force_std, "torque_std": sensor.torque_std,
+            },
+            "effects": list(self.experiment.effects),
+            "channel": self.channel,
+            "motions": [m.to_dict() for m in self.motions],
+            "bandwidth_hz": self.bandwidth,
+            "bandwidth_reason": self.bandwidth_reason,
+            "position_std": [_finite(v) for v in self.position_std],
+            "sensor_sets": [
+                {"readings": s.name, "rank": s.base.rank, "available": s.available, "base_parameters": list(s.base.names),
+                 "invisible": list(s.base.invisible)}
+                for s in self.sensor_sets
+            ],
+        }  # fmt: skip
+
+    def __str__(self) -> str:
+        """A few lines for the terminal, warnings first."""
+        robot = self.experiment.robot
+        lines = [f"{self.name}: {robot.n} joints, {len(robot.body_names)} bodies, {len(self.motions)} motions"]
+        lines += [f"  warning: {w}" for w in self.warnings]
+        for m in self.motions:
+            rate = "" if np.isnan(m.rate) else f", {m.motion.table.duration:.4g} s at {m.rate:.4g} Hz"
+            what = "poses" if m.motion.kind == "poses" else "samples"
+            lines.append(
+                f"  {m.motion.role} '{m.motion.name}': {len(m.motion.table)} {what}{rate}, "
+                f"columns {' '.join(m.columns)}, static {m.static}" + (f", {len(m.gaps)} gaps" if m.gaps else "")
+            )
+        if self.bandwidth is not None:
+            lines.append(f"  bandwidth of the motion {self.bandwidth:.3g} Hz ({self.bandwidth_reason})")
+        lines += [f"  rank {s.base.rank} from {s.name}{'' if s.available else ' (not recorded)'}" for s in self.sensor_sets]
+        return "\n".join(lines)
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
