@@ -1,12 +1,31 @@
 """Exceptions and warnings; each says what is wrong, where, and what to do about it."""
 
+from __future__ import annotations
+
 
 class BayesidError(Exception):
     """Root of every exception that bayesid raises on purpose."""
 
 
 class InputError(BayesidError):
-    """Bad input or usage; the message is one line: which file, which key or column, which value, what to do."""
+    """Bad input or usage; the message is one line: which file, which key or column, which value, what to do.
+
+    Parameters
+    ----------
+    problem
+        What is wrong, with the value; the whole message where nothing else is given.
+    file, key
+        Where: the file's name, and the key, column, element or option in it.
+    value
+        What stands there.
+    remedy
+        What to do about it.
+    """
+
+    def __init__(self, problem: str, *, file: str = "", key: str = "", value: object = None, remedy: str = ""):
+        place = "".join(f"{part}: " for part in (file, key) if part)
+        super().__init__(place + problem + (f"; {remedy}" if remedy else ""))
+        self.file, self.key, self.value, self.remedy = file, key, value, remedy
 
 
 class EstimationError(BayesidError):

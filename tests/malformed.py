@@ -77,6 +77,7 @@ def write_good(folder: Path) -> Path:
     motion = recording(0)
     motion.to_csv(folder / "identification.csv", index=False)
     static = motion.drop(columns=["v1", "v2"])
+    static[["fx", "fy", "fz", "mx", "my", "mz"]] = recording(2)[["fx", "fy", "fz", "mx", "my", "mz"]]
     static.to_csv(folder / "static.csv", index=False)
     recording(1).to_csv(folder / "validation.csv", index=False)
     return folder
@@ -252,6 +253,12 @@ CASES = [
     Malformed("joints as text", toml('["shoulder", "elbow"]', '"shoulder"'), ("[robot] joints", "list")),
     Malformed("no joints", toml('["shoulder", "elbow"]', "[]"), ("[robot] joints", "empty")),
     Malformed("zero gear ratio", toml("elbow = 100.0", "elbow = 0"), ("gear_ratio", "elbow", "above 0")),
+    Malformed("brackets without end", toml("force_std = 0.5", "force_std = " + "[" * 3000), ("experiment.toml", "nested")),
+    Malformed("a number of 5000 digits", toml("force_std = 0.5", "force_std = " + "7" * 5000), ("experiment.toml", "digits")),
+    Malformed("a hexadecimal of 5000 digits", toml("force_std = 0.5", "force_std = 0x" + "7" * 5000), ("[sensor] force_std",)),
+    Malformed("a size beyond all", toml("force_std = 0.5", "force_std = 1e300"), ("[sensor] force_std", "1e+300", "1e+12")),
+    Malformed("a size next to nothing", toml("force_std = 0.5", "force_std = 1e-300"), ("[sensor] force_std", "1e-300")),
+    Malformed("name of 300 characters", toml('"two-joint"', f'"{"x" * 300}"'), ("experiment.toml: name", "at most 100")),
     # experiment.toml: names.
     Malformed("unknown joint", toml('"elbow"]', '"elbo"]'), ("[robot] joints", "elbo", "did you mean 'elbow'")),
     Malformed("fixed joint", toml('"elbow"]', '"flange_joint"]'), ("[robot] joints", "flange_joint", "fixed")),
@@ -286,13 +293,53 @@ CASES = [
     Malformed("urdf empty", content("robot.urdf", b""), ("robot.urdf",)),
     Malformed("urdf without robot", content("robot.urdf", b"<html></html>"), ("robot.urdf", "URDF")),
     Malformed("urdf link without parent", urdf('<parent link="base"', '<parent link="bas"'), ("robot.urdf", "bas")),
-    Malformed("urdf mass as text", urdf('value="4', 'value="four'), ("robot.urdf", "four", "float")),
-    Malformed("urdf mass negative", urdf('value="4', 'value="-4'), ("robot.urdf", "shoulder", "-4 kg")),
+    Malformed("urdf mass as text", urdf('value="4', 'value="four'), ("robot.urdf", "link upper", "four", "number")),
+    Malformed("urdf mass negative", urdf('value="4', 'value="-4'), ("robot.urdf", "link upper", "-4 kg")),
     Malformed("urdf without axis", urdf('axis xyz="0.0 1.0 0.0"', 'axis xyz="0 0 0"'), ("robot.urdf", "elbow", "axis")),
     Malformed("urdf of a free body", urdf('type="revolute"', 'type="floating"'), ("robot.urdf", "shoulder", "6 degrees")),
     Malformed("urdf of no kind", urdf('type="revolute"', 'type="revolut"'), ("robot.urdf", "shoulder", "revolut")),
     Malformed("no urdf of that name", toml('"robot.urdf"', '"arm.urdf"'), ("[robot] urdf", "arm.urdf")),
+    Malformed("urdf mass with a comma", urdf('value="4.0"', 'value="4,0"'), ("robot.urdf: link upper", "4,0", "decimal point")),
+    Malformed("urdf mass not a number", urdf('value="4.0"', 'value="nan"'), ("robot.urdf: link upper", "nan")),
+    Malformed("urdf mass beyond all", urdf('value="4.0"', 'value="1e308"'), ("robot.urdf: link upper", "1e+308 kg")),
+    Malformed("urdf mass negative behind a locked joint", urdf('value="0.5"', 'value="-0.3"'), ("link tool", "-0.3 kg")),
+    Malformed("urdf inertia with a word", urdf('ixx="0.05"', 'ixx="big"'), ("robot.urdf: link upper", "ixx", "big")),
+    Malformed("urdf inertia missing", urdf(' ixx="0.05"', ""), ("robot.urdf: link upper", "ixx is missing")),
+    Malformed("urdf inertial origin of two", urdf('xyz="0.2 0.01 0.02"', 'xyz="0.2 0.01"'), ("link upper", "three numbers")),
+    Malformed("urdf joint origin in nowhere", urdf('xyz="0.4 0.0 0.0"', 'xyz="4e9 0 0"'), ("joint elbow", "4e9", "SI units")),
+    Malformed("urdf link is its own parent", urdf('<parent link="upper"', '<parent link="lower"'), ("joint elbow", "loop")),
+    Malformed("urdf two parents", urdf('<child link="lower"', '<child link="upper"'), ("shoulder and elbow", "link upper")),
+    Malformed("urdf two roots", urdf('<link name="flange" />', '<link name="flange" /><link name="lost" />'), ("base and lost",)),
+    Malformed("urdf limits reversed", urdf('lower="-2.5" upper="2.5"', 'lower="2.5" upper="-2.5"'), ("joint elbow", "reversed")),
+    Malformed("urdf without limits", urdf("<limit", "<limits"), ("joint shoulder", "no <limit>")),
+    Malformed("urdf joint twice", urdf('name="elbow"', 'name="shoulder"'), ("joint shoulder", "twice")),
+    Malformed("urdf blank line first", lambda f: _prepend(f, "\n"), ("robot.urdf: ", "line 2", "before <?xml")),
+    Malformed("urdf dashes in a comment", urdf("<link", "<!-- a -- b --><link"), ("robot.urdf: ", "line 3", "not well-formed")),
+    Malformed("urdf with a default namespace", urdf("<robot", '<robot xmlns="http://ros.org"'), ("default namespace", "remove")),
+    Malformed("urdf prefix undeclared", urdf("<link", '<xacro:property name="a" value="1"/><link'),
+              ("robot.urdf: ", "line 3", "unbound prefix", "xacro")),
+    Malformed("urdf is xacro", lambda f: (urdf("<link", '<xacro:include filename="a"/><link')(f),
+                                          urdf("<robot", '<robot xmlns:xacro="http://ros.org/wiki/xacro"')(f)),
+              ("<xacro:include>", "expand")),
+    Malformed("urdf of unknown encoding", urdf('version="1.0"', 'version="1.0" encoding="klingon"'), ("encoding", "UTF-8")),
+    Malformed("urdf with an entity bomb", urdf("<robot", '<!DOCTYPE r [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;">]>\n<robot'),
+              ("robot.urdf: line 2", "<!DOCTYPE")),
+    Malformed("urdf nested deep", urdf("<link", "<a>" * 2000 + "</a>" * 2000 + "<link"), ("robot.urdf: line 3", "nested")),
+    Malformed("urdf chain of 1000", lambda f: _chain(f, 1000), ("robot.urdf: ", "1005 of them in one chain")),
+    Malformed("urdf chain of 5000", lambda f: _chain(f, 5000), ("robot.urdf: ", "one chain")),
+    Malformed("urdf outside the folder", toml('"robot.urdf"', '"../robot.urdf"'), ("[robot] urdf", "no ..")),
     # Tables as files.
+    Malformed("table of the system", toml('"validation.csv"', '"/proc/self/environ"'), ("[motion.1] table", "no absolute path")),
+    Malformed("table in a folder above", toml('"static.csv"', '"../static.csv"'), ("[motion.0] static", "..")),
+    Malformed("static names the motion", toml('"static.csv"', '"identification.csv"'), ("[motion.0] static", "moves")),
+    Malformed("static copies the motion", lambda f: _copy(f, "identification.csv", "static.csv"), ("static.csv", "same wrench")),
+    Malformed("zero bytes", lines(lambda text: [*text[:9], text[9] + "\0", *text[10:]]), ("identification.csv", "zero bytes")),
+    Malformed("missing cell, unused column last", lambda f: _short_row(f, False), ("identification.csv: line 32", "11 cells")),
+    Malformed("missing cell, quoted header", lambda f: _short_row(f, True), ("identification.csv: line 32", "11 cells")),
+    Malformed("missing cell, last column", lines(lambda text: [*text[:30], text[30].rpartition(",")[0], *text[31:]]),
+              ("identification.csv: line 31", "10 cells where the header has 11")),
+    Malformed("stray comma, quoted header", lines(lambda text: insert_cell([text[0].replace("fx", '"fx"'), *text[1:]])),
+              ("identification.csv: line 31", "12 cells")),
     Malformed("no table", remove("validation.csv"), ("validation.csv", "no such file")),
     Malformed("table is a folder", as_folder("validation.csv"), ("validation.csv",)),
     Malformed("no static table", remove("static.csv"), ("static.csv", "no such file")),
@@ -325,6 +372,7 @@ CASES = [
     Malformed("nan after a blank line", lambda f: cell(55, "mx", "nan")(f) or lines(lambda text: [text[0], "", *text[1:]])(f),
               ("column mx", "line 58")),
     Malformed("nan in the static table", cell(12, "fx", "nan", "static.csv"), ("static.csv", "column fx", "line 14")),
+    Malformed("beyond all", cell(55, "mz", 1e308), ("identification.csv: column mz, line 57", "1e+308", "no reading")),
     # Time.
     Malformed("repeated time", table(repeat_time), ("column t", "line 202", "1.99")),
     Malformed("time goes back", table(restart_clock), ("column t", "line 252", "goes back", "1.5 after 2.49")),
@@ -372,3 +420,35 @@ def _without_sensor(folder: Path) -> None:
     path = folder / "experiment.toml"
     text = path.read_text(encoding="utf-8")
     path.write_text(text[: text.index("[sensor]")] + text[text.index("[model]") :], encoding="utf-8")
+
+
+def _prepend(folder: Path, text: str) -> None:
+    path = folder / "robot.urdf"
+    path.write_text(text + path.read_text(encoding="utf-8"), encoding="utf-8")
+
+
+def _copy(folder: Path, source: str, target: str) -> None:
+    (folder / target).write_bytes((folder / source).read_bytes())
+
+
+def _chain(folder: Path, length: int) -> None:
+    """A chain of links that fixed joints connect, behind the arm."""
+    links = "".join(f'<link name="k{i}"/>' for i in range(length))
+    ends = ["flange", *(f"k{i}" for i in range(length))]
+    joints = "".join(
+        f'<joint name="j{i}" type="fixed"><parent link="{ends[i]}"/><child link="{ends[i + 1]}"/></joint>' for i in range(length)
+    )
+    urdf("</robot>", links + joints + "</robot>")(folder)
+
+
+def _short_row(folder: Path, quoted: bool) -> None:
+    """An unused last column, and a row without its ``fx`` cell: pandas would shift the rest of it."""
+    table(lambda frame: frame.assign(temp=21.5))(folder)
+
+    def drop(text: list[str]) -> list[str]:
+        cells = text[31].split(",")
+        del cells[text[0].split(",").index("fx")]
+        header = ",".join(f'"{name}"' for name in text[0].split(",")) if quoted else text[0]
+        return [header, *text[1:31], ",".join(cells), *text[32:]]
+
+    lines(drop)(folder)

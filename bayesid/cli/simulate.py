@@ -10,10 +10,11 @@ import click
 import bayesid
 from bayesid.cli.options import EXPERIMENT, OUT, SEED, names, output_folder, show_progress
 from bayesid.errors import InputError
+from bayesid.recordings.experiment import load_setup
 from bayesid.recordings.schema import read_model
 from bayesid.results.files import check_output
 from bayesid.simulation.plant import complete_effects
-from bayesid.simulation.simulation import Recorder, load_setup, write_simulation
+from bayesid.simulation.simulation import Recorder, write_simulation
 from bayesid.simulation.trajectories import make_trajectories
 
 

@@ -8,19 +8,13 @@ from __future__ import annotations
 import numpy as np
 
 from bayesid.errors import InputError
-from bayesid.recordings.table import GAP, WRENCH_COLUMNS, Table
+from bayesid.recordings.motion_checks import MATCH, MIN_SAMPLES
+from bayesid.recordings.table import Table
 from bayesid.robot.robot import Robot
 
-MIN_SAMPLES = 20
-STEP_SLACK = 1.5  # a step this many times the median one has lost a sample
 FAR_OUTSIDE = 4.0 * np.pi  # beyond a limit by this much [rad or m]: another unit
 LARGE_ANGLE = 20.0  # no joint with limits turns this far [rad]
 LIMIT_SLACK = 0.1  # [rad or m]
-FROZEN_TIME = 0.5  # an encoder standing longer than this [s] while the joint moves is frozen
-MATCH = 5e-3  # positions of one pose, moving and stopped, agree to this [rad or m]
-_DEGREE = 180.0 / np.pi
-_NEAR = 1.2  # factor within which a scale is recognised
-_WINDOW = 5  # samples before and after a place over which a speed is taken
 
 
 def check_positions(table: Table, robot: Robot) -> list[str]:
@@ -51,44 +45,6 @@ def check_positions(table: Table, robot: Robot) -> list[str]:
     return warnings
 
 
-def check_trajectory(table: Table, robot: Robot, resolution: float | None) -> list[str]:
-    """Check a motion sampled in time: steps, velocities, encoders, and channels that stall or clip.
-
-    Parameters
-    ----------
-    table
-        The recording.
-    robot
-        The robot it is from.
-    resolution
-        One encoder count [rad or m], where known.
-
-    Raises
-    ------
-    InputError
-        Too few samples, time in another unit than seconds, or velocities that are not those of the positions.
-    """
-    if len(table) < MIN_SAMPLES:
-        raise InputError(
-            f"{table.source}: {len(table)} rows are no trajectory (at least {MIN_SAMPLES}); "
-            'record more, or write kind = "poses" if each row is a pose at rest'
-        )
-    if table.velocities is None and table.step >= 0.5:
-        raise InputError(
-            f"{table.source}: column t: steps of {table.step:g} s are no trajectory; if t is in milliseconds write "
-            'seconds, or write kind = "poses" if each row is a pose at rest'
-        )
-    stalled = _stalled(table)
-    warnings = [*_steps(table), *_stalls(table, stalled)]
-    for j in range(robot.n):
-        warnings += _velocity(table, robot, j)
-        warnings += _jumps(table, robot, j)
-        warnings += _encoder(table, robot, j, stalled, resolution)
-    for name, values in _channels(table):
-        warnings += _clipped(table, name, values)
-    return warnings
-
-
 def check_channels(table: Table) -> list[str]:
     """Look for sensor channels that do not work at all, in any kind of table.
 
@@ -100,7 +56,7 @@ def check_channels(table: Table) -> list[str]:
     for array, names in ((table.wrench, "fx ... mz"), (table.torques, "tau1 ...")):
         if array is not None and not array.any():
             raise InputError(f"{table.source}: columns {names}: 0 in every row; record them, or leave them out")
-    dead = [(name, values[0]) for name, values in _channels(table) if len(table) > 1 and np.ptp(values) == 0.0]
+    dead = [(name, values[0]) for name, values in table.channels() if len(table) > 1 and np.ptp(values) == 0.0]
     return [f"{table.source}: column {name}: {value:g} in every row; that channel looks dead" for name, value in dead]
 
 
@@ -110,7 +66,7 @@ def check_static(table: Table, static: Table, resolution: float | None) -> list[
     Raises
     ------
     InputError
-        It lacks a channel of the motion, or has as many rows but other positions.
+        It lacks a channel of the motion, has as many rows but other positions, or the motion's own readings.
     """
     for name in ("wrench", "torques"):
         if getattr(table, name) is not None and getattr(static, name) is None:
@@ -132,6 +88,13 @@ def check_static(table: Table, static: Table, resolution: float | None) -> list[
             f"{allowed:g}); with as many rows as the motion it must hold the same positions row by row: "
             "record it again, or give static poses with another number of rows"
         )
+    for name in ("wrench", "torques"):
+        moving, still = getattr(table, name), getattr(static, name)
+        if moving is not None and np.array_equal(moving, still):
+            raise InputError(
+                f"holds the same {name} as {table.source}, in which the robot moves", file=static.source,
+                remedy="give readings of the robot at rest, or remove [[motion]] static",
+            )  # fmt: skip
     return []
 
 
@@ -190,211 +153,3 @@ def check_intervals(
         if len(again) > MIN_SAMPLES and np.median(np.abs(later - q[again])) > 0.1 * np.ptp(q) > MATCH:
             return [*warnings, f"{place}: q{j + 1} of {table.source} does not repeat after it; check the period"]
     return warnings
-
-
-def _steps(table: Table) -> list[str]:
-    steps = np.diff(table.times)
-    gaps, lost = np.flatnonzero(steps > GAP * table.step), np.flatnonzero(steps > STEP_SLACK * table.step)
-    if not len(lost):
-        return []
-    start = f"{table.source}: column t: "
-    usual = f"a step is usually {table.step:.4g} s"
-    if not len(gaps):
-        return [f"{start}{len(lost)} steps lack a sample, the first at {table.times[lost[0]]:.6g} s ({usual})"]
-    listed = ", ".join(f"{table.times[k]:.6g} to {table.times[k + 1]:.6g} s" for k in gaps[:3])
-    more = f" and {len(gaps) - 3} more" if len(gaps) > 3 else ""
-    short = f", and {len(lost) - len(gaps)} steps lack a sample" if len(lost) > len(gaps) else ""
-    return [f"{start}gap at {listed}{more}{short} ({usual}); the pieces between gaps are treated apart"]
-
-
-def _travel(table: Table, j: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the distances over about 0.1 s, by the positions and by the velocities.
-
-    Integrating velocities, rather than differentiating positions, keeps encoder counts out of the comparison.
-    """
-    t, v = table.times, np.zeros(len(table)) if table.velocities is None else table.velocities[:, j]
-    width = int(np.clip(np.ceil(0.1 / table.step), 5, max(2, len(t) // 8)))
-    edges = np.arange(0, len(t), width)
-    steps = np.diff(t)
-    moved = np.append(0.0, np.cumsum(0.5 * (v[1:] + v[:-1]) * steps))
-    broken = np.append(0, np.cumsum((steps > GAP * table.step) | _jumping(table, j)))
-    whole = np.diff(broken[edges]) == 0
-    return np.diff(table.positions[edges, j])[whole], np.diff(moved[edges])[whole]
-
-
-def _velocity(table: Table, robot: Robot, j: int) -> list[str]:
-    """Compare a velocity column with the positions: how many times too fast it is."""
-    if table.velocities is None:
-        return []
-    by_position, by_velocity = _travel(table, j)
-    weights = np.abs(by_position)
-    place = f"{table.source}: column v{j + 1}"
-    if not len(weights) or weights.max() < 2e-3:
-        return []
-    if not table.velocities[:, j].any():
-        raise InputError(f"{place}: 0 in every row although {robot.joint_names[j]} moves; leave the v columns out")
-    # The scale that minimises the sum of absolute deviations: single jumps of an encoder do not count.
-    moving = weights > 0.0
-    ratios, weights = (by_velocity[moving] / by_position[moving]), weights[moving]
-    order = np.argsort(ratios)
-    middle = np.searchsorted(np.cumsum(weights[order]), 0.5 * weights.sum())
-    scale = float(ratios[order][middle])
-    fits = f"{place}: {scale:.3g} times what column q{j + 1} of {robot.joint_names[j]} says"
-    known = {
-        _DEGREE: "it looks like degrees per second; write rad/s",
-        1.0 / _DEGREE: f"column q{j + 1} looks like degrees; write rad",
-        -1.0: "the sign is reversed; turn it, or leave the v columns out",
-        1e3: "column t looks like milliseconds; write seconds",
-        1e6: "column t looks like microseconds; write seconds",
-        1e9: "column t looks like nanoseconds; write seconds",
-        1e3 * _DEGREE: "it looks like degrees per second with t in milliseconds; write rad/s and seconds",
-    }
-    for factor, advice in known.items():
-        if 1.0 / _NEAR < scale / factor < _NEAR:
-            raise InputError(f"{fits}; {advice}")
-    if abs(scale - 1.0) <= 0.2:
-        return []
-    if not 0.1 < scale < 10.0:
-        raise InputError(f"{fits}; check the units of t, q and v and the order of the columns, or leave the v columns out")
-    return [f"{fits}; check its unit and the order of the columns, or leave the v columns out"]
-
-
-def _jumping(table: Table, j: int) -> np.ndarray:
-    """Return (N - 1,): the steps of the position that no joint makes within a sample."""
-    steps = np.abs(np.diff(table.positions[:, j]))
-    steps[np.diff(table.times) > GAP * table.step] = 0.0
-    return steps > max(0.5, 20.0 * float(np.quantile(steps, 0.99)))
-
-
-def _jumps(table: Table, robot: Robot, j: int) -> list[str]:
-    jumps = np.flatnonzero(_jumping(table, j))
-    if not len(jumps):
-        return []
-    k = jumps[0]
-    size = abs(float(table.positions[k + 1, j] - table.positions[k, j]))
-    advice = "unwrap the angle" if abs(size - 2.0 * np.pi) < 0.1 else "check the encoder"
-    return [
-        f"{table.source}: column q{j + 1}: {robot.joint_names[j]} jumps by {size:.4g} at {table.times[k]:.6g} s "
-        f"({len(jumps)} such places); {advice}"
-    ]
-
-
-def _speeds(times: np.ndarray, positions: np.ndarray) -> np.ndarray:
-    """Mean speed from `_WINDOW` samples before to as many after each sample; columns as in the positions."""
-    rows = np.arange(len(times))
-    before, after = np.maximum(rows - _WINDOW, 0), np.minimum(rows + _WINDOW, len(times) - 1)
-    return np.abs(positions[after] - positions[before]).T / (times[after] - times[before])
-
-
-def _moving(table: Table, share: float) -> np.ndarray:
-    """Return (N,): whether any joint moves faster than this share of its usual top speed."""
-    moving = np.zeros(len(table), bool)
-    for j in range(table.positions.shape[1]):
-        speed = _speeds(table.times, table.positions[:, j])
-        moving |= speed > max(share * float(np.quantile(speed, 0.95)), 1e-12)
-    return moving
-
-
-def _stalled(table: Table) -> np.ndarray:
-    """Return (N,): whether the row repeats the one before in every column but the time."""
-    same = np.arange(len(table)) > 0
-    for array in (table.positions, table.velocities, table.torques, table.wrench):
-        if array is not None:
-            for column in array.T:
-                same[1:] &= np.diff(column) == 0.0
-    return same
-
-
-def _stalls(table: Table, stalled: np.ndarray) -> list[str]:
-    """Report repeated rows that are not simply a robot at rest: it moves just before and just after them."""
-    starts, stops = _runs(stalled)
-    moving = _moving(table, 0.2)
-    counted = [
-        (a, b)
-        for a, b in zip(starts.tolist(), stops.tolist(), strict=True)
-        if moving[max(a - 1 - _WINDOW, 0)] and moving[min(b + _WINDOW, len(table) - 1)]
-    ]
-    rows = sum(b - a for a, b in counted)
-    if rows < 2:
-        return []
-    a, b = max(counted, key=lambda run: run[1] - run[0])
-    return [
-        f"{table.source}: {rows} rows repeat the row before in every column while the robot moves, the longest time "
-        f"from {table.times[a]:.6g} to {table.times[b - 1]:.6g} s; did the logger stall?"
-    ]
-
-
-def _encoder(table: Table, robot: Robot, j: int, stalled: np.ndarray, resolution: float | None) -> list[str]:
-    """Find times in which a joint's reading stands still but the joint, it seems, does not."""
-    t, q = table.times, table.positions[:, j]
-    place = f"{table.source}: column q{j + 1}: {robot.joint_names[j]}"
-    steps = np.abs(np.diff(q))
-    # Two encoder counts are the flicker of a joint at rest.
-    if np.ptp(q) <= 2.0 * (resolution or 0.0):
-        return [f"{place} never moves; lock it ([robot] locked) or expect nothing about it"]
-    starts, stops = _runs(steps == 0.0)
-    long = np.flatnonzero(t[stops] - t[starts] > FROZEN_TIME)
-    speed = _speeds(t, q)
-    top, usual = float(np.quantile(speed, 0.95)), float(np.quantile(steps[steps > 0.0], 0.95))
-    for a, b in zip(starts[long].tolist(), stops[long].tolist(), strict=True):
-        if stalled[a + 1 : b + 1].all():
-            continue  # said for the whole row already
-        if table.velocities is not None:
-            v = table.velocities[a : b + 1, j]
-            count = resolution or float(steps[steps > 0.0].min())
-            frozen = abs(np.trapezoid(v, t[a : b + 1])) > max(20.0 * count, MATCH) and np.abs(v).mean() > 0.05 * top
-        else:
-            jumps = b < len(steps) and steps[b] > 5.0 * usual
-            arrives = a > 0 and _mean_speed(t, q, a - _WINDOW, a) > 0.2 * top
-            leaves = b == len(steps) or jumps or _mean_speed(t, q, b, b + _WINDOW) > 0.2 * top
-            frozen = leaves and arrives or (a == 0 and jumps)
-        if frozen:
-            return [f"{place} stands at {q[a]:.6g} from {t[a]:.6g} to {t[b]:.6g} s as if frozen; check that encoder"]
-    return []
-
-
-def _mean_speed(t: np.ndarray, q: np.ndarray, a: int, b: int) -> float:
-    a, b = max(a, 0), min(b, len(t) - 1)
-    return float(abs(q[b] - q[a]) / (t[b] - t[a])) if b > a else 0.0
-
-
-def _clipped(table: Table, name: str, values: np.ndarray) -> list[str]:
-    """Find an extreme value that is held, and reached and left more abruptly than a rounded peak is."""
-    steps = np.abs(np.diff(values))
-    if not steps.any():
-        return []
-    quantum = float(steps[steps > 0.0].min())
-    moving: np.ndarray | None = None
-    for extreme in (float(values.max()), float(values.min())):
-        starts, stops = _runs(values == extreme)
-        held = stops - starts >= 5
-        if not held.any():
-            continue
-        moving = _moving(table, 0.05) if moving is None else moving
-        places = [
-            (a, b)
-            for a, b in zip(starts[held].tolist(), stops[held].tolist(), strict=True)
-            if moving[a:b].mean() > 0.5
-            and max(steps[a - 1] if a else 0.0, steps[b - 1] if b <= len(steps) else 0.0) > 1.5 * quantum
-        ]
-        if len(places) >= 2 or (places and max(b - a for a, b in places) >= MIN_SAMPLES):
-            return [
-                f"{table.source}: column {name}: stays at {extreme:g} in {len(places)} places, the first at "
-                f"{table.times[places[0][0]]:.6g} s, as if clipped; use a larger range or leave those times out"
-            ]
-    return []
-
-
-def _channels(table: Table) -> list[tuple[str, np.ndarray]]:
-    named: list[tuple[str, np.ndarray]] = []
-    if table.wrench is not None:
-        named += zip(WRENCH_COLUMNS, table.wrench.T, strict=True)
-    if table.torques is not None:
-        named += [(f"tau{j + 1}", column) for j, column in enumerate(table.torques.T)]
-    return named
-
-
-def _runs(mask: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the start and the stop (exclusive) of each run of true entries."""
-    edges = np.diff(np.concatenate([[0], mask.astype(np.int8), [0]]))
-    return np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)

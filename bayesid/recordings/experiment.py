@@ -14,7 +14,8 @@ import numpy as np
 import tomli_w
 
 from bayesid.errors import InputError
-from bayesid.recordings import checks
+from bayesid.recordings import checks, motion_checks
+from bayesid.recordings.reader import read_table
 from bayesid.recordings.robot_section import read_robot
 from bayesid.recordings.schema import (
     EffectParameters,
@@ -26,7 +27,7 @@ from bayesid.recordings.schema import (
     read_file,
     read_model,
 )
-from bayesid.recordings.table import WRENCH_COLUMNS, Table, read_table, write_table
+from bayesid.recordings.table import WRENCH_COLUMNS, Table, write_table
 from bayesid.robot.robot import Robot
 
 __all__ = ["WRENCH_COLUMNS", "Experiment", "Motion", "Sensor", "Table", "load_experiment", "write_experiment"]
@@ -183,7 +184,29 @@ def load_experiment(folder: str | Path) -> Experiment:
     InputError
         Something is missing or cannot be right; the message says which file, key or column, and value, and what to do.
     """
-    folder = Path(folder)
+    setup, file = _read_setup(Path(folder))
+    motions, warnings = [], list(setup.warnings)
+    for index, section in enumerate(file.motion):
+        motion, doubts = _load_motion(Path(folder), file, section, f"[motion.{index}]", setup.robot)
+        motions.append(motion)
+        warnings += doubts
+    warnings += _check_roles(motions)
+    return replace(setup, motions=tuple(motions), warnings=tuple(warnings))
+
+
+def load_setup(folder: str | Path) -> Experiment:
+    """Read and check the robot and sensor of an experiment folder, whose tables need not exist yet: no motions.
+
+    Raises
+    ------
+    InputError
+        experiment.toml or the URDF is missing or wrong.
+    """
+    return _read_setup(Path(folder))[0]
+
+
+def _read_setup(folder: Path) -> tuple[Experiment, ExperimentFile]:
+    """What experiment.toml and the URDF say."""
     if not folder.is_dir():
         raise InputError(f"{folder}: {'not a folder' if folder.exists() else 'no such folder'}; give an experiment folder")
     toml = folder / "experiment.toml"
@@ -202,19 +225,14 @@ def load_experiment(folder: str | Path) -> Experiment:
                 given[key] = None
                 warnings.append(f"experiment.toml: [sensor] {key}: 0 is no sensor's noise; the data's own is used instead")
         sensor = Sensor(**given)
-    motions = []
-    for index, section in enumerate(file.motion):
-        motion, doubts = _load_motion(folder, file, section, f"[motion.{index}]", robot)
-        motions.append(motion)
-        warnings += doubts
-    warnings += _check_roles(motions)
     effects, values = model_parts(file.model)
-    return Experiment(
-        name=file.name, robot=robot, sensor=sensor, motions=tuple(motions), effects=effects, effect_values=values,
+    experiment = Experiment(
+        name=file.name, robot=robot, sensor=sensor, motions=(), effects=effects, effect_values=values,
         inertia_rel_std=file.robot.inertia_rel_std, position_resolution=file.robot.position_resolution,
         position_std=file.robot.position_std, gear_ratio=dict(file.robot.gear_ratio), locked=dict(file.robot.locked),
         folder=folder, warnings=tuple(warnings),
     )  # fmt: skip
+    return experiment, file
 
 
 def write_experiment(experiment: Experiment, folder: str | Path) -> None:
@@ -260,7 +278,7 @@ def _load_motion(folder: Path, file: ExperimentFile, section: MotionSection, key
     warnings += checks.check_positions(table, robot)
     warnings += checks.check_channels(table)
     if section.kind == "trajectory":
-        warnings += checks.check_trajectory(table, robot, resolution)
+        warnings += motion_checks.check_trajectory(table, robot, resolution)
     warnings += checks.check_intervals(table, key, section.period, section.parked, resolution)
     static = None
     if section.static is not None:

@@ -5,33 +5,63 @@ Nothing here reads a table or a robot: these models know keys, types and ranges 
 
 from __future__ import annotations
 
-import difflib
-import json
 import math
 import tomllib
 from collections.abc import Iterable, Mapping
-from pathlib import Path
+from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Annotated, Any, Literal, TypeVar
 
 import tomli_w
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
-from pydantic_core import ErrorDetails
 
 from bayesid.errors import InputError
+from bayesid.recordings.complaints import cut, describe, one_line
 
 EffectParameters = dict[str, dict[str, float | bool]]  # "tether@joint3" -> {"stiffness": 40.0, "fixed": True}
 
-NonNegative = Annotated[float, Field(ge=0.0)]
-Positive = Annotated[float, Field(gt=0.0)]
-Vector3 = Annotated[list[float], Field(min_length=3, max_length=3)]
+#: No quantity of a robot in SI units is larger, and no size smaller without being zero: squares of both stay numbers.
+LARGEST, SMALLEST = 1e12, 1e-15
+_LONGEST_NAME, _LONGEST_PATH = 100, 1000
+
+
+def _bearable(value: float) -> float:
+    """Refuse a number that no robot needs: arithmetic with it overflows later, where nothing can be said about it."""
+    if abs(value) > LARGEST:
+        raise ValueError(f"write a number up to {LARGEST:g}, in SI units")
+    return value
+
+
+def _a_size(value: float) -> float:
+    """Refuse a size that is next to nothing, but not zero."""
+    if 0.0 < abs(value) < SMALLEST:
+        raise ValueError(f"write 0, or at least {SMALLEST:g}, in SI units")
+    return value
+
+
+def _inside(text: str) -> str:
+    """Refuse a path that leaves the experiment folder: folders come from others, and name only their own files."""
+    windows = PureWindowsPath(text)
+    if PurePosixPath(text).is_absolute() or windows.drive or windows.root or ".." in windows.parts:
+        raise ValueError("name a file inside the experiment folder: no absolute path, no ..")
+    if len(text) > _LONGEST_PATH or max(map(len, windows.parts), default=0) > 255 or not text.isprintable():
+        raise ValueError("write a file's name that the system can have")
+    return text
+
+
+Number = Annotated[float, AfterValidator(_bearable)]
+NonNegative = Annotated[Number, AfterValidator(_a_size), Field(ge=0.0)]
+Positive = Annotated[Number, AfterValidator(_a_size), Field(gt=0.0)]
+Vector3 = Annotated[list[Number], Field(min_length=3, max_length=3)]
 Interval = Annotated[list[float], Field(min_length=2, max_length=2)]
-FilePath = Annotated[str, Field(min_length=1)]
+FilePath = Annotated[str, Field(min_length=1), AfterValidator(_inside)]
 
 
 def _plain_name(text: str) -> str:
     """Refuse a name that cannot be a folder name or an item of a comma-separated option."""
     if not text.strip() or text.startswith(".") or any(c in '/\\,"' or not c.isprintable() for c in text):
         raise ValueError('write a name without / \\ , " and line breaks, not starting with a dot')
+    if len(text.encode("utf-8")) > _LONGEST_NAME:
+        raise ValueError(f"write at most {_LONGEST_NAME} characters")
     return text
 
 
@@ -58,7 +88,7 @@ class RobotSection(_Section):
 
     urdf: FilePath
     joints: Annotated[list[str], Field(min_length=1)]
-    locked: dict[str, float] = {}
+    locked: dict[str, Number] = {}
     gravity: Vector3 = [0.0, 0.0, -9.81]
     inertia_rel_std: NonNegative | None = None
     position_resolution: NonNegative | None = None
@@ -80,7 +110,7 @@ class EffectValues(_Section):
     """``[model.values."effect@where"]``: starting values by parameter name; ``fixed`` keeps them."""
 
     model_config = ConfigDict(extra="allow", strict=True, frozen=True, allow_inf_nan=False)
-    __pydantic_extra__: dict[str, float]  # pyright: ignore[reportIncompatibleVariableOverride]
+    __pydantic_extra__: dict[str, Number]  # pyright: ignore[reportIncompatibleVariableOverride]
 
     fixed: bool = False
 
@@ -149,6 +179,8 @@ def read_file(path: Path, kind: type[File]) -> File:
         When the file is absent, unreadable, not UTF-8, not TOML, or holds a wrong key or value.
     """
     try:
+        if path.exists() and not path.is_file():
+            raise InputError(f"{path}: is no file; give the path of a TOML file")
         data = tomllib.loads(path.read_bytes().decode("utf-8"))
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; give the path of a model.toml, which holds a [model] table") from None
@@ -158,7 +190,11 @@ def read_file(path: Path, kind: type[File]) -> File:
             f"{path.name}: line {line}: byte 0x{error.object[error.start]:02x} is not UTF-8; save the file as UTF-8"
         ) from None
     except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{path.name}: not valid TOML: {_one_line(str(error))}; correct it there") from None
+        raise InputError(f"{path.name}: not valid TOML: {cut(one_line(str(error)), 160)}; correct it there") from None
+    except RecursionError:
+        raise InputError(f"{path.name}: not valid TOML: brackets are nested too deep; write it flatter") from None
+    except ValueError:  # Python reads integers up to a number of digits
+        raise InputError(f"{path.name}: not valid TOML: a number has thousands of digits; write 1e9 and the like") from None
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); give a readable file") from None
     try:
@@ -166,16 +202,7 @@ def read_file(path: Path, kind: type[File]) -> File:
     except ValidationError as error:
         # A misspelt key often shows twice, as an unknown key and as a missing one: the first says more.
         details = sorted(error.errors(include_url=False), key=lambda e: e["type"] != "extra_forbidden")
-        raise InputError(f"{path.name}: {_describe(details[0], kind)}") from None
-
-
-def suggest(word: str, known: Iterable[str], are: str = "known") -> str:
-    """Return ``did you mean "x"?`` for the nearest known word, or the list of them when none is near."""
-    known = [str(k) for k in known]
-    near = difflib.get_close_matches(word, known, n=1, cutoff=0.6)
-    if near:
-        return f'did you mean "{near[0]}"?'
-    return f"{are}: {', '.join(known)}"
+        raise InputError(f"{path.name}: {describe(details[0], _KEYS, kind.model_fields)}") from None
 
 
 def read_model(path: str | Path) -> tuple[tuple[str, ...], EffectParameters]:
@@ -216,7 +243,14 @@ def check_keys(file: ExperimentFile) -> list[str]:
         if name in robot.locked:
             raise InputError(f'experiment.toml: [robot] locked: "{name}" is in joints too; a joint moves or is locked')
     names = [motion.name for motion in file.motion]
+    tables = {PurePosixPath(motion.table): motion.name for motion in file.motion}
     for index, motion in enumerate(file.motion):
+        if motion.static is not None and PurePosixPath(motion.static) in tables:
+            raise InputError(
+                f'"{motion.static}" is the table of motion "{tables[PurePosixPath(motion.static)]}", in which the robot moves',
+                file="experiment.toml", key=f"[motion.{index}] static", value=motion.static,
+                remedy="name readings of the robot at rest, or remove it",
+            )  # fmt: skip
         if motion.name in names[:index]:
             raise InputError(f'experiment.toml: [motion.{index}] name: "{motion.name}" is taken; give each its own name')
         if motion.kind == "poses" and (motion.period is not None or motion.parked):
@@ -232,6 +266,7 @@ def check_keys(file: ExperimentFile) -> list[str]:
     strength = math.hypot(*robot.gravity)
     if not 9.7 < strength < 9.9:
         warnings.append(f"experiment.toml: [robot] gravity: {strength:.4g} m/s^2 is not the Earth's; is that so?")
+    warnings += _sizes(file)
     listed = {effect.partition("@")[0] for effect in file.model.effects if "@" not in effect} | set(file.model.effects)
     for effect in file.model.values:
         if effect not in listed and effect.partition("@")[0] not in listed:
@@ -239,6 +274,22 @@ def check_keys(file: ExperimentFile) -> list[str]:
                 f'experiment.toml: [model.values."{effect}"]: effects does not list it; used only where --effects does'
             )
     return warnings
+
+
+def _sizes(file: ExperimentFile) -> list[str]:
+    """Numbers that look like another unit."""
+    out = []
+    trust = file.robot.inertia_rel_std
+    if trust is not None and trust > 1.0:
+        out.append(
+            f"experiment.toml: [robot] inertia_rel_std: {trust:g} says that nothing is known of the links; it is a share, "
+            "0.1 for ten per cent: correct it, or leave it out"
+        )
+    if file.sensor is not None and max(map(abs, file.sensor.translation)) > 10.0:
+        out.append(f"experiment.toml: [sensor] translation: {file.sensor.translation} m is far off; is it in millimetres?")
+    if file.sensor is not None and max(map(abs, file.sensor.rpy)) > 2.0 * math.pi:
+        out.append(f"experiment.toml: [sensor] rpy: {file.sensor.rpy} rad is more than a turn; is it in degrees?")
+    return out
 
 
 def check_effects(effects: list[str], source: str) -> None:
@@ -264,71 +315,3 @@ def model_parts(section: ModelSection) -> tuple[tuple[str, ...], EffectParameter
         if given.fixed:
             values[effect]["fixed"] = True
     return tuple(section.effects), values
-
-
-def _describe(error: ErrorDetails, kind: type[BaseModel]) -> str:
-    """Return ``[section] key: what is wrong; what to write`` for one pydantic error."""
-    where = [part for part in error["loc"] if part != "[key]"]
-    # Trailing indices belong to the value (joints[2]), not to the section.
-    cut = len(where)
-    while cut and isinstance(where[cut - 1], int) and cut > 2:
-        cut -= 1
-    index = "".join(f"[{i}]" for i in where[cut:])
-    key = f"{where[cut - 1]}{index}" if cut else "the file"
-    names = tuple(part for part in where[: cut - 1] if isinstance(part, str))
-    section = ".".join(str(part) if str(part).replace("_", "").isalnum() else f'"{part}"' for part in where[: cut - 1])
-    if cut == 2 and isinstance(where[1], int):  # the motion itself is not a table
-        section, key = "", f"motion[{where[1]}]"
-    place = f"[{section}] {key}" if section else key
-    known = _KEYS.get(names, kind.model_fields)
-    return _one_line(f"{place}: {_fault(error, str(where[-1]) if where else '', known)}")
-
-
-def _fault(error: ErrorDetails, key: str, known: Iterable[str]) -> str:
-    """Return what is wrong with one value and what to write instead."""
-    given, context = _shown(error["input"]), error.get("ctx", {})
-    match error["type"]:
-        case "missing":
-            return "is missing; write it"
-        case "extra_forbidden":
-            return f"unknown key; {suggest(key, known)}"
-        case "literal_error":
-            options = str(context["expected"]).replace(" or ", ", ").replace("'", "").split(", ")
-            if len(options) == 1:
-                return f"{given} is not supported; write {options[0]}"
-            hint = f'write "{options[0]}"' if isinstance(error["input"], str) else f"write {options[0]}"
-            near = difflib.get_close_matches(str(error["input"]), options, n=1, cutoff=0.5)
-            return f"{given} is not one of {', '.join(options)}; " + (f'did you mean "{near[0]}"?' if near else hint)
-        case "too_short" | "too_long" if "max_length" in context or context.get("min_length", 0) > 1:
-            length = context.get("min_length", context.get("max_length"))
-            return f"{given} has {context['actual_length']} numbers; write {length}"
-        case "too_short" | "string_too_short":
-            return "is empty; write at least one"
-        case "value_error":
-            return f"{given} will not do; {context['error']}"
-        case "greater_than" | "greater_than_equal":
-            limit = "above 0" if error["type"] == "greater_than" else "0 or more"
-            return f"{given} is out of range; write a number {limit}, or leave the key out if it is not known"
-        case "finite_number":
-            return f"{given} is not finite; write a number"
-        case kind if kind.endswith("_type") or kind.endswith("_parsing"):
-            wanted = {
-                "float": "a number", "int": "a whole number", "string": "a text in quotes", "list": "a list [...]",
-                "bool": "true or false",
-            }.get(kind.split("_")[0], "a table")  # fmt: skip
-            return f"{given} is not {wanted}; write {wanted}"
-        case _:
-            return f"{given}: {error['msg']}"
-
-
-def _shown(value: object) -> str:
-    """Return a value as it stands in TOML, shortened."""
-    try:
-        text = json.dumps(value, ensure_ascii=False)
-    except (TypeError, ValueError):
-        text = str(value)
-    return text if len(text) <= 60 else text[:57] + "..."
-
-
-def _one_line(text: str) -> str:
-    return " ".join(text.split())

@@ -18,6 +18,8 @@ from scipy.spatial.transform import Rotation
 
 from bayesid.errors import InputError
 from bayesid.robot import inertia
+from bayesid.robot.tree import SensorPlace, joint_rods, locate_sensor
+from bayesid.robot.urdf_file import read_urdf
 
 _STANDARD_GRAVITY = (0.0, 0.0, -9.81)
 
@@ -191,9 +193,9 @@ def load_robot(
             static = static + frame[j].act(model.inertias[j])
 
     nominal = np.array([body.toDynamicParameters() for body in merged]).reshape(n, 10)
-    sensor = _Sensor(-1, pin.SE3.Identity(), np.ones(n, bool), None)
+    sensor = SensorPlace(-1, pin.SE3.Identity(), np.ones(n, bool), None)
     if sensor_joint is not None:
-        sensor = _locate_sensor(urdf, model, sensor_joint, index, parent, anchor, frame)
+        sensor = locate_sensor(urdf, model, sensor_joint, index, parent, anchor, frame)
     names, body_joint = tuple(joints), np.arange(n)
     body_rotation, body_translation = np.tile(np.eye(3), (n, 1, 1)), np.zeros((n, 3))
     if sensor.far is not None and sensor.parent >= 0:
@@ -211,7 +213,7 @@ def load_robot(
             if sensor.far is not None and sensor.parent < 0
             else np.zeros(10)
         )
-    rod_joint, rods = _rods(model, anchor, frame)
+    rod_joint, rods = joint_rods(model, anchor, frame)
     arrays = dict(
         rod_joint=rod_joint, rods=rods,
         parent=parent, rotation=rotation, translation=translation, axis=axis, prismatic=prismatic, lower=lower,
@@ -228,22 +230,12 @@ def load_robot(
     )
 
 
-@dataclass(frozen=True)
-class _Sensor:
-    parent: int
-    placement: Any  # of the sensor joint's child link in the parent joint's frame
-    bodies: np.ndarray
-    far: Any | None  # inertia of a split link's far part, in the sensor joint's child frame
-
-
 def _read(urdf: Path):
-    if not urdf.is_file():
-        raise InputError(f"{urdf}: no such file; [robot] urdf must name the robot's URDF")
     try:
-        return pin.buildModelFromUrdf(str(urdf))
+        return pin.buildModelFromXML(read_urdf(urdf).for_pinocchio())
     except (ValueError, RuntimeError) as error:
-        reason = " ".join(str(error).split()) or "not a valid URDF"
-        raise InputError(f"{urdf}: cannot be read as a URDF ({reason}); check the file with any URDF viewer") from None
+        reason = " ".join(str(error).split())[:200] or "not a valid URDF"
+        raise InputError(f"cannot be read as a URDF ({reason})", file=urdf.name, remedy="check it with a URDF viewer") from None
 
 
 def _unknown_joint(urdf: Path, model, name: str, moving: list[str]) -> str:
@@ -288,81 +280,3 @@ def _limits(model, j: int) -> tuple[float, float, float, float]:
         lower, upper = -np.inf, np.inf
     velocity, effort = float(model.velocityLimit[k]), float(model.effortLimit[k])
     return lower, upper, velocity if 0 < velocity < 1e6 else np.inf, effort if 0 < effort < 1e6 else np.inf
-
-
-def _locate_sensor(urdf: Path, model, name: str, index, parent, anchor, frame) -> _Sensor:
-    kinds = (pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)
-    found = [k for k, f in enumerate(model.frames) if f.name == name and f.type in kinds]
-    if not found:
-        known = [f.name for f in model.frames if f.type in kinds and f.name != "universe"]
-        close = get_close_matches(name, known, 1)
-        hint = f"did you mean '{close[0]}'?" if close else f"its joints are: {', '.join(known)}"
-        raise InputError(f"experiment.toml: [sensor] joint '{name}' is not in {urdf.name}; {hint}")
-    n = len(parent)
-    if name in index:
-        i = index[name]
-        return _Sensor(i, pin.SE3.Identity(), np.array([_descends(parent, k, i) for k in range(n)]), None)
-    # The sensor sits in a fixed or locked joint: all frames beyond it, through fixed or locked joints, are
-    # its far part; moving joints beyond it keep their own bodies.
-    here = found[0]
-    beyond = [k for k in range(len(model.frames)) if _frame_descends(model, k, here)]
-    own_joint = int(model.frames[here].parentJoint)
-    mover = anchor[own_joint]
-    placement = frame[own_joint] * model.frames[here].placement
-    far, bodies = pin.Inertia.Zero(), np.zeros(n + (mover >= 0), bool)
-    joints_beyond = {int(model.frames[k].parentJoint) for k in beyond} - {own_joint}
-    if model.frames[here].type == pin.FrameType.JOINT:  # a locked joint carries its whole own link
-        joints_beyond.add(own_joint)
-    else:
-        for k in beyond:
-            f = model.frames[k]
-            if int(f.parentJoint) == own_joint:
-                far = far + (placement.inverse() * frame[own_joint] * f.placement).act(f.inertia)
-    for j in joints_beyond:
-        if anchor[j] == mover:
-            far = far + (placement.inverse() * frame[j]).act(model.inertias[j])
-        else:
-            bodies[[k for k in range(n) if _descends(parent, k, anchor[j])]] = True
-    bodies[n:] = True
-    return _Sensor(mover, placement, bodies, far)
-
-
-def _rods(model, anchor, frame) -> tuple[np.ndarray, np.ndarray]:
-    """Lines between the origins of neighbouring joints of moving links; none on the root."""
-    joint, ends = [], []
-    kinds = (pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)
-    for k, child in enumerate(model.frames):
-        if child.type not in kinds or k == 0:
-            continue
-        up = int(child.parentFrame)
-        while up and model.frames[up].type not in kinds:
-            up = int(model.frames[up].parentFrame)
-        # A joint's own frame sits in that joint; the line to it belongs to the link before.
-        holder = model.frames[up]
-        mover = int(holder.parentJoint)
-        if anchor[mover] < 0:
-            continue
-        if child.type == pin.FrameType.JOINT:
-            tip = frame[mover] * model.jointPlacements[int(child.parentJoint)].translation
-        else:
-            tip = frame[mover] * child.placement.translation
-        joint.append(anchor[mover])
-        ends.append([frame[mover] * holder.placement.translation, tip])
-    return np.array(joint, int), np.array(ends, float).reshape(-1, 2, 3)
-
-
-def _descends(parent: np.ndarray, joint: int, ancestor: int) -> bool:
-    while joint >= 0:
-        if joint == ancestor:
-            return True
-        joint = int(parent[joint])
-    return False
-
-
-def _frame_descends(model, frame: int, ancestor: int) -> bool:
-    while frame != ancestor:
-        up = int(model.frames[frame].parentFrame)
-        if up == frame or frame == 0:
-            return False
-        frame = up
-    return True

@@ -9,6 +9,7 @@ import numpy as np
 
 from bayesid.robot import inertia
 from bayesid.robot.robot import Robot
+from bayesid.robot.urdf_file import read_urdf
 
 
 def write_urdf(robot: Robot, parameters: np.ndarray, path: Path) -> None:
@@ -26,8 +27,8 @@ def write_urdf(robot: Robot, parameters: np.ndarray, path: Path) -> None:
     path
         File to write.
     """
-    tree = ET.parse(robot.urdf)
-    root = tree.getroot()
+    root = read_urdf(robot.urdf).root
+    tree = ET.ElementTree(root)
     links = {link.get("name"): link for link in root.findall("link")}
     joints = {joint.get("name"): joint for joint in root.findall("joint")}
     owners = [_child(joints[name]) for name in robot.body_names]
@@ -49,10 +50,11 @@ def _child(joint: ET.Element) -> str:
 def _carried(link: str, joints: dict, bodies: tuple[str, ...]) -> list[str]:
     """The link and all links that joints without a body of their own attach to it."""
     out = [link]
-    for name, joint in joints.items():
-        parent = joint.find("parent")
-        if name not in bodies and parent is not None and parent.get("link") == link:
-            out += _carried(_child(joint), joints, bodies)
+    for carrier in out:
+        for name, joint in joints.items():
+            parent = joint.find("parent")
+            if name not in bodies and parent is not None and parent.get("link") == carrier:
+                out.append(_child(joint))
     return out
 
 

@@ -27,10 +27,9 @@ from bayesid.effects import REST_SPEED, State, middle_of
 from bayesid.effects.sizes import ANY_EFFORT
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, Motion, Sensor, write_experiment
-from bayesid.recordings.schema import ExperimentFile, model_parts, read_file
 from bayesid.recordings.table import Table
 from bayesid.robot import inertia
-from bayesid.robot.robot import Robot, load_robot
+from bayesid.robot.robot import Robot
 from bayesid.simulation.plant import Values, complete_effects, encoder_offsets, parameters, plant_readings, plant_terms
 from bayesid.simulation.trajectories import Trajectory, new_trajectories, recorded_trajectories
 
@@ -227,32 +226,6 @@ def write_simulation(simulation: Simulation, folder: str | Path) -> None:
     truth = json.dumps(simulation.truth.to_dict(simulation.robot), indent=1, allow_nan=False)
     write_experiment(simulation, folder)
     (Path(folder) / "truth.json").write_text(truth + "\n", encoding="utf-8")
-
-
-def load_setup(folder: str | Path) -> Experiment:
-    """The robot and sensor of an experiment folder, whose tables need not exist yet.
-
-    Raises
-    ------
-    InputError
-        experiment.toml or the URDF is missing or wrong.
-    """
-    folder = Path(folder)
-    if not (folder / "experiment.toml").is_file():
-        raise InputError(f"{folder}: has no experiment.toml; write one, or give the folder that holds it")
-    file = read_file(folder / "experiment.toml", ExperimentFile)
-    joint = file.sensor.joint if file.sensor is not None else None
-    given = {} if file.sensor is None else file.sensor.model_dump()
-    given |= {key: given[key] or None for key in ("force_std", "torque_std") if key in given}
-    section = file.robot
-    effects, values = model_parts(file.model)
-    robot = load_robot(folder / section.urdf, section.joints, section.locked, section.gravity, joint)
-    return Experiment(
-        name=file.name, robot=robot, motions=(), sensor=None if file.sensor is None else Sensor(**given),
-        effects=effects, effect_values=values,
-        inertia_rel_std=section.inertia_rel_std, position_resolution=section.position_resolution,
-        position_std=section.position_std, gear_ratio=dict(section.gear_ratio), locked=dict(section.locked), folder=folder,
-    )  # fmt: skip
 
 
 def _middle(trajectories: Sequence[Trajectory]) -> np.ndarray | None:

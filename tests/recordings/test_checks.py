@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import pickle
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,7 +14,7 @@ import pytest
 
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import load_experiment, write_experiment
-from tests.malformed import DATA, FOLDERS, table, toml, write_good
+from tests.malformed import DATA, FOLDERS, cell, table, toml, urdf, write_good
 
 
 @pytest.fixture
@@ -55,6 +57,17 @@ def beyond(frame: pd.DataFrame) -> pd.DataFrame:
     return frame.assign(q2=frame["q2"] + 2.5)
 
 
+def no_masses(folder: Path) -> None:
+    path = folder / "robot.urdf"
+    path.write_text(re.sub(r"<inertial>.*?</inertial>", "", path.read_text(), flags=re.DOTALL))
+
+
+def milligrams(folder: Path) -> None:
+    path = folder / "robot.urdf"
+    number = re.compile(r'(value|i[xyz]{2})="([^"]+)"')
+    path.write_text(number.sub(lambda m: f'{m[1]}="{float(m[2]) * 1e-6!r}"', path.read_text()))
+
+
 DOUBTS: list[tuple[str, Callable[[Path], None], tuple[str, ...]]] = [
     ("gap", table(gap, "validation.csv"), ("validation.csv: column t", "gap at 1.99 to 2.3 s", "0.01 s")),
     ("lost samples", table(lost, "validation.csv"), ("validation.csv: column t", "2 steps lack a sample", "1.49 s")),
@@ -76,7 +89,18 @@ DOUBTS: list[tuple[str, Callable[[Path], None], tuple[str, ...]]] = [
     ("a joint too many", table(lambda d: d.assign(q3=0.0, v3=0.0)), ("columns q3, v3 are not used",)),
     ("torques for a wrench", table(lambda d: d[["t", "q1", "q2"]].assign(tau1=d.fx, tau2=d.fy), "validation.csv"),
      ("validation.csv: columns fx ... mz are missing",)),
-    ("impossible body", toml('ixx="0.05"', 'ixx="5.0"', "robot.urdf"), ("robot.urdf: no body can have", "shoulder")),
+    ("mass 0 with an inertia", urdf('<mass value="4.0"', '<mass value="0"'), ("mass 0 but an inertia: link upper",)),
+    ("no masses", lambda folder: no_masses(folder), ("robot.urdf: no link but the root has a mass",)),
+    ("milligrams", lambda folder: milligrams(folder), ("robot.urdf: all moving links weigh 6.5e-06 kg together",)),
+    ("a joint that follows another", urdf('<axis xyz="0.0 1', '<mimic joint="shoulder" /><axis xyz="0.0 1'),
+     ("robot.urdf: joint elbow mimics shoulder", "own column")),
+    ("a locked joint that follows", urdf('<axis xyz="1.0 0', '<mimic joint="elbow" /><axis xyz="1.0 0'),
+     ("robot.urdf: joint wrist mimics elbow", "locked")),
+    ("locked in degrees", toml("wrist = 0.1", "wrist = 90"), ("[robot] locked: wrist = 90 rad", "degrees")),
+    ("translation in millimetres", toml("[0.0, 0.0, -0.1]", "[0.0, 0.0, -100.0]"), ("[sensor] translation", "millimetres")),
+    ("rpy in degrees", toml("force_std", "rpy = [0, 0, 90]\nforce_std"), ("[sensor] rpy", "degrees")),
+    ("trust of ten", toml("inertia_rel_std = 0.1", "inertia_rel_std = 10"), ("[robot] inertia_rel_std: 10", "share")),
+    ("impossible body", toml('ixx="0.05"', 'ixx="5.0"', "robot.urdf"), ("robot.urdf: no body can have", "link upper")),
 ]  # fmt: skip
 
 
@@ -90,10 +114,35 @@ def test_doubts_are_warnings_that_say_where(damage: Callable[[Path], None], says
     assert "\n" not in warnings[0]
 
 
+@pytest.mark.parametrize("header", ["t, q1 ,q2", ' t,"q1",q2 '], ids=["blanks", "quotes"])
+def test_blanks_and_quotes_around_names_do_not_matter(header: str, folder: Path) -> None:
+    expected = load_experiment(folder).motions[0].table
+    path = folder / "identification.csv"
+    path.write_text(path.read_text().replace("t,q1,q2", header, 1))
+    np.testing.assert_array_equal(load_experiment(folder).motions[0].table.wrench, expected.wrench)
+
+
+def test_an_error_carries_its_evidence(folder: Path) -> None:
+    cell(7, "fz", "n/a")(folder)
+    with pytest.raises(InputError) as caught:
+        load_experiment(folder)
+    error = caught.value
+    assert (error.file, error.value) == ("identification.csv", "n/a") and "line 9" in error.key and "correct it" in error.remedy
+    copied = pickle.loads(pickle.dumps(error))
+    assert (str(copied), copied.key) == (str(error), error.key)
+
+
+def test_messages_do_not_copy_what_a_table_holds(folder: Path) -> None:
+    (folder / "identification.csv").write_text("SECRET=" + "x" * 500 + ",b\n1,2\n")
+    with pytest.raises(InputError) as caught:
+        load_experiment(folder)
+    assert len(str(caught.value)) < 200 and "x" * 50 not in str(caught.value)
+
+
 def test_a_wrapped_angle_is_called_so(folder: Path) -> None:
     toml('lower="-3.141592653589793"', 'lower="-9"', "robot.urdf")(folder)
     table(lambda d: d.assign(q1=d["q1"].where(d.index < 300, d["q1"] - 2.0 * math.pi)))(folder)
-    (folder / "static.csv").write_bytes((folder / "identification.csv").read_bytes())
+    table(lambda d: d.assign(q1=pd.read_csv(folder / "identification.csv")["q1"]), "static.csv")(folder)
     (warning,) = load_experiment(folder).warnings
     assert "q1: shoulder jumps by 6.2" in warning and "unwrap" in warning
 

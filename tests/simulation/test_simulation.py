@@ -12,11 +12,12 @@ import pytest
 import bayesid
 from bayesid.cli import main
 from bayesid.effects import REST_SPEED
+from bayesid.recordings.experiment import load_setup
 from bayesid.recordings.table import WRENCH_COLUMNS
 from bayesid.robot import inertia
 from bayesid.robot.limits import motion_limits
 from bayesid.simulation.plant import complete_effects, default_values
-from bayesid.simulation.simulation import load_setup, perturbed_links
+from bayesid.simulation.simulation import perturbed_links
 from bayesid.simulation.trajectories import new_trajectories, recorded_trajectories
 from bayesid.workflows.demo import demo_experiment, puma_setup
 from tests.robots import ROBOTS, write
@@ -169,7 +170,7 @@ def test_unusable_input_is_refused(setup):
         bayesid.Recorder(force_std=-1.0)
     with pytest.raises(bayesid.InputError, match="shape"):
         bayesid.simulate(setup, new_trajectories(setup.robot, 2.0), links=np.zeros((3, 10)))
-    with pytest.raises(bayesid.InputError, match="experiment.toml"):
+    with pytest.raises(bayesid.InputError, match="no such folder"):
         load_setup("no such folder")
 
 

@@ -1,0 +1,286 @@
+"""Tables from CSV and Parquet files.
+
+A table is read in blocks that go straight into one array per group of columns, so that ten million rows need little
+more memory than their numbers. Only when something is wrong is the file read again, to say where.
+"""
+
+from __future__ import annotations
+
+import csv
+import importlib
+import itertools
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+import pandas as pd
+
+from bayesid.errors import InputError
+from bayesid.recordings.complaints import cut, one_line, suggest
+from bayesid.recordings.schema import LARGEST
+from bayesid.recordings.table import JOINT_GROUPS, WRENCH_COLUMNS, Table, check_increasing
+
+_BLOCK_ROWS = 200_000
+_BLOCK_BYTES = 1 << 24
+_LARGEST_TIME = 1e19  # [s]; nanoseconds since 1970, which are told as such, are below
+
+
+def read_table(path: Path, source: str, joints: int, wrench: bool = True) -> tuple[Table, list[str]]:
+    """Read a table.
+
+    Parameters
+    ----------
+    path
+        A CSV file, or a Parquet file (``.parquet``, ``.pq``).
+    source
+        What to call it in messages: its path within the experiment folder.
+    joints
+        How many joints there are: columns ``q1`` to ``q<joints>`` must be there.
+    wrench
+        Whether the wrench columns are to be read.
+
+    Returns
+    -------
+    table, warnings
+
+    Raises
+    ------
+    InputError
+        The file is absent or no such table, a column is missing, a cell is no finite number, or time does not increase.
+    """
+    if not path.is_file():
+        raise InputError(f"{source}: no such file; write it or correct the name in experiment.toml")
+    try:
+        if path.suffix.lower() in (".parquet", ".pq"):
+            return _read_parquet(path, source, joints, wrench)
+        return _read_csv(path, source, joints, wrench)
+    except OSError as error:
+        raise InputError(f"{source}: cannot be read ({error.strerror}); give a readable file") from None
+
+
+def _read_csv(path: Path, source: str, joints: int, wrench: bool) -> tuple[Table, list[str]]:
+    header = _header(path, source)
+    groups, warnings = _groups(header, source, joints, wrench)
+    # By place, not by name: pandas knows the names as they stand, with blanks around them.
+    places = {group: [header.index(column) for column in columns] for group, columns in groups.items()}
+    used = {place: header[place] for group in places.values() for place in group}
+    lines = _count_lines(path, source, len(header))
+    # More rows than needed, by blank lines at most; what is not filled takes no memory.
+    arrays = {group: np.empty((lines, len(columns))) for group, columns in groups.items()}
+    rows = 0
+    options: dict[str, Any] = dict(
+        header=0, names=list(range(len(header))), usecols=list(used), index_col=False, skipinitialspace=True,
+        encoding="utf-8-sig", chunksize=_BLOCK_ROWS,
+    )  # fmt: skip
+    try:
+        with pd.read_csv(path, dtype=np.float64, **options) as reader:
+            for frame in reader:
+                block = slice(rows, rows + len(frame))
+                for group, columns in places.items():
+                    arrays[group][block] = frame[columns]
+                    if not np.isfinite(arrays[group][block]).all():
+                        raise ValueError("not finite")
+                rows += len(frame)
+    except ValueError as error:  # pandas' parser errors and Unicode's are ValueErrors too
+        _blame_cell(path, source, used, options)
+        reason = cut(one_line(str(error)), 80)
+        raise InputError(f"cannot be read as CSV ({reason})", file=source, remedy="check the file") from None
+    if not rows:
+        raise InputError("has a header but no rows", file=source, remedy="write one row per sample")
+    arrays = {group: array[:rows] for group, array in arrays.items()}
+    return _assemble(arrays, groups, source, lambda row: f"line {_line_number(path, row)}"), warnings
+
+
+def _read_parquet(path: Path, source: str, joints: int, wrench: bool) -> tuple[Table, list[str]]:
+    try:
+        parquet = importlib.import_module("pyarrow.parquet")
+    except ImportError:
+        raise InputError(
+            f'{source}: reading Parquet needs pyarrow; pip install "bayesid[parquet]", or write the table as CSV'
+        ) from None
+    try:
+        file = parquet.ParquetFile(path)
+    except ValueError as error:  # pyarrow.ArrowInvalid
+        raise InputError(f"{source}: not a Parquet file ({' '.join(str(error).split())}); write it again") from None
+    groups, warnings = _groups(list(file.schema_arrow.names), source, joints, wrench)
+    arrays = {}
+    for group, columns in groups.items():
+        frame = file.read(columns=columns).to_pandas()
+        for column in columns:
+            if frame[column].dtype.kind not in "fiu":
+                raise InputError(f"{source}: column {column}: holds {frame[column].dtype}; write numbers")
+        arrays[group] = frame[columns].to_numpy(np.float64)
+        bad = np.argwhere(~np.isfinite(arrays[group]))
+        if len(bad):
+            row, k = bad[0]
+            raise InputError(
+                f"{source}: column {columns[k]}, row {row}: {arrays[group][row, k]} is not a number; "
+                "leave out rows without a reading"
+            )
+    if not len(arrays["t"]):
+        raise InputError(f"{source}: has columns but no rows; write one row per sample")
+    return _assemble(arrays, groups, source, lambda row: f"row {row}"), warnings
+
+
+def _assemble(
+    arrays: dict[str, np.ndarray], groups: dict[str, list[str]], source: str, place: Callable[[int], str]
+) -> Table:
+    for group, array in arrays.items():
+        largest = _LARGEST_TIME if group == "t" else LARGEST
+        # By extremes: no array of the table's length is made.
+        if max(-float(array.min()), float(array.max())) > largest:
+            row, k = (int(i) for i in np.argwhere(np.abs(array) > largest)[0])
+            raise InputError(
+                f"{array[row, k]:g} is no reading", file=source, key=f"column {groups[group][k]}, {place(row)}",
+                value=float(array[row, k]), remedy="correct it or leave out rows without a reading",
+            )  # fmt: skip
+    times = arrays.pop("t")[:, 0]
+    check_increasing(times, source, place)
+    return Table(times=times, source=source, **arrays)
+
+
+def _header(path: Path, source: str) -> list[str]:
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as handle:
+            header = next((row for row in csv.reader(handle, skipinitialspace=True) if not _blank(row)), None)
+    except (UnicodeDecodeError, csv.Error):
+        raise InputError(f"{source}: is not UTF-8 text; export the table as CSV in UTF-8") from None
+    if header is None:
+        raise InputError(f"{source}: is empty; write a header (t, q1, ...) and one row per sample")
+    header = [name.strip() for name in header]
+    if all(_is_number(name) for name in header):
+        raise InputError(f'{source}: line 1 holds numbers ("{cut(header[0])}"); write a header that names the columns')
+    for separator, name in ((";", "semicolons"), ("\t", "tabs")):
+        if len(header) == 1 and separator in header[0]:
+            raise InputError(f"{source}: line 1 is separated by {name}; separate with commas, decimals with points")
+    return header
+
+
+def _groups(header: list[str], source: str, joints: int, wrench: bool) -> tuple[dict[str, list[str]], list[str]]:
+    """Choose the columns to read: group -> its columns; and say what of the robot's own is left out."""
+    wanted = {"t": ["t"]}
+    for group, prefix in JOINT_GROUPS.items():
+        wanted[group] = [f"{prefix}{j + 1}" for j in range(joints)]
+    wanted["wrench"] = list(WRENCH_COLUMNS)
+    groups: dict[str, list[str]] = {}
+    for group, columns in wanted.items():
+        missing = [column for column in columns if column not in header]
+        for column in columns:
+            if header.count(column) > 1:
+                raise InputError(f"{source}: column {column}: there are {header.count(column)} of it; keep one")
+        if not missing:
+            groups[group] = columns
+        elif len(missing) < len(columns):
+            there = [column for column in columns if column in header]
+            raise InputError(
+                f"{source}: column {missing[0]} is missing although {', '.join(there)} "
+                f"{'is' if len(there) == 1 else 'are'} there; write all of {columns[0]} ... {columns[-1]} or none"
+            )
+        elif group in ("t", "positions"):
+            others = [name for name in header if name and name not in sum(groups.values(), [])]
+            raise InputError(f"{source}: column {missing[0]} is missing; {suggest(missing[0], others, 'its other columns are')}")
+    warnings = []
+    more = [name for name in header if (m := re.fullmatch(r"(?:q|v|qr|tau)(\d+)", name)) and int(m[1]) > joints]
+    if more:
+        warnings.append(
+            f"{source}: columns {', '.join(more[:12])} are not used: [robot] joints lists {joints} joint{'s' * (joints > 1)}"
+        )
+    if not wrench and groups.pop("wrench", None):
+        warnings.append(f"{source}: columns fx ... mz are not used: experiment.toml has no [sensor]")
+    return groups, warnings
+
+
+def _count_lines(path: Path, source: str, width: int) -> int:
+    """Count the lines; refuse one with more or fewer cells than the header.
+
+    pandas fills and drops cells without a word where columns are chosen, so that one stray or missing comma would
+    shift the numbers of its row into other columns.
+    """
+    lines = 0
+    with path.open("rb") as handle:
+        while block := handle.read(_BLOCK_BYTES) + handle.readline():
+            if b"\0" in block:
+                raise InputError("holds zero bytes and is no text", file=source, remedy="export the table as CSV in UTF-8")
+            if b'"' in block or block.count(b"\r") > block.count(b"\r\n"):
+                return _count_quoted(path, source, width)  # commas and line ends within quotes separate nothing
+            codes = np.frombuffer(block, np.uint8)
+            newlines = np.flatnonzero(codes == 10)
+            ends = np.append(newlines, len(codes))
+            starts = np.append(0, newlines + 1)
+            cells = np.diff(np.searchsorted(np.flatnonzero(codes == 44), ends), prepend=0) + 1
+            odd = np.flatnonzero((cells != width) & (ends > starts))
+            for k in odd.tolist():
+                if block[starts[k] : ends[k]].strip():
+                    _refuse_width(int(cells[k]), width, lines + k + 1, source)
+            lines += len(newlines)
+    return lines + 1
+
+
+def _count_quoted(path: Path, source: str, width: int) -> int:
+    """The same for a table with quotes, or with line ends of old Macintoshes: cell by cell, and slower."""
+    with path.open(encoding="utf-8-sig", newline="", errors="replace") as handle:
+        reader = csv.reader(handle, skipinitialspace=True)
+        try:
+            for row in reader:
+                if len(row) != width and not _blank(row):
+                    _refuse_width(len(row), width, reader.line_num, source)
+        except csv.Error as error:
+            raise InputError(
+                f"line {reader.line_num}: cannot be read as CSV ({error})", file=source, remedy="check the quotes there"
+            ) from None
+    return reader.line_num + 1
+
+
+def _refuse_width(cells: int, width: int, line: int, source: str) -> NoReturn:
+    remedy = "remove stray commas (decimals are written with a point)" if cells > width else "write a cell for every column"
+    count = f"{cells} cell{'s' * (cells > 1)}"
+    raise InputError(f"{count} where the header has {width}", file=source, key=f"line {line}", value=cells, remedy=remedy)
+
+
+def _blank(row: list[str]) -> bool:
+    return len(row) <= 1 and not "".join(row).strip()
+
+
+def _blame_cell(path: Path, source: str, columns: dict[int, str], options: dict[str, Any]) -> None:
+    """Raise for the first cell that is not a finite number, if there is one."""
+    options = options | dict(dtype=str, keep_default_na=False, encoding_errors="replace")
+    places, row = list(columns), 0
+    for frame in _quietly(pd.read_csv(path, **options)):
+        values = frame[places].apply(pd.to_numeric, errors="coerce").to_numpy(np.float64)
+        bad = np.argwhere(~np.isfinite(values))
+        if len(bad):
+            at, k = int(bad[0][0]), int(bad[0][1])
+            cell = frame[places[k]].iloc[at]
+            shown = f'"{cut(one_line(cell))}" is not a finite number' if isinstance(cell, str) and cell.strip() else "empty cell"
+            raise InputError(
+                shown, file=source, key=f"column {columns[places[k]]}, line {_line_number(path, row + at)}", value=cell,
+                remedy="correct it or leave out rows without a reading",
+            )  # fmt: skip
+        row += len(frame)
+
+
+def _quietly(reader: Any) -> Iterator[pd.DataFrame]:
+    """Yield blocks until the file ends or cannot be parsed further."""
+    try:
+        with reader:
+            yield from reader
+    except ValueError:
+        return
+
+
+def _line_number(path: Path, row: int) -> int:
+    """Return the line, from 1, of a row, from 0: the header and blank lines are no rows."""
+    with path.open(encoding="utf-8-sig", newline="", errors="replace") as handle:
+        reader = csv.reader(handle, skipinitialspace=True)
+        filled = (reader.line_num for cells in reader if not _blank(cells))
+        return next(itertools.islice(filled, row + 1, None), 0)
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

@@ -1,0 +1,325 @@
+"""A URDF as its author wrote it, checked before any parser of robots sees it.
+
+What cannot be a robot is refused: numbers that are none, negative or absurd masses, joints that form a loop. What
+is doubtful becomes a warning. `for_pinocchio` then hands on the links and joints alone, so that both read the same.
+"""
+
+from __future__ import annotations
+
+import re
+import xml.etree.ElementTree as ET
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from bayesid.errors import InputError
+from bayesid.robot import inertia
+from bayesid.robot.xml import read_xml
+
+#: A chain of so many links is no robot, and parsers that call themselves once a link run out of stack on longer ones.
+LONGEST_CHAIN, MOST_LINKS = 500, 5000
+#: No link weighs more [kg]; nor less, but for frames without any mass.
+HEAVIEST, LIGHTEST = 1e7, 1e-12
+#: Nothing of a robot is farther from its joint than that [m], nor any other number of a URDF larger.
+FARTHEST, LARGEST = 1e4, 1e12
+_KINDS = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+_INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+_SHOWN = 40  # characters of a value that a message quotes
+
+
+@dataclass(frozen=True)
+class UrdfJoint:
+    """A joint as the file states it.
+
+    Attributes
+    ----------
+    name, kind, parent, child
+        Its name, type, and the links that it connects.
+    mimics
+        The joint that it follows, or None.
+    """
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    mimics: str | None
+
+
+@dataclass(frozen=True)
+class UrdfFile:
+    """A URDF that has passed the checks.
+
+    Attributes
+    ----------
+    root
+        The whole document.
+    joints
+        By name.
+    warnings
+        What is doubtful in it, one line each.
+    """
+
+    root: ET.Element
+    joints: dict[str, UrdfJoint]
+    warnings: tuple[str, ...]
+
+    def for_pinocchio(self) -> str:
+        """Links with their masses, and joints, as XML: what Pinocchio needs and nothing else."""
+        root = ET.Element("robot", name=self.root.get("name", ""))
+        for kind, parts in (("link", ("inertial",)), ("joint", ("origin", "parent", "child", "axis", "limit"))):
+            for element in self.root.findall(kind):
+                copy = ET.SubElement(root, kind, _plain(element))
+                for part in parts:
+                    for inner in element.findall(part)[:1]:
+                        below = ET.SubElement(copy, part, _plain(inner))
+                        for innermost in inner:
+                            ET.SubElement(below, innermost.tag, _plain(innermost))
+        return ET.tostring(root, encoding="unicode")
+
+
+def read_urdf(path: str | Path) -> UrdfFile:
+    """Read a URDF and check all that can be told without a robot in mind.
+
+    Parameters
+    ----------
+    path
+        The file; its name alone goes into messages.
+
+    Raises
+    ------
+    InputError
+        It is no XML, or no URDF: which link or joint, which value, what to do.
+    """
+    path = Path(path)
+    source = path.name
+    root = read_xml(path, source)
+    _check_namespaces(root, source)
+    links, joints = _named(root, "link", source), _named(root, "joint", source)
+    if not links:
+        raise InputError("has no <link>", file=source, remedy="it cannot be read as a URDF: check the file")
+    known = {name: _joint(element, links, source) for name, element in joints.items()}
+    for element in joints.values():
+        _check_numbers(element, known[str(element.get("name"))], source)
+    root_link = _check_tree(links, known, source)
+    bodies = {name: _body(element, source) for name, element in links.items()}
+    return UrdfFile(root, known, tuple(_doubts(bodies, root_link, source)))
+
+
+def _plain(element: ET.Element) -> dict[str, str]:
+    """Attributes as every parser reads them: values without line breaks."""
+    return {key: " ".join(value.split()) if key != "name" else value for key, value in element.attrib.items()}
+
+
+def _check_namespaces(root: ET.Element, source: str) -> None:
+    for element in root.iter():
+        if "}" in element.tag and "xacro" in element.tag.partition("}")[0]:
+            raise InputError(
+                f"holds <xacro:{_cut(element.tag.partition('}')[2])}>", file=source,
+                remedy="expand the xacro file first: xacro FILE > robot.urdf",
+            )  # fmt: skip
+    if root.tag.endswith("}robot"):
+        raise InputError(
+            "<robot> has a default namespace (xmlns=...), so that none of its parts is URDF's", file=source, remedy="remove it"
+        )
+    if root.tag != "robot":
+        raise InputError(
+            f"its root element is <{_cut(root.tag)}>", file=source,
+            remedy="it cannot be read as a URDF, which has <robot>: name the robot's URDF",
+        )  # fmt: skip
+
+
+def _named(root: ET.Element, kind: str, source: str) -> dict[str, ET.Element]:
+    out: dict[str, ET.Element] = {}
+    for element in root.findall(kind):
+        name = element.get("name", "")
+        if not name.strip():
+            raise InputError(f"a <{kind}> has no name", file=source, remedy="name it")
+        if name in out:
+            raise InputError(f"{kind} {_cut(name)}: is there twice", file=source, remedy="name them apart")
+        out[name] = element
+    return out
+
+
+def _joint(element: ET.Element, links: dict[str, ET.Element], source: str) -> UrdfJoint:
+    name = str(element.get("name"))
+    place = f"joint {_cut(name)}"
+    kind = element.get("type", "")
+    if kind not in _KINDS:
+        raise InputError(
+            f'type "{_cut(kind)}" is not known', file=source, key=place, value=kind,
+            remedy="write revolute, continuous, prismatic or fixed",
+        )  # fmt: skip
+    ends = []
+    for end in ("parent", "child"):
+        inner = element.find(end)
+        link = "" if inner is None else inner.get("link", "")
+        if link not in links:
+            raise InputError(f'{end} link "{_cut(link)}" is not in the file', file=source, key=place, value=link,
+                             remedy="correct the name there")  # fmt: skip
+        ends.append(link)
+    mimic = element.find("mimic")
+    return UrdfJoint(name, kind, ends[0], ends[1], None if mimic is None else mimic.get("joint", ""))
+
+
+def _check_numbers(element: ET.Element, joint: UrdfJoint, source: str) -> None:
+    place = f"joint {_cut(joint.name)}"
+    _origin(element, place, source)
+    axis = element.find("axis")
+    if axis is not None and joint.kind != "fixed":
+        given = _vector(axis, "xyz", (1.0, 0.0, 0.0), place, source, LARGEST)
+        if joint.kind in _KINDS[:3] and not np.linalg.norm(given) > 1e-6:
+            raise InputError(f"axis {axis.get('xyz')} has no direction", file=source, key=place, value=given,
+                             remedy="write a unit vector")  # fmt: skip
+    limit = element.find("limit")
+    if joint.kind not in ("revolute", "prismatic", "continuous"):
+        return
+    if limit is None:
+        if joint.kind == "continuous":
+            return
+        raise InputError(f"is {joint.kind} and has no <limit>", file=source, key=place,
+                         remedy="write lower, upper, velocity and effort")  # fmt: skip
+    values = {}
+    for key in ("lower", "upper", "velocity", "effort"):
+        if limit.get(key) is None and key in ("velocity", "effort"):
+            raise InputError(f"<limit> lacks {key}", file=source, key=place, remedy="write it")
+        values[key] = _number(limit.get(key, "0"), f"limit {key}", place, source, np.inf)
+    if joint.kind != "continuous" and values["lower"] > values["upper"]:
+        raise InputError(
+            f"limits are reversed, from {values['lower']:g} to {values['upper']:g}", file=source, key=place,
+            value=(values["lower"], values["upper"]), remedy="swap lower and upper",
+        )  # fmt: skip
+
+
+def _check_tree(links: Iterable[str], joints: dict[str, UrdfJoint], source: str) -> str:
+    """Check that all links hang on one, by chains of bearable length; returns that one's name."""
+    links = list(links)
+    above: dict[str, UrdfJoint] = {}
+    below: dict[str, list[str]] = {name: [] for name in links}
+    for joint in joints.values():
+        if joint.child in above:
+            raise InputError(
+                f"joints {_cut(above[joint.child].name)} and {_cut(joint.name)} have the same child, link {_cut(joint.child)}",
+                file=source, remedy="a link hangs on one joint: remove the other (closed loops are not supported)",
+            )  # fmt: skip
+        above[joint.child] = joint
+        below[joint.parent].append(joint.child)
+    roots = [name for name in links if name not in above]
+    if len(roots) > 1:
+        raise InputError(
+            f"links {_cut(roots[0])} and {_cut(roots[1])} hang on no joint", file=source, remedy="attach all but one of them"
+        )
+    depth = {name: 1 for name in roots}
+    queue = list(roots)
+    for name in queue:
+        for child in below[name]:
+            depth[child] = depth[name] + 1
+            queue.append(child)
+    if looped := [name for name in links if name not in depth]:
+        raise InputError(
+            f"joint {_cut(above[looped[0]].name)}: its links hang on each other in a loop, not on the robot's base",
+            file=source, remedy="correct its parent or child",
+        )  # fmt: skip
+    if len(links) > MOST_LINKS or max(depth.values()) > LONGEST_CHAIN:
+        raise InputError(
+            f"{len(links)} links, {max(depth.values())} of them in one chain; {MOST_LINKS} and {LONGEST_CHAIN} can be read",
+            file=source, remedy="merge links that fixed joints connect",
+        )  # fmt: skip
+    return roots[0]
+
+
+def _body(link: ET.Element, source: str) -> np.ndarray:
+    """Ten parameters of a link about its own origin (10,); zero without an ``<inertial>``."""
+    place = f"link {_cut(str(link.get('name')))}"
+    inertial = link.find("inertial")
+    if inertial is None:
+        return np.zeros(10)
+    mass, about = inertial.find("mass"), inertial.find("inertia")
+    for element, name in ((mass, "mass"), (about, "inertia")):
+        if element is None:
+            raise InputError(f"<inertial> lacks <{name}>", file=source, key=place, remedy="write it, or remove <inertial>")
+    assert mass is not None and about is not None
+    m = _number(mass.get("value"), "mass", place, source, np.inf)
+    if m < 0.0:
+        raise InputError(f"mass {m:g} kg", file=source, key=place, value=m, remedy="masses are 0 or more: correct it")
+    if m > HEAVIEST or 0.0 < m < LIGHTEST:
+        raise InputError(f"mass {m:g} kg is no link's", file=source, key=place, value=m,
+                         remedy=f"write kilograms, {LIGHTEST:g} to {HEAVIEST:g}, or 0")  # fmt: skip
+    values = [_number(about.get(key), key, place, source, LARGEST) for key in _INERTIA]
+    com, rpy = _origin(inertial, place, source)
+    rotation = Rotation.from_euler("xyz", rpy).as_matrix()
+    xx, xy, xz, yy, yz, zz = values
+    tensor = rotation @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ rotation.T
+    return inertia.from_mass_com_inertia(m, com, tensor)
+
+
+def _doubts(bodies: dict[str, np.ndarray], root: str, source: str) -> list[str]:
+    """What no physical link is: inertia without mass, or one that no distribution of mass has."""
+    out = []
+    moved = {name: body for name, body in bodies.items() if name != root}
+    if moved and not any(body[0] > 0.0 for body in moved.values()):
+        out.append(
+            f"{source}: no link but the root has a mass, so nothing is known of the nominal robot; "
+            "write the masses, or leave [robot] inertia_rel_std out"
+        )
+    empty = [name for name, body in moved.items() if body[0] == 0.0 and body.any()]
+    if empty:
+        out.append(f"{source}: mass 0 but an inertia: {_listed(empty)}; write the mass, or remove <inertial>")
+    impossible = [
+        name for name, body in moved.items() if body[0] > 0.0 and not inertia.is_physically_consistent(body).all()
+    ]
+    if impossible:
+        out.append(
+            f"{source}: no body can have the mass, centre and inertia of {_listed(impossible)}; "
+            "correct them, or leave [robot] inertia_rel_std out if they are not to be trusted"
+        )
+    return out
+
+
+def _listed(names: list[str]) -> str:
+    more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+    return f"link{'s' * (len(names) > 1)} " + ", ".join(map(_cut, names[:3])) + more
+
+
+def _origin(element: ET.Element, place: str, source: str) -> tuple[np.ndarray, np.ndarray]:
+    """Position [m] and fixed-axis angles [rad] of an element's ``<origin>``."""
+    origin = element.find("origin")
+    if origin is None:
+        return np.zeros(3), np.zeros(3)
+    zero = (0.0, 0.0, 0.0)
+    return (_vector(origin, "xyz", zero, place, source, FARTHEST), _vector(origin, "rpy", zero, place, source, FARTHEST))
+
+
+def _vector(
+    element: ET.Element, key: str, default: tuple[float, float, float], place: str, source: str, largest: float
+) -> np.ndarray:
+    text = element.get(key)
+    if text is None:
+        return np.array(default)
+    parts = text.split()
+    if len(parts) != 3:
+        raise InputError(f'<{element.tag}> {key} "{_cut(text)}" is not three numbers', file=source, key=place, value=text,
+                         remedy="write three, separated by blanks, with decimal points")  # fmt: skip
+    return np.array([_number(part, f"<{element.tag}> {key}", place, source, largest) for part in parts])
+
+
+def _number(text: str | None, what: str, place: str, source: str, largest: float) -> float:
+    if text is None:
+        raise InputError(f"{what} is missing", file=source, key=place, remedy="write it")
+    if not _NUMBER.fullmatch(text.strip()):
+        raise InputError(f'{what} "{_cut(text)}" is not a number', file=source, key=place, value=text,
+                         remedy="write one, with a decimal point")  # fmt: skip
+    value = float(text)
+    if not abs(value) <= largest or not np.isfinite(value):
+        raise InputError(f"{what} {_cut(text)} is beyond all robots", file=source, key=place, value=text,
+                         remedy="write SI units (m, rad, kg, kg m^2)")  # fmt: skip
+    return value
+
+
+def _cut(text: str) -> str:
+    text = " ".join(text.split())
+    return text if len(text) <= _SHOWN else text[: _SHOWN - 3] + "..."
