@@ -20,7 +20,7 @@ from bayesid.results.files import check_output
 @OUT
 @SEED
 def diagnose(experiment, channel, motions, effects, model, out, seed) -> None:
-    """Where model and data disagree, which effect is missing, and proof on motions that were not fitted."""
+    """Where model and data disagree, which effect is missing, and validation on motions that were not fitted."""
     if out is not None:
         check_output(out)
     with show_progress() as progress:

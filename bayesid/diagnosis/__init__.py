@@ -1,4 +1,4 @@
-"""Find the effect that a model misses: where it disagrees with the data, what is missing, and proof that it was."""
+"""Find the effect that a model misses: where it disagrees with the data, what is missing, and held-out validation of it."""
 
 from bayesid.diagnosis.diagnose import Diagnosis, diagnose
 

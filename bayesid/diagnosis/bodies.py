@@ -20,7 +20,7 @@ _DRAWN = 5000
 _LENGTH = 0.1
 
 
-def as_payload(fitted: Fit, index: int, temper: float) -> tuple[Term, float]:
+def as_payload(fitted: Fit, index: int, dispersion: float) -> tuple[Term, float]:
     """A change of a link as an attached body, if a possible body is near enough, and what that adds to its evidence.
 
     Among all changes of a link as large as itself few are bodies that could be attached: if the one found is, that speaks
@@ -30,7 +30,7 @@ def as_payload(fitted: Fit, index: int, temper: float) -> tuple[Term, float]:
     if term.effect.name != "inertia_error" or not np.isfinite(fitted.score):
         return term, 0.0
     at = [column for column, (owner, _) in enumerate(fitted.free) if owner == index]
-    values, covariance = np.array(term.values), temper * fitted.covariance[np.ix_(at, at)]
+    values, covariance = np.array(term.values), dispersion * fitted.covariance[np.ix_(at, at)]
     size = np.sqrt(np.maximum(np.diag(covariance), 1e-30))
     spread, axes = np.linalg.eigh(covariance / np.outer(size, size))
     root = (axes / np.sqrt(np.maximum(spread, 1e-9 * spread[-1]))).T / size
@@ -48,9 +48,9 @@ def as_payload(fitted: Fit, index: int, temper: float) -> tuple[Term, float]:
             return term, 0.0
     if body.value is None or chi2.sf(distance, 10) < _POSSIBLE:
         return term, 0.0
-    effect = next(e for e in fitted.rigid.case.places("payload") if e.where == term.effect.where)
+    effect = next(e for e in fitted.projector.data.places("payload") if e.where == term.effect.where)
     joint = effect.joint or 0
-    return Term(effect, tuple(size * body.value)), _rarity(fitted.rigid.case.links[10 * joint : 10 * joint + 10])
+    return Term(effect, tuple(size * body.value)), _rarity(fitted.projector.data.links[10 * joint : 10 * joint + 10])
 
 
 def _rarity(link: np.ndarray) -> float:

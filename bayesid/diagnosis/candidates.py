@@ -13,9 +13,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from bayesid.diagnosis.case import Case
 from bayesid.diagnosis.contacts import contact_terms
-from bayesid.diagnosis.fit import LINKS, Fit, Rigid, model_rows, residual_rows, term_rows
+from bayesid.diagnosis.data import DiagnosisData
+from bayesid.diagnosis.fit import LINKS, Fit, NuisanceProjector, model_rows, residual_rows, term_rows
 from bayesid.diagnosis.ripples import RippleScan
 from bayesid.dynamics.channels import torque_channels
 from bayesid.dynamics.kinematics import P, link_states
@@ -29,10 +29,10 @@ DAMPING = 0.05
 #: Mean square of whitened residuals above which something is left that no effect found explains.
 UNEXPLAINED = 1.45
 #: Resonances of a flexible joint [Hz], tried where columns leave something unexplained: above its resonance a link moves
-#: against its motor, which no derivative at a stiff joint foretells.
+#: against its motor, which no derivative at a stiff joint predicts.
 JOINT_RESONANCES = np.geomspace(3.0, 30.0, 17)
-#: Lengths of a hose that an exact fit starts from [m].
-HOSES = (0.8, 2.0)
+#: Lengths of a tether that an exact fit starts from [m].
+TETHER_LENGTHS = (0.8, 2.0)
 #: Effects with a place and a shape to find: two of one kind together can imitate one that settled wrongly, so one is sought.
 SINGLE = ("tether", "external_contact")
 #: Standard deviations by which an effect stands out.
@@ -84,7 +84,7 @@ class Library:
 
     Attributes
     ----------
-    rigid
+    projector
         What is projected out.
     base
         The user's model.
@@ -92,7 +92,7 @@ class Library:
         Columns by effect and shape.
     """
 
-    rigid: Rigid
+    projector: NuisanceProjector
     base: Fit
     blocks: list[_Block] = field(default_factory=list)
     ripples: RippleScan | None = None
@@ -103,13 +103,15 @@ class Library:
 
         With ``resonances`` flexible joints that resonate in the motion's band are among them; that takes a while.
         """
-        rigid, case = self.rigid, self.rigid.case
-        found = orthonormal(rigid.rest(rigid.padded(model_rows(case, case.stretches, fit.links, fit.terms))))
-        residual = np.concatenate([fit.residual, -_prior_rows(rigid, fit)])
-        left = rigid.rest(residual)
+        projector, data = self.projector, self.projector.data
+        found = orthonormal(
+            projector.project_out(projector.with_prior_rows(model_rows(data, data.segments, fit.links, fit.terms)))
+        )
+        residual = np.concatenate([fit.residual, -projector.prior_residual(fit.coordinates)])
+        left = projector.project_out(residual)
         left = left - found @ (found.T @ left)
         present = {t.effect.name for t in fit.terms} & set(SINGLE)
-        taken = {e.spec for name in present for e in case.places(name)} | {t.effect.spec for t in fit.terms}
+        taken = {e.spec for name in present for e in data.places(name)} | {t.effect.spec for t in fit.terms}
         best: dict[str, Proposal] = {}
         for block in self.blocks:
             name = block.effect.spec
@@ -124,7 +126,7 @@ class Library:
                 best[name] = Proposal(starts[0], gain, count, minimum, tuple(starts[1:]))
         soft = self._soft_joints(fit) if resonances else ()
         shaped = [([t], gain) for t, gain in [*self._mounts(fit), *soft, *self._ripples(fit, left, found)]]
-        for terms, gain in [*shaped, *contact_terms(rigid, fit, left[: rigid.length])]:
+        for terms, gain in [*shaped, *contact_terms(projector, fit, left[: projector.length])]:
             name = terms[0].effect.spec
             if name not in taken and (name not in best or gain > best[name].gain):
                 minimum = best[name].minimum if name in best else None
@@ -134,19 +136,19 @@ class Library:
                 best[name] = replace(best[name], others=(*best[name].others, *terms))
         return sorted(best.values(), key=lambda p: -(p.gain - _cost(p.parameters)))
 
-    def temper(self, fit: Fit) -> float:
+    def dispersion(self, fit: Fit) -> float:
         """Mean square of what the fit and all columns together leave, at least 1.
 
-        What no effect of the library explains, however combined, is noise beyond the one measured, or a stranger.
+        What no effect of the library explains, however combined, is noise beyond the one measured, or an unmodelled effect.
         """
         left = self.unexplained(fit)
-        return max(float(left @ left) / max(self.rigid.rows - self.parameters(fit), 1), 1.0)
+        return max(float(left @ left) / max(self.projector.rows - self.parameters(fit), 1), 1.0)
 
     def unexplained(self, fit: Fit) -> np.ndarray:
         """Whitened rows less all that the fit and all columns together explain (rows,)."""
-        q, rigid = self._everything(fit), self.rigid
-        left = rigid.rest(np.concatenate([fit.residual, -_prior_rows(rigid, fit)]))
-        return (left - q @ (q.T @ left))[: rigid.length]
+        q, projector = self._everything(fit), self.projector
+        left = projector.project_out(np.concatenate([fit.residual, -projector.prior_residual(fit.coordinates)]))
+        return (left - q @ (q.T @ left))[: projector.length]
 
     def parameters(self, fit: Fit) -> int:
         """How many directions that takes."""
@@ -155,42 +157,44 @@ class Library:
     def _everything(self, fit: Fit) -> np.ndarray:
         """An orthonormal basis of a fit's effects and all columns, links projected out."""
         if self._basis is None or self._basis[0] is not fit:
-            rigid = self.rigid
-            model = rigid.rest(rigid.padded(model_rows(rigid.case, rigid.case.stretches, fit.links, fit.terms)))
+            projector = self.projector
+            model = projector.project_out(
+                projector.with_prior_rows(model_rows(projector.data, projector.data.segments, fit.links, fit.terms))
+            )
             self._basis = (fit, orthonormal(np.hstack([model, *(b.rows for b in self.blocks)])))
         return self._basis[1]
 
     def _mounts(self, fit: Fit) -> Iterator[tuple[Term, float]]:
         """Resonances of the mount: no small amplitude, so each is tried as it is."""
-        case, rigid = self.rigid.case, self.rigid
-        if case.channel == "torque" or case.experiment.sensor is None or case.experiment.sensor.joint is not None:
+        data, projector = self.projector.data, self.projector
+        if data.channel == "torque" or data.experiment.sensor is None or data.experiment.sensor.joint is not None:
             return
-        effect = case.places("base_compliance")[0]
-        below = -_prior_rows(rigid, fit)
-        now = np.sum(rigid.rest(np.concatenate([fit.residual, below])) ** 2)
+        effect = data.places("base_compliance")[0]
+        prior = -projector.prior_residual(fit.coordinates)
+        now = np.sum(projector.project_out(np.concatenate([fit.residual, prior])) ** 2)
         best = (0.0, RESONANCES[0])
         for resonance in RESONANCES:
             term = Term(effect, (resonance, DAMPING))
-            rows = residual_rows(case, case.stretches, fit.links, fit.offset, (*fit.terms, term))
-            gain = float(now - np.sum(rigid.rest(np.concatenate([rows, below])) ** 2))
+            rows = residual_rows(data, data.segments, fit.links, fit.offset, (*fit.terms, term))
+            gain = float(now - np.sum(projector.project_out(np.concatenate([rows, prior])) ** 2))
             best = max(best, (gain, resonance)) if np.isfinite(gain) else best
         yield Term(effect, (best[1], DAMPING)), best[0]
 
     def _soft_joints(self, fit: Fit) -> Iterator[tuple[Term, float]]:
         """Flexible joints with their resonance in or near the motion's band, each as it is."""
-        if self.temper(fit) < UNEXPLAINED:
+        if self.dispersion(fit) < UNEXPLAINED:
             return
-        case, rigid = self.rigid.case, self.rigid
-        below = -_prior_rows(rigid, fit)
-        now = np.sum(rigid.rest(np.concatenate([fit.residual, below])) ** 2)
-        for effect, inertia in zip(case.places("joint_flexibility"), _inertia(case), strict=True):
+        data, projector = self.projector.data, self.projector
+        prior = -projector.prior_residual(fit.coordinates)
+        now = np.sum(projector.project_out(np.concatenate([fit.residual, prior])) ** 2)
+        for effect, inertia in zip(data.places("joint_flexibility"), _inertia(data), strict=True):
             if effect.spec in {t.effect.spec for t in fit.terms}:
                 continue
             best = (0.0, 0.0)
             for compliance in 1.0 / (inertia * (2.0 * np.pi * JOINT_RESONANCES) ** 2):
                 terms = (*fit.terms, Term(effect, (float(compliance),)))
-                rows = residual_rows(case, case.stretches, fit.links, fit.offset, terms)
-                gain = float(now - np.sum(rigid.rest(np.concatenate([rows, below])) ** 2))
+                rows = residual_rows(data, data.segments, fit.links, fit.offset, terms)
+                gain = float(now - np.sum(projector.project_out(np.concatenate([rows, prior])) ** 2))
                 best = max(best, (gain, compliance)) if np.isfinite(gain) else best
             if best[0] > 0.0:
                 yield Term(effect, (float(best[1]),)), best[0]
@@ -198,49 +202,49 @@ class Library:
     def _ripples(self, fit: Fit, left: np.ndarray, found: np.ndarray) -> Iterator[tuple[Term, float]]:
         if self.ripples is None:
             return
-        case, rigid = self.rigid.case, self.rigid
-        effects = case.places("torque_ripple")
-        for joint, periods in self.ripples.best(left[: rigid.length]):
+        data, projector = self.projector.data, self.projector
+        effects = data.places("torque_ripple")
+        for joint, periods in self.ripples.best(left[: projector.length]):
             effect = effects[joint]
-            rows = term_rows(case, case.stretches, fit.links, fit.terms, Term(effect, (1.0, periods, 0.0)))
-            rows = rigid.rest(rigid.padded(rows[:, [0, 2]]))  # sine and cosine
+            rows = term_rows(data, data.segments, fit.links, fit.terms, Term(effect, (1.0, periods, 0.0)))
+            rows = projector.project_out(projector.with_prior_rows(rows[:, [0, 2]]))  # sine and cosine
             amplitudes, gain, _ = _explained(rows - found @ (found.T @ rows), left)
             a, b = amplitudes
             yield Term(effect, (np.hypot(a, b), periods, np.arctan2(b, a))), gain
 
 
-def make_library(rigid: Rigid, base: Fit, found: Fit | None = None) -> Library:
+def make_library(projector: NuisanceProjector, base: Fit, found: Fit | None = None) -> Library:
     """Columns of every effect that acts on the case's channels and is not in the user's model.
 
     Derivatives are taken at the user's model, or beside the effects of ``found``: beside a turned sensor, say, a wrong zero
     of the first joint is more than a turn of the sensor.
     """
-    case, at = rigid.case, found or base
-    library = Library(rigid, base, ripples=RippleScan(case) if case.channel != "wrench" else None)
-    for effect, values, to_values in _columns_wanted(case):
+    data, at = projector.data, found or base
+    library = Library(projector, base, ripples=RippleScan(data) if data.channel != "wrench" else None)
+    for effect, values, to_values in _columns_wanted(data):
         beside = tuple(t for t in at.terms if t.effect != effect)
-        rows = term_rows(case, case.stretches, at.links, beside, Term(effect, tuple(values)))
-        library.blocks.append(_Block(effect, rigid.rest(rigid.padded(rows)), to_values))
+        rows = term_rows(data, data.segments, at.links, beside, Term(effect, tuple(values)))
+        library.blocks.append(_Block(effect, projector.project_out(projector.with_prior_rows(rows)), to_values))
     return library
 
 
-def _columns_wanted(case: Case) -> Iterator[tuple[Effect, np.ndarray, Callable]]:
+def _columns_wanted(data: DiagnosisData) -> Iterator[tuple[Effect, np.ndarray, Callable]]:
     """Effects with the values at which their derivatives are taken, and what amplitudes of those mean."""
-    names = case.channels.names
+    names = data.channels.names
     for kind in KINDS.values():
         if kind.name in ("base_compliance", "external_contact", "torque_ripple") or not any(kind.acts_on(c) for c in names):
             continue
-        if kind.name == "sensor_offset" and case.offset_free:
+        if kind.name == "sensor_offset" and data.offset_free:
             continue
-        if kind.name in LINKS and (case.experiment.inertia_rel_std is None or kind.name == "payload"):
+        if kind.name in LINKS and (data.experiment.inertia_rel_std is None or kind.name == "payload"):
             continue  # a payload has the same columns; which it is, the fit decides
-        if kind.name == "rotor_momentum" and case.channel != "both" and case.experiment.inertia_rel_std is None:
+        if kind.name == "rotor_momentum" and data.channel != "both" and data.experiment.inertia_rel_std is None:
             continue
         zero = np.zeros(len(kind.parameters))
-        for effect in case.places(kind.name):
+        for effect in data.places(kind.name):
             if kind.name == "tether":
-                centre = _mean_place(case, effect.joint or 0)
-                yield effect, np.array([1.0, 0, 0, 0, 0, 0, 0, 0]), lambda a, x=centre: _hose(a, x, HOSES)
+                centre = _mean_place(data, effect.joint or 0)
+                yield effect, np.array([1.0, 0, 0, 0, 0, 0, 0, 0]), lambda a, x=centre: _tethers(a, x, TETHER_LENGTHS)
             elif kind.name == "spring":
                 yield effect, np.array([1.0, 0.0]), lambda a: np.array([a[0], a[1] / a[0] if a[0] else 0.0])
             elif kind.name == "stribeck_friction":
@@ -250,8 +254,8 @@ def _columns_wanted(case: Case) -> Iterator[tuple[Effect, np.ndarray, Callable]]
                 yield effect, zero, lambda a: a
 
 
-def _hose(a: np.ndarray, centre: np.ndarray, lengths: Sequence[float]) -> np.ndarray:
-    """Hoses of these lengths (lengths, 8) whose mean pull is that of ``k (anchor - x)``, from amplitudes at k = 1, anchor 0.
+def _tethers(a: np.ndarray, centre: np.ndarray, lengths: Sequence[float]) -> np.ndarray:
+    """Tethers of these lengths (lengths, 8) whose mean pull is that of ``k (anchor - x)``, from amplitudes at k = 1, anchor 0.
 
     A short motion shows the pull, hardly where it comes from; so the anchor is put at a likely distance from the link's
     mean place (3,), with a third of the length slack, and the exact fit moves it.
@@ -261,23 +265,23 @@ def _hose(a: np.ndarray, centre: np.ndarray, lengths: Sequence[float]) -> np.nda
     return np.array([[size / (0.7 * x), 0.3 * x, *(centre + pull / size * x), 0.0, 0.0, 0.0] for x in lengths])
 
 
-def _mean_place(case: Case, joint: int) -> np.ndarray:
+def _mean_place(data: DiagnosisData, joint: int) -> np.ndarray:
     """Mean position of a link's frame over the fitted motions, in the base frame (3,)."""
     means = []
-    for s in case.stretches:
-        states = link_states(case.robot, s.scene.positions, s.scene.velocities, s.scene.accelerations)
+    for s in data.segments:
+        states = link_states(data.robot, s.scene.positions, s.scene.velocities, s.scene.accelerations)
         means.append(states[:, joint, P : P + 3].mean(axis=0))
     return np.mean(means, axis=0)
 
 
-def _inertia(case: Case) -> np.ndarray:
+def _inertia(data: DiagnosisData) -> np.ndarray:
     """Mean inertia that each joint feels over the first fitted motion (n,) [kg m^2 or kg]."""
-    scene, n = case.stretches[0].scene, case.robot.n
+    scene, n = data.segments[0].scene, data.robot.n
     poses = np.repeat(scene.positions[:: max(len(scene.positions) // 20, 1)], n, axis=0)
     rates = np.tile(np.eye(n), (len(poses) // n, 1))
-    channels = torque_channels(case.robot)
+    channels = torque_channels(data.robot)
     torque = [
-        readings(case.robot, channels, Scene(np.arange(len(poses), dtype=float), poses, 0.0 * poses, a), case.links, ())
+        readings(data.robot, channels, Scene(np.arange(len(poses), dtype=float), poses, 0.0 * poses, a), data.links, ())
         for a in (rates, 0.0 * rates)
     ]
     return np.einsum("knn->n", (torque[0] - torque[1]).reshape(-1, n, n)) / (len(poses) // n)
@@ -315,10 +319,3 @@ def orthonormal(rows: np.ndarray) -> np.ndarray:
         return rows
     u, s, _ = np.linalg.svd(rows, full_matrices=False)
     return u[:, s > 1e-6 * s[0]]
-
-
-def _prior_rows(rigid: Rigid, fit: Fit) -> np.ndarray:
-    out = fit.coordinates.copy()
-    if rigid.offset:
-        out[-6:] *= 1e-6
-    return out

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from bayesid.diagnosis.case import Episode
-from bayesid.diagnosis.fit import Fit, Rigid, term_rows
-from bayesid.diagnosis.spectra import Stretch
+from bayesid.diagnosis.data import Episode
+from bayesid.diagnosis.fit import Fit, NuisanceProjector, term_rows
+from bayesid.diagnosis.spectra import Segment
 from bayesid.effects import Effect, Term
 from bayesid.effects.catalogue import CONTACT_RAMP
 
@@ -18,9 +18,9 @@ DEAD = 1e-6
 LENGTHS = (0.4, 0.7, 1.2, 2.0, 3.5, 6.0, 10.0)
 
 
-def windows(stretch: Stretch) -> list[tuple[float, float]]:
-    """Windows tried in a stretch, (start, end) [s]."""
-    first, last = stretch.times[0], stretch.times[-1]
+def windows(segment: Segment) -> list[tuple[float, float]]:
+    """Windows tried in a segment, (start, end) [s]."""
+    first, last = segment.times[0], segment.times[-1]
     out = []
     for length in LENGTHS:
         if length < 0.8 * (last - first):
@@ -34,12 +34,12 @@ def pulse(times: np.ndarray, start: float, end: float) -> np.ndarray:
     return np.clip(np.minimum(times - start, end - times) / ramp, 0.0, 1.0)
 
 
-def contact_terms(rigid: Rigid, fit: Fit, left: np.ndarray) -> Iterator[tuple[list[Term], float]]:
+def contact_terms(projector: NuisanceProjector, fit: Fit, left: np.ndarray) -> Iterator[tuple[list[Term], float]]:
     """Contacts on each link, with the window in which a constant load would explain most of the residual (rows,)."""
-    case = rigid.case
+    data = projector.data
     best: tuple[float, float, float, str] | None = None
     at = 0
-    for s in case.stretches:
+    for s in data.segments:
         count = s.shape[0] * s.shape[1]
         mine, at = left[at : at + count].reshape(s.shape), at + count
         if s.still:
@@ -59,13 +59,13 @@ def contact_terms(rigid: Rigid, fit: Fit, left: np.ndarray) -> Iterator[tuple[li
     if best is None:
         return
     _, start, end, motion = best
-    residual = np.concatenate([left, np.zeros(rigid.size)])
+    residual = np.concatenate([left, np.zeros(projector.size)])
 
     def columns_at(effect: Effect, force: np.ndarray) -> np.ndarray:
         term = Episode(effect, (start, end, *force, 0.0, 0.0, 0.0), motion)
-        return rigid.rest(rigid.padded(term_rows(case, case.stretches, fit.links, fit.terms, term)))
+        return projector.project_out(projector.with_prior_rows(term_rows(data, data.segments, fit.links, fit.terms, term)))
 
-    for effect in case.places("external_contact"):
+    for effect in data.places("external_contact"):
         if effect.where == "robot":
             continue
         # With the force f at the point r the reading is linear in f and in the products r f'.

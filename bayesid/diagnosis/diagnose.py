@@ -1,4 +1,4 @@
-"""The diagnosis: search, verdict, proof, and what the missing effects had done to the parameters."""
+"""The diagnosis: search, verdict, validation, and what the missing effects had done to the parameters."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from bayesid.diagnosis import memo
+from bayesid.diagnosis import text
 from bayesid.diagnosis.candidates import UNEXPLAINED
-from bayesid.diagnosis.case import SHORTEST, WHITE, Case, make_case
+from bayesid.diagnosis.data import SHORTEST, WHITE, DiagnosisData, prepare_data
 from bayesid.diagnosis.fit import LINKS
-from bayesid.diagnosis.floor import SOURCES
 from bayesid.diagnosis.locate import Disagreement, locate
-from bayesid.diagnosis.patchwork import EXPLAINED, explained, patchwork
-from bayesid.diagnosis.proof import Gap, prove, residual_spectra
-from bayesid.diagnosis.search import ACCEPT, Found, Search, make_rigid, search
+from bayesid.diagnosis.residual_floor import SOURCES
+from bayesid.diagnosis.search import ACCEPT, Found, Search, make_projector, search
 from bayesid.diagnosis.stability import Stability, stability
+from bayesid.diagnosis.surrogates import EXPLAINED, explained, is_surrogate_combination
+from bayesid.diagnosis.validation import Gap, residual_spectra, validate
 from bayesid.dynamics.base_parameters import structural_base
 from bayesid.effects import Term, parse_effects, starting_point
 from bayesid.recordings.experiment import Experiment, load_experiment
@@ -71,7 +71,7 @@ class Diagnosis:
         Each effect named without each part of the recordings; None where that says nothing.
     """
 
-    case: Case
+    data: DiagnosisData
     verdict: str
     search: Search
     found: tuple[Found, ...]
@@ -98,27 +98,27 @@ class Diagnosis:
     @property
     def noise_level(self) -> float:
         """Mean square of whitened residuals that counts as noise when disagreements are looked for."""
-        return max(1.0, min(self.search.temper, UNEXPLAINED))
+        return max(1.0, min(self.search.dispersion, UNEXPLAINED))
 
     def __str__(self) -> str:
         """A few lines: the verdict, values, the gap, where it disagrees."""
-        return memo.summary(self)
+        return text.summary(self)
 
     def _repr_html_(self) -> str:
         """The same for notebooks."""
-        return memo.notebook(self)
+        return text.notebook(self)
 
     def write(self, folder: str | Path) -> Path:
         """Write ``diagnosis.json``, ``model.toml`` and ``report.html``; returns the report's path."""
-        return memo.write(self, folder)
+        return text.write(self, folder)
 
     def to_dict(self) -> dict[str, Any]:
         """``diagnosis.json``."""
-        each = float(np.log(self.search.rigid.rows))
+        each = float(np.log(self.search.projector.rows))
         return {
             "schema": SCHEMA,
-            "experiment": self.case.experiment.name,
-            "channel": self.case.channel,
+            "experiment": self.data.experiment.name,
+            "channel": self.data.channel,
             "verdict": self.verdict,
             "effects": [self._effect(f) for f in self.found],
             "where": [d.to_dict() for d in self.where],
@@ -126,16 +126,16 @@ class Diagnosis:
             "candidates": [
                 {
                     "name": p.term.effect.name, "where": p.term.effect.where,
-                    "log_bayes_factor": 0.5 * (p.gain / self.search.temper - p.parameters * each),
+                    "log_bayes_factor": 0.5 * (p.gain / self.search.dispersion - p.parameters * each),
                     "minimum_detectable": p.minimum,
                 }
                 for p in self.search.proposals
             ],
             "identification": {
-                "rows": self.search.rigid.rows,
-                "before": float(np.sqrt(self.search.base.chi2 / self.search.rigid.rows)),
-                "after": float(np.sqrt(self.search.best.chi2 / self.search.rigid.rows)),
-                "unexplained": float(np.sqrt(self.search.temper)),
+                "rows": self.search.projector.rows,
+                "before": float(np.sqrt(self.search.base.chi2 / self.search.projector.rows)),
+                "after": float(np.sqrt(self.search.best.chi2 / self.search.projector.rows)),
+                "unexplained": float(np.sqrt(self.search.dispersion)),
             },
             "base_parameter_shifts": [
                 dict(zip(("label", "before", "after", "sigmas"), shift, strict=True)) for shift in self.shifts
@@ -149,7 +149,7 @@ class Diagnosis:
         """The gap of the model as it is handed on: an attempt that was not accepted closes nothing."""
         if self.gap is None:
             return None
-        out = {**self.gap.to_dict(), "floor_known": self.case.floor_known, "floor_source": self.case.floor_source}
+        out = {**self.gap.to_dict(), "floor_known": self.data.floor_known, "floor_source": self.data.floor_source}
         if self.verdict == "unknown":
             out |= {"best_attempt_after": out["after"], "after": out["before"], "closed": 0.0, "closed_low": 0.0}
         return out
@@ -179,7 +179,7 @@ def diagnose(
     seed: int = 0,
     progress: Progress = lambda _: None,
 ) -> Diagnosis:
-    """Find where model and data disagree, name the missing effect, add it and prove that the gap shrank.
+    """Find where model and data disagree, name the missing effect, add it and show on held-out motions that the gap shrank.
 
     Parameters
     ----------
@@ -212,16 +212,14 @@ def diagnose(
         progress("noise of sensors and encoders")
         channel = channel or default_channel(experiment)
         terms, held = known_terms(experiment, channel, effects)
-        case = make_case(experiment, channel, terms, motions, seed, held)
-        found = search(make_rigid(case, case.terms), case.terms, seed, progress)
-        progress("proof on unseen motions")
-        result = _decide(found.rigid.case, found, seed)
+        data = prepare_data(experiment, channel, terms, motions, seed, held)
+        found = search(make_projector(data, data.terms), data.terms, seed, progress)
+        progress("validation on unseen motions")
+        result = _decide(found.projector.data, found, seed)
     return Diagnosis(**{**result.__dict__, "seconds": time.perf_counter() - since})
 
 
-def known_terms(
-    experiment: Experiment, channel: str, effects: Sequence[str] | None
-) -> tuple[tuple[Term, ...], frozenset[str]]:
+def known_terms(experiment: Experiment, channel: str, effects: Sequence[str] | None) -> tuple[tuple[Term, ...], frozenset[str]]:
     """The user's effects at their starting values, and which of them (``name@where``) keep those."""
     names = make_channels(experiment, channel).names
     specs = experiment.effects if effects is None else effects
@@ -237,16 +235,16 @@ def known_terms(
     return tuple(terms), frozenset(held)
 
 
-def _decide(case: Case, s: Search, seed: int) -> Diagnosis:
-    left = s.best.chi2 / s.rigid.rows
-    gap = prove(s.rigid, s.base, s.best, s.temper, seed)
+def _decide(data: DiagnosisData, s: Search, seed: int) -> Diagnosis:
+    left = s.best.chi2 / s.projector.rows
+    gap = validate(s.projector, s.base, s.best, s.dispersion, seed)
     remarks: list[str] = []
     found, verdict = s.found, "named"
-    tried = ", ".join(memo.by_kind(f.term for f in found))
+    tried = ", ".join(text.by_kind(f.term for f in found))
     nearly = gap is not None and gap.closed > CLOSED and gap.after <= OPEN * gap.floor and explained(s.base, s.best) > EXPLAINED
-    # What is left of a gap on livelier motions than the fitted ones is no stranger if it is a small share of the gap.
+    # What is left of a gap on livelier motions than the fitted ones is no unmodelled effect if it is a small share of the gap.
     unseen = 0.0 if gap is None or (found and gap.closed > CLOSED) else (gap.after / gap.floor) ** 2
-    # A contact does not come again, and a change of a link is denied by the trust in it: the same motion is predicted as well
+    # A contact does not come again, and a change of a link is denied by the links' prior: the same motion is predicted as well
     # by many links that are a little off.
     local = all(f.term.effect.name in ("external_contact", *LINKS) for f in found)
     if max(left if not (found and nearly) else 0.0, unseen) > UNEXPLAINED:
@@ -259,15 +257,15 @@ def _decide(case: Case, s: Search, seed: int) -> Diagnosis:
         )
     elif not found:
         verdict = "nothing_missing"
-    elif gap is not None and not local and _unproven(gap):
+    elif gap is not None and not local and _denied(gap):
         verdict = "unknown"
         remarks.append(f"{tried} fits the fitted motions, but predicts the unseen ones no better: not named.")
-    elif patchwork(case, [f.term for f in found]) or (s.dropped and not nearly):
+    elif is_surrogate_combination(data, [f.term for f in found]) or (s.dropped and not nearly):
         verdict = "unknown"
-        together = ", ".join(memo.by_kind((*(f.term for f in found), *s.dropped)))
+        together = ", ".join(text.by_kind((*(f.term for f in found), *s.dropped)))
         remarks.append(
             f"Only {together} together explain the residual. So many unrelated effects at once are less likely than one that the "
-            "library does not have and that they patch up between them: not named."
+            "library does not have and that they imitate between them: not named."
         )
     elif any(f.rivals for f in found):
         verdict = "ambiguous"
@@ -275,65 +273,74 @@ def _decide(case: Case, s: Search, seed: int) -> Diagnosis:
         found = ()
         # The model handed on is the user's; what a rejected attempt could not determine is no part of its floor.
         gap = gap and replace(gap, floor=gap.bare_floor)
-    if case.floor_source != WHITE:  # the usual one needs no word
-        remarks.append(SOURCES[case.floor_source])
+    if data.floor_source != WHITE:  # the usual one needs no word
+        remarks.append(SOURCES[data.floor_source])
     if found and s.dropped:
         remarks.append(
             f"{tried} explain {100 * explained(s.base, s.best):.3g} % of what stands out of the noise. What is left would fit "
-            f"{', '.join(memo.by_kind(s.dropped))}, but is no more than these models may be inexact by: not named."
+            f"{', '.join(text.by_kind(s.dropped))}, but is no more than these models may be inexact by: not named."
         )
-    parts = {t.effect.name for t in case.terms}
-    if idle := [spec for spec in case.experiment.effects if spec.split("@")[0] not in parts]:
+    parts = {t.effect.name for t in data.terms}
+    if idle := [spec for spec in data.experiment.effects if spec.split("@")[0] not in parts]:
         remarks.append(
-            f"{', '.join(idle)} of the model cannot be seen in what is compared (--channel {case.channel}), and took no part."
+            f"{', '.join(idle)} of the model cannot be seen in what is compared (--channel {data.channel}), and took no part."
         )
-    if (start := max(abs(x.times[0]) for x in case.stretches)) > LATE:
+    if (start := max(abs(x.times[0]) for x in data.segments)) > LATE:
         remarks.append(
             f"Times start at {start:.3g} s. A drift counts from time zero, so it is one with an offset here; subtract the start."
         )
-    if case.instants:
+    if data.instants:
         remarks.append(
             "Dry friction fits better with readings as values at their times than as means over a sample's time, so they are "
             "taken for that."
         )
     if found and gap is not None and gap.before <= ROOM * gap.floor and all(f.term.effect.name in LINKS for f in found):
-        count = s.rigid.root.shape[1]
+        count = s.projector.root.shape[1]
         far, near = (float(np.sum(f.coordinates[:count] ** 2)) for f in (s.base, s.best))
         remarks.append(
             f"The residual does not show {tried}, for changed links stand in for it on all motions. What speaks for it is the "
-            f"trust in them: the squared distance from the nominal links, in units of that trust, is {far:.3g} without it and "
-            f"{near:.3g} with it, for {count} parameters."
+            f"links' prior: the squared distance from the nominal links, in prior standard deviations, is {far:.3g} without it "
+            f"and {near:.3g} with it, for {count} parameters."
         )
     if gap is not None and gap.floor > VAGUE:
         remarks.append(
             f"On the unseen motions a complete model would be off by {gap.floor:.3g} times the noise, for the fitted motions "
-            "leave its parameters that uncertain: they prove little."
+            "leave its parameters that uncertain: they say little."
         )
-    if case.skipped:
+    if data.skipped:
         remarks.append(
-            f"Not compared: {', '.join(case.skipped)}; a validation motion needs the same readings and a stretch of "
+            f"Not compared: {', '.join(data.skipped)}; a validation motion needs the same readings and a segment of "
             f"{SHORTEST:g} s without a gap."
         )
     if found and gap is None:
         remarks.append(
-            "No validation motion was compared: the effect is named on the fitted motions alone, nothing proves it elsewhere."
+            "No validation motion was compared: the effect is named on the fitted motions alone, and held-out "
+            "validation is missing."
         )
-    if case.experiment.inertia_rel_std is None:
+    if data.experiment.inertia_rel_std is None:
         remarks.append(
-            "No trust in the nominal inertias is stated (inertia_rel_std): every rigid parameter is free, and a payload or a "
-            "wrong inertia cannot be told from the nominal model being wrong."
+            "The prior relative standard deviation of the nominal inertias is not stated (inertia_rel_std): every rigid "
+            "parameter is free, and a payload or a wrong inertia cannot be told from the nominal model being wrong."
         )
-    parts = stability(s.rigid, s.best, len(s.base.terms), found, s.temper)
-    remarks += [memo.moment_sentence(x) for x in parts if x is not None and x.rests_on is not None]
-    white = residual_spectra(case, case.stretches, s.base)
-    where = locate(case, case.stretches, white, max(1.0, min(s.temper, UNEXPLAINED)))
+    parts = stability(s.projector, s.best, len(s.base.terms), found, s.dispersion)
+    remarks += [text.moment_sentence(x) for x in parts if x is not None and x.rests_on is not None]
+    white = residual_spectra(data, data.segments, s.base)
+    where = locate(data, data.segments, white, max(1.0, min(s.dispersion, UNEXPLAINED)))
     return Diagnosis(
-        case, verdict, s, found, where, gap, _shifts(case, s) if found else (), tuple(remarks), _next(verdict, found),
+        data,
+        verdict,
+        s,
+        found,
+        where,
+        gap,
+        _shifts(data, s) if found else (),
+        tuple(remarks),
+        _next(verdict, found),
         stability=parts,
     )
 
 
-def _unproven(gap: Gap) -> bool:
+def _denied(gap: Gap) -> bool:
     """Whether the unseen motions deny the effects found: worse, no better where there was room, or most of the gap still open."""
     worse = gap.after**2 > gap.before**2 * (1.0 + WORSE)
     no_better = gap.before > ROOM * gap.floor and gap.closed_low <= 0.0
@@ -341,14 +348,14 @@ def _unproven(gap: Gap) -> bool:
     return worse or no_better or still_open
 
 
-def _shifts(case: Case, s: Search) -> tuple[tuple[str, float, float, float], ...]:
+def _shifts(data: DiagnosisData, s: Search) -> tuple[tuple[str, float, float, float], ...]:
     """Base parameters that the effects found had moved by more than three standard deviations."""
-    if case.prior is None:
+    if data.prior is None:
         return ()
-    base = structural_base(case.robot, case.channels, gravity=True, offset=case.channel != "torque", at_rest=False)
-    inverse = np.linalg.inv(s.rigid.r)[: s.rigid.root.shape[1]]
-    spread = base.matrix @ s.rigid.root @ inverse
-    std = np.sqrt(s.temper * np.sum(spread**2, axis=1))
+    base = structural_base(data.robot, data.channels, gravity=True, offset=data.channel != "torque", at_rest=False)
+    inverse = np.linalg.inv(s.projector.r)[: s.projector.root.shape[1]]
+    spread = base.matrix @ s.projector.root @ inverse
+    std = np.sqrt(s.dispersion * np.sum(spread**2, axis=1))
     before, after = base.matrix @ s.base.links, base.matrix @ s.best.links
     sigmas = (before - after) / np.maximum(std, 1e-300)
     order = np.argsort(-np.abs(sigmas))

@@ -13,9 +13,9 @@ import numpy as np
 from scipy.fft import dct
 from scipy.stats import chi2
 
-from bayesid.diagnosis.case import Case
-from bayesid.diagnosis.spectra import Stretch
-from bayesid.diagnosis.taps import Event, runs, short_events, unlikely
+from bayesid.diagnosis.data import DiagnosisData
+from bayesid.diagnosis.impulse_events import Event, runs, short_events, unlikely
+from bayesid.diagnosis.spectra import Segment
 
 #: Level of significance over everything that was looked at.
 LEVEL = 0.001
@@ -80,7 +80,9 @@ class Disagreement:
         }  # fmt: skip
 
 
-def locate(case: Case, stretches: Sequence[Stretch], white: Sequence[np.ndarray], temper: float) -> tuple[Disagreement, ...]:
+def locate(
+    data: DiagnosisData, segments: Sequence[Segment], white: Sequence[np.ndarray], dispersion: float
+) -> tuple[Disagreement, ...]:
     """Channels and times with more residual than noise explains, and short events of all motions.
 
     Coefficients are white, so the energy of a window of a channel is close to chi-squared with as many degrees of
@@ -92,16 +94,16 @@ def locate(case: Case, stretches: Sequence[Stretch], white: Sequence[np.ndarray]
     ----------
     case
         What is compared.
-    stretches, white
+    segments, white
         Recordings and their whitened residuals (K, c).
-    temper
+    dispersion
         Mean square of what counts as noise.
     """
-    looked = places_looked_at(stretches)
+    looked = places_looked_at(segments)
     found = []
-    for s, w in zip(stretches, white, strict=True):
-        p = by_window(s, w, temper, looked)[3]
-        edges, fine, share, chance = by_window(s, w, temper, looked, _PARTS)
+    for s, w in zip(segments, white, strict=True):
+        p = by_window(s, w, dispersion, looked)[3]
+        edges, fine, share, chance = by_window(s, w, dispersion, looked, _PARTS)
         alone = np.maximum(chance, np.minimum(unlikely(fine / share, share) * looked, 1.0))
         for c in range(w.shape[1]):
             flags = (alone[:, c] < LEVEL) | _placed(p[:, c] < LEVEL, chance[:, c] < LEVEL, (fine - share)[:, c])
@@ -112,12 +114,12 @@ def locate(case: Case, stretches: Sequence[Stretch], white: Sequence[np.ndarray]
                 least = min(p[first // _PARTS : (last - 1) // _PARTS + 1, c].min(), alone[first:last, c].min())
                 found.append(
                     Disagreement(
-                        case.channels.names[c], s.motion, float(s.times[edges[first]]), float(s.times[edges[last] - 1]),
-                        _strongest_band(s, course, span), _joint(case, s, course, span), ratio, float(least), s.still,
+                        data.channels.names[c], s.motion, float(s.times[edges[first]]), float(s.times[edges[last] - 1]),
+                        _strongest_band(s, course, span), _joint(data, s, course, span), ratio, float(least), s.still,
                     )
                 )  # fmt: skip
     strongest = sorted(found, key=_strength)[:_LISTED]
-    return tuple(sorted([*strongest, *_events(case)], key=_strength))
+    return tuple(sorted([*strongest, *_events(data)], key=_strength))
 
 
 def _strength(d: Disagreement) -> float:
@@ -125,19 +127,19 @@ def _strength(d: Disagreement) -> float:
     return -d.ratio * float(np.sqrt(d.end - d.start))
 
 
-def _events(case: Case) -> list[Disagreement]:
+def _events(data: DiagnosisData) -> list[Disagreement]:
     """The strongest short events of fitted and unseen motions."""
-    stretches = (*case.stretches, *case.unseen)
+    segments = (*data.segments, *data.unseen)
     found = []
-    for k, (s, events) in enumerate(zip(stretches, short_events(stretches, LEVEL), strict=True)):
-        found += [_event(case, s, e, unseen=k >= len(case.stretches)) for e in events]
+    for k, (s, events) in enumerate(zip(segments, short_events(segments, LEVEL), strict=True)):
+        found += [_event(data, s, e, unseen=k >= len(data.segments)) for e in events]
     return sorted(found, key=_strength)[:_EVENTS]
 
 
-def _event(case: Case, stretch: Stretch, event: Event, *, unseen: bool) -> Disagreement:
+def _event(data: DiagnosisData, segment: Segment, event: Event, *, unseen: bool) -> Disagreement:
     band = (float(np.round(event.band[0], 3)), float(np.round(event.band[1], 3)))
     return Disagreement(
-        case.channels.names[event.channel], stretch.motion, event.start, event.end, band, None, event.ratio, event.p_value,
+        data.channels.names[event.channel], segment.motion, event.start, event.end, band, None, event.ratio, event.p_value,
         event=True, peak=event.peak, tap=event.tap, unseen=unseen,
     )  # fmt: skip
 
@@ -149,21 +151,21 @@ def _placed(long: np.ndarray, short: np.ndarray, excess: np.ndarray) -> np.ndarr
     return kept | np.repeat(long & (inside < _INSIDE * excess.reshape(-1, _PARTS).sum(axis=1)), _PARTS)
 
 
-def places_looked_at(stretches: Sequence[Stretch]) -> int:
+def places_looked_at(segments: Sequence[Segment]) -> int:
     """Windows of all channels, and their parts."""
-    return sum((1 + _PARTS) * _windows(s) * s.shape[1] for s in stretches)
+    return sum((1 + _PARTS) * _windows(s) * s.shape[1] for s in segments)
 
 
 def by_window(
-    stretch: Stretch, white: np.ndarray, temper: float, looked: int, parts: int = 1
+    segment: Segment, white: np.ndarray, dispersion: float, looked: int, parts: int = 1
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Energy of a whitened residual by windows of time.
 
     Parameters
     ----------
-    stretch, white
+    segment, white
         Recording and its whitened coefficients (K, c).
-    temper
+    dispersion
         Mean square of what counts as noise.
     looked
         Number of all places looked at.
@@ -176,10 +178,10 @@ def by_window(
         Edges of the windows in samples (w + 1,), energy over noise and its expectation (w, c), chance of as much in any
         place (w, c). Where a recording fades in and out, or a joint rests, less is expected, but never less than one.
     """
-    count = _windows(stretch)
-    edges = _edges(len(stretch.times), count, parts)
-    energy = np.add.reduceat(stretch.samples(white) ** 2, edges[:-1], axis=0) / temper
-    weight = np.add.reduceat(stretch.weight(stretch.times) ** 2, edges[:-1], axis=0)
+    count = _windows(segment)
+    edges = _edges(len(segment.times), count, parts)
+    energy = np.add.reduceat(segment.samples(white) ** 2, edges[:-1], axis=0) / dispersion
+    weight = np.add.reduceat(segment.weight(segment.times) ** 2, edges[:-1], axis=0)
     freedom = np.maximum(len(white) * weight / np.maximum(weight.sum(axis=0), 1e-300), 1.0)
     return edges, energy, freedom, np.minimum(chi2.sf(energy, freedom) * looked, 1.0)
 
@@ -189,38 +191,38 @@ def _edges(samples: int, count: int, parts: int) -> np.ndarray:
     return np.arange(count * parts + 1) * samples // (count * parts)
 
 
-def by_band(stretch: Stretch, white: np.ndarray) -> np.ndarray:
+def by_band(segment: Segment, white: np.ndarray) -> np.ndarray:
     """Root mean square of whitened coefficients in each of `BANDS` (b, c); nan where there are none."""
     out = np.full((len(BANDS), white.shape[1]), np.nan)
     for k, (low, high) in enumerate(BANDS):
-        inside = (stretch.frequencies >= low) & (stretch.frequencies < high)
+        inside = (segment.frequencies >= low) & (segment.frequencies < high)
         if inside.any():
             out[k] = np.sqrt(np.mean(white[inside] ** 2, axis=0))
     return out
 
 
-def _windows(stretch: Stretch) -> int:
-    return max(int((stretch.times[-1] - stretch.times[0]) / _WINDOW), 1)
+def _windows(segment: Segment) -> int:
+    return max(int((segment.times[-1] - segment.times[0]) / _WINDOW), 1)
 
 
-def _strongest_band(stretch: Stretch, course: np.ndarray, span: slice) -> tuple[float, float]:
+def _strongest_band(segment: Segment, course: np.ndarray, span: slice) -> tuple[float, float]:
     """The band with the largest root mean square of a whitened residual (m,) in a part of a recording."""
-    alone = np.zeros((len(stretch.times), 1))
+    alone = np.zeros((len(segment.times), 1))
     alone[span, 0] = course
-    coefficients = np.asarray(dct(alone, axis=0, norm="ortho"))[: len(stretch.frequencies)]
-    return BANDS[int(np.argmax(np.nan_to_num(by_band(stretch, coefficients)[:, 0])))]
+    coefficients = np.asarray(dct(alone, axis=0, norm="ortho"))[: len(segment.frequencies)]
+    return BANDS[int(np.argmax(np.nan_to_num(by_band(segment, coefficients)[:, 0])))]
 
 
-def _joint(case: Case, stretch: Stretch, residual: np.ndarray, span: slice) -> str | None:
+def _joint(data: DiagnosisData, segment: Segment, residual: np.ndarray, span: slice) -> str | None:
     """The joint whose motion explains most of a residual by a few smooth functions of it, if that is half."""
     if len(residual) < 20:
         return None
-    at = stretch.times[span]
+    at = segment.times[span]
     shares = []
-    for j in range(case.robot.n):
+    for j in range(data.robot.n):
         q, v, a = (
-            np.interp(at, stretch.scene.times, part[:, j])
-            for part in (stretch.scene.positions, stretch.scene.velocities, stretch.scene.accelerations)
+            np.interp(at, segment.scene.times, part[:, j])
+            for part in (segment.scene.positions, segment.scene.velocities, segment.scene.accelerations)
         )
         if np.ptp(q) < 1e-3:
             shares.append(0.0)

@@ -11,7 +11,7 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from scipy.optimize import minimize_scalar
 
-from bayesid.diagnosis.spectra import Stretch
+from bayesid.diagnosis.spectra import Segment
 
 #: A repeat or a rest must last this long [s], a period at least that, and what rings after a stop is left out.
 SHORTEST, SHORTEST_PERIOD, RINGING = 3.0, 1.5, 0.25
@@ -36,7 +36,7 @@ class Repeat:
     Attributes
     ----------
     first, second
-        Indices of the stretches; the same one for a periodic motion.
+        Indices of the segments; the same one for a periodic motion.
     lag
         Of the second against the first, a number of seconds.
     start, end
@@ -50,17 +50,17 @@ class Repeat:
     end: float
 
 
-def find_repeats(stretches: Sequence[Stretch], counts: np.ndarray) -> list[Repeat]:
-    """Where moving stretches repeat themselves or an earlier one.
+def find_repeats(segments: Sequence[Segment], counts: np.ndarray) -> list[Repeat]:
+    """Where moving segments repeat themselves or an earlier one.
 
     Parameters
     ----------
-    stretches
+    segments
         Recordings of motions.
     counts
         One encoder count by joint (n,) [rad or m].
     """
-    courses = [_course(s) for s in stretches]
+    courses = [_course(s) for s in segments]
     span = np.max([np.ptp(q, axis=0) for _, q in courses], axis=0) if courses else np.zeros(0)
     tolerance = np.maximum(_SAME * span, 2.0 * counts)
     found: list[Repeat] = []
@@ -77,11 +77,11 @@ def find_repeats(stretches: Sequence[Stretch], counts: np.ndarray) -> list[Repea
     return found
 
 
-def _course(stretch: Stretch) -> tuple[np.ndarray, np.ndarray]:
+def _course(segment: Segment) -> tuple[np.ndarray, np.ndarray]:
     """Positions on an even grid of `_RATE` (M,), (M, n)."""
-    times = np.arange(stretch.times[0], stretch.times[-1], 1.0 / _RATE)
-    inner = np.clip(times, stretch.scene.times[0], stretch.scene.times[-1])
-    return times, CubicSpline(stretch.scene.times, stretch.scene.positions)(inner)
+    times = np.arange(segment.times[0], segment.times[-1], 1.0 / _RATE)
+    inner = np.clip(times, segment.scene.times[0], segment.scene.times[-1])
+    return times, CubicSpline(segment.scene.times, segment.scene.positions)(inner)
 
 
 def _repeat(
@@ -134,7 +134,7 @@ def _same(
     tolerance: np.ndarray,
     span: np.ndarray,
 ) -> tuple[float, float, float] | None:
-    """Exact lag, start and end of the longest stretch of time in which positions are the same within a tolerance (n,)."""
+    """Exact lag, start and end of the longest segment of time in which positions are the same within a tolerance (n,)."""
     course = CubicSpline(*second)
 
     def off(shift: float) -> tuple[np.ndarray, np.ndarray]:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from bayesid.diagnosis.case import Case
+from bayesid.diagnosis.data import DiagnosisData
 
 #: Periods per radian or metre tried; slower ones than a gear's would pass for any error of weight.
 PERIODS = np.concatenate([np.arange(4.0, 40.0, 0.4), np.geomspace(40.0, 200.0, 60)])
@@ -15,11 +15,11 @@ PERIODS = np.concatenate([np.arange(4.0, 40.0, 0.4), np.geomspace(40.0, 200.0, 6
 class RippleScan:
     """Spectra of sines and cosines of every joint's angle, made once."""
 
-    def __init__(self, case: Case):
-        self.case = case
-        self.at = case.stretches[0].torque_channels
+    def __init__(self, data: DiagnosisData):
+        self.data = data
+        self.at = data.segments[0].torque_channels
         self.spectra = []
-        for s in case.stretches:
+        for s in data.segments:
             angle = s.scene.positions[:, [j for _, j in self.at]]
             wave = np.exp(1j * angle[:, :, None] * PERIODS)
             parts = [s.course(wave.real), s.course(wave.imag)]
@@ -31,7 +31,7 @@ class RippleScan:
             return
         score, gram = np.zeros(1), np.zeros(1)
         at = 0
-        for s, spectrum in zip(self.case.stretches, self.spectra, strict=True):
+        for s, spectrum in zip(self.data.segments, self.spectra, strict=True):
             count = s.shape[0] * s.shape[1]
             mine, at = left[at : at + count].reshape(s.shape), at + count
             pulled = np.einsum("kdc,kd->kc", s.whitener, mine)

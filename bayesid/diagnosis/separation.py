@@ -32,19 +32,19 @@ class Visible:
     seen
         Size whose trace, less what the links could explain, stands out by five standard deviations; None where no
         plausible size does.
-    twin
+    most_collinear
         The effect elsewhere in the library whose trace is most like it; None without any other.
     share
-        Part of the trace's energy that the twin would explain, at its best values.
+        Part of the trace's energy that the most_collinear would explain, at its best values.
     named
-        Size from which what the twin leaves stands out as much; None where no plausible size does.
+        Size from which what the most_collinear leaves stands out as much; None where no plausible size does.
     """
 
     effect: Effect
     parameter: int
     usual: float
     seen: float | None
-    twin: Effect | None
+    most_collinear: Effect | None
     share: float
     named: float | None
 
@@ -61,7 +61,7 @@ def visible(library: Library) -> tuple[Visible, ...]:
     library
         Columns of all effects at the user's model.
     """
-    robot = library.rigid.case.robot
+    robot = library.projector.data.robot
     if not library.blocks:
         return ()
     traces = np.stack([b.rows @ _amplitudes(b.effect, robot) for b in library.blocks], axis=1)
@@ -83,8 +83,8 @@ def visible(library: Library) -> tuple[Visible, ...]:
         seen = None if seen is None or seen > _ABSURD * size else seen
         named = None if seen is None or share > _SAME else seen / float(np.sqrt(1.0 - share))
         named = None if named is None or named > _ABSURD * size else named
-        twin = None if nearest is None else library.blocks[nearest].effect
-        out[specs[k]] = Visible(block.effect, by, size, seen, twin, share, named)
+        most_collinear = None if nearest is None else library.blocks[nearest].effect
+        out[specs[k]] = Visible(block.effect, by, size, seen, most_collinear, share, named)
     return tuple(out.values())
 
 

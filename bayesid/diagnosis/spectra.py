@@ -1,6 +1,6 @@
 """Readings in a frequency basis, where their noise is white once it is divided by its known spectrum.
 
-A stretch of samples becomes its lowest discrete cosine coefficients, up to `BAND`. Each coefficient is one
+A segment of samples becomes its lowest discrete cosine coefficients, up to `BAND`. Each coefficient is one
 frequency, so a noise that depends on frequency is a small covariance across channels for each of them:
 
     S(f) = diag(sensor noise) + E(f) + accuracy of the model
@@ -46,7 +46,7 @@ _ENOUGH = 20
 
 
 @dataclass(frozen=True, eq=False)
-class Stretch:
+class Segment:
     """One gap-free recording of a motion or of its static run.
 
     Attributes
@@ -201,7 +201,7 @@ def taper(times: np.ndarray, whole: np.ndarray, bandwidth: float) -> np.ndarray:
     return np.sin(0.5 * np.pi * np.sin(0.5 * np.pi * inside) ** 2) ** 2
 
 
-def sensor_noise(stretches: Sequence[Stretch]) -> np.ndarray:
+def sensor_noise(segments: Sequence[Segment]) -> np.ndarray:
     """Standard deviation of one sample's white noise (c,), from quiet moments above the motion's band.
 
     Power at high frequencies in short windows. Real motion reaches there, too, where the robot hurries, reverses or is
@@ -210,29 +210,29 @@ def sensor_noise(stretches: Sequence[Stretch]) -> np.ndarray:
 
     Parameters
     ----------
-    stretches
+    segments
         Recordings made in the same way (a static run may average its readings longer than a moving one).
     """
-    power, bins = _quiet_power(stretches, 0.3, 0.48)
+    power, bins = _quiet_power(segments, 0.3, 0.48)
     return np.sqrt(power / (chi2.ppf(_QUIET, 2 * bins) / (2 * bins)))
 
 
-def low_passed(stretches: Sequence[Stretch]) -> bool:
+def low_passed(segments: Sequence[Segment]) -> bool:
     """Whether readings were filtered before they were recorded, so that noise above the band tells nothing of it below.
 
     White noise has as much power at a fifth of the sampling rate as near half of it.
     """
-    lower, upper = (_quiet_power(stretches, *band)[0] for band in ((0.15, 0.25), (0.4, 0.48)))
+    lower, upper = (_quiet_power(segments, *band)[0] for band in ((0.15, 0.25), (0.4, 0.48)))
     return bool(np.max(lower / np.maximum(upper, 1e-300)) > _COLOURED)
 
 
-def _quiet_power(stretches: Sequence[Stretch], low: float, high: float) -> tuple[np.ndarray, int]:
+def _quiet_power(segments: Sequence[Segment], low: float, high: float) -> tuple[np.ndarray, int]:
     """Power per sample in quiet windows between two frequencies (c,) (shares of the sampling rate), and how many bins.
 
     Second differences first, so that a slow, large motion does not leak upwards; their gain is (2 sin(pi f h))^4.
     """
     powers, bins = [], 1
-    for s in stretches:
+    for s in segments:
         length = min(_WINDOW, len(s.readings) // 2)
         pieces = len(s.readings) // length
         cut = np.diff(s.readings[: pieces * length].reshape(pieces, length, -1), n=2, axis=1)
@@ -248,24 +248,24 @@ def _quiet_power(stretches: Sequence[Stretch], low: float, high: float) -> tuple
 
 
 def with_noise(
-    stretch: Stretch,
-    predict: Callable[[Stretch], np.ndarray],
-    resmooth: Callable[[Stretch, np.ndarray], Stretch],
+    segment: Segment,
+    predict: Callable[[Segment], np.ndarray],
+    resmooth: Callable[[Segment, np.ndarray], Segment],
     sensor: np.ndarray,
     resolution: np.ndarray,
     position_std: np.ndarray,
     rng: np.random.Generator,
-) -> Stretch:
-    """The stretch with the covariance of its coefficients.
+) -> Segment:
+    """The segment with the covariance of its coefficients.
 
     Parameters
     ----------
-    stretch
+    segment
         A recording.
     predict
-        Readings predicted for a stretch (N, c).
+        Readings predicted for a segment (N, c).
     resmooth
-        The stretch with other encoder readings (N, n).
+        The segment with other encoder readings (N, n).
     sensor
         Standard deviation of white noise of one sample (c,), or the covariance of a sample for every coefficient (K, c, c).
     resolution, position_std
@@ -273,26 +273,26 @@ def with_noise(
     rng
         For the roundings.
     """
-    exact = predict(stretch)
-    smoothed_positions = smooth(stretch.times, stretch.encoders, stretch.scene.bandwidth)[0]
+    exact = predict(segment)
+    smoothed_positions = smooth(segment.times, segment.encoders, segment.scene.bandwidth)[0]
     channels = exact.shape[1]
-    signal = stretch.spectrum(exact)
-    scatter = np.zeros((len(stretch.frequencies), channels, channels))
+    signal = segment.spectrum(exact)
+    scatter = np.zeros((len(segment.frequencies), channels, channels))
     if resolution.any() or position_std.any():
         for _ in range(ROUNDINGS):
             # Where within a count the truth lies is unknown: another shift, another rounding.
-            shift = rng.uniform(-0.5, 0.5, stretch.encoders.shape[1]) * resolution
+            shift = rng.uniform(-0.5, 0.5, segment.encoders.shape[1]) * resolution
             read = other_readings(smoothed_positions, shift, resolution, position_std, rng)
-            error = stretch.spectrum(predict(resmooth(stretch, read)) - exact)
+            error = segment.spectrum(predict(resmooth(segment, read)) - exact)
             scatter += error[:, :, None] * error[:, None, :] / ROUNDINGS
         scatter = _pooled(scatter)
-    weight = stretch.weight(stretch.times)
-    share = weight.T @ weight / len(weight) + np.diag(~stretch.alive)  # a channel that says nothing has any noise
+    weight = segment.weight(segment.times)
+    share = weight.T @ weight / len(weight) + np.diag(~segment.alive)  # a channel that says nothing has any noise
     floor = (np.diag(sensor**2) if sensor.ndim == 1 else sensor) * share
     rough = np.zeros_like(scatter)
     power = _pooled(signal[:, :, None] ** 2)[:, :, 0]
     rough[:, np.arange(channels), np.arange(channels)] = ACCURACY**2 * power
-    return replace(stretch, covariance=floor + scatter + rough)
+    return replace(segment, covariance=floor + scatter + rough)
 
 
 def other_readings(

@@ -9,8 +9,8 @@ where P are the rows of the links' prior. Without block b one Gauss-Newton step 
 
     dp = (J'J - J_b'J_b)^-1 (J'e - J_b'e_b)
 
-with links and offset among the unknowns, by the orthonormal factor Q of `Rigid`. The evidence is that of the block's
-complement: what the remaining rows lose without the effect, once everything else has made up for it as well as it can.
+with links and offset among the unknowns, by the orthonormal factor Q of the `NuisanceProjector`. The evidence is that of the
+block's complement: what the remaining rows lose without the effect, once everything else has made up for it as well as it can.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.fft import idct
 
-from bayesid.diagnosis.fit import ALIVE, Fit, Rigid, model_rows, residual_rows
+from bayesid.diagnosis.fit import ALIVE, Fit, NuisanceProjector, model_rows, residual_rows
 from bayesid.diagnosis.search import ACCEPT, Found
 
 #: Blocks that all recordings together are cut into, about.
@@ -129,27 +129,29 @@ class _Sums:
         count = self.links + self.parameters
         scale = np.sqrt(np.maximum(np.diag(self.whole)[:count], 1e-300))
         square = gram[:count, :count] / np.outer(scale, scale) + _FLAT * np.eye(count)
-        with np.errstate(over="ignore"):  # infinite for a parameter that nothing shows, as a hose's length while it is slack
+        with np.errstate(over="ignore"):  # infinite for a parameter that nothing shows, as a tether's length while it is slack
             return np.diag(np.linalg.inv(square))[self.links :] / scale[self.links :] ** 2
 
 
-def stability(rigid: Rigid, best: Fit, known: int, found: Sequence[Found], temper: float) -> tuple[Stability | None, ...]:
+def stability(
+    projector: NuisanceProjector, best: Fit, known: int, found: Sequence[Found], dispersion: float
+) -> tuple[Stability | None, ...]:
     """Every effect found without each part of the recordings; None for one that happens at one moment by its nature.
 
     Parameters
     ----------
-    rigid, best
+    projector, best
         The model with all effects, and what was projected out.
     known
         Number of the user's effects, the first in the model.
     found
         The effects found, in the model's order.
-    temper
+    dispersion
         Mean square of what counts as noise.
     """
     if not found:
         return ()
-    sums, moments = _sums(rigid, best, known)
+    sums, moments = _sums(projector, best, known)
     less = sums.whole - sums.blocks
     # A fit that stopped a little before its minimum would take the rest of the way in every block: that is none of theirs.
     stopped = sums.solved(sums.whole)[0]
@@ -163,7 +165,7 @@ def stability(rigid: Rigid, best: Fit, known: int, found: Sequence[Found], tempe
             out.append(None)
             continue
         gains = np.array([_gain(sums, gram, at, k) for gram in (sums.whole, *less)])
-        price = 0.5 * len(at) * np.log(rigid.rows) / temper
+        price = 0.5 * len(at) * np.log(projector.rows) / dispersion
         share = np.clip(gains[1:] / max(gains[0], 1e-300), 0.0, None)
         left = (f.gain + price) * share - price
         worst = int(np.argmin(left))
@@ -192,27 +194,25 @@ def _ranges(found: Found, steps: np.ndarray, lost: np.ndarray) -> tuple[tuple[fl
     return tuple((float(a), float(b)) for a, b in zip(low, high, strict=True))
 
 
-def _sums(rigid: Rigid, best: Fit, known: int) -> tuple[_Sums, list[Moment]]:
-    case = rigid.case
-    jacobian = model_rows(case, case.stretches, best.links, best.terms)
-    kept = rigid.rest(rigid.padded(jacobian))
+def _sums(projector: NuisanceProjector, best: Fit, known: int) -> tuple[_Sums, list[Moment]]:
+    data = projector.data
+    jacobian = model_rows(data, data.segments, best.links, best.terms)
+    kept = projector.project_out(projector.with_prior_rows(jacobian))
     kept[:, np.linalg.norm(kept, axis=0) < ALIVE * np.linalg.norm(jacobian, axis=0)] = 0.0
     traces = [
-        residual_rows(case, case.stretches, best.links, best.offset, tuple(t for k, t in enumerate(best.terms) if k != i))
+        residual_rows(data, data.segments, best.links, best.offset, tuple(t for k, t in enumerate(best.terms) if k != i))
         - best.residual
         for i in range(known, len(best.terms))
     ]
-    below = best.coordinates.copy()
-    if rigid.offset:
-        below[-6:] *= 1e-6  # nothing is known of an offset
-    rest = rigid.rest(rigid.padded(np.stack(traces, axis=1)))
-    columns = np.hstack([kept, rest, np.concatenate([best.residual, -below])[:, None]])
-    prior = np.hstack([rigid.q[rigid.length :], columns[rigid.length :]])
+    prior_residual = projector.prior_residual(best.coordinates)
+    rest = projector.project_out(projector.with_prior_rows(np.stack(traces, axis=1)))
+    columns = np.hstack([kept, rest, np.concatenate([best.residual, -prior_residual])[:, None]])
+    prior = np.hstack([projector.q[projector.length :], columns[projector.length :]])
     blocks, moments, row = [], [], 0
-    total = sum(s.times[-1] - s.times[0] for s in case.stretches)
-    for s in case.stretches:
+    total = sum(s.times[-1] - s.times[0] for s in data.segments)
+    for s in data.segments:
         size = s.shape[0] * s.shape[1]
-        mine = np.hstack([rigid.q[row : row + size], columns[row : row + size]]).reshape(*s.shape, -1)
+        mine = np.hstack([projector.q[row : row + size], columns[row : row + size]]).reshape(*s.shape, -1)
         row += size
         course = np.asarray(idct(mine, axis=0, norm="ortho"))
         length = s.times[-1] - s.times[0]
@@ -224,4 +224,4 @@ def _sums(rigid: Rigid, best: Fit, known: int) -> tuple[_Sums, list[Moment]]:
             start, end = (float(s.times[0] + length * x / len(course)) for x in (a, b))
             moments.append(Moment(start, end, s.motion))
     stacked = np.array(blocks)
-    return _Sums(stacked.sum(axis=0) + prior.T @ prior, stacked, rigid.size, kept.shape[1]), moments
+    return _Sums(stacked.sum(axis=0) + prior.T @ prior, stacked, projector.size, kept.shape[1]), moments

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from bayesid.diagnosis.locate import BANDS, LEVEL, by_band, by_window, places_looked_at
-from bayesid.diagnosis.proof import residual_spectra
 from bayesid.diagnosis.separation import Visible, visible
-from bayesid.diagnosis.spectra import Stretch, sensor_noise
+from bayesid.diagnosis.spectra import Segment, sensor_noise
+from bayesid.diagnosis.validation import residual_spectra
 
 if TYPE_CHECKING:
     from bayesid.diagnosis.diagnose import Diagnosis
@@ -30,7 +30,7 @@ class Panel:
     title, unseen
         Which recording, and whether it took part in no fit.
     pieces
-        For each gap-free stretch: edges of the windows (w + 1,) [s], root mean squares before and after (w, c, 2), and
+        For each gap-free segment: edges of the windows (w + 1,) [s], root mean squares before and after (w, c, 2), and
         whether they are significant (w, c, 2).
     bands
         Root mean squares by band (b, c, 2).
@@ -97,7 +97,7 @@ class Views:
     panels, signals, noise, visible
         See there.
     by_channel
-        Whitened root mean squares before and after on the motions of the proof (c, 2).
+        Whitened root mean squares before and after on the motions of the validation (c, 2).
     bands
         Their limits [Hz].
     changed
@@ -115,14 +115,14 @@ class Views:
 
 def views(diagnosis: Diagnosis) -> Views:
     """Evaluate both models on all recordings."""
-    case, s = diagnosis.case, diagnosis.search
+    data, s = diagnosis.data, diagnosis.search
     sides = []
-    for stretches in (case.stretches, case.unseen):
-        sides.append([residual_spectra(case, stretches, fit) for fit in (s.base, s.best)] if stretches else [[], []])
+    for segments in (data.segments, data.unseen):
+        sides.append([residual_spectra(data, segments, fit) for fit in (s.base, s.best)] if segments else [[], []])
     pairs = [
-        (stretch, np.stack([before, after], axis=-1), unseen)
-        for stretches, (b, a), unseen in zip((case.stretches, case.unseen), sides, (False, True), strict=True)
-        for stretch, before, after in zip(stretches, b, a, strict=True)
+        (segment, np.stack([before, after], axis=-1), unseen)
+        for segments, (b, a), unseen in zip((data.segments, data.unseen), sides, (False, True), strict=True)
+        for segment, before, after in zip(segments, b, a, strict=True)
     ]  # fmt: skip
     judged = [p for p in pairs if p[2]] or pairs
     energy = np.sum([np.sum(w**2, axis=0) for _, w, _ in judged], axis=0)
@@ -138,10 +138,10 @@ def views(diagnosis: Diagnosis) -> Views:
     )
 
 
-def _panels(pairs: list[tuple[Stretch, np.ndarray, bool]], level: float) -> tuple[Panel, ...]:
+def _panels(pairs: list[tuple[Segment, np.ndarray, bool]], level: float) -> tuple[Panel, ...]:
     """Moving recordings first, fitted ones before unseen ones; then the runs at rest."""
     looked = {unseen: places_looked_at([s for s, _, u in pairs if u == unseen]) for unseen in (False, True)}
-    groups: dict[tuple[str, bool], list[tuple[Stretch, np.ndarray, bool]]] = {}
+    groups: dict[tuple[str, bool], list[tuple[Segment, np.ndarray, bool]]] = {}
     for pair in pairs:
         groups.setdefault((pair[0].motion, pair[0].still), []).append(pair)
     order = sorted(groups, key=lambda k: (k[1], groups[k][0][2]))
@@ -168,9 +168,9 @@ def _panels(pairs: list[tuple[Stretch, np.ndarray, bool]], level: float) -> tupl
     return tuple(out)
 
 
-def _signals(diagnosis: Diagnosis, judged: list[tuple[Stretch, np.ndarray, bool]], by_channel: np.ndarray) -> tuple[Signal, ...]:
+def _signals(diagnosis: Diagnosis, judged: list[tuple[Segment, np.ndarray, bool]], by_channel: np.ndarray) -> tuple[Signal, ...]:
     """The channels that disagreed most, on the recording on which they did."""
-    channels = diagnosis.case.channels
+    channels = diagnosis.data.channels
     moving = [p for p in judged if not p[0].still] or judged
     worst = np.argsort(-by_channel[:, 0])[:_CHANNELS]
     # One recording for all of them: the one with the largest residual.
@@ -190,8 +190,8 @@ def _signals(diagnosis: Diagnosis, judged: list[tuple[Stretch, np.ndarray, bool]
 
 
 def _noise(diagnosis: Diagnosis) -> tuple[Noise, ...]:
-    case = diagnosis.case
-    moving = [s for s in (*case.stretches, *case.unseen) if not s.still]
+    data = diagnosis.data
+    moving = [s for s in (*data.segments, *data.unseen) if not s.still]
     sample = sensor_noise(moving)
     count = sum(len(s.times) for s in moving)
     band = np.sum([len(s.frequencies) * np.mean(s.weight(s.times) ** 2, axis=0) for s in moving], axis=0) / count
@@ -199,5 +199,5 @@ def _noise(diagnosis: Diagnosis) -> tuple[Noise, ...]:
     sensor = sample**2 * band
     return tuple(
         Noise(name, unit, float(sample[c]), float(np.sqrt(sensor[c])), float(np.sqrt(max(total[c] - sensor[c], 0.0))))
-        for c, (name, unit) in enumerate(zip(case.channels.names, case.channels.units, strict=True))
+        for c, (name, unit) in enumerate(zip(data.channels.names, data.channels.units, strict=True))
     )

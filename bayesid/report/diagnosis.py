@@ -35,16 +35,16 @@ def diagnosis_report(diagnosis: Any, views: Any, text: dict[str, Any]) -> str:
     views
         What its pictures show, a `Views`.
     text
-        Its sentences: ``verdict``, ``proof``, ``effects``, ``tried``, ``closed``, ``floor`` and ``floor_is_white``.
+        Its sentences: ``verdict``, ``validation``, ``effects``, ``tried``, ``closed``, ``floor`` and ``floor_is_white``.
 
     Returns
     -------
     page
         HTML with all figures inside.
     """
-    d, case = diagnosis, diagnosis.case
-    channels = case.channels.names
-    fitted = list(dict.fromkeys(s.motion for s in case.stretches))
+    d, data = diagnosis, diagnosis.data
+    channels = data.channels.names
+    fitted = list(dict.fromkeys(s.motion for s in data.segments))
     changed = views.changed
     proposals = _proposals(d)
     shown = [p for p in proposals if p["evidence"] > 0][:_BARS]
@@ -53,8 +53,8 @@ def diagnosis_report(diagnosis: Any, views: Any, text: dict[str, Any]) -> str:
     curves = [(f"{s.channel} [{s.unit}] below {s.below:g} Hz", s.times, s.values, s.noise) for s in views.signals]
     return render(
         "diagnosis.html",
-        name=case.experiment.name,
-        channel=channel_text(case.channel),
+        name=data.experiment.name,
+        channel=channel_text(data.channel),
         fitted=fitted,
         unseen=[] if d.gap is None else d.gap.motions,
         verdict=d.verdict,
@@ -66,7 +66,7 @@ def diagnosis_report(diagnosis: Any, views: Any, text: dict[str, Any]) -> str:
         changed=changed,
         maps=svg(_maps(channels, views), "maps"),
         still=any("at rest" in p.title for p in views.panels),
-        torque=case.channel != "wrench",
+        torque=data.channel != "wrench",
         where=[_place(w.to_dict()) for w in d.where],
         evidence=svg(
             evidence([p["spec"] for p in shown], np.array([p["evidence"] for p in shown]), [p["kind"] for p in shown], d.needed),
@@ -78,13 +78,13 @@ def diagnosis_report(diagnosis: Any, views: Any, text: dict[str, Any]) -> str:
         needed=f"{d.needed:g}",
         shifts=[_shift(s) for s in d.shifts[:_SHIFTS]],
         more_shifts=max(len(d.shifts) - _SHIFTS, 0),
-        exact=case.prior is None,
+        exact=data.prior is None,
         bars=svg(before_and_after(channels, views.by_channel, floor, changed), "bars"),
         signals=svg(signals(curves, changed), "signals"),
         signal_motion=views.signals[0].motion,
         seen=seen,
         every=[_visible(v) for v in views.visible],
-        twins=_twins(views),
+        look_alikes=_look_alikes(views),
         noise=[
             {"channel": n.channel, "unit": n.unit, "sample": number(n.sample, 3), "sensor": number(n.sensor, 3),
              "encoders": number(n.encoders, 3), "whole": number(float(np.hypot(n.sensor, n.encoders)), 3)}
@@ -92,8 +92,8 @@ def diagnosis_report(diagnosis: Any, views: Any, text: dict[str, Any]) -> str:
         ],
         white=text["floor_is_white"],
         floor_text=text["floor"],
-        temper=number(float(np.sqrt(d.search.temper)), 3),
-        tempered=d.search.temper > 1.05,
+        dispersion=number(float(np.sqrt(d.search.dispersion)), 3),
+        overdispersed=d.search.dispersion > 1.05,
         next_experiment=d.next_experiment,
         how=_how(d),
     )  # fmt: skip
@@ -113,7 +113,7 @@ def _cards(d: Any, text: dict[str, Any], changed: bool) -> list[dict[str, str]]:
     if d.gap is not None:
         before, after, floor = d.gap.before, d.gap.after, d.gap.floor
     else:
-        before, after = (float(np.sqrt(f.chi2 / d.search.rigid.rows)) for f in (d.search.base, d.search.best))
+        before, after = (float(np.sqrt(f.chi2 / d.search.projector.rows)) for f in (d.search.base, d.search.best))
         floor, where = None, "on the fitted motions; there are no others"
     what = f"noise is left by the model as it was, {where}"
     cards.append({"value": f"{number(before, 3)} ×", "mood": mood_of(before), "text": what})
@@ -142,7 +142,7 @@ def _place(w: dict[str, Any]) -> dict[str, str]:
 def _proposals(d: Any) -> list[dict[str, Any]]:
     """All effects tried on their own, with what they would explain."""
     s = d.search
-    excess = max(s.base.chi2 - s.rigid.rows, 1.0)
+    excess = max(s.base.chi2 - s.projector.rows, 1.0)
     taken = {_columns_of(f.term.effect) for f in d.found}
     rivals = {_columns_of(t.effect) for f in d.found for t, _ in f.rivals}
     out = []
@@ -194,7 +194,7 @@ def _visible(v: Any) -> dict[str, Any]:
     return {
         "spec": v.effect.spec, "parameter": v.effect.kind.parameters[v.parameter], "unit": _unit(v),
         "seen": "never" if v.seen is None else number(v.seen, 2),
-        "twin": DASH if v.twin is None else v.twin.spec, "share": _near_one(v.share),
+        "most_collinear": DASH if v.most_collinear is None else v.most_collinear.spec, "share": _near_one(v.share),
         "named": "never" if v.named is None else number(v.named, 2),
     }  # fmt: skip
 
@@ -232,13 +232,13 @@ def _span(low: float, high: float) -> str:
     return one if one == other else f"{one} … {other}"
 
 
-def _twins(views: Any) -> list[dict[str, str]]:
+def _look_alikes(views: Any) -> list[dict[str, str]]:
     """Pairs of effects that look alike, most alike first."""
     pairs: dict[frozenset[str], Any] = {}
     for v in sorted(views.visible, key=lambda v: -v.share):
-        if v.twin is not None and v.seen is not None and v.share > _ALIKE:
-            pairs.setdefault(frozenset((v.effect.spec, v.twin.spec)), v)
-    return [{"one": v.effect.spec, "other": v.twin.spec, "share": _near_one(v.share)} for v in list(pairs.values())[:8]]
+        if v.most_collinear is not None and v.seen is not None and v.share > _ALIKE:
+            pairs.setdefault(frozenset((v.effect.spec, v.most_collinear.spec)), v)
+    return [{"one": v.effect.spec, "other": v.most_collinear.spec, "share": _near_one(v.share)} for v in list(pairs.values())[:8]]
 
 
 def _near_one(share: float) -> str:
@@ -246,22 +246,22 @@ def _near_one(share: float) -> str:
 
 
 def _how(d: Any) -> list[tuple[str, str]]:
-    case, s = d.case, d.search
-    trust = case.experiment.inertia_rel_std
-    if trust is None:
+    data, s = d.data, d.search
+    rel_std = data.experiment.inertia_rel_std
+    if rel_std is None:
         links = "every rigid parameter is free: inertia_rel_std is not stated, so a wrong inertia is no candidate"
-    elif trust == 0:
+    elif rel_std == 0:
         links = "nominal links are taken as exact (inertia_rel_std = 0)"
     else:
-        links = f"nominal links count as known to {percent(trust, 3)} of every mass (inertia_rel_std), and are fitted along"
-    highest = max(x.frequencies[-1] for x in case.stretches)
+        links = f"nominal links count as known to {percent(rel_std, 3)} of every mass (inertia_rel_std), and are fitted along"
+    highest = max(x.frequencies[-1] for x in data.segments)
     return [
         ("Model as it was", ", ".join(t.effect.spec for t in s.base.terms) or "rigid bodies only"),
         ("Links", links),
-        ("Compared", f"{s.rigid.rows} numbers: readings as amplitudes by frequency, up to {highest:.3g} Hz"),
+        ("Compared", f"{s.projector.rows} numbers: readings as amplitudes by frequency, up to {highest:.3g} Hz"),
         ("Tried", f"{len(s.proposals)} effects and places, the best of them by exact fits, alone and together"),
-        ("Left on fitted motions", f"{number(float(np.sqrt(s.base.chi2 / s.rigid.rows)), 3)} times the noise before, "
-         f"{number(float(np.sqrt(s.best.chi2 / s.rigid.rows)), 3)} after"),
+        ("Left on fitted motions", f"{number(float(np.sqrt(s.base.chi2 / s.projector.rows)), 3)} times the noise before, "
+         f"{number(float(np.sqrt(s.best.chi2 / s.projector.rows)), 3)} after"),
         ("Run time", f"{number(d.seconds, 3)} s"),
         versions("numpy", "scipy", "pin"),
     ]  # fmt: skip

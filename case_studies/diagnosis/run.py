@@ -26,7 +26,7 @@ from present import FIGURES, fill, plain, tables
 import bayesid
 from bayesid.diagnosis import Diagnosis
 from bayesid.diagnosis.locate import by_window, places_looked_at
-from bayesid.diagnosis.proof import residual_spectra
+from bayesid.diagnosis.validation import residual_spectra
 
 HERE = Path(__file__).parent
 DATA = Path(os.environ.get("BAYESID_DATA", HERE.parents[2] / "shared"))
@@ -85,7 +85,7 @@ def gap_of(d: Diagnosis) -> dict[str, Any] | None:
     """Gap on the unseen motions, with every channel's."""
     if d.gap is None:
         return None
-    names = d.case.channels.names
+    names = d.data.channels.names
     return d.gap.to_dict() | {"channels": {n: list(map(float, row)) for n, row in zip(names, d.gap.by_channel, strict=True)}}
 
 
@@ -101,9 +101,11 @@ def outcome(d: Diagnosis) -> dict[str, Any]:
             {"effect": t.effect.spec, "values": dict(zip(t.effect.kind.parameters, map(float, t.values), strict=True))}
             for t in tried
         ],
-        "fitted": {"before": float(np.sqrt(s.base.chi2 / s.rigid.rows)), "after": float(np.sqrt(s.best.chi2 / s.rigid.rows))},
+        "fitted": {
+            "before": float(np.sqrt(s.base.chi2 / s.projector.rows)), "after": float(np.sqrt(s.best.chi2 / s.projector.rows)),
+        },
         "gap": gap_of(d),
-        "floor_known": d.case.floor_known, "floor_source": d.case.floor_source,
+        "floor_known": d.data.floor_known, "floor_source": d.data.floor_source,
         "where": [w.to_dict() for w in d.where],
     }  # fmt: skip
 
@@ -159,7 +161,7 @@ def robot(data: Path = DATA) -> dict[str, Any]:
     for name in ("kuka-lwr4", "ur10"):
         experiment = bayesid.load_experiment(data / "data" / name)
         out[name] = {
-            "rigid": outcome(bayesid.diagnose(experiment, "torque")),
+            "projector": outcome(bayesid.diagnose(experiment, "torque")),
             "friction": outcome(bayesid.diagnose(experiment, "torque", effects=FRICTION)),
         }
     return out
@@ -179,20 +181,20 @@ def wrist(data: Path = DATA) -> dict[str, Any]:
         table = pd.read_csv(folder / f"{motion}.csv")
         robust = bayesid.identify(folder, motions=[motion], method="student")
         known = bayesid.diagnose(folder, motions=[motion], effects=["sensor_offset"])
-        case = known.search.rigid.case
-        stretch = case.stretches[0]
-        left = residual_spectra(case, [stretch], known.search.best)[0]
-        edges, energy, freedom, _ = by_window(stretch, left, 1.0, places_looked_at([stretch]))
+        data = known.search.projector.data
+        segment = data.segments[0]
+        left = residual_spectra(data, [segment], known.search.best)[0]
+        edges, energy, freedom, _ = by_window(segment, left, 1.0, places_looked_at([segment]))
         quarter = np.searchsorted(table["t"].to_numpy(), np.arange(0.0, table["t"].iloc[-1], 0.25))
         out[motion] = {
             "nothing_known": outcome(bayesid.diagnose(folder, motions=[motion])),
             "offset_known": outcome(known),
             "rejected": robust.estimate.details.get("rejected_windows", {}),
-            "window_starts": [float(stretch.times[k]) for k in edges[:-1]],
+            "window_starts": [float(segment.times[k]) for k in edges[:-1]],
             "left": np.sqrt(energy.sum(axis=1) / freedom.sum(axis=1)).tolist(),
             "jolt_starts": table["t"].to_numpy()[quarter[:-1]].tolist(),
             "jolts": jolts(table, quarter),
-            "highest_hz": float(stretch.frequencies.max()),
+            "highest_hz": float(segment.frequencies.max()),
             "events": sorted(d.peak for d in known.where if d.event and d.motion == motion),
         }  # fmt: skip
     return out

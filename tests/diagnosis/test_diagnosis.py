@@ -13,7 +13,8 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from bayesid import diagnose
-from bayesid.diagnosis import bodies, candidates, case, fit, noises, patchwork, proof, search, spectra
+from bayesid.diagnosis import bodies, candidates, fit, noise_models, search, spectra, surrogates, validation
+from bayesid.diagnosis.data import Episode, active_terms, prepare_data, smoothed
 from bayesid.effects import Term, parse_effects
 from bayesid.recordings.experiment import load_experiment
 from bayesid.robot.prior import Prior
@@ -50,9 +51,9 @@ def record(plant, tmp_path_factory):
 
 
 def made(folder, channel, seed=0):
-    """The case and its rigid columns."""
-    made_case = case.make_case(load_experiment(folder), channel, (), None, seed)
-    return made_case, fit.make_rigid(made_case, ())
+    """The data and the projector of its links."""
+    data = prepare_data(load_experiment(folder), channel, (), None, seed)
+    return data, fit.make_projector(data, ())
 
 
 @pytest.mark.parametrize(
@@ -89,14 +90,14 @@ def test_what_nearly_complete_models_leave_is_no_third_effect(record):
         (["sensor_gain", "fluid_drag", "base_tilt"], [], []),
     ):
         folder, answer = record(f"hidden-{len(hidden)}", "pair", hidden, "wrench", seed=3)
-        comparison, rigid = made(folder, "wrench")
+        comparison, projector = made(folder, "wrench")
         names = [f"{e['name']}@{e['where']}" for e in answer["effects"]] + extra
         robot, channels = comparison.robot, [*"fx fy fz mx my mz".split()]
         terms = [Term(e, e.kind.starts) for e in parse_effects(names, robot.joint_names, channels, None)]
-        base, best = fit.fit(rigid, ()), fit.fit(rigid, terms)
-        held = noises.Noises(0, (), {(): candidates.make_library(rigid, base)})
+        base, best = fit.fit(projector, ()), fit.fit(projector, terms)
+        held = noise_models.NoiseModels(0, (), {(): candidates.make_library(projector, base)})
         few, rest = search._essential(held, base, best, 1.0)
-        assert patchwork.patchwork(comparison, best.terms)
+        assert surrogates.is_surrogate_combination(comparison, best.terms)
         assert [t.effect.spec for t in rest] == dropped
         assert [t.effect.spec for t in few.terms] == [n for n in names if n not in dropped]
 
@@ -116,10 +117,10 @@ def test_nothing_is_named_where_nothing_is_hidden_but_a_naive_noise_names_often(
     honest = [diagnose(f, "wrench") for f in folders]
     assert [d.verdict for d in honest] == ["nothing_missing"] * 4
     for d in honest:
-        assert d.search.base.chi2 / d.search.rigid.rows == pytest.approx(1.0, abs=0.3)
+        assert d.search.base.chi2 / d.search.projector.rows == pytest.approx(1.0, abs=0.3)
     monkeypatch.setattr(spectra, "ROUNDINGS", 0)
     naive = [search.search(made(f, "wrench")[1], (), 0, lambda _: None) for f in folders]
-    assert sum(s.base.chi2 / s.rigid.rows > 1.5 or bool(s.found) for s in naive) >= 2
+    assert sum(s.base.chi2 / s.projector.rows > 1.5 or bool(s.found) for s in naive) >= 2
 
 
 def test_the_same_seed_gives_the_same_diagnosis(record):
@@ -133,13 +134,13 @@ def test_the_same_seed_gives_the_same_diagnosis(record):
 def test_a_placebo_explains_nothing(record):
     """Columns of the right effect, but of the motion run backwards, gain no more than chance."""
     folder, _ = record("placebo", "single", ["sensor_delay"], "wrench", seed=6)
-    _, rigid = made(folder, "wrench")
-    base = fit.fit(rigid, ())
-    block = next(b for b in candidates.make_library(rigid, base).blocks if b.effect.name == "sensor_delay")
-    left = rigid.rest(np.concatenate([base.residual, -base.coordinates]))
+    _, projector = made(folder, "wrench")
+    base = fit.fit(projector, ())
+    block = next(b for b in candidates.make_library(projector, base).blocks if b.effect.name == "sensor_delay")
+    left = projector.project_out(np.concatenate([base.residual, -base.coordinates]))
     column = block.rows[:, 0] / np.linalg.norm(block.rows[:, 0])
     assert (column @ left) ** 2 > 1000
-    backwards = rigid.rest(rigid.padded(column[: rigid.rows][::-1]))
+    backwards = projector.project_out(projector.with_prior_rows(column[: projector.rows][::-1]))
     backwards /= np.linalg.norm(backwards)
     # The residual is mostly the true delay, so the placebo is judged against what is left once that is out.
     rest = left - column * (column @ left)
@@ -149,14 +150,14 @@ def test_a_placebo_explains_nothing(record):
 def test_projecting_the_links_out_equals_fitting_them(record):
     """The chi-squared of the reduced problem is that of all columns over their prior at once."""
     folder, _ = record("links", "none", [], "torque", trust=0.05, seed=8)
-    made_case, rigid = made(folder, "torque")
-    base = fit.fit(rigid, ())
-    rows = fit.residual_rows(made_case, made_case.stretches, made_case.links, np.zeros(2), ())
-    data = np.vstack([s.white(made_case.rigid(s, ())) @ rigid.root for s in made_case.stretches])
-    stacked, target = np.vstack([data, np.eye(data.shape[1])]), np.concatenate([rows, np.zeros(data.shape[1])])
+    data, projector = made(folder, "torque")
+    base = fit.fit(projector, ())
+    rows = fit.residual_rows(data, data.segments, data.links, np.zeros(2), ())
+    columns = np.vstack([s.white(data.link_columns(s, ())) @ projector.root for s in data.segments])
+    stacked, target = np.vstack([columns, np.eye(columns.shape[1])]), np.concatenate([rows, np.zeros(columns.shape[1])])
     u, left, *_ = np.linalg.lstsq(stacked, target, rcond=None)
     assert base.chi2 == pytest.approx(float(left[0]), rel=1e-8)
-    np.testing.assert_allclose(base.links, made_case.links + rigid.root @ u, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(base.links, data.links + projector.root @ u, rtol=1e-6, atol=1e-9)
 
 
 def test_white_noise_becomes_unit_rows():
@@ -164,12 +165,12 @@ def test_white_noise_becomes_unit_rows():
     rng = np.random.default_rng(0)
     times = np.arange(0, 20, 0.008)
     noise = rng.normal(size=(len(times), 2)) * [0.5, 0.02]
-    scene = case.smoothed(times, np.sin(times)[:, None], times, 12.0, False, np.zeros(1))
-    stretch = spectra.Stretch("m", "identification", times, np.sin(times)[:, None], noise, scene, False, (), np.zeros(0))
-    np.testing.assert_allclose(spectra.sensor_noise([stretch]), [0.5, 0.02], rtol=0.12)
+    scene = smoothed(times, np.sin(times)[:, None], times, 12.0, False, np.zeros(1))
+    segment = spectra.Segment("m", "identification", times, np.sin(times)[:, None], noise, scene, False, (), np.zeros(0))
+    np.testing.assert_allclose(spectra.sensor_noise([segment]), [0.5, 0.02], rtol=0.12)
     zero = np.zeros(1)
     known = spectra.with_noise(
-        stretch, lambda s: np.zeros((len(s.scene.times), 2)), lambda s, _: s, np.array([0.5, 0.02]), zero, zero, rng
+        segment, lambda s: np.zeros((len(s.scene.times), 2)), lambda s, _: s, np.array([0.5, 0.02]), zero, zero, rng
     )
     white = known.whiten(known.measured(noise))
     assert np.mean(white**2) == pytest.approx(1.0, abs=0.12)
@@ -186,12 +187,12 @@ def test_the_encoder_count_is_read_from_the_positions(count):
 def test_a_contact_is_left_out_of_other_motions(record):
     """It happened once: neither the other motions nor the validation know it."""
     folder, _ = record("once", "none", [], "wrench", seed=9)
-    made_case, _ = made(folder, "wrench")
-    effect = made_case.places("external_contact")[0]
-    once = case.Episode(effect, (1.0, 2.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0), made_case.stretches[0].motion)
-    assert case.here(made_case.stretches[0], [once])
-    assert not any(case.here(s, [once]) for s in made_case.unseen)
-    assert not any(case.here(s, [Term(effect, once.values)]) for s in made_case.unseen)
+    data, _ = made(folder, "wrench")
+    effect = data.places("external_contact")[0]
+    once = Episode(effect, (1.0, 2.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0), data.segments[0].motion)
+    assert active_terms(data.segments[0], [once])
+    assert not any(active_terms(s, [once]) for s in data.unseen)
+    assert not any(active_terms(s, [Term(effect, once.values)]) for s in data.unseen)
 
 
 def test_the_gap_needs_unseen_motions(record):
@@ -203,40 +204,40 @@ def test_the_gap_needs_unseen_motions(record):
     assert found.gap is None
     assert found.to_dict()["gap"] is None
     assert any("No validation motion" in r for r in found.remarks)
-    assert proof.prove(found.search.rigid, found.search.base, found.search.best, 1.0, 0) is None
+    assert validation.validate(found.search.projector, found.search.base, found.search.best, 1.0, 0) is None
 
 
 def test_a_model_that_runs_away_is_refused(record, monkeypatch):
     """Where derivatives overflow, a model gets no score that anything could lose against."""
     folder, _ = record("away", "none", [], "torque", seed=9)
-    made_case, rigid = made(folder, "torque")
-    [effect] = [e for e in made_case.places("joint_flexibility") if e.where == "joint2"]
-    [body] = [e for e in made_case.places("inertia_error") if e.where == "joint2"]
-    library = candidates.make_library(rigid, base := fit.fit(rigid, ()))
+    data, projector = made(folder, "torque")
+    [effect] = [e for e in data.places("joint_flexibility") if e.where == "joint2"]
+    [body] = [e for e in data.places("inertia_error") if e.where == "joint2"]
+    library = candidates.make_library(projector, base := fit.fit(projector, ()))
     proposals = [p for p in library.propose(base) if p.name == body.spec]
-    endless = lambda *given: np.full((rigid.rows, sum(len(t.values) for t in given[-1])), np.inf)  # noqa: E731
+    endless = lambda *given: np.full((projector.rows, sum(len(t.values) for t in given[-1])), np.inf)  # noqa: E731
     monkeypatch.setattr(fit, "model_rows", endless)
     for term in (Term(effect, (1e-4,)), Term(body, body.kind.starts)):
-        runaway = fit.fit(rigid, (term,))
+        runaway = fit.fit(projector, (term,))
         assert runaway.score == -np.inf and runaway.chi2 == np.inf
         assert not runaway.covariance.any() and np.isfinite(runaway.residual).all()
         assert bodies.as_payload(runaway, 0, 1.0) == (runaway.terms[0], 0.0)
-    held = noises.Noises(0, (), {(): library})
+    held = noise_models.NoiseModels(0, (), {(): library})
     assert search._exact(held, base, (), [replace(p, gain=1e3) for p in proposals], 1.0) == []
 
 
 def test_a_changed_link_is_priced_by_its_marginal_likelihood(record):
     """The score's gain is that of Gaussian densities with the link's columns under the prior of the best width."""
     folder, _ = record("heavier", "single", ["inertia_error"], "torque", trust=0.05, seed=11)
-    made_case, rigid = made(folder, "torque")
-    base = fit.fit(rigid, ())
-    [effect] = [e for e in made_case.places("inertia_error") if e.where == "joint2"]
-    changed = fit.fit(rigid, (Term(effect, (0.0,) * 10),), base)
-    zero = np.zeros(made_case.robot.n)
-    rows = fit.residual_rows(made_case, made_case.stretches, made_case.links, zero, ())
-    links = np.vstack([s.white(made_case.rigid(s, ())) for s in made_case.stretches])
-    own = Prior.warped(made_case.links[10:20], 1.0).covariance
-    plain = np.eye(len(rows)) + links @ rigid.root @ (links @ rigid.root).T
+    data, projector = made(folder, "torque")
+    base = fit.fit(projector, ())
+    [effect] = [e for e in data.places("inertia_error") if e.where == "joint2"]
+    changed = fit.fit(projector, (Term(effect, (0.0,) * 10),), base)
+    zero = np.zeros(data.robot.n)
+    rows = fit.residual_rows(data, data.segments, data.links, zero, ())
+    links = np.vstack([s.white(data.link_columns(s, ())) for s in data.segments])
+    own = Prior.warped(data.links[10:20], 1.0).covariance
+    plain = np.eye(len(rows)) + links @ projector.root @ (links @ projector.root).T
     change = links[:, 10:20] @ own @ links[:, 10:20].T
     free = max(multivariate_normal.logpdf(rows, cov=plain + w**2 * change) for w in fit.WIDTHS)
     want = free - multivariate_normal.logpdf(rows, cov=plain) - np.log(len(fit.WIDTHS))

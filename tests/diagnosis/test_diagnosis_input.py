@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import bayesid
-from bayesid.diagnosis.memo import model
+from bayesid.diagnosis.text import model
 from bayesid.robot.examples import PAPER_LOCKED, puma_two_joint_urdf
 from bayesid.robot.robot import load_robot
 
@@ -66,7 +66,7 @@ def test_a_joint_that_rests_all_the_time_says_nothing(robot):
     motions = [one("first", "identification", 0, 1), one("unseen", "validation", 0, 2)]
     found = bayesid.diagnose(recorded(robot, motions, ("viscous_friction@joint1",)), "torque")
     assert [f.term.effect.spec for f in found.found] == ["viscous_friction@joint1"]
-    assert found.search.rigid.rows == found.search.rigid.length / 2
+    assert found.search.projector.rows == found.search.projector.length / 2
 
 
 def test_values_that_are_kept_are_those_of_the_model_in_use(robot):

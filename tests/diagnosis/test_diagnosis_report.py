@@ -9,11 +9,11 @@ import pytest
 
 import bayesid
 from bayesid.cli import main
-from bayesid.diagnosis import memo
-from bayesid.diagnosis.case import Episode
+from bayesid.diagnosis import text
+from bayesid.diagnosis.data import Episode
 from bayesid.diagnosis.locate import BANDS, by_band, by_window
-from bayesid.diagnosis.proof import residual_spectra
 from bayesid.diagnosis.search import Found
+from bayesid.diagnosis.validation import residual_spectra
 from bayesid.diagnosis.views import views
 from bayesid.effects import KINDS, Term, parse_effects
 from bayesid.recordings.schema import read_model
@@ -64,8 +64,8 @@ def written(named, tmp_path_factory):
 
 
 def effect(diagnosis, spec):
-    case = diagnosis.case
-    return parse_effects([spec], case.robot.joint_names, case.channels.names)[0]
+    data = diagnosis.data
+    return parse_effects([spec], data.robot.joint_names, data.channels.names)[0]
 
 
 def ambiguous(diagnosis):
@@ -122,7 +122,7 @@ def test_a_failed_report_leaves_nothing(named, tmp_path, monkeypatch):
     def fail(*_):
         raise RuntimeError("no page")
 
-    monkeypatch.setattr(memo, "diagnosis_report", fail)
+    monkeypatch.setattr(text, "diagnosis_report", fail)
     with pytest.raises(RuntimeError, match="no page"):
         named.write(tmp_path / "out")
     assert list(tmp_path.iterdir()) == []
@@ -137,12 +137,12 @@ def test_the_model_holds_what_was_found(named, written):
 def test_the_model_keeps_what_was_there(named):
     """Effects of other channels, what was fixed, and effects named without a place stay as they were."""
     kept = {"viscous_friction@joint1": {"coefficient": 2.0}, "sensor_delay": {"delay": 0.001, "fixed": True}}
-    case = replace(named.case.experiment, effects=("viscous_friction", "sensor_delay"), effect_values=kept)
+    data = replace(named.data.experiment, effects=("viscous_friction", "sensor_delay"), effect_values=kept)
     delay = Term(effect(named, "sensor_delay"), (0.001,))
     base = replace(named.search.base, terms=(delay,))
     best = replace(named.search.best, terms=(delay, *named.search.best.terms))
-    changed = replace(named, case=replace(named.case, experiment=case), search=replace(named.search, base=base, best=best))
-    effects, values = memo.model(changed)
+    changed = replace(named, data=replace(named.data, experiment=data), search=replace(named.search, base=base, best=best))
+    effects, values = text.model(changed)
     assert effects == ("viscous_friction", "sensor_delay", "sensor_gain@mx")
     assert values["viscous_friction@joint1"] == {"coefficient": 2.0}
     assert values["sensor_delay@sensor"] == {"delay": 0.001, "fixed": True}
@@ -155,7 +155,7 @@ def test_with_the_model_nothing_is_missing(named, written, robot):
     again = bayesid.diagnose(made(robot, GAIN, effects=("sensor_delay",), effect_values=values), effects=effects)
     assert again.verdict == "nothing_missing"
     assert again.gap.before == pytest.approx(named.gap.after, rel=1e-3)
-    assert memo.model(again)[0] == effects
+    assert text.model(again)[0] == effects
 
 
 # ---- command line ----------------------------------------------------------------------------------------------------
@@ -217,13 +217,13 @@ def test_two_effects_and_a_contact(named):
     both = replace(named, found=(*named.found, Found(contact, 90.0, np.full(8, 0.1))))
     assert "The model misses two effects: sensor_gain at mx" in str(both)
     assert "external_contact at joint2" in str(both)
-    assert "here in ‘identification’, so other motions cannot prove it" in memo.proof_sentence(both)
+    assert "here in ‘identification’, so other motions cannot prove it" in text.validation_sentence(both)
 
 
 def test_shares_are_not_rounded_up_to_all(named):
-    assert memo.share_text(0.9999994) == "99.999 %"
-    assert memo.share_text(1.0) == "100 %"
-    assert memo.share_text(0.5) == "50.0 %"
+    assert text.share_text(0.9999994) == "99.999 %"
+    assert text.share_text(1.0) == "100 %"
+    assert text.share_text(0.5) == "50.0 %"
 
 
 def test_a_notebook_escapes(named):
@@ -282,14 +282,14 @@ def test_the_page_without_validation(robot, tmp_path):
 
 
 def test_windows_and_bands_hold_all_of_the_residual(named):
-    case = named.case
-    (stretch,) = case.unseen
-    (white,) = residual_spectra(case, case.unseen, named.search.base)
-    energy = by_window(stretch, white, 1.0, 1)[1]
+    data = named.data
+    (segment,) = data.unseen
+    (white,) = residual_spectra(data, data.unseen, named.search.base)
+    energy = by_window(segment, white, 1.0, 1)[1]
     np.testing.assert_allclose(energy.sum(axis=0), np.sum(white**2, axis=0), rtol=1e-10)
-    counts = [np.sum((stretch.frequencies >= low) & (stretch.frequencies < high)) for low, high in BANDS]
+    counts = [np.sum((segment.frequencies >= low) & (segment.frequencies < high)) for low, high in BANDS]
     assert sum(counts) == len(white)
-    np.testing.assert_allclose(np.array(counts) @ by_band(stretch, white) ** 2, np.sum(white**2, axis=0), rtol=1e-10)
+    np.testing.assert_allclose(np.array(counts) @ by_band(segment, white) ** 2, np.sum(white**2, axis=0), rtol=1e-10)
 
 
 def test_pictures_show_what_the_gap_says(named):
@@ -297,7 +297,7 @@ def test_pictures_show_what_the_gap_says(named):
     np.testing.assert_allclose(seen.by_channel, named.gap.by_channel, rtol=1e-9)
     assert [p.unseen for p in seen.panels] == [False, True]
     marked = np.concatenate([m for p in seen.panels for _, _, m in p.pieces])
-    mx = named.case.channels.names.index("mx")
+    mx = named.data.channels.names.index("mx")
     assert marked[:, mx, 0].mean() > 0.8 and marked[..., 1].mean() < 0.1
     assert seen.signals[0].motion == "validation" and "mx" in [s.channel for s in seen.signals]
     for s in seen.signals:
@@ -308,14 +308,14 @@ def test_pictures_show_what_the_gap_says(named):
 
 def test_the_noise_band_is_that_of_drawn_noise(named):
     """Coefficients drawn from their covariance and made into signals spread as far as the band says."""
-    (stretch,) = named.case.unseen
+    (segment,) = named.data.unseen
     rng = np.random.default_rng(0)
-    root = np.linalg.cholesky(stretch.covariance)
+    root = np.linalg.cholesky(segment.covariance)
     for s in views(named).signals:
-        c = named.case.channels.names.index(s.channel)
-        drawn = np.einsum("kcd,kdn->kcn", root, rng.normal(size=(*stretch.shape, 200)))[:, c]
-        drawn[stretch.frequencies > s.below] = 0.0
-        assert np.std(stretch.samples(drawn)) == pytest.approx(s.noise, rel=0.05)
+        c = named.data.channels.names.index(s.channel)
+        drawn = np.einsum("kcd,kdn->kcn", root, rng.normal(size=(*segment.shape, 200)))[:, c]
+        drawn[segment.frequencies > s.below] = 0.0
+        assert np.std(segment.samples(drawn)) == pytest.approx(s.noise, rel=0.05)
 
 
 def test_noise_is_what_was_put_in(named):

@@ -8,17 +8,17 @@ import pandas as pd
 import pytest
 from scipy.signal import lfilter
 
-from bayesid.diagnosis import memo
-from bayesid.diagnosis.case import make_case, smoothed
+from bayesid.diagnosis import text
+from bayesid.diagnosis.data import prepare_data, smoothed
+from bayesid.diagnosis.impulse_events import kicks, runs, short_events
 from bayesid.diagnosis.locate import LEVEL, by_window, locate, places_looked_at
-from bayesid.diagnosis.spectra import Stretch
-from bayesid.diagnosis.taps import kicks, runs, short_events
+from bayesid.diagnosis.spectra import Segment
 from bayesid.recordings.experiment import load_experiment
 
 JOINTS, CHANNELS = 3, 6
 
 
-def stretch(seed, duration=20.0, rate=250.0, colour="white", still=False, joints=JOINTS, moving=True):
+def segment(seed, duration=20.0, rate=250.0, colour="white", still=False, joints=JOINTS, moving=True):
     """A recording of joints that swing, with readings that follow them and noise of unit size, its generator and times."""
     rng = np.random.default_rng(seed)
     t = np.arange(0.0, duration, 1.0 / rate)
@@ -34,7 +34,7 @@ def stretch(seed, duration=20.0, rate=250.0, colour="white", still=False, joints
     readings = noise + 100.0 * q @ rng.normal(size=(joints, CHANNELS))
     scene = smoothed(t, q, t[::3], 12.0, still, np.zeros(joints))
     covariance = np.zeros((0, CHANNELS, CHANNELS))
-    return Stretch("motion", "identification", t, q, readings, scene, still, (), covariance)
+    return Segment("motion", "identification", t, q, readings, scene, still, (), covariance)
 
 
 def hit(s, at, size, length=0.02, channel=0):
@@ -51,14 +51,14 @@ def hit(s, at, size, length=0.02, channel=0):
 @pytest.mark.parametrize("colour", ["white", "coloured", "loud while it moves", "louder all at once"])
 def test_noise_raises_no_more_alarms_than_stated(colour):
     """At a level of 5 %, in 120 recordings each, whatever the noise's colour and course."""
-    alarms = sum(bool(short_events([stretch(seed, 8.0, colour=colour)], 0.05)[0]) for seed in range(120))
+    alarms = sum(bool(short_events([segment(seed, 8.0, colour=colour)], 0.05)[0]) for seed in range(120))
     assert alarms <= 0.05 * 120
 
 
 def test_taps_are_found_where_they_are():
     """Both, at their times, in their channels, as taps; nothing else; a moving arm between reversals and one at rest."""
     for seed in range(6):
-        s = stretch(seed, moving=seed < 3)
+        s = segment(seed, moving=seed < 3)
         near = kicks(s)
         early, late = (float(s.times[np.flatnonzero(~near & (s.times > t) & ~np.roll(near, -30))[0]]) for t in (5.0, 11.3))
         s = hit(hit(s, early + 0.05, 12.0), late + 0.05, -20.0, 0.01, channel=4)
@@ -71,7 +71,7 @@ def test_taps_are_found_where_they_are():
 
 def test_what_rings_for_long_is_no_tap():
     """A lightly damped vibration after a knock stands out, but is neither short nor broad."""
-    s = stretch(1, moving=False)
+    s = segment(1, moving=False)
     ring = 30.0 * np.exp(-(s.times - 7.0) / 0.15) * np.sin(2.0 * np.pi * 30.0 * (s.times - 7.0)) * (s.times > 7.0)
     (events,) = short_events([replace(s, readings=s.readings + ring[:, None])], LEVEL)
     assert len(events) == 1 and not events[0].tap
@@ -80,7 +80,7 @@ def test_what_rings_for_long_is_no_tap():
 
 def test_friction_at_reversals_is_no_event():
     """Kicks wherever a joint reverses or rests are not reported; the same kicks elsewhere are."""
-    s = stretch(2, joints=1)
+    s = segment(2, joints=1)
     speed = np.gradient(s.encoders[:, 0], s.times)
     turns = s.times[1:][np.sign(speed[1:]) != np.sign(speed[:-1])]
     inner = turns[(turns > 1.0) & (turns < 19.0)]
@@ -91,18 +91,18 @@ def test_friction_at_reversals_is_no_event():
     for t in inner:
         other = hit(other, t + 0.8, 30.0)
     assert short_events([one], LEVEL) == ((),)
-    assert 0.01 < kicks(s).mean() < 0.2 and not kicks(stretch(2, moving=False)).any()
+    assert 0.01 < kicks(s).mean() < 0.2 and not kicks(segment(2, moving=False)).any()
     assert len(short_events([other], LEVEL)[0]) == len(inner)
 
 
 def test_where_nothing_can_be_said():
     """A static run, a rate that leaves no room above the band, a recording of a moment, its ends."""
-    assert short_events([hit(stretch(3, still=True, moving=False), 5.0, 50.0)], LEVEL) == ((),)
-    assert short_events([hit(stretch(3, rate=45.0, moving=False), 5.0, 50.0)], LEVEL) == ((),)
-    assert short_events([hit(stretch(3, duration=1.0, moving=False), 0.5, 50.0)], LEVEL) == ((),)
-    assert short_events([hit(stretch(3, moving=False), 0.05, 50.0)], LEVEL) == ((),)
-    assert len(short_events([hit(stretch(3, moving=False), 5.0, 50.0)], LEVEL)[0]) == 1
-    constant = stretch(3)
+    assert short_events([hit(segment(3, still=True, moving=False), 5.0, 50.0)], LEVEL) == ((),)
+    assert short_events([hit(segment(3, rate=45.0, moving=False), 5.0, 50.0)], LEVEL) == ((),)
+    assert short_events([hit(segment(3, duration=1.0, moving=False), 0.5, 50.0)], LEVEL) == ((),)
+    assert short_events([hit(segment(3, moving=False), 0.05, 50.0)], LEVEL) == ((),)
+    assert len(short_events([hit(segment(3, moving=False), 5.0, 50.0)], LEVEL)[0]) == 1
+    constant = segment(3)
     assert short_events([replace(constant, readings=np.ones_like(constant.readings))], LEVEL) == ((),)
 
 
@@ -117,9 +117,9 @@ def test_runs_close_short_gaps():
 # ---- the residual in the compared band -------------------------------------------------------------------------------
 
 
-def case_of(*stretches):
+def case_of(*segments):
     channels = SimpleNamespace(names=("fx", "fy", "fz", "mx", "my", "mz"))
-    return SimpleNamespace(channels=channels, robot=SimpleNamespace(n=JOINTS), stretches=stretches, unseen=())
+    return SimpleNamespace(channels=channels, robot=SimpleNamespace(n=JOINTS), segments=segments, unseen=())
 
 
 def white(s, seed):
@@ -128,9 +128,9 @@ def white(s, seed):
 
 def test_white_residuals_disagree_nowhere():
     """Over 120 recordings at a level of one in a thousand each; and windows have the size of noise wherever they are."""
-    s = stretch(0)
-    case = case_of(s)
-    found = [w for seed in range(120) for w in locate(case, [s], [white(s, seed)], 1.0)]
+    s = segment(0)
+    data = case_of(s)
+    found = [w for seed in range(120) for w in locate(data, [s], [white(s, seed)], 1.0)]
     assert len(found) <= 2
     energy, freedom = [], []
     for seed in range(120):
@@ -142,7 +142,7 @@ def test_white_residuals_disagree_nowhere():
 
 def test_a_short_disagreement_is_placed_by_short_windows():
     """A third of a second in one channel is listed with that time, not with the second around it."""
-    s = stretch(4)
+    s = segment(4)
     course = np.zeros((len(s.times), CHANNELS))
     course[:, 2] = 8.0 * np.exp(-(((s.times - 9.4) / 0.1) ** 2)) * np.cos(2.0 * np.pi * 6.0 * (s.times - 9.4))
     left = white(s, 4) + s.measured(course) / 1.0
@@ -153,7 +153,7 @@ def test_a_short_disagreement_is_placed_by_short_windows():
 
 
 def test_a_disagreement_of_the_whole_recording_is_one_place():
-    s = stretch(5)
+    s = segment(5)
     left = white(s, 5)
     left[:20, 1] *= 30.0
     places = locate(case_of(s), [s], [left], 1.0)
@@ -163,7 +163,7 @@ def test_a_disagreement_of_the_whole_recording_is_one_place():
 
 
 def test_places_looked_at_count_both_lengths():
-    s = stretch(6)
+    s = segment(6)
     edges, _, _, p = by_window(s, white(s, 6), 1.0, 1)
     fine, *_ = by_window(s, white(s, 6), 1.0, 1, 4)
     np.testing.assert_array_equal(fine[::4], edges)
@@ -173,26 +173,26 @@ def test_places_looked_at_count_both_lengths():
 def test_the_list_holds_events_and_the_memo_tells_them():
     """Strongest first, short events marked as such, and what was not fitted said to be so."""
     quiet, tapped = (
-        stretch(7),
-        replace(hit(hit(stretch(8, moving=False), 6.0, 15.0), 14.0, 15.0), motion="other", role="validation"),
+        segment(7),
+        replace(hit(hit(segment(8, moving=False), 6.0, 15.0), 14.0, 15.0), motion="other", role="validation"),
     )
-    case = case_of(quiet)
-    case.unseen = (tapped,)
-    where = locate(case, [quiet], [white(quiet, 7)], 1.0)
+    data = case_of(quiet)
+    data.unseen = (tapped,)
+    where = locate(data, [quiet], [white(quiet, 7)], 1.0)
     assert [(w.channel, w.motion, w.event, w.tap, w.unseen) for w in where] == [("fx", "other", True, True, True)] * 2
     assert where[0].ratio * np.sqrt(where[0].end - where[0].start) >= where[1].ratio * np.sqrt(where[1].end - where[1].start)
     entry = where[0].to_dict()
     assert entry["looks_like"] == "tap" and entry["band_hz"][1] == pytest.approx(125.0) and entry["joint"] is None
-    (said,) = memo.event_sentences(SimpleNamespace(where=where))
+    (said,) = text.event_sentences(SimpleNamespace(where=where))
     assert said.startswith("2 short events in ‘other’ at 6.01 and 14.01 s, loudest in fx") and "look like taps" in said
     assert ", in a motion that took no part in the fit; they" in said
-    assert "a tap" in memo.disagreement_line(where[0])
-    (said,) = memo.event_sentences(SimpleNamespace(where=[replace(where[0], tap=False, unseen=False)]))
+    assert "a tap" in text.disagreement_line(where[0])
+    (said,) = text.event_sentences(SimpleNamespace(where=[replace(where[0], tap=False, unseen=False)]))
     assert said.startswith("One short event") and "tap" not in said and "no part" not in said
 
 
 def test_many_events_are_listed_by_the_strongest():
-    s = stretch(9, moving=False)
+    s = segment(9, moving=False)
     for k in range(9):
         s = hit(s, 1.5 + 2.0 * k, 15.0 + 5.0 * k)
     where = locate(case_of(s), [s], [white(s, 9)], 1.0)
@@ -205,8 +205,8 @@ def test_many_events_are_listed_by_the_strongest():
 def test_real_hammer_taps_are_found_and_a_quiet_turn_has_none(shared):
     """Against the accelerometer on the tool, which this does not see: its four loudest moments, half a second apart."""
     folder = shared("data/kuka-med-wrist")
-    case = make_case(load_experiment(folder), "wrench", (), ["baseline", "vibrations"], 0)
-    events = dict(zip([s.motion for s in case.stretches], short_events(case.stretches, LEVEL), strict=True))
+    data = prepare_data(load_experiment(folder), "wrench", (), ["baseline", "vibrations"], 0)
+    events = dict(zip([s.motion for s in data.segments], short_events(data.segments, LEVEL), strict=True))
     assert events["baseline"] == ()
     table = pd.read_csv(folder / "vibrations.csv")
     steps = np.linalg.norm(np.diff(table[["accx", "accy", "accz"]].to_numpy(), axis=0), axis=1)

@@ -7,9 +7,9 @@ import pytest
 from scipy.fft import idct
 
 import bayesid
-from bayesid.diagnosis import memo
-from bayesid.diagnosis.case import Episode, make_case
-from bayesid.diagnosis.fit import fit, make_rigid, residual_rows
+from bayesid.diagnosis import text
+from bayesid.diagnosis.data import Episode, prepare_data
+from bayesid.diagnosis.fit import fit, make_projector, residual_rows
 from bayesid.diagnosis.search import ACCEPT, Found
 from bayesid.diagnosis.stability import BLOCKS, _gain, _sums, stability
 from bayesid.effects import Term
@@ -38,65 +38,65 @@ def robot(tmp_path_factory):
 
 
 def fitted(robot, gain, *names):
-    """The case with effects fitted, as the search would hand them on."""
-    case = make_case(made(robot, gain), "wrench", (), None, 0)
-    effects = [e for name, where in names for e in case.places(name) if e.where == where]
-    rigid = make_rigid(case, ())
-    best = fit(rigid, [Term(e, tuple(0.0 for _ in e.kind.parameters)) for e in effects])
+    """The data with effects fitted, as the search would hand them on."""
+    data = prepare_data(made(robot, gain), "wrench", (), None, 0)
+    effects = [e for name, where in names for e in data.places(name) if e.where == where]
+    projector = make_projector(data, ())
+    best = fit(projector, [Term(e, tuple(0.0 for _ in e.kind.parameters)) for e in effects])
     found = []
     for i, t in enumerate(best.terms):
-        without = fit(rigid, tuple(x for k, x in enumerate(best.terms) if k != i))
+        without = fit(projector, tuple(x for k, x in enumerate(best.terms) if k != i))
         found.append(Found(t, best.score - without.score, np.zeros(len(t.values))))
-    return rigid, best, found
+    return projector, best, found
 
 
-def refitted(rigid, terms, start, weight):
+def refitted(projector, terms, start, weight):
     """Links and effects fitted with weights of moments, by Gauss-Newton with numeric derivatives: values and chi2."""
-    case = rigid.case
-    (s,) = case.stretches
+    data = projector.data
+    (s,) = data.segments
     sizes = [len(t.values) for t in terms]
 
     def rows(x):
-        u, values = x[: rigid.size], np.split(x[rigid.size :], np.cumsum(sizes)[:-1])
+        u, values = x[: projector.size], np.split(x[projector.size :], np.cumsum(sizes)[:-1])
         now = [replace(t, values=tuple(v)) for t, v in zip(terms, values, strict=True)]
-        left = residual_rows(case, case.stretches, case.links + rigid.root @ u, np.zeros(6), now)
+        left = residual_rows(data, data.segments, data.links + projector.root @ u, np.zeros(6), now)
         course = idct(left.reshape(s.shape), axis=0, norm="ortho") * weight[:, None]
         return np.concatenate([course.ravel(), u])
 
     x = np.concatenate([start.coordinates, *[t.values for t in terms]])
     for _ in range(3):
         here = rows(x)
-        steps = np.concatenate([np.full(rigid.size, 1e-3), np.full(len(x) - rigid.size, 1e-4)])
+        steps = np.concatenate([np.full(projector.size, 1e-3), np.full(len(x) - projector.size, 1e-4)])
         slope = np.stack([(rows(x + h * e) - here) / h for h, e in zip(steps, np.eye(len(x)), strict=True)], axis=1)
         x = x - np.linalg.lstsq(slope, here, rcond=None)[0]
     left = rows(x)
-    return x[rigid.size :], float(left @ left)
+    return x[projector.size :], float(left @ left)
 
 
 def test_one_step_is_a_fit_without_the_block(robot):
     """Parameters and evidence without a part are those of an exact fit in which that part has no weight."""
-    rigid, best, found = fitted(robot, lambda t: GAIN, ("sensor_gain", "mx"), ("base_tilt", "base"))
-    (s,) = rigid.case.stretches
+    projector, best, found = fitted(robot, lambda t: GAIN, ("sensor_gain", "mx"), ("base_tilt", "base"))
+    (s,) = projector.data.segments
     count = s.shape[0]
     edges = np.linspace(0, count, BLOCKS + 1).astype(int)
     estimates, evidence = [], []
     for a, b in ((edges[0], edges[1]), *zip(edges[3:5], edges[4:6], strict=True)):
         weight = np.ones(count)
         weight[a:b] = 0.0
-        values, with_it = refitted(rigid, best.terms, best, weight)
-        _, without = refitted(rigid, best.terms[1:], best, weight)
+        values, with_it = refitted(projector, best.terms, best, weight)
+        _, without = refitted(projector, best.terms[1:], best, weight)
         estimates.append(values)
-        evidence.append(0.5 * (without - with_it) - 0.5 * np.log(rigid.rows))
-    gain, tilt = stability(rigid, best, 0, found, 1.0)
+        evidence.append(0.5 * (without - with_it) - 0.5 * np.log(projector.rows))
+    gain, tilt = stability(projector, best, 0, found, 1.0)
     # The same three parts alone: the extremes over all parts hold them, and every one of them moves by its own step.
-    sums, moments = _sums(rigid, best, 0)
+    sums, moments = _sums(projector, best, 0)
     assert len(moments) == gain.blocks == BLOCKS and moments[0].start == pytest.approx(s.times[0])
     start = np.concatenate([t.values for t in best.terms])
     for k, values, log in zip((0, 3, 4), estimates, evidence, strict=True):
         gram = sums.whole - sums.blocks[k]
-        step = sums.solved(gram)[0][rigid.size :]
+        step = sums.solved(gram)[0][projector.size :]
         assert np.max(np.abs(start + step - values) / np.sqrt(np.diag(best.covariance))) < 0.03
-        assert 0.5 * _gain(sums, gram, [0], 0) - 0.5 * np.log(rigid.rows) == pytest.approx(log, rel=0.01)
+        assert 0.5 * _gain(sums, gram, [0], 0) - 0.5 * np.log(projector.rows) == pytest.approx(log, rel=0.01)
         assert gain.ranges[0][0] - 1e-5 <= values[0] <= gain.ranges[0][1] + 1e-5
         assert tilt.ranges[1][0] - 1e-5 <= values[2] <= tilt.ranges[1][1] + 1e-5
     assert gain.least <= min(evidence) * 1.01
@@ -104,16 +104,16 @@ def test_one_step_is_a_fit_without_the_block(robot):
 
 def test_blocks_add_up_to_the_whole(robot):
     """Parseval: the blocks of time and the prior hold all inner products of the rows by frequency."""
-    rigid, best, _ = fitted(robot, lambda t: GAIN, ("sensor_gain", "mx"))
-    sums, _ = _sums(rigid, best, 0)
+    projector, best, _ = fitted(robot, lambda t: GAIN, ("sensor_gain", "mx"))
+    sums, _ = _sums(projector, best, 0)
     assert sums.whole[-1, -1] == pytest.approx(best.chi2, rel=1e-9)
-    np.testing.assert_allclose(sums.whole[: rigid.size, : rigid.size], np.eye(rigid.size), atol=1e-9)
+    np.testing.assert_allclose(sums.whole[: projector.size, : projector.size], np.eye(projector.size), atol=1e-9)
 
 
 def test_a_steady_effect_rests_on_no_moment(robot):
     """And its estimate without any part is the same within its uncertainty."""
-    rigid, best, found = fitted(robot, lambda t: GAIN, ("sensor_gain", "mx"))
-    (steady,) = stability(rigid, best, 0, found, 1.0)
+    projector, best, found = fitted(robot, lambda t: GAIN, ("sensor_gain", "mx"))
+    (steady,) = stability(projector, best, 0, found, 1.0)
     std = float(np.sqrt(best.covariance[0, 0]))
     assert steady.rests_on is None and steady.least > ACCEPT
     assert 0.5 * found[0].gain < steady.least < found[0].gain
@@ -124,23 +124,23 @@ def test_a_steady_effect_rests_on_no_moment(robot):
 @pytest.mark.parametrize("size", [0.02, 0.4])
 def test_an_effect_of_a_moment_rests_on_it(robot, size):
     """Something that reads too much for half a second is fitted by a gain, and little or nothing is left without that moment."""
-    rigid, best, found = fitted(robot, lambda t: size * np.exp(-(((t - 4.4) / 0.12) ** 2)), ("sensor_gain", "mx"))
+    projector, best, found = fitted(robot, lambda t: size * np.exp(-(((t - 4.4) / 0.12) ** 2)), ("sensor_gain", "mx"))
     assert found[0].gain > ACCEPT
-    (once,) = stability(rigid, best, 0, found, 1.0)
+    (once,) = stability(projector, best, 0, found, 1.0)
     assert once.rests_on is not None and once.least < (ACCEPT if size < 0.1 else 0.1 * found[0].gain)
     assert once.rests_on.start < 4.4 < once.rests_on.end and once.rests_on.motion == "identification"
     assert once.to_dict()["rests_on"] == [once.rests_on.start, once.rests_on.end, "identification"]
     low, high = once.ranges[0]
     assert min(abs(low), abs(high)) < 0.5 * abs(best.terms[0].values[0])
-    assert "rests on one moment" in memo.moment_sentence(once)
+    assert "rests on one moment" in text.moment_sentence(once)
 
 
 def test_contacts_and_nothing_are_left_out(robot):
-    rigid, best, found = fitted(robot, lambda t: GAIN, ("sensor_gain", "mx"))
-    effect = rigid.case.places("external_contact")[0]
+    projector, best, found = fitted(robot, lambda t: GAIN, ("sensor_gain", "mx"))
+    effect = projector.data.places("external_contact")[0]
     contact = Episode(effect, (1.0, 2.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0), "identification")
-    assert stability(rigid, best, 0, [replace(found[0], term=contact)], 1.0) == (None,)
-    assert stability(rigid, best, 0, [], 1.0) == ()
+    assert stability(projector, best, 0, [replace(found[0], term=contact)], 1.0) == (None,)
+    assert stability(projector, best, 0, [], 1.0) == ()
 
 
 def test_the_diagnosis_says_it(robot):

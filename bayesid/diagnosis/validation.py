@@ -1,4 +1,4 @@
-"""Proof on motions that were never fitted: the gap before and after, beside what noise alone would leave."""
+"""Held-out validation on motions that were never fitted: the gap before and after, beside what noise alone would leave."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayesid.diagnosis.case import Case
-from bayesid.diagnosis.fit import Fit, Rigid, model_rows, offset_columns
-from bayesid.diagnosis.spectra import Stretch
+from bayesid.diagnosis.data import DiagnosisData
+from bayesid.diagnosis.fit import Fit, NuisanceProjector, model_rows, offset_columns
+from bayesid.diagnosis.spectra import Segment
 
 #: Time that the bootstrap takes for independent of the next [s], and how often it draws.
 _BLOCK = 1.5
@@ -56,37 +56,37 @@ class Gap:
         }
 
 
-def residual_spectra(case: Case, stretches: Sequence[Stretch], fit: Fit) -> list[np.ndarray]:
-    """Whitened coefficients (K, c) of every stretch; a constant offset is taken out anew, a sensor may have been zeroed."""
-    white = [s.whiten(s.measured(s.readings) - s.spectrum(case.predict(s, fit.links, fit.terms))) for s in stretches]
-    rows = without_offset(case, stretches, np.concatenate([w.ravel() for w in white]))
+def residual_spectra(data: DiagnosisData, segments: Sequence[Segment], fit: Fit) -> list[np.ndarray]:
+    """Whitened coefficients (K, c) of every segment; a constant offset is taken out anew, a sensor may have been zeroed."""
+    white = [s.whiten(s.measured(s.readings) - s.spectrum(data.predict(s, fit.links, fit.terms))) for s in segments]
+    rows = without_offset(data, segments, np.concatenate([w.ravel() for w in white]))
     parts = np.split(rows, np.cumsum([w.size for w in white])[:-1])
     return [part.reshape(w.shape) for part, w in zip(parts, white, strict=True)]
 
 
-def without_offset(case: Case, stretches: Sequence[Stretch], rows: np.ndarray) -> np.ndarray:
+def without_offset(data: DiagnosisData, segments: Sequence[Segment], rows: np.ndarray) -> np.ndarray:
     """Whitened rows (rows, ...) less what a constant offset of every motion explains, where a static run allows for one."""
-    if not (case.offset_free and case.channel == "wrench"):
+    if not (data.offset_free and data.channel == "wrench"):
         return rows
     out = rows.copy()
-    edges = np.cumsum([0, *(s.shape[0] * s.shape[1] for s in stretches)])
-    for motion in dict.fromkeys(s.motion for s in stretches):
-        mine = [k for k, s in enumerate(stretches) if s.motion == motion]
+    edges = np.cumsum([0, *(s.shape[0] * s.shape[1] for s in segments)])
+    for motion in dict.fromkeys(s.motion for s in segments):
+        mine = [k for k, s in enumerate(segments) if s.motion == motion]
         at = np.concatenate([np.arange(edges[k], edges[k + 1]) for k in mine])
-        q, _ = np.linalg.qr(np.vstack([offset_columns(stretches[k]) for k in mine]))
+        q, _ = np.linalg.qr(np.vstack([offset_columns(segments[k]) for k in mine]))
         out[at] -= q @ (q.T @ out[at])
     return out
 
 
-def prove(rigid: Rigid, base: Fit, best: Fit, temper: float, seed: int) -> Gap | None:
+def validate(projector: NuisanceProjector, base: Fit, best: Fit, dispersion: float, seed: int) -> Gap | None:
     """Compare both models on the validation motions; None where there are none."""
-    case = rigid.case
-    if not case.unseen:
+    data = projector.data
+    if not data.unseen:
         return None
-    before, after = (residual_spectra(case, case.unseen, f) for f in (base, best))
-    total = sum(s.count for s in case.unseen)
-    floor2, bare2 = (1.0 + _parameter_share(rigid, f, temper) / total for f in (best, base))
-    energy = np.concatenate([_by_blocks(s, b, a) for s, b, a in zip(case.unseen, before, after, strict=True)])
+    before, after = (residual_spectra(data, data.unseen, f) for f in (base, best))
+    total = sum(s.count for s in data.unseen)
+    floor2, bare2 = (1.0 + _parameter_share(projector, f, dispersion) / total for f in (best, base))
+    energy = np.concatenate([_by_blocks(s, b, a) for s, b, a in zip(data.unseen, before, after, strict=True)])
     rng = np.random.default_rng(seed)
     picks = rng.integers(len(energy), size=(_DRAWS, len(energy)))
     sums = energy[picks].sum(axis=1)
@@ -101,7 +101,7 @@ def prove(rigid: Rigid, base: Fit, best: Fit, temper: float, seed: int) -> Gap |
         before=np.sqrt(whole[0]), after=np.sqrt(whole[1]), floor=np.sqrt(floor2), bare_floor=np.sqrt(bare2),
         closed=float(_closed(whole[0], whole[1], floor2)) if room else np.nan,
         closed_low=float(np.quantile(draws, 0.05)) if room else np.nan,
-        by_channel=by_channel, motions=tuple(dict.fromkeys(s.motion for s in case.unseen)),
+        by_channel=by_channel, motions=tuple(dict.fromkeys(s.motion for s in data.unseen)),
     )  # fmt: skip
 
 
@@ -109,27 +109,27 @@ def _closed(before, after, floor2):
     return (before - after) / np.maximum(before - floor2, 1e-3 * floor2)
 
 
-def _by_blocks(stretch: Stretch, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+def _by_blocks(segment: Segment, before: np.ndarray, after: np.ndarray) -> np.ndarray:
     """Energies before and after and number of coefficients, by block of time (blocks, 3)."""
-    energies = [np.sum(stretch.samples(w) ** 2, axis=1) for w in (before, after)]
-    count = max(int((stretch.times[-1] - stretch.times[0]) / _BLOCK), 1)
+    energies = [np.sum(segment.samples(w) ** 2, axis=1) for w in (before, after)]
+    count = max(int((segment.times[-1] - segment.times[0]) / _BLOCK), 1)
     edges = np.linspace(0, len(energies[0]), count + 1).astype(int)
     sums = [np.add.reduceat(e, edges[:-1]) for e in energies]
-    return np.stack([*sums, np.full(count, stretch.count / count)], axis=1)
+    return np.stack([*sums, np.full(count, segment.count / count)], axis=1)
 
 
-def _parameter_share(rigid: Rigid, best: Fit, temper: float) -> float:
+def _parameter_share(projector: NuisanceProjector, best: Fit, dispersion: float) -> float:
     """Expected sum of squares that the uncertainty of links and effects adds to whitened residuals of other motions."""
-    case = rigid.case
-    effects = without_offset(case, case.unseen, model_rows(case, case.unseen, best.links, best.terms))
+    data = projector.data
+    effects = without_offset(data, data.unseen, model_rows(data, data.unseen, best.links, best.terms))
     share = 0.0
-    if rigid.root.shape[1]:
-        links = np.vstack([s.white(case.rigid(s, best.terms)) @ rigid.root for s in case.unseen])
-        links = without_offset(case, case.unseen, links)
-        inverse = np.linalg.inv(rigid.r)[: rigid.root.shape[1]]
+    if projector.root.shape[1]:
+        links = np.vstack([s.white(data.link_columns(s, best.terms)) @ projector.root for s in data.unseen])
+        links = without_offset(data, data.unseen, links)
+        inverse = np.linalg.inv(projector.r)[: projector.root.shape[1]]
         share += float(np.sum((links @ inverse) ** 2))
         # Where an effect's estimate is off, the links have made up for it on the fitted motions.
-        fitted = rigid.padded(model_rows(case, case.stretches, best.links, best.terms))
-        effects = effects - links @ (inverse @ (rigid.q.T @ fitted))
+        fitted = projector.with_prior_rows(model_rows(data, data.segments, best.links, best.terms))
+        effects = effects - links @ (inverse @ (projector.q.T @ fitted))
     share += float(np.einsum("ij,jk,ik->", effects, best.covariance, effects))
-    return temper * share
+    return dispersion * share

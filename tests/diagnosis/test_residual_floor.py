@@ -9,8 +9,10 @@ import pytest
 from scipy.signal import butter, freqz, lfilter
 
 from bayesid import diagnose
-from bayesid.diagnosis import case, repeats, scatter
-from bayesid.diagnosis.spectra import taper
+from bayesid.diagnosis import data as diagnosis_data
+from bayesid.diagnosis import noise_spectrum, repeats
+from bayesid.diagnosis.data import prepare_data, smoothed
+from bayesid.diagnosis.spectra import sensor_noise, taper
 from bayesid.dynamics.channels import torque_channels, wrench_channels
 from bayesid.dynamics.regressors import dynamics_regressor
 from bayesid.recordings.table import Table
@@ -84,8 +86,8 @@ def setting(robot, motion, law, unseen=None, **options):
 
 
 def made(given):
-    """Its case."""
-    return case.make_case(given, "wrench", (), None, 0)
+    """Its data."""
+    return prepare_data(given, "wrench", (), None, 0)
 
 
 @pytest.mark.parametrize(("law", "name"), [(FILTERED, "filtered"), (RED, "red")])
@@ -110,14 +112,14 @@ def test_whitened_noise_of_another_draw_has_variance_one(robot):
     """By band of frequency, on noise that the spectrum was not made from; with the white estimate it is nothing like it."""
     motion = fourier(robot, 3, duration=40.0)
     found = made(setting(robot, motion, FILTERED))
-    s = found.stretches[0]
+    s = found.segments[0]
     for seed in (7, 8):
         z = s.whiten(s.measured(noise(s.readings.shape, FILTERED, seed)))
         for low, high in [(0.1, 1.0), (1.0, 3.0), (3.0, 6.0)]:
             inside = (s.frequencies >= low) & (s.frequencies < high)
             # The covariance holds the encoders' errors, too: at most 1, and not far below where they are small.
             assert 0.75 < np.mean(z[inside] ** 2) < 1.2, (low, high)
-    assert np.mean((s.measured(noise(s.readings.shape, FILTERED, 9)) / case.sensor_noise([s])) ** 2) > 100.0
+    assert np.mean((s.measured(noise(s.readings.shape, FILTERED, 9)) / sensor_noise([s])) ** 2) > 100.0
 
 
 def test_filtered_noise_raises_no_alarm_and_hides_no_delay(robot):
@@ -143,7 +145,7 @@ def test_two_recordings_of_one_motion_are_repeats(robot):
     second = (times[:-cut], *(x[cut:] for x in motion))
     found = made(setting(robot, first, FILTERED, second))
     assert found.floor_source == "repeats"
-    moving = [*found.stretches, *found.unseen]
+    moving = [*found.segments, *found.unseen]
     pair = repeats.find_repeats(moving, np.full(2, 2e-5))
     assert [(p.first, p.second) for p in pair] == [(0, 1)]
     assert pair[0].lag == pytest.approx(-cut / RATE, abs=2e-4)
@@ -162,8 +164,9 @@ def test_encoder_errors_that_do_not_repeat_are_not_taken_for_the_sensors(robot):
 
     table = replace(given.motions[0].table, positions=read(5))
     found = made(replace(given, motions=(replace(given.motions[0], table=table),), position_resolution=0.0, position_std=std))
-    s, pair = found.stretches[0], repeats.find_repeats(found.stretches, np.zeros(2))
-    whole = scatter.measured_spectrum(scatter.repeat_pieces([s], pair, lambda x: found.predict(x, found.links, ()), {0: []}))
+    s, pair = found.segments[0], repeats.find_repeats(found.segments, np.zeros(2))
+    pieces = noise_spectrum.repeat_pieces([s], pair, lambda x: found.predict(x, found.links, ()), {0: []})
+    whole = noise_spectrum.measured_spectrum(pieces)
     assert whole is not None
     where = np.array([1.0, 2.0, 3.0, 4.0])
     ratio = np.sqrt(found.spectrum.at(where).diagonal(0, 1, 2)) / spectrum(FILTERED, where)
@@ -171,7 +174,7 @@ def test_encoder_errors_that_do_not_repeat_are_not_taken_for_the_sensors(robot):
     assert np.mean(np.log(raw[-1])) > 0.4
     assert abs(np.mean(np.log(ratio[:3]))) < 0.2
     # Another recording of both: the floor is what remains, neither less nor twice as much.
-    scene = case.smoothed(s.times, read(6), s.scene.times, s.scene.bandwidth, False, s.scene.middle_positions)
+    scene = smoothed(s.times, read(6), s.scene.times, s.scene.bandwidth, False, s.scene.middle_positions)
     exact = s.measured(recorded(robot, motion, FILTERED, 17).wrench)
     z = s.whiten(exact - s.spectrum(found.predict(replace(s, scene=scene), found.links, ())))
     # Above 6 Hz the encoders are some hundred times louder than the sensor, which is then guessed too loud, never too quiet.
@@ -202,7 +205,7 @@ def test_neither_repeats_nor_rests_leave_the_floor_unknown(robot):
     stated = replace(stated, sensor=replace(SENSOR, force_std=0.3, torque_std=0.03))
     found = made(stated)
     assert (found.floor_known, found.floor_source) == (False, "stated")
-    s = found.stretches[0]
+    s = found.segments[0]
     least = np.mean(s.weight(s.times) ** 2, axis=0) * STD**2
     assert np.all(s.covariance.diagonal(0, 1, 2) > 0.999 * least)
 
@@ -218,8 +221,8 @@ def test_a_good_white_estimate_stays_to_the_last_bit(robot, motion, monkeypatch)
         given = replace(given, motions=(replace(given.motions[0], table=replace(table, wrench=table.wrench + push)),))
     found = made(given)
     assert (found.floor_known, found.floor_source, found.spectrum) == (True, "white noise above the band", None)
-    monkeypatch.setattr(case, "measure", lambda *_: None)
-    np.testing.assert_array_equal(found.stretches[0].covariance, made(given).stretches[0].covariance)
+    monkeypatch.setattr(diagnosis_data, "measure", lambda *_: None)
+    np.testing.assert_array_equal(found.segments[0].covariance, made(given).segments[0].covariance)
 
 
 def test_a_rest_of_a_drive_is_no_reason_to_distrust_white_noise(robot):
@@ -233,7 +236,7 @@ def test_a_rest_of_a_drive_is_no_reason_to_distrust_white_noise(robot):
     torque[still] += np.cumsum(0.05 * rng.normal(size=torque.shape), axis=0)[still]
     table = Table(times=times, positions=np.round(q / 2e-5) * 2e-5, torques=torque)
     given = experiment(robot, [Motion("fit", "identification", table)], None, inertia_rel_std=0.0, position_resolution=2e-5)
-    found = case.make_case(given, "torque", (), None, 0)
+    found = prepare_data(given, "torque", (), None, 0)
     assert (found.floor_known, found.floor_source) == (True, "white noise above the band")
 
 
@@ -245,7 +248,7 @@ def test_a_period_is_found_behind_a_slow_start_to_a_ten_thousandth(robot):
     table = given.motions[0].table
     swell = np.clip(table.times / 3.0, 0.0, 1.0)[:, None] ** 2
     given = replace(given, motions=(replace(given.motions[0], table=replace(table, positions=table.positions * swell)),))
-    found = repeats.find_repeats(made(given).stretches, np.full(2, 2e-5))
+    found = repeats.find_repeats(made(given).segments, np.full(2, 2e-5))
     assert len(found) == 1
     assert found[0].lag == pytest.approx(10.0 * stretch_by, abs=1e-3)
     assert found[0].start > 2.5
@@ -268,11 +271,11 @@ def test_pieces_of_white_noise_give_its_variance():
     values = []
     for gain in (1.0, 2.0):
         pieces = [
-            scatter.Piece(times, np.sqrt(gain) * rng.normal(size=(len(times), 2)) * [1.0, 5.0], weight, gain, 0.1, 0.8,
+            noise_spectrum.Piece(times, np.sqrt(gain) * rng.normal(size=(len(times), 2)) * [1.0, 5.0], weight, gain, 0.1, 0.8,
                           np.zeros((0, len(times), 2)))
             for _ in range(20)
         ]  # fmt: skip
-        found = scatter.measured_spectrum(pieces)
+        found = noise_spectrum.measured_spectrum(pieces)
         assert found is not None
         values.append(np.average(found.std**2 * (1 - 2 / found.freedom)[:, None], axis=0, weights=found.freedom))
     np.testing.assert_allclose(values, [[1.0, 25.0]] * 2, rtol=0.05)

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bayesid.diagnosis.case import WHITE, Episode
-from bayesid.diagnosis.floor import SOURCES
+from bayesid.diagnosis.data import WHITE, Episode
+from bayesid.diagnosis.impulse_events import TAP
 from bayesid.diagnosis.locate import Disagreement
+from bayesid.diagnosis.residual_floor import SOURCES
 from bayesid.diagnosis.search import ACCEPT
-from bayesid.diagnosis.taps import TAP
 from bayesid.diagnosis.views import views
 from bayesid.effects import Effect, Term
 from bayesid.recordings.schema import EffectParameters, write_model
@@ -45,18 +45,18 @@ def verdict_sentence(diagnosis: Diagnosis) -> str:
     if d.verdict == "ambiguous":
         parts = []
         for name, f in zip(names, d.found, strict=True):
-            twins = [worded(t.effect, d) for t, _ in f.rivals]
-            parts.append(f"either {name} or {' or '.join(twins)}" if twins else name)
+            others = [worded(t.effect, d) for t, _ in f.rivals]
+            parts.append(f"either {name} or {' or '.join(others)}" if others else name)
         return f"The model misses {count}, but these motions do not tell every name apart: {'; and '.join(parts)}."
     return f"The model misses {count}: {' and '.join(names)}."
 
 
-def proof_sentence(diagnosis: Diagnosis) -> str:
+def validation_sentence(diagnosis: Diagnosis) -> str:
     """What unseen motions, or for want of any the fitted ones, say of it."""
     d, gap = diagnosis, diagnosis.gap
     s = d.search
     if gap is None:
-        before, after = (number(float(np.sqrt(f.chi2 / s.rigid.rows)), 3) for f in (s.base, s.best))
+        before, after = (number(float(np.sqrt(f.chi2 / s.projector.rows)), 3) for f in (s.base, s.best))
         text = f"No motion that took no part in the fit was compared. On the fitted ones the residual is {before} times the noise"
         return f"{text}." if d.verdict == "nothing_missing" or not s.found else f"{text} before and {after} times after."
     motions = _listed([f"‘{m}’" for m in gap.motions])
@@ -71,7 +71,7 @@ def proof_sentence(diagnosis: Diagnosis) -> str:
         return text
     if d.verdict == "unknown":
         tried = _listed(by_kind(f.term for f in s.found))
-        fitted = number(float(np.sqrt(s.best.chi2 / s.rigid.rows)), 3)
+        fitted = number(float(np.sqrt(s.best.chi2 / s.projector.rows)), 3)
         end = f"a complete model would leave {floor}. On the fitted motions {fitted} times the noise stays."
         if not tried:
             return f"{unseen} {before} times the noise is left; {end}"
@@ -79,12 +79,12 @@ def proof_sentence(diagnosis: Diagnosis) -> str:
     text = f"{unseen} the residual goes from {before} to {after} times the noise; a complete model would leave {floor}."
     here = [f.term.motion for f in d.found if isinstance(f.term, Episode)]
     if here:
-        text += f" A contact happens once, here in ‘{here[0]}’, so other motions cannot prove it."
+        text += f" A contact happens once, here in ‘{here[0]}’, so other motions cannot confirm it."
     return text
 
 
 def notes(diagnosis: Diagnosis) -> list[str]:
-    """What the reader should know beside the verdict and its proof."""
+    """What the reader should know beside the verdict and its validation."""
     said = [r for r in diagnosis.remarks if not r.startswith("Something is missing")]
     return [*said, *event_sentences(diagnosis)]
 
@@ -146,7 +146,7 @@ def worded(effect: Effect, diagnosis: Diagnosis) -> str:
         return effect.name
     if effect.joint is None:
         return f"{effect.name} at {effect.where}"
-    own = diagnosis.case.robot.joint_names[effect.joint]
+    own = diagnosis.data.robot.joint_names[effect.joint]
     return f"{effect.name} at {effect.where}" + ("" if own == effect.where else f" ({own})")
 
 
@@ -176,16 +176,16 @@ def disagreement_line(where: Disagreement) -> str:
 def summary(diagnosis: Diagnosis) -> str:
     """A few lines for the terminal."""
     d = diagnosis
-    fitted = dict.fromkeys(s.motion for s in d.case.stretches)
+    fitted = dict.fromkeys(s.motion for s in d.data.segments)
     lines = [
-        f"{d.case.experiment.name}: {d.verdict.replace('_', ' ')} ({channel_text(d.case.channel)} of {', '.join(fitted)})",
+        f"{d.data.experiment.name}: {d.verdict.replace('_', ' ')} ({channel_text(d.data.channel)} of {', '.join(fitted)})",
         f"  {verdict_sentence(d)}",
     ]
     for f in d.found:
         for key, value, half, _, unit in parameter_rows(f):
             lines.append(f"    {f.term.effect.spec}: {key} {value}{'' if half == DASH else f' ± {half}'} {unit}".rstrip())
     if d.gap is None:
-        lines.append(f"  {proof_sentence(d)}")
+        lines.append(f"  {validation_sentence(d)}")
     else:
         before, after, floor = (number(v, 3) for v in (d.gap.before, d.gap.after, d.gap.floor))
         text = f"  gap on {', '.join(d.gap.motions)}: {before} -> {after} x noise (floor {floor})"
@@ -214,7 +214,7 @@ def share_text(share: float) -> str:
 def notebook(diagnosis: Diagnosis) -> str:
     """The same as HTML for a notebook."""
     d = diagnosis
-    out = [f"<p><b>{escape(verdict_sentence(d))}</b> {escape(proof_sentence(d))}</p>"]
+    out = [f"<p><b>{escape(verdict_sentence(d))}</b> {escape(validation_sentence(d))}</p>"]
     if d.found:
         rows = [(f.term.effect.spec, *row) for f in d.found for row in parameter_rows(f)]
         head = "".join(f"<th>{h}</th>" for h in ("effect", "parameter", "value", "± 95 %", "interval", "unit"))
@@ -231,7 +231,7 @@ def model(diagnosis: Diagnosis) -> tuple[tuple[str, ...], EffectParameters]:
 
     Effects that act on other channels stay as they are; all others get the values fitted here as starting values.
     """
-    experiment, terms = diagnosis.case.experiment, diagnosis.terms
+    experiment, terms = diagnosis.data.experiment, diagnosis.terms
     effects = [*experiment.effects, *(f.term.effect.spec for f in diagnosis.found)]
     values: EffectParameters = {spec: dict(given) for spec, given in experiment.effect_values.items()}
     for term in terms:
@@ -255,7 +255,7 @@ def page_text(diagnosis: Diagnosis) -> dict:
     d = diagnosis
     return {
         "verdict": verdict_sentence(d),
-        "proof": proof_sentence(d),
+        "validation": validation_sentence(d),
         "effects": [
             {"name": worded(f.term.effect, d), "spec": f.term.effect.spec, "summary": f.term.effect.kind.summary,
              "motion": f.term.motion if isinstance(f.term, Episode) else "", "rows": parameter_rows(f),
@@ -265,8 +265,8 @@ def page_text(diagnosis: Diagnosis) -> dict:
         "notes": notes(d),
         "tried": by_kind(f.term for f in d.search.found),
         "closed": "" if d.gap is None else _known_share(d.gap.closed),
-        "floor": SOURCES[d.case.floor_source],
-        "floor_is_white": d.case.floor_source == WHITE,
+        "floor": SOURCES[d.data.floor_source],
+        "floor_is_white": d.data.floor_source == WHITE,
         "closed_low": "" if d.gap is None else _known_share(d.gap.closed_low),
     }  # fmt: skip
 

@@ -16,7 +16,7 @@ from scipy.ndimage import binary_dilation, binary_opening
 from scipy.signal import butter, sosfiltfilt
 from scipy.stats import chi2, norm
 
-from bayesid.diagnosis.spectra import RAMP, REST_SHARE, Stretch, sensor_noise
+from bayesid.diagnosis.spectra import RAMP, REST_SHARE, Segment, sensor_noise
 from bayesid.effects import REST_SPEED
 
 #: Windows [s], but no fewer samples than this, and how far around the usual level is sought [s].
@@ -66,51 +66,51 @@ class Event:
     tap: bool
 
 
-def short_events(stretches: Sequence[Stretch], level: float) -> tuple[tuple[Event, ...], ...]:
-    """Events of each stretch; none of a static run, whose samples may be means over long times.
+def short_events(segments: Sequence[Segment], level: float) -> tuple[tuple[Event, ...], ...]:
+    """Events of each segment; none of a static run, whose samples may be means over long times.
 
     Parameters
     ----------
-    stretches
+    segments
         Recordings.
     level
         Probability of a false alarm over all of them.
     """
-    moving = [s for s in stretches if not s.still and _band(s) is not None]
+    moving = [s for s in segments if not s.still and _band(s) is not None]
     if not moving:
-        return tuple(() for _ in stretches)
+        return tuple(() for _ in segments)
     quiet = sensor_noise(moving)
     looked = sum(len(_edges(s)) - 1 for s in moving) * moving[0].readings.shape[1]
-    return tuple(_events(s, quiet, looked, level) if s in moving else () for s in stretches)
+    return tuple(_events(s, quiet, looked, level) if s in moving else () for s in segments)
 
 
-def _band(stretch: Stretch) -> tuple[float, float] | None:
+def _band(segment: Segment) -> tuple[float, float] | None:
     """From the compared band to half the sampling rate [Hz], if that is as wide again."""
-    low, high = float(stretch.frequencies[-1] + stretch.frequencies[min(1, len(stretch.frequencies) - 1)]), 0.5 / stretch.step
+    low, high = float(segment.frequencies[-1] + segment.frequencies[min(1, len(segment.frequencies) - 1)]), 0.5 / segment.step
     return (low, high) if high > 2.0 * low else None
 
 
-def _edges(stretch: Stretch) -> np.ndarray:
-    length = max(round(WINDOW / stretch.step), _FEWEST)
-    return np.linspace(0, len(stretch.times), max(len(stretch.times) // length, 1) + 1).astype(int)
+def _edges(segment: Segment) -> np.ndarray:
+    length = max(round(WINDOW / segment.step), _FEWEST)
+    return np.linspace(0, len(segment.times), max(len(segment.times) // length, 1) + 1).astype(int)
 
 
-def _events(stretch: Stretch, quiet: np.ndarray, looked: int, level: float) -> tuple[Event, ...]:
-    band, edges = _band(stretch), _edges(stretch)
-    if band is None or len(edges) <= _KNOWN or len(stretch.times) < _LEAST:
+def _events(segment: Segment, quiet: np.ndarray, looked: int, level: float) -> tuple[Event, ...]:
+    band, edges = _band(segment), _edges(segment)
+    if band is None or len(edges) <= _KNOWN or len(segment.times) < _LEAST:
         return ()
-    high = _high(stretch, band[0])
+    high = _high(segment, band[0])
     energy, length = _mean_squares(high, edges), float(np.diff(edges).mean())
     share = 1.0 - band[0] / band[1]
-    around = max(round(_AROUND / (stretch.step * length)), 3)
+    around = max(round(_AROUND / (segment.step * length)), 3)
     ratio = energy / np.maximum(np.maximum(_usual(energy, around), share * quiet**2), 1e-300)
-    judged = _inside(stretch, edges) & ~np.maximum.reduceat(kicks(stretch), edges[:-1])
+    judged = _inside(segment, edges) & ~np.maximum.reduceat(kicks(segment), edges[:-1])
     chance = np.ones_like(ratio)
     chance[judged] = np.minimum(unlikely(ratio[judged], share * length) * looked, 1.0)
     usually = np.median(ratio[judged], axis=0) if judged.any() else np.ones(ratio.shape[1])
     marked = (chance < level) & (ratio > CLEAR**2 * np.maximum(usually, 1.0))
     out = []
-    for first, last in runs(np.asarray(marked.any(axis=1)), max(round(_BRIDGE / (stretch.step * length)), 1)):
+    for first, last in runs(np.asarray(marked.any(axis=1)), max(round(_BRIDGE / (segment.step * length)), 1)):
         strength = np.where(marked[first:last], ratio[first:last] / usually, 0.0)
         row, channel = (int(k) for k in np.unravel_index(int(np.argmax(strength)), strength.shape))
         start, end = edges[first + row], edges[first + row + 1]
@@ -118,27 +118,27 @@ def _events(stretch: Stretch, quiet: np.ndarray, looked: int, level: float) -> t
         peak = int(start) + int(np.argmax(np.abs(high[start:end, channel])))
         out.append(
             Event(
-                channel, float(stretch.times[edges[first]]), float(stretch.times[edges[last] - 1]), float(stretch.times[peak]),
+                channel, float(segment.times[edges[first]]), float(segment.times[edges[last] - 1]), float(segment.times[peak]),
                 band, float(np.sqrt(strength[row, channel])), float(chance[first + row, channel]),
-                _is_tap(high[:, channel], peak, stretch.step, usually_here),
+                _is_tap(high[:, channel], peak, segment.step, usually_here),
             )
         )  # fmt: skip
     return tuple(out)
 
 
-def _high(stretch: Stretch, low: float) -> np.ndarray:
+def _high(segment: Segment, low: float) -> np.ndarray:
     """Readings above a frequency (N, c)."""
-    return np.asarray(sosfiltfilt(butter(_ORDER, low, "high", output="sos", fs=1.0 / stretch.step), stretch.readings, axis=0))
+    return np.asarray(sosfiltfilt(butter(_ORDER, low, "high", output="sos", fs=1.0 / segment.step), segment.readings, axis=0))
 
 
 def _mean_squares(values: np.ndarray, edges: np.ndarray) -> np.ndarray:
     return np.add.reduceat(values**2, edges[:-1], axis=0) / np.diff(edges)[:, None]
 
 
-def _inside(stretch: Stretch, edges: np.ndarray) -> np.ndarray:
+def _inside(segment: Segment, edges: np.ndarray) -> np.ndarray:
     """Windows that a filter's start and end do not reach (w,)."""
-    first, last = stretch.times[edges[:-1]], stretch.times[edges[1:] - 1]
-    return (first > stretch.times[0] + RAMP) & (last < stretch.times[-1] - RAMP)
+    first, last = segment.times[edges[:-1]], segment.times[edges[1:] - 1]
+    return (first > segment.times[0] + RAMP) & (last < segment.times[-1] - RAMP)
 
 
 def _usual(energy: np.ndarray, around: int) -> np.ndarray:
@@ -164,9 +164,9 @@ def unlikely(ratio: np.ndarray, freedom: np.ndarray | float) -> np.ndarray:
     return norm.sf((log - middle) * norm.ppf(0.9) / np.maximum(upper - middle, least))
 
 
-def kicks(stretch: Stretch) -> np.ndarray:
+def kicks(segment: Segment) -> np.ndarray:
     """Samples at which friction may kick the arm (N,): a joint reverses, starts or stops, or rests and may creep and slip."""
-    scene = stretch.scene
+    scene = segment.scene
     step = float(np.median(np.diff(scene.times)))
     fastest = np.abs(scene.velocities).max(axis=0)
     speed = scene.velocities[:, fastest > _MOVES * REST_SPEED]
@@ -175,7 +175,7 @@ def kicks(stretch: Stretch) -> np.ndarray:
     sign = np.where(moves, np.sign(speed), 0.0)
     turns = np.concatenate([[False], (sign[1:] != sign[:-1]).any(axis=1)])
     near = np.asarray(binary_dilation(turns, iterations=max(round(_KICK / step), 1)))
-    return np.interp(stretch.times, scene.times, np.where(near, 1.0, rests)) > 0.0
+    return np.interp(segment.times, scene.times, np.where(near, 1.0, rests)) > 0.0
 
 
 def _is_tap(high: np.ndarray, peak: int, step: float, usual: float) -> bool:

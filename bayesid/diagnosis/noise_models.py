@@ -12,9 +12,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from bayesid.diagnosis.candidates import UNEXPLAINED, Library, make_library
-from bayesid.diagnosis.case import Case, at_instants, with_noise_of
-from bayesid.diagnosis.fit import Fit, Rigid, fit, make_rigid
-from bayesid.diagnosis.floor import with_floor_of
+from bayesid.diagnosis.data import DiagnosisData, at_instants, with_noise_of
+from bayesid.diagnosis.fit import Fit, NuisanceProjector, fit, make_projector
+from bayesid.diagnosis.residual_floor import with_floor_of
 from bayesid.effects import SOFT, Term
 
 #: An effect must gain this much log evidence: the odds of one among a hundred, times a thousand.
@@ -28,14 +28,14 @@ _COMPLIANCES = (0.25, 0.5, 2.0, 4.0)
 DRY, _SHORT = ("coulomb_friction", "stribeck_friction", "load_friction"), 0.0025
 
 
-def as_points(best: Fit, seed: int) -> Case | None:
-    """The case with readings as values at their times, if that suits a model with dry friction better than means do."""
-    case = best.rigid.case
+def as_points(best: Fit, seed: int) -> DiagnosisData | None:
+    """The data with readings as values at their times, if that suits a model with dry friction better than means do."""
+    data = best.projector.data
     dry = any(t.effect.name in DRY for t in best.terms)
-    if not dry or case.instants or not case.floor_known or max(s.step for s in case.stretches) < _SHORT:
+    if not dry or data.instants or not data.floor_known or max(s.step for s in data.segments) < _SHORT:
         return None
-    points = at_instants(case, best.links, best.terms, seed)
-    fitted = fit(make_rigid(points, best.terms), best.terms, best)
+    points = at_instants(data, best.links, best.terms, seed)
+    fitted = fit(make_projector(points, best.terms), best.terms, best)
     return points if fitted.score > best.score + ACCEPT else None
 
 
@@ -46,53 +46,55 @@ def soft_terms(terms: Sequence[Term]) -> tuple[tuple[str, int], ...]:
 
 
 @dataclass(eq=False)
-class Noises:
+class NoiseModels:
     """Libraries by the noise that models make: one for each set of soft effects, made when first needed."""
 
     seed: int
     known: tuple[Term, ...]
     libraries: dict[tuple[tuple[str, int], ...], Library]
-    rigids: dict[tuple[tuple[str, int], ...], Rigid] = field(default_factory=dict)
+    projectors: dict[tuple[tuple[str, int], ...], NuisanceProjector] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self.rigids = {key: library.rigid for key, library in self.libraries.items()}
+        self.projectors = {key: library.projector for key, library in self.libraries.items()}
 
     def own(self, fitted: Fit) -> Fit:
         """A model refitted under the noise that it makes itself."""
         key = soft_terms(fitted.terms)
-        case = fitted.rigid.case
-        if key not in self.rigids:
-            if not case.floor_known:
+        data = fitted.projector.data
+        if key not in self.projectors:
+            if not data.floor_known:
                 return fitted  # what the richest model leaves stands in for the noise, whatever makes it
-            self.rigids[key] = make_rigid(with_noise_of(case, fitted.links, fitted.terms, self.seed), fitted.terms)
-        rigid = self.rigids[key]
-        if fitted.rigid is rigid:
+            self.projectors[key] = make_projector(with_noise_of(data, fitted.links, fitted.terms, self.seed), fitted.terms)
+        projector = self.projectors[key]
+        if fitted.projector is projector:
             return fitted
-        refitted = fit(rigid, fitted.terms, fitted)
-        if not key or refitted.chi2 < UNEXPLAINED * rigid.rows or fitted.terms[-1].effect.name != "joint_flexibility":
+        refitted = fit(projector, fitted.terms, fitted)
+        if not key or refitted.chi2 < UNEXPLAINED * projector.rows or fitted.terms[-1].effect.name != "joint_flexibility":
             return refitted
         # A resonance near the motion's band is found only from nearby, and stiff joints' noise may have put the start afar.
         last = fitted.terms[-1]
         near = [(*fitted.terms[:-1], replace(last, values=(k * last.values[0],))) for k in _COMPLIANCES]
-        return max([refitted, *(fit(rigid, terms, fitted) for terms in near)], key=lambda f: f.score)
+        return max([refitted, *(fit(projector, terms, fitted) for terms in near)], key=lambda f: f.score)
 
     def library(self, fitted: Fit) -> Library:
         """All effects' columns under the noise that a model was fitted with."""
-        key = next(key for key, rigid in self.rigids.items() if rigid is fitted.rigid)
+        key = next(key for key, projector in self.projectors.items() if projector is fitted.projector)
         if key not in self.libraries:
-            self.libraries[key] = make_library(fitted.rigid, fit(fitted.rigid, self.known, fitted))
+            self.libraries[key] = make_library(fitted.projector, fit(fitted.projector, self.known, fitted))
         return self.libraries[key]
 
 
-def prepared(rigid: Rigid, terms: Sequence[Term], best: Fit | None) -> tuple[Rigid, Fit, Library]:
+def prepared(projector: NuisanceProjector, terms: Sequence[Term], best: Fit | None) -> tuple[NuisanceProjector, Fit, Library]:
     """The user's model fitted, and its library; with a floor of its own where none was measured."""
-    base = fit(rigid, terms)
-    library = make_library(rigid, base, best)
-    if rigid.case.floor_known and library.temper(base) < HOPELESS:
-        return rigid, base, library
-    rigid = make_rigid(with_floor_of(library, base if best is None else fit(rigid, best.terms, best)), (best or base).terms)
-    base = fit(rigid, terms, base)
-    return rigid, base, make_library(rigid, base, best)
+    base = fit(projector, terms)
+    library = make_library(projector, base, best)
+    if projector.data.floor_known and library.dispersion(base) < HOPELESS:
+        return projector, base, library
+    projector = make_projector(
+        with_floor_of(library, base if best is None else fit(projector, best.terms, best)), (best or base).terms
+    )
+    base = fit(projector, terms, base)
+    return projector, base, make_library(projector, base, best)
 
 
-__all__ = ["ACCEPT", "Noises", "as_points", "prepared", "soft_terms"]
+__all__ = ["ACCEPT", "NoiseModels", "as_points", "prepared", "soft_terms"]

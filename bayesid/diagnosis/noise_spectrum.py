@@ -21,7 +21,7 @@ from scipy.fft import dct, idct
 from scipy.interpolate import CubicSpline
 
 from bayesid.diagnosis.repeats import Repeat, find_repeats
-from bayesid.diagnosis.spectra import BAND, ROUNDINGS, Stretch, other_readings, taper
+from bayesid.diagnosis.spectra import BAND, ROUNDINGS, Segment, other_readings, taper
 from bayesid.signals.smoothing import smooth
 
 #: Frequency from which on a floor has to be measured to be called known [Hz], and degrees of freedom it needs.
@@ -125,27 +125,27 @@ class Spectrum:
 
 
 def repeat_pieces(
-    stretches: Sequence[Stretch],
+    segments: Sequence[Segment],
     repeats: Sequence[Repeat],
-    predict: Callable[[Stretch], np.ndarray],
-    roundings: Mapping[int, Sequence[Stretch]],
+    predict: Callable[[Segment], np.ndarray],
+    roundings: Mapping[int, Sequence[Segment]],
 ) -> list[Piece]:
     """Differences between repeats.
 
     Parameters
     ----------
-    stretches, repeats
+    segments, repeats
         Recordings, and where they repeat.
     predict
-        Readings predicted for a stretch (M, c).
+        Readings predicted for a segment (M, c).
     roundings
-        Every stretch several times more as other roundings of its encoders would have shown it.
+        Every segment several times more as other roundings of its encoders would have shown it.
     """
-    predicted = {i: predict(stretches[i]) for r in repeats for i in (r.first, r.second)}
+    predicted = {i: predict(segments[i]) for r in repeats for i in (r.first, r.second)}
     wrong = {i: [predict(s) - predicted[i] for s in roundings[i]] for i in predicted}
     out = []
     for r in repeats:
-        a, b = stretches[r.first], stretches[r.second]
+        a, b = segments[r.first], segments[r.second]
         times = a.times[(a.times >= r.start) & (a.times <= r.end)]
         later = times + r.lag
         values = _left(b, predicted[r.second], later) - _left(a, predicted[r.first], times)
@@ -164,10 +164,10 @@ def repeat_pieces(
     return out
 
 
-def _left(stretch: Stretch, predicted: np.ndarray, times: np.ndarray) -> np.ndarray:
-    """Readings less predicted ones at any times within a stretch (k, c)."""
-    own = stretch.readings - CubicSpline(stretch.scene.times, predicted)(stretch.times)
-    return CubicSpline(stretch.times, own)(times)
+def _left(segment: Segment, predicted: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """Readings less predicted ones at any times within a segment (k, c)."""
+    own = segment.readings - CubicSpline(segment.scene.times, predicted)(segment.times)
+    return CubicSpline(segment.times, own)(times)
 
 
 def rest_piece(times: np.ndarray, readings: np.ndarray, bandwidth: float) -> Piece:
@@ -284,11 +284,11 @@ def coloured(pieces: Sequence[Piece], white: np.ndarray, channels: Sequence[int]
     return bool(np.any(np.median(np.concatenate(ratios), axis=0)[list(channels)] > _COLOURED))
 
 
-def _own(stretches: Sequence[Stretch], repeats: Sequence[Repeat], pieces: Sequence[Piece]) -> dict[str, Spectrum]:
+def _own(segments: Sequence[Segment], repeats: Sequence[Repeat], pieces: Sequence[Piece]) -> dict[str, Spectrum]:
     """Spectra of motions that repeat themselves often enough."""
     mine: dict[str, list[Piece]] = {}
     for r, piece in zip(repeats, pieces, strict=True):
-        names = {stretches[r.first].motion, stretches[r.second].motion}
+        names = {segments[r.first].motion, segments[r.second].motion}
         for name in names if len(names) == 1 else ():
             mine.setdefault(name, []).append(piece)
     found = {name: measured_spectrum(own) for name, own in mine.items()}
@@ -302,36 +302,36 @@ class Encoders:
     Attributes
     ----------
     predict, resmooth
-        Readings predicted for a stretch (M, c); the stretch with other encoder readings (N, n).
+        Readings predicted for a segment (M, c); the segment with other encoder readings (N, n).
     resolution, position_std
         One encoder count and random noise on top, by joint (n,) [rad or m].
     seed
         Of the roundings.
     """
 
-    predict: Callable[[Stretch], np.ndarray]
-    resmooth: Callable[[Stretch, np.ndarray], Stretch]
+    predict: Callable[[Segment], np.ndarray]
+    resmooth: Callable[[Segment, np.ndarray], Segment]
     resolution: np.ndarray
     position_std: np.ndarray
     seed: int
 
-    def roundings(self, stretches: Sequence[Stretch], wanted: set[int]) -> dict[int, list[Stretch]]:
-        """Stretches as other roundings would have shown them; an encoder's zero is the same in all."""
+    def roundings(self, segments: Sequence[Segment], wanted: set[int]) -> dict[int, list[Segment]]:
+        """Segments as other roundings would have shown them; an encoder's zero is the same in all."""
         rng = np.random.default_rng([self.seed, 1])
-        out: dict[int, list[Stretch]] = {i: [] for i in sorted(wanted)}
+        out: dict[int, list[Segment]] = {i: [] for i in sorted(wanted)}
         if not (self.resolution.any() or self.position_std.any()):
             return out
-        exact = {i: smooth(s.times, s.encoders, s.scene.bandwidth)[0] for i, s in enumerate(stretches) if i in wanted}
+        exact = {i: smooth(s.times, s.encoders, s.scene.bandwidth)[0] for i, s in enumerate(segments) if i in wanted}
         for _ in range(ROUNDINGS):
             shift = rng.uniform(-0.5, 0.5, len(self.resolution)) * self.resolution
             for i, q in exact.items():
                 read = other_readings(q, shift, self.resolution, self.position_std, rng)
-                out[i].append(self.resmooth(stretches[i], read))
+                out[i].append(self.resmooth(segments[i], read))
         return out
 
 
 def measure(
-    stretches: Sequence[Stretch],
+    segments: Sequence[Segment],
     rests: Sequence[tuple[np.ndarray, np.ndarray]],
     white: np.ndarray,
     filtered: bool,
@@ -345,7 +345,7 @@ def measure(
 
     Parameters
     ----------
-    stretches
+    segments
         Recordings of motions.
     rests
         Times (N,) and readings (N, c) of a robot that stands still.
@@ -356,17 +356,17 @@ def measure(
     encoders
         For what of the difference of repeats is their doing.
     """
-    repeats = find_repeats(stretches, encoders.resolution)
-    roundings = encoders.roundings(stretches, {i for r in repeats for i in (r.first, r.second)})
+    repeats = find_repeats(segments, encoders.resolution)
+    roundings = encoders.roundings(segments, {i for r in repeats for i in (r.first, r.second)})
     channels = range(len(white))
     # A drive at rest holds with friction whatever it takes, and that may wander: no reason to distrust white noise.
-    torques = {c for s in stretches for c, _ in s.torque_channels}
+    torques = {c for s in segments for c, _ in s.torque_channels}
     sources = [
-        ("repeats", repeat_pieces(stretches, repeats, encoders.predict, roundings), channels),
-        ("parked", [rest_piece(*r, stretches[0].scene.bandwidth) for r in rests], [c for c in channels if c not in torques]),
+        ("repeats", repeat_pieces(segments, repeats, encoders.predict, roundings), channels),
+        ("parked", [rest_piece(*r, segments[0].scene.bandwidth) for r in rests], [c for c in channels if c not in torques]),
     ]
     for source, pieces, judged in sources:
         spectrum = measured_spectrum(pieces)
         if spectrum is not None and spectrum.enough and (filtered or coloured(pieces, white, judged)):
-            return replace(spectrum, source=source, own=_own(stretches, repeats, pieces) if source == "repeats" else {})
+            return replace(spectrum, source=source, own=_own(segments, repeats, pieces) if source == "repeats" else {})
     return None

@@ -1,4 +1,4 @@
-"""An experiment made ready for diagnosis: stretches with their noise, the nominal links and how far they are trusted."""
+"""An experiment made ready for diagnosis: segments with their noise, the nominal links and their prior."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from functools import cached_property
 
 import numpy as np
 
+from bayesid.diagnosis.noise_spectrum import Encoders, Spectrum, measure
 from bayesid.diagnosis.repeats import find_rests
-from bayesid.diagnosis.scatter import Encoders, Spectrum, measure
-from bayesid.diagnosis.spectra import Stretch, encoder_count, low_passed, sensor_noise, with_noise
+from bayesid.diagnosis.spectra import Segment, encoder_count, low_passed, sensor_noise, with_noise
 from bayesid.dynamics.channels import Channels
 from bayesid.effects import Effect, Scene, Term, middle_of, places, readings, rigid_columns
 from bayesid.errors import InputError
@@ -26,13 +26,13 @@ BANDWIDTH = 12.0
 #: Loads that are differentiated again are smoothed to where motion stands out of the encoders' noise, fitted ones to this share
 #: of it: what is left of the noise would make an estimate too small, and does no such harm to a prediction.
 FITTED = 0.7
-#: Trust in links of which nothing is known: they may be many times their nominal size.
-UNKNOWN_TRUST = 100.0
+#: Prior relative standard deviation of links of which nothing is known: they may be many times their nominal size.
+UNKNOWN_REL_STD = 100.0
 #: The source of a floor that is measured where nothing moves a sensor: above the motion.
 WHITE = "white noise above the band"
 #: Predictions are made at this rate [Hz]; friction reverses at once and needs a higher one.
 SMOOTH_RATE, FRICTION_RATE = 60.0, 120.0
-SHORTEST = 2.0  # stretches shorter than this tell no frequencies apart [s]
+SHORTEST = 2.0  # segments shorter than this tell no frequencies apart [s]
 
 
 @dataclass(frozen=True)
@@ -48,24 +48,24 @@ class Episode(Term):
     motion: str = ""
 
 
-def here(stretch: Stretch, terms: Sequence[Term]) -> tuple[Term, ...]:
-    """The effects that act in a stretch."""
+def active_terms(segment: Segment, terms: Sequence[Term]) -> tuple[Term, ...]:
+    """The effects that act in a segment."""
     return tuple(
         t for t in terms
-        if not (t.effect.name == "external_contact" and (stretch.still or stretch.role == "validation"))
-        and not (isinstance(t, Episode) and t.motion != stretch.motion)
+        if not (t.effect.name == "external_contact" and (segment.still or segment.role == "validation"))
+        and not (isinstance(t, Episode) and t.motion != segment.motion)
     )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
-class Case:
+class DiagnosisData:
     """What a diagnosis looks at.
 
     Attributes
     ----------
     experiment, channel, channels
         The recordings and what of them is compared.
-    stretches
+    segments
         Of the identification motions, with their noise.
     unseen
         Of the validation motions, with their noise.
@@ -90,8 +90,8 @@ class Case:
     experiment: Experiment
     channel: str
     channels: Channels
-    stretches: tuple[Stretch, ...]
-    unseen: tuple[Stretch, ...]
+    segments: tuple[Segment, ...]
+    unseen: tuple[Segment, ...]
     prior: Prior | None
     terms: tuple[Term, ...]
     floor_known: bool = True
@@ -108,12 +108,12 @@ class Case:
     @property
     def instants(self) -> bool:
         """Whether readings are taken for values at their times."""
-        return any(s.instant for s in self.stretches)
+        return any(s.instant for s in self.segments)
 
     @property
     def offset_free(self) -> bool:
         """Whether a static run removes the sensor's constant offset."""
-        return any(s.still for s in self.stretches)
+        return any(s.still for s in self.segments)
 
     @cached_property
     def links(self) -> np.ndarray:
@@ -128,24 +128,24 @@ class Case:
         """Everywhere that an effect can be."""
         return places(name, self.robot.joint_names, self.channels.names, self.experiment.gear_ratio)
 
-    def predict(self, stretch: Stretch, links: np.ndarray, terms: Sequence[Term]) -> np.ndarray:
-        """Readings of a stretch (M, c)."""
-        return readings(self.robot, self.channels, stretch.scene, links, here(stretch, terms))
+    def predict(self, segment: Segment, links: np.ndarray, terms: Sequence[Term]) -> np.ndarray:
+        """Readings of a segment (M, c)."""
+        return readings(self.robot, self.channels, segment.scene, links, active_terms(segment, terms))
 
-    def rigid(self, stretch: Stretch, terms: Sequence[Term]) -> np.ndarray:
+    def link_columns(self, segment: Segment, terms: Sequence[Term]) -> np.ndarray:
         """Their derivatives with respect to the links, at the nominal ones (N, c, 10 b)."""
-        return rigid_columns(self.robot, self.channels, stretch.scene, self.links, here(stretch, terms))
+        return rigid_columns(self.robot, self.channels, segment.scene, self.links, active_terms(segment, terms))
 
 
-def make_case(
+def prepare_data(
     experiment: Experiment,
     channel: str | None,
     terms: Sequence[Term],
     motions: Sequence[str] | None,
     seed: int,
     held: Collection[str] = (),
-) -> Case:
-    """Cut the recordings into stretches, smooth them and measure their noise.
+) -> DiagnosisData:
+    """Cut the recordings into segments, smooth them and measure their noise.
 
     Parameters
     ----------
@@ -185,18 +185,18 @@ def make_case(
     bandwidth = min(max(_clear(experiment, [*chosen, *unseen]), BANDWIDTH), 0.2 * rate)
     # One mount, one stiffness: "the middle of the motion" is the same pose for all motions, the first one's.
     middle = middle_of(chosen[0].table.positions)
-    fitted = [s for m in chosen for s in _stretches(m, channel, bandwidth, middle, FITTED * _clear(experiment, [m]))]
-    others = [s for m in unseen for s in _stretches(m, channel, bandwidth, middle, _clear(experiment, [m]))]
+    fitted = [s for m in chosen for s in _segments(m, channel, bandwidth, middle, FITTED * _clear(experiment, [m]))]
+    others = [s for m in unseen for s in _segments(m, channel, bandwidth, middle, _clear(experiment, [m]))]
     if not fitted:
-        raise InputError(f"the motions to fit have no stretch of {SHORTEST:g} s without a gap; record longer ones")
-    trust = experiment.inertia_rel_std
-    prior = None if trust == 0 else Prior.warped(experiment.robot.nominal, UNKNOWN_TRUST if trust is None else trust)
-    proofs = {m.name for m in experiment.motions if m.role == "validation" and m.kind == "trajectory" and m.name not in names}
-    case = Case(
+        raise InputError(f"the motions to fit have no segment of {SHORTEST:g} s without a gap; record longer ones")
+    rel_std = experiment.inertia_rel_std
+    prior = None if rel_std == 0 else Prior.warped(experiment.robot.nominal, UNKNOWN_REL_STD if rel_std is None else rel_std)
+    for_validation = {m.name for m in experiment.motions if m.role == "validation" and m.kind == "trajectory"} - set(names)
+    data = DiagnosisData(
         experiment, channel, channels, tuple(fitted), tuple(others), prior, tuple(terms), held=frozenset(held),
-        skipped=tuple(sorted(proofs - {s.motion for s in others})),
+        skipped=tuple(sorted(for_validation - {s.motion for s in others})),
     )  # fmt: skip
-    return with_noise_of(case, case.links, case.terms, seed)
+    return with_noise_of(data, data.links, data.terms, seed)
 
 
 def _has(table: Table, channel: str) -> bool:
@@ -211,7 +211,7 @@ def _clear(experiment: Experiment, motions: Sequence[Motion]) -> float:
     return choose_smoother(pieces, experiment.position_resolution, experiment.position_std).bandwidth if pieces else BANDWIDTH
 
 
-def _stretches(motion: Motion, channel: str, bandwidth: float, middle: np.ndarray, clear: float) -> list[Stretch]:
+def _segments(motion: Motion, channel: str, bandwidth: float, middle: np.ndarray, clear: float) -> list[Segment]:
     tables = [(motion.table, False)]
     # At rest drives hold with friction whatever it takes; only the wrench of a static run is a measurement.
     if channel == "wrench" and motion.static is not None and motion.static.wrench is not None and motion.stop_and_go:
@@ -232,7 +232,7 @@ def _stretches(motion: Motion, channel: str, bandwidth: float, middle: np.ndarra
             scene = smoothed(times, positions, grid, bandwidth, still, middle, clear, float(grid[1] - grid[0]))
             torques = tuple((read.shape[1] - scene.positions.shape[1] + j, j) for j in range(scene.positions.shape[1]))
             torques = () if channel == "wrench" else torques
-            out.append(Stretch(motion.name, motion.role, times, positions, read, scene, still, torques, np.zeros(0)))
+            out.append(Segment(motion.name, motion.role, times, positions, read, scene, still, torques, np.zeros(0)))
     return out
 
 
@@ -265,87 +265,85 @@ def _readings(table: Table, channel: str) -> np.ndarray:
     return np.hstack([a for a in wanted if a is not None])
 
 
-def at_instants(case: Case, links: np.ndarray, terms: Sequence[Term], seed: int) -> Case:
-    """The case with moving readings taken for the values at their times, not for means over a sample's time.
+def at_instants(data: DiagnosisData, links: np.ndarray, terms: Sequence[Term], seed: int) -> DiagnosisData:
+    """The data with moving readings taken for the values at their times, not for means over a sample's time.
 
     To friction that reverses it makes a difference: one sample near the reversal is all of it or half of it.
     """
 
-    def points(stretches: Sequence[Stretch]) -> tuple[Stretch, ...]:
+    def points(segments: Sequence[Segment]) -> tuple[Segment, ...]:
         out = []
-        for s in stretches:
+        for s in segments:
             old = s.scene
             scene = smoothed(s.times, s.encoders, s.times, old.bandwidth, s.still, old.middle_positions, old.clear)
             out.append(s if s.still else replace(s, scene=scene, instant=True))
         return tuple(out)
 
-    return with_noise_of(replace(case, stretches=points(case.stretches), unseen=points(case.unseen)), links, terms, seed)
+    return with_noise_of(replace(data, segments=points(data.segments), unseen=points(data.unseen)), links, terms, seed)
 
 
-def with_noise_of(case: Case, links: np.ndarray, terms: Sequence[Term], seed: int) -> Case:
-    """Both sets of stretches with the covariance of their coefficients, as a model passes the encoders' errors on.
+def with_noise_of(data: DiagnosisData, links: np.ndarray, terms: Sequence[Term], seed: int) -> DiagnosisData:
+    """Both sets of segments with the covariance of their coefficients, as a model passes the encoders' errors on.
 
     A model with a resonance or a gain amplifies them; so once effects are found, the noise is measured anew.
     """
     rng = np.random.default_rng(seed)
-    everything = [*case.stretches, *case.unseen]
-    sensor = {
-        still: sensor_noise([s for s in everything if s.still == still]) for still in sorted({s.still for s in everything})
-    }
+    everything = [*data.segments, *data.unseen]
+    sensor = {still: sensor_noise([s for s in everything if s.still == still]) for still in sorted({s.still for s in everything})}
     moving = [s for s in everything if not s.still]
-    n = case.robot.n
-    stated = case.experiment.position_resolution
+    n = data.robot.n
+    stated = data.experiment.position_resolution
     count = np.array([stated or max(encoder_count(s.encoders[:, j]) for s in moving) for j in range(n)])
     smooth_ = [smooth(s.times, s.encoders, s.scene.bandwidth)[0] for s in moving]
     error = np.sqrt(np.mean([np.mean((s.encoders - q) ** 2, axis=0) for s, q in zip(moving, smooth_, strict=True)], axis=0))
     random = np.sqrt(np.maximum(error**2 - count**2 / 12.0, 0.0))
     random = np.where(random > 0.5 * count, random, 0.0)
-    if case.experiment.position_std is not None:
-        random = np.full(n, case.experiment.position_std)
+    if data.experiment.position_std is not None:
+        random = np.full(n, data.experiment.position_std)
 
-    def predict(stretch: Stretch) -> np.ndarray:
-        return case.predict(stretch, links, terms)
+    def predict(segment: Segment) -> np.ndarray:
+        return data.predict(segment, links, terms)
 
-    def resmooth(stretch: Stretch, read: np.ndarray) -> Stretch:
-        old = stretch.scene
-        at = old.times, old.bandwidth, stretch.still, old.middle_positions, old.clear, old.cell
-        scene = smoothed(stretch.times, read, *at)
-        return replace(stretch, scene=scene)
+    def resmooth(segment: Segment, read: np.ndarray) -> Segment:
+        old = segment.scene
+        at = old.times, old.bandwidth, segment.still, old.middle_positions, old.clear, old.cell
+        scene = smoothed(segment.times, read, *at)
+        return replace(segment, scene=scene)
 
     filtered = low_passed(moving)
-    spectrum = case.spectrum
+    spectrum = data.spectrum
     if not moving[0].covariance.size:  # the sensor's noise is the same whatever the model
         encoders = Encoders(predict, resmooth, count, random, seed)
-        spectrum = measure(moving, _rests(case, count), sensor[False], filtered, encoders)
+        spectrum = measure(moving, _rests(data, count), sensor[False], filtered, encoders)
     source = spectrum.source if spectrum else WHITE if not filtered else "richest model"
-    if filtered and spectrum is None and (stated_noise := _stated_noise(case)) is not None:
+    if filtered and spectrum is None and (stated_noise := _stated_noise(data)) is not None:
         # A filter moves noise into the band: there is no less of it there than of one sample's.
         sensor[False], source = np.maximum(sensor[False], stated_noise), "stated"
 
-    def noisy(stretches: Sequence[Stretch]) -> tuple[Stretch, ...]:
+    def noisy(segments: Sequence[Segment]) -> tuple[Segment, ...]:
         out = []
-        for s in stretches:
+        for s in segments:
             noise = spectrum.of(s.motion).at(s.frequencies, sensor[False]) if spectrum and not s.still else sensor[s.still]
             out.append(with_noise(s, predict, resmooth, noise, count, random, rng))
         return tuple(out)
 
-    fitted, unseen, known = noisy(case.stretches), noisy(case.unseen), spectrum is not None or not filtered
-    return replace(case, stretches=fitted, unseen=unseen, floor_known=known, floor_source=source, spectrum=spectrum)
+    fitted, unseen, known = noisy(data.segments), noisy(data.unseen), spectrum is not None or not filtered
+    return replace(data, segments=fitted, unseen=unseen, floor_known=known, floor_source=source, spectrum=spectrum)
 
 
-def _rests(case: Case, count: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+def _rests(data: DiagnosisData, count: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
     """Times (N,) and readings (N, c) where the robot stands still, in motions and in static runs sampled like them."""
-    moving = [s for s in (*case.stretches, *case.unseen) if not s.still]
+    moving = [s for s in (*data.segments, *data.unseen) if not s.still]
     names = {s.motion for s in moving}
     step = float(np.median([s.step for s in moving]))
     parts = [(s.times, s.encoders, s.readings) for s in moving]
-    for motion in case.experiment.motions:
+    for motion in data.experiment.motions:
         table = motion.static
-        if motion.name in names and table is not None and not motion.stop_and_go and _has(table, case.channel):
+        if motion.name in names and table is not None and not motion.stop_and_go and _has(table, data.channel):
             # Rows of poses that were averaged one by one are no recording.
             pieces = [p for p in table.segments() if p.stop - p.start > 2]
             pieces = [p for p in pieces if abs(usual_step(table.times[p]) / step - 1.0) < 0.1]
-            parts += [(table.times[p], table.positions[p], _readings(table, case.channel)[p]) for p in pieces]
+            parts += [(table.times[p], table.positions[p], _readings(table, data.channel)[p]) for p in pieces]
     out = []
     for times, encoders, read in parts:
         for start, end in find_rests(times, encoders, count):
@@ -354,9 +352,9 @@ def _rests(case: Case, count: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]
     return out
 
 
-def _stated_noise(case: Case) -> np.ndarray | None:
+def _stated_noise(data: DiagnosisData) -> np.ndarray | None:
     """Noise of one sample from the data sheet (c,), where the sensor is all that is compared."""
-    sensor = case.experiment.sensor
-    if case.channel != "wrench" or sensor is None or sensor.force_std is None or sensor.torque_std is None:
+    sensor = data.experiment.sensor
+    if data.channel != "wrench" or sensor is None or sensor.force_std is None or sensor.torque_std is None:
         return None
     return np.repeat([sensor.force_std, sensor.torque_std], 3)

@@ -8,14 +8,13 @@ from dataclasses import replace
 import numpy as np
 
 from bayesid.diagnosis.candidates import Library
-from bayesid.diagnosis.case import WHITE, Case
+from bayesid.diagnosis.data import WHITE, DiagnosisData
 from bayesid.diagnosis.fit import Fit
-from bayesid.diagnosis.spectra import Stretch
+from bayesid.diagnosis.spectra import Segment
 
 #: What the report says of the noise floor, by where that comes from.
 SOURCES = {
-    WHITE: "Nothing of it is assumed: the sensor's noise is read off the quietest moments above the "
-    "frequencies of the motion.",
+    WHITE: "Nothing of it is assumed: the sensor's noise is read off the quietest moments above the frequencies of the motion.",
     "repeats": "Noise floor measured on repeats: how far readings scatter where the motion repeats, by frequency. What does not "
     "repeat, a single contact or a drive that sticks now and then, counts as noise.",
     "parked": "Noise floor measured at rest: the readings' noise while the robot stands still, by frequency. What shakes only in "
@@ -30,31 +29,31 @@ SOURCES = {
 _EDGES = np.concatenate([[0.0], np.geomspace(0.15, 10.0, 9)])
 
 
-def with_floor_of(library: Library, fit: Fit) -> Case:
-    """The case with noise enlarged to what a fit and all columns of the library together leave.
+def with_floor_of(library: Library, fit: Fit) -> DiagnosisData:
+    """The data with noise enlarged to what a fit and all columns of the library together leave.
 
     Never below what was measured. What remains of a model error that no effect of the library resembles counts as noise
     then: names become harder to earn, and whether something unknown is missing can no longer be said.
     """
-    case, left, parameters = library.rigid.case, library.unexplained(fit), library.parameters(fit)
-    share = library.rigid.rows / max(library.rigid.rows - parameters, 0.1 * library.rigid.rows)
-    channels = len(case.channels)
+    data, left, parameters = library.projector.data, library.unexplained(fit), library.parameters(fit)
+    share = library.projector.rows / max(library.projector.rows - parameters, 0.1 * library.projector.rows)
+    channels = len(data.channels)
     energy, count = np.zeros((len(_EDGES), channels)), np.zeros((len(_EDGES), 1))
     at = 0
-    for s in case.stretches:
+    for s in data.segments:
         mine, at = left[at : at + s.shape[0] * s.shape[1]].reshape(s.shape), at + s.shape[0] * s.shape[1]
         part = np.searchsorted(_EDGES, s.frequencies, side="right") - 1
         np.add.at(energy, part, mine**2)
         np.add.at(count, part, 1.0)
     ratio = np.maximum(share * energy / np.maximum(count, 1.0), 1.0)
 
-    def louder(stretches: Sequence[Stretch]) -> tuple[Stretch, ...]:
+    def louder(segments: Sequence[Segment]) -> tuple[Segment, ...]:
         out = []
-        for s in stretches:
+        for s in segments:
             root = np.linalg.inv(s.whitener) * np.sqrt(ratio[np.searchsorted(_EDGES, s.frequencies, side="right") - 1])[:, None]
             out.append(replace(s, covariance=root @ root.transpose(0, 2, 1)))
         return tuple(out)
 
-    source = case.floor_source if case.floor_source == "stated" else "richest model"
-    fitted, unseen = louder(case.stretches), louder(case.unseen)
-    return replace(case, stretches=fitted, unseen=unseen, floor_known=False, floor_source=source)
+    source = data.floor_source if data.floor_source == "stated" else "richest model"
+    fitted, unseen = louder(data.segments), louder(data.unseen)
+    return replace(data, segments=fitted, unseen=unseen, floor_known=False, floor_source=source)
