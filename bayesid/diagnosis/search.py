@@ -19,7 +19,7 @@ from bayesid.diagnosis.fit import Fit, NuisanceProjector, fit, make_projector, t
 from bayesid.diagnosis.noise_models import ACCEPT, NoiseModels, as_points, prepared, soft_terms
 from bayesid.diagnosis.surrogates import EXPLAINED, explained, is_surrogate_combination
 from bayesid.effects import Term
-from bayesid.regression.regression import in_order
+from bayesid.regression.parallel import in_order
 
 #: Rivals within this log evidence of the best (odds of 20 to 1) cannot be told from it.
 RIVAL = 3.0

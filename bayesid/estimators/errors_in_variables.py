@@ -29,7 +29,8 @@ from bayesid.estimators.estimator import Estimate, unseen
 from bayesid.estimators.factor import Factor, Weights, learn_weights, noise_of_residuals, reduce_whitened, root_covariance, solve
 from bayesid.estimators.least_squares import factor_inverse, make_estimate, nominal_start, target_from_nominal, weighted_factor
 from bayesid.estimators.sensor_noise import sensor_noise
-from bayesid.regression.regression import Block, Pair, Regression, RegressorNoise
+from bayesid.regression.blocks import Block, Pair, RegressorNoise
+from bayesid.regression.regression import Regression
 from bayesid.signals.noise import NoiseModel
 
 #: Least squares shifted by this many of its own standard deviations matters: a 95 % interval then covers 92 %.
@@ -114,7 +115,7 @@ class TotalLeastSquares:
         inverse = (vectors / (1.0 - np.minimum(values, LARGEST_SHARE))) @ vectors.T
         step = -inverse @ right
         solution = start.solution + start.root @ step
-        draws = [(Pair(b, b) for b in law.rehearsed(k)) for k in range(count)]
+        draws = [(Pair(b, b) for b in law.simulated(k)) for k in range(count)]
         noise, extra = split_noise(regression, start, solution, law, draws)
         blocks = regression.blocks()
         ordinary = spread(noise, ((b, start.back(b, start.rows(b)[0])) for b in blocks)) + extra
@@ -177,10 +178,10 @@ def split_noise(
     p = len(solution)
     if law is None or not draws:
         return noise_of_fit(regression, start, solution), np.zeros((p, p))
-    sums, added, truth = [], [], list(law.rehearsed(None)) if regression.fits_in_memory else None
+    sums, added, truth = [], [], list(law.simulated(None)) if regression.fits_in_memory else None
     for k, pairs in enumerate(draws):
         total, rows = np.zeros(p), []
-        for block, pair in zip(law.rehearsed(None) if truth is None else truth, pairs, strict=True):
+        for block, pair in zip(law.simulated(None) if truth is None else truth, pairs, strict=True):
             exact = block.matrix @ solution
             x, z = pair.regressors, pair.instruments
             error = exact - x.matrix @ solution

@@ -6,13 +6,15 @@ are learned on a pilot: all rows of an ordinary recording, evenly spread stretch
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import chi2
 
-from bayesid.regression.regression import Block, Regression, in_order
+from bayesid.regression.blocks import Block
+from bayesid.regression.parallel import in_order
+from bayesid.regression.regression import Regression
 from bayesid.signals.noise import NoiseModel, estimate_noise
 
 _PASSES = 3
@@ -182,7 +184,7 @@ def _learned(regression: Regression) -> Weights:
 
 
 def noise_of_residuals(
-    regression: Regression, blocks: list[Block], values: np.ndarray, efficient: Factor | None = None
+    regression: Regression, blocks: Sequence[Block], values: np.ndarray, efficient: Factor | None = None
 ) -> dict[str, NoiseModel]:
     """Noise of each group of rows from the residuals of a fit; of an efficient one if its factor is given."""
     noise = {}

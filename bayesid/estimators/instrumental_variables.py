@@ -40,7 +40,8 @@ from bayesid.estimators.errors_in_variables import (
 )
 from bayesid.estimators.estimator import Estimate
 from bayesid.estimators.least_squares import make_estimate
-from bayesid.regression.regression import Pair, Regression
+from bayesid.regression.blocks import Pair
+from bayesid.regression.regression import Regression
 from bayesid.signals.noise import NoiseModel
 
 #: Below this probability the Durbin-Wu-Hausman test sees encoder noise.

@@ -19,7 +19,8 @@ from scipy.optimize import minimize_scalar
 from bayesid.errors import InputError
 from bayesid.estimators.estimator import Estimate, condition, largest_autocorrelation, unseen
 from bayesid.estimators.factor import Factor, Weights, gram_rows, learn_weights, reduce_rows, reduce_whitened, solve, whitened
-from bayesid.regression.regression import Block, Regression
+from bayesid.regression.blocks import Block
+from bayesid.regression.regression import Regression
 from bayesid.signals.noise import NoiseModel
 
 _WEIGHTS = ("none", "channel", "noise")

@@ -101,7 +101,7 @@ class PosteriorModel:
         effects = len(regression.effect_names)
         model = cls(
             regression.base, regression.effect_names, regression.effect_units,
-            np.array(regression.effect_non_negative or (False,) * effects, bool),
+            np.array(regression.knowledge.effect_non_negative or (False,) * effects, bool),
             Likelihood.of(regression, keep_rows=noise == "student"), prior, noise,
             **{"effect_std": np.full(effects, np.inf), **options},
         )  # fmt: skip

@@ -13,7 +13,7 @@ from bayesid.estimators.factor import whitened
 from bayesid.posterior.convert import Groups
 from bayesid.posterior.model import log_student
 from bayesid.posterior.result import Posterior
-from bayesid.regression.regression import Block
+from bayesid.regression.blocks import Block
 from bayesid.signals.noise import NoiseModel
 
 #: Draws that readings are replicated for, rows that are kept of them, and rows looked at before thinning.

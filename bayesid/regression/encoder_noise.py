@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from bayesid.regression.regression import Block, Instruments, Pair, RegressorNoise
+from bayesid.regression.blocks import Block, Instruments, Pair, RegressorNoise
 from bayesid.regression.rows import RowModel, Segment, make_blocks
 from bayesid.signals.smoothing import DEGREE, Smoother, smooth
 
@@ -129,11 +129,11 @@ def errors_of(row_model: RowModel, segments: Sequence[Segment], smoother: Smooth
     def present() -> bool:
         return bool((noise().std > 0).any())
 
-    def rehearsed(draw: int | None) -> Iterator[Block]:
+    def simulated(draw: int | None) -> Iterator[Block]:
         return make_blocks(row_model, quiet() if draw is None else again(quiet(), draw))
 
     law = RegressorNoise(
-        lambda draw, sign: make_blocks(row_model, again(segments, draw, sign)), rehearsed, present, noise_described
+        lambda draw, sign: make_blocks(row_model, again(segments, draw, sign)), simulated, present, noise_described
     )
     return law, Instruments(pairs, instruments_described, lambda draw: pairs(again(quiet(), draw)))
 

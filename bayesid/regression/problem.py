@@ -16,7 +16,8 @@ from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, Motion
 from bayesid.recordings.table import usual_step
 from bayesid.regression.encoder_noise import errors_of
-from bayesid.regression.regression import PILOT_ROWS, PILOT_SEGMENTS, Regression
+from bayesid.regression.regression import PriorKnowledge, Regression
+from bayesid.regression.row_cache import PILOT_ROWS, PILOT_SEGMENTS, RowCache, RowSource
 from bayesid.regression.rows import RowModel, Segment, make_blocks, row_count
 from bayesid.signals.filters import ROLL_OFF, LowPass
 from bayesid.signals.smoothing import Smoother, choose_smoother
@@ -198,8 +199,8 @@ def prepare(
 def restrict(problem: Problem, motions: Sequence[str]) -> Problem:
     """The same model fitted to other motions."""
     segments = [r for name in motions for r in problem.segments[name]]
-    names, trust = problem.regression.motion_names, problem.experiment.inertia_rel_std
-    regression = _regression(problem.row_model, problem.smoother, segments, names, trust)
+    names, rel_std = problem.regression.motion_names, problem.experiment.inertia_rel_std
+    regression = _regression(problem.row_model, problem.smoother, segments, names, rel_std)
     return replace(problem, regression=regression, fitted=tuple(motions))
 
 
@@ -207,8 +208,8 @@ def relinearised(problem: Problem, point: Point) -> Problem:
     """The same problem with its readings linearised at another point."""
     row_model = replace(problem.row_model, point=point)
     segments = [r for name in problem.fitted for r in problem.segments[name]]
-    names, trust = problem.regression.motion_names, problem.experiment.inertia_rel_std
-    return replace(problem, row_model=row_model, regression=_regression(row_model, problem.smoother, segments, names, trust))
+    names, rel_std = problem.regression.motion_names, problem.experiment.inertia_rel_std
+    return replace(problem, row_model=row_model, regression=_regression(row_model, problem.smoother, segments, names, rel_std))
 
 
 def absorbed_offset(base: BaseParameters, links: np.ndarray) -> np.ndarray:
@@ -249,7 +250,7 @@ def _free(row_model: RowModel, values) -> tuple:
 
 
 def _regression(
-    row_model: RowModel, smoother: Smoother, fitted: list[Segment], names: tuple[str, ...], trust: float | None
+    row_model: RowModel, smoother: Smoother, fitted: list[Segment], names: tuple[str, ...], inertia_rel_std: float | None
 ) -> Regression:
     robot, base = row_model.robot, row_model.base
     law, instruments = errors_of(row_model, fitted, smoother)
@@ -260,14 +261,21 @@ def _regression(
         channel_names=row_model.channels.names,
         channel_units=row_model.channels.units,
         motion_names=names,
-        source=lambda: make_blocks(row_model, fitted),
-        row_count=row_count(row_model, fitted),
-        pilot_source=lambda: make_blocks(row_model, _pilot_segments(row_model, fitted)),
-        known_poles=_known_poles(row_model, fitted),
-        effect_non_negative=_free(row_model, (sign for e in row_model.effects for sign in e.kind.non_negative)),
-        nominal_links=robot.nominal.ravel(),
-        inertia_rel_std=trust,
-        bodies=tuple(tuple(range(10 * k, 10 * k + 10)) for k in range(len(robot.body_names))),
+        rows=RowCache(
+            RowSource(
+                blocks=lambda: make_blocks(row_model, fitted),
+                count=row_count(row_model, fitted),
+                width=len(row_model.channels.names) * (base.rank + row_model.extra_columns + 1),
+                pilot=lambda: make_blocks(row_model, _pilot_segments(row_model, fitted)),
+                known_poles=_known_poles(row_model, fitted),
+            )
+        ),
+        knowledge=PriorKnowledge(
+            nominal_links=robot.nominal.ravel(),
+            inertia_rel_std=inertia_rel_std,
+            bodies=tuple(tuple(range(10 * k, 10 * k + 10)) for k in range(len(robot.body_names))),
+            effect_non_negative=_free(row_model, (sign for e in row_model.effects for sign in e.kind.non_negative)),
+        ),
         regressor_noise=law,
         instruments=instruments,
     )

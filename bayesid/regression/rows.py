@@ -17,7 +17,8 @@ from bayesid.dynamics.channels import Channels
 from bayesid.dynamics.regressors import dynamics_regressor, momentum_regressors
 from bayesid.effects import Effect, Point, State, linearised
 from bayesid.errors import InputError
-from bayesid.regression.regression import Block, in_order
+from bayesid.regression.blocks import Block
+from bayesid.regression.parallel import in_order
 from bayesid.robot.robot import Robot
 from bayesid.signals.filters import HALF_WIDTH, LowPass, low_pass, project
 from bayesid.signals.smoothing import OVERLAP, smooth

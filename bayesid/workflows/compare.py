@@ -204,12 +204,12 @@ def _predicted(entry: Entry, problem: Problem, weights: Weights) -> Entry:
 
 def _with_own_links(entry: Entry, regression: Regression) -> Entry:
     """Without a robot, links are known only to an estimator that estimates them."""
-    if entry.estimate is None or entry.estimate.links is None or not regression.bodies:
+    if entry.estimate is None or entry.estimate.links is None or not regression.knowledge.bodies:
         return entry
     links = entry.estimate.links
     names = tuple(regression.base.parameter_names[body[0]].rpartition(".")[0] or f"body {k + 1}"
-                  for k, body in enumerate(regression.bodies))  # fmt: skip
-    return replace(entry, links=links, impossible=impossible_bodies(links[np.array(regression.bodies)], names))
+                  for k, body in enumerate(regression.knowledge.bodies))  # fmt: skip
+    return replace(entry, links=links, impossible=impossible_bodies(links[np.array(regression.knowledge.bodies)], names))
 
 
 def _warnings(

@@ -21,8 +21,9 @@ from bayesid.posterior.predictive import predictive_groups
 from bayesid.posterior.result import PRIOR_DRIVEN, Posterior
 from bayesid.posterior.run import Chains, choose_engine, run
 from bayesid.recordings.experiment import Experiment, load_experiment
+from bayesid.regression.blocks import Block
 from bayesid.regression.problem import Problem, prepare
-from bayesid.regression.regression import Block, Regression
+from bayesid.regression.regression import Regression
 from bayesid.regression.rows import make_blocks
 from bayesid.results.files import Files, check_output, files_of
 from bayesid.results.posterior import ExperimentPosterior
@@ -146,23 +147,23 @@ def _prior(regression: Regression, prior: str | Prior | None, std: float | None)
     """The prior asked for, or the default one, and its trust."""
     if isinstance(prior, Prior):
         return prior, None
-    stated = regression.inertia_rel_std
+    stated = regression.knowledge.inertia_rel_std
     if std is not None and not (np.isfinite(std) and std > 0):
         raise InputError(f"--prior-std {std}: give a positive number, such as 0.3")
     if prior is None:
-        prior = "nominal" if regression.nominal_links is not None and (std or stated) else "flat"
+        prior = "nominal" if regression.knowledge.nominal_links is not None and (std or stated) else "flat"
     if prior not in PRIORS:
         raise InputError(f"--prior {prior}: choose one of {', '.join(PRIORS)}")
     if prior == "flat":
         if std is not None:
             raise InputError(f"--prior-std {std} is for the nominal prior; leave it out with --prior flat")
         return None, None
-    if regression.nominal_links is None:
+    if regression.knowledge.nominal_links is None:
         raise InputError("--prior nominal: there are no nominal links; pass a Prior of your own")
     trust = std or stated
     if not trust:
         raise InputError("--prior nominal: the experiment states no inertia_rel_std; add --prior-std 0.3")
-    return Prior.nominal(regression.nominal_links, trust), trust
+    return Prior.nominal(regression.knowledge.nominal_links, trust), trust
 
 
 def _with_predictions(

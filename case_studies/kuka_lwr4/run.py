@@ -43,7 +43,7 @@ class PriorOnly:
         """Combine two normal distributions of the base parameters; effects have no prior."""
         plain = bayesid.fit(regression, "wls")
         k, r = regression.base.matrix, regression.base.rank
-        prior = Prior.nominal(regression.nominal_links, regression.inertia_rel_std)
+        prior = Prior.nominal(regression.knowledge.nominal_links, regression.knowledge.inertia_rel_std)
         precision = np.linalg.inv(plain.full_covariance)
         pull = np.zeros_like(precision)
         pull[:r, :r] = np.linalg.inv(k @ prior.covariance @ k.T)
@@ -61,7 +61,7 @@ class Untold:
 
     def fit(self, regression: bayesid.Regression) -> bayesid.Estimate:
         """Fit without the stated trust."""
-        return Physical(self.name).fit(replace(regression, inertia_rel_std=None))
+        return Physical(self.name).fit(replace(regression, knowledge=replace(regression.knowledge, inertia_rel_std=None)))
 
 
 OWN = (PriorOnly(), Physical("sdp, hardly a prior", rel_std=30.0), Untold(), Physical("sdp, closest to CAD", closest=0.95))

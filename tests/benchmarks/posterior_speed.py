@@ -169,7 +169,7 @@ def compare(regressions: dict, folder: Path, options: argparse.Namespace) -> dic
     result = {}
     for name, (arm, target, _) in CASES.items():
         regression = regressions[arm]
-        prior = None if name == "unconstrained" else Prior.nominal(regression.nominal_links, TRUST)
+        prior = None if name == "unconstrained" else Prior.nominal(regression.knowledge.nominal_links, TRUST)
         model = PosteriorModel.of(regression, prior)
         path = folder / f"{name}.npz"
         first = own(model, KEPT["physical"])["flat"]

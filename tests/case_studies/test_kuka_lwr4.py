@@ -13,6 +13,7 @@ import pytest
 import bayesid
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.estimators.conic.physical import Physical
+from bayesid.regression.regression import PriorKnowledge
 from bayesid.robot.inertia import PARAMETERS
 from bayesid.validation.prediction import band_error
 
@@ -97,7 +98,8 @@ def test_prior_alone_is_the_physical_estimate_where_the_cone_is_not_met(study):
     regression = bayesid.Regression.from_arrays(
         matrix[:, None], target[:, None], parameter_names=["mx", "my", "zz"], channel_names=["tau"], times=np.arange(400) * 0.01
     )
-    regression = replace(regression, base=base, nominal_links=nominal, inertia_rel_std=0.3, bodies=(tuple(range(10)),))
+    knowledge = PriorKnowledge(nominal, 0.3, (tuple(range(10)),))
+    regression = replace(regression, base=base, knowledge=knowledge)
     one = bayesid.fit(regression, study.PriorOnly())
     other = bayesid.fit(regression, Physical(weights="channel"))
     assert other.details["certificate"]

@@ -16,7 +16,7 @@ from bayesid.estimators.conic.collision import collision_boxes
 from bayesid.estimators.conic.cone import _RIGHT, _UP, MARGIN, Conic, _inward, _prove, solve_conic
 from bayesid.estimators.conic.entropic import solve_entropic
 from bayesid.regression.problem import prepare
-from bayesid.regression.regression import Regression
+from bayesid.regression.regression import PriorKnowledge, Regression
 from bayesid.robot import inertia
 from bayesid.robot.prior import Prior
 from bayesid.robot.robot import load_robot
@@ -188,7 +188,7 @@ def test_friction_cannot_be_negative(tmp_path):
     _, _, made = simulated(tmp_path, std=0.5, trust=0.3)
     regression = prepare(made, "torque", effects=["viscous_friction", "coulomb_friction", "torque_offset"]).regression
     plain, ours = fit(regression), fit(regression, "sdp")
-    held = np.array(regression.effect_non_negative)
+    held = np.array(regression.knowledge.effect_non_negative)
     r = regression.base.rank
     assert (plain.solution[r:][held] < 0).any()  # there is none, so about half come out negative
     assert (ours.solution[r:][held] > -1e-6).all()
@@ -402,9 +402,10 @@ def test_a_search_for_the_trust_that_stops_at_an_end_says_so(panda, times, end, 
     rng = np.random.default_rng(0)
     noise = 0.1 * rng.normal(size=(200, 7))
     reading = rows @ robot.nominal.ravel() * times + noise
+    bodies = tuple(tuple(range(10 * k, 10 * k + 10)) for k in range(7))
     regression = replace(
-        Regression.from_arrays(rows, reading, bodies=[range(10 * k, 10 * k + 10) for k in range(7)]),
-        nominal_links=robot.nominal.ravel(),
+        Regression.from_arrays(rows, reading),
+        knowledge=PriorKnowledge(nominal_links=robot.nominal.ravel(), bodies=bodies),
     )
     trust = fit(regression, "sdp").details["trust"]
     assert trust["search_stopped_at"] == end and words in trust["rule"]

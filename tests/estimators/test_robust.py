@@ -16,8 +16,9 @@ from bayesid.estimators import fit
 from bayesid.estimators.robust.losses import HuberLoss, StudentLoss
 from bayesid.estimators.robust.m_estimators import Huber, Student
 from bayesid.estimators.robust.segments import Metric, accepted, residuals
+from bayesid.regression.blocks import Block
 from bayesid.regression.problem import prepare
-from bayesid.regression.regression import Block, Regression
+from bayesid.regression.regression import Regression
 from bayesid.robot.robot import load_robot
 from bayesid.signals.filters import LowPass
 from bayesid.signals.noise import NoiseModel

@@ -3,7 +3,7 @@ import pytest
 
 from bayesid.errors import InputError
 from bayesid.estimators import fit
-from bayesid.regression import regression as regression_module
+from bayesid.regression import row_cache
 from bayesid.regression import rows as rows_module
 from bayesid.regression.problem import prepare
 from bayesid.regression.regression import Regression
@@ -137,10 +137,10 @@ def test_a_recording_too_long_to_keep_gives_the_same_estimate(filters, tmp_path,
     noise = dict(force_std=0.5, torque_std=0.1, resolution=2e-5, seed=1)
     one = experiment(robot, [Motion("a", "identification", recording(robot, SENSOR, long, **noise))], SENSOR)
     kept = fit(prepare(one, filters=filters).regression)
-    monkeypatch.setattr(regression_module, "CACHE_BYTES", 0)
+    monkeypatch.setattr(row_cache, "CACHE_BYTES", 0)
     streamed_problem = prepare(one, filters=filters)
     streamed = fit(streamed_problem.regression)
-    assert not streamed_problem.regression._kept
+    assert not streamed_problem.regression.rows.kept
     # Both weigh the channels by a noise learned from stretches, which differ a little in their ends.
     assert np.abs((streamed.values - kept.values) / kept.std).max() < 0.2
     np.testing.assert_allclose(streamed.std, kept.std, rtol=0.1)

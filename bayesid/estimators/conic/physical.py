@@ -145,7 +145,7 @@ class Data:
     def of(cls, regression: Regression, matrix: np.ndarray, target: np.ndarray, prior: Prior | None) -> Data:
         """Through K from base to link parameters."""
         base, r = regression.base, regression.base.rank
-        bodies = regression.bodies or (prior.bodies if prior is not None else ())
+        bodies = regression.knowledge.bodies or (prior.bodies if prior is not None else ())
         if not bodies:
             raise InputError("sdp needs to know which columns are a body's ten parameters; give bodies=")
         for k, body in enumerate(bodies):
@@ -212,7 +212,7 @@ def conic(data: Data, trust: Trust, bounds: tuple[Linear, ...] = (), strength: f
 def _bounds(method: Physical, regression: Regression, data: Data) -> tuple[Linear, ...]:
     n = data.matrix.shape[1]
     groups = list(method.bounds.linear(data.names, data.bodies, n))
-    for k, positive in enumerate(regression.effect_non_negative):
+    for k, positive in enumerate(regression.knowledge.effect_non_negative):
         if positive:
             row = np.zeros((1, n))
             row[0, data.size + k] = 1.0

@@ -109,8 +109,8 @@ def trust_of(regression: Regression, data: Data, prior: Prior | None, metric: st
         if metric == "pullback" and rel_std is None:
             root = _root(prior.precision)
             return Trust(mean, root, references, metric, None, True, "the prior's precision", _probability(data, mean, root, 1.0))
-    elif regression.nominal_links is not None:
-        mean = regression.nominal_links
+    elif regression.knowledge.nominal_links is not None:
+        mean = regression.knowledge.nominal_links
         references = _references(mean, data.bodies)
     else:
         mean = np.zeros(data.size)
@@ -119,7 +119,7 @@ def trust_of(regression: Regression, data: Data, prior: Prior | None, metric: st
         references = _references(mean, data.bodies)
         rel_std = _ORDINARY_STD if rel_std is None else rel_std
     unit = _unit_root(mean, data.bodies, metric)
-    stated = regression.inertia_rel_std if rel_std is None and prior is None else rel_std
+    stated = regression.knowledge.inertia_rel_std if rel_std is None and prior is None else rel_std
     # Exactly known links leave nothing to estimate: whoever asks for an estimate doubts them.
     found = stated is None or stated == 0
     if found:
@@ -132,7 +132,7 @@ def trust_of(regression: Regression, data: Data, prior: Prior | None, metric: st
     else:
         assert stated is not None
         std, rule, end = float(stated), "as stated", None
-    if prior is None and regression.nominal_links is None:
+    if prior is None and regression.knowledge.nominal_links is None:
         rule = "no nominal model: bodies of about 1 kg and 0.1 m, within a factor of ten"
     return Trust(mean, unit / std, references, metric, std, not found, rule, _probability(data, mean, unit, std), end)
 

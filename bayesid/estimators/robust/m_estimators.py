@@ -15,7 +15,7 @@ that were not rejected.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -29,7 +29,9 @@ from bayesid.estimators.least_squares import factor_inverse, make_estimate, nomi
 from bayesid.estimators.robust.losses import WHOLE, HuberLoss, Loss, StudentLoss
 from bayesid.estimators.robust.segments import Residuals, accepted, lengths, metrics, residuals, restlessness, weighted, windows
 from bayesid.estimators.robust.trimmed import trimmed
-from bayesid.regression.regression import Block, Regression
+from bayesid.regression.blocks import Block
+from bayesid.regression.regression import Regression
+from bayesid.regression.row_cache import RowCache
 from bayesid.signals.noise import NoiseModel
 
 _ROUNDS, _ALTERNATIONS = 6, 10
@@ -203,7 +205,7 @@ class _Fit:
         share = self.loss.weights(q / self.variance, n)[left.stretch]
         if (share == 1.0).all():
             return self.learned.noise
-        return learn_weights(replace(self.clean, _pilot=list(weighted(pilot, left, share)), _kept=[])).noise
+        return learn_weights(replace(self.clean, rows=self.clean.rows.with_pilot(tuple(weighted(pilot, left, share))))).noise
 
     def estimate(self, name: str, details: dict[str, Any]) -> Estimate:
         """The estimate, with the rejected windows among its details."""
@@ -239,10 +241,11 @@ def _without_filters(regression: Regression) -> Regression:
         for block, rows in whitened(blocks, models):
             yield replace(block, rows=rows, times=block.times[len(block.times) - len(rows) :])
 
-    source, pilot = regression.blocks, regression.pilot
-    return replace(
-        regression, source=lambda: undone(source()), pilot_source=lambda: undone(pilot()), known_poles=None, _kept=[], _pilot=[],
-    )  # fmt: skip
+    rows = regression.rows
+    source = replace(
+        rows.source, blocks=lambda: undone(rows.blocks()), pilot=lambda: undone(rows.pilot()), known_poles=None
+    )
+    return replace(regression, rows=RowCache(source))
 
 
 def _with_filters(regression: Regression, noise: dict[str, NoiseModel]) -> dict[str, NoiseModel]:
@@ -268,7 +271,7 @@ def _learn(plain: Regression, loss: Loss) -> tuple[np.ndarray, Regression, Weigh
         if learned is not None and np.array_equal(good, before):
             break
         before = good
-        clean = plain if good.all() else replace(plain, _pilot=_pieces(pilot, left, good), _kept=[])
+        clean = plain if good.all() else replace(plain, rows=plain.rows.with_pilot(_pieces(pilot, left, good)))
         learned = learn_weights(clean)
         noise = learned.noise
         factor = _factor(clean.pilot(), noise)
@@ -297,7 +300,7 @@ def _judge(left: Residuals, noise: dict[str, NoiseModel], loss: Loss) -> tuple[L
     return loss, good if enough else np.ones(len(good), bool)
 
 
-def _pieces(blocks: list[Block], left: Residuals, good: np.ndarray) -> list[Block]:
+def _pieces(blocks: Sequence[Block], left: Residuals, good: np.ndarray) -> list[Block]:
     """What is left of the blocks, each piece as a recording of its own; poses stay together."""
     out = []
     for block, keep in zip(blocks, left.split(good), strict=True):

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.signal import lfilter
 from scipy.stats import chi2
 
-from bayesid.regression.regression import Block
+from bayesid.regression.blocks import Block
 from bayesid.signals.noise import NoiseModel
 
 #: Length of a stretch [s] and its smallest number of rows.

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 from scipy.stats import chi2
 
 from bayesid.estimators.robust.segments import Residuals, lengths, metrics, residuals, weighted
-from bayesid.regression.regression import Block
+from bayesid.regression.blocks import Block
 from bayesid.signals.noise import NoiseModel
 
 _ABSOLUTE_PASSES, _TRIMMED_PASSES = 20, 12
 
 
-def trimmed(blocks: list[Block]) -> tuple[np.ndarray, dict[str, NoiseModel]]:
+def trimmed(blocks: Sequence[Block]) -> tuple[np.ndarray, dict[str, NoiseModel]]:
     """Fit to the calmer half of the stretches [Agullo2008]_, and the size of the noise without colour.
 
     Least absolute lengths come first: convex, and a stretch's pull does not grow with its length.

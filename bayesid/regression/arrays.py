@@ -1,0 +1,118 @@
+"""Parts of a regression made from arrays of one's own, with what is wrong about them said."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from bayesid.dynamics.base_parameters import BaseParameters, regroup
+from bayesid.errors import InputError
+from bayesid.regression.blocks import Block, Instruments, Pair, RegressorNoise
+
+
+def checked_pair(matrix: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Regressor (samples, channels, parameters) and measurements (samples, channels) as finite arrays of numbers.
+
+    Raises
+    ------
+    InputError
+        Shapes do not fit, or values are not finite.
+    """
+    matrix, target = np.asarray(matrix, float), np.asarray(target, float)
+    if matrix.ndim != 3 or target.shape != matrix.shape[:2]:
+        raise InputError(
+            f"matrix {matrix.shape} and target {target.shape}: give (samples, channels, parameters) and (samples, channels)"
+        )
+    for name, array in (("matrix", matrix), ("target", target)):
+        _require_finite(name, array)
+    return matrix, target
+
+
+def checked_like(given: np.ndarray | None, matrix: np.ndarray, argument: str, axes: int) -> np.ndarray | None:
+    """An optional array of so many axes, the last three of which are the matrix's.
+
+    Raises
+    ------
+    InputError
+        Shapes do not fit, or values are not finite.
+    """
+    if given is None:
+        return None
+    array = np.asarray(given, float)
+    if array.ndim != axes or array.shape[-3:] != matrix.shape or not array.size:
+        wanted = "(samples, channels, parameters)" if axes == 3 else "(draws, samples, channels, parameters)"
+        raise InputError(f"{argument} has shape {array.shape} beside a matrix of {matrix.shape}; give {wanted}")
+    _require_finite(argument, array)
+    return array
+
+
+def _require_finite(name: str, array: np.ndarray) -> None:
+    if not np.isfinite(array).all():
+        where = [int(i) for i in np.argwhere(~np.isfinite(array))[0]]
+        raise InputError(f"{name}{where} is not finite; remove that sample or fill it from neighbours")
+
+
+def names_of(given: Sequence[str] | None, count: int, letter: str, argument: str) -> tuple[str, ...]:
+    """Names as given, one for each column, or numbered ones.
+
+    Raises
+    ------
+    InputError
+        There are more or fewer names than columns.
+    """
+    if given is None:
+        return tuple(f"{letter}{k + 1}" for k in range(count))
+    if len(given) != count:
+        raise InputError(f"{argument} has {len(given)} names for {count} columns")
+    return tuple(given)
+
+
+def base_of(matrix: np.ndarray, names: tuple[str, ...], units: tuple[str, ...]) -> BaseParameters:
+    """Base parameters of a regressor, whose columns may depend on each other."""
+    flat = matrix.reshape(-1, matrix.shape[2])
+    factor = np.zeros((0, flat.shape[1]))
+    for start in range(0, len(flat), 1 << 15):
+        factor = np.asarray(np.linalg.qr(np.vstack([factor, flat[start : start + (1 << 15)]]), mode="r"))
+    return regroup(factor, names, units, tolerance=1e-9)
+
+
+def blocks_of(rows: np.ndarray, times: np.ndarray, motions: np.ndarray, labels: list) -> list[Block]:
+    """A block for each run of rows of the same recording."""
+    starts = np.flatnonzero(np.append(True, motions[1:] != motions[:-1]))
+    return [
+        Block(rows[a:b], times[a:b], labels.index(motions[a].item()), True)
+        for a, b in zip(starts, np.append(starts[1:], len(rows)), strict=True)
+    ]
+
+
+def instruments_of(blocks: list[Block], beside: np.ndarray, noise: RegressorNoise | None) -> Instruments:
+    """Instruments (samples, channels, p) for the rows of blocks."""
+
+    def pairs(regressors: Iterable[Block] = blocks) -> Iterator[Pair]:
+        first = 0
+        for block in regressors:
+            rows = np.concatenate([beside[first : first + len(block.rows)], block.rows[:, :, -1:]], axis=2)
+            yield Pair(block, replace(block, rows=rows))
+            first += len(block.rows)
+
+    drawn = None if noise is None else lambda draw: pairs(noise.perturbed(draw, 1.0))
+    return Instruments(pairs, lambda: {"instruments": ["as given"]}, drawn)
+
+
+def noise_of(blocks: list[Block], errors: np.ndarray) -> RegressorNoise:
+    """The law of the regressor's errors from draws (draws, samples, channels, p)."""
+
+    def perturbed(draw: int, sign: float) -> Iterator[Block]:
+        first = 0
+        for block in blocks:
+            rows = block.rows.copy()
+            rows[:, :, :-1] += sign * errors[draw, first : first + len(rows)]
+            first += len(rows)
+            yield replace(block, rows=rows)
+
+    def simulated(draw: int | None) -> Iterable[Block]:
+        return blocks if draw is None else perturbed(draw, 1.0)
+
+    return RegressorNoise(perturbed, simulated, lambda: bool(errors.any()), lambda: {"regressor_noise": "as given"}, len(errors))

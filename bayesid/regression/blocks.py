@@ -1,0 +1,105 @@
+"""Blocks of rows, and what may be known about the errors of the regressor in them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Block:
+    """Consecutive rows of one recording.
+
+    Attributes
+    ----------
+    rows
+        Regressor columns and, last, the target (k, channels, p + 1).
+    times
+        (k,) [s].
+    motion
+        Index of the recording.
+    start
+        Whether the recording (or a segment after a gap) starts with the first row.
+    group
+        Rows with the same noise: ``trajectory`` or ``poses``.
+    """
+
+    rows: np.ndarray
+    times: np.ndarray
+    motion: int
+    start: bool
+    group: str = "trajectory"
+
+    @property
+    def matrix(self) -> np.ndarray:
+        """Regressor (k, channels, p)."""
+        return self.rows[:, :, :-1]
+
+    @property
+    def target(self) -> np.ndarray:
+        """Measured (k, channels)."""
+        return self.rows[:, :, -1]
+
+
+@dataclass(frozen=True)
+class Pair:
+    """The same rows of two trajectories: regressors, and instruments for them.
+
+    Attributes
+    ----------
+    regressors, instruments
+        Blocks with the same rows and the same target.
+    symmetric
+        Whether each also serves as the instrument of the other.
+    """
+
+    regressors: Block
+    instruments: Block
+    symmetric: bool = False
+
+
+@dataclass(frozen=True)
+class Instruments:
+    """Rows whose errors are independent of the regressor's.
+
+    Attributes
+    ----------
+    pairs
+        Makes them, all recordings one after the other.
+    describe
+        What they are, for the estimate's details.
+    drawn
+        From the number of a draw: the same with further errors drawn from the regressor's law, if that is known.
+    """
+
+    pairs: Callable[[], Iterable[Pair]]
+    describe: Callable[[], dict[str, Any]]
+    drawn: Callable[[int], Iterable[Pair]] | None = None
+
+
+@dataclass(frozen=True)
+class RegressorNoise:
+    """The law of the regressor's errors, as draws from it.
+
+    Attributes
+    ----------
+    perturbed
+        From the number of a draw and a sign: all blocks with that error, times the sign, added.
+    simulated
+        Blocks of a motion near the recorded one: without errors (None), or with those of a draw.
+    present
+        Whether there is any.
+    describe
+        How large it is, for the estimate's details.
+    draws
+        How many there are; None: any number.
+    """
+
+    perturbed: Callable[[int, float], Iterable[Block]]
+    simulated: Callable[[int | None], Iterable[Block]]
+    present: Callable[[], bool]
+    describe: Callable[[], dict[str, Any]]
+    draws: int | None = None

@@ -1,0 +1,28 @@
+"""Independent jobs on all cores, with results in order."""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from itertools import chain, islice
+
+
+def in_order(work: Callable, jobs: Iterable) -> Iterator:
+    """Results in order from a few threads, with only a few results waiting at any time; a single job needs none."""
+    threads = min(os.cpu_count() or 1, 8)
+    jobs = iter(jobs)
+    few = list(islice(jobs, 2))
+    if len(few) < 2:
+        yield from map(work, few)
+        return
+    jobs = chain(few, jobs)
+    with ThreadPoolExecutor(threads) as pool:
+        waiting: deque = deque()
+        for job in jobs:
+            waiting.append(pool.submit(work, job))
+            if len(waiting) > threads:
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()

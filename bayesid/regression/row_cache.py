@@ -1,0 +1,133 @@
+"""Where the rows come from, and which of them are kept.
+
+Nothing of the size samples x parameters is ever held: rows are kept only while they fit in `CACHE_BYTES`; otherwise
+every reading makes them anew.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from threading import Lock
+from typing import Any
+
+import numpy as np
+
+from bayesid.regression.blocks import Block
+
+#: Rows are kept in memory up to this many bytes, and made anew at every reading beyond.
+CACHE_BYTES = 64 * 2**20
+#: About as many rows as the noise is learned from, in this many segments spread over a long recording.
+PILOT_ROWS = 2048
+PILOT_SEGMENTS = 8
+
+
+@dataclass(frozen=True)
+class RowSource:
+    """How rows are made.
+
+    Attributes
+    ----------
+    blocks
+        Makes all blocks; called anew for every reading unless they were kept.
+    count
+        Number of rows in all blocks.
+    width
+        Numbers in a row: channels times (parameters + 1).
+    pilot
+        Makes blocks of a few segments alone, where there are many more rows than `PILOT_ROWS`; None: picked from all blocks.
+    known_poles
+        Poles of the low-pass filters that the rows went through from the zero state, at the rows' spacing.
+    """
+
+    blocks: Callable[[], Iterable[Block]]
+    count: int
+    width: int
+    pilot: Callable[[], Iterable[Block]] | None = None
+    known_poles: np.ndarray | None = None
+
+    @property
+    def fits_in_memory(self) -> bool:
+        """Whether the blocks are few enough to be kept after the first reading."""
+        return 8 * self.count * self.width <= CACHE_BYTES
+
+
+class RowCache:
+    """Rows read from a source, kept while they fit, with what depends on them alone.
+
+    Several threads may read at once: whoever finishes first decides what is kept.
+
+    Parameters
+    ----------
+    source
+        How rows are made.
+    blocks, pilot
+        What is already made of it.
+    """
+
+    def __init__(self, source: RowSource, *, blocks: Sequence[Block] | None = None, pilot: Sequence[Block] | None = None) -> None:
+        self.source = source
+        self._lock = Lock()
+        self._blocks = None if blocks is None else tuple(blocks)
+        self._pilot = None if pilot is None else tuple(pilot)
+        self._derived: dict[str, Any] = {}
+
+    @property
+    def kept(self) -> bool:
+        """Whether all blocks are in memory."""
+        return self._blocks is not None
+
+    def blocks(self) -> Iterator[Block]:
+        """Read all blocks, recording by recording, in time order."""
+        if self._blocks is not None:
+            yield from self._blocks
+            return
+        made = []
+        for block in self.source.blocks():
+            if self.source.fits_in_memory:
+                made.append(block)
+            yield block
+        if self.source.fits_in_memory:
+            with self._lock:
+                self._blocks = self._blocks or tuple(made)
+
+    def pilot(self) -> Sequence[Block]:
+        """Enough blocks to learn the noise from: all of an ordinary recording, segments of a long one."""
+        if self._pilot is None:
+            made = tuple(self._make_pilot())
+            with self._lock:
+                self._pilot = self._pilot or made
+        return self._pilot
+
+    def _make_pilot(self) -> Iterable[Block]:
+        if self.source.count <= 2 * PILOT_ROWS:
+            return self.blocks()
+        if self.source.fits_in_memory or self.source.pilot is None:
+            return _spread(self.blocks(), self.source.count)
+        return self.source.pilot()
+
+    def derived(self, name: str, make: Callable[[], Any]) -> Any:
+        """What ``make`` gives, made at the first call only: estimators share what depends on the rows alone."""
+        if name not in self._derived:
+            made = make()
+            with self._lock:
+                self._derived.setdefault(name, made)
+        return self._derived[name]
+
+    def with_pilot(self, pilot: Sequence[Block]) -> RowCache:
+        """The same source with another pilot, of which nothing has been learned yet."""
+        return RowCache(self.source, pilot=pilot)
+
+
+def _spread(blocks: Iterable[Block], rows: int) -> Iterator[Block]:
+    """Evenly spread segments of blocks that are in memory anyway."""
+    segment, spacing = PILOT_ROWS // PILOT_SEGMENTS, rows / PILOT_SEGMENTS
+    seen, due = 0, 0.0
+    for block in blocks:
+        count = 0
+        while due < seen + len(block.rows):
+            count, due = count + 1, due + spacing
+        seen += len(block.rows)
+        if count:
+            keep = slice(0, count * segment)
+            yield replace(block, rows=block.rows[keep], times=block.times[keep])

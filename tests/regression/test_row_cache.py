@@ -1,0 +1,75 @@
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from threading import Barrier
+
+import numpy as np
+import pytest
+
+from bayesid.regression import row_cache
+from bayesid.regression.blocks import Block
+from bayesid.regression.row_cache import RowCache, RowSource
+
+ROWS, COUNT = 50, 40
+
+
+def source(**options) -> RowSource:
+    """Forty blocks of fifty rows; every number in a block is the block's."""
+
+    def blocks():
+        for k in range(COUNT):
+            yield Block(np.full((ROWS, 2, 4), float(k)), np.arange(ROWS) + 100.0 * k, 0, k == 0)
+
+    return RowSource(blocks, COUNT * ROWS, 8, **options)
+
+
+def order(blocks) -> list[int]:
+    return [int(b.rows[0, 0, 0]) for b in blocks]
+
+
+@pytest.fixture
+def hasty():
+    """Threads that take turns a million times a second."""
+    before = sys.getswitchinterval()
+    sys.setswitchinterval(1e-6)
+    yield
+    sys.setswitchinterval(before)
+
+
+def test_threads_that_read_at_once_all_see_every_block_once(hasty):
+    threads, cache = 8, RowCache(source())
+    gate = Barrier(threads)
+
+    def read(_):
+        gate.wait()
+        return order(cache.blocks()), order(cache.pilot()), cache.derived("sum", lambda: object())
+
+    with ThreadPoolExecutor(threads) as pool:
+        found = list(pool.map(read, range(threads)))
+    assert all(blocks == pilot == list(range(COUNT)) for blocks, pilot, _ in found)
+    assert order(cache.blocks()) == list(range(COUNT)) and cache.kept
+    assert len({id(made) for *_, made in found}) == 1
+
+
+def test_rows_are_kept_only_while_they_fit(monkeypatch):
+    cache = RowCache(source())
+    first = list(cache.blocks())
+    assert all(a is b for a, b in zip(first, cache.blocks(), strict=True))
+    monkeypatch.setattr(row_cache, "CACHE_BYTES", 0)
+    streamed = RowCache(source())
+    first = list(streamed.blocks())
+    assert not streamed.kept and not any(a is b for a, b in zip(first, streamed.blocks(), strict=True))
+
+
+def test_a_reading_given_up_half_way_keeps_nothing():
+    cache = RowCache(source())
+    next(cache.blocks())
+    assert not cache.kept and order(cache.blocks()) == list(range(COUNT))
+
+
+def test_another_pilot_is_learned_from_anew():
+    cache = RowCache(source())
+    assert cache.derived("weights", lambda: "old") == "old"
+    other = cache.with_pilot(list(cache.blocks())[3:5])
+    assert order(other.pilot()) == [3, 4] and other.derived("weights", lambda: "new") == "new"
+    assert order(other.blocks()) == list(range(COUNT))
+    assert order(cache.pilot()) == list(range(COUNT)) and cache.derived("weights", lambda: "new") == "old"
