@@ -11,6 +11,7 @@ from bayesid.estimators.conic.bounds import Bounds
 from bayesid.estimators.conic.cone import Conic
 from bayesid.estimators.conic.physical import Data, conic
 from bayesid.estimators.conic.prior_strength import Trust, trust_of
+from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import Problem, prepare
 from bayesid.robot import inertia
 from bayesid.robot.robot import Robot, load_robot
@@ -31,7 +32,7 @@ class Arm:
 def arm(folder: Path, name: str = "panda", seed: int = 0) -> Arm:
     robot = load_robot(write(folder, ROBOTS[name]()))
     table = recording(robot, None, fourier(robot, seed, duration=20.0), torque_std=0.1, seed=seed)
-    problem = prepare(experiment(robot, [Motion("a", "identification", table)]), "torque")
+    problem = prepare(experiment(robot, [Motion("a", "identification", table)]), FitOptions("torque"))
     rows = np.concatenate([b.matrix.reshape(-1, b.matrix.shape[2]) for b in problem.regression.blocks()])
     return Arm(robot, problem, rows, np.linalg.qr(rows, mode="r"))
 

@@ -16,10 +16,11 @@ from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, Motion
 from bayesid.recordings.table import usual_step
 from bayesid.regression.encoder_noise import errors_of
+from bayesid.regression.options import FitOptions
 from bayesid.regression.regression import PriorKnowledge, Regression
 from bayesid.regression.row_cache import PILOT_ROWS, PILOT_SEGMENTS, RowCache, RowSource
 from bayesid.regression.rows import RowModel, Segment, make_blocks, row_count
-from bayesid.signals.filters import ROLL_OFF, LowPass
+from bayesid.signals.filters import ROLL_OFF
 from bayesid.signals.smoothing import Smoother, choose_smoother
 
 CHANNELS = ("wrench", "torque", "both")
@@ -117,48 +118,29 @@ def make_channels(experiment: Experiment, channel: str) -> Channels:
     return stack_channels(wrench, torque_channels(experiment.robot))
 
 
-def prepare(
-    experiment: Experiment,
-    channel: str | None = None,
-    *,
-    filters: LowPass | None = None,
-    motions: Sequence[str] | None = None,
-    effects: Sequence[str] | None = None,
-    static: str = "motion",
-    bandwidth: float | None = None,
-) -> Problem:
+def prepare(experiment: Experiment, options: FitOptions | None = None) -> Problem:
     """Make an experiment ready: choose motions, smooth trajectories, find base parameters, lay out rows.
 
     Parameters
     ----------
     experiment
         The recordings and the nominal robot.
-    channel
-        ``wrench``, ``torque`` or ``both``; default: see `default_channel`.
-    filters
-        The paper's two low-passes, for rows without accelerations; default none.
-    motions
-        Which motions to fit; default those with role ``identification``.
-    effects
-        Replaces ``[model] effects``.
-    static
-        What to do with a stop-and-go run of the same positions: ``motion`` subtracts it (equation 21 of
-        [Liu1998]_), ``joint`` fits it along as static poses.
-    bandwidth
-        Of the joint motion [Hz]; default: chosen from the positions.
+    options
+        Which readings, motions and effects are fitted, and how readings become rows; default: the experiment's own.
 
     Raises
     ------
     InputError
         A motion, channel, effect or column is missing.
     """
-    channel = channel or default_channel(experiment)
+    options = options or FitOptions()
+    channel = options.channel or default_channel(experiment)
     channels = make_channels(experiment, channel)
-    chosen = _choose(experiment, motions)
+    chosen = _choose(experiment, options.motions)
     for motion in chosen:
         _require(motion, channel)
-    subtract = channel == "wrench" and static == "motion"
-    specs = list(experiment.effects if effects is None else effects)
+    subtract = channel == "wrench" and options.static == "motion"
+    specs = list(experiment.effects if options.effects is None else options.effects)
     # Validation motions are read, too: the same rows are made from them later.
     readable = [m for m in experiment.motions if m in chosen or _readable(m, channel)]
     segments = {m.name: _segments(experiment, channels, m, k, channel, subtract) for k, m in enumerate(readable)}
@@ -168,7 +150,7 @@ def prepare(
     try:
         parsed = parse_effects(specs, experiment.robot.joint_names, channels.names, experiment.gear_ratio)
     except InputError as error:
-        place = "experiment.toml: [model] effects" if effects is None else "--effects"
+        place = "experiment.toml: [model] effects" if options.effects is None else "--effects"
         raise type(error)(f"{place}: {error}") from None
     base = structural_base(
         experiment.robot,
@@ -177,13 +159,13 @@ def prepare(
         offset=any(r.offset for r in fitted) and channel != "torque",
         at_rest=all(r.poses for r in fitted),
     )
-    smoother = _smoother(experiment, [r for rs in segments.values() for r in rs if not r.poses], bandwidth)
+    smoother = _smoother(experiment, [r for rs in segments.values() for r in rs if not r.poses], options.bandwidth)
     rate = min(
         max(ROWS_PER_BANDWIDTH * smoother.bandwidth, LOWEST_ROW_RATE),
         min((1.0 / usual_step(r.times) for rs in segments.values() for r in rs if not r.poses), default=np.inf),
     )
     point = _point(experiment, base, parsed, fitted)
-    row_model = RowModel(experiment.robot, channels, base, parsed, smoother.bandwidth, 1.0 / rate, filters, point)
+    row_model = RowModel(experiment.robot, channels, base, parsed, smoother.bandwidth, 1.0 / rate, options.low_pass, point)
     return Problem(
         experiment=experiment,
         channel=channel,

@@ -11,6 +11,7 @@ from bayesid.dynamics.base_parameters import structural_base
 from bayesid.errors import InputError
 from bayesid.estimators import Estimate, Estimator, fit
 from bayesid.estimators.nonlinear import solve
+from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import Problem, make_channels, prepare, restrict
 
 
@@ -113,14 +114,11 @@ def wrench_against_torque(problem: Problem, method: str | Estimator) -> Agreemen
     effects = [e.spec for e in row_model.effects]
     wrench, torque = (
         solve(
-            prepare(
-                experiment, channel, filters=row_model.filters, motions=names, effects=effects, static="joint",
-                bandwidth=problem.smoother.bandwidth,
-            ),
+            prepare(experiment, FitOptions(channel, row_model.filters, names, effects, "joint", problem.smoother.bandwidth)),
             method,
         )[1]
         for channel in ("wrench", "torque")
-    )  # fmt: skip
+    )
     if wrench.covariance is None or torque.covariance is None:
         return None
     at_rest = all(r.poses for n in names for r in problem.segments[n])
@@ -139,9 +137,6 @@ def static_both_ways(problem: Problem, method: str | Estimator) -> Estimate | No
     if problem.static != "motion":
         return None
     row_model = problem.row_model
-    joint = prepare(
-        problem.experiment, problem.channel, filters=row_model.filters, motions=problem.fitted, static="joint",
-        effects=[f"{e.name}@{e.where}" for e in row_model.effects if e.name != "sensor_offset"],
-        bandwidth=problem.smoother.bandwidth,
-    )  # fmt: skip
-    return solve(joint, method)[1]
+    effects = [e.spec for e in row_model.effects if e.name != "sensor_offset"]
+    options = FitOptions(problem.channel, row_model.filters, problem.fitted, effects, "joint", problem.smoother.bandwidth)
+    return solve(prepare(problem.experiment, options), method)[1]

@@ -9,6 +9,7 @@ from bayesid.effects import parse_effects
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, Motion
 from bayesid.recordings.table import GAP, WRENCH_COLUMNS, Table
+from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import default_channel, make_channels, prepare
 from bayesid.results.files import Files, files_of
 from bayesid.results.inspection import Inspection, MotionSummary, SensorSet
@@ -44,7 +45,7 @@ def check(experiment: Experiment, progress: Progress = quiet) -> Inspection:
     except InputError as error:
         raise InputError(f"experiment.toml: [model] effects: {error}") from None
     try:
-        problem = prepare(experiment, channel, effects=())
+        problem = prepare(experiment, FitOptions(channel, effects=()))
         bandwidth, reason, position_std = problem.smoother.bandwidth, problem.smoother.reason, problem.smoother.position_std
     except InputError as error:
         reason = str(error)

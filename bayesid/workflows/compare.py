@@ -16,6 +16,7 @@ from bayesid.estimators import DEFAULT_METHOD, METHODS, Estimator, LeastSquares,
 from bayesid.estimators.factor import Weights, learn_weights
 from bayesid.estimators.nonlinear import settled
 from bayesid.recordings.experiment import Experiment, load_experiment
+from bayesid.regression.options import NOT_FOR_REGRESSIONS, FitOptions
 from bayesid.regression.problem import Problem, prepare
 from bayesid.regression.regression import Regression
 from bayesid.results.bodies import impossible_bodies
@@ -69,21 +70,20 @@ def compare(
         No estimator could work with these data.
     """
     chosen = _chosen(methods)
+    options = FitOptions(channel, low_pass, motions, effects, static, bandwidth)
     started = time.perf_counter()
     seconds: dict[str, float] = {}
     with threadpool_limits(1, user_api="blas"):
         if isinstance(experiment, Regression):
-            if any(o is not None for o in (channel, low_pass, motions, effects, bandwidth)) or static != "motion":
-                raise InputError("compare: channel, filters, motions, effects and static are for an experiment, not a Regression")
+            if options != FitOptions():
+                raise InputError(NOT_FOR_REGRESSIONS.format("compare"))
             problem, regression = None, experiment
         else:
             progress("reading")
             if not isinstance(experiment, Experiment):
                 experiment = load_experiment(experiment)
             progress("regressor")
-            problem = prepare(
-                experiment, channel, filters=low_pass, motions=motions, effects=effects, static=static, bandwidth=bandwidth
-            )
+            problem = prepare(experiment, options)
             problem = settled(problem)
             regression = problem.regression
         for _ in regression.blocks():

@@ -13,6 +13,7 @@ from bayesid.dynamics.nearest_links import nearest_links
 from bayesid.estimators import DEFAULT_METHOD, Estimate, Estimator, estimator
 from bayesid.estimators.nonlinear import solve
 from bayesid.recordings.experiment import Experiment, load_experiment
+from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import Problem, prepare
 from bayesid.results.bodies import impossible_bodies
 from bayesid.results.files import Files, files_of
@@ -66,6 +67,7 @@ def identify(
         Bad input; the message says what to do.
     """
     method = estimator(method)
+    options = FitOptions(channel, low_pass, motions, effects, static, bandwidth)
     clock = Clock(progress)
     # The matrices are small: threads inside the linear algebra cost more than they gain here.
     with threadpool_limits(1, user_api="blas"):
@@ -73,9 +75,7 @@ def identify(
         if not isinstance(experiment, Experiment):
             experiment = load_experiment(experiment)
         clock("regressor")
-        problem = prepare(
-            experiment, channel, filters=low_pass, motions=motions, effects=effects, static=static, bandwidth=bandwidth
-        )
+        problem = prepare(experiment, options)
         for _ in problem.regression.blocks():
             pass
         clock("estimate")

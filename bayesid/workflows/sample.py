@@ -22,6 +22,7 @@ from bayesid.posterior.result import PRIOR_DRIVEN, Posterior
 from bayesid.posterior.run import Chains, choose_engine, run
 from bayesid.recordings.experiment import Experiment, load_experiment
 from bayesid.regression.blocks import Block
+from bayesid.regression.options import NOT_FOR_REGRESSIONS, FitOptions
 from bayesid.regression.problem import Problem, prepare
 from bayesid.regression.regression import Regression
 from bayesid.regression.rows import make_blocks
@@ -99,6 +100,7 @@ def sample(
         The chains did not converge; its ``partial`` holds what there is.
     """
     clock = Clock(progress)
+    options = FitOptions(channel, low_pass, motions, effects, static, bandwidth)
     # The matrices are small: threads inside the linear algebra cost more than they gain here.
     with threadpool_limits(1, user_api="blas"):
         clock("reading")
@@ -106,12 +108,12 @@ def sample(
             experiment = load_experiment(experiment)
         problem = None
         if isinstance(experiment, Regression):
+            if options != FitOptions():
+                raise InputError(NOT_FOR_REGRESSIONS.format("sample"))
             regression = experiment
         else:
             clock("regressor")
-            problem = prepare(
-                experiment, channel, filters=low_pass, motions=motions, effects=effects, static=static, bandwidth=bandwidth
-            )
+            problem = prepare(experiment, options)
             problem = settled(problem)
             regression = problem.regression
         chosen, trust = _prior(regression, prior, prior_std)

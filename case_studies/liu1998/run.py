@@ -22,6 +22,7 @@ from bayesid.dynamics.base_parameters import structural_base
 from bayesid.dynamics.channels import torque_channels
 from bayesid.dynamics.nearest_links import nearest_links
 from bayesid.dynamics.regressors import dynamics_regressor, momentum_regressors
+from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import make_channels, prepare
 from bayesid.robot import inertia
 from bayesid.robot.examples import PAPER_ESTIMATE, PAPER_LABELS, paper_base_map
@@ -168,7 +169,7 @@ def claim(setting: Setting, experiment: bayesid.Simulation) -> dict[str, dict]:
     rigid = setting.torque(truth)
     out = {}
     for name, (channel, effects) in WAYS.items():
-        estimate = bayesid.fit(prepare(experiment, channel, effects=effects).regression)
+        estimate = bayesid.fit(prepare(experiment, FitOptions(channel, effects=effects)).regression)
         relation = setting.to_torque if channel == "wrench" else np.eye(len(truth))
         values, covariance = relation @ estimate.values, relation @ estimate.covariance @ relation.T
         z = (values - truth) / np.sqrt(np.diag(covariance))
@@ -209,7 +210,7 @@ def paper_recipe(setting: Setting, experiment: bayesid.Simulation, velocity: str
 def answers(setting: Setting, experiment: bayesid.Simulation) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Estimates and standard deviations of the paper's row_model and bayesid's."""
     default = bayesid.fit(prepare(experiment).regression)
-    filtered = bayesid.fit(prepare(experiment, filters=FILTERS).regression, "ols")
+    filtered = bayesid.fit(prepare(experiment, FitOptions(low_pass=FILTERS)).regression, "ols")
     return {
         "paper: forward difference": paper_recipe(setting, experiment, "forward"),
         "the same, difference used half a sample later": paper_recipe(setting, experiment, "middle"),

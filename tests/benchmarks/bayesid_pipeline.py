@@ -16,6 +16,7 @@ from threadpoolctl import threadpool_limits
 from bayesid.estimators import fit
 from bayesid.recordings.experiment import Experiment, Motion, Sensor
 from bayesid.recordings.table import Table
+from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import prepare
 from bayesid.robot.robot import load_robot
 
@@ -68,7 +69,7 @@ def _run(robot, times, q, wrench, torques, kind):
     sensor = Sensor() if kind == "wrench" else None
     experiment = Experiment("bench", robot, (Motion("a", "identification", table),), sensor, position_resolution=2e-5)
     start = time.perf_counter()
-    problem = prepare(experiment, kind)
+    problem = prepare(experiment, FitOptions(kind))
     prepared = time.perf_counter()
     for _ in problem.regression.blocks() if problem.regression.fits_in_memory else ():
         pass

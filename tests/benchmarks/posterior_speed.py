@@ -36,6 +36,7 @@ from bayesid.posterior import Likelihood, PosteriorModel, choose_engine, coordin
 from bayesid.posterior.diagnostics import convergence  # noqa: E402
 from bayesid.posterior.ensemble import Ensemble  # noqa: E402
 from bayesid.recordings.experiment import Motion, Sensor  # noqa: E402
+from bayesid.regression.options import FitOptions  # noqa: E402
 from bayesid.regression.problem import prepare  # noqa: E402
 from bayesid.robot.prior import Prior  # noqa: E402
 from bayesid.robot.robot import load_robot  # noqa: E402
@@ -292,7 +293,8 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as temporary, threadpool_limits(1):
         folder = Path(temporary)
         experiment = recorded(folder)
-        regressions = {"ur5": prepare(experiment, "wrench").regression, "puma": prepare(small(folder), "wrench").regression}
+        recordings = {"ur5": experiment, "puma": small(folder)}
+        regressions = {name: prepare(one, FitOptions("wrench")).regression for name, one in recordings.items()}
         result = compare(regressions, folder, options)
         result |= {"python": platform.python_version(), "repeats": options.repeats, "warm_up": options.warm_up,
                    "depth": options.depth, "nuts_draws": options.draws}  # fmt: skip

@@ -10,6 +10,7 @@ from bayesid.estimators.errors_in_variables import TotalLeastSquares
 from bayesid.estimators.factor import learn_weights
 from bayesid.estimators.instrumental_variables import InstrumentalVariables
 from bayesid.estimators.sensor_noise import sensor_noise
+from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import prepare
 from bayesid.regression.regression import Regression
 from bayesid.signals.noise import NoiseModel
@@ -59,7 +60,7 @@ def test_tls_without_errors_is_least_squares(errors, robot):
     if errors == "array":
         regression = Regression.from_arrays(true, target, regressor_noise=np.zeros((3, *true.shape)))
     else:
-        problem = prepare(tables(robot, duration=10.0), bandwidth=5.0)
+        problem = prepare(tables(robot, duration=10.0), FitOptions(bandwidth=5.0))
         # Exact positions and a law without noise: what is measured of them is the smoother's own error.
         law = problem.regression.regressor_noise
         regression = replace(problem.regression, regressor_noise=replace(law, present=lambda: False))
@@ -164,7 +165,7 @@ def test_weak_instruments_are_called_so():
     ],
 )
 def test_instruments_are_the_best_there_are(robot, options, source):
-    estimate = fit(prepare(tables(robot, std=1e-3, **options), bandwidth=5.0).regression, "iv")
+    estimate = fit(prepare(tables(robot, std=1e-3, **options), FitOptions(bandwidth=5.0)).regression, "iv")
     assert source in estimate.details["instruments"][0]
     assert not estimate.details["weak_instruments"]
 
@@ -182,7 +183,7 @@ def test_the_bias_of_least_squares_goes(robot, method, options):
     """A bandwidth of 8 Hz lets most of the encoders' noise of 1e-3 rad through; four times 20 s are enough to see it."""
     truth, errors, stds = None, [], []
     for seed in range(4):
-        problem = prepare(tables(robot, std=1e-3, seed=seed, **options), bandwidth=8.0)
+        problem = prepare(tables(robot, std=1e-3, seed=seed, **options), FitOptions(bandwidth=8.0))
         truth = problem.row_model.base.matrix @ robot.nominal.ravel()
         both = [fit(problem.regression, m) for m in ("wls", method)]
         errors.append([e.values - truth for e in both])
@@ -245,7 +246,7 @@ def test_sensor_noise_is_told_from_encoder_noise():
 
 
 def test_draws_are_an_option(robot):
-    regression = prepare(tables(robot, std=1e-3), bandwidth=5.0).regression
+    regression = prepare(tables(robot, std=1e-3), FitOptions(bandwidth=5.0)).regression
     few = fit(regression, TotalLeastSquares(draws=10))
     assert few.details["draws"] == 10
 

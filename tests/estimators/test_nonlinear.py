@@ -9,6 +9,7 @@ import bayesid
 from bayesid.effects import KINDS
 from bayesid.estimators.nonlinear import solve
 from bayesid.recordings.experiment import Experiment, Sensor
+from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import prepare
 from bayesid.robot.robot import load_robot
 from bayesid.simulation.plant import complete_effects
@@ -43,7 +44,7 @@ def fit(setup, motions, effects, channel="both", starts=None, given=None):
     plant = complete_effects(setup.robot, given or effects, {})
     recording = bayesid.simulate(setup, motions, effects=plant, recorder=RECORDER, seed=3)
     recording = replace(recording, effect_values=starts or {})
-    problem, estimate = solve(prepare(recording, channel, effects=effects))
+    problem, estimate = solve(prepare(recording, FitOptions(channel, effects=effects)))
     rank = problem.row_model.base.rank
     names = problem.regression.effect_names
     truth = {f"{spec}.{key}": value for spec, values in plant.items() for key, value in values.items()}
@@ -108,7 +109,7 @@ def test_every_effect_can_be_simulated_and_modelled(setup, motions, name):
     held = {key: {**values, "fixed": True} for key, values in plant.items()}
     offset = {"sensor_offset": {"fixed": True}} if name != "sensor_offset" else {}
     known = replace(recording, effect_values=held | offset)
-    problem = prepare(known, "both", effects=[spec, *offset], bandwidth=15.0)
+    problem = prepare(known, FitOptions("both", effects=[spec, *offset], bandwidth=15.0))
     solution = problem.row_model.point.base
     assert problem.regression.effect_names == ()
     error, signal = 0.0, 0.0

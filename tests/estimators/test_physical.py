@@ -15,6 +15,7 @@ from bayesid.estimators import Bounds, Physical, fit, load_bounds
 from bayesid.estimators.conic.collision import collision_boxes
 from bayesid.estimators.conic.cone import _RIGHT, _UP, MARGIN, Conic, _inward, _prove, solve_conic
 from bayesid.estimators.conic.entropic import solve_entropic
+from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import prepare
 from bayesid.regression.regression import PriorKnowledge, Regression
 from bayesid.robot import inertia
@@ -73,7 +74,7 @@ def simulated(folder, name="ur5", *, seed=0, rel=0.0, std=0.02, trust=None, reso
 def test_without_active_constraints_and_pull_it_is_least_squares(tmp_path, weights):
     """Long recording, thick bodies, next to no pull: nothing but the data is left."""
     robot, _, made = simulated(tmp_path, std=1e-4, resolution=0.0)
-    regression = prepare(made, "torque").regression
+    regression = prepare(made, FitOptions("torque")).regression
     plain = fit(regression, "wls" if weights == "channel" else "gls")
     ours = fit(regression, Physical(rel_std=1e3, weights=weights))
     assert ours.details["certificate"]["iterations"] == 0  # the unconstrained optimum was inside
@@ -186,7 +187,7 @@ def test_links_can_exist_and_have_the_base_parameters(tmp_path):
 
 def test_friction_cannot_be_negative(tmp_path):
     _, _, made = simulated(tmp_path, std=0.5, trust=0.3)
-    regression = prepare(made, "torque", effects=["viscous_friction", "coulomb_friction", "torque_offset"]).regression
+    regression = prepare(made, FitOptions("torque", effects=["viscous_friction", "coulomb_friction", "torque_offset"])).regression
     plain, ours = fit(regression), fit(regression, "sdp")
     held = np.array(regression.knowledge.effect_non_negative)
     r = regression.base.rank
@@ -215,7 +216,7 @@ def test_a_closed_form_on_the_boundary():
 @pytest.mark.parametrize("metric", ["pullback", "euclidean", "entropic"])
 def test_metrics_and_units(tmp_path, metric):
     _, truth, made = simulated(tmp_path, rel=0.2, std=0.5, trust=0.2)
-    regression = prepare(made, "torque").regression
+    regression = prepare(made, FitOptions("torque")).regression
     ours = fit(regression, Physical(metric=metric))
     assert ours.details["certificate"]["certified"] and ours.details["trust"]["metric"] == metric
     assert inertia.is_physically_consistent(ours.links.reshape(-1, 10), tolerance=0.0).all()
@@ -226,7 +227,7 @@ def test_the_trust_is_found_where_none_is_stated(tmp_path):
     found = []
     for seed in range(5):
         _, _, made = simulated(tmp_path, rel=0.2, std=0.05, seed=seed)
-        details = fit(prepare(made, "torque").regression, "sdp").details["trust"]
+        details = fit(prepare(made, FitOptions("torque")).regression, "sdp").details["trust"]
         assert not details["stated"]
         found.append(details["rel_std"])
     assert 0.13 < np.median(found) < 0.28
@@ -234,7 +235,7 @@ def test_the_trust_is_found_where_none_is_stated(tmp_path):
 
 def test_closest_body_fits_as_well_as_the_data_demand(tmp_path):
     _, _, made = simulated(tmp_path, rel=0.2, std=0.5, trust=0.2)
-    regression = prepare(made, "torque").regression
+    regression = prepare(made, FitOptions("torque")).regression
     both, near = fit(regression, "sdp"), fit(regression, Physical(closest=0.95))
     limit = near.details["closest"]["largest_misfit"]
     assert near.details["misfit"] == pytest.approx(limit, rel=1e-5)  # as far as it may go
@@ -283,7 +284,7 @@ def test_a_massless_frame_stays_next_to_nothing(tmp_path):
     light = replace(robot, nominal=bodies)
     table = recording(light, None, fourier(light, 0), torque_std=0.1)
     made = experiment(light, [Motion("a", "identification", table)], inertia_rel_std=0.3)
-    result = fit(prepare(made, "torque").regression, "sdp")
+    result = fit(prepare(made, FitOptions("torque")).regression, "sdp")
     assert result.details["certificate"]["certified"]
     assert 0 <= result.links[50] < 0.01
 
@@ -376,7 +377,7 @@ def test_intervals_take_the_nominal_model_in_only_where_that_was_proved(tmp_path
     stds = {}
     for trust in (0.2, 0.5, None):
         _, _, made = simulated(tmp_path, rel=0.2, std=2.0, trust=trust)
-        regression = prepare(made, "torque").regression
+        regression = prepare(made, FitOptions("torque")).regression
         estimate = fit(regression, Physical(weights="channel"))
         stds[trust] = estimate.std
         assert estimate.interval == ("credible" if trust == 0.2 else "confidence")
@@ -387,7 +388,7 @@ def test_intervals_take_the_nominal_model_in_only_where_that_was_proved(tmp_path
 
 def test_a_trust_that_the_data_contradict_is_left_out_of_intervals(tmp_path):
     _, _, made = simulated(tmp_path, rel=0.5, std=0.1, trust=0.02)
-    regression = prepare(made, "torque").regression
+    regression = prepare(made, FitOptions("torque")).regression
     estimate = fit(regression, Physical(weights="channel"))
     assert estimate.details["trust"]["probability_of_distance_to_nominal"] < 0.05
     assert estimate.interval == "confidence"
@@ -425,7 +426,7 @@ def test_compare_takes_bounds(tmp_path, capsys):
     assert main([*asked, "--methods", "ols, sdp"]) == 0
     result = json.loads((tmp_path / "out" / "comparison.json").read_text(encoding="utf-8"))
     sdp = next(m for m in result["methods"] if m["name"] == "sdp")
-    total_mass = fit(prepare(made, "torque").regression, Physical(bounds=Bounds(total_mass=(1.5 * total, 2 * total))))
+    total_mass = fit(prepare(made, FitOptions("torque")).regression, Physical(bounds=Bounds(total_mass=(1.5 * total, 2 * total))))
     values = [p["value"] for p in sdp["base_parameters"]] if "base_parameters" in sdp else None
     assert values is not None
     np.testing.assert_allclose(values, total_mass.values, rtol=1e-6, atol=1e-8)

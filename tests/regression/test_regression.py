@@ -5,6 +5,7 @@ from bayesid.errors import InputError
 from bayesid.estimators import fit
 from bayesid.regression import row_cache
 from bayesid.regression import rows as rows_module
+from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import prepare
 from bayesid.regression.regression import Regression
 from bayesid.robot.robot import load_robot
@@ -31,7 +32,7 @@ def noise_free(robot, sensor=SENSOR, **options):
 @pytest.mark.parametrize("l, d", [(1.0, 50.0), (5.0, 50.0), (20.0, 50.0), (50.0, 100.0)])
 def test_noise_free_puma_predicts_another_motion(l, d, tmp_path):  # noqa: E741
     robot = puma2(tmp_path)
-    problem = prepare(noise_free(robot), filters=LowPass(l, d))
+    problem = prepare(noise_free(robot), FitOptions(low_pass=LowPass(l, d)))
     estimate = fit(problem.regression, "ols")
     prediction = predict(problem, estimate, problem.experiment.validation[0])
     assert prediction.nrmse.max() < 2e-4 and prediction.nrmse_raw.max() < 2e-4
@@ -42,7 +43,7 @@ def test_noise_free_puma_predicts_another_motion(l, d, tmp_path):  # noqa: E741
 @pytest.mark.parametrize("filters", [None, LowPass(2.0, 50.0)], ids=["direct", "filtered"])
 def test_noise_free_rows_give_the_true_parameters(text, channel, filters, tmp_path):
     robot = load_robot(write(tmp_path, text))
-    problem = prepare(noise_free(robot), channel, filters=filters)
+    problem = prepare(noise_free(robot), FitOptions(channel, low_pass=filters))
     base = problem.row_model.base
     truth = base.matrix @ robot.nominal.ravel()
     estimate = fit(problem.regression, "ols")
@@ -57,11 +58,11 @@ def test_rows_do_not_depend_on_chunks(tmp_path, monkeypatch):
     one = noise_free(robot)
     for filters in (None, LowPass(1.0, 50.0)):
         monkeypatch.setattr(rows_module, "_CHUNK", 1 << 20)
-        whole = list(prepare(one, filters=filters).regression.blocks())
+        whole = list(prepare(one, FitOptions(low_pass=filters)).regression.blocks())
         monkeypatch.setattr(rows_module, "_CHUNK", 333)
         monkeypatch.setattr(rows_module, "_PANEL", 100)
         monkeypatch.setattr(rows_module, "_BLOCK_ROWS", 50)
-        parts = list(prepare(one, filters=filters).regression.blocks())
+        parts = list(prepare(one, FitOptions(low_pass=filters)).regression.blocks())
         assert len(parts) > 5 and [b.start for b in parts] == [True] + [False] * (len(parts) - 1)
         np.testing.assert_allclose(np.concatenate([b.times for b in parts]), whole[0].times, rtol=1e-12)
         joined = np.concatenate([b.rows for b in parts])
@@ -76,7 +77,7 @@ def test_gaps_are_not_filtered_across(tmp_path):
     cut = tuple(part[keep] for part in motion)
     holed = experiment(robot, [Motion("a", "identification", recording(robot, SENSOR, cut))], SENSOR)
     for filters in (None, LowPass(1.0, 50.0)):
-        problem = prepare(holed, filters=filters)
+        problem = prepare(holed, FitOptions(low_pass=filters))
         blocks = list(problem.regression.blocks())
         assert [b.start for b in blocks] == [True, True]
         truth = problem.row_model.base.matrix @ robot.nominal.ravel()
@@ -91,7 +92,7 @@ def test_static_run_removes_offset_and_gravity(tmp_path):
     with_static = experiment(robot, [Motion("a", "identification", moving, static=still)], SENSOR)
     subtracted = prepare(with_static)
     assert subtracted.static == "motion" and not subtracted.row_model.effects and subtracted.row_model.base.rank == 12
-    along = prepare(with_static, static="joint")
+    along = prepare(with_static, FitOptions(static="joint"))
     assert along.static == "joint" and [e.name for e in along.row_model.effects] == ["sensor_offset"]
     for problem in (subtracted, along):
         estimate = fit(problem.regression, "ols")
@@ -136,9 +137,9 @@ def test_a_recording_too_long_to_keep_gives_the_same_estimate(filters, tmp_path,
     long = fourier(robot, 1, duration=300.0)
     noise = dict(force_std=0.5, torque_std=0.1, resolution=2e-5, seed=1)
     one = experiment(robot, [Motion("a", "identification", recording(robot, SENSOR, long, **noise))], SENSOR)
-    kept = fit(prepare(one, filters=filters).regression)
+    kept = fit(prepare(one, FitOptions(low_pass=filters)).regression)
     monkeypatch.setattr(row_cache, "CACHE_BYTES", 0)
-    streamed_problem = prepare(one, filters=filters)
+    streamed_problem = prepare(one, FitOptions(low_pass=filters))
     streamed = fit(streamed_problem.regression)
     assert not streamed_problem.regression.rows.kept
     # Both weigh the channels by a noise learned from stretches, which differ a little in their ends.

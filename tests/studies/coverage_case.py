@@ -26,6 +26,7 @@ from bayesid.dynamics.base_parameters import BaseParameters, structural_base
 from bayesid.dynamics.channels import Channels
 from bayesid.dynamics.regressors import dynamics_regressor
 from bayesid.recordings.experiment import Experiment, Motion, Sensor, Table
+from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import Problem, make_channels, prepare
 from bayesid.robot import examples, inertia
 from bayesid.robot.robot import Robot, load_robot
@@ -270,7 +271,7 @@ def fit_all(case: Setup, seed: np.random.SeedSequence) -> tuple[np.ndarray, np.n
         whether the noise was taken from an efficient fit, (fits, 2).
     """
     experiment = record(case, np.random.default_rng(seed))
-    problems = {f: prepare(experiment, filters=f) for f in (None, PAPER)}
+    problems = {f: prepare(experiment, FitOptions(low_pass=f)) for f in (None, PAPER)}
     truth = problems[None].row_model.base.matrix @ case.truth
     errors, stds, joint = [], [], []
     for filters, method in FITS.values():

@@ -21,6 +21,7 @@ from threadpoolctl import threadpool_limits
 from bayesid import estimators
 from bayesid.dynamics.regressors import dynamics_regressor
 from bayesid.recordings.experiment import Experiment, Motion, Sensor, Table
+from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import make_channels, prepare
 from tests.studies.coverage import LEVEL, NAMES, band
 from tests.studies.coverage_case import DURATION, FUNDAMENTAL, NOISE, OFFSET, RATE, Setup, setup
@@ -84,7 +85,7 @@ def one(name: str, seed: int, k: int) -> tuple[np.ndarray, np.ndarray, np.ndarra
     experiments = record(case, np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(list(CASES).index(name), k))))
     errors, stds, tests = [], [], []
     with threadpool_limits(1, user_api="blas"):
-        problems = {kind: prepare(e, bandwidth=bandwidth) for kind, e in experiments.items()}
+        problems = {kind: prepare(e, FitOptions(bandwidth=bandwidth)) for kind, e in experiments.items()}
         for method, kind in FITS.values():
             problem = problems[kind]
             estimate = estimators.fit(problem.regression, method)
@@ -98,7 +99,7 @@ def chosen(name: str, seed: int) -> float:
     """Bandwidth of the joint motion in the first recording [Hz]."""
     arm, bandwidth = CASES[name]
     recording = record(setup(arm), np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(list(CASES).index(name), 0))))
-    return float(prepare(recording[""], bandwidth=bandwidth).smoother.bandwidth)
+    return float(prepare(recording[""], FitOptions(bandwidth=bandwidth)).smoother.bandwidth)
 
 
 def summarise(errors: np.ndarray, stds: np.ndarray, tests: np.ndarray) -> dict[str, Any]:

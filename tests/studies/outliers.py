@@ -18,6 +18,7 @@ import numpy as np
 
 from bayesid import estimators
 from bayesid.recordings.experiment import Experiment
+from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import prepare
 from tests.studies.coverage import LEVEL, NAMES, band
 from tests.studies.coverage_case import ARMS, DURATION, PAPER, record, setup
@@ -83,7 +84,7 @@ def fit_all(name: str, seed: int, index: int) -> tuple[np.ndarray, np.ndarray, n
     for touch, filters, method in FITS.values():
         key = (touch, filters is not None)
         if key not in problems:
-            problems[key] = prepare(disturbed if touch else clean, filters=filters)
+            problems[key] = prepare(disturbed if touch else clean, FitOptions(low_pass=filters))
         problem = problems[key]
         estimate = estimators.fit(problem.regression, method)
         errors.append(estimate.values - problem.row_model.base.matrix @ case.truth)

@@ -27,6 +27,7 @@ from scipy.stats import binom  # noqa: E402
 
 from bayesid.dynamics.nearest_links import nearest_links  # noqa: E402
 from bayesid.estimators import Physical, fit  # noqa: E402
+from bayesid.regression.options import FitOptions  # noqa: E402
 from bayesid.regression.problem import prepare  # noqa: E402
 from bayesid.robot.inertia import from_mass_com_inertia, is_physically_consistent  # noqa: E402
 from bayesid.robot.robot import load_robot  # noqa: E402
@@ -76,7 +77,7 @@ def study(name: str, noise: float, spread: float, flat: str, runs: int, seed: in
         table = recording(robot, None, fourier(robot, run), torque_std=noise, resolution=1e-5, phi=truth, seed=run)
         for trust, label in ((spread, "sdp, trust stated"), (None, "sdp, trust found")):
             made = experiment(robot, [Motion("a", "identification", table)], inertia_rel_std=trust)
-            regression = prepare(made, "torque").regression
+            regression = prepare(made, FitOptions("torque")).regression
             true = regression.base.matrix @ truth
             plain, ours = fit(regression, "wls"), fit(regression, Physical())
             if trust is not None:

@@ -9,6 +9,7 @@ import pytest
 from scipy.signal import lfilter
 from scipy.stats import chi2
 
+from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import prepare
 from bayesid.signals.filters import low_pass, project
 from bayesid.signals.noise import estimate_noise
@@ -77,7 +78,7 @@ def test_every_recording_has_roundings_noise_and_offsets_of_its_own():
 
 
 def test_white_noise_through_filters_and_thinning_is_whitened_by_the_known_poles():
-    problem = prepare(record(setup("puma"), np.random.default_rng(0)), filters=PAPER)
+    problem = prepare(record(setup("puma"), np.random.default_rng(0)), FitOptions(low_pass=PAPER))
     step, times = problem.row_model.step, np.arange(2400) / RATE
     filtered = low_pass(PAPER, times, np.random.default_rng(1).normal(size=(len(times), 400)))[0]
     rows, energy = np.zeros((int(times[-1] / step), 400)), np.zeros(int(times[-1] / step))

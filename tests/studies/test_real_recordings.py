@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import bayesid
+from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import prepare, restrict
 from bayesid.validation.cross_checks import compare_estimates
 from bayesid.validation.prediction import relative_error
@@ -36,7 +37,7 @@ def test_wrist_says_what_is_not_excited_and_that_poses_and_motion_disagree(wrist
 
 def test_repeats_of_a_wrist_motion_agree_within_their_intervals(shared):
     """The same slow turn recorded twice, once with hammer taps on the arm: 1 sigma rms apart."""
-    problem = prepare(bayesid.load_experiment(shared("data/kuka-med-wrist")), motions=["baseline", "vibrations"])
+    problem = prepare(bayesid.load_experiment(shared("data/kuka-med-wrist")), FitOptions(motions=["baseline", "vibrations"]))
     one, two = (bayesid.fit(restrict(problem, [name]).regression) for name in problem.fitted)
     agreement = compare_estimates("baseline", one, "vibrations", two)
     assert 0.5 < agreement.rms < 1.6 and not agreement.contradiction
