@@ -5,6 +5,11 @@ The public names stand in ``__init__.pyi``; each is imported when it is first us
 
 import lazy_loader
 
+from bayesid.numba_cache import find_place
+
+find_place()  # before anything imports numba
+del find_place
+
 __version__ = "0.1.0"
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -2,6 +2,6 @@
 
 import sys
 
-from bayesid.cli.main import main
+from bayesid.cli import main
 
 sys.exit(main())

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 import bayesid
-from bayesid.cli.options import EXPERIMENT, OUT, SEED, output_folder, show_progress
+from bayesid.cli.options import EXPERIMENT, OUT, OUTPUTS, SEED, output_folder, show_progress
 from bayesid.results.files import check_output
 
 
@@ -18,8 +18,7 @@ from bayesid.results.files import check_output
 def check(experiment: Path, out: Path | None, seed: int) -> None:
     """Read and validate an experiment folder; say what is in it."""
     del seed
-    if out is not None:
-        check_output(out)
+    check_output(out or OUTPUTS, "check")
     with show_progress() as progress:
         result = bayesid.check(bayesid.load_experiment(experiment), progress=progress)
         report = result.write(output_folder(out, result.name, "check"))

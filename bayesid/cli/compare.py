@@ -10,6 +10,7 @@ from bayesid.cli.options import (
     BOUNDS,
     EXPERIMENT,
     OUT,
+    OUTPUTS,
     SEED,
     STATIC,
     load,
@@ -34,8 +35,7 @@ from bayesid.workflows.compare import DEFAULT_SET
 def compare(experiment, filter_l, filter_d, model, methods, bounds, out, seed, **options) -> None:
     """Several estimators on the same data, side by side, and the nominal model beside them."""
     del seed
-    if out is not None:
-        check_output(out)
+    check_output(out or OUTPUTS, "compare")
     filters = low_pass(filter_l, filter_d)
     for method in methods or ():
         bayesid.estimator(method)

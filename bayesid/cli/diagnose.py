@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 import bayesid
-from bayesid.cli.options import EXPERIMENT, OUT, SEED, load, names, output_folder, show_progress
+from bayesid.cli.options import EXPERIMENT, OUT, OUTPUTS, SEED, load, names, output_folder, show_progress
 from bayesid.results.files import check_output
 
 
@@ -21,8 +21,7 @@ from bayesid.results.files import check_output
 @SEED
 def diagnose(experiment, channel, motions, effects, model, out, seed) -> None:
     """Where model and data disagree, which effect is missing, and validation on motions that were not fitted."""
-    if out is not None:
-        check_output(out)
+    check_output(out or OUTPUTS, "diagnose")
     with show_progress() as progress:
         progress("reading")
         loaded = load(experiment, model)

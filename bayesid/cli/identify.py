@@ -6,7 +6,19 @@ import click
 
 import bayesid
 from bayesid.cli.bounds import bounded
-from bayesid.cli.options import BOUNDS, EXPERIMENT, OUT, SEED, STATIC, load, low_pass, model_options, output_folder, show_progress
+from bayesid.cli.options import (
+    BOUNDS,
+    EXPERIMENT,
+    OUT,
+    OUTPUTS,
+    SEED,
+    STATIC,
+    load,
+    low_pass,
+    model_options,
+    output_folder,
+    show_progress,
+)
 from bayesid.results.files import check_output
 
 
@@ -21,8 +33,7 @@ from bayesid.results.files import check_output
 def identify(experiment, filter_l, filter_d, model, method, bounds, out, seed, **options) -> None:
     """Base parameters with honest uncertainty, link parameters, proof on the validation motions."""
     del seed
-    if out is not None:
-        check_output(out)
+    check_output(out or OUTPUTS, "identify")
     filters = low_pass(filter_l, filter_d)
     chosen = bayesid.estimator(method)
     with show_progress() as progress:

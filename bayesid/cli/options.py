@@ -33,6 +33,8 @@ def show_progress() -> Iterator:
             yield lambda stage: status.update(f"{stage} ...")
 
 
+#: Where results go by default: a folder a verb and experiment.
+OUTPUTS = Path("bayesid-out")
 EXPERIMENT = click.argument("experiment", type=click.Path(path_type=Path))
 OUT = click.option("--out", type=click.Path(path_type=Path), help="Folder for the results.")
 STATIC = click.option(
@@ -91,4 +93,4 @@ def output_folder(out: Path | None, name: str, verb: str) -> Path:
     """Where the results go: ``--out``, or the default folder of the verb."""
     from bayesid.results.files import check_output
 
-    return check_output(out or Path("bayesid-out") / f"{name}-{verb}")
+    return check_output(out or OUTPUTS / f"{name}-{verb}")

@@ -5,7 +5,18 @@ from __future__ import annotations
 import click
 
 import bayesid
-from bayesid.cli.options import EXPERIMENT, OUT, SEED, STATIC, load, low_pass, model_options, output_folder, show_progress
+from bayesid.cli.options import (
+    EXPERIMENT,
+    OUT,
+    OUTPUTS,
+    SEED,
+    STATIC,
+    load,
+    low_pass,
+    model_options,
+    output_folder,
+    show_progress,
+)
 from bayesid.errors import EstimationError
 from bayesid.results.files import check_output
 from bayesid.workflows.sample import checkpoint_of
@@ -28,8 +39,7 @@ from bayesid.workflows.sample import checkpoint_of
 @SEED
 def sample(experiment, filter_l, filter_d, model, out, resume, **options) -> None:
     """Draws from the posterior, with convergence checks and proof on the validation motions."""
-    if out is not None:
-        check_output(out)
+    check_output(out or OUTPUTS, "sample")
     filters = low_pass(filter_l, filter_d)
     loaded = load(experiment, model)
     folder = output_folder(out, loaded.name, "sample")

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 import bayesid
-from bayesid.cli.options import EXPERIMENT, OUT, SEED, names, output_folder, show_progress
+from bayesid.cli.options import EXPERIMENT, OUT, OUTPUTS, SEED, names, output_folder, show_progress
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import load_setup
 from bayesid.recordings.schema import read_model
@@ -39,8 +39,7 @@ def simulate(experiment, new, duration, rate, static, effects, model, perturb, o
         raise InputError(f"--{'rate' if duration is None else 'duration'} is for new motions; add --new")
     if not (math.isfinite(perturb) and perturb >= 0):
         raise InputError(f"--perturb {perturb}: give a number of at least 0, such as 0.1")
-    if out is not None:
-        check_output(out)
+    check_output(out or OUTPUTS)
     recorder = Recorder(**instruments)
     with show_progress() as progress:
         progress("simulating")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import re
 import shutil
-import uuid
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -28,6 +28,7 @@ from bayesid.recordings.schema import (
     read_model,
 )
 from bayesid.recordings.table import WRENCH_COLUMNS, Table, write_table
+from bayesid.recordings.whole import whole_folder
 from bayesid.robot.robot import Robot
 
 __all__ = ["WRENCH_COLUMNS", "Experiment", "Motion", "Sensor", "Table", "load_experiment", "write_experiment"]
@@ -235,7 +236,7 @@ def _read_setup(folder: Path) -> tuple[Experiment, ExperimentFile]:
     return experiment, file
 
 
-def write_experiment(experiment: Experiment, folder: str | Path) -> None:
+def write_experiment(experiment: Experiment, folder: str | Path, extra: Mapping[str, str] | None = None) -> None:
     """Write an experiment folder that `load_experiment` reads back as the same numbers.
 
     The folder appears whole or not at all.
@@ -246,6 +247,8 @@ def write_experiment(experiment: Experiment, folder: str | Path) -> None:
         What to write.
     folder
         A folder that does not exist yet, or is empty.
+    extra
+        Texts of other files to go with it, by name.
 
     Raises
     ------
@@ -256,19 +259,12 @@ def write_experiment(experiment: Experiment, folder: str | Path) -> None:
     try:
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
             raise InputError(f"{folder}: is there already; name a folder that does not exist or remove it first")
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        draft = folder.absolute().parent / f".{folder.absolute().name}.{uuid.uuid4().hex}"
-        draft.mkdir()
-        try:
-            _write_into(experiment, draft)
-            if folder.exists():
-                folder.rmdir()
-            draft.rename(folder)
-        except BaseException:
-            shutil.rmtree(draft, ignore_errors=True)
-            raise
+        with whole_folder(folder) as made:
+            _write_into(experiment, made)
+            for name, text in (extra or {}).items():
+                (made / name).write_text(text, encoding="utf-8")
     except OSError as error:
-        raise InputError(f"{folder}: cannot be written ({error.strerror}); name another folder") from None
+        raise InputError(f"{folder}: cannot be written ({error.strerror or error}); name another folder") from None
 
 
 def _load_motion(folder: Path, file: ExperimentFile, section: MotionSection, key: str, robot: Robot) -> tuple[Motion, list[str]]:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import functools
+import hashlib
 import json
-import shutil
+import os
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from html import escape
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,6 +15,18 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bayesid.errors import InputError
+from bayesid.recordings.complaints import cut
+from bayesid.recordings.whole import whole_folder
+
+REPORT = "report.html"
+#: What each verb writes beside the report.
+WRITTEN = {
+    "check": ("check.json",),
+    "compare": ("comparison.json",),
+    "diagnose": ("diagnosis.json", "model.toml"),
+    "identify": ("estimate.json", "identified.urdf"),
+    "sample": ("posterior.json", "posterior.nc"),
+}
 
 
 class Files(NamedTuple):
@@ -58,14 +71,32 @@ class Result:
         return f"<pre>{escape(str(self))}</pre>"
 
 
-def check_output(folder: str | Path) -> Path:
-    """The output folder as a path, refused early if it cannot be one."""
+def check_output(folder: str | Path, verb: str = "") -> Path:
+    """The output folder as a path, refused early if it cannot be one.
+
+    Parameters
+    ----------
+    folder
+        It need not exist; if it does, nothing of it is changed.
+    verb
+        Whose files will be written, a key of `WRITTEN`.
+
+    Raises
+    ------
+    InputError
+        It is a file or cannot be written, or a file in it that would be replaced is not of an earlier run.
+    """
     folder = Path(folder)
-    for part in [folder, *folder.parents]:
-        if part.exists():
-            if not part.is_dir():
-                raise InputError(f"--out {folder}: {part} is a file; name a folder")
-            break
+    try:
+        for part in [folder, *folder.absolute().parents]:
+            if part.exists():
+                if not part.is_dir():
+                    raise InputError(f"--out {folder}: {part} is a file; name a folder")
+                os.rmdir(tempfile.mkdtemp(dir=part, prefix=".bayesid-"))
+                break
+        _check_ours(folder, (*WRITTEN[verb], REPORT) if verb else ())
+    except OSError as error:
+        raise InputError(f"--out {cut(str(folder), 120)}: cannot be written ({error.strerror}); name another folder") from None
     return folder
 
 
@@ -73,6 +104,9 @@ def write_results(
     folder: str | Path, documents: Mapping[str, Any], files: Mapping[str, Callable[[Path], Any]], report: str
 ) -> Path:
     """Write JSON documents, other files and the report; they appear together or not at all.
+
+    Every document gets a key ``files``: the SHA-256 of each other file written with it. By that a later run knows which
+    files are an earlier one's, and may be replaced.
 
     Parameters
     ----------
@@ -89,21 +123,54 @@ def write_results(
     -------
     path
         Of the report.
+
+    Raises
+    ------
+    InputError
+        The folder cannot be written, or a file of the user's own would be replaced.
     """
     folder = check_output(folder)
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=folder.parent, prefix=f".{folder.name}-") as temporary:
-        made = Path(temporary)
-        for name, document in documents.items():
-            text = json.dumps(document, indent=1, allow_nan=False, ensure_ascii=False)
-            (made / name).write_text(text + "\n", encoding="utf-8")
-        for name, write in files.items():
-            write(made / name)
-        (made / "report.html").write_text(report, encoding="utf-8")
-        folder.mkdir(exist_ok=True)
-        for path in made.iterdir():
-            shutil.move(path, folder / path.name)
-    return folder / "report.html"
+    _check_ours(folder, (*documents, *files, REPORT))
+    try:
+        with whole_folder(folder) as made:
+            for name, write in files.items():
+                write(made / name)
+            (made / REPORT).write_text(report, encoding="utf-8")
+            hashes = {name: _hash(made / name) for name in (*files, REPORT)}
+            for name, document in documents.items():
+                text = json.dumps({**document, "files": hashes}, indent=1, allow_nan=False, ensure_ascii=False)
+                (made / name).write_text(text + "\n", encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"--out {folder}: cannot be written ({error.strerror or error}); name another folder") from None
+    return folder / REPORT
+
+
+def _check_ours(folder: Path, names: Iterable[str]) -> None:
+    """Refuse to replace files that no earlier run wrote, or that were changed since."""
+    there = [name for name in names if (folder / name).exists()]
+    if not there:
+        return
+    ours: set[str] = set()
+    for path in folder.glob("*.json"):
+        try:
+            document = json.loads(path.read_text(encoding="utf-8"))
+        except (ValueError, RecursionError):
+            continue
+        if isinstance(document, dict) and {"schema", "experiment"} <= document.keys():
+            ours.add(path.name)
+            listed = document.get("files")
+            if isinstance(listed, dict):
+                ours.update(name for name in there if (folder / name).is_file() and listed.get(name) == _hash(folder / name))
+    for name in there:
+        if name not in ours:
+            raise InputError(
+                f"{folder / name} is there and is not as a run of bayesid wrote it; name another --out, or move that file away"
+            )
+
+
+def _hash(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def strict(value: Any) -> Any:

@@ -224,8 +224,7 @@ def simulate(
 def write_simulation(simulation: Simulation, folder: str | Path) -> None:
     """Write the experiment folder with ``truth.json`` in it; see `bayesid.recordings.experiment.write_experiment`."""
     truth = json.dumps(simulation.truth.to_dict(simulation.robot), indent=1, allow_nan=False)
-    write_experiment(simulation, folder)
-    (Path(folder) / "truth.json").write_text(truth + "\n", encoding="utf-8")
+    write_experiment(simulation, folder, {"truth.json": truth + "\n"})
 
 
 def _middle(trajectories: Sequence[Trajectory]) -> np.ndarray | None:

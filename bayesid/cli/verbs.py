@@ -1,0 +1,126 @@
+"""The group of verbs, and how a failure is told."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+import traceback
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import import_module
+
+import click
+
+import bayesid
+from bayesid.errors import BayesidError, InputError
+
+#: What each verb does; its command stands in the module of its name.
+VERBS = {
+    "check": "Read and validate an experiment folder; say what is in it.",
+    "compare": "Several estimators on the same data, side by side.",
+    "demo": "The main job on an embedded example, in under a minute.",
+    "diagnose": "Where model and data disagree, and which effect is missing.",
+    "identify": "Base parameters with honest uncertainty, and link parameters.",
+    "sample": "Draws from the posterior, with convergence checks.",
+    "simulate": "A recording from the model, with known truth.",
+}
+
+
+class Verbs(click.Group):
+    """Imports a verb's module when the verb is called: ``--help`` and ``--version`` need none of them."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Names of the verbs."""
+        return list(VERBS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """The verb's command, or None."""
+        return getattr(import_module(f"bayesid.cli.{cmd_name}"), cmd_name) if cmd_name in VERBS else None
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Verbs with what they do, without importing them."""
+        with formatter.section("Verbs"):
+            formatter.write_dl(list(VERBS.items()))
+
+
+@dataclass
+class _Telling:
+    """How a failure is told: with a traceback, or in its one line alone."""
+
+    traceback: bool = False
+
+    def fail(self, message: str, status: int) -> int:
+        """Tell why the program ends; returns the status."""
+        with contextlib.suppress(OSError):  # nobody reads
+            if self.traceback:
+                click.echo(traceback.format_exc(), err=True)
+            click.echo("bayesid: " + _plain(message), err=True)
+        return status
+
+
+def run(arguments: Sequence[str]) -> int:
+    """Run the verb that the arguments name; every failure is told in one line.
+
+    Returns
+    -------
+    status
+        0 done, 1 the work failed, 2 bad input or usage.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        Somebody asks it to stop.
+    """
+    telling = _Telling()
+    try:
+        with commands.make_context("bayesid", list(arguments), obj=telling) as context:
+            commands.invoke(context)
+        if sys.stdout is not None:
+            sys.stdout.flush()
+    except BrokenPipeError:
+        # Whoever read the output has enough of it, and the files are written. Nothing must be left to flush at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+    except InputError as error:
+        return telling.fail(str(error), 2)
+    except BayesidError as error:
+        return telling.fail(str(error), 1)
+    except click.exceptions.NoArgsIsHelpError as error:
+        click.echo(error.format_message())
+        return 2
+    except click.ClickException as error:
+        return telling.fail(error.format_message(), 2)
+    except click.exceptions.Exit as done:  # --help, --version
+        return done.exit_code
+    except MemoryError as error:
+        told = f" ({error})" if str(error) else ""
+        return telling.fail(f"out of memory{told}; fit fewer motions (--motions), or record at a lower rate", 1)
+    except Exception as error:  # whatever else there is, a user gets one line
+        return telling.fail(_fault(error), 1)
+    return 0
+
+
+def _fault(error: Exception) -> str:
+    """What to say of an error that nobody expected: of the system, or a fault of bayesid itself."""
+    if isinstance(error, OSError) and error.strerror:
+        place = f"{error.filename}: " if error.filename else ""
+        return f"{place}{error.strerror}; make room or give access, and run it again"
+    what = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+    return (
+        f"failed on these data ({_plain(what)[:160]}); look for doubtful values with bayesid check; "
+        "bayesid --traceback ... shows where it failed"
+    )
+
+
+def _plain(text: str) -> str:
+    """One line that a terminal only shows."""
+    return " ".join("".join(c if c.isprintable() else " " for c in text).split())
+
+
+@click.group(cls=Verbs, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(bayesid.__version__, prog_name="bayesid")
+@click.option("--traceback", "wanted", is_flag=True, envvar="BAYESID_TRACEBACK", help="On a failure, show where in the code.")
+@click.pass_obj
+def commands(telling: _Telling, wanted: bool) -> None:
+    """Inertial parameters of a robot from a base force/torque sensor and joint torques, with honest uncertainty."""
+    telling.traceback = wanted
