@@ -14,6 +14,7 @@ import numpy as np
 from tqdm import tqdm
 
 from bayesid.errors import InputError
+from bayesid.posterior.checkpoint import load_checkpoint, save_checkpoint
 from bayesid.posterior.cone import ReflectiveGibbs
 from bayesid.posterior.diagnostics import Convergence, convergence
 from bayesid.posterior.ensemble import Ensemble
@@ -151,7 +152,7 @@ def run(
     each = max(asked, -(-_JUDGED // chains))
     wanted = max(-(-each // engine.walkers), 2)
     mark = fingerprint(model, engine, draws, chains, seed)
-    saved = _load(checkpoint, mark) if resume and checkpoint is not None else None
+    saved = load_checkpoint(checkpoint, mark) if resume and checkpoint is not None else None
     if saved is None:
         sequences = np.random.SeedSequence(seed).spawn(chains)
         states = [engine.start(np.random.Generator(np.random.PCG64(s))) for s in sequences]
@@ -173,7 +174,7 @@ def run(
                     apart = f", draws {thin} times farther apart" if thin > 1 else ""
                     tell(f"sampling{apart}: {100 * kept.shape[1] // wanted} %")
                 if checkpoint is not None:
-                    _save(checkpoint, mark, {"states": states, "kept": kept, "thin": thin, "rounds": rounds})
+                    save_checkpoint(checkpoint, mark, {"states": states, "kept": kept, "thin": thin, "rounds": rounds})
             flat = np.swapaxes(kept, 1, 2).reshape(chains, -1, kept.shape[-1])[:, :each]
             diagnosis = convergence(*_monitored(model, flat))
             if diagnosis.passed or thin >= longest:
@@ -202,47 +203,3 @@ def fingerprint(model: PosteriorModel, engine: Engine, draws: int, chains: int, 
                 engine.walkers, getattr(engine, "moves", ""), draws, chains, seed]  # fmt: skip
     digest.update(json.dumps(settings).encode())
     return digest.hexdigest()
-
-
-def _save(path: Path, mark: str, content: dict[str, Any]) -> None:
-    """Atomically: an interruption leaves the last checkpoint."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    draft = path.with_name(path.name + ".part")
-    rest = {key: value for key, value in content.items() if key != "kept"}
-    with draft.open("wb") as file:
-        np.savez(file, kept=content["kept"], rest=json.dumps({"mark": mark, **rest}, default=_encode))
-    draft.replace(path)
-
-
-def _load(path: Path, mark: str) -> dict[str, Any] | None:
-    if not path.exists():
-        return None
-    try:
-        with np.load(path) as stored:
-            content = {"kept": stored["kept"], **json.loads(str(stored["rest"]), object_hook=_decode)}
-    except (ValueError, KeyError, OSError) as error:
-        raise InputError(f"{path}: is no checkpoint ({error}); leave out --resume or delete it") from None
-    if content["mark"] != mark:
-        raise InputError(f"{path}: belongs to another run (data, model, draws or seed differ); leave out --resume or delete it")
-    return content
-
-
-def _encode(value: Any) -> Any:
-    """Arrays and generators as JSON; Python writes floats so that they come back the same."""
-    if isinstance(value, np.ndarray):
-        return {"array": value.tolist(), "type": value.dtype.str}
-    if isinstance(value, np.random.Generator):
-        return {"generator": value.bit_generator.state}
-    if isinstance(value, np.generic):
-        return value.item()
-    raise TypeError(type(value))
-
-
-def _decode(value: dict[str, Any]) -> Any:
-    if value.keys() == {"array", "type"}:
-        return np.array(value["array"], value["type"])
-    if value.keys() == {"generator"}:
-        generator = np.random.Generator(np.random.PCG64())
-        generator.bit_generator.state = value["generator"]
-        return generator
-    return value

@@ -8,6 +8,7 @@ from scipy.stats import ks_2samp
 from bayesid.errors import InputError
 from bayesid.estimators import fit
 from bayesid.posterior import DofPrior, Posterior, PosteriorModel, ScalePrior, choose_engine, run
+from bayesid.posterior.checkpoint import load_checkpoint, save_checkpoint
 from bayesid.posterior.diagnostics import convergence
 from bayesid.posterior.trajectory import feasible, travel
 from bayesid.robot import inertia
@@ -169,7 +170,7 @@ def test_seeds_reproduce_and_an_interrupted_run_goes_on_to_the_same_draws(tmp_pa
     with pytest.raises(InputError, match="belongs to another run"):
         sampled(model, engine, draws=1200, chains=2, checkpoint=file, resume=True)
     file.write_text("nothing")
-    with pytest.raises(InputError, match="is no checkpoint"):
+    with pytest.raises(InputError, match="is damaged or was changed"):
         sampled(model, engine, draws=1000, chains=2, checkpoint=file, resume=True)
 
 
@@ -214,3 +215,45 @@ def test_prior_driven_parameters_are_marked():
     entry = posterior.to_dict()
     assert entry["sampler"]["converged"] and len(entry["link_parameters"]) == 10
     assert entry["base_parameters"][0]["low"] < entry["base_parameters"][0]["value"] < entry["base_parameters"][0]["high"]
+
+
+@pytest.mark.parametrize("damage", ["truncated", "flipped", "empty", "no zip", "thin of zero", "missing keys"])
+def test_a_damaged_checkpoint_is_refused(damage, tmp_path):
+    path = tmp_path / "run.npz"
+    save_checkpoint(path, "mark", {"kept": np.ones((2, 3, 1, 4)), "thin": 1, "rounds": 2, "states": []})
+    assert load_checkpoint(path, "mark")["thin"] == 1
+    data = path.read_bytes()
+    with np.load(path) as stored:
+        parts = dict(stored)
+    if damage == "truncated":
+        path.write_bytes(data[: len(data) // 2])
+    elif damage == "flipped":
+        path.write_bytes(data[:200] + bytes([data[200] ^ 255]) + data[201:])
+    elif damage == "empty":
+        path.write_bytes(b"")
+    elif damage == "no zip":
+        path.write_bytes(b"\x93NUMPY" + data[6:])
+    elif damage == "thin of zero":
+        with path.open("wb") as file:
+            np.savez(file, **{**parts, "rest": str(parts["rest"]).replace('"thin": 1', '"thin": 0')})
+    else:
+        with path.open("wb") as file:
+            np.savez(file, kept=parts["kept"])
+    with pytest.raises(InputError, match="is damaged or was changed; leave out --resume or delete it"):
+        load_checkpoint(path, "mark")
+
+
+def test_a_full_disk_leaves_the_last_checkpoint(tmp_path, monkeypatch):
+    path = tmp_path / "run.npz"
+    content = {"kept": np.ones((1, 1, 1, 1)), "thin": 1}
+    save_checkpoint(path, "mark", content)
+    before = path.read_bytes()
+
+    def full(file, **_):
+        file.write(b"half")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(np, "savez", full)
+    with pytest.raises(OSError, match="No space"):
+        save_checkpoint(path, "mark", {**content, "thin": 2})
+    assert path.read_bytes() == before and [p.name for p in tmp_path.iterdir()] == ["run.npz"]

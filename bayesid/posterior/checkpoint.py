@@ -1,0 +1,88 @@
+"""The file that keeps an unfinished run: whole or not there, and refused if it is not as it was written."""
+
+from __future__ import annotations
+
+import json
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bayesid.errors import InputError
+
+
+def save_checkpoint(path: Path, mark: str, content: dict[str, Any]) -> None:
+    """Write a checkpoint; an interruption, or a full disk, leaves the last one.
+
+    Parameters
+    ----------
+    path
+        The file.
+    mark
+        What run it belongs to.
+    content
+        ``kept``, the draws so far, and whatever else is needed to go on.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    draft = path.with_name(path.name + ".part")
+    rest = json.dumps({"mark": mark, **{key: value for key, value in content.items() if key != "kept"}}, default=_encode)
+    try:
+        with draft.open("wb") as file:
+            np.savez(file, kept=content["kept"], rest=rest, digest=_digest(content["kept"], rest))
+        draft.replace(path)
+    except BaseException:
+        draft.unlink(missing_ok=True)
+        raise
+
+
+def load_checkpoint(path: Path, mark: str) -> dict[str, Any] | None:
+    """Read a checkpoint; None where there is none.
+
+    Raises
+    ------
+    InputError
+        It is damaged or was changed, or belongs to another run.
+    """
+    if not path.exists():
+        return None
+    try:
+        with np.load(path) as stored:
+            kept, rest, digest = stored["kept"], str(stored["rest"]), str(stored["digest"])
+        content = {"kept": kept, **json.loads(rest, object_hook=_decode)} if digest == _digest(kept, rest) else None
+    except Exception:  # zip, zlib, numpy and JSON each have errors of their own for a damaged file
+        content = None
+    if content is None:
+        raise InputError("is damaged or was changed", file=str(path), remedy="leave out --resume or delete it")
+    if content["mark"] != mark:
+        raise InputError(
+            "belongs to another run (data, model, draws or seed differ)", file=str(path), remedy="leave out --resume or delete it"
+        )
+    return content
+
+
+def _digest(kept: np.ndarray, rest: str) -> str:
+    digest = sha256(f"{kept.shape} {kept.dtype.str} {rest}".encode())
+    digest.update(np.ascontiguousarray(kept).tobytes())
+    return digest.hexdigest()
+
+
+def _encode(value: Any) -> Any:
+    """Arrays and generators as JSON; Python writes floats so that they come back the same."""
+    if isinstance(value, np.ndarray):
+        return {"array": value.tolist(), "type": value.dtype.str}
+    if isinstance(value, np.random.Generator):
+        return {"generator": value.bit_generator.state}
+    if isinstance(value, np.generic):
+        return value.item()
+    raise TypeError(type(value))
+
+
+def _decode(value: dict[str, Any]) -> Any:
+    if value.keys() == {"array", "type"}:
+        return np.array(value["array"], value["type"])
+    if value.keys() == {"generator"}:
+        generator = np.random.Generator(np.random.PCG64())
+        generator.bit_generator.state = value["generator"]
+        return generator
+    return value
