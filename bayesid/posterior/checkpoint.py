@@ -47,7 +47,7 @@ def load_checkpoint(path: Path, mark: str) -> dict[str, Any] | None:
     if not path.exists():
         return None
     try:
-        with np.load(path) as stored:
+        with path.open("rb") as file, np.load(file) as stored:
             kept, rest, digest = stored["kept"], str(stored["rest"]), str(stored["digest"])
         content = {"kept": kept, **json.loads(rest, object_hook=_decode)} if digest == _digest(kept, rest) else None
     except Exception:  # zip, zlib, numpy and JSON each have errors of their own for a damaged file
