@@ -3,6 +3,7 @@ from .errors import BayesidError, BayesidWarning, EstimationError, InputError
 from .estimators import DEFAULT_METHOD, METHODS, estimator, fit
 from .estimators.conic.bounds import Bounds, load_bounds
 from .estimators.conic.physical import Physical
+from .estimators.details import OwnDetails
 from .estimators.errors_in_variables import TotalLeastSquares
 from .estimators.estimator import Estimate, Estimator
 from .estimators.instrumental_variables import InstrumentalVariables
@@ -51,6 +52,7 @@ __all__ = [
     "LeastSquares",
     "LowPass",
     "Motion",
+    "OwnDetails",
     "Physical",
     "Posterior",
     "Prior",

@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from bayesid.estimators.conic.bounds import Bounds
-from bayesid.estimators.conic.cone import Conic
-from bayesid.estimators.conic.physical import Data, conic
-from bayesid.estimators.conic.prior_strength import Trust, trust_of
+from bayesid.estimators.conic.data import LinkData
+from bayesid.estimators.conic.physical import conic
+from bayesid.estimators.conic.prior_strength import LinkPrior, link_prior
+from bayesid.estimators.conic.problem import Conic
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import Problem, prepare
 from bayesid.robot import inertia
@@ -51,15 +52,15 @@ def flat_bodies(robot: Robot, rng: np.random.Generator, flat: int) -> np.ndarray
 
 def random_case(
     arm: Arm, rng: np.random.Generator, bounded: bool | None = None, std: float | None = None, rel_std: float | None = None
-) -> tuple[Data, Trust, Conic]:
+) -> tuple[LinkData, LinkPrior, Conic]:
     """Truth of bodies with and without extent, noise from tiny to huge, trust from tight to next to none."""
     robot, regression = arm.robot, arm.problem.regression
     truth = flat_bodies(robot, rng, int(rng.integers(0, len(robot.nominal) + 1))).ravel()
     std = 10.0 ** rng.uniform(-3, 1.5) if std is None else std
     factor = arm.factor / std
     target = factor @ (regression.base.matrix @ truth) + rng.normal(size=len(factor))
-    data = Data.of(regression, factor, target, None)
-    trust = trust_of(regression, data, None, "pullback", 10.0 ** rng.uniform(-1.5, 2) if rel_std is None else rel_std)
+    data = LinkData.of(regression, factor, target, None)
+    trust = link_prior(regression, data, None, "pullback", 10.0 ** rng.uniform(-1.5, 2) if rel_std is None else rel_std)
     limits = Bounds()
     if rng.random() < 0.5 if bounded is None else bounded:
         bodies = truth.reshape(-1, 10)

@@ -8,6 +8,7 @@ from difflib import get_close_matches
 from bayesid.errors import InputError
 from bayesid.estimators.conic.bounds import Bounds, load_bounds
 from bayesid.estimators.conic.physical import Physical
+from bayesid.estimators.details import Details, OwnDetails
 from bayesid.estimators.errors_in_variables import TotalLeastSquares
 from bayesid.estimators.estimator import Estimate, Estimator
 from bayesid.estimators.instrumental_variables import InstrumentalVariables
@@ -79,13 +80,17 @@ __all__ = [
     "DEFAULT_METHOD",
     "METHODS",
     "Bounds",
+    "Details",
     "Estimate",
     "Estimator",
     "Huber",
+    "InstrumentalVariables",
     "LeastSquares",
+    "OwnDetails",
     "Physical",
     "Ridge",
     "Student",
+    "TotalLeastSquares",
     "TruncatedSVD",
     "estimator",
     "fit",

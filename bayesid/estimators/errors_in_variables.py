@@ -19,12 +19,13 @@ errors add, simulated.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.stats import norm, t
 
 from bayesid.errors import InputError
+from bayesid.estimators.details import OPTIONAL, Details
 from bayesid.estimators.estimator import Estimate, unseen
 from bayesid.estimators.factor import Factor, Weights, learn_weights, noise_of_residuals, reduce_whitened, root_covariance, solve
 from bayesid.estimators.least_squares import factor_inverse, make_estimate, nominal_start, target_from_nominal, weighted_factor
@@ -75,6 +76,35 @@ def begin(regression: Regression) -> Start:
     solution = solution + nominal_start(regression, len(solution))
     hidden = unseen(factor.matrix)
     return Start(weights, factor, scale, solution, hidden, factor_inverse(factor.matrix, hidden))
+
+
+@dataclass(frozen=True, kw_only=True)
+class TotalLeastSquaresDetails(Details):
+    """What total least squares says.
+
+    Attributes
+    ----------
+    encoder_std, encoder_correlation
+        Standard deviation of single positions [rad or m], and correlation of neighbouring ones, by joint.
+    regressor_noise
+        Where the errors are from, if not from encoders.
+    draws
+        Pairs of simulated recordings.
+    largest_noise_share
+        Of what a direction shows, the largest share that is noise.
+    shift_from_least_squares
+        Largest shift of a parameter, in standard deviations.
+    verdict
+        Whether encoder noise matters.
+    """
+
+    encoder_std: list[float] | None = field(default=None, metadata=OPTIONAL)
+    encoder_correlation: list[float] | None = field(default=None, metadata=OPTIONAL)
+    regressor_noise: str | None = field(default=None, metadata=OPTIONAL)
+    draws: int
+    largest_noise_share: float
+    shift_from_least_squares: float
+    verdict: str
 
 
 @dataclass(frozen=True)
@@ -131,10 +161,18 @@ class TotalLeastSquares:
         )  # fmt: skip
         plain = start.root @ ordinary @ start.root.T
         shift = largest_shift(solution - start.solution, plain, start.hidden)
-        details = {
-            **estimate.details, **law.describe(), "draws": count, "largest_noise_share": float(values[-1]),
-            "shift_from_least_squares": shift, "verdict": _verdict(shift),
-        }  # fmt: skip
+        described = law.describe()
+        warnings = tuple(described.pop("warnings", ()))
+        details = TotalLeastSquaresDetails(
+            model_complete=start.weights.complete,
+            agreement_of_gls_and_wls=start.weights.agreement,
+            **described,
+            draws=count,
+            largest_noise_share=float(values[-1]),
+            shift_from_least_squares=shift,
+            verdict=_verdict(shift),
+            warnings=warnings,
+        )
         if values[-1] > LARGEST_SHARE:
             lost = strongest(regression, start.root @ vectors[:, -1], plain)
             reason = (

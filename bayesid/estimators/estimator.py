@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from html import escape
 from typing import Any, Protocol
 
@@ -11,6 +11,7 @@ import numpy as np
 from scipy.stats import norm
 
 from bayesid.dynamics.base_parameters import BaseParameters
+from bayesid.estimators.details import Details
 from bayesid.regression.regression import Regression
 from bayesid.signals.noise import NoiseModel
 
@@ -64,7 +65,7 @@ class Estimate:
     whiteness
         Largest autocorrelation of whitened residuals over lags 1 ... 10, times sqrt(rows).
     details
-        What the method chose, and why.
+        What the method chose, and why; one class for each family, `OwnDetails` for estimators of one's own.
     links
         Link parameters of its own (P,), ``base.matrix @ links == values``; None: the nearest to the nominal ones.
     """
@@ -84,7 +85,7 @@ class Estimate:
     residual_rms: float
     whiteness: float
     interval_reason: str = ""
-    details: dict[str, Any] = field(default_factory=dict)
+    details: Details = Details()
     links: np.ndarray | None = None
 
     @property
@@ -186,7 +187,7 @@ class Estimate:
             "rank": self.base.rank,
             "condition_number": _number(self.condition_number),
             "residual": {"whitened_rms": _number(self.residual_rms), "whiteness": _number(self.whiteness), "rows": self.rows},
-            "details": self.details,
+            "details": self.details.to_dict(),
         }
         if self.interval_reason:
             result["interval_reason"] = self.interval_reason

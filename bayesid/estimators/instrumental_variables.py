@@ -29,6 +29,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from bayesid.errors import InputError
+from bayesid.estimators.details import Details
 from bayesid.estimators.errors_in_variables import (
     LARGEST_SHIFT,
     Start,
@@ -48,6 +49,37 @@ from bayesid.signals.noise import NoiseModel
 SMALLEST_PROBABILITY = 0.01
 #: Instruments are weak when the first stage's statistic is below this [Staiger1997]_.
 WEAKEST = 10.0
+
+
+@dataclass(frozen=True)
+class ShiftTest:
+    """The Durbin-Wu-Hausman test, the largest shift from least squares in its standard deviations, and what follows."""
+
+    statistic: float
+    dof: int
+    p: float
+    shift_from_least_squares: float
+    verdict: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class InstrumentDetails(Details):
+    """What instrumental variables say.
+
+    Attributes
+    ----------
+    instruments
+        Where they are from.
+    first_stage, weak_instruments
+        Cragg and Donald's statistic, and whether it is too small.
+    durbin_wu_hausman
+        Whether encoder noise matters.
+    """
+
+    instruments: list[str]
+    first_stage: float
+    weak_instruments: bool
+    durbin_wu_hausman: ShiftTest
 
 
 @dataclass(frozen=True)
@@ -106,12 +138,15 @@ class InstrumentalVariables:
                 f"The instruments hardly follow the motion in the direction of {strongest(regression, direction, plain)} "
                 f"(first-stage statistic {statistic:.2g}, below {WEAKEST:.0f}): its interval may be too short."
             )
-        details: dict[str, Any] = {
-            **estimate.details, **described, "first_stage": statistic, "weak_instruments": bool(statistic < WEAKEST),
-            "durbin_wu_hausman": {**test, "shift_from_least_squares": shift, "verdict": _verdict(test["p"], shift)},
-        }  # fmt: skip
-        if warnings:
-            details["warnings"] = warnings
+        details = InstrumentDetails(
+            model_complete=start.weights.complete,
+            agreement_of_gls_and_wls=start.weights.agreement,
+            **described,
+            first_stage=statistic,
+            weak_instruments=bool(statistic < WEAKEST),
+            durbin_wu_hausman=ShiftTest(**test, shift_from_least_squares=shift, verdict=_verdict(test["p"], shift)),
+            warnings=tuple(warnings),
+        )
         return replace(estimate, details=details)
 
 

@@ -12,11 +12,13 @@ All minimise ``||W (y - X b)||`` for rows y = X b + e with cov e = Sigma:
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
 from bayesid.errors import InputError
+from bayesid.estimators.details import Details
 from bayesid.estimators.estimator import Estimate, condition, largest_autocorrelation, unseen
 from bayesid.estimators.factor import Factor, Weights, gram_rows, learn_weights, reduce_rows, reduce_whitened, solve, whitened
 from bayesid.regression.blocks import Block
@@ -50,6 +52,23 @@ class LeastSquares:
         return make_estimate(self.name, regression, weights, factor, solution, covariance, hidden)
 
 
+@dataclass(frozen=True, kw_only=True)
+class RidgeDetails(Details):
+    """Strength of the penalty, and the rule that it comes from."""
+
+    strength: float
+    rule: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class TruncationDetails(Details):
+    """Number of directions kept and of all, and the rule that it comes from."""
+
+    kept: int
+    of: int
+    rule: str
+
+
 @dataclass(frozen=True)
 class Ridge:
     """Ridge regression towards the nominal parameters, or zero without a nominal model.
@@ -74,7 +93,7 @@ class Ridge:
         weights = learn_weights(regression)
         factor, _ = weighted_factor(regression, weights, self.weights)
         values, chosen = _shrink(regression, factor, self.strength, lambda s, k: s / (s**2 + k * s[0] ** 2), continuous=True)
-        details = {"strength": chosen, "rule": _rule(self.strength is None)}
+        details = RidgeDetails(**_completeness(weights), strength=chosen, rule=_rule(self.strength is None))
         return _biased(self.name, regression, weights, factor, values, details, "ridge regression is biased towards its prior")
 
 
@@ -106,7 +125,7 @@ class TruncatedSVD:
             return np.where((np.arange(len(s)) < k) & (s > 0), 1.0 / np.where(s > 0, s, 1.0), 0.0)
 
         values, chosen = _shrink(regression, factor, self.rank, keep, continuous=False)
-        details = {"kept": int(chosen), "of": r, "rule": _rule(self.rank is None)}
+        details = TruncationDetails(**_completeness(weights), kept=int(chosen), of=r, rule=_rule(self.rank is None))
         if chosen == r:
             reason = "the rule looked at the data to choose how many directions to keep"
         else:
@@ -217,10 +236,10 @@ def _shrink(regression, factor: Factor, given, inverse, *, continuous: bool) -> 
 
 def _biased(name, regression, weights, factor, values, details, reason) -> Estimate:
     estimate = make_estimate(name, regression, weights, factor, values, None, unseen(factor.matrix))
-    return replace(estimate, interval="none", interval_reason=reason, details={**estimate.details, **details})
+    return replace(estimate, interval="none", interval_reason=reason, details=details)
 
 
-def _completeness(weights: Weights) -> dict:
+def _completeness(weights: Weights) -> dict[str, Any]:
     return {"model_complete": weights.complete, "agreement_of_gls_and_wls": weights.agreement}
 
 
@@ -268,5 +287,5 @@ def make_estimate(
         condition_number=condition(factor.matrix),
         residual_rms=rms,
         whiteness=largest_autocorrelation(white),
-        details=_completeness(weights),
+        details=Details(**_completeness(weights)),
     )

@@ -177,13 +177,13 @@ def _warnings(
                 f"{a.first[0].upper()}{a.first[1:]} and {a.second} contradict each other: {a.rms:.3g} sigma rms over "
                 f"{a.compared} numbers; most in {a.worst}. They are not noise apart; do not average them."
             )
-    if estimate.details.get("model_complete") is False:
+    if estimate.details.model_complete is False:
         out.append(
             "Efficient and plain least squares differ by more than the noise explains: something is missing in the model. "
             "Model error is counted as noise, so intervals hold for motions like the fitted ones only."
         )
     # What the estimator itself has to say, such as weak instruments.
-    out += estimate.details.get("warnings", [])
+    out += estimate.details.warnings
     if unexcited:
         lost = " (the static run takes gravity with it)" if problem.static == "motion" else ""
         out.append(

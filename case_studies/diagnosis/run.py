@@ -189,7 +189,7 @@ def wrist(data: Path = DATA) -> dict[str, Any]:
         out[motion] = {
             "nothing_known": outcome(bayesid.diagnose(folder, motions=[motion])),
             "offset_known": outcome(known),
-            "rejected": robust.estimate.details.get("rejected_windows", {}),
+            "rejected": robust.estimate.details.rejected_windows,
             "window_starts": [float(segment.times[k]) for k in edges[:-1]],
             "left": np.sqrt(energy.sum(axis=1) / freedom.sum(axis=1)).tolist(),
             "jolt_starts": table["t"].to_numpy()[quarter[:-1]].tolist(),

@@ -187,8 +187,8 @@ def run(data: Path = DATA, folds: int = FOLDS) -> dict:
         "rigid": judge(experiment, (), 0),
         "swapped": judge(swapped, FRICTION, 0),
         "trusts": {f"{s:g}": float(relative(*squares(trusted[f"{s:g}"])[:2])) for s in TRUSTS},
-        "trust_from_data": None if untold is None else untold.details["trust"]["rel_std"],
-        "physics": None if physics is None else physics.details["physics"],
+        "trust_from_data": None if untold is None else untold.details.prior.rel_std,
+        "physics": None if physics is None else physics.details.to_dict()["physics"],
     }  # fmt: skip
 
 

@@ -22,9 +22,10 @@ ROOT = Path(__file__).resolve().parent.parent.parent
 sys.path.insert(0, str(ROOT))
 
 from bayesid.estimators import Bounds  # noqa: E402
-from bayesid.estimators.conic.cone import solve_conic  # noqa: E402
-from bayesid.estimators.conic.physical import Data, conic  # noqa: E402
-from bayesid.estimators.conic.prior_strength import trust_of  # noqa: E402
+from bayesid.estimators.conic.data import LinkData  # noqa: E402
+from bayesid.estimators.conic.physical import conic  # noqa: E402
+from bayesid.estimators.conic.prior_strength import link_prior  # noqa: E402
+from bayesid.estimators.conic.solver import solve_conic  # noqa: E402
 from tests.estimators.test_physical import by_cvxpy  # noqa: E402
 from tests.physical_cases import arm, flat_bodies  # noqa: E402
 
@@ -50,8 +51,8 @@ def main() -> None:
     readings = rows @ (regression.base.matrix @ truth) + rng.normal(size=len(rows))
 
     def problem(matrix, target):
-        data = Data.of(regression, matrix, target, None)
-        return data, trust_of(regression, data, None, "pullback", 0.3)
+        data = LinkData.of(regression, matrix, target, None)
+        return data, link_prior(regression, data, None, "pullback", 0.3)
 
     def compressed():
         r = np.linalg.qr(np.column_stack([rows, readings]), mode="r")

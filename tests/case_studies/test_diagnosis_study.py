@@ -82,7 +82,7 @@ def test_real_taps_are_what_student_rejects(study, shared):
     table = pd.read_csv(folder / "vibrations.csv")
     edges = np.searchsorted(table["t"].to_numpy(), np.arange(0.0, 6.25, 0.25))
     loud = np.argsort(study.jolts(table, edges))[::-1][:2] * 0.25
-    rejected = robust.estimate.details["rejected_windows"]["vibrations"]
+    rejected = robust.estimate.details.rejected_windows["vibrations"]
     assert rejected
     for start, end in rejected:
         assert any(start < at + 0.25 and end > at for at in loud)

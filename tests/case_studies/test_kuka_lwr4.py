@@ -102,5 +102,5 @@ def test_prior_alone_is_the_physical_estimate_where_the_cone_is_not_met(study):
     regression = replace(regression, base=base, knowledge=knowledge)
     one = bayesid.fit(regression, study.PriorOnly())
     other = bayesid.fit(regression, Physical(weights="channel"))
-    assert other.details["certificate"]
+    assert other.details.certificate
     np.testing.assert_allclose(one.values, other.values, rtol=1e-5, atol=1e-7)

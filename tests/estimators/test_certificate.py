@@ -10,8 +10,9 @@ from scipy.stats import kstest
 
 from bayesid.errors import InputError
 from bayesid.estimators import Bounds, Physical, fit, load_bounds
-from bayesid.estimators.conic.certificate import contradiction, explain
-from bayesid.estimators.conic.cone import Conic, Infeasible, solve_conic
+from bayesid.estimators.conic.certificate import PhysicsTest, explain
+from bayesid.estimators.conic.problem import Conic
+from bayesid.estimators.conic.solver import Infeasible, solve_conic
 from bayesid.regression.regression import Regression
 from bayesid.robot import inertia
 from tests.physical_cases import arm, random_case
@@ -160,7 +161,7 @@ def test_the_global_test_is_conservative_and_has_power(panda):
         data, trust, _ = random_case(panda, rng, bounded=False, std=1.0, rel_std=0.3)
         solution = solve_conic(conic(data, trust, (), trust.loosened))
         distance = float(np.sum((data.matrix @ solution.x - data.target) ** 2))
-        chances.append(contradiction(distance, len(data.target))["probability_at_most"])
+        chances.append(PhysicsTest.of(distance, len(data.target), True).probability_at_most)
     # Uniform or larger: the empirical distribution may not lie above the diagonal.
     assert kstest(chances, "uniform", alternative="greater").pvalue > 0.01
     data, trust, _ = random_case(panda, rng, bounded=False, std=0.05, rel_std=0.3)
@@ -168,4 +169,4 @@ def test_the_global_test_is_conservative_and_has_power(panda):
     data = replace(data, target=wrong)
     solution = solve_conic(conic(data, trust, (), trust.loosened))
     distance = float(np.sum((data.matrix @ solution.x - data.target) ** 2))
-    assert contradiction(distance, len(data.target))["data_contradict_physics"]
+    assert PhysicsTest.of(distance, len(data.target), True).data_contradict_physics

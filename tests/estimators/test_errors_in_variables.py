@@ -50,8 +50,8 @@ def test_own_regressors_as_instruments_are_least_squares():
     own = fit(Regression.from_arrays(true, target, instruments=true), "iv")
     np.testing.assert_allclose(own.values, plain.values, rtol=1e-9)
     np.testing.assert_allclose(own.std, plain.std, rtol=0.02)
-    assert own.details["durbin_wu_hausman"]["dof"] == 0
-    assert own.details["durbin_wu_hausman"]["p"] == 1.0
+    assert own.details.durbin_wu_hausman.dof == 0
+    assert own.details.durbin_wu_hausman.p == 1.0
 
 
 @pytest.mark.parametrize("errors", ["array", "encoder"])
@@ -71,7 +71,7 @@ def test_tls_without_errors_is_least_squares(errors, robot):
 def test_tls_of_noise_free_encoders_hardly_moves(robot):
     regression = prepare(tables(robot)).regression
     plain, corrected = fit(regression, "wls"), fit(regression, "tls")
-    assert corrected.details["encoder_std"][0] < 1e-5
+    assert corrected.details.encoder_std[0] < 1e-5
     np.testing.assert_allclose(corrected.values, plain.values, atol=0.01 * plain.std.min())
 
 
@@ -136,13 +136,13 @@ def test_the_hausman_test_has_its_size_and_its_power():
     p = []
     for _ in range(100):
         true, _, other, target, _ = arrays(rng, samples=200, error=0.2)
-        p.append(fit(Regression.from_arrays(true, target, instruments=other), "iv").details["durbin_wu_hausman"]["p"])
+        p.append(fit(Regression.from_arrays(true, target, instruments=other), "iv").details.durbin_wu_hausman.p)
     assert kstest(p, "uniform").pvalue > 0.001
     true, noisy, other, target, _ = arrays(rng, samples=1000, error=0.5)
-    test = fit(Regression.from_arrays(noisy, target, instruments=other), "iv").details["durbin_wu_hausman"]
-    assert test["dof"] == 3
-    assert test["p"] < 1e-6
-    assert test["verdict"].startswith("encoder noise matters")
+    test = fit(Regression.from_arrays(noisy, target, instruments=other), "iv").details.durbin_wu_hausman
+    assert test.dof == 3
+    assert test.p < 1e-6
+    assert test.verdict.startswith("encoder noise matters")
 
 
 def test_weak_instruments_are_called_so():
@@ -150,9 +150,9 @@ def test_weak_instruments_are_called_so():
     true, _, other, target, _ = arrays(rng)
     other[:, :, 2] = rng.normal(size=other.shape[:2])
     details = fit(Regression.from_arrays(true, target, instruments=other), "iv").details
-    assert details["weak_instruments"]
-    assert "hardly follow the motion" in details["warnings"][0]
-    assert "p3" in details["warnings"][0]
+    assert details.weak_instruments
+    assert "hardly follow the motion" in details.warnings[0]
+    assert "p3" in details.warnings[0]
 
 
 @pytest.mark.parametrize(
@@ -166,8 +166,8 @@ def test_weak_instruments_are_called_so():
 )
 def test_instruments_are_the_best_there_are(robot, options, source):
     estimate = fit(prepare(tables(robot, std=1e-3, **options), FitOptions(bandwidth=5.0)).regression, "iv")
-    assert source in estimate.details["instruments"][0]
-    assert not estimate.details["weak_instruments"]
+    assert source in estimate.details.instruments[0]
+    assert not estimate.details.weak_instruments
 
 
 @pytest.mark.parametrize(
@@ -198,8 +198,8 @@ def test_the_bias_of_least_squares_goes(robot, method, options):
 def test_encoder_noise_is_measured(robot):
     problem = prepare(tables(robot, std=1e-3))
     details = fit(problem.regression, "tls").details
-    np.testing.assert_allclose(details["encoder_std"], 1e-3, rtol=0.05)
-    assert details["verdict"].startswith("encoder noise does not matter")  # the automatic bandwidth removes it
+    np.testing.assert_allclose(details.encoder_std, 1e-3, rtol=0.05)
+    assert details.verdict.startswith("encoder noise does not matter")  # the automatic bandwidth removes it
     assert fit(problem.regression, "tls").values.tolist() == fit(problem.regression, "tls").values.tolist()
 
 
@@ -248,7 +248,7 @@ def test_sensor_noise_is_told_from_encoder_noise():
 def test_draws_are_an_option(robot):
     regression = prepare(tables(robot, std=1e-3), FitOptions(bandwidth=5.0)).regression
     few = fit(regression, TotalLeastSquares(draws=10))
-    assert few.details["draws"] == 10
+    assert few.details.draws == 10
 
 
 @pytest.mark.slow

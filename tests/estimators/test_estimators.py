@@ -128,7 +128,7 @@ def test_colour_is_found_where_no_filter_is_named():
 
 def test_a_complete_model_is_seldom_called_incomplete():
     rng = np.random.default_rng(8)
-    alarms = [not fit(Regression.from_arrays(*make(rng)), "wls").details["model_complete"] for _ in range(100)]
+    alarms = [not fit(Regression.from_arrays(*make(rng)), "wls").details.model_complete for _ in range(100)]
     assert sum(alarms) <= 1
 
 

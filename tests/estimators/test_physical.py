@@ -1,4 +1,4 @@
-"""`sdp`: bodies that can exist. Against least squares, an independent cvxpy formulation, and its own proof."""
+"""`sdp`: bodies that can exist. Against least squares, an independent cvxpy formulation, and its own certificate."""
 
 from __future__ import annotations
 
@@ -13,8 +13,9 @@ from scipy.stats import chi2
 from bayesid.errors import InputError
 from bayesid.estimators import Bounds, Physical, fit, load_bounds
 from bayesid.estimators.conic.collision import collision_boxes
-from bayesid.estimators.conic.cone import _RIGHT, _UP, MARGIN, Conic, _inward, _prove, solve_conic
 from bayesid.estimators.conic.entropic import solve_entropic
+from bayesid.estimators.conic.problem import _RIGHT, _UP, MARGIN, Conic, solution_at
+from bayesid.estimators.conic.solver import _inward, solve_conic
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import prepare
 from bayesid.regression.regression import PriorKnowledge, Regression
@@ -77,7 +78,7 @@ def test_without_active_constraints_and_pull_it_is_least_squares(tmp_path, weigh
     regression = prepare(made, FitOptions("torque")).regression
     plain = fit(regression, "wls" if weights == "channel" else "gls")
     ours = fit(regression, Physical(rel_std=1e3, weights=weights))
-    assert ours.details["certificate"]["iterations"] == 0  # the unconstrained optimum was inside
+    assert ours.details.certificate.iterations == 0  # the unconstrained optimum was inside
     assert np.abs((ours.values - plain.values) / plain.std).max() < 1e-6
     np.testing.assert_allclose(ours.std, plain.std, rtol=1e-6)
 
@@ -137,7 +138,7 @@ def test_a_point_beside_the_boundary_is_moved_inside_at_next_to_no_cost(panda):
         back = np.linalg.cholesky(problem.references[body]) @ vectors[:, 0]
         x = solution.x.copy()
         x[list(problem.bodies[body])] -= (values[0] + 0.5 * MARGIN) * inertia.from_pseudo_inertia(np.outer(back, back))
-        outside = _prove(problem, matrix, low, x, solution.multipliers, 1)
+        outside = solution_at(problem, matrix, low, x, solution.multipliers, 1)
         assert outside.violation == pytest.approx(0.5 * MARGIN, rel=1e-3)
         inside = _inward(problem, matrix, low, cones, outside)
         assert inside.certified and inside.violation <= 0.1 * MARGIN
@@ -145,7 +146,7 @@ def test_a_point_beside_the_boundary_is_moved_inside_at_next_to_no_cost(panda):
 
 
 def test_a_wrong_solution_is_not_certified(panda):
-    """The proof looks at the problem, so a moved point, a moved multiplier or a scaled one fails it."""
+    """The certificate looks at the problem, so a moved point, a moved multiplier or a scaled one fails it."""
     rng = np.random.default_rng(3)
     solution = None
     while solution is None or solution.iterations == 0 or (solution.ranks == 4).all():
@@ -155,7 +156,7 @@ def test_a_wrong_solution_is_not_certified(panda):
     away = np.linalg.solve(problem.factor, rng.normal(size=len(solution.x)))
     for x, z in ((solution.x + 1e-2 * away, solution.multipliers), (solution.x, 1.1 * solution.multipliers),
                  (solution.x, 0 * solution.multipliers), (problem.centre, solution.multipliers)):  # fmt: skip
-        assert not _prove(problem, matrix, low, x, z, 1).certified
+        assert not solution_at(problem, matrix, low, x, z, 1).certified
 
 
 def test_readings_of_no_body_are_warned_of(tmp_path):
@@ -178,8 +179,8 @@ def test_links_can_exist_and_have_the_base_parameters(tmp_path):
     np.testing.assert_array_equal(ours.link_parameters, ours.estimate.links)
     true = ours.base.matrix @ truth
     assert np.linalg.norm((ours.values - true) / plain.std) < np.linalg.norm((plain.values - true) / plain.std)
-    proof = ours.estimate.details["certificate"]
-    assert proof["certified"] and not ours.estimate.details["physics"]["data_contradict_physics"]
+    certificate = ours.estimate.details.certificate
+    assert certificate.certified and not ours.estimate.details.physics.data_contradict_physics
     written = ours.write(tmp_path / "out").parent / "identified.urdf"
     again = load_robot(written, made.robot.joint_names)
     assert inertia.is_physically_consistent(again.nominal, tolerance=0.0).all()
@@ -193,7 +194,7 @@ def test_friction_cannot_be_negative(tmp_path):
     r = regression.base.rank
     assert (plain.solution[r:][held] < 0).any()  # there is none, so about half come out negative
     assert (ours.solution[r:][held] > -1e-6).all()
-    assert ours.details["certificate"]["certified"] and ours.details["certificate"]["active_bounds"]
+    assert ours.details.certificate.certified and ours.details.certificate.active_bounds
 
 
 def test_a_closed_form_on_the_boundary():
@@ -218,7 +219,7 @@ def test_metrics_and_units(tmp_path, metric):
     _, truth, made = simulated(tmp_path, rel=0.2, std=0.5, trust=0.2)
     regression = prepare(made, FitOptions("torque")).regression
     ours = fit(regression, Physical(metric=metric))
-    assert ours.details["certificate"]["certified"] and ours.details["trust"]["metric"] == metric
+    assert ours.details.certificate.certified and ours.details.prior.metric == metric
     assert inertia.is_physically_consistent(ours.links.reshape(-1, 10), tolerance=0.0).all()
 
 
@@ -227,9 +228,9 @@ def test_the_trust_is_found_where_none_is_stated(tmp_path):
     found = []
     for seed in range(5):
         _, _, made = simulated(tmp_path, rel=0.2, std=0.05, seed=seed)
-        details = fit(prepare(made, FitOptions("torque")).regression, "sdp").details["trust"]
-        assert not details["stated"]
-        found.append(details["rel_std"])
+        details = fit(prepare(made, FitOptions("torque")).regression, "sdp").details.prior
+        assert not details.stated
+        found.append(details.rel_std)
     assert 0.13 < np.median(found) < 0.28
 
 
@@ -237,15 +238,15 @@ def test_closest_body_fits_as_well_as_the_data_demand(tmp_path):
     _, _, made = simulated(tmp_path, rel=0.2, std=0.5, trust=0.2)
     regression = prepare(made, FitOptions("torque")).regression
     both, near = fit(regression, "sdp"), fit(regression, Physical(closest=0.95))
-    limit = near.details["closest"]["largest_misfit"]
-    assert near.details["misfit"] == pytest.approx(limit, rel=1e-5)  # as far as it may go
+    limit = near.details.closest.largest_misfit
+    assert near.details.misfit == pytest.approx(limit, rel=1e-5)  # as far as it may go
     assert near.interval == "none" and near.interval_reason
     metric = Prior.nominal(made.robot.nominal, 1.0).precision
     def distance(links):
         return (links - made.robot.nominal.ravel()) @ metric @ (links - made.robot.nominal.ravel())
 
     assert limit >= chi2.ppf(0.95, regression.base.rank)
-    assert both.details["misfit"] < limit  # so the estimate is one of those that may be chosen
+    assert both.details.misfit < limit  # so the estimate is one of those that may be chosen
     assert distance(near.links) <= distance(both.links) * (1 + 1e-6)
     # And tightening the demand can only take it further away.
     assert distance(fit(regression, Physical(closest=0.5)).links) >= distance(near.links)
@@ -262,9 +263,9 @@ def test_arrays_of_ones_own_with_and_without_a_prior(panda):
     prior = Prior.nominal(robot.nominal, 0.2)
     with_prior, without = fit(regression, "sdp", prior=prior), fit(regression, "sdp")
     for estimate in (with_prior, without):
-        assert estimate.details["certificate"]["certified"]
+        assert estimate.details.certificate.certified
         assert inertia.is_physically_consistent(estimate.links.reshape(-1, 10), tolerance=0.0).all()
-    assert set(with_prior.details["certificate"]["bodies"]) == {f"body{k + 1}" for k in range(7)}
+    assert set(with_prior.details.certificate.bodies) == {f"body{k + 1}" for k in range(7)}
     truth = regression.base.matrix @ robot.nominal.ravel()
     plain = fit(regression)
     assert np.linalg.norm((with_prior.values - truth) / plain.std) < np.linalg.norm((plain.values - truth) / plain.std)
@@ -285,7 +286,7 @@ def test_a_massless_frame_stays_next_to_nothing(tmp_path):
     table = recording(light, None, fourier(light, 0), torque_std=0.1)
     made = experiment(light, [Motion("a", "identification", table)], inertia_rel_std=0.3)
     result = fit(prepare(made, FitOptions("torque")).regression, "sdp")
-    assert result.details["certificate"]["certified"]
+    assert result.details.certificate.certified
     assert 0 <= result.links[50] < 0.01
 
 
@@ -335,10 +336,10 @@ def test_entropic_equals_a_general_minimiser(bounded):
     rules = [{"type": "ineq", "fun": lambda f: 2.2 - cost(f)[1][3, 3]}] if bounded else []
     found = minimize(lambda f: cost(f)[0], start[np.tril_indices(4)], method="SLSQP", constraints=rules, bounds=[(-5, 3)] * 10,
                      options={"ftol": 1e-13, "maxiter": 2000})  # fmt: skip
-    proof = ours.details["certificate"]
-    assert proof["objective"] == pytest.approx(found.fun, rel=1e-5)
-    assert proof["lower_bound"] <= found.fun * (1 + 1e-6) and proof["certified"]
-    assert bool(proof["active_bounds"]) == bounded
+    certificate = ours.details.certificate
+    assert certificate.objective == pytest.approx(found.fun, rel=1e-5)
+    assert certificate.lower_bound <= found.fun * (1 + 1e-6) and certificate.certified
+    assert bool(certificate.active_bounds) == bounded
 
 
 def test_entropic_with_many_bounds_is_certified(panda):
@@ -390,13 +391,13 @@ def test_a_trust_that_the_data_contradict_is_left_out_of_intervals(tmp_path):
     _, _, made = simulated(tmp_path, rel=0.5, std=0.1, trust=0.02)
     regression = prepare(made, FitOptions("torque")).regression
     estimate = fit(regression, Physical(weights="channel"))
-    assert estimate.details["trust"]["probability_of_distance_to_nominal"] < 0.05
+    assert estimate.details.prior.probability < 0.05
     assert estimate.interval == "confidence"
     np.testing.assert_allclose(estimate.std, fit(regression, "wls").std, rtol=1e-6)
 
 
-@pytest.mark.parametrize(("times", "end", "words"), [(1.0, "smallest", "smallest"), (1e4, "largest", "no trust explains")])
-def test_a_search_for_the_trust_that_stops_at_an_end_says_so(panda, times, end, words):
+@pytest.mark.parametrize(("times", "end", "words"), [(1.0, "smallest", "smallest"), (1e4, "largest", "no value explains")])
+def test_a_search_for_the_prior_strength_that_stops_at_an_end_says_so(panda, times, end, words):
     """Readings exactly as nominal, and those of bodies ten thousand times as heavy."""
     robot, base = panda.robot, panda.problem.regression.base
     rows = (panda.matrix[:1400] @ base.matrix).reshape(200, 7, -1)
@@ -408,8 +409,8 @@ def test_a_search_for_the_trust_that_stops_at_an_end_says_so(panda, times, end, 
         Regression.from_arrays(rows, reading),
         knowledge=PriorKnowledge(nominal_links=robot.nominal.ravel(), bodies=bodies),
     )
-    trust = fit(regression, "sdp").details["trust"]
-    assert trust["search_stopped_at"] == end and words in trust["rule"]
+    prior = fit(regression, "sdp").details.prior
+    assert prior.end == end and words in prior.rule
 
 
 def test_compare_takes_bounds(tmp_path, capsys):

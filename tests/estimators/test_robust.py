@@ -57,7 +57,7 @@ def test_far_limits_are_least_squares(method, touch):
     reference, estimate = fit(regression, "wls"), fit(regression, method)
     np.testing.assert_allclose(estimate.values, reference.values, rtol=1e-8)
     np.testing.assert_allclose(estimate.covariance, reference.covariance, rtol=1e-8)
-    assert estimate.details["rejected_windows"] == {} and estimate.details["rejected_share"] == 0
+    assert estimate.details.rejected_windows == {} and estimate.details.rejected_share == 0
 
 
 @pytest.mark.parametrize("method", LIMITS, ids=lambda m: f"{m.name} {m}")
@@ -82,7 +82,7 @@ def test_known_filters_are_undone_first():
     one, other = fit(filtered, "huber"), fit(direct, "huber")
     np.testing.assert_allclose(one.values, other.values, rtol=1e-6)
     np.testing.assert_allclose(one.std, other.std, rtol=1e-6)
-    assert one.details["rejected_windows"] == other.details["rejected_windows"]
+    assert one.details.rejected_windows == other.details.rejected_windows
     # The noise that is handed on is that of the filtered rows.
     model = one.noise["trajectory"]
     assert model.from_zero and model.order == other.noise["trajectory"].order + 2
@@ -92,16 +92,16 @@ def test_known_filters_are_undone_first():
 def test_touches_are_rejected_as_windows_with_their_quiet_samples(method):
     matrix, target, times = arrays(np.random.default_rng(4))
     estimate = fit(Regression.from_arrays(matrix, touched(target), times=times), method)
-    spans = estimate.details["rejected_windows"]["0"]
+    spans = estimate.details.rejected_windows["0"]
     assert len(spans) == 3
     for (a, b), (first, last) in zip(spans, [(100, 119), (300, 301), (450, 450)], strict=True):
         assert a <= times[first] and times[last] <= b and b - a <= times[last] - times[first] + 0.7
-    assert 0.04 < estimate.details["rejected_share"] < 0.1
+    assert 0.04 < estimate.details.rejected_share < 0.1
     assert (np.abs(estimate.values - TRUTH) < 4 * estimate.std).all()
     json.dumps(estimate.to_dict())
     clean = fit(Regression.from_arrays(matrix, target, times=times), method)
     assert np.sqrt(np.mean(((estimate.values - clean.values) / clean.std) ** 2)) < 1.0
-    assert clean.details["rejected_share"] == 0
+    assert clean.details.rejected_share == 0
     # Rejected rows do not make the noise, either.
     np.testing.assert_allclose(estimate.noise["trajectory"].std, clean.noise["trajectory"].std, rtol=0.1)
 
@@ -126,7 +126,7 @@ def test_disturbed_recordings_of_robots(method):
                 ("ols", fit(two.regression, "ols")),
             ):
                 error[key].append((estimate.values - truth) / unit)
-            spans = robust.details["rejected_windows"]["fourier"]
+            spans = robust.details.rejected_windows["fourier"]
             inner = times[(times[:, 0] > 1.0) & (times[:, 1] < 19.0)].mean(axis=1)
             assert len(inner) and all(any(a - 0.05 <= t <= b + 0.05 for a, b in spans) for t in inner)
         rms = {key: np.sqrt(np.mean(np.square(e))) for key, e in error.items()}
@@ -146,8 +146,8 @@ def test_intervals_cover_on_clean_and_touched_rows_with_colour(method, colour):
 
 
 @pytest.mark.parametrize("method", ROBUST, ids=lambda m: m.name)
-def test_heavy_tails_of_stretches_are_weighed_down_and_intervals_cover(method):
-    """Noise whose size changes from stretch to stretch, Student's t with 2 degrees of freedom: better than least squares.
+def test_heavy_tails_of_segments_are_weighed_down_and_intervals_cover(method):
+    """Noise whose size changes from segment to segment, Student's t with 2 degrees of freedom: better than least squares.
 
     Standardised errors tell intervals that are too long, too; their root mean square has a standard error of 0.07.
     """
@@ -184,7 +184,7 @@ def test_motions_poses_and_columns_without_information(method, tmp_path):
     poses = Motion("poses", "identification", replace(still, wrench=wrench), kind="poses")
     problem = prepare(experiment(robot, [*motions, poses], Sensor()))
     estimate = fit(problem.regression, method)
-    spans = estimate.details["rejected_windows"]
+    spans = estimate.details.rejected_windows
     assert set(spans) == {"m1", "poses"}
     assert spans["m1"][0][0] < 8.1 and spans["m1"][0][1] > 9.1 and len(spans["m1"]) == 1
     assert [still.times[17]] * 2 in [list(np.round(s, 4)) for s in spans["poses"]]
@@ -209,7 +209,7 @@ def test_a_recording_that_is_mostly_touched_is_not_rejected():
     matrix, target, times = arrays(np.random.default_rng(7))
     target[:400] += 50.0 * np.sign(np.sin(np.arange(400) / 9.0))[:, None]
     estimate = fit(Regression.from_arrays(matrix, target, times=times), "huber")
-    assert estimate.details["rejected_share"] <= 0.5
+    assert estimate.details.rejected_share <= 0.5
 
 
 def test_wrong_constants_are_refused():
@@ -261,7 +261,7 @@ def test_student_learns_what_maximises_the_likelihood():
     assert StudentLoss(4.0).variance(q, n) == pytest.approx(np.exp(best.x), rel=1e-4)
 
 
-def test_degrees_of_freedom_of_coloured_stretches():
+def test_degrees_of_freedom_of_coloured_segments():
     """A quadratic form x'Ax of normal numbers has mean tr(A C) and variance 2 tr(A C A C)."""
     innovation = np.array([[1.0, 0.3], [0.3, 2.0]])
     model = NoiseModel(np.array([[1.0, -0.8], [1.0, 0.4]]), innovation)
@@ -288,7 +288,7 @@ def test_windows_grow_over_unusual_neighbours_and_stop_at_gaps():
     left = residuals(parts, np.zeros(1))
     assert left.count == 10 and left.run[20] == 1
     n = np.full(10, 4.0)
-    q = np.array([4.0, 4, 20, 90, 16, 30, 4, 4, 4, 4])  # stretches 2 to 4 in the first run, 5 in the second
+    q = np.array([4.0, 4, 20, 90, 16, 30, 4, 4, 4, 4])  # segments 2 to 4 in the first run, 5 in the second
     good = accepted(left, q, n, q > 80)
     assert list(np.flatnonzero(~good)) == list(range(7, 20))  # one row of margin, none over the gap
     assert accepted(left, q, n, np.zeros(10, bool)).all()

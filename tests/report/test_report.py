@@ -77,7 +77,8 @@ class Doubtful:
 
     def fit(self, regression):
         estimate = bayesid.fit(regression, "wls")
-        return replace(estimate, details={**estimate.details, "warnings": ["Weak <somewhere>."], "physics": "my own word"})
+        details = bayesid.OwnDetails(warnings=("Weak <somewhere>.",), entries={"physics": "my own word"})
+        return replace(estimate, details=details)
 
 
 def test_what_an_estimator_warns_of_stands_on_top_once(puma):
@@ -97,7 +98,7 @@ def test_details_are_words(puma):
     assert said["Lost"] == "–" and said["At"].endswith("7 and 3 more") and said["Mine"] == "so far: 0.500"
     assert dict(described({"rejected_windows": {}})) == {"Rejected times": "none"}
     for method in ("huber", "iv", "tls", "sdp"):
-        for term, text in described(bayesid.identify(puma, method=method).estimate.details):
+        for term, text in described(bayesid.identify(puma, method=method).estimate.details.to_dict()):
             assert not set("_{}[]'") & set(text.replace("link_", "")), (method, term, text)
 
 

@@ -280,7 +280,7 @@ def fit_all(case: Setup, seed: np.random.SeedSequence) -> tuple[np.ndarray, np.n
         assert estimate.covariance is not None
         errors.append(error)
         stds.append(estimate.std)
-        joint.append([error @ np.linalg.solve(estimate.covariance, error), estimate.details["model_complete"]])
+        joint.append([error @ np.linalg.solve(estimate.covariance, error), estimate.details.model_complete])
     for filters in WHITE.values():
         values, std = white_noise_fit(problems[filters])
         errors.append(values - truth)

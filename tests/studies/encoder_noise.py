@@ -91,7 +91,7 @@ def one(name: str, seed: int, k: int) -> tuple[np.ndarray, np.ndarray, np.ndarra
             estimate = estimators.fit(problem.regression, method)
             errors.append(estimate.values - problem.row_model.base.matrix @ case.truth)
             stds.append(estimate.std)
-            tests.append(estimate.details.get("durbin_wu_hausman", {}).get("p", np.nan))
+            tests.append(estimate.details.to_dict().get("durbin_wu_hausman", {}).get("p", np.nan))
     return np.array(errors), np.array(stds), np.array(tests)
 
 

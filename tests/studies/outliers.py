@@ -89,10 +89,10 @@ def fit_all(name: str, seed: int, index: int) -> tuple[np.ndarray, np.ndarray, n
         estimate = estimators.fit(problem.regression, method)
         errors.append(estimate.values - problem.row_model.base.matrix @ case.truth)
         stds.append(estimate.std)
-        spans = [span for spans in estimate.details.get("rejected_windows", {}).values() for span in spans]
+        spans = [span for spans in estimate.details.to_dict().get("rejected_windows", {}).values() for span in spans]
         half = 0.5 * problem.row_model.step
         found = [any(a - half <= 0.5 * (start + end) <= b + half for a, b in spans) for start, end in touched]
-        rejected.append([estimate.details.get("rejected_share", 0.0), float(np.mean(found))])
+        rejected.append([estimate.details.to_dict().get("rejected_share", 0.0), float(np.mean(found))])
     return np.array(errors), np.array(stds), np.array(rejected)
 
 

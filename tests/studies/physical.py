@@ -95,14 +95,14 @@ def study(name: str, noise: float, spread: float, flat: str, runs: int, seed: in
 
 
 def _row(estimate, true: np.ndarray, plain_std: np.ndarray) -> dict[str, Any]:
-    proof = estimate.details.get("certificate")
+    certificate = getattr(estimate.details, "certificate", None)
     return {
         "z": (estimate.values - true) / estimate.std,
         "z_plain": (estimate.values - true) / plain_std,
         "interval": estimate.interval,
-        "boundary": bool(proof and (proof["on_boundary"] or proof["active_bounds"])),
-        "certified": proof["certified"] if proof else None,
-        "alarm": estimate.details["physics"]["data_contradict_physics"] if proof else None,
+        "boundary": bool(certificate and (certificate.on_boundary or certificate.active_bounds)),
+        "certified": certificate.certified if certificate else None,
+        "alarm": estimate.details.physics.data_contradict_physics if certificate else None,
     }
 
 

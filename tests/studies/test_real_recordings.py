@@ -52,7 +52,7 @@ def test_joint_torques_are_predicted_as_well_as_published(shared, name, publishe
     assert relative_error(result.validation[0]) < published_validation
     # The published validations are no proof that the model is complete, and neither is this one.
     assert any("not predicted to the noise" in w for w in result.warnings)
-    assert not result.estimate.details["model_complete"]
+    assert not result.estimate.details.model_complete
 
 
 def test_a_repeated_motion_is_not_called_a_validation(shared):

@@ -22,7 +22,7 @@ import numpy as np
 
 from bayesid.errors import InputError
 from bayesid.estimators.conic.collision import collision_boxes
-from bayesid.estimators.conic.cone import Linear
+from bayesid.estimators.conic.problem import Linear
 from bayesid.robot import inertia
 from bayesid.robot.robot import Robot
 

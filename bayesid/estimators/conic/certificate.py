@@ -1,80 +1,125 @@
-"""What a physically consistent estimate proves: its own optimality, whether data contradict physics, which bounds conflict."""
+"""What a physically consistent estimate certifies: its optimality, whether data contradict physics, which bounds conflict."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.stats import chi2
 
 from bayesid.errors import EstimationError, InputError
-from bayesid.estimators.conic.cone import Conic, Infeasible, Linear, Solution, solve_conic
+from bayesid.estimators.conic.problem import Conic, Linear, Solution
+from bayesid.estimators.conic.solver import Infeasible, solve_conic
 
 #: Data contradict physics when the test's probability is below this.
 CONTRADICTION = 0.01
 
 
-def certificate(problem: Conic, solution: Solution, names: Sequence[str]) -> dict[str, Any]:
-    """The proof as plain numbers; see `bayesid.estimators.conic.cone.Solution`.
+@dataclass(frozen=True)
+class BodyCertificate:
+    """Eigenvalues of a body's pseudo-inertia relative to its nominal size (4,), and its rank."""
 
-    Parameters
+    relative_eigenvalues: tuple[float, ...]
+    rank: int
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """The certificate of an optimum as plain numbers; see `bayesid.estimators.conic.problem.Solution`.
+
+    Attributes
     ----------
-    problem, solution
-        As solved.
-    names
-        Of the bodies.
-
-    Returns
-    -------
-    dict
-        ``certified``, ``objective``, ``lower_bound``, ``relative_gap``, ``largest_error_std`` (how far the optimum can be,
-        in standard deviations), ``primal_violation``, ``dual_residual``, ``complementarity``, ``iterations``, ``margin``,
-        ``bodies`` (eigenvalues of each pseudo-inertia relative to the body's size, rank), ``on_boundary``, ``active_bounds``.
+    certified
+        Whether gap, violation and residual are below their limits.
+    objective, lower_bound, relative_gap
+        Of the optimum: its value here, and what no feasible point can be below.
+    largest_error_std
+        How far the optimum can be, in standard deviations.
+    primal_violation, dual_residual, complementarity, iterations
+        Residuals of the optimality conditions, and iterations of the solver.
+    margin
+        How far inside the boundary every body is kept, relative to its size.
+    bodies
+        By name.
+    on_boundary
+        Names of bodies on the boundary of those that can exist.
+    active_bounds
+        Names of bounds that hold with equality and push.
     """
-    gap = max(solution.objective - solution.bound, 0.0)
-    return {
-        "certified": solution.certified,
-        "objective": solution.objective,
-        "lower_bound": solution.bound,
-        "relative_gap": solution.gap,
-        "largest_error_std": float(np.sqrt(2.0 * gap)),
-        "primal_violation": solution.violation,
-        "dual_residual": solution.stationarity,
-        "complementarity": solution.complementarity,
-        "iterations": solution.iterations,
-        "margin": problem.margin,
-        "bodies": {
-            name: {"relative_eigenvalues": values.tolist(), "rank": int(rank)}
-            for name, values, rank in zip(names, solution.eigenvalues, solution.ranks, strict=True)
-        },
-        "on_boundary": [name for name, rank in zip(names, solution.ranks, strict=True) if rank < 4],
-        "active_bounds": list(solution.active),
-    }
+
+    certified: bool
+    objective: float
+    lower_bound: float
+    relative_gap: float
+    largest_error_std: float
+    primal_violation: float
+    dual_residual: float
+    complementarity: float
+    iterations: int
+    margin: float
+    bodies: dict[str, BodyCertificate]
+    on_boundary: tuple[str, ...]
+    active_bounds: tuple[str, ...]
+
+    @classmethod
+    def of(cls, problem: Conic, solution: Solution, names: Sequence[str]) -> Certificate:
+        """The certificate of a solution; ``names`` are the bodies'."""
+        gap = max(solution.objective - solution.bound, 0.0)
+        return cls(
+            certified=solution.certified,
+            objective=solution.objective,
+            lower_bound=solution.bound,
+            relative_gap=solution.gap,
+            largest_error_std=float(np.sqrt(2.0 * gap)),
+            primal_violation=solution.violation,
+            dual_residual=solution.stationarity,
+            complementarity=solution.complementarity,
+            iterations=solution.iterations,
+            margin=problem.margin,
+            bodies={
+                name: BodyCertificate(tuple(values.tolist()), int(rank))
+                for name, values, rank in zip(names, solution.eigenvalues, solution.ranks, strict=True)
+            },
+            on_boundary=tuple(name for name, rank in zip(names, solution.ranks, strict=True) if rank < 4),
+            active_bounds=tuple(solution.active),
+        )
 
 
-def contradiction(distance: float, directions: int) -> dict[str, Any]:
-    """Whether unconstrained estimate and possible bodies are further apart than noise explains.
+@dataclass(frozen=True)
+class PhysicsTest:
+    """Whether the unconstrained estimate and bodies that can exist are further apart than noise explains.
 
-    ``distance = min (x - x_ls)' V^-1 (x - x_ls)`` over all possible bodies is at most the distance of the true ones,
-    which is chi-squared; its own law is a mixture of chi-squared ones with fewer degrees [Shapiro1988]_. So the
-    probability is an upper bound, whatever the truth and wherever on the cone: the test never errs more often than it says.
-
-    Parameters
+    Attributes
     ----------
     distance
         Squared, in units of the noise.
     directions
         Number of determined combinations that the constraints speak of.
+    probability_at_most
+        Upper bound on the probability of such a distance when bodies can exist.
+    data_contradict_physics
+        Whether that is below `CONTRADICTION`.
+    tested
+        Whether the nearest body that can exist was found.
     """
-    probability = float(chi2.sf(distance, directions)) if directions else 1.0
-    return {
-        "distance": float(distance),
-        "directions": directions,
-        "probability_at_most": probability,
-        "data_contradict_physics": probability < CONTRADICTION,
-    }
+
+    distance: float
+    directions: int
+    probability_at_most: float
+    data_contradict_physics: bool
+    tested: bool
+
+    @classmethod
+    def of(cls, distance: float, directions: int, tested: bool) -> PhysicsTest:
+        """Test a distance.
+
+        ``distance = min (x - x_ls)' V^-1 (x - x_ls)`` over all possible bodies is at most the distance of the true ones,
+        which is chi-squared; its own law is a mixture of chi-squared ones with fewer degrees [Shapiro1988]_. So the
+        probability is an upper bound, whatever the truth and wherever on the cone: the test never errs more often than it says.
+        """
+        probability = float(chi2.sf(distance, directions)) if directions else 1.0
+        return cls(float(distance), directions, probability, probability < CONTRADICTION, tested)
 
 
 def explain(problem: Conic) -> InputError:

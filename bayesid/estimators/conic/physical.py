@@ -1,7 +1,7 @@
 """``sdp``: the parameters of bodies that can exist, nearest to what data and nominal model say together.
 
 With x the link parameters phi, then the effects, b = K phi the base parameters, (b_ls, V) the unconstrained estimate and
-its covariance, and phi0, M, s the nominal model, its metric and its relative trust,
+its covariance, and phi0, M, s the nominal model, its metric and its prior relative standard deviation,
 
     min 1/2 ||(b, e) - (b, e)_ls||^2_{V^-1}  +  1/s^2 ||phi - phi0||^2_M
     subject to  P_i(phi) >= 0  for every link, bounds, friction >= 0
@@ -18,26 +18,29 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
+from scipy.linalg import solve_triangular
 from scipy.optimize import brentq
 from scipy.stats import chi2
 
 from bayesid.errors import BayesidWarning, EstimationError, InputError
 from bayesid.estimators.conic.bounds import Bounds
-from bayesid.estimators.conic.certificate import certificate, contradiction, explain
-from bayesid.estimators.conic.cone import Conic, Infeasible, Linear, Solution, solve_conic
+from bayesid.estimators.conic.certificate import Certificate, PhysicsTest, explain
+from bayesid.estimators.conic.data import LinkData, compressed
 from bayesid.estimators.conic.entropic import solve_entropic
-from bayesid.estimators.conic.prior_strength import Trust, trust_of
+from bayesid.estimators.conic.prior_strength import LinkPrior, link_prior
+from bayesid.estimators.conic.problem import Conic, Linear, Solution
+from bayesid.estimators.conic.solver import Infeasible, solve_conic
+from bayesid.estimators.details import OPTIONAL, Details
 from bayesid.estimators.estimator import Estimate, unseen
 from bayesid.estimators.factor import learn_weights
 from bayesid.estimators.least_squares import make_estimate, sandwich_middle, weighted_factor
 from bayesid.regression.regression import Regression
-from bayesid.robot import inertia
 from bayesid.robot.prior import Prior
 
-#: Up to this trust intervals of data and nominal model together hold what they promise in simulation (docs/physical.md).
-LARGEST_PROVED = 0.2
-#: Where data as far from the nominal links are less probable than this, the trust is doubtful and left out of intervals.
+#: Up to this prior relative standard deviation intervals of data and nominal model together cover as often as they say in
+#: simulation (docs/physical.md).
+LARGEST_VALIDATED = 0.2
+#: Where data as far from the nominal links are less probable than this, the prior is doubtful and left out of intervals.
 DOUBTFUL = 0.05
 _WEIGHTS = ("auto", "channel", "noise")
 
@@ -49,14 +52,14 @@ class Physical:
     Attributes
     ----------
     prior
-        Nominal links and their trust; None: those of the regression.
+        Nominal links and how uncertain they are; None: those of the regression.
     bounds
         What is known for sure beyond that bodies exist.
     metric
         ``pullback`` (the prior's own), ``euclidean`` or ``entropic``: how the distance to the nominal links is measured.
     rel_std
-        Trust s in the nominal links, which is the strength of the pull towards them; None: as the experiment or the
-        prior states it, and where none is stated the value that makes the data most probable.
+        Prior relative standard deviation s of the nominal links, which sets the strength of the pull towards them; None: as
+        the experiment or the prior states it, and where none is stated the value that makes the data most probable.
     closest
         Instead of weighing both, take the links closest to the nominal ones among those that the data do not tell from
         the best physical ones at this confidence, such as 0.95.
@@ -73,14 +76,14 @@ class Physical:
     weights: str = "auto"
 
     def fit(self, regression: Regression) -> Estimate:
-        """Estimate with a proof of its optimality in ``details["certificate"]``, and links of its own.
+        """Estimate with a certificate of its optimality in ``details.certificate``, and links of its own.
 
         Raises
         ------
         InputError
             The regression knows no bodies, an option is unknown, or bounds exclude each other.
         EstimationError
-            The solver found nothing that proves itself.
+            The solver found nothing whose certificate holds.
         """
         if self.weights not in _WEIGHTS:
             raise InputError(f"sdp weights '{self.weights}': choose one of {', '.join(_WEIGHTS)}")
@@ -91,106 +94,102 @@ class Physical:
         factor, scale = weighted_factor(regression, learned, kind)
         hidden = unseen(factor.matrix)
         middle = None if kind == "noise" else sandwich_middle(regression, learned.noise, scale)
-        matrix, target = _compressed(factor.matrix, factor.target, middle)
-        data = Data.of(regression, matrix, target, self.prior)
-        trust = trust_of(regression, data, self.prior, self.metric, self.rel_std)
+        matrix, target = compressed(factor.matrix, factor.target, middle)
+        data = LinkData.of(regression, matrix, target, self.prior)
+        prior = link_prior(regression, data, self.prior, self.metric, self.rel_std)
         groups = _bounds(self, regression, data)
-        solution, problem, details = _solved(self, data, trust, groups)
+        solution, problem, physics, closest = _solved(self, data, prior, groups)
         if not solution.certified:
             warnings.warn(
-                f"sdp: proved to a relative gap of {abs(solution.gap):.1g}, a violation of {solution.violation:.1g} and a dual "
-                f"residual of {solution.stationarity:.1g} only; the motion hardly excites some links",
+                f"sdp: certified to a relative gap of {abs(solution.gap):.1g}, a violation of {solution.violation:.1g} and "
+                f"a dual residual of {solution.stationarity:.1g} only; the motion hardly excites some links",
                 BayesidWarning,
                 stacklevel=2,
             )
         links = solution.x[: data.size]
         values = np.concatenate([regression.base.matrix @ links, solution.x[data.size :]])
-        covariance, reason = None, "the closest body lies on the edge of what the data allow, by construction"
+        covariance, reason, about = None, "the closest body lies on the edge of what the data allow, by construction", None
         if self.closest is None:
-            joint = trust.stated and trust.probability >= DOUBTFUL and (trust.rel_std or 0.0) <= LARGEST_PROVED
-            about = "data and nominal model" if joint else "data"
+            joint = prior.stated and prior.probability >= DOUBTFUL and (prior.rel_std or 0.0) <= LARGEST_VALIDATED
+            about, reason = "data and nominal model" if joint else "data", ""
             covariance = _posterior(data, problem, regression.base.matrix) if joint else _of_data(matrix, hidden)
-            reason, details["covariance_of"] = "", about
         estimate = make_estimate(self.name, regression, learned, factor, values, covariance, hidden)
+        details = PhysicalDetails(
+            model_complete=learned.complete,
+            agreement_of_gls_and_wls=learned.agreement,
+            weights=kind,
+            prior=prior,
+            closest=closest,
+            misfit=_misfit(data, solution.x),
+            physics=physics,
+            certificate=Certificate.of(problem, solution, data.names),
+            covariance_of=about,
+            warnings=(_contradiction(physics),) if physics.data_contradict_physics else (),
+        )
         return replace(
             estimate,
-            interval="none" if covariance is None else "credible" if details.get("covariance_of") != "data" else "confidence",
+            interval="none" if covariance is None else "credible" if about != "data" else "confidence",
             interval_reason=reason,
-            details={**estimate.details, "weights": kind, **details},
+            details=details,
             links=links,
         )
 
 
 @dataclass(frozen=True)
-class Data:
-    """What the rows say, in units of their noise: ``matrix @ x ~ target`` with unit covariance.
+class Closest:
+    """The confidence that was asked for, and the misfit that it allows."""
+
+    confidence: float
+    largest_misfit: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhysicalDetails(Details):
+    """What a physically consistent estimate says.
 
     Attributes
     ----------
-    matrix, target
-        Of x: link parameters, then effects (k, n), (k,).
-    size
-        Number of link parameters.
-    bodies, names
-        Ten columns of each body, and its name.
+    weights
+        ``noise`` or ``channel``.
+    prior
+        The nominal model and its strength; ``trust`` in ``estimate.json``.
+    closest
+        With `Physical.closest`.
+    misfit
+        Squared distance from the unconstrained estimate, in units of the noise.
+    physics
+        Whether the data contradict physics.
+    certificate
+        Of the optimum.
+    covariance_of
+        ``data and nominal model`` or ``data``; None: there is no covariance.
     """
 
-    matrix: np.ndarray
-    target: np.ndarray
-    size: int
-    bodies: tuple[tuple[int, ...], ...]
-    names: tuple[str, ...]
-
-    @classmethod
-    def of(cls, regression: Regression, matrix: np.ndarray, target: np.ndarray, prior: Prior | None) -> Data:
-        """Through K from base to link parameters."""
-        base, r = regression.base, regression.base.rank
-        bodies = regression.knowledge.bodies or (prior.bodies if prior is not None else ())
-        if not bodies:
-            raise InputError("sdp needs to know which columns are a body's ten parameters; give bodies=")
-        for k, body in enumerate(bodies):
-            if len(body) != 10 or not all(0 <= c < len(base.parameter_names) for c in body):
-                raise InputError(f"bodies[{k}] = {list(body)}: give ten columns in the order {', '.join(inertia.PARAMETERS)}")
-        names = [base.parameter_names[body[0]].rsplit(".", 1) for body in bodies]
-        labels = tuple(n[0] if len(n) == 2 and n[1] == "m" else f"body{k + 1}" for k, n in enumerate(names))
-        whole = np.concatenate([matrix[:, :r] @ base.matrix, matrix[:, r:]], axis=1)
-        return cls(whole, target, base.matrix.shape[1], tuple(tuple(b) for b in bodies), labels)
+    weights: str
+    prior: LinkPrior = field(metadata={"key": "trust"})
+    closest: Closest | None = field(default=None, metadata=OPTIONAL)
+    misfit: float
+    physics: PhysicsTest
+    certificate: Certificate
+    covariance_of: str | None = field(default=None, metadata=OPTIONAL)
 
 
-def _compressed(matrix: np.ndarray, target: np.ndarray, middle: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-    """A factor of the inverse covariance of the estimate in the determined directions, and the target it fits exactly.
-
-    With ``R = U S V' D`` the coordinates ``z = S V' D x`` have bread one, so their covariance is their meat.
-    """
-    length = np.linalg.norm(matrix, axis=0)
-    length = np.where(length > 1e-14 * length.max(initial=0.0), length, 1.0)
-    u, s, vt = np.linalg.svd(matrix / length)
-    keep = s > 1e-11 * s[0]
-    rows, rotated = s[keep][:, None] * vt[keep] * length, u.T[keep] @ target
-    if middle is None:
-        return rows, rotated
-    whiten = vt[keep] / s[keep][:, None] / length
-    covariance = whiten @ middle @ whiten.T
-    lower = cholesky(0.5 * (covariance + covariance.T), lower=True)
-    return solve_triangular(lower, rows, lower=True), solve_triangular(lower, rotated, lower=True)
-
-
-def conic(data: Data, trust: Trust, bounds: tuple[Linear, ...] = (), strength: float = 1.0) -> Conic:
+def conic(data: LinkData, prior: LinkPrior, bounds: tuple[Linear, ...] = (), strength: float = 1.0) -> Conic:
     """Data and prior as one triangular factor, by one QR decomposition; nothing is squared.
 
     Parameters
     ----------
-    data, trust, bounds
+    data, prior, bounds
         What is known.
     strength
         Factor of the prior's precision.
     """
     n = data.matrix.shape[1]
-    root = np.sqrt(strength) * trust.root
+    root = np.sqrt(strength) * prior.root
     rows = np.zeros((len(data.target) + len(root), n + 1))
     rows[: len(data.target), :n], rows[: len(data.target), -1] = data.matrix, data.target
     rows[len(data.target) :, : data.size] = root
-    rows[len(data.target) :, -1] = root @ trust.mean
+    rows[len(data.target) :, -1] = root @ prior.mean
     length = np.linalg.norm(rows[:, :n], axis=0)
     nothing = unseen(rows[:, :n])
     if nothing.any():
@@ -204,12 +203,12 @@ def conic(data: Data, trust: Trust, bounds: tuple[Linear, ...] = (), strength: f
         factor=r[:n, :n],
         centre=solve_triangular(r[:n, :n], r[:n, -1]),
         bodies=data.bodies,
-        references=trust.references,
+        references=prior.references,
         bounds=bounds,
     )
 
 
-def _bounds(method: Physical, regression: Regression, data: Data) -> tuple[Linear, ...]:
+def _bounds(method: Physical, regression: Regression, data: LinkData) -> tuple[Linear, ...]:
     n = data.matrix.shape[1]
     groups = list(method.bounds.linear(data.names, data.bodies, n))
     for k, positive in enumerate(regression.knowledge.effect_non_negative):
@@ -220,54 +219,54 @@ def _bounds(method: Physical, regression: Regression, data: Data) -> tuple[Linea
     return tuple(groups)
 
 
-def _solved(method: Physical, data: Data, trust: Trust, groups: tuple[Linear, ...]) -> tuple[Solution, Conic, dict[str, Any]]:
-    """The solution, the problem it solves, and what to tell about both."""
-    problem = conic(data, trust, groups)
-    details: dict[str, Any] = {"trust": trust.to_dict()}
+def _solved(
+    method: Physical, data: LinkData, prior: LinkPrior, groups: tuple[Linear, ...]
+) -> tuple[Solution, Conic, PhysicsTest, Closest | None]:
+    """The solution, the problem it solves, and what the data say of physics."""
+    if method.closest is not None and method.metric == "entropic":
+        raise InputError("sdp: closest goes with the metrics pullback and euclidean; choose one of them")
+    problem, closest = conic(data, prior, groups), None
     try:
         if method.metric == "entropic":
-            assert trust.rel_std is not None
-            solution = solve_entropic(problem, data.matrix, data.target, trust.rel_std)
+            assert prior.rel_std is not None
+            solution = solve_entropic(problem, data.matrix, data.target, prior.rel_std)
         else:
             solution = solve_conic(problem)
         # The test is between data and physics alone: the nominal model is all but left out.
-        nearest, tested = _nearest(data, trust, groups, solution)
-        if method.closest is not None and method.metric == "entropic":
-            raise InputError("sdp: closest goes with the metrics pullback and euclidean; choose one of them")
+        nearest, tested = _nearest(data, prior, groups, solution)
         if method.closest is not None:
-            solution, problem, limit = _closest(method.closest, data, trust, groups, nearest)
-            details["closest"] = {"confidence": method.closest, "largest_misfit": limit}
+            solution, problem, limit = _closest(method.closest, data, prior, groups, nearest)
+            closest = Closest(method.closest, limit)
     except Infeasible:
         raise explain(problem) from None
-    details["misfit"] = _misfit(data, solution.x)
     directions = len(data.target) - _free(data, groups)
-    details["physics"] = contradiction(nearest if tested else 0.0, directions) | {"tested": tested}
-    if details["physics"]["data_contradict_physics"]:
-        details["warnings"] = [
-            "The data contradict physics: no body that can exist fits them to their noise (chance at most "
-            f"{details['physics']['probability_at_most']:.2g}). The model misses something; the intervals do not cover that."
-        ]
-    details["certificate"] = certificate(problem, solution, data.names)
-    return solution, problem, details
+    return solution, problem, PhysicsTest.of(nearest if tested else 0.0, directions, tested), closest
 
 
-def _nearest(data: Data, trust: Trust, groups: tuple[Linear, ...], solution: Solution) -> tuple[float, bool]:
+def _contradiction(physics: PhysicsTest) -> str:
+    return (
+        "The data contradict physics: no body that can exist fits them to their noise (chance at most "
+        f"{physics.probability_at_most:.2g}). The model misses something; the intervals do not cover that."
+    )
+
+
+def _nearest(data: LinkData, prior: LinkPrior, groups: tuple[Linear, ...], solution: Solution) -> tuple[float, bool]:
     """Smallest misfit of any possible body, and whether it was found; otherwise that of the solution, which is larger."""
     own = _misfit(data, solution.x)
     if solution.iterations == 0:
         return own, True
     try:
-        return min(own, _misfit(data, solve_conic(conic(data, trust, groups, trust.loosened)).x)), True
+        return min(own, _misfit(data, solve_conic(conic(data, prior, groups, prior.loosened)).x)), True
     except EstimationError:
         return own, False
 
 
-def _misfit(data: Data, x: np.ndarray) -> float:
+def _misfit(data: LinkData, x: np.ndarray) -> float:
     """Squared distance from the unconstrained estimate, which fits its factor exactly."""
     return float(np.sum((data.matrix @ x - data.target) ** 2))
 
 
-def _free(data: Data, groups: tuple[Linear, ...]) -> int:
+def _free(data: LinkData, groups: tuple[Linear, ...]) -> int:
     """Determined combinations of effects that no constraint speaks of."""
     held = np.zeros(data.matrix.shape[1], bool)
     held[: data.size] = True
@@ -279,25 +278,25 @@ def _free(data: Data, groups: tuple[Linear, ...]) -> int:
 
 
 def _closest(
-    confidence: float, data: Data, trust: Trust, groups: tuple[Linear, ...], nearest: float
+    confidence: float, data: LinkData, prior: LinkPrior, groups: tuple[Linear, ...], nearest: float
 ) -> tuple[Solution, Conic, float]:
     """Nearest to the nominal links among those whose misfit is at most a quantile above the best physical one's.
 
     ``{x: ||A x - t||^2 <= min + chi2}`` is the confidence region of the base parameters by likelihood ratio. Its
     member closest to the nominal links minimises misfit and distance weighed with a multiplier, and the misfit grows with the
-    distance's weight: so the multiplier is the root of one equation, and the last problem's proof is this one's.
+    distance's weight: so the multiplier is the root of one equation, and the last problem's certificate is this one's.
     """
     effects = np.linalg.matrix_rank(data.matrix[:, data.size :], tol=1e-9) if data.matrix.shape[1] > data.size else 0
     limit = nearest + float(chi2.ppf(confidence, len(data.target) - effects))
 
     def solved(log_strength: float) -> tuple[Solution, Conic]:
-        problem = conic(data, trust, groups, float(np.exp(log_strength)))
+        problem = conic(data, prior, groups, float(np.exp(log_strength)))
         return solve_conic(problem), problem
 
     def beyond(log_strength: float) -> float:
         return _misfit(data, solved(log_strength)[0].x) / limit - 1.0
 
-    low = float(np.log(trust.loosened))
+    low = float(np.log(prior.loosened))
     high = low + 3.0
     while beyond(high) < 0.0:
         if high > low + 40.0:  # the nominal links themselves fit as well as that
@@ -307,7 +306,7 @@ def _closest(
     return (*solved(float(root)), limit)
 
 
-def _posterior(data: Data, problem: Conic, base: np.ndarray) -> np.ndarray:
+def _posterior(data: LinkData, problem: Conic, base: np.ndarray) -> np.ndarray:
     """Covariance of base parameters and effects from data and nominal model, as if no constraint were there.
 
     The estimate is the projection of the unconstrained one onto a convex set that holds the truth, in the metric of the
@@ -325,7 +324,7 @@ def _posterior(data: Data, problem: Conic, base: np.ndarray) -> np.ndarray:
 def _of_data(matrix: np.ndarray, hidden: np.ndarray) -> np.ndarray:
     """Covariance of the unconstrained estimate, in the determined columns.
 
-    For a trust that is wide, doubtful or chosen by the data themselves: too cautious about an estimate that the nominal
+    For a prior that is wide, doubtful or chosen by the data themselves: too cautious about an estimate that the nominal
     model pulls to the truth, but it held the truth in every case simulated (docs/physical.md).
     """
     seen = ~hidden

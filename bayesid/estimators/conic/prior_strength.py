@@ -1,15 +1,15 @@
-"""How far nominal links are trusted: the prior's metric, and its strength where nobody states one.
+"""The prior of the links: its metric, and its relative standard deviation where nobody states one.
 
 The distance to the nominal links phi0 is ``(phi - phi0)' L (phi - phi0) / s^2`` with ``L = 2 M`` of the pull-back metric
-[Lee2020]_ (relative changes of the mass distribution), or a multiple of the unit matrix (Euclidean). s is the trust. Where
-it is not stated it is the one that makes the data most probable [Good1965]_: with y the data's distance from the
-nominal links, effects projected out, ``y ~ N(0, 1 + s^2 G G')``.
+[Lee2020]_ (relative changes of the mass distribution), or a multiple of the unit matrix (Euclidean). s is the prior
+relative standard deviation. Where it is not stated it is the one that makes the data most probable [Good1965]_: with y the
+data's distance from the nominal links, effects projected out, ``y ~ N(0, 1 + s^2 G G')``.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.linalg import cholesky, null_space
@@ -17,27 +17,25 @@ from scipy.optimize import minimize_scalar
 from scipy.stats import chi2
 
 from bayesid.errors import InputError
+from bayesid.estimators.conic.data import LinkData
 from bayesid.regression.regression import Regression
 from bayesid.robot import inertia
 from bayesid.robot.prior import Prior
 
-if TYPE_CHECKING:
-    from bayesid.estimators.conic.physical import Data
-
 METRICS = ("pullback", "euclidean", "entropic")
-#: Trusts tried when none is stated.
+#: Relative standard deviations tried when none is stated.
 _SMALLEST, _LARGEST = 1e-3, 1e2
-#: Below this probability of the distance to the nominal model even the best trust explains nothing.
+#: Below this probability of the distance to the nominal model even the best relative standard deviation explains nothing.
 _UNEXPLAINED = 1e-4
-#: A trust that says next to nothing, for questions to the data alone.
+#: A relative standard deviation that says next to nothing, for questions to the data alone.
 _NEXT_TO_NONE = 30.0
-#: Without any nominal model: spheres of 1 kg with a radius of gyration of 0.1 m, trusted to a factor of ten.
+#: Without any nominal model: spheres of 1 kg with a radius of gyration of 0.1 m, known within a factor of ten.
 _ORDINARY = np.array([1.0, 0, 0, 0, 0.02, 0, 0.02, 0, 0, 0.02])
 _ORDINARY_STD = 10.0
 
 
 @dataclass(frozen=True)
-class Trust:
+class LinkPrior:
     """A nominal model and its precision.
 
     Attributes
@@ -57,7 +55,7 @@ class Trust:
     rule
         Where s is from, in words.
     probability
-        Of data as far from the nominal model as these, given the trust.
+        Of data as far from the nominal model as these, given s.
     end
         ``smallest`` or ``largest`` where the search for s stopped at that end of its range, else None.
     """
@@ -89,7 +87,7 @@ class Trust:
         }
 
 
-def trust_of(regression: Regression, data: Data, prior: Prior | None, metric: str, rel_std: float | None) -> Trust:
+def link_prior(regression: Regression, data: LinkData, prior: Prior | None, metric: str, rel_std: float | None) -> LinkPrior:
     """Nominal model and strength from what is given: a prior, the regression's nominal links, or next to nothing.
 
     Raises
@@ -108,7 +106,8 @@ def trust_of(regression: Regression, data: Data, prior: Prior | None, metric: st
         references = _references(mean, data.bodies)
         if metric == "pullback" and rel_std is None:
             root = _root(prior.precision)
-            return Trust(mean, root, references, metric, None, True, "the prior's precision", _probability(data, mean, root, 1.0))
+            probability = _probability(data, mean, root, 1.0)
+            return LinkPrior(mean, root, references, metric, None, True, "the prior's precision", probability)
     elif regression.knowledge.nominal_links is not None:
         mean = regression.knowledge.nominal_links
         references = _references(mean, data.bodies)
@@ -120,21 +119,21 @@ def trust_of(regression: Regression, data: Data, prior: Prior | None, metric: st
         rel_std = _ORDINARY_STD if rel_std is None else rel_std
     unit = _unit_root(mean, data.bodies, metric)
     stated = regression.knowledge.inertia_rel_std if rel_std is None and prior is None else rel_std
-    # Exactly known links leave nothing to estimate: whoever asks for an estimate doubts them.
+    # Exactly known links leave nothing to estimate: whoever asks for an estimate does not take them for exact.
     found = stated is None or stated == 0
     if found:
         std, end = _most_probable(data, mean, unit)
-        rule = "the trust that makes the data most probable"
+        rule = "the value that makes the data most probable"
         if end is not None:
             rule += f", at the {end} that is tried"
         if _probability(data, mean, unit, std) < _UNEXPLAINED:
-            rule += "; no trust explains how far the data are from the nominal model: the model lacks something beside links"
+            rule += "; no value explains how far the data are from the nominal model: an effect beside the links is missing"
     else:
         assert stated is not None
         std, rule, end = float(stated), "as stated", None
     if prior is None and regression.knowledge.nominal_links is None:
         rule = "no nominal model: bodies of about 1 kg and 0.1 m, within a factor of ten"
-    return Trust(mean, unit / std, references, metric, std, not found, rule, _probability(data, mean, unit, std), end)
+    return LinkPrior(mean, unit / std, references, metric, std, not found, rule, _probability(data, mean, unit, std), end)
 
 
 def _references(mean: np.ndarray, bodies) -> np.ndarray:
@@ -167,7 +166,7 @@ def _root(precision: np.ndarray) -> np.ndarray:
         return np.sqrt(values[keep])[:, None] * vectors[:, keep].T * size
 
 
-def _distance(data: Data, mean: np.ndarray, unit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _distance(data: LinkData, mean: np.ndarray, unit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Independent ``y_k ~ N(0, 1 + s^2 g_k)``: y (k,) and g (k,).
 
     What the prior says nothing about, effects and free columns, is projected out.
@@ -186,7 +185,7 @@ def _distance(data: Data, mean: np.ndarray, unit: np.ndarray) -> tuple[np.ndarra
     return u.T @ (rest @ y), values
 
 
-def _most_probable(data: Data, mean: np.ndarray, unit: np.ndarray) -> tuple[float, str | None]:
+def _most_probable(data: LinkData, mean: np.ndarray, unit: np.ndarray) -> tuple[float, str | None]:
     """Maximiser of the probability of the data over s, by a grid and a search in between, and the end where it lies."""
     y, g = _distance(data, mean, unit)
 
@@ -206,7 +205,7 @@ def _most_probable(data: Data, mean: np.ndarray, unit: np.ndarray) -> tuple[floa
     return float(np.exp(found)), None
 
 
-def _probability(data: Data, mean: np.ndarray, unit: np.ndarray, std: float) -> float:
-    """Of data at least as far from the nominal model as these, if the trust is right."""
+def _probability(data: LinkData, mean: np.ndarray, unit: np.ndarray, std: float) -> float:
+    """Of data at least as far from the nominal model as these, if ``std`` is right."""
     y, g = _distance(data, mean, unit)
     return float(chi2.sf(np.sum(y**2 / (1.0 + std**2 * g)), len(y))) if len(y) else 1.0

@@ -1,10 +1,10 @@
-"""Losses that bound what a stretch of rows can do, and their scales.
+"""Losses that bound what a segment of rows can do, and their scales.
 
-A stretch of n independent standard normal numbers has the squared length q ~ chi2(n). A loss turns q into the weight w(q) of
+A segment of n independent standard normal numbers has the squared length q ~ chi2(n). A loss turns q into the weight w(q) of
 all of its rows; least squares is w = 1.
 
-* Huber [Huber1964]_: w = min(1, k / sqrt(q)), where a normal stretch is longer than k with a fixed probability.
-* Student's t [Lange1989]_: w = (nu + n) / (nu + q), the multivariate t with nu degrees of freedom for whole stretches.
+* Huber [Huber1964]_: w = min(1, k / sqrt(q)), where a normal segment is longer than k with a fixed probability.
+* Student's t [Lange1989]_: w = (nu + n) / (nu + q), the multivariate t with nu degrees of freedom for whole segments.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from scipy.optimize import brentq
 from scipy.special import digamma, gammaln
 from scipy.stats import chi2
 
-#: Probability that Huber's loss leaves a normal stretch its whole weight, unless a constant is given.
+#: Probability that Huber's loss leaves a normal segment its whole weight, unless a constant is given.
 WHOLE = 0.95
 #: Degrees of freedom are looked for in this range; the upper end is as good as normal.
 LOWEST_NU, HIGHEST_NU = 1.0, 1000.0
@@ -25,7 +25,7 @@ _PASSES = 100
 
 
 class Loss(Protocol):
-    """What the iteration asks of a loss; q are squared lengths, n the degrees of freedom of a normal stretch."""
+    """What the iteration asks of a loss; q are squared lengths, n the degrees of freedom of a normal segment."""
 
     def weights(self, q: np.ndarray, n: np.ndarray) -> np.ndarray:
         """Weights w(q)."""
@@ -46,7 +46,7 @@ class Loss(Protocol):
 
 @dataclass(frozen=True)
 class HuberLoss:
-    """Huber's loss; ``rare`` is the probability that a normal stretch is longer than k."""
+    """Huber's loss; ``rare`` is the probability that a normal segment is longer than k."""
 
     rare: float
 
@@ -64,7 +64,7 @@ class HuberLoss:
         return np.where(w < 1.0, -0.5 * w / np.maximum(q, 1e-300), 0.0)
 
     def variance(self, q: np.ndarray, n: np.ndarray) -> float:
-        """Huber's proposal 2: the mean of min(q / s2, k2) is what it is for normal stretches."""
+        """Huber's proposal 2: the mean of min(q / s2, k2) is what it is for normal segments."""
         limit = self._limit(n)
         expected = float(np.sum(_clipped_mean(n, limit)))
         value = 1.0
@@ -79,7 +79,7 @@ class HuberLoss:
         return self
 
     def efficiency(self, n: float) -> float:
-        """Variance of least squares over that of this loss, for normal noise and stretches of n."""
+        """Variance of least squares over that of this loss, for normal noise and segments of n."""
         k2 = self._limit(np.array(n))
         if np.isinf(k2):
             return 1.0
@@ -91,7 +91,7 @@ class HuberLoss:
 
 @dataclass(frozen=True)
 class StudentLoss:
-    """Student's t for whole stretches; ``estimate``: nu is learned."""
+    """Student's t for whole segments; ``estimate``: nu is learned."""
 
     nu: float
     estimate: bool = False

@@ -1,59 +1,77 @@
 """Estimators that a contact or a hammer's tap cannot drag away: Huber's loss and Student's t.
 
-All channels of a stretch of neighbouring rows share one weight w, which the Mahalanobis length of the stretch's residuals
-gives (`losses`). Windows that grow from stretches of hardly any weight are rejected in time (`stretches`), all the others
-enter a weighted least squares in the channels' metric D,
-
-    min_b  sum_t w_t |D (y_t - X_t b)|^2,
-
-repeated until its own residuals give the same weights. With all w = 1 this is `wls`.
-
-Least squares on everything is no start: a contact drags it, and hides in its residuals. So the fit starts from least absolute
-lengths of stretches, trims to the better half of the recording [Agullo2008]_, and learns the noise, colour and all, from rows
-that were not rejected.
+Both are reweighted least squares (`bayesid.estimators.robust.reweighting`) and differ in their losses
+(`bayesid.estimators.robust.losses`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.stats import chi2
 
 from bayesid.errors import InputError
-from bayesid.estimators.estimator import Estimate, unseen
-from bayesid.estimators.factor import Factor, Weights, gram_rows, learn_weights, reduce_rows, solve, whitened
-from bayesid.estimators.least_squares import factor_inverse, make_estimate, nominal_start, target_from_nominal
-from bayesid.estimators.robust.losses import WHOLE, HuberLoss, Loss, StudentLoss
-from bayesid.estimators.robust.segments import Residuals, accepted, lengths, metrics, residuals, restlessness, weighted, windows
-from bayesid.estimators.robust.trimmed import trimmed
-from bayesid.regression.blocks import Block
+from bayesid.estimators.details import Details
+from bayesid.estimators.estimator import Estimate
+from bayesid.estimators.robust.losses import WHOLE, HuberLoss, StudentLoss
+from bayesid.estimators.robust.reweighting import RobustFit
 from bayesid.regression.regression import Regression
-from bayesid.regression.row_cache import RowCache
-from bayesid.signals.noise import NoiseModel
 
-_ROUNDS, _ALTERNATIONS = 6, 10
-_PASSES = 60
-_TOLERANCE = 1e-5  # standard deviations
-#: A window grows from stretches of less than this weight that are longer than 95 % of normal ones by this factor.
-REJECTED_WEIGHT, REJECTED_LENGTH = 0.5, 2.0
-#: Nothing is rejected where less than this share of a group's rows would be left: that is the model's fault.
-SMALLEST_ACCEPTED = 0.5
 _FIRST_NU = 4.0
-_SMALLEST_SLOPE = 0.1
+
+
+@dataclass(frozen=True, kw_only=True)
+class RobustDetails(Details):
+    """What both robust estimators say.
+
+    Attributes
+    ----------
+    rule
+        Where the loss's parameter is from.
+    scale
+        Of the residuals, in units of the noise.
+    rejected_share
+        Of all rows.
+    rejected_windows
+        Times of the first and the last row of each rejected window, by recording [s].
+    mean_weight_of_accepted_rows, rows_per_segment, iterations
+        Of the fit; the number of rows is ``rows_per_stretch`` in ``estimate.json``.
+    """
+
+    rule: str
+    scale: float
+    rejected_share: float
+    rejected_windows: dict[str, list[list[float]]]
+    mean_weight_of_accepted_rows: float
+    rows_per_segment: int = field(metadata={"key": "rows_per_stretch"})
+    iterations: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class HuberDetails(RobustDetails):
+    """The constant of Huber's loss for one row of all channels, and its efficiency relative to least squares."""
+
+    constant: float
+    efficiency_for_normal_noise: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class StudentDetails(RobustDetails):
+    """Degrees of freedom of Student's t."""
+
+    nu: float
 
 
 @dataclass(frozen=True)
 class Huber:
-    """Huber's loss on stretches of rows.
+    """Huber's loss on segments of rows.
 
     Attributes
     ----------
     constant
-        Mahalanobis length of one row of all channels from which on the loss grows linearly; stretches of several rows have
-        the length that is as rare. None: 95 % of normal stretches keep their whole weight. Infinity: `wls`.
+        Mahalanobis length of one row of all channels from which on the loss grows linearly; segments of several rows have
+        the length that is as rare. None: 95 % of normal segments keep their whole weight. Infinity: `wls`.
     """
 
     name: str = "huber"
@@ -67,19 +85,21 @@ class Huber:
                              f"{np.sqrt(channels):.2g}")  # fmt: skip
         rare = 1.0 - WHOLE if self.constant is None else float(chi2.sf(self.constant**2, channels))
         loss = HuberLoss(rare)
-        fit = _Fit.of(regression, loss)
+        fit = RobustFit.of(regression, loss)
         typical = float(np.median(fit.n[fit.n > 0]))
-        details = {
-            "constant": float(np.sqrt(chi2.isf(rare, channels))),
-            "rule": "95 % of normal stretches keep their whole weight" if self.constant is None else "as given",
-            "efficiency_for_normal_noise": loss.efficiency(typical),
-        }
-        return fit.estimate(self.name, details)
+        made = fit.estimate(self.name)
+        details = HuberDetails(
+            **fit.details(),
+            constant=float(np.sqrt(chi2.isf(rare, channels))),
+            rule="95 % of normal segments keep their whole weight" if self.constant is None else "as given",
+            efficiency_for_normal_noise=loss.efficiency(typical),
+        )
+        return replace(made, details=details)
 
 
 @dataclass(frozen=True)
 class Student:
-    """Student's t likelihood of stretches of rows, with unknown scale.
+    """Student's t likelihood of segments of rows, with unknown scale.
 
     Attributes
     ----------
@@ -94,227 +114,7 @@ class Student:
         """Estimate with the sandwich covariance of these weights."""
         if self.nu is not None and not self.nu > 0:
             raise InputError(f"student nu = {self.nu}: give positive degrees of freedom, or none to have them estimated")
-        fit = _Fit.of(regression, StudentLoss(_FIRST_NU, True) if self.nu is None else StudentLoss(self.nu))
+        fit = RobustFit.of(regression, StudentLoss(_FIRST_NU, True) if self.nu is None else StudentLoss(self.nu))
         assert isinstance(fit.loss, StudentLoss)
-        rule = "largest likelihood of all stretches" if self.nu is None else "as given"
-        return fit.estimate(self.name, {"nu": fit.loss.nu, "rule": rule})
-
-
-@dataclass(frozen=True)
-class _Fit:
-    """A converged fit.
-
-    ``plain`` are the rows without the filters' known colour, ``clean`` the same with a pilot of accepted rows; ``left`` the
-    residuals, ``good`` the accepted rows, ``weights`` w of each row; ``q``, ``n``, ``variance`` lengths, degrees
-    of freedom and scale of the accepted rows of each stretch.
-    """
-
-    regression: Regression
-    plain: Regression
-    clean: Regression
-    learned: Weights
-    loss: Loss
-    left: Residuals
-    good: np.ndarray
-    weights: np.ndarray
-    q: np.ndarray
-    n: np.ndarray
-    variance: float
-    factor: Factor
-    solution: np.ndarray
-    passes: int
-
-    @classmethod
-    def of(cls, regression: Regression, loss: Loss) -> _Fit:
-        """Learn the noise from a pilot, reject, iterate."""
-        plain = _without_filters(regression)
-        values, clean, learned, loss = _learn(plain, loss)
-        left = residuals(plain.blocks(), values)
-        metric = metrics(left, learned.noise)
-        loss, good = _judge(left, learned.noise, loss)
-        restless = restlessness(left, metric)
-        begin = nominal_start(regression, len(values))
-        passes = 0
-        while True:
-            passes += 1
-            q, n = lengths(left, metric, good, restless)
-            used = n > 0
-            variance = loss.variance(q[used], n[used])
-            share = np.zeros(len(q))
-            share[used] = loss.weights(q[used] / variance, n[used])
-            weights = np.where(good, share[left.stretch], 0.0)
-            factor = _factor(weighted(plain.blocks(), left, np.sqrt(weights)), learned.noise)
-            last, values = values, solve(factor.matrix, target_from_nominal(regression, factor)) + begin
-            left = residuals(plain.blocks(), values)
-            if passes == _PASSES or np.linalg.norm(factor.matrix @ (values - last)) <= _TOLERANCE:
-                break
-        factor = Factor(factor.r, int(good.sum()) * left.values.shape[1])
-        return cls(regression, plain, clean, learned, loss, left, good, weights, q, n, variance, factor, values, passes)
-
-    def covariance(self, hidden: np.ndarray) -> np.ndarray:
-        """Sandwich ``A^-1 B A^-1`` of these weights [Huber1981]_.
-
-        The parameters solve ``sum_t X_t' D^2 s_t = 0`` with ``s_t = w_t r_t``. A is the derivative of that sum by the
-        parameters, `_slope` times ``sum_t w_t X_t' D^2 X_t``. B is the sum's covariance, ``sum_tu X_t' D^2 C_tu D^2 X_u``
-        over accepted rows, C that of s: with size and colour of weighted noise, which is calmer and steadier than the noise.
-        """
-        noise = self._score_noise()
-        scale = {g: 1.0 / m.std for g, m in self.learned.noise.items()}
-        middle = gram_rows(
-            weighted(self.plain.blocks(), self.left, self.good.astype(float)),
-            lambda b: noise[b.group].colour_transposed(b.matrix * scale[b.group][:, None] ** 2),
-        )
-        inverse = factor_inverse(self.factor.matrix, hidden)
-        bread = inverse @ inverse.T / self._slope(inverse)
-        return bread @ middle @ bread
-
-    def _slope(self, inverse: np.ndarray) -> float:
-        """How much slower the equations change with the parameters than with fixed weights, mean over all directions.
-
-        A weight falls as its own residuals grow: stretch s adds ``2 w'(q_s) (X_s' D^2 r_s) (r_s' C^-1 X_s)`` to A, q_s in
-        its own units. With X in the basis ``inverse``, in which the sum of ``w X' D^2 X`` is 1, the mean of the
-        diagonal is 1 plus the mean of these. Residuals as smooth in time as the columns weigh more than white ones.
-        """
-        used = self.n > 0
-        change = np.zeros(len(used))
-        left, metric = self.left, metrics(self.left, self.learned.noise)
-        numbers = left.values.shape[1] * np.bincount(left.stretch[self.good], minlength=len(used))[used]
-        unit = self.n[used] / numbers / self.variance  # of q, in squared Mahalanobis lengths
-        change[used] = 2.0 * unit * self.loss.slopes(self.q[used] / self.variance, self.n[used])
-        if not change.any():
-            return 1.0
-        total, sizes = 0.0, np.cumsum((0, *left.sizes))
-        for block, a, b in zip(self.plain.blocks(), sizes[:-1], sizes[1:], strict=True):
-            stretch, keep = left.stretch[a:b] - left.stretch[a], self.good[a:b]
-            r = left.values[a:b] * keep[:, None]
-            pulls = np.stack([r / self.learned.noise[block.group].std ** 2, r @ metric[block.group].precision], axis=2)
-            own = np.einsum("tcp,tck->tpk", block.matrix, pulls)
-            own = np.add.reduceat(own, np.flatnonzero(np.append(True, np.diff(stretch) > 0)), axis=0)
-            first, last = left.stretch[a], left.stretch[b - 1] + 1
-            both = np.sum((own[:, :, 0] @ inverse) * (own[:, :, 1] @ inverse), axis=1)
-            total += float(change[first:last] @ both)
-        seen = np.linalg.matrix_rank(inverse)
-        return max(1.0 + total / max(seen, 1), _SMALLEST_SLOPE)
-
-    def _score_noise(self) -> dict[str, NoiseModel]:
-        """Noise of ``w y``, learned from weighted rows as that of y is from rows."""
-        pilot = self.clean.pilot()
-        left = residuals(pilot, self.solution)
-        metric = metrics(left, self.learned.noise)
-        q, n = lengths(left, metric, np.ones(len(left.values), bool), restlessness(left, metric))
-        share = self.loss.weights(q / self.variance, n)[left.stretch]
-        if (share == 1.0).all():
-            return self.learned.noise
-        return learn_weights(replace(self.clean, rows=self.clean.rows.with_pilot(tuple(weighted(pilot, left, share))))).noise
-
-    def estimate(self, name: str, details: dict[str, Any]) -> Estimate:
-        """The estimate, with the rejected windows among its details."""
-        hidden = unseen(self.factor.matrix)
-        made = make_estimate(name, self.clean, self.learned, self.factor, self.solution, self.covariance(hidden), hidden)
-        left, good = self.left, self.good
-        rows = np.bincount(left.stretch)
-        details = {
-            **details,
-            "scale": float(np.sqrt(self.variance)),
-            "rejected_share": float(1.0 - good.mean()),
-            "rejected_windows": windows(left, good, self.regression.motion_names),
-            "mean_weight_of_accepted_rows": float(self.weights[good].mean()),
-            "rows_per_stretch": int(np.median(rows)),
-            "iterations": self.passes,
-        }
-        return replace(made, noise=_with_filters(self.regression, made.noise), details={**made.details, **details})
-
-
-def _without_filters(regression: Regression) -> Regression:
-    """The rows with the filters' known recursion undone: a tap that lasts for seconds behind 1 rad/s is short again."""
-    poles = regression.known_poles
-    if poles is None:
-        return regression
-    channels = len(regression.channel_names)
-    known = np.tile(np.real(np.poly(poles)), (channels, 1))
-    models = {
-        "trajectory": NoiseModel(known, np.eye(channels), from_zero=True),
-        "poses": NoiseModel(np.ones((channels, 1)), np.eye(channels)),
-    }
-
-    def undone(blocks: Iterable[Block]) -> Iterator[Block]:
-        for block, rows in whitened(blocks, models):
-            yield replace(block, rows=rows, times=block.times[len(block.times) - len(rows) :])
-
-    rows = regression.rows
-    source = replace(
-        rows.source, blocks=lambda: undone(rows.blocks()), pilot=lambda: undone(rows.pilot()), known_poles=None
-    )
-    return replace(regression, rows=RowCache(source))
-
-
-def _with_filters(regression: Regression, noise: dict[str, NoiseModel]) -> dict[str, NoiseModel]:
-    """The noise of the rows as they are."""
-    if regression.known_poles is None:
-        return noise
-    known = np.real(np.poly(regression.known_poles))
-    return {
-        group: NoiseModel(np.array([np.convolve(known, a) for a in m.coefficients]), m.innovation, from_zero=True)
-        if group == "trajectory" else m
-        for group, m in noise.items()
-    }  # fmt: skip
-
-
-def _learn(plain: Regression, loss: Loss) -> tuple[np.ndarray, Regression, Weights, Loss]:
-    """A fit to accepted rows of the pilot, the pilot of these rows, and their noise."""
-    pilot = plain.pilot()
-    values, noise = trimmed(pilot)
-    before, clean, learned = np.zeros(0, bool), plain, None
-    for _ in range(_ROUNDS):
-        left = residuals(pilot, values)
-        loss, good = _judge(left, noise, loss)
-        if learned is not None and np.array_equal(good, before):
-            break
-        before = good
-        clean = plain if good.all() else replace(plain, rows=plain.rows.with_pilot(_pieces(pilot, left, good)))
-        learned = learn_weights(clean)
-        noise = learned.noise
-        factor = _factor(clean.pilot(), noise)
-        values = solve(factor.matrix, factor.target)
-    assert learned is not None
-    return values, clean, learned, loss
-
-
-def _judge(left: Residuals, noise: dict[str, NoiseModel], loss: Loss) -> tuple[Loss, np.ndarray]:
-    """The loss with what it learns from all stretches, and the rows that are not rejected."""
-    metric = metrics(left, noise)
-    q, n = lengths(left, metric, np.ones(len(left.values), bool), restlessness(left, metric))
-    variance = 1.0
-    for _ in range(_ALTERNATIONS):
-        loss = loss.fitted(q / variance, n)
-        last, variance = variance, loss.variance(q, n)
-        if abs(variance - last) <= 1e-4 * last:
-            break
-    heavy = loss.weights(q / variance, n) < REJECTED_WEIGHT
-    # Lengths in units of the median stretch: noise that was learned from calm rows alone must not call others too long.
-    for mask in left.groups().values():
-        own = np.unique(left.stretch[mask])
-        q[own] /= max(float(np.median(q[own] / chi2.median(n[own]))), 1e-300)
-    good = accepted(left, q, n, heavy & (q > REJECTED_LENGTH**2 * chi2.ppf(WHOLE, n)))
-    enough = all(good[mask].mean() >= SMALLEST_ACCEPTED for mask in left.groups().values())
-    return loss, good if enough else np.ones(len(good), bool)
-
-
-def _pieces(blocks: Sequence[Block], left: Residuals, good: np.ndarray) -> list[Block]:
-    """What is left of the blocks, each piece as a recording of its own; poses stay together."""
-    out = []
-    for block, keep in zip(blocks, left.split(good), strict=True):
-        if block.group == "poses":
-            out.append(replace(block, rows=block.rows[keep], times=block.times[keep]))
-            continue
-        edges = np.flatnonzero(np.diff(keep)) + 1
-        for a, b in zip([0, *edges], [*edges, len(keep)], strict=True):
-            if keep[a] and b - a > 1:
-                out.append(replace(block, rows=block.rows[a:b], times=block.times[a:b], start=True))
-    return [b for b in out if len(b.rows)]
-
-
-def _factor(blocks: Iterable[Block], noise: dict[str, NoiseModel]) -> Factor:
-    """Factor of rows in units of their channels' noise."""
-    scale = {g: 1.0 / m.std for g, m in noise.items()}
-    return reduce_rows(blocks, lambda b: b.rows * scale[b.group][:, None])
+        rule = "largest likelihood of all segments" if self.nu is None else "as given"
+        return replace(fit.estimate(self.name), details=StudentDetails(**fit.details(), nu=fit.loss.nu, rule=rule))

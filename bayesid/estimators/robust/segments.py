@@ -1,7 +1,7 @@
-"""Stretches of neighbouring rows, and windows in time that are rejected as a whole.
+"""Segments of neighbouring rows, and windows in time that are rejected as a whole.
 
 What touches an arm lasts: a hammer's tap is spread over a few rows by the kernels that thin them, a contact over a second.
-So lengths of residuals are taken over stretches, and a window grows from a stretch that is too long over its
+So lengths of residuals are taken over segments, and a window grows from a segment that is too long over its
 neighbours as long as those are unusual, too.
 """
 
@@ -18,12 +18,12 @@ from scipy.stats import chi2
 from bayesid.regression.blocks import Block
 from bayesid.signals.noise import NoiseModel
 
-#: Length of a stretch [s] and its smallest number of rows.
-STRETCH_SECONDS = 0.2
-STRETCH_ROWS = 4
-#: A window grows over neighbouring stretches that are longer than all but this share of normal ones ...
+#: Length of a segment [s] and its smallest number of rows.
+SEGMENT_SECONDS = 0.2
+SEGMENT_ROWS = 4
+#: A window grows over neighbouring segments that are longer than all but this share of normal ones ...
 GROWTH = 0.01
-#: ... and closes over good ones of at most this many stretches between two windows.
+#: ... and closes over good ones of at most this many segments between two windows.
 CLOSED = 2
 #: Rows beside a window that go with it: a kernel's main lobe.
 MARGIN = 1
@@ -42,8 +42,8 @@ class Residuals:
         (N,) [s] and index of the recording.
     run
         (N,) gap-free pieces of recordings.
-    stretch
-        (N,) stretches; a pose is one of its own.
+    segment
+        (N,) segments; a pose is one of its own.
     poses
         (N,) whether the row is one of separate poses.
     sizes
@@ -54,14 +54,14 @@ class Residuals:
     times: np.ndarray
     motion: np.ndarray
     run: np.ndarray
-    stretch: np.ndarray
+    segment: np.ndarray
     poses: np.ndarray
     sizes: tuple[int, ...]
 
     @property
     def count(self) -> int:
-        """Number of stretches."""
-        return int(self.stretch[-1]) + 1
+        """Number of segments."""
+        return int(self.segment[-1]) + 1
 
     def groups(self) -> dict[str, np.ndarray]:
         """Which rows belong to each group of noise."""
@@ -70,8 +70,8 @@ class Residuals:
 
     @cached_property
     def first(self) -> np.ndarray:
-        """First row of each stretch."""
-        return np.flatnonzero(np.append(True, np.diff(self.stretch) > 0))
+        """First row of each segment."""
+        return np.flatnonzero(np.append(True, np.diff(self.segment) > 0))
 
     def split(self, rows: np.ndarray) -> list[np.ndarray]:
         """An array with an entry for each row, block by block."""
@@ -79,17 +79,17 @@ class Residuals:
 
 
 def residuals(blocks: Iterable[Block], values: np.ndarray) -> Residuals:
-    """Residuals of a fit, with the rows laid out in stretches."""
-    parts, run, stretch = [], -1, 0
+    """Residuals of a fit, with the rows laid out in segments."""
+    parts, run, segment = [], -1, 0
     for block in blocks:
         left = block.target - block.matrix @ values
         k = len(left)
         poses = block.group == "poses"
         step = float(np.median(np.diff(block.times))) if k > 1 else np.inf
         run += int(block.start or not parts or parts[-1][2][0] != block.motion or block.times[0] - parts[-1][1][-1] > 1.5 * step)
-        own = np.arange(k) // (1 if poses else max(round(STRETCH_SECONDS / max(step, 1e-9)), STRETCH_ROWS))
-        parts.append((left, block.times, np.full(k, block.motion), np.full(k, run), stretch + own, np.full(k, poses)))
-        stretch += int(own[-1]) + 1
+        own = np.arange(k) // (1 if poses else max(round(SEGMENT_SECONDS / max(step, 1e-9)), SEGMENT_ROWS))
+        parts.append((left, block.times, np.full(k, block.motion), np.full(k, run), segment + own, np.full(k, poses)))
+        segment += int(own[-1]) + 1
     columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
     return Residuals(*columns, sizes=tuple(len(p[0]) for p in parts))
 
@@ -125,7 +125,7 @@ class Metric:
         return np.linalg.inv(self.covariance[0])
 
     def freedom(self) -> np.ndarray:
-        """Degrees of freedom of stretches of 0 ... lags rows.
+        """Degrees of freedom of segments of 0 ... lags rows.
 
         The squared length q of m rows has mean ``c m`` and, where neighbouring rows are alike, a larger variance than
         ``2 c m``: as if there were only ``c m / (1 + (2 / c) sum_l (1 - l / m) |C_l|^2)`` numbers, C_l the
@@ -140,41 +140,41 @@ class Metric:
 
 
 def metrics(left: Residuals, noise: dict[str, NoiseModel]) -> dict[str, Metric]:
-    """Metrics of all groups, with lags for their longest stretch."""
-    rows = np.bincount(left.stretch)
-    return {g: Metric.of(noise[g], int(rows[left.stretch[mask]].max())) for g, mask in left.groups().items()}
+    """Metrics of all groups, with lags for their longest segment."""
+    rows = np.bincount(left.segment)
+    return {g: Metric.of(noise[g], int(rows[left.segment[mask]].max())) for g, mask in left.groups().items()}
 
 
 def lengths(
-    left: Residuals, metric: dict[str, Metric], good: np.ndarray, restless: dict[str, float] | None = None
+    left: Residuals, metric: dict[str, Metric], good: np.ndarray, correction: dict[str, float] | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Squared length q of each stretch's good rows and its degrees of freedom n, so that q ~ chi2(n); 0, 0 without any.
+    """Squared length q of each segment's good rows and its degrees of freedom n, so that q ~ chi2(n); 0, 0 without any.
 
-    ``restless``: each group's share of the degrees of freedom, see `restlessness`.
+    ``correction``: each group's share of the degrees of freedom, see `overdispersion_correction`.
     """
     q, n = np.zeros(left.count), np.zeros(left.count)
     for group, mask in left.groups().items():
         use = mask & good
-        free = metric[group].freedom() * (1.0 if restless is None else restless[group])
-        rows = np.bincount(left.stretch[use], minlength=left.count)
+        free = metric[group].freedom() * (1.0 if correction is None else correction[group])
+        rows = np.bincount(left.segment[use], minlength=left.count)
         channels = left.values.shape[1]
-        squares = np.bincount(left.stretch[use], metric[group].lengths(left.values[use]), minlength=left.count)
+        squares = np.bincount(left.segment[use], metric[group].lengths(left.values[use]), minlength=left.count)
         q += squares * free[rows] / np.maximum(channels * rows, 1)
         n += free[rows]
     return q, n
 
 
-def restlessness(left: Residuals, metric: dict[str, Metric]) -> dict[str, float]:
-    """Share of the degrees of freedom of each group's stretches that their actual spread leaves, at most 1.
+def overdispersion_correction(left: Residuals, metric: dict[str, Metric]) -> dict[str, float]:
+    """Share of the degrees of freedom of each group's segments that their actual spread leaves, at most 1.
 
-    Where a model lacks something, residuals are louder in some stretches than in others without anything touching the
-    arm. The ratio of the lower quartile of q to its median shows that, and hardly feels a fifth of contaminated stretches;
+    Where a model lacks something, residuals are louder in some segments than in others without anything touching the
+    arm. The ratio of the lower quartile of q to its median shows that, and hardly feels a fifth of contaminated segments;
     chi-squares of fewer degrees of freedom have the same.
     """
     out = {}
     q, n = lengths(left, metric, np.ones(len(left.values), bool))
     for group, mask in left.groups().items():
-        own = np.unique(left.stretch[mask])
+        own = np.unique(left.segment[mask])
         typical = float(np.median(n[own]))
         low, middle = np.quantile(q[own] / n[own], (0.25, 0.5))
         seen = low / middle if middle > 0 else 1.0
@@ -185,7 +185,7 @@ def restlessness(left: Residuals, metric: dict[str, Metric]) -> dict[str, float]
 
 
 def accepted(left: Residuals, q: np.ndarray, n: np.ndarray, seeds: np.ndarray) -> np.ndarray:
-    """Rows outside of the windows that grow from ``seeds``, stretches that are too long (N,)."""
+    """Rows outside of the windows that grow from ``seeds``, segments that are too long (N,)."""
     if not seeds.any():
         return np.ones(len(left.values), bool)
     run, poses = left.run[left.first], left.poses[left.first]
@@ -195,12 +195,12 @@ def accepted(left: Residuals, q: np.ndarray, n: np.ndarray, seeds: np.ndarray) -
         b, u, t = bad[order], unusual[order], together[order]
         for k in np.flatnonzero(u[1:] & t) + 1:  # few: the unusual ones only
             b[k] |= b[k - 1]
-    # Good stretches between two windows of the same run.
+    # Good segments between two windows of the same run.
     at = np.flatnonzero(bad)
     for a, b in zip(at[:-1], at[1:], strict=True):
         if 1 < b - a <= CLOSED + 1 and together[a:b].all():
             bad[a:b] = True
-    rows = bad[left.stretch]
+    rows = bad[left.segment]
     edge = (left.run[1:] == left.run[:-1]) & ~left.poses[1:] & ~left.poses[:-1]
     for _ in range(MARGIN):
         wider = rows.copy()

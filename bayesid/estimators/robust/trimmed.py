@@ -16,14 +16,14 @@ _ABSOLUTE_PASSES, _TRIMMED_PASSES = 20, 12
 
 
 def trimmed(blocks: Sequence[Block]) -> tuple[np.ndarray, dict[str, NoiseModel]]:
-    """Fit to the calmer half of the stretches [Agullo2008]_, and the size of the noise without colour.
+    """Fit to the calmer half of the segments [Agullo2008]_, and the size of the noise without colour.
 
-    Least absolute lengths come first: convex, and a stretch's pull does not grow with its length.
+    Least absolute lengths come first: convex, and a segment's pull does not grow with its length.
     """
     columns = blocks[0].rows.shape[2] - 1
     left = residuals(blocks, np.zeros(columns))
     half = (len(left.values) + columns // left.values.shape[1] + 1) // 2
-    rows = np.bincount(left.stretch)
+    rows = np.bincount(left.segment)
     use = np.ones(len(left.values))
     values, scale = np.zeros(columns), _spread(left, centred=True)
     for k in range(_ABSOLUTE_PASSES + _TRIMMED_PASSES):
@@ -34,14 +34,14 @@ def trimmed(blocks: Sequence[Block]) -> tuple[np.ndarray, dict[str, NoiseModel]]
         z = np.empty(len(left.values))
         for group, mask in left.groups().items():
             z[mask] = np.mean((left.values[mask] / scale[group]) ** 2, axis=1)
-        power = np.bincount(left.stretch, z) / rows
+        power = np.bincount(left.segment, z) / rows
         if k < _ABSOLUTE_PASSES:
-            use = np.maximum(power, 1e-6)[left.stretch] ** -0.25  # the root of the weight 1 / length
+            use = np.maximum(power, 1e-6)[left.segment] ** -0.25  # the root of the weight 1 / length
         else:
             order = np.argsort(power)
             kept = np.zeros(len(power), bool)
             kept[order[: int(np.searchsorted(np.cumsum(rows[order]), half)) + 1]] = True
-            use = kept[left.stretch].astype(float)
+            use = kept[left.segment].astype(float)
             if k > _ABSOLUTE_PASSES and np.allclose(values, last, rtol=1e-12, atol=0.0):
                 break
     noise = {}
@@ -50,9 +50,9 @@ def trimmed(blocks: Sequence[Block]) -> tuple[np.ndarray, dict[str, NoiseModel]]
         channels = kept.shape[1]
         size = kept.T @ kept / len(kept) if len(kept) >= 3 * channels else np.diag(scale[group] ** 2)
         size = size + np.diag(1e-10 * np.diag(size) + 1e-20 * max(np.diag(size).max(), 1e-200))
-        # The better half is too quiet; the median of all stretches is that of normal ones.
+        # The better half is too quiet; the median of all segments is that of normal ones.
         white = NoiseModel(np.ones((channels, 1)), size)
-        alone = replace(left, values=left.values[mask], stretch=left.stretch[mask], poses=left.poses[mask])
+        alone = replace(left, values=left.values[mask], segment=left.segment[mask], poses=left.poses[mask])
         q, n = lengths(alone, metrics(alone, {group: white}), np.ones(len(alone.values), bool))
         ratio = float(np.median(q[n > 0] / chi2.median(n[n > 0])))
         noise[group] = NoiseModel(white.coefficients, max(ratio, 1e-12) * size)

@@ -1,0 +1,248 @@
+"""Least squares over bodies that can exist, as a conic problem, and the certificate of its solution.
+
+Everything that data and prior say is one triangular factor C and its minimiser m; what remains is
+
+    min 1/2 ||C (x - m)||^2   subject to   P_i(x) >= eps S_i for every body i,   G x >= h,
+
+with x the link parameters, then the effects; P_i the pseudo-inertia [Wensing2018]_, linear in x; S_i that of a reference
+body; and G x >= h the bounds. The dual of the problem is in closed form,
+so a pair (x, z) proves itself: no solver has to be believed. With K the cone of the constraints ``B x - c``,
+
+    d(z) = z'(c - B m) - 1/2 ||C^-T B' z||^2   <=   optimum   <=   1/2 ||C (x - m)||^2   for z in K*, B x - c in K,
+
+and by strong convexity ``||C (x - x*)||^2 <= 2 gap``: the gap bounds the error in units of the standard deviation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import clarabel
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from bayesid.robot import inertia
+
+#: Every pseudo-inertia is kept this far inside, relative to the body's size: solvers stop within about 1e-9 of the
+#: boundary on either side, and simulators refuse bodies on the wrong one.
+MARGIN = 1e-7
+#: Solutions whose own certificate has a larger gap are refused.
+LARGEST_GAP = 1e-8
+# Clarabel's order of a symmetric 4 x 4: upper triangle by columns, off the diagonal times sqrt 2.
+_UP, _RIGHT = np.array([(i, j) for j in range(4) for i in range(j + 1)]).T
+_ROOT = np.where(_UP == _RIGHT, 1.0, np.sqrt(2.0))
+
+
+@dataclass(frozen=True)
+class Linear:
+    """A named group of bounds ``matrix @ x >= low``.
+
+    Attributes
+    ----------
+    name
+        What a person calls it, with its numbers.
+    matrix, low
+        (k, n), (k,).
+    """
+
+    name: str
+    matrix: np.ndarray
+    low: np.ndarray
+
+
+@dataclass(frozen=True)
+class Conic:
+    """The problem.
+
+    Attributes
+    ----------
+    factor
+        C, (n, n), upper triangular and regular.
+    centre
+        m, where the objective is zero (n,).
+    bodies
+        Columns of every body's ten parameters, in `bayesid.robot.inertia.PARAMETERS`' order.
+    references
+        Pseudo-inertias S_i that bodies are measured with, such as the nominal ones (b, 4, 4), positive definite.
+    bounds
+        Linear bounds.
+    margin
+        eps; see `MARGIN`.
+    """
+
+    factor: np.ndarray
+    centre: np.ndarray
+    bodies: tuple[tuple[int, ...], ...]
+    references: np.ndarray
+    bounds: tuple[Linear, ...] = ()
+    margin: float = MARGIN
+
+    @cached_property
+    def congruences(self) -> np.ndarray:
+        """Inverse roots T of the references, ``T S T' = 1`` (b, 4, 4)."""
+        return np.linalg.inv(np.linalg.cholesky(self.references))
+
+    @cached_property
+    def units(self) -> np.ndarray:
+        """Size of every parameter: those of the reference, one for effects (n,)."""
+        out = np.ones(len(self.centre))
+        for columns, reference in zip(self.bodies, self.references, strict=True):
+            mass, radius = reference[3, 3], np.sqrt(np.trace(reference[:3, :3]) / 3.0 / reference[3, 3])
+            out[list(columns)] = mass * np.array([1.0] + [radius] * 3 + [radius**2] * 6)
+        return out
+
+    def pseudo_inertias(self, x: np.ndarray) -> np.ndarray:
+        """Relative to the reference, less the margin (b, 4, 4): they have to be positive semidefinite."""
+        bodies = np.array([inertia.pseudo_inertia(x[list(columns)]) for columns in self.bodies]).reshape(-1, 4, 4)
+        return self.congruences @ bodies @ np.swapaxes(self.congruences, 1, 2) - self.margin * np.eye(4)
+
+    def constraints(self) -> tuple[np.ndarray, np.ndarray, list]:
+        """B (k, n), c (k,) and Clarabel's cones with ``B x - c`` in them.
+
+        Bounds are divided by the length of their row in units of the reference: all constraints are then of order one.
+        """
+        n = len(self.centre)
+        rows, low, cones = [], [], []
+        if self.bounds:
+            matrix = np.concatenate([b.matrix for b in self.bounds])
+            level = np.concatenate([b.low for b in self.bounds])
+            size = np.maximum(np.linalg.norm(matrix * self.units, axis=1), np.abs(level) * 1e-3)
+            size[size == 0] = 1.0
+            rows.append(matrix / size[:, None])
+            low.append(level / size)
+            cones.append(clarabel.NonnegativeConeT(len(level)))
+        for columns, root in zip(self.bodies, self.congruences, strict=True):
+            block = np.zeros((10, n))
+            block[:, list(columns)] = pack(root @ inertia.BASIS @ root.T).T
+            rows.append(block)
+            low.append(pack(self.margin * np.eye(4)))
+            cones.append(clarabel.PSDTriangleConeT(4))
+        return np.concatenate(rows) if rows else np.zeros((0, n)), np.concatenate(low) if low else np.zeros(0), cones
+
+
+def pack(symmetric: np.ndarray) -> np.ndarray:
+    """Symmetric (..., 4, 4) to (..., 10) with the same inner product, in Clarabel's order."""
+    return symmetric[..., _UP, _RIGHT] * _ROOT
+
+
+def unpack(packed: np.ndarray) -> np.ndarray:
+    """The inverse of `pack`."""
+    out = np.zeros(packed.shape[:-1] + (4, 4))
+    out[..., _UP, _RIGHT] = out[..., _RIGHT, _UP] = packed / _ROOT
+    return out
+
+
+def parts(problem: Conic) -> tuple[slice, slice]:
+    """Where bounds and bodies stand among the constraints."""
+    a = sum(len(b.low) for b in problem.bounds)
+    return slice(0, a), slice(a, a + 10 * len(problem.bodies))
+
+
+def violation(problem: Conic, slack: np.ndarray) -> float:
+    """Largest violation of the scaled constraints; at most 0 when all hold."""
+    bounds, bodies = parts(problem)
+    worst = [-np.inf, *(-slack[bounds])]
+    if problem.bodies:
+        worst.append(-np.linalg.eigvalsh(unpack(slack[bodies].reshape(-1, 10))).min())
+    return float(max(worst))
+
+
+def project_dual(problem: Conic, z: np.ndarray) -> np.ndarray:
+    """Nearest multipliers in the dual cone (both cones are their own dual)."""
+    bounds, bodies = parts(problem)
+    out = z.copy()
+    out[bounds] = np.maximum(z[bounds], 0.0)
+    values, vectors = np.linalg.eigh(unpack(z[bodies].reshape(-1, 10)))
+    out[bodies] = pack((vectors * np.maximum(values, 0.0)[:, None, :]) @ np.swapaxes(vectors, 1, 2)).ravel()
+    return out
+
+
+@dataclass(frozen=True)
+class Solution:
+    """A point, its multipliers and what they prove.
+
+    Attributes
+    ----------
+    x
+        (n,).
+    multipliers
+        z of the scaled constraints, projected onto the dual cone (k,).
+    objective, bound
+        1/2 ||C (x - m)||^2, and the lower bound d(z) on what any feasible point has.
+    violation
+        Largest violation of a scaled constraint (relative to the body's size), 0 inside.
+    stationarity
+        ||C (x - m) - C^-T B' z||, in standard deviations, relative to 1 + ||C (x - m)||.
+    complementarity
+        z'(B x - c), relative to 1 + objective.
+    eigenvalues
+        Of the scaled pseudo-inertias, margin included (b, 4).
+    ranks
+        Of the pseudo-inertias; below 4: the body is on the boundary of those that can exist (b,).
+    active
+        Names of the bounds that hold with equality and push.
+    iterations
+        Of the interior-point method; 0: the unconstrained minimiser is inside.
+    """
+
+    x: np.ndarray
+    multipliers: np.ndarray
+    objective: float
+    bound: float
+    violation: float
+    stationarity: float
+    complementarity: float
+    eigenvalues: np.ndarray
+    ranks: np.ndarray
+    active: tuple[str, ...]
+    iterations: int
+
+    @property
+    def gap(self) -> float:
+        """Relative duality gap: (objective - bound) / (1 + objective)."""
+        return (self.objective - self.bound) / (1.0 + self.objective)
+
+    @property
+    def certified(self) -> bool:
+        """Whether gap, violation and stationarity are below `LARGEST_GAP`, `MARGIN` and 1e-6."""
+        return abs(self.gap) <= LARGEST_GAP and self.violation <= MARGIN and self.stationarity <= 1e-6
+
+
+def solution_at(problem: Conic, matrix: np.ndarray, low: np.ndarray, x: np.ndarray, z: np.ndarray, iterations: int) -> Solution:
+    """Residuals from the problem itself; nothing of the solver's own account is used."""
+    z = project_dual(problem, z)
+    slack = matrix @ x - low
+    away = problem.factor @ (x - problem.centre)
+    pull = solve_triangular(problem.factor, matrix.T @ z, trans=1)
+    objective = 0.5 * float(away @ away)
+    bound = float(z @ (low - matrix @ problem.centre)) - 0.5 * float(pull @ pull)
+    margins = problem.pseudo_inertias(x)
+    inside = np.linalg.eigvalsh(margins)
+    pushed = np.linalg.eigvalsh(unpack(z[parts(problem)[1]].reshape(-1, 10)))[:, ::-1]
+    # On the boundary: the constraint pushes in a direction in which the body has next to no extent.
+    ranks = 4 - np.count_nonzero((pushed > np.maximum(inside, 0.0)) & (inside < 1e-3), axis=1)
+    return Solution(
+        x=x,
+        multipliers=z,
+        objective=objective,
+        bound=bound,
+        violation=max(violation(problem, slack), 0.0),
+        stationarity=float(np.linalg.norm(away - pull) / (1.0 + np.linalg.norm(away))),
+        complementarity=float(z @ slack) / (1.0 + objective),
+        eigenvalues=inside + problem.margin,
+        ranks=ranks,
+        active=active_bounds(problem.bounds, slack, z),
+        iterations=iterations,
+    )
+
+
+def active_bounds(bounds: Sequence[Linear], slack: np.ndarray, z: np.ndarray) -> tuple[str, ...]:
+    """Names of the bounds that hold the optimum back: a multiplier z above the slack, one number a row of each."""
+    out, start = [], 0
+    for group in bounds:
+        part = slice(start, start := start + len(group.low))
+        if (z[part] > np.maximum(slack[part], 1e-9)).any():
+            out.append(group.name)
+    return tuple(out)

@@ -1,0 +1,275 @@
+"""Reweighted least squares that a contact or a hammer's tap cannot drag away.
+
+All channels of a segment of neighbouring rows share one weight w, which the Mahalanobis length of the segment's residuals
+gives (`bayesid.estimators.robust.losses`). Windows that grow from segments of hardly any weight are rejected in time
+(`bayesid.estimators.robust.segments`), all the others enter a weighted least squares in the channels' metric D,
+
+    min_b  sum_t w_t |D (y_t - X_t b)|^2,
+
+repeated until its own residuals give the same weights. With all w = 1 this is `wls`.
+
+Least squares on everything is no start: a contact drags it, and hides in its residuals. So the fit starts from least absolute
+lengths of segments, trims to the better half of the recording [Agullo2008]_, and learns the noise, colour and all, from rows
+that were not rejected.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy.stats import chi2
+
+from bayesid.estimators.estimator import Estimate, unseen
+from bayesid.estimators.factor import Factor, Weights, gram_rows, learn_weights, reduce_rows, solve, whitened
+from bayesid.estimators.least_squares import factor_inverse, make_estimate, nominal_start, target_from_nominal
+from bayesid.estimators.robust.losses import WHOLE, Loss
+from bayesid.estimators.robust.segments import (
+    Residuals,
+    accepted,
+    lengths,
+    metrics,
+    overdispersion_correction,
+    residuals,
+    weighted,
+    windows,
+)  # fmt: skip
+from bayesid.estimators.robust.trimmed import trimmed
+from bayesid.regression.blocks import Block
+from bayesid.regression.regression import Regression
+from bayesid.regression.row_cache import RowCache
+from bayesid.signals.noise import NoiseModel
+
+_ROUNDS, _ALTERNATIONS = 6, 10
+_PASSES = 60
+_TOLERANCE = 1e-5  # standard deviations
+#: A window grows from segments of less than this weight that are longer than 95 % of normal ones by this factor.
+REJECTED_WEIGHT, REJECTED_LENGTH = 0.5, 2.0
+#: Nothing is rejected where less than this share of a group's rows would be left: that is the model's fault.
+SMALLEST_ACCEPTED = 0.5
+_SMALLEST_SLOPE = 0.1
+
+
+@dataclass(frozen=True)
+class RobustFit:
+    """A converged fit.
+
+    ``plain`` are the rows without the filters' known colour, ``clean`` the same with a pilot of accepted rows; ``left`` the
+    residuals, ``good`` the accepted rows, ``weights`` w of each row; ``q``, ``n``, ``variance`` lengths, degrees
+    of freedom and scale of the accepted rows of each segment.
+    """
+
+    regression: Regression
+    plain: Regression
+    clean: Regression
+    learned: Weights
+    loss: Loss
+    left: Residuals
+    good: np.ndarray
+    weights: np.ndarray
+    q: np.ndarray
+    n: np.ndarray
+    variance: float
+    factor: Factor
+    solution: np.ndarray
+    passes: int
+
+    @classmethod
+    def of(cls, regression: Regression, loss: Loss) -> RobustFit:
+        """Learn the noise from a pilot, reject, iterate."""
+        plain = _without_filters(regression)
+        values, clean, learned, loss = _learn(plain, loss)
+        left = residuals(plain.blocks(), values)
+        metric = metrics(left, learned.noise)
+        loss, good = _judge(left, learned.noise, loss)
+        correction = overdispersion_correction(left, metric)
+        begin = nominal_start(regression, len(values))
+        passes = 0
+        while True:
+            passes += 1
+            q, n = lengths(left, metric, good, correction)
+            used = n > 0
+            variance = loss.variance(q[used], n[used])
+            share = np.zeros(len(q))
+            share[used] = loss.weights(q[used] / variance, n[used])
+            weights = np.where(good, share[left.segment], 0.0)
+            factor = _factor(weighted(plain.blocks(), left, np.sqrt(weights)), learned.noise)
+            last, values = values, solve(factor.matrix, target_from_nominal(regression, factor)) + begin
+            left = residuals(plain.blocks(), values)
+            if passes == _PASSES or np.linalg.norm(factor.matrix @ (values - last)) <= _TOLERANCE:
+                break
+        factor = Factor(factor.r, int(good.sum()) * left.values.shape[1])
+        return cls(regression, plain, clean, learned, loss, left, good, weights, q, n, variance, factor, values, passes)
+
+    def covariance(self, hidden: np.ndarray) -> np.ndarray:
+        """Sandwich ``A^-1 B A^-1`` of these weights [Huber1981]_.
+
+        The parameters solve ``sum_t X_t' D^2 s_t = 0`` with ``s_t = w_t r_t``. A is the derivative of that sum by the
+        parameters, `_slope` times ``sum_t w_t X_t' D^2 X_t``. B is the sum's covariance, ``sum_tu X_t' D^2 C_tu D^2 X_u``
+        over accepted rows, C that of s: with size and colour of weighted noise, which is calmer and steadier than the noise.
+        """
+        noise = self._score_noise()
+        scale = {g: 1.0 / m.std for g, m in self.learned.noise.items()}
+        middle = gram_rows(
+            weighted(self.plain.blocks(), self.left, self.good.astype(float)),
+            lambda b: noise[b.group].colour_transposed(b.matrix * scale[b.group][:, None] ** 2),
+        )
+        inverse = factor_inverse(self.factor.matrix, hidden)
+        bread = inverse @ inverse.T / self._slope(inverse)
+        return bread @ middle @ bread
+
+    def _slope(self, inverse: np.ndarray) -> float:
+        """How much slower the equations change with the parameters than with fixed weights, mean over all directions.
+
+        A weight falls as its own residuals grow: segment s adds ``2 w'(q_s) (X_s' D^2 r_s) (r_s' C^-1 X_s)`` to A, q_s in
+        its own units. With X in the basis ``inverse``, in which the sum of ``w X' D^2 X`` is 1, the mean of the
+        diagonal is 1 plus the mean of these. Residuals as smooth in time as the columns weigh more than white ones.
+        """
+        used = self.n > 0
+        change = np.zeros(len(used))
+        left, metric = self.left, metrics(self.left, self.learned.noise)
+        numbers = left.values.shape[1] * np.bincount(left.segment[self.good], minlength=len(used))[used]
+        unit = self.n[used] / numbers / self.variance  # of q, in squared Mahalanobis lengths
+        change[used] = 2.0 * unit * self.loss.slopes(self.q[used] / self.variance, self.n[used])
+        if not change.any():
+            return 1.0
+        total, sizes = 0.0, np.cumsum((0, *left.sizes))
+        for block, a, b in zip(self.plain.blocks(), sizes[:-1], sizes[1:], strict=True):
+            segment, keep = left.segment[a:b] - left.segment[a], self.good[a:b]
+            r = left.values[a:b] * keep[:, None]
+            pulls = np.stack([r / self.learned.noise[block.group].std ** 2, r @ metric[block.group].precision], axis=2)
+            own = np.einsum("tcp,tck->tpk", block.matrix, pulls)
+            own = np.add.reduceat(own, np.flatnonzero(np.append(True, np.diff(segment) > 0)), axis=0)
+            first, last = left.segment[a], left.segment[b - 1] + 1
+            both = np.sum((own[:, :, 0] @ inverse) * (own[:, :, 1] @ inverse), axis=1)
+            total += float(change[first:last] @ both)
+        seen = np.linalg.matrix_rank(inverse)
+        return max(1.0 + total / max(seen, 1), _SMALLEST_SLOPE)
+
+    def _score_noise(self) -> dict[str, NoiseModel]:
+        """Noise of ``w y``, learned from weighted rows as that of y is from rows."""
+        pilot = self.clean.pilot()
+        left = residuals(pilot, self.solution)
+        metric = metrics(left, self.learned.noise)
+        q, n = lengths(left, metric, np.ones(len(left.values), bool), overdispersion_correction(left, metric))
+        share = self.loss.weights(q / self.variance, n)[left.segment]
+        if (share == 1.0).all():
+            return self.learned.noise
+        return learn_weights(replace(self.clean, rows=self.clean.rows.with_pilot(tuple(weighted(pilot, left, share))))).noise
+
+    def estimate(self, name: str) -> Estimate:
+        """The estimate, whose details are still to be given."""
+        hidden = unseen(self.factor.matrix)
+        made = make_estimate(name, self.clean, self.learned, self.factor, self.solution, self.covariance(hidden), hidden)
+        return replace(made, noise=_with_filters(self.regression, made.noise))
+
+    def details(self) -> dict[str, Any]:
+        """What both estimators say of the fit: the fields of `RobustDetails`."""
+        left, good = self.left, self.good
+        return {
+            "model_complete": self.learned.complete,
+            "agreement_of_gls_and_wls": self.learned.agreement,
+            "scale": float(np.sqrt(self.variance)),
+            "rejected_share": float(1.0 - good.mean()),
+            "rejected_windows": windows(left, good, self.regression.motion_names),
+            "mean_weight_of_accepted_rows": float(self.weights[good].mean()),
+            "rows_per_segment": int(np.median(np.bincount(left.segment))),
+            "iterations": self.passes,
+        }
+
+
+def _without_filters(regression: Regression) -> Regression:
+    """The rows with the filters' known recursion undone: a tap that lasts for seconds behind 1 rad/s is short again."""
+    poles = regression.known_poles
+    if poles is None:
+        return regression
+    channels = len(regression.channel_names)
+    known = np.tile(np.real(np.poly(poles)), (channels, 1))
+    models = {
+        "trajectory": NoiseModel(known, np.eye(channels), from_zero=True),
+        "poses": NoiseModel(np.ones((channels, 1)), np.eye(channels)),
+    }
+
+    def undone(blocks: Iterable[Block]) -> Iterator[Block]:
+        for block, rows in whitened(blocks, models):
+            yield replace(block, rows=rows, times=block.times[len(block.times) - len(rows) :])
+
+    rows = regression.rows
+    source = replace(
+        rows.source, blocks=lambda: undone(rows.blocks()), pilot=lambda: undone(rows.pilot()), known_poles=None
+    )
+    return replace(regression, rows=RowCache(source))
+
+
+def _with_filters(regression: Regression, noise: dict[str, NoiseModel]) -> dict[str, NoiseModel]:
+    """The noise of the rows as they are."""
+    if regression.known_poles is None:
+        return noise
+    known = np.real(np.poly(regression.known_poles))
+    return {
+        group: NoiseModel(np.array([np.convolve(known, a) for a in m.coefficients]), m.innovation, from_zero=True)
+        if group == "trajectory" else m
+        for group, m in noise.items()
+    }  # fmt: skip
+
+
+def _learn(plain: Regression, loss: Loss) -> tuple[np.ndarray, Regression, Weights, Loss]:
+    """A fit to accepted rows of the pilot, the pilot of these rows, and their noise."""
+    pilot = plain.pilot()
+    values, noise = trimmed(pilot)
+    before, clean, learned = np.zeros(0, bool), plain, None
+    for _ in range(_ROUNDS):
+        left = residuals(pilot, values)
+        loss, good = _judge(left, noise, loss)
+        if learned is not None and np.array_equal(good, before):
+            break
+        before = good
+        clean = plain if good.all() else replace(plain, rows=plain.rows.with_pilot(_pieces(pilot, left, good)))
+        learned = learn_weights(clean)
+        noise = learned.noise
+        factor = _factor(clean.pilot(), noise)
+        values = solve(factor.matrix, factor.target)
+    assert learned is not None
+    return values, clean, learned, loss
+
+
+def _judge(left: Residuals, noise: dict[str, NoiseModel], loss: Loss) -> tuple[Loss, np.ndarray]:
+    """The loss with what it learns from all segments, and the rows that are not rejected."""
+    metric = metrics(left, noise)
+    q, n = lengths(left, metric, np.ones(len(left.values), bool), overdispersion_correction(left, metric))
+    variance = 1.0
+    for _ in range(_ALTERNATIONS):
+        loss = loss.fitted(q / variance, n)
+        last, variance = variance, loss.variance(q, n)
+        if abs(variance - last) <= 1e-4 * last:
+            break
+    heavy = loss.weights(q / variance, n) < REJECTED_WEIGHT
+    # Lengths in units of the median segment: noise that was learned from calm rows alone must not call others too long.
+    for mask in left.groups().values():
+        own = np.unique(left.segment[mask])
+        q[own] /= max(float(np.median(q[own] / chi2.median(n[own]))), 1e-300)
+    good = accepted(left, q, n, heavy & (q > REJECTED_LENGTH**2 * chi2.ppf(WHOLE, n)))
+    enough = all(good[mask].mean() >= SMALLEST_ACCEPTED for mask in left.groups().values())
+    return loss, good if enough else np.ones(len(good), bool)
+
+
+def _pieces(blocks: Sequence[Block], left: Residuals, good: np.ndarray) -> list[Block]:
+    """What is left of the blocks, each piece as a recording of its own; poses stay together."""
+    out = []
+    for block, keep in zip(blocks, left.split(good), strict=True):
+        if block.group == "poses":
+            out.append(replace(block, rows=block.rows[keep], times=block.times[keep]))
+            continue
+        edges = np.flatnonzero(np.diff(keep)) + 1
+        for a, b in zip([0, *edges], [*edges, len(keep)], strict=True):
+            if keep[a] and b - a > 1:
+                out.append(replace(block, rows=block.rows[a:b], times=block.times[a:b], start=True))
+    return [b for b in out if len(b.rows)]
+
+
+def _factor(blocks: Iterable[Block], noise: dict[str, NoiseModel]) -> Factor:
+    """Factor of rows in units of their channels' noise."""
+    scale = {g: 1.0 / m.std for g, m in noise.items()}
+    return reduce_rows(blocks, lambda b: b.rows * scale[b.group][:, None])
