@@ -1,0 +1,66 @@
+"""docs/architecture.md and its picture are those of the code; the code keeps to what the page promises."""
+
+import re
+import runpy
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PAGE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+RENEW = "run python docs/structure.py"
+
+
+@pytest.fixture(scope="module")
+def script():
+    return runpy.run_path(str(ROOT / "docs" / "structure.py"))
+
+
+@pytest.fixture(scope="module")
+def found(script):
+    return script["read_structure"]()
+
+
+def test_every_package_is_on_the_page_with_what_it_imports(script, found):
+    assert script["tables"](found)["packages"] in PAGE, RENEW
+
+
+def test_the_picture_shows_every_package_and_arrow(script, found):
+    drawn = (ROOT / "docs" / "structure.svg").read_text(encoding="utf-8")
+    assert script["in_words"](found).replace(">", "&gt;") in drawn, RENEW
+    assert {name for name in found.packages if f">{name}</text>" in drawn} == set(found.packages), RENEW
+
+
+def test_every_package_has_a_layer_and_no_import_goes_up(found):
+    there = {p.stem for p in (ROOT / "bayesid").iterdir() if (p / "__init__.py").exists() or p.suffix == ".py"} - {"__init__"}
+    assert set(found.packages) == there and len(there) <= 16
+    level = {name: k for k, layer in enumerate(found.layers) for name in layer}
+    assert [pair for pair in found.imports if level[pair[0]] <= level[pair[1]]] == []
+
+
+def test_modules_import_each_other_in_no_circle(found):
+    assert found.circles == ()
+
+
+def test_modules_are_short(found):
+    assert {path: lines for path, lines in found.lines.items() if lines > 350} == {}
+
+
+def test_a_circle_is_seen(script):
+    edges = [("a", "b"), ("b", "c"), ("c", "a"), ("c", "d")]
+    assert script["_circles"](["a", "b", "c", "d"], edges) == (("a", "b", "c"),)
+
+
+@pytest.mark.parametrize("row", [line for line in PAGE.splitlines() if line.startswith("| a") and line.count("|") == 4])
+def test_files_and_names_of_a_change_exist(row):
+    """Paths of the table of changes exist, and what is to be registered stands in the file that follows its name."""
+    _, _, where, registered, _ = row.split("|")
+    quoted = re.findall(r"`([^`<]+)`", where + registered)
+    assert all((ROOT / path).exists() for path in quoted if path.startswith("bayesid/"))
+    for name, path in re.findall(r"`(\w+)` in `(bayesid/[^`]+)`", registered):
+        assert re.search(rf"\b{name}\b", (ROOT / path).read_text(encoding="utf-8")), (name, path)
+
+
+@pytest.mark.parametrize("place", re.findall(r"^\| [^|]+[.?] \| `([^`]+)` \|$", PAGE, re.M))
+def test_places_found_by_name_exist(place):
+    assert (ROOT / "bayesid" / place).exists()
