@@ -14,6 +14,7 @@ from bayesid import write_experiment
 from bayesid.cli import main
 from bayesid.effects import KINDS
 from bayesid.recordings import schema
+from bayesid.validation.prediction import TOLERATED
 from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
 
 ROOT = Path(__file__).parents[2]
@@ -125,6 +126,22 @@ def test_experiment_page_is_complete():
     sections = (schema.ExperimentFile, schema.RobotSection, schema.SensorSection, schema.MotionSection, schema.ModelSection)
     keys = {key for section in sections for key in section.model_fields}
     assert not {key for key in keys if not re.search(rf"\b{key}\b", text)}
+
+
+def test_method_page_names_modules_that_exist():
+    """Modules in the headings, below bayesid/, and those of the diagnosis below its package."""
+    text = (ROOT / "docs" / "method.md").read_text(encoding="utf-8")
+    headings = re.findall(r"`([^`]+)`", " ".join(re.findall(r"^#+ .*\((`.*`)\)$", text, re.MULTILINE)))
+    bold = re.findall(r"`(\w+\.py)`", " ".join(re.findall(r"^\*\*[^*]+\*\* \(([^)]+)\)", text, re.MULTILINE)))
+    assert len(headings) >= 12 and len(bold) >= 10
+    for path in [*headings, *(f"diagnosis/{name}" for name in bold)]:
+        assert (ROOT / "bayesid" / path).exists(), path
+
+
+def test_method_page_states_the_limit_of_the_code():
+    """A validation motion is warned about above the residual that the page says."""
+    text = (ROOT / "docs" / "method.md").read_text(encoding="utf-8")
+    assert f"1 is perfect. Above {TOLERATED} there is a warning" in text
 
 
 def test_effects_page_is_that_of_the_catalogue():
