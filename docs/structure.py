@@ -98,10 +98,11 @@ def tables(found: Structure) -> dict[str, str]:
         below = [other for other in reversed(found.packages) if (name, other) in found.imports]
         link = f"../bayesid/{name}" + ("" if (ROOT / "bayesid" / name).is_dir() else ".py")
         rows.append(f"| [`{name}`]({link}) | {found.about[name]} | {', '.join(below) or 'nothing'} |")
+    folders = sum((ROOT / "bayesid" / name).is_dir() for name in found.packages)
     circles = "; ".join(" - ".join(group) for group in found.circles) or "none"
     largest = sorted(found.lines.items(), key=lambda item: -item[1])[:SHOWN_MODULES]
     counts = [
-        f"- Packages at the top: {len(found.packages)} (at most 16).",
+        f"- Packages at the top: {folders} (at most 16), beside {len(found.packages) - folders} modules.",
         f"- Circles among the {len(found.lines)} modules, imports for types included: {circles}.",
         f"- Lines of code, comments and documentation: {sum(found.lines.values()):,}; the middle module has "
         f"{int(np.median(list(found.lines.values())))}.",

@@ -46,7 +46,8 @@ PAGE = """\
 
 Every number that the documentation takes from a stored study, at revision {{ before }} (the last before the
 packages of [architecture.md](architecture.md)) and {{ after }}.
-`python -m tests.studies.published --write` makes this page and runs no study. A list of numbers is told by its mean, *se* is the standard error of a difference of shares.
+`python -m tests.studies.published --write` makes this page and runs no study. A list
+of numbers is told by its mean, *se* is the standard error of a difference of shares.
 
 | file | figures | changed | |
 |---|---|---|---|
