@@ -27,7 +27,7 @@ def as_payload(fitted: Fit, index: int, dispersion: float) -> tuple[Term, float]
     for a payload by one over their share. Any other effect is returned as it is.
     """
     term = fitted.terms[index]
-    if term.effect.name != "inertia_error" or not np.isfinite(fitted.score):
+    if (name := term.effect.may_be) is None or not np.isfinite(fitted.score):
         return term, 0.0
     at = [column for column, (owner, _) in enumerate(fitted.free) if owner == index]
     values, covariance = np.array(term.values), dispersion * fitted.covariance[np.ix_(at, at)]
@@ -48,7 +48,7 @@ def as_payload(fitted: Fit, index: int, dispersion: float) -> tuple[Term, float]
             return term, 0.0
     if body.value is None or chi2.sf(distance, 10) < _POSSIBLE:
         return term, 0.0
-    effect = next(e for e in fitted.projector.data.places("payload") if e.where == term.effect.where)
+    effect = next(e for e in fitted.projector.data.places(name) if e.where == term.effect.where)
     joint = effect.joint or 0
     return Term(effect, tuple(size * body.value)), _rarity(fitted.projector.data.links[10 * joint : 10 * joint + 10])
 

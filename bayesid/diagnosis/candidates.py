@@ -8,33 +8,22 @@ here.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
 from bayesid.diagnosis.contacts import contact_terms
 from bayesid.diagnosis.data import DiagnosisData
-from bayesid.diagnosis.fit import LINKS, Fit, NuisanceProjector, model_rows, residual_rows, term_rows
+from bayesid.diagnosis.fit import Fit, NuisanceProjector, model_rows, residual_rows, term_rows
 from bayesid.diagnosis.ripples import RippleScan
 from bayesid.dynamics.channels import torque_channels
 from bayesid.dynamics.kinematics import P, link_states
-from bayesid.effects import KINDS, Effect, Scene, Term, readings
+from bayesid.effects import Effect, Linearisation, MotionSegment, Surroundings, Term, readings
 
-#: Speeds below which a Stribeck law may fall [rad/s or m/s].
-STRIBECK_SPEEDS = np.geomspace(0.01, 0.6, 8)
-#: Resonances of the mount [Hz] and their damping.
-RESONANCES = np.geomspace(2.5, 60.0, 14)
-DAMPING = 0.05
 #: Mean square of whitened residuals above which something is left that no effect found explains.
 UNEXPLAINED = 1.45
-#: Resonances of a flexible joint [Hz], tried where columns leave something unexplained: above its resonance a link moves
-#: against its motor, which no derivative at a stiff joint predicts.
-JOINT_RESONANCES = np.geomspace(3.0, 30.0, 17)
-#: Lengths of a tether that an exact fit starts from [m].
-TETHER_LENGTHS = (0.8, 2.0)
-#: Effects with a place and a shape to find: two of one kind together can imitate one that settled wrongly, so one is sought.
-SINGLE = ("tether", "external_contact")
 #: Standard deviations by which an effect stands out.
 DETECTED = 5.0
 
@@ -75,7 +64,7 @@ class _Block:
 
     effect: Effect
     rows: np.ndarray
-    values: Callable[[np.ndarray], np.ndarray]
+    about: Linearisation
 
 
 @dataclass(eq=False)
@@ -90,18 +79,21 @@ class Library:
         The user's model.
     blocks
         Columns by effect and shape.
+    ripples
+        Sines and cosines of joint positions, for effects that are one.
     """
 
     projector: NuisanceProjector
     base: Fit
     blocks: list[_Block] = field(default_factory=list)
-    ripples: RippleScan | None = None
+    ripples: tuple[RippleScan, ...] = ()
     _basis: tuple[Fit, np.ndarray] | None = field(default=None, repr=False)
 
     def propose(self, fit: Fit, *, resonances: bool = False) -> list[Proposal]:
         """Proposals beside the effects of a fit, best gain first; one for each effect and place.
 
-        With ``resonances`` flexible joints that resonate in the motion's band are among them; that takes a while.
+        With ``resonances`` effects whose values are tried as a last resort are among them, such as flexible joints that resonate
+        in the motion's band; that takes a while.
         """
         projector, data = self.projector, self.projector.data
         found = orthonormal(
@@ -110,7 +102,7 @@ class Library:
         residual = np.concatenate([fit.residual, -projector.prior_residual(fit.coordinates)])
         left = projector.project_out(residual)
         left = left - found @ (found.T @ left)
-        present = {t.effect.name for t in fit.terms} & set(SINGLE)
+        present = {t.effect.name for t in fit.terms if t.effect.single}
         taken = {e.spec for name in present for e in data.places(name)} | {t.effect.spec for t in fit.terms}
         best: dict[str, Proposal] = {}
         for block in self.blocks:
@@ -122,16 +114,15 @@ class Library:
             if name not in best or gain - _cost(count) > best[name].gain - _cost(best[name].parameters):
                 length = float(np.linalg.norm(rows[:, 0]))
                 minimum = DETECTED / length if length > 0 else None
-                starts = [Term(block.effect, _inside(block.effect, v)) for v in np.atleast_2d(block.values(amplitudes))]
+                starts = [Term(block.effect, _inside(block.effect, v)) for v in np.atleast_2d(block.about.to_values(amplitudes))]
                 best[name] = Proposal(starts[0], gain, count, minimum, tuple(starts[1:]))
-        soft = self._soft_joints(fit) if resonances else ()
-        shaped = [([t], gain) for t, gain in [*self._mounts(fit), *soft, *self._ripples(fit, left, found)]]
+        shaped = [([t], gain) for t, gain in [*self._tried(fit, resonances), *self._ripples(fit, left, found)]]
         for terms, gain in [*shaped, *contact_terms(projector, fit, left[: projector.length])]:
             name = terms[0].effect.spec
             if name not in taken and (name not in best or gain > best[name].gain):
                 minimum = best[name].minimum if name in best else None
                 best[name] = Proposal(terms[0], gain, len(terms[0].values), minimum, tuple(terms[1:]))
-            elif name in best and terms[0].effect.kind.name == "joint_flexibility":
+            elif name in best and terms[0].effect.last_resort:
                 # A derivative may promise more than a possible compliance keeps: a resonance is a start of its own.
                 best[name] = replace(best[name], others=(*best[name].others, *terms))
         return sorted(best.values(), key=lambda p: -(p.gain - _cost(p.parameters)))
@@ -164,113 +155,81 @@ class Library:
             self._basis = (fit, orthonormal(np.hstack([model, *(b.rows for b in self.blocks)])))
         return self._basis[1]
 
-    def _mounts(self, fit: Fit) -> Iterator[tuple[Term, float]]:
-        """Resonances of the mount: no small amplitude, so each is tried as it is."""
-        data, projector = self.projector.data, self.projector
-        if data.channel == "torque" or data.experiment.sensor is None or data.experiment.sensor.joint is not None:
-            return
-        effect = data.places("base_compliance")[0]
-        prior = -projector.prior_residual(fit.coordinates)
-        now = np.sum(projector.project_out(np.concatenate([fit.residual, prior])) ** 2)
-        best = (0.0, RESONANCES[0])
-        for resonance in RESONANCES:
-            term = Term(effect, (resonance, DAMPING))
-            rows = residual_rows(data, data.segments, fit.links, fit.offset, (*fit.terms, term))
-            gain = float(now - np.sum(projector.project_out(np.concatenate([rows, prior])) ** 2))
-            best = max(best, (gain, resonance)) if np.isfinite(gain) else best
-        yield Term(effect, (best[1], DAMPING)), best[0]
+    @cached_property
+    def around(self) -> Surroundings:
+        """What effects may want to know of the recordings."""
+        return surroundings(self.projector.data)
 
-    def _soft_joints(self, fit: Fit) -> Iterator[tuple[Term, float]]:
-        """Flexible joints with their resonance in or near the motion's band, each as it is."""
-        if self.dispersion(fit) < UNEXPLAINED:
-            return
+    def _tried(self, fit: Fit, last_resort: bool) -> Iterator[tuple[Term, float]]:
+        """Effects with the best of the values that are tried exactly: no small amplitude stands for them."""
         data, projector = self.projector.data, self.projector
         prior = -projector.prior_residual(fit.coordinates)
         now = np.sum(projector.project_out(np.concatenate([fit.residual, prior])) ** 2)
-        for effect, inertia in zip(data.places("joint_flexibility"), _inertia(data), strict=True):
-            if effect.spec in {t.effect.spec for t in fit.terms}:
+        taken = {t.effect.spec for t in fit.terms}
+        unexplained = last_resort and self.dispersion(fit) >= UNEXPLAINED
+        for effect in _everywhere(data):
+            if effect.last_resort and (effect.spec in taken or not unexplained) or not effect.sought(self.around):
                 continue
-            best = (0.0, 0.0)
-            for compliance in 1.0 / (inertia * (2.0 * np.pi * JOINT_RESONANCES) ** 2):
-                terms = (*fit.terms, Term(effect, (float(compliance),)))
+            trials = effect.trials(self.around)
+            best = (0.0, None if effect.last_resort else 0)
+            for k, values in enumerate(trials):
+                terms = (*fit.terms, Term(effect, tuple(values)))
                 rows = residual_rows(data, data.segments, fit.links, fit.offset, terms)
                 gain = float(now - np.sum(projector.project_out(np.concatenate([rows, prior])) ** 2))
-                best = max(best, (gain, compliance)) if np.isfinite(gain) else best
-            if best[0] > 0.0:
-                yield Term(effect, (float(best[1]),)), best[0]
+                best = max(best, (gain, k), key=lambda b: b[0]) if np.isfinite(gain) else best
+            if len(trials) and best[1] is not None:
+                yield Term(effect, tuple(trials[best[1]])), best[0]
 
     def _ripples(self, fit: Fit, left: np.ndarray, found: np.ndarray) -> Iterator[tuple[Term, float]]:
-        if self.ripples is None:
-            return
         data, projector = self.projector.data, self.projector
-        effects = data.places("torque_ripple")
-        for joint, periods in self.ripples.best(left[: projector.length]):
-            effect = effects[joint]
-            rows = term_rows(data, data.segments, fit.links, fit.terms, Term(effect, (1.0, periods, 0.0)))
-            rows = projector.project_out(projector.with_prior_rows(rows[:, [0, 2]]))  # sine and cosine
+        for effect, order in (each for scan in self.ripples for each in scan.best(left[: projector.length])):
+            rows = term_rows(data, data.segments, fit.links, fit.terms, Term(effect, effect.from_harmonic(order, 1.0, 0.0)))
+            rows = projector.project_out(projector.with_prior_rows(rows[:, [0, -1]]))  # sine and cosine
             amplitudes, gain, _ = _explained(rows - found @ (found.T @ rows), left)
-            a, b = amplitudes
-            yield Term(effect, (np.hypot(a, b), periods, np.arctan2(b, a))), gain
+            yield Term(effect, effect.from_harmonic(order, *map(float, amplitudes))), gain
 
 
 def make_library(projector: NuisanceProjector, base: Fit, found: Fit | None = None) -> Library:
-    """Columns of every effect that acts on the case's channels and is not in the user's model.
+    """Columns of every effect that acts on the channels compared and is not in the user's model.
 
     Derivatives are taken at the user's model, or beside the effects of ``found``: beside a turned sensor, say, a wrong zero
     of the first joint is more than a turn of the sensor.
     """
     data, at = projector.data, found or base
-    library = Library(projector, base, ripples=RippleScan(data) if data.channel != "wrench" else None)
-    for effect, values, to_values in _columns_wanted(data):
-        beside = tuple(t for t in at.terms if t.effect != effect)
-        rows = term_rows(data, data.segments, at.links, beside, Term(effect, tuple(values)))
-        library.blocks.append(_Block(effect, projector.project_out(projector.with_prior_rows(rows)), to_values))
+    library = Library(projector, base, ripples=RippleScan.of(data, [e for e in _everywhere(data) if e.harmonics]))
+    for effect in _everywhere(data):
+        for about in effect.linearisations(library.around) if effect.sought(library.around) else ():
+            beside = tuple(t for t in at.terms if t.effect != effect)
+            rows = term_rows(data, data.segments, at.links, beside, Term(effect, tuple(about.at)))
+            library.blocks.append(_Block(effect, projector.project_out(projector.with_prior_rows(rows)), about))
     return library
 
 
-def _columns_wanted(data: DiagnosisData) -> Iterator[tuple[Effect, np.ndarray, Callable]]:
-    """Effects with the values at which their derivatives are taken, and what amplitudes of those mean."""
-    names = data.channels.names
-    for kind in KINDS.values():
-        if kind.name in ("base_compliance", "external_contact", "torque_ripple") or not any(kind.acts_on(c) for c in names):
-            continue
-        if kind.name == "sensor_offset" and data.offset_free:
-            continue
-        if kind.name in LINKS and (data.experiment.inertia_rel_std is None or kind.name == "payload"):
-            continue  # a payload has the same columns; which it is, the fit decides
-        if kind.name == "rotor_momentum" and data.channel != "both" and data.experiment.inertia_rel_std is None:
-            continue
-        zero = np.zeros(len(kind.parameters))
-        for effect in data.places(kind.name):
-            if kind.name == "tether":
-                centre = _mean_place(data, effect.joint or 0)
-                yield effect, np.array([1.0, 0, 0, 0, 0, 0, 0, 0]), lambda a, x=centre: _tethers(a, x, TETHER_LENGTHS)
-            elif kind.name == "spring":
-                yield effect, np.array([1.0, 0.0]), lambda a: np.array([a[0], a[1] / a[0] if a[0] else 0.0])
-            elif kind.name == "stribeck_friction":
-                for speed in STRIBECK_SPEEDS:
-                    yield effect, np.array([1.0, speed]), lambda a, s=speed: np.array([a[0], s])
-            else:
-                yield effect, zero, lambda a: a
+def _everywhere(data: DiagnosisData) -> tuple[Effect, ...]:
+    """Every effect that acts on the channels compared, at every place."""
+    return tuple(effect for name in data.experiment.library.classes for effect in data.places(name))
 
 
-def _tethers(a: np.ndarray, centre: np.ndarray, lengths: Sequence[float]) -> np.ndarray:
-    """Tethers of these lengths (lengths, 8) whose mean pull is that of ``k (anchor - x)``, from amplitudes at k = 1, anchor 0.
+def surroundings(data: DiagnosisData) -> Surroundings:
+    """What effects may want to know of the recordings."""
+    sensor = data.experiment.sensor
+    return Surroundings(
+        robot=data.robot,
+        mean_places=_mean_places(data),
+        joint_inertia=_inertia(data),
+        links_known=data.experiment.inertia_rel_std is not None,
+        both_channels=data.channel == "both",
+        static_run=data.offset_free,
+        base_sensor=data.channel != "torque" and sensor is not None and sensor.joint is None,
+    )
 
-    A short motion shows the pull, hardly where it comes from; so the anchor is put at a likely distance from the link's
-    mean place (3,), with a third of the length slack, and the exact fit moves it.
-    """
-    pull = a[2:5] - a[0] * centre
-    size = max(float(np.linalg.norm(pull)), 1e-12)
-    return np.array([[size / (0.7 * x), 0.3 * x, *(centre + pull / size * x), 0.0, 0.0, 0.0] for x in lengths])
 
-
-def _mean_place(data: DiagnosisData, joint: int) -> np.ndarray:
-    """Mean position of a link's frame over the fitted motions, in the base frame (3,)."""
+def _mean_places(data: DiagnosisData) -> np.ndarray:
+    """Mean position of each link's frame over the fitted motions, in the base frame (n, 3)."""
     means = []
     for s in data.segments:
         states = link_states(data.robot, s.scene.positions, s.scene.velocities, s.scene.accelerations)
-        means.append(states[:, joint, P : P + 3].mean(axis=0))
+        means.append(states[:, : data.robot.n, P : P + 3].mean(axis=0))
     return np.mean(means, axis=0)
 
 
@@ -281,7 +240,9 @@ def _inertia(data: DiagnosisData) -> np.ndarray:
     rates = np.tile(np.eye(n), (len(poses) // n, 1))
     channels = torque_channels(data.robot)
     torque = [
-        readings(data.robot, channels, Scene(np.arange(len(poses), dtype=float), poses, 0.0 * poses, a), data.links, ())
+        readings(
+            data.robot, channels, MotionSegment(np.arange(len(poses), dtype=float), poses, 0.0 * poses, a), data.links, ()
+        )
         for a in (rates, 0.0 * rates)
     ]
     return np.einsum("knn->n", (torque[0] - torque[1]).reshape(-1, n, n)) / (len(poses) // n)
@@ -289,7 +250,7 @@ def _inertia(data: DiagnosisData) -> np.ndarray:
 
 def _inside(effect: Effect, values: np.ndarray) -> tuple[float, ...]:
     """Values inside what is possible."""
-    return tuple(float(v) for v in np.clip(values, effect.kind.lower, effect.kind.upper))
+    return tuple(float(v) for v in np.clip(values, effect.lower, effect.upper))
 
 
 def _cost(parameters: int) -> float:

@@ -9,20 +9,18 @@ import numpy as np
 from bayesid.diagnosis.data import Episode
 from bayesid.diagnosis.fit import Fit, NuisanceProjector, term_rows
 from bayesid.diagnosis.spectra import Segment
-from bayesid.effects import Effect, Term
-from bayesid.effects.catalogue import CONTACT_RAMP
+from bayesid.effects import Effect, ExternalContact, Term
+from bayesid.effects.loads import CONTACT_RAMP
 
 #: Columns this much shorter than the longest say nothing.
 DEAD = 1e-6
-#: Lengths of the windows tried [s]; starts are a quarter of them apart.
-LENGTHS = (0.4, 0.7, 1.2, 2.0, 3.5, 6.0, 10.0)
 
 
 def windows(segment: Segment) -> list[tuple[float, float]]:
-    """Windows tried in a segment, (start, end) [s]."""
+    """Windows tried in a segment, (start, end) [s]; starts are a quarter of their length apart."""
     first, last = segment.times[0], segment.times[-1]
     out = []
-    for length in LENGTHS:
+    for length in ExternalContact.windows:
         if length < 0.8 * (last - first):
             out += [(t, t + length) for t in np.arange(first, last - length, 0.25 * length)]
     return out
@@ -65,7 +63,7 @@ def contact_terms(projector: NuisanceProjector, fit: Fit, left: np.ndarray) -> I
         term = Episode(effect, (start, end, *force, 0.0, 0.0, 0.0), motion)
         return projector.project_out(projector.with_prior_rows(term_rows(data, data.segments, fit.links, fit.terms, term)))
 
-    for effect in data.places("external_contact"):
+    for effect in data.places(ExternalContact.name):
         if effect.where == "robot":
             continue
         # With the force f at the point r the reading is linear in f and in the products r f'.

@@ -12,7 +12,7 @@ from bayesid.diagnosis.noise_spectrum import Encoders, Spectrum, measure
 from bayesid.diagnosis.repeats import find_rests
 from bayesid.diagnosis.spectra import Segment, encoder_count, low_passed, sensor_noise, with_noise
 from bayesid.dynamics.channels import Channels
-from bayesid.effects import Effect, Scene, Term, middle_of, places, readings, rigid_columns
+from bayesid.effects import Effect, MotionSegment, Term, middle_of, readings, rigid_columns
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, Motion
 from bayesid.recordings.table import Table, usual_step
@@ -52,7 +52,7 @@ def active_terms(segment: Segment, terms: Sequence[Term]) -> tuple[Term, ...]:
     """The effects that act in a segment."""
     return tuple(
         t for t in terms
-        if not (t.effect.name == "external_contact" and (segment.still or segment.role == "validation"))
+        if not (t.effect.once and (segment.still or segment.role == "validation"))
         and not (isinstance(t, Episode) and t.motion != segment.motion)
     )  # fmt: skip
 
@@ -126,7 +126,7 @@ class DiagnosisData:
 
     def places(self, name: str) -> tuple[Effect, ...]:
         """Everywhere that an effect can be."""
-        return places(name, self.robot.joint_names, self.channels.names, self.experiment.gear_ratio)
+        return self.experiment.library.places(name, self.robot.joint_names, self.channels.names, self.experiment.gear_ratio)
 
     def predict(self, segment: Segment, links: np.ndarray, terms: Sequence[Term]) -> np.ndarray:
         """Readings of a segment (M, c)."""
@@ -252,12 +252,12 @@ def smoothed(
     middle: np.ndarray,
     clear: float | None = None,
     cell: float = 0.0,
-) -> Scene:
-    """The scene of encoder readings (N, n) on a grid (M,); ``cell`` as in `Scene`."""
+) -> MotionSegment:
+    """The scene of encoder readings (N, n) on a grid (M,); ``cell`` as in `MotionSegment`."""
     q, v, a = smooth(times, positions, bandwidth, at=np.clip(grid, times[0], times[-1]))
     if still:
         v, a = 0.0 * v, 0.0 * a
-    return Scene(grid, q, v, a, still, bandwidth, middle, clear, cell)
+    return MotionSegment(grid, q, v, a, still, bandwidth, middle, clear, cell)
 
 
 def _readings(table: Table, channel: str) -> np.ndarray:

@@ -13,7 +13,6 @@ from threadpoolctl import threadpool_limits
 from bayesid.diagnosis import text
 from bayesid.diagnosis.candidates import UNEXPLAINED
 from bayesid.diagnosis.data import SHORTEST, WHITE, DiagnosisData, prepare_data
-from bayesid.diagnosis.fit import LINKS
 from bayesid.diagnosis.locate import Disagreement, locate
 from bayesid.diagnosis.residual_floor import SOURCES
 from bayesid.diagnosis.search import ACCEPT, Found, Search, make_projector, search
@@ -21,7 +20,7 @@ from bayesid.diagnosis.stability import Stability, stability
 from bayesid.diagnosis.surrogates import EXPLAINED, explained, is_surrogate_combination
 from bayesid.diagnosis.validation import Gap, residual_spectra, validate
 from bayesid.dynamics.base_parameters import structural_base
-from bayesid.effects import Term, parse_effects, starting_point
+from bayesid.effects import Term, starting_point
 from bayesid.recordings.experiment import Experiment, load_experiment
 from bayesid.regression.problem import default_channel, make_channels
 
@@ -159,7 +158,7 @@ class Diagnosis:
         std = found.std
         parameters = {
             key: {"value": float(value), "std": float(s) if np.isfinite(s) and s > 0 else None, "unit": unit}
-            for key, value, s, unit in zip(effect.kind.parameters, found.term.values, std, effect.units, strict=True)
+            for key, value, s, unit in zip(effect.parameters, found.term.values, std, effect.units, strict=True)
         }
         rivals = [{"name": t.effect.name, "where": t.effect.where} for t, _ in found.rivals]
         odds = np.array([0.0, *(-lack for _, lack in found.rivals)])
@@ -223,11 +222,11 @@ def known_terms(experiment: Experiment, channel: str, effects: Sequence[str] | N
     """The user's effects at their starting values, and which of them (``name@where``) keep those."""
     names = make_channels(experiment, channel).names
     specs = experiment.effects if effects is None else effects
-    parsed = parse_effects(specs, experiment.robot.joint_names, names, experiment.gear_ratio)
+    parsed = experiment.library.parse(specs, experiment.robot.joint_names, names, experiment.gear_ratio)
     values, free = starting_point(parsed, experiment.effect_values, experiment.robot.joint_names)
     terms, held, start = [], set(), 0
     for effect in parsed:
-        own = slice(start, start + len(effect.kind.parameters))
+        own = slice(start, start + len(effect.parameters))
         terms.append(Term(effect, tuple(map(float, values[own]))))
         if not free[own].all():
             held.add(effect.spec)
@@ -246,7 +245,7 @@ def _decide(data: DiagnosisData, s: Search, seed: int) -> Diagnosis:
     unseen = 0.0 if gap is None or (found and gap.closed > CLOSED) else (gap.after / gap.floor) ** 2
     # A contact does not come again, and a change of a link is denied by the links' prior: the same motion is predicted as well
     # by many links that are a little off.
-    local = all(f.term.effect.name in ("external_contact", *LINKS) for f in found)
+    local = all(f.term.effect.once or f.term.effect.changes_link for f in found)
     if max(left if not (found and nearly) else 0.0, unseen) > UNEXPLAINED:
         verdict = "unknown"
         elsewhere = "" if gap is None else f" and {gap.after:.3g} times on the unseen ones"
@@ -294,7 +293,7 @@ def _decide(data: DiagnosisData, s: Search, seed: int) -> Diagnosis:
             "Dry friction fits better with readings as values at their times than as means over a sample's time, so they are "
             "taken for that."
         )
-    if found and gap is not None and gap.before <= ROOM * gap.floor and all(f.term.effect.name in LINKS for f in found):
+    if found and gap is not None and gap.before <= ROOM * gap.floor and all(f.term.effect.changes_link for f in found):
         count = s.projector.root.shape[1]
         far, near = (float(np.sum(f.coordinates[:count] ** 2)) for f in (s.base, s.best))
         remarks.append(

@@ -29,8 +29,6 @@ _DAMPING, _TRIALS = 1e-3, 6
 _TOGETHER = 10
 #: A fit has settled when a step changes chi2 by less.
 _SETTLED = 0.02
-#: Effects that are a change of a whole link.
-LINKS = ("payload", "inertia_error")
 #: Sizes that a change of a link is tried with, over its own.
 WIDTHS = np.array([0.02, 0.05, 0.1, 0.2, 0.5, 1.0])
 #: Share of a column's length that must be left once the links are projected out.
@@ -311,7 +309,7 @@ def _price(projector: NuisanceProjector, terms: Sequence[Term], free: Sequence[t
     total = 0.0
     for i, t in enumerate(terms):
         mine = kept[:, [column for column, (term, _) in enumerate(free) if term == i]]
-        if t.effect.name in LINKS and mine.shape[1]:
+        if t.effect.changes_link and mine.shape[1]:
             joint = t.effect.joint or 0
             body = projector.data.links[10 * joint : 10 * joint + 10]
             prior = Prior.warped(body, 1.0).covariance

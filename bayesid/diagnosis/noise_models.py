@@ -15,23 +15,21 @@ from bayesid.diagnosis.candidates import UNEXPLAINED, Library, make_library
 from bayesid.diagnosis.data import DiagnosisData, at_instants, with_noise_of
 from bayesid.diagnosis.fit import Fit, NuisanceProjector, fit, make_projector
 from bayesid.diagnosis.residual_floor import with_floor_of
-from bayesid.effects import SOFT, Term
+from bayesid.effects import Term
 
 #: An effect must gain this much log evidence: the odds of one among a hundred, times a thousand.
 ACCEPT = 12.0
 #: Residuals this many times the noise in mean square, with everything the library has, are no residuals of a model: the
 #: noise was measured wrongly.
 HOPELESS = 200.0
-#: Other starts of a flexible joint that leaves something unexplained, over where it settled.
-_COMPLIANCES = (0.25, 0.5, 2.0, 4.0)
-#: Friction that reverses at once; between samples closer than this, where in a sample's time it does makes no difference [s].
-DRY, _SHORT = ("coulomb_friction", "stribeck_friction", "load_friction"), 0.0025
+#: Between samples closer than this it makes no difference where in a sample's time friction reverses [s].
+_SHORT = 0.0025
 
 
 def as_points(best: Fit, seed: int) -> DiagnosisData | None:
     """The data with readings as values at their times, if that suits a model with dry friction better than means do."""
     data = best.projector.data
-    dry = any(t.effect.name in DRY for t in best.terms)
+    dry = any(t.effect.reverses_at_once for t in best.terms)
     if not dry or data.instants or not data.floor_known or max(s.step for s in data.segments) < _SHORT:
         return None
     points = at_instants(data, best.links, best.terms, seed)
@@ -41,7 +39,7 @@ def as_points(best: Fit, seed: int) -> DiagnosisData | None:
 
 def soft_terms(terms: Sequence[Term]) -> tuple[tuple[str, int], ...]:
     """Those among effects that make much more of encoders' errors, and how soft they are within a factor of two."""
-    soft = [t for t in terms if t.effect.name in SOFT]
+    soft = [t for t in terms if t.effect.amplifies_encoder_errors]
     return tuple(sorted((t.effect.spec, round(np.log2(max(t.values[0], 1e-12)))) for t in soft))
 
 
@@ -69,11 +67,11 @@ class NoiseModels:
         if fitted.projector is projector:
             return fitted
         refitted = fit(projector, fitted.terms, fitted)
-        if not key or refitted.chi2 < UNEXPLAINED * projector.rows or fitted.terms[-1].effect.name != "joint_flexibility":
+        if not key or refitted.chi2 < UNEXPLAINED * projector.rows or not fitted.terms[-1].effect.restarts:
             return refitted
         # A resonance near the motion's band is found only from nearby, and stiff joints' noise may have put the start afar.
         last = fitted.terms[-1]
-        near = [(*fitted.terms[:-1], replace(last, values=(k * last.values[0],))) for k in _COMPLIANCES]
+        near = [(*fitted.terms[:-1], replace(last, values=(k * last.values[0], *last.values[1:]))) for k in last.effect.restarts]
         return max([refitted, *(fit(projector, terms, fitted) for terms in near)], key=lambda f: f.score)
 
     def library(self, fitted: Fit) -> Library:

@@ -1,34 +1,46 @@
-"""Torque ripple: which number of periods fits."""
+"""Effects that are a sine of their joint's position: which number of periods fits."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from bayesid.diagnosis.data import DiagnosisData
-
-#: Periods per radian or metre tried; slower ones than a gear's would pass for any error of weight.
-PERIODS = np.concatenate([np.arange(4.0, 40.0, 0.4), np.geomspace(40.0, 200.0, 60)])
+from bayesid.effects import Effect
 
 
 class RippleScan:
-    """Spectra of sines and cosines of every joint's angle, made once."""
+    """Spectra of sines and cosines of the joints' positions, made once.
 
-    def __init__(self, data: DiagnosisData):
-        self.data = data
-        self.at = data.segments[0].torque_channels
+    Parameters
+    ----------
+    data
+        The recordings.
+    effects
+        One a joint, with the same `Effect.harmonics`, in the order of the joints whose torques are compared.
+    """
+
+    def __init__(self, data: DiagnosisData, effects: Sequence[Effect]):
+        self.data, self.effects = data, tuple(effects)
+        self.orders = np.array(effects[0].harmonics)
+        channel_of = {joint: channel for channel, joint in data.segments[0].torque_channels}
+        self.at = [(channel_of[e.joint], e.joint) for e in self.effects if e.joint is not None]
         self.spectra = []
         for s in data.segments:
             angle = s.scene.positions[:, [j for _, j in self.at]]
-            wave = np.exp(1j * angle[:, :, None] * PERIODS)
+            wave = np.exp(1j * angle[:, :, None] * self.orders)
             parts = [s.course(wave.real), s.course(wave.imag)]
-            self.spectra.append(np.stack(parts, axis=-1).astype(np.float32))  # (K, joints, periods, 2)
+            self.spectra.append(np.stack(parts, axis=-1).astype(np.float32))  # (K, joints, orders, 2)
 
-    def best(self, left: np.ndarray) -> Iterator[tuple[int, float]]:
-        """For every joint the periods whose sine and cosine explain most of a residual (rows,)."""
-        if not self.at:
-            return
+    @classmethod
+    def of(cls, data: DiagnosisData, effects: Sequence[Effect]) -> tuple[RippleScan, ...]:
+        """One scan for each class of effects."""
+        kinds = dict.fromkeys(type(e) for e in effects)
+        return tuple(cls(data, [e for e in effects if type(e) is kind]) for kind in kinds)
+
+    def best(self, left: np.ndarray) -> Iterator[tuple[Effect, float]]:
+        """For every effect the number of periods whose sine and cosine explain most of a residual (rows,)."""
         score, gram = np.zeros(1), np.zeros(1)
         at = 0
         for s, spectrum in zip(self.data.segments, self.spectra, strict=True):
@@ -41,5 +53,5 @@ class RippleScan:
             gram = gram + np.einsum("kjpa,kjpb,kj->jpab", spectrum, spectrum, power[:, own], optimize=True)
         gram = gram + 1e-9 * np.eye(2)
         gain = np.einsum("jpa,jpa->jp", score, np.linalg.solve(gram, score[..., None])[..., 0])
-        for row, (_, joint) in enumerate(self.at):
-            yield joint, float(PERIODS[int(np.argmax(gain[row]))])
+        for row, effect in enumerate(self.effects):
+            yield effect, float(self.orders[int(np.argmax(gain[row]))])

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayesid.diagnosis.bodies import as_payload
-from bayesid.diagnosis.candidates import SINGLE, UNEXPLAINED, Library, Proposal, orthonormal
+from bayesid.diagnosis.candidates import UNEXPLAINED, Library, Proposal, orthonormal
 from bayesid.diagnosis.data import with_noise_of
 from bayesid.diagnosis.fit import Fit, NuisanceProjector, fit, make_projector, term_rows
 from bayesid.diagnosis.noise_models import ACCEPT, NoiseModels, as_points, prepared, soft_terms
@@ -204,7 +204,7 @@ def _shortlist(proposals: Sequence[Proposal], dispersion: float, most: int) -> l
     for p in proposals:
         name = p.term.effect.name
         same = sum(k.term.effect.name == name for k in kept)
-        if len(kept) < most and same < (_PLACES if name in SINGLE else _ALIKE) and 0.5 * p.gain > ACCEPT * dispersion:
+        if len(kept) < most and same < (_PLACES if p.term.effect.single else _ALIKE) and 0.5 * p.gain > ACCEPT * dispersion:
             kept.append(p)
     return kept
 
@@ -223,7 +223,7 @@ def _exchanged(noises: NoiseModels, best: Fit, known: int, dispersion: float) ->
                 continue  # the first effect alone has just been chosen against all others, a family by many joints
             without = noises.own(fit(best.projector, held, best, steps=4))
             proposals = noises.library(without).propose(without)
-            rivals = [p for p in proposals if p.name != own.effect.spec or len(own.effect.kind.shape) > 1]
+            rivals = [p for p in proposals if p.name != own.effect.spec or len(own.effect.shape) > 1]
             fits = _exact(noises, without, held, rivals, dispersion, most=4)
             if fits and fits[0].score > best.score + dispersion:
                 best = fits[0]
@@ -290,7 +290,7 @@ def _found(
     for i in range(known, len(best.terms)):
         at = [column for column, (index, _) in enumerate(best.free) if index == i]
         std = np.sqrt(np.maximum(dispersion * np.diag(best.covariance)[at], 0.0))
-        term = _turned_back(best.terms[i])
+        term = _canonical(best.terms[i])
         if not rivals or _in_family(best.terms, i):
             out.append(Found(term, _standing(best, i, dispersion), std))
             continue
@@ -306,17 +306,14 @@ def _found(
             rival, own = as_payload(f, len(f.terms) - 1, dispersion)
             lacks[f.terms[-1].effect.spec] = (rival, (best.score - f.score) / dispersion + bonus - own)
         near = [(t, lack) for t, lack in lacks.values() if lack < RIVAL and not _contains(without, t, term)]
-        term = _turned_back(named)
+        term = _canonical(named)
         out.append(Found(term, (best.score - without.score) / dispersion, std, tuple(near)))
     return tuple(out), None
 
 
-def _turned_back(term: Term) -> Term:
-    """A ripple's phase within half a turn of zero."""
-    if term.effect.name != "torque_ripple":
-        return term
-    amplitude, periods, phase = term.values
-    return replace(term, values=(amplitude, periods, float((phase + np.pi) % (2.0 * np.pi) - np.pi)))
+def _canonical(term: Term) -> Term:
+    """Of values that mean the same, those that a reader expects."""
+    return replace(term, values=term.effect.canonical(term.values))
 
 
 def _contains(without: Fit, wider: Term, term: Term) -> bool:

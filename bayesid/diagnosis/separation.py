@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesid.diagnosis.candidates import DETECTED, Library
-from bayesid.effects import Effect, typical
-from bayesid.robot.robot import Robot
+from bayesid.effects import Effect
 
 #: Nearer to one than this a share is rounding: the two leave the same trace.
 _SAME = 1.0 - 1e-8
@@ -64,7 +63,7 @@ def visible(library: Library) -> tuple[Visible, ...]:
     robot = library.projector.data.robot
     if not library.blocks:
         return ()
-    traces = np.stack([b.rows @ _amplitudes(b.effect, robot) for b in library.blocks], axis=1)
+    traces = np.stack([b.rows @ b.about.to_amplitudes(np.array(b.effect.typical(robot), float)) for b in library.blocks], axis=1)
     lengths = np.linalg.norm(traces, axis=0)
     traces = traces / np.where(lengths > 0, lengths, 1.0)
     bases = [_basis(b.rows) for b in library.blocks]
@@ -74,7 +73,7 @@ def visible(library: Library) -> tuple[Visible, ...]:
     for k, block in enumerate(library.blocks):
         if specs[k] in out:  # another shape of the same effect
             continue
-        usual = typical(block.effect, robot)
+        usual = np.array(block.effect.typical(robot), float)
         by = int(np.flatnonzero(usual)[0]) if usual.any() else 0
         size = abs(float(usual[by]))
         nearest = max((i for i, s in enumerate(specs) if s != specs[k]), key=lambda i: whole[i, k], default=None)  # noqa: B023
@@ -86,18 +85,6 @@ def visible(library: Library) -> tuple[Visible, ...]:
         most_collinear = None if nearest is None else library.blocks[nearest].effect
         out[specs[k]] = Visible(block.effect, by, size, seen, most_collinear, share, named)
     return tuple(out.values())
-
-
-def _amplitudes(effect: Effect, robot: Robot) -> np.ndarray:
-    """Usual values as amplitudes of an effect's columns in the library (k,)."""
-    values = typical(effect, robot)
-    if effect.name == "tether":  # k (anchor - x), by derivatives at k = 1 with the anchor at the origin
-        return np.array([values[0], 0.0, *(values[0] * values[2:5]), 0.0, 0.0, 0.0])
-    if effect.name == "spring":
-        return np.array([values[0], values[0] * values[1]])
-    if effect.name == "stribeck_friction":
-        return np.array([values[0], 0.0])
-    return values
 
 
 def _basis(rows: np.ndarray) -> np.ndarray:

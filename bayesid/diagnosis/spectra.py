@@ -21,7 +21,7 @@ from scipy.fft import dct, idct
 from scipy.ndimage import binary_opening, convolve, uniform_filter1d
 from scipy.stats import chi2
 
-from bayesid.effects import REST_SPEED, Scene
+from bayesid.effects import REST_SPEED, MotionSegment
 from bayesid.signals.smoothing import smooth
 
 #: Highest frequency compared [Hz].
@@ -74,7 +74,7 @@ class Segment:
     times: np.ndarray
     encoders: np.ndarray
     readings: np.ndarray
-    scene: Scene
+    scene: MotionSegment
     still: bool
     torque_channels: tuple[tuple[int, int], ...]
     covariance: np.ndarray

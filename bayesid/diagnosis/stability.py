@@ -33,8 +33,6 @@ UNEVEN, ALL = 3.0, 0.9
 _LOST = 1e6
 #: Curvature of directions that the data do not determine, in units of a column's own.
 _FLAT = 1e-9
-#: Effects that happen at one moment by their nature.
-LOCAL = ("external_contact",)
 
 
 @dataclass(frozen=True)
@@ -161,7 +159,7 @@ def stability(
     for k, f in enumerate(found):
         index = known + k
         at = [column for column, (owner, _) in enumerate(best.free) if owner == index]
-        if f.term.effect.name in LOCAL or not at:
+        if f.term.effect.once or not at:
             out.append(None)
             continue
         gains = np.array([_gain(sums, gram, at, k) for gram in (sums.whole, *less)])

@@ -36,7 +36,7 @@ _COUNTS = {1: "one effect", 2: "two effects", 3: "three effects"}
 def verdict_sentence(diagnosis: Diagnosis) -> str:
     """The verdict in plain words."""
     d = diagnosis
-    names = [f"{worded(f.term.effect, d)} ({f.term.effect.kind.summary})" for f in d.found]
+    names = [f"{worded(f.term.effect, d)} ({f.term.effect.summary})" for f in d.found]
     if d.verdict == "nothing_missing":
         return "Nothing is missing that these motions could show: the model as it is explains the readings down to their noise."
     if d.verdict == "unknown":
@@ -96,7 +96,7 @@ def steady_sentence(found: Found, diagnosis: Diagnosis) -> str:
         return ""
     parts = []
     for key, value, unit, (low, high) in zip(
-        found.term.effect.kind.parameters, found.term.values, found.term.effect.units, mine.ranges, strict=True
+        found.term.effect.parameters, found.term.values, found.term.effect.units, mine.ranges, strict=True
     ):
         if np.isfinite(low) and np.isfinite(high):
             # As many digits as tell the two ends apart.
@@ -142,7 +142,7 @@ def event_sentences(diagnosis: Diagnosis) -> list[str]:
 
 def worded(effect: Effect, diagnosis: Diagnosis) -> str:
     """``sensor_gain at mx``, ``tether at joint3 (elbow_joint)``; the place is left out where there is only one."""
-    if effect.kind.at in ("sensor", "base", "robot"):
+    if effect.at in ("sensor", "base", "robot"):
         return effect.name
     if effect.joint is None:
         return f"{effect.name} at {effect.where}"
@@ -154,7 +154,7 @@ def parameter_rows(found: Found) -> list[tuple[str, str, str, str, str]]:
     """Name, value, half the 95 % interval, the interval and the unit of each parameter of an effect."""
     effect = found.term.effect
     rows = []
-    for key, value, std, unit in zip(effect.kind.parameters, found.term.values, found.std, effect.units, strict=True):
+    for key, value, std, unit in zip(effect.parameters, found.term.values, found.std, effect.units, strict=True):
         half = HALF * float(std)
         text, spread = with_half(value, half)
         rows.append((key, text, spread, interval(value, half), "" if unit == "1" else unit))
@@ -236,7 +236,7 @@ def model(diagnosis: Diagnosis) -> tuple[tuple[str, ...], EffectParameters]:
     values: EffectParameters = {spec: dict(given) for spec, given in experiment.effect_values.items()}
     for term in terms:
         spec = term.effect.spec
-        given = {k: float(v) for k, v in zip(term.effect.kind.parameters, term.values, strict=True)}
+        given = {k: float(v) for k, v in zip(term.effect.parameters, term.values, strict=True)}
         fixed = values.get(spec, values.get(term.effect.name, {})).get("fixed", False)
         values[spec] = {**given, "fixed": True} if fixed else dict(given)
     return tuple(dict.fromkeys(effects)), values
@@ -257,7 +257,7 @@ def page_text(diagnosis: Diagnosis) -> dict:
         "verdict": verdict_sentence(d),
         "validation": validation_sentence(d),
         "effects": [
-            {"name": worded(f.term.effect, d), "spec": f.term.effect.spec, "summary": f.term.effect.kind.summary,
+            {"name": worded(f.term.effect, d), "spec": f.term.effect.spec, "summary": f.term.effect.summary,
              "motion": f.term.motion if isinstance(f.term, Episode) else "", "rows": parameter_rows(f),
              "steady": steady_sentence(f, d)}
             for f in d.found

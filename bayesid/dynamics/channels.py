@@ -7,9 +7,11 @@ twists of a sensor frame give a wrench, a joint's axis gives its torque. Spatial
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
+from bayesid.robot.fingerprint import fingerprint
 from bayesid.robot.robot import Robot
 
 WRENCH_NAMES = ("fx", "fy", "fz", "mx", "my", "mz")
@@ -47,6 +49,11 @@ class Channels:
 
     def __len__(self) -> int:
         return len(self.names)
+
+    @cached_property
+    def fingerprint(self) -> bytes:
+        """Digest of all that it holds, the same for equal channels."""
+        return fingerprint(self)
 
 
 def wrench_channels(robot: Robot, rotation: np.ndarray, translation: np.ndarray) -> Channels:

@@ -1,14 +1,9 @@
-"""Effects beyond rigid bodies: what they are called, what they do to a reading, exactly, and its derivatives."""
+"""Effects beyond rigid bodies: one class an effect, what it does to a reading, exactly, and its derivatives.
 
-from bayesid.effects.catalogue import CONTACT_RAMP, KINDS, REST_SPEED, Kind
-from bayesid.effects.effect import Effect, Scene, State, Term, middle_of, parse_effects, places
-from bayesid.effects.exact import columns, readings, rigid_columns
-from bayesid.effects.linearised import PLAIN, Point, linearised, moved, reach_of, starting_point
-from bayesid.effects.model import SOFT
-from bayesid.effects.sizes import typical
+The names stand in ``__init__.pyi``; each is imported when it is first used, so that a library of effects costs nothing until
+an effect is asked for.
+"""
 
-__all__ = [
-    "CONTACT_RAMP", "KINDS", "PLAIN", "REST_SPEED", "SOFT", "Effect", "Kind", "Point", "Scene", "State", "Term", "columns",
-    "linearised", "middle_of", "moved", "parse_effects", "places", "reach_of", "readings", "rigid_columns", "starting_point",
-    "typical",
-]  # fmt: skip
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

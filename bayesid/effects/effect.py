@@ -1,110 +1,180 @@
-"""An effect at its place, with or without values, and how it is written: ``name`` or ``name@where``."""
+"""What an effect is: one class that says everything about it, whose instances are the effect at its places.
+
+A class says by its attributes what the effect is called, where it can be, what parameters it has and how it is to be
+treated, and by its methods how large it usually is and how a search proposes it. What it does to motion, wrench or torque is
+a method of its family (`bayesid.effects.families`). Everything else asks the class; nothing knows an effect by its name.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from difflib import get_close_matches
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+from math import inf
+from typing import ClassVar
 
 import numpy as np
 
 from bayesid.dynamics.channels import WRENCH_NAMES
-from bayesid.effects.catalogue import KINDS, REST_SPEED, Kind
-from bayesid.errors import InputError
+from bayesid.effects.proposals import Linearisation, Surroundings
+from bayesid.effects.segment import MotionSegment
+from bayesid.robot.robot import Robot
 
 
-@dataclass(frozen=True, eq=False)
-class Scene:
-    """One gap-free stretch of joint motion, smoothed.
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter of an effect.
 
     Attributes
     ----------
-    times
-        (N,) [s].
-    positions, velocities, accelerations
-        What the encoders say, (N, n) each [rad or m and per second (squared)].
-    still
-        Whether every sample is a pose at rest of its own.
-    bandwidth
-        Of the joint motion [Hz].
-    clear
-        Up to where motion stands out of the encoders' noise [Hz]: what is differentiated again is smoothed to this, default
-        a share of the bandwidth.
-    middle
-        Joint positions at the middle of the motion (n,), for effects that refer to it; default `middle_of` this
-        stretch.
-    cell
-        Time that a sample stands for [s]: friction that reverses in it is its mean there. Zero: its value at the sample.
+    name, unit
+        As in the experiment format; the unit for a turning joint.
+    lower, upper
+        Range outside which a value is not plausible.
+    start
+        Value from which an estimate starts and that stands where none is given.
+    typical
+        A plausible size, unless the effect says it for the robot at hand (`Effect.typical`).
+    linear
+        Whether the readings are linear in it; otherwise it is called a shape parameter.
+    step
+        Step of central differences; relative to the value where that is larger.
+    tried
+        Values of a shape parameter that a search for effects tries; default the start.
     """
 
-    times: np.ndarray
-    positions: np.ndarray
-    velocities: np.ndarray
-    accelerations: np.ndarray
-    still: bool = False
-    bandwidth: float = 10.0
-    middle: np.ndarray | None = None
-    clear: float | None = None
-    cell: float = 0.0
-    cache: dict = field(default_factory=dict, init=False, repr=False)
-
-    @property
-    def middle_positions(self) -> np.ndarray:
-        """Joint positions at the middle of the motion (n,)."""
-        if self.middle is not None:
-            return np.asarray(self.middle, float)
-        return middle_of(self.positions)
-
-    @property
-    def at_rest(self) -> Scene:
-        """The same positions, each held."""
-        if "at_rest" not in self.cache:
-            zero = np.zeros_like(self.positions)
-            self.cache["at_rest"] = replace(self, velocities=zero, accelerations=zero, still=True, middle=self.middle_positions)
-        return self.cache["at_rest"]
-
-
-def middle_of(positions: np.ndarray) -> np.ndarray:
-    """Joint positions at the middle of a motion (n,).
-
-    Where it starts and ends, if that is one place, else half-way between the extremes: a periodic motion goes around
-    the place that it starts from and comes back to.
-    """
-    first, last = positions[0], positions[-1]
-    closed = np.abs(last - first) < 0.02 * np.maximum(np.ptp(positions, axis=0), 1e-9)
-    return first if closed.all() else 0.5 * (positions.min(axis=0) + positions.max(axis=0))
-
-
-#: The name under which models that are linear in their parameters know it.
-State = Scene
+    name: str
+    unit: str = "1"
+    lower: float = -inf
+    upper: float = inf
+    start: float = 0.0
+    typical: float = 1.0
+    linear: bool = True
+    step: float = 1e-4
+    tried: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
 class Effect:
-    """A kind of effect at its place.
+    """An effect at its place. To add one, derive a class from one of `bayesid.effects.families` and register it.
 
     Attributes
     ----------
-    name, where
+    where
         As in the experiment format; joints as ``joint1`` ... ``jointn``.
     joint
         Index of the joint, None where it acts elsewhere.
     axes
         Indices of the wrench axes: the one that reads, or source and reading axis.
     ratio
-        Gear ratio of the joint, where it is known and matters (`rotor_momentum`).
+        Gear ratio of the joint, where it is known and the effect needs it.
+
+    name
+        As in the experiment format.
+    channels
+        ``wrench``, ``torque`` or both: what it changes.
+    at
+        Where it can be: ``sensor``, ``axis``, ``axis->axis``, ``base``, ``joint``, ``robot`` or ``joint|robot``.
+    quantities
+        Its parameters.
+    summary
+        What it is, a few words.
+    equation, source
+        For the documentation: what it reads or adds (Markdown with TeX), and where the equation comes from.
+    confusable_with
+        Names of effects that some motions cannot tell from it.
+    removed_by_static_run
+        Whether a static run of the same positions takes it away, so that such rows do not show it.
+    estimated_without_static_run
+        Whether it is in every model of readings that no static run is subtracted from.
+    absorbs_weight
+        Whether its estimate holds the weight that looks like it as well.
+    in_static_run
+        Whether a static run of the same positions has it, too.
+    zero_unless_stated
+        Whether parameters left out are zero once any is stated.
+    needs_gear_ratio
+        Whether it wants to know its joint's gear ratio.
+    settling
+        Time that it is given at the start of a recording to forget how it was set off [s].
+    amplifies_encoder_errors
+        Whether it differentiates a load again; encoders' errors pass through it much enlarged.
+    reverses_at_once
+        Whether it jumps where the joint's motion reverses.
+    once
+        Whether it happens once, in one recording.
+    single
+        Whether only one of its kind is sought: with a place and a shape to find, two can imitate one that settled wrongly.
+    changes_link
+        Whether it is a change of a whole link.
+    columns_of
+        Name of an effect that has the same columns, which is sought in its stead.
+    may_be
+        Name of an effect that it is called where its values are possible for that.
+    only_joint
+        Index of the one joint that it can be at, where it cannot be at all.
+    harmonics
+        Numbers of periods per radian or metre, where it is a sine of the joint's position; these are tried.
+    last_resort
+        Whether values are tried exactly (`trials`) only where columns leave something unexplained.
+    restarts
+        Factors on its first value, from which a fit that leaves something unexplained is started again.
     """
 
-    name: str
     where: str
     joint: int | None = None
     axes: tuple[int, ...] = ()
     ratio: float | None = None
 
+    name: ClassVar[str] = ""
+    channels: ClassVar[tuple[str, ...]] = ("wrench", "torque")
+    at: ClassVar[str] = "robot"
+    quantities: ClassVar[tuple[Parameter, ...]] = ()
+    summary: ClassVar[str] = ""
+    equation: ClassVar[str] = ""
+    source: ClassVar[str] = "definition"
+    confusable_with: ClassVar[tuple[str, ...]] = ()
+
+    removed_by_static_run: ClassVar[bool] = False
+    estimated_without_static_run: ClassVar[bool] = False
+    absorbs_weight: ClassVar[bool] = False
+    in_static_run: ClassVar[bool] = True
+    zero_unless_stated: ClassVar[bool] = False
+    needs_gear_ratio: ClassVar[bool] = False
+    settling: ClassVar[float] = 0.0
+    amplifies_encoder_errors: ClassVar[bool] = False
+    reverses_at_once: ClassVar[bool] = False
+    once: ClassVar[bool] = False
+    single: ClassVar[bool] = False
+    changes_link: ClassVar[bool] = False
+    columns_of: ClassVar[str | None] = None
+    may_be: ClassVar[str | None] = None
+    only_joint: ClassVar[int | None] = None
+    harmonics: ClassVar[tuple[float, ...]] = ()
+    last_resort: ClassVar[bool] = False
+    restarts: ClassVar[tuple[float, ...]] = ()
+
+    # Made from `quantities`, one entry a parameter.
+    parameters: ClassVar[tuple[str, ...]] = ()
+    lower: ClassVar[tuple[float, ...]] = ()
+    upper: ClassVar[tuple[float, ...]] = ()
+    starts: ClassVar[tuple[float, ...]] = ()
+    shape: ClassVar[tuple[str, ...]] = ()
+
+    def __init_subclass__(cls, **kwargs) -> None:
+        super().__init_subclass__(**kwargs)
+        cls.parameters = tuple(p.name for p in cls.quantities)
+        cls.lower = tuple(float(p.lower) for p in cls.quantities)
+        cls.upper = tuple(float(p.upper) for p in cls.quantities)
+        cls.starts = tuple(float(p.start) for p in cls.quantities)
+        cls.shape = tuple(p.name for p in cls.quantities if not p.linear)
+
+    # -- what a place adds
+
     @property
-    def kind(self) -> Kind:
-        """Its entry of the catalogue."""
-        return KINDS[self.name]
+    def kind(self) -> type[Effect]:
+        """Its class."""
+        return type(self)
 
     @property
     def spec(self) -> str:
@@ -114,45 +184,93 @@ class Effect:
     @property
     def column_names(self) -> tuple[str, ...]:
         """One name a parameter, ``viscous_friction@joint1.coefficient``."""
-        return tuple(f"{self.spec}.{p}" for p in self.kind.parameters)
+        return tuple(f"{self.spec}.{p}" for p in self.parameters)
 
     @property
     def units(self) -> tuple[str, ...]:
         """One unit a parameter."""
-        if self.name == "sensor_crosstalk":
-            source, reading = (("N", "N m")[axis >= 3] for axis in self.axes)
-            return ("1",) if source == reading else (f"{reading} per {source}",)
-        return self.kind.units
+        return tuple(p.unit for p in self.quantities)
 
-    def columns(self, state: Scene, channels: Sequence[str]) -> np.ndarray:
-        """What one unit of each parameter adds to each channel, (N, channels, parameters).
+    @property
+    def non_negative(self) -> tuple[bool, ...]:
+        """Whether a negative value is impossible, by parameter."""
+        return tuple(low >= 0.0 for low in self.lower)
 
-        For effects whose columns need the joint motion only; see `bayesid.effects.columns` for all others.
+    @classmethod
+    def acts_on(cls, channel: str) -> bool:
+        """Whether it changes a channel of this name (``fx`` ... ``mz``, ``tau1`` ...)."""
+        return ("wrench" if channel in WRENCH_NAMES else "torque") in cls.channels
+
+    # -- sizes
+
+    def typical(self, robot: Robot) -> Sequence[float]:
+        """A plausible value of each parameter (k,) on a robot: its masses, lengths, and effort and velocity limits."""
+        return [p.typical for p in self.quantities]
+
+    def reach(self, values: Sequence[float], bandwidth: float, step: float) -> float:
+        """Time before and after a sample that its reading depends on [s].
+
+        Parameters
+        ----------
+        values
+            Of the parameters (k,).
+        bandwidth
+            Of the joint motion [Hz].
+        step
+            Time between samples [s].
         """
-        out = np.zeros((len(state.times), len(channels), len(self.kind.parameters)))
-        if self.name in ("sensor_offset", "sensor_drift"):
-            for k, axis in enumerate(WRENCH_NAMES):
-                if axis in channels:
-                    out[:, channels.index(axis), k] = 1.0 if self.name == "sensor_offset" else state.times
-            return out
-        joint = -1 if self.joint is None else self.joint
-        name = f"tau{joint + 1}"
-        if name in channels:
-            out[:, channels.index(name), 0] = {
-                "viscous_friction": lambda: state.velocities[:, joint],
-                "coulomb_friction": lambda: sense(state.velocities[:, joint], state.accelerations[:, joint], state.cell),
-                "torque_offset": lambda: np.ones(len(state.times)),
-                "rotor_inertia": lambda: state.accelerations[:, joint],
-            }[self.name]()
+        return 0.0
+
+    def canonical(self, values: tuple[float, ...]) -> tuple[float, ...]:
+        """Of values (k,) that mean the same, those that a reader expects."""
+        return values
+
+    # -- columns that the joint motion alone gives
+
+    @property
+    def from_motion_alone(self) -> bool:
+        """Whether its columns are `motion_columns`, whatever the links and other effects are."""
+        return False
+
+    def motion_columns(self, segment: MotionSegment, channels: Sequence[str]) -> np.ndarray:
+        """What one unit of each parameter adds to each channel (N, channels, k), for an effect that needs the motion only."""
+        raise NotImplementedError(f"{self.spec} needs more than the motion")
+
+    # -- how a search for effects proposes it
+
+    def sought(self, around: Surroundings) -> bool:
+        """Whether it can be told from the links in such recordings at all."""
+        return True
+
+    def linearisations(self, around: Surroundings) -> Sequence[Linearisation]:
+        """Where columns are taken for what the effect could explain.
+
+        Linear parameters alone have the same columns everywhere; beside a shape parameter their columns are taken at one unit
+        of each, for every shape tried. Where all are shape parameters, columns are those of a small change of their start.
+        """
+        linear = np.array([p.linear for p in self.quantities])
+        grids = [(float(not linear.all()),) if p.linear else p.tried or (p.start,) for p in self.quantities]
+        out = []
+        for point in product(*grids):
+            at = np.array(point, float)
+            away = at if not linear.any() else np.zeros(len(at))
+            held = ~linear if linear.any() else np.zeros(len(at), bool)
+            out.append(
+                Linearisation(
+                    at,
+                    lambda a, at=at, away=away, held=held: np.where(held, at, away + a),
+                    lambda v, away=away, held=held: np.where(held, 0.0, v - away),
+                )
+            )
         return out
 
+    def trials(self, around: Surroundings) -> np.ndarray:
+        """Values that are tried exactly, one after the other (m, k): of an effect that no small amplitude can stand for."""
+        return np.zeros((0, len(self.parameters)))
 
-def sense(velocity: np.ndarray, acceleration: np.ndarray, cell: float) -> np.ndarray:
-    """Sign of a velocity (N,), or its mean over the time that a sample stands for, in which the velocity is ``v + a t``.
-
-    Nearly at rest the sign is noise and the joint may stick, and a narrow ramp says so.
-    """
-    return np.clip(velocity / np.maximum(REST_SPEED, 0.5 * cell * np.abs(acceleration)), -1.0, 1.0)
+    def from_harmonic(self, order: float, sine: float, cosine: float) -> tuple[float, ...]:
+        """Values (k,) of ``sine sin(order q) + cosine cos(order q)``, where the effect has `harmonics`."""
+        raise NotImplementedError(f"{self.spec} is no sine of the joint's position")
 
 
 @dataclass(frozen=True)
@@ -164,7 +282,7 @@ class Term:
     effect
         Which, and where.
     values
-        One number a parameter, in the order of ``effect.kind.parameters``.
+        One number a parameter, in the order of ``effect.parameters``.
     """
 
     effect: Effect
@@ -172,98 +290,5 @@ class Term:
 
     def __post_init__(self):
         object.__setattr__(self, "values", tuple(float(v) for v in self.values))
-        if len(self.values) != len(self.effect.kind.parameters):
-            raise ValueError(f"{self.effect.spec} has {len(self.effect.kind.parameters)} parameters, not {len(self.values)}")
-
-
-def places(
-    name: str, joint_names: Sequence[str], channels: Sequence[str], gear_ratio: Mapping[str, float] | None = None
-) -> tuple[Effect, ...]:
-    """All effects of one kind that can change one of the channels.
-
-    Parameters
-    ----------
-    name
-        Of the kind.
-    joint_names
-        The URDF's names in the order of q1 ... qn.
-    channels
-        Names of the channels.
-    gear_ratio
-        By the joint's name.
-    """
-    kind = KINDS[name]
-    if not any(kind.acts_on(channel) for channel in channels):
-        return ()
-    ratios = gear_ratio or {}
-    out: list[Effect] = []
-    if kind.at == "axis":
-        out = [Effect(name, axis, axes=(k,)) for k, axis in enumerate(WRENCH_NAMES)]
-    elif kind.at == "axis->axis":
-        pairs = [(i, k) for i in range(6) for k in range(6) if i != k]
-        out = [Effect(name, f"{WRENCH_NAMES[i]}->{WRENCH_NAMES[k]}", axes=(i, k)) for i, k in pairs]
-    elif kind.at.startswith("joint"):
-        for i, joint in enumerate(joint_names):
-            if kind.channels == ("torque",) and f"tau{i + 1}" not in channels:
-                continue
-            ratio = ratios.get(joint, ratios.get(f"joint{i + 1}")) if name == "rotor_momentum" else None
-            out.append(Effect(name, f"joint{i + 1}", i, ratio=ratio))
-        if kind.at == "joint|robot":
-            out.append(Effect(name, "robot"))
-    else:
-        out = [Effect(name, kind.at)]
-    return tuple(out)
-
-
-def parse_effects(
-    specs: Sequence[str], joint_names: Sequence[str], channels: Sequence[str], gear_ratio: Mapping[str, float] | None = None
-) -> tuple[Effect, ...]:
-    """Effects from their specifications, those that act on the given channels.
-
-    Parameters
-    ----------
-    specs
-        Each ``name``, which means everywhere, or ``name@where``.
-    joint_names
-        The URDF's names in the order of q1 ... qn; ``joint1`` ... ``jointn`` are understood too.
-    channels
-        Names of the channels in use; an effect on other channels is left out.
-    gear_ratio
-        By the joint's name.
-
-    Raises
-    ------
-    InputError
-        Unknown name or place.
-    """
-    effects: dict[str, Effect] = {}
-    for spec in specs:
-        name, _, where = spec.partition("@")
-        if name not in KINDS:
-            close = get_close_matches(name, KINDS, 1)
-            hint = f"did you mean '{close[0]}'?" if close else f"known: {', '.join(KINDS)}"
-            raise InputError(f"effect '{spec}': no effect is called '{name}'; {hint}")
-        everywhere = places(name, joint_names, (*WRENCH_NAMES, *(f"tau{i + 1}" for i in range(len(joint_names)))), gear_ratio)
-        place = f"joint{list(joint_names).index(where) + 1}" if where in joint_names else where
-        found = [e for e in everywhere if place in ("", e.where)]
-        if not found:
-            raise InputError(f"effect '{spec}': {_where_else(KINDS[name], where, len(joint_names))}")
-        if not place and KINDS[name].at == "joint|robot":
-            found = [e for e in found if e.joint is not None]
-        if any(KINDS[name].acts_on(channel) for channel in channels):
-            for effect in found:
-                effects.setdefault(effect.spec, effect)
-    return tuple(effects.values())
-
-
-def _where_else(kind: Kind, where: str, joints: int) -> str:
-    known = f"joint1 to joint{joints} or a URDF joint name"
-    return {
-        "sensor": f"'{kind.name}' acts at the sensor; write '{kind.name}'",
-        "base": f"'{kind.name}' acts at the base; write '{kind.name}'",
-        "robot": f"'{kind.name}' acts on the whole robot; write '{kind.name}'",
-        "axis": f"no axis '{where}'; write one of {', '.join(WRENCH_NAMES)}",
-        "axis->axis": f"no pair of axes '{where}'; write the source and the axis that reads it, as in fx->mz",
-        "joint": f"no joint '{where}'; write {known}",
-        "joint|robot": f"no joint '{where}'; write {known}, or robot",
-    }[kind.at]
+        if len(self.values) != len(self.effect.parameters):
+            raise ValueError(f"{self.effect.spec} has {len(self.effect.parameters)} parameters, not {len(self.values)}")

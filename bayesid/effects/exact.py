@@ -8,18 +8,25 @@ import numpy as np
 
 from bayesid.dynamics.channels import Channels
 from bayesid.effects.derivatives import effect_derivatives, link_derivatives
-from bayesid.effects.effect import Effect, Scene, Term
+from bayesid.effects.effect import Effect, Term
 from bayesid.effects.model import Model
+from bayesid.effects.segment import MotionSegment
 from bayesid.robot.robot import Robot
 
 
 def _at_rest(terms: Sequence[Term]) -> tuple[Term, ...]:
-    """The effects that a static run of the same positions has too; a sensor drifts on between the two."""
-    return tuple(t for t in terms if t.effect.name not in ("sensor_drift", "external_contact"))
+    """The effects that a static run of the same positions has too."""
+    return tuple(t for t in terms if t.effect.in_static_run)
 
 
 def readings(
-    robot: Robot, channels: Channels, scene: Scene, links: np.ndarray, terms: Sequence[Term] = (), *, gravity: bool = True
+    robot: Robot,
+    channels: Channels,
+    segment: MotionSegment,
+    links: np.ndarray,
+    terms: Sequence[Term] = (),
+    *,
+    gravity: bool = True,
 ) -> np.ndarray:
     """What the channels read, everything included: a base sensor's load of the root link, too.
 
@@ -27,7 +34,7 @@ def readings(
     ----------
     robot, channels
         What moves and what is measured.
-    scene
+    segment
         How it moves.
     links
         Ten parameters a body (b, 10) or (10 b,).
@@ -46,14 +53,20 @@ def readings(
     InputError
         Links of the wrong shape.
     """
-    moving = Model.of(robot, channels, scene, links, terms).readings
+    moving = Model.of(robot, channels, segment, links, terms).readings
     if gravity:
         return moving
-    return moving - Model.of(robot, channels, scene.at_rest, links, _at_rest(terms)).readings
+    return moving - Model.of(robot, channels, segment.at_rest, links, _at_rest(terms)).readings
 
 
 def rigid_columns(
-    robot: Robot, channels: Channels, scene: Scene, links: np.ndarray, terms: Sequence[Term] = (), *, gravity: bool = True
+    robot: Robot,
+    channels: Channels,
+    segment: MotionSegment,
+    links: np.ndarray,
+    terms: Sequence[Term] = (),
+    *,
+    gravity: bool = True,
 ) -> np.ndarray:
     """Derivative of `readings` with respect to the links' parameters, (N, c, 10 b).
 
@@ -61,16 +74,16 @@ def rigid_columns(
 
     Parameters and errors are those of `readings`.
     """
-    moving = link_derivatives(Model.of(robot, channels, scene, links, terms))
+    moving = link_derivatives(Model.of(robot, channels, segment, links, terms))
     if gravity:
         return moving
-    return moving - link_derivatives(Model.of(robot, channels, scene.at_rest, links, _at_rest(terms)))
+    return moving - link_derivatives(Model.of(robot, channels, segment.at_rest, links, _at_rest(terms)))
 
 
 def columns(
     robot: Robot,
     channels: Channels,
-    scene: Scene,
+    segment: MotionSegment,
     links: np.ndarray,
     terms: Sequence[Term],
     effect: Effect,
@@ -82,21 +95,21 @@ def columns(
 
     Parameters
     ----------
-    robot, channels, scene, links, terms, gravity
+    robot, channels, segment, links, terms, gravity
         As in `readings`.
     effect
         One of the terms' or another.
     values
-        Where to take the derivative; default the term's own values, or the catalogue's for an effect that is no
+        Where to take the derivative; default the term's own values, or the effect's starts where it is no
         term yet.
     """
-    own = next((t.values for t in terms if t.effect == effect), effect.kind.starts)
+    own = next((t.values for t in terms if t.effect == effect), effect.starts)
     here = Term(effect, tuple(own if values is None else values))
     full = (*(t for t in terms if t.effect != effect), here)
-    moving = effect_derivatives(Model.of(robot, channels, scene, links, full), effect)
+    moving = effect_derivatives(Model.of(robot, channels, segment, links, full), effect)
     if gravity:
         return moving
     rest = _at_rest(full)
     if here not in rest:
         return moving
-    return moving - effect_derivatives(Model.of(robot, channels, scene.at_rest, links, rest), effect)
+    return moving - effect_derivatives(Model.of(robot, channels, segment.at_rest, links, rest), effect)

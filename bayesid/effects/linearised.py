@@ -8,17 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayesid.dynamics.channels import Channels
-from bayesid.effects.effect import Effect, Scene, Term
+from bayesid.effects.effect import Effect, Term
 from bayesid.effects.exact import columns, readings, rigid_columns
+from bayesid.effects.segment import MotionSegment
 from bayesid.errors import InputError
 from bayesid.robot.robot import Robot
-from bayesid.signals.smoothing import OVERLAP
-
-#: Effects whose columns the joint motion alone gives: models of these only need no point.
-PLAIN = ("sensor_offset", "sensor_drift", "viscous_friction", "coulomb_friction", "torque_offset", "rotor_inertia")
-#: Ringing of a mount is followed until it has died down to exp(-8), but no longer than this [s].
-_LONGEST = 20.0
-_FORGOTTEN = 1.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,11 +26,11 @@ class Point:
     base
         The base parameters that belong to them (r,).
     values
-        Of all effects' parameters, one after the other; an offset with what the model counts into it.
+        Of all effects' parameters, one after the other; of one that absorbs weight, with that.
     free
         Which of them are estimated.
     absorbed
-        What of a sensor's offset is weight, by axis, (6,) [N, N m].
+        What an effect that absorbs weight holds of it, by axis, (6,) [N, N m].
     middle
         Joint positions at the middle of the motion (n,), or None.
     """
@@ -49,12 +43,12 @@ class Point:
     middle: np.ndarray | None = None
 
     def terms(self, effects: Sequence[Effect]) -> tuple[Term, ...]:
-        """The effects with their values; of an offset, what is the sensor's own."""
+        """The effects with their values; of one that absorbs weight, what is its own."""
         out, start = [], 0
         for effect in effects:
-            count = len(effect.kind.parameters)
+            count = len(effect.parameters)
             values = self.values[start : start + count]
-            out.append(Term(effect, tuple(values - self.absorbed if effect.name == "sensor_offset" else values)))
+            out.append(Term(effect, tuple(values - self.absorbed if effect.absorbs_weight else values)))
             start += count
         return tuple(out)
 
@@ -63,8 +57,8 @@ class Point:
         return reach_of(self.terms(effects), bandwidth, step)
 
     def settling(self, effects: Sequence[Effect]) -> float:
-        """Time that a mount is given to forget how it was set off [s]; the same at every point, so that rows stay."""
-        return _FORGOTTEN if any(effect.name == "base_compliance" for effect in effects) else 0.0
+        """Time that effects are given to forget how they were set off [s]; the same at every point, so that rows stay."""
+        return max((effect.settling for effect in effects), default=0.0)
 
 
 def reach_of(terms: Sequence[Term], bandwidth: float, step: float) -> float:
@@ -79,22 +73,13 @@ def reach_of(terms: Sequence[Term], bandwidth: float, step: float) -> float:
     step
         Time between samples [s].
     """
-    out = 0.0
-    for term in terms:
-        if term.effect.name == "sensor_delay":
-            out = max(out, abs(term.values[0]) + 20.0 * step)
-        elif term.effect.name == "joint_flexibility":
-            out = max(out, OVERLAP / bandwidth)
-        elif term.effect.name == "base_compliance":
-            rate = 2.0 * np.pi * term.values[0] * max(term.values[1], 1e-3)
-            out = max(out, min(8.0 / rate, _LONGEST) + 2.0 / bandwidth)
-    return out
+    return max((t.effect.reach(t.values, bandwidth, step) for t in terms), default=0.0)
 
 
 def linearised(
     robot: Robot,
     channels: Channels,
-    scene: Scene,
+    segment: MotionSegment,
     effects: Sequence[Effect],
     point: Point,
     independent: np.ndarray,
@@ -106,7 +91,7 @@ def linearised(
 
     Parameters
     ----------
-    robot, channels, scene, effects, point
+    robot, channels, segment, effects, point
         The model.
     independent
         Indices of the links' parameters that are base parameters (r,).
@@ -122,16 +107,16 @@ def linearised(
         the columns make of the point.
     """
     terms = point.terms(effects)
-    rigid = rigid_columns(robot, channels, scene, point.links, terms, gravity=gravity)[:, :, independent]
+    rigid = rigid_columns(robot, channels, segment, point.links, terms, gravity=gravity)[:, :, independent]
     parts = [np.zeros((*measured.shape, 0))]
     start = 0
     for effect in effects:
-        count = len(effect.kind.parameters)
+        count = len(effect.parameters)
         if point.free[start : start + count].any():
-            parts.append(columns(robot, channels, scene, point.links, terms, effect, gravity=gravity))
+            parts.append(columns(robot, channels, segment, point.links, terms, effect, gravity=gravity))
         start += count
     others = np.concatenate(parts, axis=2)
-    target = measured - readings(robot, channels, scene, point.links, terms, gravity=gravity)
+    target = measured - readings(robot, channels, segment, point.links, terms, gravity=gravity)
     target = target + rigid @ point.base + others @ point.values[point.free]
     return rigid, others, target
 
@@ -157,7 +142,7 @@ def starting_point(
     """
     values, free = [], []
     for effect in effects:
-        own = dict(zip(effect.kind.parameters, effect.kind.starts, strict=True))
+        own = dict(zip(effect.parameters, effect.starts, strict=True))
         spec = [effect.spec, effect.name]
         if effect.joint is not None:
             spec.insert(1, f"{effect.name}@{joint_names[effect.joint]}")

@@ -1,4 +1,4 @@
-"""A mount that gives and rings: two small base angles on springs and dampers, driven by the robot.
+"""A compliant, underdamped mount: two small base angles on springs and dampers, driven by the robot.
 
 The base turns about its x axis by theta_1, then about the turned y axis by theta_2. With h the moment that the robot
 asks of a rigid mount, I its inertia about the base origin and g the gravity vector,
@@ -17,7 +17,7 @@ import numba
 import numpy as np
 
 from bayesid.dynamics.kinematics import link_states
-from bayesid.effects.effect import Scene
+from bayesid.effects.segment import MotionSegment
 from bayesid.robot.robot import Robot
 from bayesid.signals.smoothing import smooth
 
@@ -32,7 +32,7 @@ _TAIL = 2.0
 
 def mount_motion(
     robot: Robot,
-    scene: Scene,
+    segment: MotionSegment,
     motion: tuple[np.ndarray, np.ndarray, np.ndarray],
     row_of: np.ndarray,
     links: np.ndarray,
@@ -45,7 +45,7 @@ def mount_motion(
 
     Parameters
     ----------
-    robot, scene, motion
+    robot, segment, motion
         The links' positions, velocities, accelerations.
     row_of, links
         The bodies, the root among them, in the frames of their rows of the state (b,), (b, 10).
@@ -57,49 +57,49 @@ def mount_motion(
         From states to the moment about the base origin that moves and holds all that the mount carries (N, 3).
     """
     still = np.zeros((1, robot.n))
-    inertia, _ = _tilting(link_states(robot, scene.middle_positions[None], still, still), row_of, links)
+    inertia, _ = _tilting(link_states(robot, segment.middle_positions[None], still, still), row_of, links)
     rate = 2.0 * np.pi * max(resonance, 1e-3)
     mean = 0.5 * (inertia[0, 0, 0] + inertia[0, 1, 1])
     stiffness, damper = rate**2 * mean, 2.0 * damping * rate * mean
     states = link_states(robot, *motion)
     inertia, first = _tilting(states, row_of, links)
-    spring = np.zeros((len(scene.times), 2, 2))
+    spring = np.zeros((len(segment.times), 2, 2))
     for k in range(2):
         spring[:, :, k] = np.cross(first, np.cross(np.eye(3)[k], gravity))[:, :2]
     spring += stiffness * np.eye(2)
     drive = moment(states)[:, :2]
-    if not scene.still:
+    if not segment.still:
         # The ringing starts in balance. Accelerations at the loose end of a smoothed trajectory would strike the
         # mount like a hammer: they come in gradually.
         zero = np.zeros_like(motion[0])
         held = moment(link_states(robot, motion[0], zero, zero))[:, :2]
-        share = np.clip((scene.times - scene.times[0]) * scene.bandwidth / _LOOSE, 0.0, 1.0)[:, None]
+        share = np.clip((segment.times - segment.times[0]) * segment.bandwidth / _LOOSE, 0.0, 1.0)[:, None]
         rise = share * share * (3.0 - 2.0 * share)
     else:
         held, rise = drive, np.ones((len(drive), 1))
-    drive = _clear(scene, held + rise * (drive - held))
+    drive = _clear(segment, held + rise * (drive - held))
     root = np.zeros((0, 18))
     for _ in range(_PASSES):
-        if scene.still:
+        if segment.still:
             angle = -np.linalg.solve(spring, drive[:, :, None])[:, :, 0]
             speed, bend = np.zeros_like(angle), np.zeros_like(angle)
         else:
-            steps = int(np.ceil(np.median(np.diff(scene.times)) * rate / _PHASE)) if len(scene.times) > 1 else 1
-            angle, speed, bend = _ring(scene.times, inertia, spring, damper, drive, max(steps, 1))
+            steps = int(np.ceil(np.median(np.diff(segment.times)) * rate / _PHASE)) if len(segment.times) > 1 else 1
+            angle, speed, bend = _ring(segment.times, inertia, spring, damper, drive, max(steps, 1))
         root, axis = _attitude(angle, speed, bend)
         full = moment(link_states(robot, *motion, root))
         exact = np.stack([full[:, 0], np.sum(full * axis, axis=1)], axis=1)
         # What the linear equation did not know of, for the next pass.
         linear = (inertia @ bend[:, :, None] + (spring - stiffness * np.eye(2)) @ angle[:, :, None])[:, :, 0]
-        drive = _clear(scene, held + rise * (exact - linear - held))
+        drive = _clear(segment, held + rise * (exact - linear - held))
     return root
 
 
-def _clear(scene: Scene, drive: np.ndarray) -> np.ndarray:
+def _clear(segment: MotionSegment, drive: np.ndarray) -> np.ndarray:
     """What shakes the mount, without the encoders' noise that a resonance would ring with."""
-    if scene.still or scene.clear is None or len(drive) < 8:
+    if segment.still or segment.clear is None or len(drive) < 8:
         return drive
-    return smooth(scene.times, drive, min(_TAIL * scene.clear, scene.bandwidth))[0]
+    return smooth(segment.times, drive, min(_TAIL * segment.clear, segment.bandwidth))[0]
 
 
 def _tilting(states: np.ndarray, row_of: np.ndarray, links: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

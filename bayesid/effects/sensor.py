@@ -1,156 +1,157 @@
-"""What a force/torque sensor makes of the wrench, and what drives make of the joint torque.
-
-A wrench is read about the shifted origin, turned by exp([r])', a moment ago; gains and cross-talk mix that, offset
-and drift come on top. Friction, springs and rotors inside a joint add to its torque, then its gain scales the sum.
-"""
+"""Effects in the force/torque sensor."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
-from scipy.spatial.transform import Rotation
 
-from bayesid.dynamics.channels import Channels
-from bayesid.effects.effect import Scene, Term, sense
-from bayesid.robot.robot import Robot
+from bayesid.dynamics.channels import WRENCH_NAMES
+from bayesid.effects.effect import Parameter
+from bayesid.effects.families import SensorEffect
 
-SENSOR = (
-    "sensor_offset", "sensor_drift", "sensor_gain", "sensor_crosstalk", "sensor_rotation", "sensor_translation", "sensor_delay",
-)  # fmt: skip
-DRIVE = (
-    "viscous_friction", "coulomb_friction", "torque_offset", "stribeck_friction", "load_friction", "rotor_inertia", "torque_gain",
-    "torque_ripple", "spring",
-)  # fmt: skip
-_SPLINE = 5  # degree of the interpolation that a delay is made with
+_LOADS = ("N",) * 3 + ("N m",) * 3
+# A strain-gauge platform under an arm: tens of newtons [N, N m]; drift per second is a thousandth.
+_OFFSET = (14.0, -9.0, 26.0, 1.6, -2.1, 0.7)
 
 
-@dataclass(frozen=True)
-class SensorChain:
-    """Steps from the true wrench to the reading.
+class _OnTop(SensorEffect):
+    """Six constants, or six slopes in time, beside whatever the sensor feels."""
 
-    Attributes
-    ----------
-    pose
-        Of shifted origin and turned axes (6, 6).
-    delay
-        [s].
-    mix
-        Gains and cross-talk (6, 6).
-    offset, drift
-        (6,) [N, N m], [.../s].
-    """
+    zero_unless_stated = True
 
-    pose: np.ndarray
-    delay: float
-    mix: np.ndarray
-    offset: np.ndarray
-    drift: np.ndarray
+    @property
+    def from_motion_alone(self):
+        return True
 
-    def sensed(self, scene: Scene, wrench: np.ndarray) -> np.ndarray:
-        """Wrenches (N, 6, k) before gains and cross-talk."""
-        turned = _mixed(self.pose, wrench)
-        return turned if self.delay == 0.0 or scene.still else delayed(scene.times, turned, self.delay)
+    def course(self, segment):
+        """What one unit adds (N,)."""
+        raise NotImplementedError
 
-    def linear(self, scene: Scene, wrench: np.ndarray) -> np.ndarray:
-        """All but offset and drift, (N, 6, k)."""
-        return _mixed(self.mix, self.sensed(scene, wrench))
+    def columns(self, chain, segment, true, values):
+        return self.course(segment)[:, None, None] * np.eye(6)
 
-    def reading(self, scene: Scene, wrench: np.ndarray) -> np.ndarray:
-        """What the sensor reads (N, 6)."""
-        return self.linear(scene, wrench[:, :, None])[:, :, 0] + self.offset + scene.times[:, None] * self.drift
+    def motion_columns(self, segment, channels):
+        out = np.zeros((len(segment.times), len(channels), 6))
+        for k, axis in enumerate(WRENCH_NAMES):
+            if axis in channels:
+                out[:, channels.index(axis), k] = self.course(segment)
+        return out
 
 
-def sensor_chain(robot: Robot, channels: Channels, wrench: np.ndarray, terms: Sequence[Term]) -> SensorChain:
-    """The sensor's own effects; ``wrench`` holds the indices of the six axes in the channels."""
-    shift, turn = np.zeros(3), np.zeros(3)
-    delay, mix, offset, drift = 0.0, np.eye(6), np.zeros(6), np.zeros(6)
-    for term in terms:
-        values, axes = np.array(term.values), term.effect.axes
-        match term.effect.name:
-            case "sensor_translation":
-                shift = shift + values
-            case "sensor_rotation":
-                turn = turn + values
-            case "sensor_delay":
-                delay += values[0]
-            case "sensor_gain":
-                mix[axes[0], axes[0]] += values[0]
-            case "sensor_crosstalk":
-                mix[axes[1], axes[0]] += values[0]
-            case "sensor_offset":
-                offset = offset + values
-            case "sensor_drift":
-                drift = drift + values
-    pose = np.eye(6)
-    if len(wrench):
-        # The axes of the sensor in its joint's frame, or in the base frame, are the twists of its force channels.
-        axes_rows = channels.twist[wrench[:3], :3]
-        if channels.joint[wrench[0]] < 0:
-            axes_rows = axes_rows @ channels.reference_rotation.T
-        d = axes_rows @ robot.sensor_rotation @ shift
-        pose[3:, :3] = -np.array([[0.0, -d[2], d[1]], [d[2], 0.0, -d[0]], [-d[1], d[0], 0.0]])
-        back = Rotation.from_rotvec(turn).as_matrix().T
-        pose = np.kron(np.eye(2), back) @ pose
-    return SensorChain(pose, delay, mix, offset, drift)
+class SensorOffset(_OnTop):
+    name = "sensor_offset"
+    summary = "constant bias of the sensor"
+    equation = "$w + o$"
+    quantities = tuple(Parameter(n, u, typical=o) for n, u, o in zip(WRENCH_NAMES, _LOADS, _OFFSET, strict=True))
+    confusable_with = ("base_tilt", "payload")
+    removed_by_static_run = True
+    estimated_without_static_run = True
+    absorbs_weight = True
+
+    def sought(self, around):
+        return not around.static_run
+
+    def course(self, segment):
+        return np.ones(len(segment.times))
+
+    def applied(self, chain, values):
+        return replace(chain, offset=chain.offset + np.array(values))
 
 
-def _mixed(matrix: np.ndarray, wrench: np.ndarray) -> np.ndarray:
-    """A matrix (6, 6) times wrenches (N, 6, k)."""
-    if np.array_equal(matrix, np.eye(6)):
-        return wrench
-    return np.einsum("ij,njk->nik", matrix, wrench) if wrench.shape[2] < 4 else np.matmul(matrix, wrench)
+class SensorDrift(_OnTop):
+    name = "sensor_drift"
+    summary = "bias that grows with time"
+    equation = "$w + d\\,t$, with $t$ of the table"
+    quantities = tuple(Parameter(n, f"{u}/s", typical=1e-3 * o) for n, u, o in zip(WRENCH_NAMES, _LOADS, _OFFSET, strict=True))
+    confusable_with = ("tether",)
+    in_static_run = False  # it drifts on between the two
+
+    def course(self, segment):
+        return segment.times
+
+    def applied(self, chain, values):
+        return replace(chain, drift=chain.drift + np.array(values))
 
 
-def delayed(times: np.ndarray, values: np.ndarray, delay: float) -> np.ndarray:
-    """Values at ``t - delay``: a spline through the samples, its ends prolonged straight."""
-    if len(times) <= _SPLINE:
-        return values
-    flat = values.reshape(len(times), -1)
-    spline = make_interp_spline(times, flat, k=_SPLINE)
-    at = times - delay
-    out = spline(np.clip(at, times[0], times[-1]))
-    beyond = (at < times[0]) | (at > times[-1])
-    if beyond.any():
-        ends = np.clip(at[beyond], times[0], times[-1])
-        out[beyond] += (at[beyond] - ends)[:, None] * spline(ends, 1)
-    return out.reshape(values.shape)
+class _Mixing(SensorEffect):
+    """One axis reads a share of one; the source is the first of ``axes``, the reading axis the last."""
+
+    def applied(self, chain, values):
+        mix = chain.mix.copy()
+        mix[self.axes[-1], self.axes[0]] += values[0]
+        return replace(chain, mix=mix)
+
+    def columns(self, chain, segment, true, values):
+        out = np.zeros((len(segment.times), 6, 1))
+        out[:, self.axes[-1], 0] = chain.sensed(segment, true[:, :, None])[:, self.axes[0], 0]
+        return out
 
 
-def inside_joint(scene: Scene, motion: tuple[np.ndarray, np.ndarray, np.ndarray], torque: np.ndarray, term: Term) -> np.ndarray:
-    """What friction, a spring or a rotor adds to a joint's torque (N,).
+class SensorGain(_Mixing):
+    name = "sensor_gain"
+    at = "axis"
+    summary = "one axis reads (1 + gain) times the truth"
+    equation = "$(1 + g)\\,w_i$"
+    quantities = (Parameter("gain", "1", -0.9, 2.0, typical=0.03),)
+    confusable_with = ("sensor_crosstalk", "base_compliance")
 
-    Parameters
-    ----------
-    scene
-        Times.
-    motion
-        The motor's positions, velocities and accelerations (N, n).
-    torque
-        What the joint moves and carries (N,).
-    term
-        The effect.
-    """
-    joint, values = term.effect.joint, term.values
-    assert joint is not None
-    q, v, a = (x[:, joint] for x in motion)
-    match term.effect.name:
-        case "viscous_friction":
-            return values[0] * v
-        case "coulomb_friction":
-            return values[0] * sense(v, a, scene.cell)
-        case "torque_offset":
-            return np.full(len(v), values[0])
-        case "stribeck_friction":
-            return values[0] * np.exp(-((v / max(values[1], 1e-9)) ** 2)) * sense(v, a, scene.cell)
-        case "load_friction":
-            return values[0] * np.abs(torque) * sense(v, a, scene.cell)
-        case "rotor_inertia":
-            return values[0] * a
-        case "torque_ripple":
-            return values[0] * np.sin(values[1] * q + values[2])
-        case "spring":
-            return values[0] * (q - values[1])
-    return np.zeros(len(v))
+
+class SensorCrosstalk(_Mixing):
+    name = "sensor_crosstalk"
+    at = "axis->axis"
+    summary = "one axis reads a share of another"
+    equation = "$w_k + c\\,w_i$"
+    quantities = (Parameter("coefficient", "1", -1.0, 1.0, typical=0.02),)
+    confusable_with = ("sensor_rotation", "sensor_translation", "base_tilt")
+
+    @property
+    def units(self):
+        source, reading = (_LOADS[axis] for axis in self.axes)
+        return ("1",) if source == reading else (f"{reading} per {source}",)
+
+
+class SensorRotation(SensorEffect):
+    name = "sensor_rotation"
+    summary = "the sensor is turned against its stated pose"
+    equation = "$\\exp([r]_\\times)^\\top$ times force and moment"
+    quantities = tuple(
+        Parameter(n, "rad", -0.5, 0.5, typical=x, linear=False) for n, x in (("rx", 0.01), ("ry", -0.015), ("rz", 0.02))
+    )
+    confusable_with = ("base_tilt", "encoder_offset", "sensor_crosstalk")
+
+    def applied(self, chain, values):
+        return replace(chain, turn=chain.turn + np.array(values))
+
+
+class SensorTranslation(SensorEffect):
+    name = "sensor_translation"
+    summary = "the sensor is shifted against its stated pose"
+    equation = "moments about the origin shifted by $d$, in base axes (for a sensor in a joint: in that joint's link)"
+    quantities = tuple(Parameter(n, "m", -1.0, 1.0, typical=x) for n, x in (("x", 0.004), ("y", -0.003), ("z", 0.005)))
+    confusable_with = ("sensor_crosstalk",)
+
+    def applied(self, chain, values):
+        return replace(chain, shift=chain.shift + np.array(values))
+
+    def columns(self, chain, segment, true, values):
+        # Linear, but its slope is wanted at the turned and delayed axes: one step of it, from zero.
+        parts = []
+        for unit in np.eye(3):
+            moved = np.einsum("ij,nj->ni", self.applied(chain, tuple(unit)).pose - chain.pose, true)
+            parts.append(chain.late(segment, moved) @ chain.mix.T)
+        return np.stack(parts, axis=-1)
+
+
+class SensorDelay(SensorEffect):
+    name = "sensor_delay"
+    summary = "the sensor reads the wrench of a moment ago"
+    equation = "$w(t - T)$"
+    quantities = (Parameter("delay", "s", -0.1, 0.1, typical=0.004, linear=False),)
+    confusable_with = ("fluid_drag", "joint_flexibility")
+
+    def reach(self, values, bandwidth, step):
+        return abs(values[0]) + 20.0 * step
+
+    def applied(self, chain, values):
+        return replace(chain, delay=chain.delay + values[0])

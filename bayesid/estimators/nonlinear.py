@@ -72,10 +72,10 @@ def settled(problem: Problem) -> Problem:
 def _stepped(problem: Problem, here: Point, estimate: Estimate, step: np.ndarray, share: float) -> Point:
     """The point a share of the way towards the estimate, within what is plausible."""
     row_model = problem.row_model
-    low = np.array([v for e in row_model.effects for v in e.kind.lower])[here.free]
-    high = np.array([v for e in row_model.effects for v in e.kind.upper])[here.free]
+    low = np.array([v for e in row_model.effects for v in e.lower])[here.free]
+    high = np.array([v for e in row_model.effects for v in e.upper])[here.free]
     # A shape that cannot be negative shrinks by steps: none jumps to its limit, where nothing moves any more.
-    shape = np.array([key in e.kind.shape for e in row_model.effects for key in e.kind.parameters])[here.free]
+    shape = np.array([key in e.shape for e in row_model.effects for key in e.parameters])[here.free]
     now = here.values[here.free]
     low = np.where(shape & (low >= 0.0), np.maximum(low, 0.4 * now), low)
     values = here.values.copy()

@@ -13,6 +13,7 @@ from typing import Any, Literal
 import numpy as np
 import tomli_w
 
+from bayesid.effects.library import EffectLibrary
 from bayesid.errors import InputError
 from bayesid.recordings import checks, motion_checks
 from bayesid.recordings.reader import read_table
@@ -120,6 +121,8 @@ class Experiment:
         Where it was read from, None if it was made in memory.
     warnings
         What looked doubtful on reading, one line each.
+    library
+        The effects that there are: the package's and the user's own.
     """
 
     name: str
@@ -135,6 +138,7 @@ class Experiment:
     locked: dict[str, float] = field(default_factory=dict)
     folder: Path | None = None
     warnings: tuple[str, ...] = ()
+    library: EffectLibrary = field(default_factory=EffectLibrary)
 
     def __post_init__(self) -> None:
         """Check that tables have the robot's joints and that names differ."""

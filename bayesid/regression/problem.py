@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from bayesid.dynamics.base_parameters import BaseParameters, structural_base
 from bayesid.dynamics.channels import Channels, torque_channels, wrench_channels
-from bayesid.effects import PLAIN, Effect, Point, middle_of, parse_effects, starting_point
+from bayesid.effects import Effect, EffectLibrary, Point, middle_of, starting_point
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, Motion
 from bayesid.recordings.table import usual_step
@@ -145,10 +145,10 @@ def prepare(experiment: Experiment, options: FitOptions | None = None) -> Proble
     readable = [m for m in experiment.motions if m in chosen or _readable(m, channel)]
     segments = {m.name: _segments(experiment, channels, m, k, channel, subtract) for k, m in enumerate(readable)}
     fitted = [r for m in chosen for r in segments[m.name]]
-    if any(r.offset for r in fitted) and channel != "torque" and not any(s.partition("@")[0] == "sensor_offset" for s in specs):
-        specs.insert(0, "sensor_offset")
+    if any(r.offset for r in fitted):
+        specs = [*_unstated(experiment.library, channels, specs), *specs]
     try:
-        parsed = parse_effects(specs, experiment.robot.joint_names, channels.names, experiment.gear_ratio)
+        parsed = experiment.library.parse(specs, experiment.robot.joint_names, channels.names, experiment.gear_ratio)
     except InputError as error:
         place = "experiment.toml: [model] effects" if options.effects is None else "--effects"
         raise type(error)(f"{place}: {error}") from None
@@ -194,6 +194,19 @@ def relinearised(problem: Problem, point: Point) -> Problem:
     return replace(problem, row_model=row_model, regression=_regression(row_model, problem.smoother, segments, names, rel_std))
 
 
+def weight_columns(row_model: RowModel) -> list[int]:
+    """Which of the estimated effect parameters hold, beside their own, weight that looks like them."""
+    absorbs = _free(row_model, (e.absorbs_weight for e in row_model.effects for _ in e.parameters))
+    return [k for k, holds in enumerate(absorbs) if holds]
+
+
+def _unstated(library: EffectLibrary, channels: Channels, specs: Sequence[str]) -> list[str]:
+    """Effects that every model of readings has from which no static run is subtracted, where the user names them or not."""
+    stated = {spec.partition("@")[0] for spec in specs}
+    classes = [c for c in library.classes.values() if c.estimated_without_static_run and c.name not in stated]
+    return [c.name for c in classes if any(c.acts_on(name) for name in channels.names)]
+
+
 def absorbed_offset(base: BaseParameters, links: np.ndarray) -> np.ndarray:
     """What of a sensor's estimated offset is weight (6,)."""
     return np.zeros(6) if base.absorbed is None else base.absorbed[:6] @ np.ravel(links)
@@ -207,14 +220,14 @@ def _point(
         values, free = starting_point(effects, experiment.effect_values, experiment.robot.joint_names)
     except InputError as error:
         raise InputError(f"experiment.toml: {error}") from None
-    if all(e.name in PLAIN for e in effects) and free.all():
+    if all(e.from_motion_alone for e in effects) and free.all():
         return None
     links = experiment.robot.nominal
     absorbed = absorbed_offset(base, links)
     start = 0
     for effect in effects:
-        count = len(effect.kind.parameters)
-        if effect.name == "sensor_offset":
+        count = len(effect.parameters)
+        if effect.absorbs_weight:
             values[start : start + count] += absorbed
         start += count
     return Point(links, base.matrix @ links.ravel(), values, free, absorbed, _middle(fitted))
@@ -256,7 +269,7 @@ def _regression(
             nominal_links=robot.nominal.ravel(),
             inertia_rel_std=inertia_rel_std,
             bodies=tuple(tuple(range(10 * k, 10 * k + 10)) for k in range(len(robot.body_names))),
-            effect_non_negative=_free(row_model, (sign for e in row_model.effects for sign in e.kind.non_negative)),
+            effect_non_negative=_free(row_model, (sign for e in row_model.effects for sign in e.non_negative)),
         ),
         regressor_noise=law,
         instruments=instruments,

@@ -15,7 +15,7 @@ import numpy as np
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.dynamics.channels import Channels
 from bayesid.dynamics.regressors import dynamics_regressor, momentum_regressors
-from bayesid.effects import Effect, Point, State, linearised
+from bayesid.effects import Effect, MotionSegment, Point, linearised
 from bayesid.errors import InputError
 from bayesid.regression.blocks import Block
 from bayesid.regression.parallel import in_order
@@ -122,23 +122,23 @@ class RowModel:
         """Number of effect parameters that are estimated."""
         return int(self.free.sum())
 
-    def state(self, segment: Segment, first: int, last: int) -> State:
+    def state(self, segment: Segment, first: int, last: int) -> MotionSegment:
         """Smoothed trajectory of samples first ... last - 1, from them and enough neighbours."""
         times = segment.times[first:last]
         if segment.poses:
             still = np.zeros_like(segment.positions[first:last])
-            return State(times, segment.positions[first:last], still, still)
+            return MotionSegment(times, segment.positions[first:last], still, still)
         reach = OVERLAP * 0.5 / self.bandwidth
         a = int(np.searchsorted(segment.times, times[0] - reach))
         b = int(np.searchsorted(segment.times, times[-1] + reach, side="right"))
-        return State(times, *smooth(segment.times[a:b], segment.positions[a:b], self.bandwidth, at=times))
+        return MotionSegment(times, *smooth(segment.times[a:b], segment.positions[a:b], self.bandwidth, at=times))
 
-    def effect_columns(self, segment: Segment, state: State) -> np.ndarray:
+    def effect_columns(self, segment: Segment, state: MotionSegment) -> np.ndarray:
         """(N, channels, effect parameters)."""
         parts = [np.zeros((len(state.times), len(self.channels), 0))]
         for effect in self.effects:
-            columns = effect.columns(state, self.channels.names)
-            parts.append(np.zeros_like(columns) if effect.name == "sensor_offset" and not segment.offset else columns)
+            columns = effect.motion_columns(state, self.channels.names)
+            parts.append(np.zeros_like(columns) if effect.removed_by_static_run and not segment.offset else columns)
         return np.concatenate(parts, axis=2)
 
     def about_point(self, segment: Segment, first: int, last: int) -> np.ndarray:
@@ -269,7 +269,7 @@ def _filtered(row_model: RowModel, segment: Segment, a: int, b: int) -> Iterator
                 row_model.base.independent, gravity=segment.gravity,
             )  # fmt: skip
             momentum = _for_trapezoids(state.times[wide], momentum)
-            sub = State(state.times[part], state.positions[part], state.velocities[part], state.accelerations[part])
+            sub = MotionSegment(state.times[part], state.positions[part], state.velocities[part], state.accelerations[part])
             measured = segment.measured(first + k, first + k + size)
             rest = np.concatenate([row_model.effect_columns(segment, sub), measured[:, :, None]], axis=2)
             flat = weight[1:-1].reshape(size, -1)

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from bayesid.effects import KINDS
 from bayesid.report.diagnosis_figures import before_and_after, evidence, residual_maps, signals
 from bayesid.report.identification import mood_of
 from bayesid.report.page import render, svg, versions
@@ -150,13 +149,13 @@ def _proposals(d: Any) -> list[dict[str, Any]]:
         name = _columns_of(p.term.effect)
         kind = "named" if name in taken else "rival" if name in rivals else "other"
         out.append({"spec": p.term.effect.spec, "evidence": float(entry["log_bayes_factor"]), "kind": kind,
-                    "share": min(p.gain / excess, 1.0), "summary": p.term.effect.kind.summary})  # fmt: skip
+                    "share": min(p.gain / excess, 1.0), "summary": p.term.effect.summary})  # fmt: skip
     return sorted(out, key=lambda p: -p["evidence"])
 
 
 def _columns_of(effect: Any) -> str:
     """An attached body and a wrong inertia have the same columns; only an exact fit tells them apart."""
-    return f"inertia_error@{effect.where}" if effect.name == "payload" else effect.spec
+    return f"{effect.columns_of or effect.name}@{effect.where}"
 
 
 def _line(p: dict[str, Any]) -> dict[str, str]:
@@ -168,7 +167,7 @@ def _rivals(found: Any) -> dict[str, Any]:
         "spec": found.term.effect.spec,
         "gain": _large(found.gain),
         "rivals": [
-            {"spec": t.effect.spec, "lack": number(lack, 2), "summary": t.effect.kind.summary} for t, lack in found.rivals
+            {"spec": t.effect.spec, "lack": number(lack, 2), "summary": t.effect.summary} for t, lack in found.rivals
         ],
     }
 
@@ -192,7 +191,7 @@ def _shift(shift: tuple[str, float, float, float]) -> dict[str, str]:
 
 def _visible(v: Any) -> dict[str, Any]:
     return {
-        "spec": v.effect.spec, "parameter": v.effect.kind.parameters[v.parameter], "unit": _unit(v),
+        "spec": v.effect.spec, "parameter": v.effect.parameters[v.parameter], "unit": _unit(v),
         "seen": "never" if v.seen is None else number(v.seen, 2),
         "most_collinear": DASH if v.most_collinear is None else v.most_collinear.spec, "share": _near_one(v.share),
         "named": "never" if v.named is None else number(v.named, 2),
@@ -215,7 +214,7 @@ def _seen(views: Any) -> list[dict[str, str]]:
         told = [v.named for v in members if v.named is not None]
         sizes = [v.usual for v in members]
         rows.append({
-            "name": name, "summary": KINDS[name].summary, "parameter": KINDS[name].parameters[best.parameter], "unit": unit,
+            "name": name, "summary": best.effect.summary, "parameter": best.effect.parameters[best.parameter], "unit": unit,
             "best": _at(best.seen, best, members), "worst": _at(worst.seen, worst, members) if len(members) > 1 else "",
             "named": "never" if not told else _span(min(told), max(told)) + ("" if len(told) == len(members) else ", or never"),
             "usual": _span(min(sizes), max(sizes)),

@@ -137,9 +137,9 @@ class Identification(Result):
         out, column = [], 0
         for effect in row_model.effects:
             parameters = {}
-            for k, (key, unit) in enumerate(zip(effect.kind.parameters, effect.units, strict=True)):
+            for k, (key, unit) in enumerate(zip(effect.parameters, effect.units, strict=True)):
                 value, std = values[column], stds[column]
-                if effect.name == "sensor_offset" and self.offset is not None:
+                if effect.absorbs_weight and self.offset is not None:
                     value, std = self.offset[0][k], self.offset[1][k]
                 parameters[key] = {"value": float(value), "std": float(std) if np.isfinite(std) else None, "unit": unit}
                 column += 1

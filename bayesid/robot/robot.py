@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from bayesid.errors import InputError
 from bayesid.robot import inertia
+from bayesid.robot.fingerprint import fingerprint
 from bayesid.robot.tree import SensorPlace, joint_rods, locate_sensor
 from bayesid.robot.urdf_file import read_urdf
 
@@ -113,6 +115,11 @@ class Robot:
                 table[joint, body] = True
                 joint = self.parent[joint]
         return table
+
+    @cached_property
+    def fingerprint(self) -> bytes:
+        """Digest of all that it holds, the same for equal robots."""
+        return fingerprint(self)
 
     @property
     def order(self) -> np.ndarray:

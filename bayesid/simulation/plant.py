@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from difflib import get_close_matches
 
 import numpy as np
 
 from bayesid.dynamics.channels import WRENCH_NAMES, Channels
-from bayesid.effects import KINDS, Effect, Scene, Term, parse_effects, reach_of, readings, typical
+from bayesid.effects import Effect, EffectLibrary, EncoderEffect, MotionSegment, Term, reach_of, readings
 from bayesid.errors import InputError
 from bayesid.robot.robot import Robot
 
@@ -19,29 +18,16 @@ _CHUNK = 8192  # samples whose readings are made at once
 _BANDWIDTH = 20.0
 
 
-def parameters(name: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Names and units of an effect's parameters."""
-    return KINDS[name].parameters, KINDS[name].units
-
-
-def default_values(name: str, joint: int | None, robot: Robot) -> dict[str, float]:
-    """Parameters of plausible size, see `bayesid.effects.typical`.
-
-    Parameters
-    ----------
-    name
-        Of the effect.
-    joint
-        Where it acts; None: elsewhere.
-    robot
-        Its masses, lengths, and effort and velocity limits.
-    """
-    effect = Effect(name, KINDS[name].at if joint is None else f"joint{joint + 1}", joint)
-    return dict(zip(effect.kind.parameters, map(float, typical(effect, robot)), strict=True))
+def default_values(effect: Effect, robot: Robot) -> dict[str, float]:
+    """Parameters of plausible size, see `bayesid.effects.Effect.typical`."""
+    return {key: float(value) for key, value in zip(effect.parameters, effect.typical(robot), strict=True)}
 
 
 def complete_effects(
-    robot: Robot, effects: Mapping[str, Values | None] | Sequence[str], stated: Mapping[str, Values]
+    robot: Robot,
+    effects: Mapping[str, Values | None] | Sequence[str],
+    stated: Mapping[str, Values],
+    library: EffectLibrary | None = None,
 ) -> dict[str, dict[str, float]]:
     """Every effect at each of its places, with all its values.
 
@@ -54,6 +40,8 @@ def complete_effects(
     stated
         Values for those without: ``[model.values]``. What is in neither is `default_values`, or zero for the axes
         of a sensor that are left out.
+    library
+        The effects that there are; default those of the package.
 
     Raises
     ------
@@ -63,33 +51,34 @@ def complete_effects(
     given = effects if isinstance(effects, Mapping) else dict.fromkeys(effects)
     out: dict[str, dict[str, float]] = {}
     for spec, own in given.items():
-        for effect in _parse(spec, robot):
+        for effect in _parse(spec, robot, library or EffectLibrary()):
             own_here = own
             if own is None:
                 own_here = stated.get(effect.spec, stated.get(spec, stated.get(effect.name)))
-            values = default_values(effect.name, effect.joint, robot)
+            values = default_values(effect, robot)
             known = {key: float(value) for key, value in (own_here or {}).items() if key != "fixed"}
             for key in known:
                 if key not in values:
                     raise InputError(f"effect '{spec}': no parameter '{key}'; it has {', '.join(values)}")
-            if effect.name in ("sensor_offset", "sensor_drift") and known:
+            if effect.zero_unless_stated and known:
                 values = dict.fromkeys(values, 0.0)
             out[effect.spec] = values | known
     return out
 
 
-def _parse(spec: str, robot: Robot, gear_ratio: Mapping[str, float] | None = None) -> tuple[Effect, ...]:
-    name = spec.partition("@")[0]
-    if name not in KINDS:
-        close = get_close_matches(name, KINDS, 1)
-        hint = f"did you mean '{close[0]}'?" if close else f"known: {', '.join(KINDS)}"
-        raise InputError(f"effect '{spec}': '{name}' cannot be simulated; {hint}")
+def _parse(
+    spec: str, robot: Robot, library: EffectLibrary, gear_ratio: Mapping[str, float] | None = None
+) -> tuple[Effect, ...]:
+    library.named(spec.partition("@")[0], spec, "'{}' cannot be simulated")
     channels = (*WRENCH_NAMES, *(f"tau{i + 1}" for i in range(robot.n)))
-    return parse_effects([spec], robot.joint_names, channels, gear_ratio)
+    return library.parse([spec], robot.joint_names, channels, gear_ratio)
 
 
 def plant_terms(
-    robot: Robot, plant: Mapping[str, Mapping[str, float]], gear_ratio: Mapping[str, float] | None = None
+    robot: Robot,
+    plant: Mapping[str, Mapping[str, float]],
+    gear_ratio: Mapping[str, float] | None = None,
+    library: EffectLibrary | None = None,
 ) -> tuple[Term, ...]:
     """`complete_effects` as terms of the exact model.
 
@@ -99,11 +88,13 @@ def plant_terms(
         Its joints and effects.
     gear_ratio
         By the joint's name.
+    library
+        The effects that there are; default those of the package.
     """
     return tuple(
-        Term(effect, tuple(values[key] for key in effect.kind.parameters))
+        Term(effect, tuple(values[key] for key in effect.parameters))
         for spec, values in plant.items()
-        for effect in _parse(spec, robot, gear_ratio)
+        for effect in _parse(spec, robot, library or EffectLibrary(), gear_ratio)
     )
 
 
@@ -111,24 +102,26 @@ def encoder_offsets(robot: Robot, terms: Sequence[Term]) -> np.ndarray:
     """What the encoders read beyond the truth (n,) [rad or m]."""
     out = np.zeros(robot.n)
     for term in terms:
-        if term.effect.name == "encoder_offset":
-            out[term.effect.joint] += term.values[0]
+        if isinstance(term.effect, EncoderEffect):
+            out[term.effect.joint] += term.effect.shift(term.values)
     return out
 
 
-def plant_readings(robot: Robot, channels: Channels, scene: Scene, links: np.ndarray, terms: Sequence[Term]) -> np.ndarray:
+def plant_readings(
+    robot: Robot, channels: Channels, segment: MotionSegment, links: np.ndarray, terms: Sequence[Term]
+) -> np.ndarray:
     """What a plant's channels read (N, c), made piece by piece.
 
     Parameters
     ----------
-    robot, channels, scene, links, terms
+    robot, channels, segment, links, terms
         As in `bayesid.effects.readings`.
     """
-    times, size = scene.times, len(scene.times)
+    times, size = segment.times, len(segment.times)
     margin = 0.0
-    if not scene.still and size > 1:
+    if not segment.still and size > 1:
         margin = reach_of(terms, _BANDWIDTH, float(np.median(np.diff(times))))
-    middle = scene.middle_positions
+    middle = segment.middle_positions
     out = np.empty((size, len(channels)))
     for first in range(0, size, _CHUNK):
         last = min(first + _CHUNK, size)
@@ -137,8 +130,9 @@ def plant_readings(robot: Robot, channels: Channels, scene: Scene, links: np.nda
             a = int(np.searchsorted(times, times[first] - margin))
             b = int(np.searchsorted(times, times[last - 1] + margin, side="right"))
         part = slice(a, b)
-        piece = Scene(
-            times[part], scene.positions[part], scene.velocities[part], scene.accelerations[part], scene.still, _BANDWIDTH, middle
+        piece = MotionSegment(
+            times[part], segment.positions[part], segment.velocities[part], segment.accelerations[part], segment.still,
+            _BANDWIDTH, middle,
         )
         out[first:last] = readings(robot, channels, piece, links, terms)[first - a : last - a]
     return out

@@ -23,14 +23,14 @@ from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 
 from bayesid.dynamics.channels import torque_channels, wrench_channels
-from bayesid.effects import REST_SPEED, State, middle_of
+from bayesid.effects import REST_SPEED, MotionSegment, Term, middle_of
 from bayesid.effects.sizes import ANY_EFFORT
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, Motion, Sensor, write_experiment
 from bayesid.recordings.table import Table
 from bayesid.robot import inertia
 from bayesid.robot.robot import Robot
-from bayesid.simulation.plant import Values, complete_effects, encoder_offsets, parameters, plant_readings, plant_terms
+from bayesid.simulation.plant import Values, complete_effects, encoder_offsets, plant_readings, plant_terms
 from bayesid.simulation.trajectories import Trajectory, new_trajectories, recorded_trajectories
 
 
@@ -74,8 +74,8 @@ class Truth:
     ----------
     links
         Ten parameters a body (b, 10).
-    effects
-        ``name@where`` with the values of its parameters.
+    terms
+        The effects with their values.
     recorder
         The instruments, all values filled in.
     seed
@@ -83,18 +83,22 @@ class Truth:
     """
 
     links: np.ndarray
-    effects: dict[str, dict[str, float]]
+    terms: tuple[Term, ...]
     recorder: Recorder
     seed: int
+
+    @property
+    def effects(self) -> dict[str, dict[str, float]]:
+        """``name@where`` with the values of its parameters."""
+        return {t.effect.spec: dict(zip(t.effect.parameters, t.values, strict=True)) for t in self.terms}
 
     def to_dict(self, robot: Robot) -> dict[str, Any]:
         """``truth.json``."""
         effects = []
-        for spec, values in self.effects.items():
-            name, _, where = spec.partition("@")
-            units = dict(zip(*parameters(name), strict=True))
-            listed = {key: {"value": float(value), "unit": units[key]} for key, value in values.items()}
-            effects.append({"name": name, "where": where, "parameters": listed})
+        for term in self.terms:
+            e = term.effect
+            listed = {k: {"value": v, "unit": unit} for k, v, unit in zip(e.parameters, term.values, e.units, strict=True)}
+            effects.append({"name": e.name, "where": e.where, "parameters": listed})
 
         def by_body(links):
             return {name: [float(x) for x in body] for name, body in zip(robot.body_names, links, strict=True)}
@@ -206,7 +210,7 @@ def simulate(
         raise InputError(f"links have shape {true.shape}; give {robot.nominal.shape}, ten parameters a body")
     if perturb:
         true = perturbed_links(replace(robot, nominal=true), perturb, streams[1])
-    plant = complete_effects(robot, effects, setup.effect_values)
+    plant = complete_effects(robot, effects, setup.effect_values, setup.library)
     recorder = _complete(recorder or Recorder(), setup)
     bench = _Bench(setup, true, plant, recorder, np.random.default_rng(streams[2]), _middle(trajectories))
     resolution = float(np.max(recorder.resolution or 0.0))
@@ -217,7 +221,7 @@ def simulate(
         ),
         effects=setup.effects, effect_values=setup.effect_values, inertia_rel_std=perturb or setup.inertia_rel_std,
         position_resolution=resolution or None, position_std=recorder.position_std or None, gear_ratio=setup.gear_ratio,
-        locked=setup.locked, truth=Truth(true, plant, recorder, seed),
+        locked=setup.locked, library=setup.library, truth=Truth(true, bench.terms, recorder, seed),
     )  # fmt: skip
 
 
@@ -252,7 +256,7 @@ class _Bench:
         self, setup: Experiment, links: np.ndarray, plant, recorder: Recorder, rng: np.random.Generator, middle: np.ndarray | None
     ):
         self.robot, self.links, self.recorder, self.rng = setup.robot, links, recorder, rng
-        self.terms = plant_terms(setup.robot, plant, setup.gear_ratio)
+        self.terms = plant_terms(setup.robot, plant, setup.gear_ratio, setup.library)
         self.middle = middle
         self.encoder_offset = encoder_offsets(setup.robot, self.terms)
         self.torque = torque_channels(self.robot)
@@ -265,34 +269,34 @@ class _Bench:
 
     def record(self, motion: Trajectory) -> Motion:
         poses = motion.kind == "poses"
-        moving = State(motion.times, motion.positions, motion.velocities, motion.accelerations, still=poses)
+        moving = MotionSegment(motion.times, motion.positions, motion.velocities, motion.accelerations, still=poses)
         table = self._table(moving, motion.name)
         static = None
         if motion.static_positions is not None:
             q = motion.static_positions
             times = motion.times if len(q) == len(motion.times) else np.arange(float(len(q)))
-            held = State(times, q, np.zeros_like(q), np.zeros_like(q), still=True)
+            held = MotionSegment(times, q, np.zeros_like(q), np.zeros_like(q), still=True)
             static = self._table(held, f"{motion.name}_static")
         return Motion(motion.name, motion.role, table, motion.kind, static, motion.period, motion.parked)
 
-    def _table(self, state: State, name: str) -> Table:
+    def _table(self, segment: MotionSegment, name: str) -> Table:
         rng, recorder = self.rng, self.recorder
         # What the encoders say of the true motion, before noise: they know nothing of a joint that gives.
-        state = replace(state, positions=state.positions + self.encoder_offset, middle=self.middle)
-        q = state.positions + (recorder.position_std or 0.0) * rng.normal(size=state.positions.shape)
+        segment = replace(segment, positions=segment.positions + self.encoder_offset, middle=self.middle)
+        q = segment.positions + (recorder.position_std or 0.0) * rng.normal(size=segment.positions.shape)
         count = np.broadcast_to(np.asarray(recorder.resolution or 0.0, float), (self.robot.n,))
         q = np.where(count > 0, np.round(q / np.where(count > 0, count, 1.0)) * count, q)
         velocities = None
         if recorder.velocity_std is not None:
-            velocities = state.velocities + recorder.velocity_std * rng.normal(size=q.shape)
+            velocities = segment.velocities + recorder.velocity_std * rng.normal(size=q.shape)
         wrench = None
         if self.wrench is not None:
             std = np.repeat([recorder.force_std or 0.0, recorder.torque_std or 0.0], 3)
-            wrench = plant_readings(self.robot, self.wrench, state, self.links, self.terms)
+            wrench = plant_readings(self.robot, self.wrench, segment, self.links, self.terms)
             wrench += std * rng.normal(size=wrench.shape)
-        if state.still:
+        if segment.still:
             # At rest friction holds whatever the drive happens to push with: partly mobilised, as in a slow creep.
-            state = replace(state, velocities=REST_SPEED * rng.uniform(-1, 1, q.shape))
-        torques = plant_readings(self.robot, self.torque, state, self.links, self.terms)
+            segment = replace(segment, velocities=REST_SPEED * rng.uniform(-1, 1, q.shape))
+        torques = plant_readings(self.robot, self.torque, segment, self.links, self.terms)
         torques += self.drive_std * rng.normal(size=q.shape)
-        return Table(state.times, q, velocities, None, torques, wrench, source=f"{name}.csv")
+        return Table(segment.times, q, velocities, None, torques, wrench, source=f"{name}.csv")

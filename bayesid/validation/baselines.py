@@ -6,7 +6,7 @@ import numpy as np
 
 from bayesid.estimators import Estimate
 from bayesid.estimators.factor import Weights, reduce_rows, solve
-from bayesid.regression.problem import Problem
+from bayesid.regression.problem import Problem, weight_columns
 
 
 def nominal_estimates(problem: Problem, weights: Weights) -> list[tuple[str, Estimate]]:
@@ -32,7 +32,7 @@ def nominal_estimates(problem: Problem, weights: Weights) -> list[tuple[str, Est
         spec, _, parameter = name.rpartition(".")
         given = {**values.get(spec.partition("@")[0], {}), **values.get(spec, {})}
         effects[k] = given.get(parameter, 0.0)
-    offset = [k for k, name in enumerate(names) if name.startswith("sensor_offset@")]
+    offset = weight_columns(problem.row_model)
     if base.absorbed is not None and offset:  # that column also holds the weight that looks like an offset
         effects[offset] += base.absorbed[: len(offset)] @ links
     nominal = base.matrix @ links

@@ -137,6 +137,6 @@ def static_both_ways(problem: Problem, method: str | Estimator) -> Estimate | No
     if problem.static != "motion":
         return None
     row_model = problem.row_model
-    effects = [e.spec for e in row_model.effects if e.name != "sensor_offset"]
+    effects = [e.spec for e in row_model.effects if not e.estimated_without_static_run]
     options = FitOptions(problem.channel, row_model.filters, problem.fitted, effects, "joint", problem.smoother.bandwidth)
     return solve(prepare(problem.experiment, options), method)[1]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from bayesid.dynamics.base_parameters import structural_base
-from bayesid.effects import parse_effects
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, Motion
 from bayesid.recordings.table import GAP, WRENCH_COLUMNS, Table
@@ -41,7 +40,7 @@ def check(experiment: Experiment, progress: Progress = quiet) -> Inspection:
     channel = default_channel(experiment)
     bandwidth, reason, position_std = None, "", np.full(experiment.robot.n, np.nan)
     try:
-        parse_effects(experiment.effects, experiment.robot.joint_names, [*WRENCH_COLUMNS, "tau1"])
+        experiment.library.parse(experiment.effects, experiment.robot.joint_names, [*WRENCH_COLUMNS, "tau1"])
     except InputError as error:
         raise InputError(f"experiment.toml: [model] effects: {error}") from None
     try:

@@ -14,7 +14,7 @@ from bayesid.estimators import DEFAULT_METHOD, Estimate, Estimator, estimator
 from bayesid.estimators.nonlinear import solve
 from bayesid.recordings.experiment import Experiment, load_experiment
 from bayesid.regression.options import FitOptions
-from bayesid.regression.problem import Problem, prepare
+from bayesid.regression.problem import Problem, prepare, weight_columns
 from bayesid.results.bodies import impossible_bodies
 from bayesid.results.files import Files, files_of
 from bayesid.results.identification import Identification
@@ -133,10 +133,9 @@ def _unexcited(problem: Problem, estimate: Estimate) -> tuple[str, ...]:
 
 def _offset(problem: Problem, estimate: Estimate, links: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
     """The sensor's offset, freed from the weight that looks like one, which only the nominal model knows."""
-    names = [n for n in estimate.effect_names if n.startswith("sensor_offset@")]
-    if not names:
+    at = [estimate.base.rank + k for k in weight_columns(problem.row_model)]
+    if not at:
         return None
-    at = [estimate.base.rank + estimate.effect_names.index(n) for n in names]
     value, std = estimate.solution[at].copy(), estimate.full_std[at].copy()
     absorbed = problem.row_model.base.absorbed
     if absorbed is not None:

@@ -98,7 +98,7 @@ def outcome(d: Diagnosis) -> dict[str, Any]:
         "named": [f.term.effect.spec for f in d.found],
         "rivals": {f.term.effect.spec: [t.effect.spec for t, _ in f.rivals] for f in d.found if f.rivals},
         "tried": [
-            {"effect": t.effect.spec, "values": dict(zip(t.effect.kind.parameters, map(float, t.values), strict=True))}
+            {"effect": t.effect.spec, "values": dict(zip(t.effect.parameters, map(float, t.values), strict=True))}
             for t in tried
         ],
         "fitted": {
@@ -144,7 +144,7 @@ def hose(seed: int = 0) -> dict[str, Any]:
         result["parameters"] = [
             {"effect": f.term.effect.spec, "name": k, "unit": u, "value": float(v), "std": float(s), "truth": HOSE.get(k)}
             for f in d.found
-            for k, v, s, u in zip(f.term.effect.kind.parameters, f.term.values, f.std, f.term.effect.units, strict=True)
+            for k, v, s, u in zip(f.term.effect.parameters, f.term.values, f.std, f.term.effect.units, strict=True)
         ]
         if d.found:
             after = bayesid.identify(experiment.with_model(Path(temporary) / "diagnosed" / "model.toml"))

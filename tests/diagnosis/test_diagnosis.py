@@ -15,7 +15,7 @@ from scipy.stats import multivariate_normal
 from bayesid import diagnose
 from bayesid.diagnosis import bodies, candidates, fit, noise_models, search, spectra, surrogates, validation
 from bayesid.diagnosis.data import Episode, active_terms, prepare_data, smoothed
-from bayesid.effects import Term, parse_effects
+from bayesid.effects import EffectLibrary, Term
 from bayesid.recordings.experiment import load_experiment
 from bayesid.robot.prior import Prior
 
@@ -93,7 +93,7 @@ def test_what_nearly_complete_models_leave_is_no_third_effect(record):
         comparison, projector = made(folder, "wrench")
         names = [f"{e['name']}@{e['where']}" for e in answer["effects"]] + extra
         robot, channels = comparison.robot, [*"fx fy fz mx my mz".split()]
-        terms = [Term(e, e.kind.starts) for e in parse_effects(names, robot.joint_names, channels, None)]
+        terms = [Term(e, e.starts) for e in EffectLibrary().parse(names, robot.joint_names, channels, None)]
         base, best = fit.fit(projector, ()), fit.fit(projector, terms)
         held = noise_models.NoiseModels(0, (), {(): candidates.make_library(projector, base)})
         few, rest = search._essential(held, base, best, 1.0)
@@ -217,7 +217,7 @@ def test_a_model_that_runs_away_is_refused(record, monkeypatch):
     proposals = [p for p in library.propose(base) if p.name == body.spec]
     endless = lambda *given: np.full((projector.rows, sum(len(t.values) for t in given[-1])), np.inf)  # noqa: E731
     monkeypatch.setattr(fit, "model_rows", endless)
-    for term in (Term(effect, (1e-4,)), Term(body, body.kind.starts)):
+    for term in (Term(effect, (1e-4,)), Term(body, body.starts)):
         runaway = fit.fit(projector, (term,))
         assert runaway.score == -np.inf and runaway.chi2 == np.inf
         assert not runaway.covariance.any() and np.isfinite(runaway.residual).all()

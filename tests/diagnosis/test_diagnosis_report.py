@@ -15,7 +15,7 @@ from bayesid.diagnosis.locate import BANDS, by_band, by_window
 from bayesid.diagnosis.search import Found
 from bayesid.diagnosis.validation import residual_spectra
 from bayesid.diagnosis.views import views
-from bayesid.effects import KINDS, Term, parse_effects
+from bayesid.effects import EffectLibrary, Term
 from bayesid.recordings.schema import read_model
 from bayesid.robot.examples import PAPER_LOCKED
 from tests.report_pages import read
@@ -65,7 +65,7 @@ def written(named, tmp_path_factory):
 
 def effect(diagnosis, spec):
     data = diagnosis.data
-    return parse_effects([spec], data.robot.joint_names, data.channels.names)[0]
+    return EffectLibrary().parse([spec], data.robot.joint_names, data.channels.names)[0]
 
 
 def ambiguous(diagnosis):
@@ -201,7 +201,7 @@ def test_the_summary_of_each_verdict(named, clean):
     assert named.verdict == "named" and clean.verdict == "nothing_missing"
     text = str(named)
     assert text.startswith("test: named (sensor's wrench of identification)\n")
-    assert KINDS["sensor_gain"].summary in text
+    assert EffectLibrary().classes["sensor_gain"].summary in text
     assert "sensor_gain@mx: gain 0.09" in text or "sensor_gain@mx: gain 0.1" in text
     assert f"-> {named.gap.after:.2f} x noise (floor {named.gap.floor:.2f})" in text and "disagrees: mx in" in text
     assert "Nothing is missing" in str(clean) and "disagrees" not in str(clean)

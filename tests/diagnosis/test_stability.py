@@ -42,7 +42,7 @@ def fitted(robot, gain, *names):
     data = prepare_data(made(robot, gain), "wrench", (), None, 0)
     effects = [e for name, where in names for e in data.places(name) if e.where == where]
     projector = make_projector(data, ())
-    best = fit(projector, [Term(e, tuple(0.0 for _ in e.kind.parameters)) for e in effects])
+    best = fit(projector, [Term(e, tuple(0.0 for _ in e.parameters)) for e in effects])
     found = []
     for i, t in enumerate(best.terms):
         without = fit(projector, tuple(x for k, x in enumerate(best.terms) if k != i))

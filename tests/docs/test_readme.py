@@ -12,7 +12,7 @@ import pytest
 
 from bayesid import write_experiment
 from bayesid.cli import main
-from bayesid.effects import KINDS
+from bayesid.effects import EffectLibrary
 from bayesid.recordings import schema
 from bayesid.validation.prediction import TOLERATED
 from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
@@ -144,11 +144,11 @@ def test_method_page_states_the_limit_of_the_code():
     assert f"1 is perfect. Above {TOLERATED} there is a warning" in text
 
 
-def test_effects_page_is_that_of_the_catalogue():
-    """docs/effects.md is what docs/effects_table.py makes of the catalogue, every effect included."""
+def test_effects_page_is_made_from_the_classes():
+    """docs/effects.md is what docs/effects_table.py makes of the classes, every effect included."""
     made = runpy.run_path(str(ROOT / "docs" / "effects_table.py"))["page"]()
     assert (ROOT / "docs" / "effects.md").read_text(encoding="utf-8") == made
-    assert not {name for name in KINDS if f"| `{name}` |" not in made}
+    assert not {name for name in EffectLibrary().classes if f"| `{name}` |" not in made}
 
 
 def test_constraints_are_pins_without_addresses():

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from bayesid.dynamics.channels import torque_channels, wrench_channels
-from bayesid.effects import Scene, parse_effects, readings
-from bayesid.effects.effect import Term
+from bayesid.effects import EffectLibrary, MotionSegment, Term, readings
 from bayesid.regression.problem import stack_channels
 from bayesid.robot.robot import load_robot
 from bayesid.signals.smoothing import smooth
@@ -33,7 +32,7 @@ def motors(robot, t, link, joints, compliance):
     """Motor positions of a link motion: link + compliance x torque; and smoothed rates."""
     channels = torque_channels(robot)
     q = link[0].copy()
-    q[:, joints] += compliance * readings(robot, channels, Scene(t, *link), robot.nominal, [])[:, joints]
+    q[:, joints] += compliance * readings(robot, channels, MotionSegment(t, *link), robot.nominal, [])[:, joints]
     return smooth(t, q, 50.0)
 
 
@@ -52,12 +51,12 @@ def test_readings_are_those_of_the_links_motion(panda, joints, compliance, frequ
     t, *link = course(panda, frequencies)
     motor = motors(panda, t, link, joints, compliance)
     terms = [
-        Term(parse_effects([f"joint_flexibility@joint{j + 1}"], panda.joint_names, both.names, None)[0], (compliance,))
+        Term(EffectLibrary().parse([f"joint_flexibility@joint{j + 1}"], panda.joint_names, both.names, None)[0], (compliance,))
         for j in joints
     ]  # fmt: skip
-    truth = readings(panda, both, Scene(t, *link), panda.nominal, [])
-    stiff = readings(panda, both, Scene(t, *motor), panda.nominal, [])
-    got = readings(panda, both, Scene(t, *motor, clear=20.0), panda.nominal, terms)
+    truth = readings(panda, both, MotionSegment(t, *link), panda.nominal, [])
+    stiff = readings(panda, both, MotionSegment(t, *motor), panda.nominal, [])
+    got = readings(panda, both, MotionSegment(t, *motor, clear=20.0), panda.nominal, terms)
     inside = slice(120, -120)
     error = np.sqrt(np.mean((got - truth)[inside] ** 2, axis=0))
     effect = np.sqrt(np.mean((stiff - truth)[inside] ** 2, axis=0))

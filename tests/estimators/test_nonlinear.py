@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import bayesid
-from bayesid.effects import KINDS
+from bayesid.effects import EffectLibrary
 from bayesid.estimators.nonlinear import solve
 from bayesid.recordings.experiment import Experiment, Sensor
 from bayesid.regression.options import FitOptions
@@ -93,10 +93,10 @@ def test_fixed_values_are_kept(setup, motions):
     assert result.fitted[0].whitened_rms == pytest.approx(1.0, abs=0.1)
 
 
-@pytest.mark.parametrize("name", KINDS)
+@pytest.mark.parametrize("name", EffectLibrary().classes)
 def test_every_effect_can_be_simulated_and_modelled(setup, motions, name):
     """One place of each: the recording differs from that without it, and a model with the true values explains it."""
-    kind = KINDS[name]
+    kind = EffectLibrary().classes[name]
     where = {"joint": "@joint2", "joint|robot": "@joint2", "axis": "@fy", "axis->axis": "@mx->fz"}.get(kind.at, "")
     spec = name + where
     plant = complete_effects(setup.robot, [spec], {})

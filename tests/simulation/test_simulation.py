@@ -12,6 +12,7 @@ import pytest
 import bayesid
 from bayesid.cli import main
 from bayesid.effects import REST_SPEED
+from bayesid.effects.friction import ViscousFriction
 from bayesid.recordings.experiment import load_setup
 from bayesid.recordings.table import WRENCH_COLUMNS
 from bayesid.robot import inertia
@@ -129,7 +130,7 @@ def test_values_come_from_the_model_then_the_defaults(setup):
     stated = {"viscous_friction@joint2": {"coefficient": 9.0, "fixed": True}}
     plant = complete_effects(robot, ["viscous_friction", "sensor_offset"], stated)
     assert plant["viscous_friction@joint2"] == {"coefficient": 9.0}
-    assert plant["viscous_friction@joint1"] == default_values("viscous_friction", 0, robot)
+    assert plant["viscous_friction@joint1"] == default_values(ViscousFriction("joint1", 0), robot)
     assert set(plant["sensor_offset@sensor"]) == set(WRENCH_COLUMNS)
     assert complete_effects(robot, {"sensor_offset": {"fx": 1.0}}, {})["sensor_offset@sensor"]["fz"] == 0.0
     for effects, message in [

@@ -1,0 +1,60 @@
+from .effect import Effect, Parameter, Term
+from .exact import columns, readings, rigid_columns
+from .families import (
+    BodyEffect,
+    EncoderEffect,
+    FlexibleJointEffect,
+    GravityEffect,
+    InstrumentEffect,
+    JointGainEffect,
+    JointMotion,
+    JointTorqueEffect,
+    LoadEffect,
+    MountEffect,
+    ReadingEffect,
+    Readout,
+    RotorEffect,
+    SensorEffect,
+)
+from .library import EffectLibrary
+from .linearised import Point, linearised, moved, reach_of, starting_point
+from .loads import ExternalContact
+from .model import Model
+from .proposals import Linearisation, Surroundings
+from .segment import REST_SPEED, MotionSegment, middle_of
+
+__all__ = [
+    "REST_SPEED",
+    "BodyEffect",
+    "Effect",
+    "EffectLibrary",
+    "EncoderEffect",
+    "ExternalContact",
+    "FlexibleJointEffect",
+    "GravityEffect",
+    "InstrumentEffect",
+    "JointGainEffect",
+    "JointMotion",
+    "JointTorqueEffect",
+    "Linearisation",
+    "LoadEffect",
+    "Model",
+    "MotionSegment",
+    "MountEffect",
+    "Parameter",
+    "Point",
+    "ReadingEffect",
+    "Readout",
+    "RotorEffect",
+    "SensorEffect",
+    "Surroundings",
+    "Term",
+    "columns",
+    "linearised",
+    "middle_of",
+    "moved",
+    "reach_of",
+    "readings",
+    "rigid_columns",
+    "starting_point",
+]

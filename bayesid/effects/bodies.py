@@ -1,0 +1,108 @@
+"""Bodies more or less on a link, and rotors that spin in one."""
+
+from __future__ import annotations
+
+from math import inf
+
+import numpy as np
+
+from bayesid.dynamics.kinematics import DW, R, W
+from bayesid.effects import sizes
+from bayesid.effects.effect import Parameter
+from bayesid.effects.families import BodyEffect, RotorEffect
+from bayesid.robot import inertia
+from bayesid.robot.robot import Robot
+
+
+def body_of(robot: Robot, joint: int | None) -> int:
+    """Index of the body that something on a joint's link sits on; the last one, b, is the root.
+
+    Where a sensor splits the link it is the part beyond the sensor, where tools, tethers and hands are.
+    """
+    if joint is None or joint < 0:
+        return len(robot.body_names)
+    split = np.flatnonzero(robot.body_joint[robot.n :] == joint)
+    return int(robot.n + split[0]) if len(split) else joint
+
+
+def _compact(robot: Robot, joint: int | None) -> tuple[float, ...]:
+    """A compact body (10,) of a tenth of the moved mass, in the last link at most a kilogram or so, off the joint's axis."""
+    m, r = 0.1 * sizes.mass_beyond(robot, joint), 0.1 * sizes.reach(robot)
+    first, second = np.array([0.5, 0.3, 0.6]), np.array([1.0, -0.15, 0.9, -0.3, -0.18, 0.8])
+    return (m, *(first * m * r), *(second * m * r * r))
+
+
+class Payload(BodyEffect):
+    name = "payload"
+    summary = "a body is attached to a link"
+    equation = "a possible body in the joint's frame; on the far side of a sensor in that link"
+    quantities = tuple(
+        Parameter(n, u, 0.0 if n == "m" else -inf) for n, u in zip(inertia.PARAMETERS, inertia.UNITS, strict=True)
+    )
+    confusable_with = ("inertia_error", "payload")
+    columns_of = "inertia_error"  # which of the two it is, the fit decides
+
+    def typical(self, robot):
+        return _compact(robot, self.joint)
+
+    def sought(self, around):
+        return False
+
+
+class InertiaError(BodyEffect):
+    name = "inertia_error"
+    summary = "a link's nominal inertia is wrong"
+    equation = "the same, but the change need not be a possible body"
+    quantities = tuple(Parameter(n, u) for n, u in zip(inertia.PARAMETERS, inertia.UNITS, strict=True))
+    confusable_with = ("payload", "inertia_error", "rotor_momentum", "rotor_inertia")
+    may_be = "payload"
+
+    def typical(self, robot):
+        # Mass that is there, but further out than its nominal moment of inertia says: no body is that.
+        body = _compact(robot, self.joint)
+        return (0.0, *body[1:4], *(0.0,) * 6)
+
+    def sought(self, around):
+        return around.links_known
+
+
+class RotorMomentum(RotorEffect):
+    name = "rotor_momentum"
+    summary = "angular momentum of a spinning rotor"
+    equation = (
+        "moment $J\\,\\mathrm{d}(\\dot q z)/\\mathrm{d}t$ on what the joint's parent is carried by; on its own torque "
+        "$J z \\cdot \\dot\\omega$, and gear ratio $\\times J \\ddot q$ where `gear_ratio` is stated"
+    )
+    source = "angular momentum, cf. [Spong1987](references.md), which leaves it out"
+    quantities = (Parameter("inertia", "kg m^2", lower=0.0),)
+    confusable_with = ("inertia_error", "rotor_inertia")
+
+    def typical(self, robot):
+        return [1e-4 * sizes.effort(robot, self.joint)]
+
+    def sought(self, around):
+        # In a wrench or in torques alone it is a change of two links.
+        return around.both_channels or around.links_known
+
+
+def rotor_couple(robot: Robot, states: np.ndarray, joint: int, velocity: np.ndarray, acceleration: np.ndarray):
+    """Rate of a rotor's angular momentum per unit of ``gear ratio x rotor inertia``.
+
+    The momentum is ``h = qd z`` with the joint's axis z fixed in the parent link, so
+    ``dh/dt = qdd z + qd w x z``. The joint itself feels the rotor's turning with the parent, ``z . dw``.
+
+    Returns
+    -------
+    body, wrench, own
+        The parent's body, the couple that the rotor's motion takes from it (N, 6), and the joint's torque (N,).
+    """
+    parent = int(robot.parent[joint])
+    up = states[:, parent if parent >= 0 else robot.n]
+    axis = up[:, R : R + 9].reshape(-1, 3, 3) @ (robot.rotation[joint] @ robot.axis[joint])
+    couple = acceleration[:, None] * axis + velocity[:, None] * np.cross(up[:, W : W + 3], axis)
+    own = np.sum(axis * up[:, DW : DW + 3], axis=1)
+    body = parent if parent >= 0 else len(robot.body_names)
+    far = body_of(robot, parent)
+    if parent >= 0 and far != parent and robot.sensor_bodies[joint]:
+        body = far  # the joint hangs on the part beyond the sensor
+    return body, np.concatenate([np.zeros_like(couple), couple], axis=1), own

@@ -1,0 +1,25 @@
+"""The effects that come with the package. A new one is a class in one of the modules and its name here."""
+
+from bayesid.effects.bodies import InertiaError, Payload, RotorMomentum
+from bayesid.effects.drives import RotorInertia, Spring, TorqueGain, TorqueRipple
+from bayesid.effects.effect import Effect
+from bayesid.effects.friction import CoulombFriction, LoadFriction, StribeckFriction, TorqueOffset, ViscousFriction
+from bayesid.effects.loads import ExternalContact, FluidDrag, Tether
+from bayesid.effects.placement import BaseCompliance, BaseTilt, EncoderOffset, JointFlexibility
+from bayesid.effects.sensor import (
+    SensorCrosstalk,
+    SensorDelay,
+    SensorDrift,
+    SensorGain,
+    SensorOffset,
+    SensorRotation,
+    SensorTranslation,
+)
+
+#: In the order in which they are listed and tried.
+CLASSES: tuple[type[Effect], ...] = (
+    SensorOffset, SensorDrift, SensorGain, SensorCrosstalk, SensorRotation, SensorTranslation, SensorDelay,
+    BaseTilt, Payload, InertiaError, Tether, FluidDrag, RotorMomentum, JointFlexibility, EncoderOffset, ExternalContact,
+    BaseCompliance, ViscousFriction, CoulombFriction, TorqueOffset, StribeckFriction, LoadFriction, RotorInertia, TorqueGain,
+    TorqueRipple, Spring,
+)  # fmt: skip

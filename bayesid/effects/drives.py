@@ -1,0 +1,89 @@
+"""Motors, gears and springs inside a joint, and how its torque is read."""
+
+from __future__ import annotations
+
+from math import inf
+
+import numpy as np
+
+from bayesid.effects import sizes
+from bayesid.effects.effect import Parameter
+from bayesid.effects.families import JointGainEffect, JointTorqueEffect
+from bayesid.effects.proposals import Linearisation
+
+#: Periods of a ripple per radian or metre tried; slower ones than a gear's would pass for any error of weight.
+RIPPLE_PERIODS = tuple(float(n) for n in (*np.arange(4.0, 40.0, 0.4), *np.geomspace(40.0, 200.0, 60)))
+
+
+class RotorInertia(JointTorqueEffect):
+    name = "rotor_inertia"
+    summary = "inertia of motor and gears, seen from the joint"
+    equation = "$J\\,\\ddot q$; the value is gear ratio² × rotor inertia"
+    quantities = (Parameter("inertia", "kg m^2", lower=0.0),)
+    confusable_with = ("inertia_error", "rotor_momentum")
+
+    def typical(self, robot):
+        return [0.01 * sizes.effort(robot, self.joint)]
+
+    def torque(self, motion, values):
+        return values[0] * motion.acceleration
+
+
+class TorqueGain(JointGainEffect):
+    name = "torque_gain"
+    summary = "the torque reads (1 + gain) times the truth"
+    equation = "$(1 + g)\\,\\tau$, friction included"
+    quantities = (Parameter("gain", "1", -0.9, 2.0, typical=0.05),)
+    confusable_with = ("inertia_error", "payload")
+
+
+class TorqueRipple(JointTorqueEffect):
+    name = "torque_ripple"
+    summary = "torque that repeats with the joint's angle"
+    equation = "$A \\sin(n q + \\varphi)$"
+    quantities = (
+        Parameter("amplitude", "N m", lower=0.0, start=0.5),
+        Parameter("periods", "1/rad", 1.0, 1000.0, start=10.0, linear=False, step=1e-3),
+        Parameter("phase", "rad", -inf, inf, linear=False, step=1e-3),
+    )
+    confusable_with = ("spring",)
+    harmonics = RIPPLE_PERIODS
+
+    def typical(self, robot):
+        return [0.01 * sizes.effort(robot, self.joint), 20.0, 0.5]
+
+    def torque(self, motion, values):
+        return values[0] * np.sin(values[1] * motion.position + values[2])
+
+    def canonical(self, values):
+        amplitude, periods, phase = values
+        return (amplitude, periods, float((phase + np.pi) % (2.0 * np.pi) - np.pi))
+
+    def linearisations(self, around):
+        return ()  # its harmonics are tried
+
+    def from_harmonic(self, order, sine, cosine):
+        return (float(np.hypot(sine, cosine)), order, float(np.arctan2(cosine, sine)))
+
+
+class Spring(JointTorqueEffect):
+    name = "spring"
+    summary = "a spring across a joint"
+    equation = "$k\\,(q - q_0)$"
+    quantities = (Parameter("stiffness", "N m/rad", start=1.0), Parameter("rest", "rad", linear=False))
+    confusable_with = ("torque_offset", "payload")
+
+    def typical(self, robot):
+        return [0.03 * sizes.effort(robot, self.joint), 0.3]
+
+    def torque(self, motion, values):
+        return values[0] * (motion.position - values[1])
+
+    def linearisations(self, around):
+        # k (q - q0) is linear in k and k q0, whose columns are the derivatives at k = 1, q0 = 0.
+        at = np.array([1.0, 0.0])
+        return (
+            Linearisation(
+                at, lambda a: np.array([a[0], a[1] / a[0] if a[0] else 0.0]), lambda v: np.array([v[0], v[0] * v[1]])
+            ),
+        )

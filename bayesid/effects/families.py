@@ -1,0 +1,292 @@
+"""Families of effects: where on the way from the motion to the reading an effect acts, and the method that says how.
+
+In this order (`bayesid.effects.model`):
+
+1. `EncoderEffect`: the true joint position is the encoder's less a shift; `FlexibleJointEffect`: the link lags the motor;
+2. `MountEffect`: the base turns under the robot;
+3. `BodyEffect`, `GravityEffect`, `LoadEffect`, `RotorEffect`: bodies, their weight, what pulls or pushes them, what spins;
+4. the instruments: `JointTorqueEffect` inside a joint, `SensorEffect` in the force/torque sensor, `ReadingEffect` on top of
+   any reading, and last `JointGainEffect`.
+
+An effect of one's own derives from one of these and writes one method; derivatives come from differences where the class
+does not say them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import ClassVar
+
+import numpy as np
+
+from bayesid.effects.effect import Effect, Parameter
+from bayesid.effects.segment import MotionSegment, direction
+from bayesid.effects.sensor_chain import SensorChain
+from bayesid.errors import InputError
+from bayesid.robot.robot import Robot
+
+#: Bodies by index, with the wrench (N, 6) about the base origin on each.
+Loads = list[tuple[int, np.ndarray]]
+
+
+@dataclass(frozen=True, eq=False)
+class JointMotion:
+    """What happens at one joint.
+
+    Attributes
+    ----------
+    time
+        (N,) [s].
+    position, velocity, acceleration
+        Of the motor's side (N,).
+    link_torque
+        Torque that moves and carries the links (N,); None for effects that do not say ``uses_load``.
+    cell
+        Time that a sample stands for [s].
+    """
+
+    time: np.ndarray
+    position: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray
+    link_torque: np.ndarray | None
+    cell: float
+
+    @property
+    def load(self) -> np.ndarray:
+        """Torque that moves and carries the links (N,)."""
+        if self.link_torque is None:
+            raise InputError("an effect inside a joint takes the joint's load; write uses_load = True in its class")
+        return self.link_torque
+
+    @cached_property
+    def direction(self) -> np.ndarray:
+        """Sign of the velocity (N,); see `bayesid.effects.segment.direction`."""
+        return direction(self.velocity, self.acceleration, self.cell)
+
+
+@dataclass(frozen=True, eq=False)
+class Readout:
+    """What the instruments are given to read.
+
+    Attributes
+    ----------
+    names
+        Of the channels (c,).
+    segment
+        The recording's motion.
+    positions, velocities, accelerations
+        Of the motors (N, n).
+    true
+        True wrench and joint torques (N, c).
+    """
+
+    names: tuple[str, ...]
+    segment: MotionSegment
+    positions: np.ndarray
+    velocities: np.ndarray
+    accelerations: np.ndarray
+    true: np.ndarray
+
+    def joint(self, joint: int, load: np.ndarray | None = None) -> JointMotion:
+        """What happens at one joint."""
+        q, v, a = (x[:, joint] for x in (self.positions, self.velocities, self.accelerations))
+        return JointMotion(self.segment.times, q, v, a, load, self.segment.cell)
+
+
+def differences(effect: Effect, values: Sequence[float], reading: Callable[[tuple[float, ...]], np.ndarray]) -> np.ndarray:
+    """Central differences of a reading (N, ...) with respect to an effect's parameters, (N, ..., k)."""
+    out = []
+    for k, parameter in enumerate(effect.quantities):
+        step = max(parameter.step, 1e-4 * abs(values[k]))
+        ends = []
+        for sign in (1.0, -1.0):
+            moved = list(values)
+            moved[k] += sign * step
+            ends.append(reading(tuple(moved)))
+        out.append((ends[0] - ends[1]) / (2.0 * step))
+    return np.stack(out, axis=-1)
+
+
+# -- the motion
+
+
+class EncoderEffect(Effect):
+    """An encoder reads something else than its joint's position."""
+
+    at = "joint"
+
+    def shift(self, values: Sequence[float]) -> float:
+        """What the encoder reads beyond the true position [rad or m]."""
+        raise NotImplementedError
+
+
+class FlexibleJointEffect(Effect):
+    """The link is not where the motor is (`bayesid.effects.flexible`)."""
+
+    at = "joint"
+    amplifies_encoder_errors = True
+
+    def compliance(self, values: Sequence[float]) -> float:
+        """How far the link gives under the joint's torque [rad/(N m) or m/N]."""
+        raise NotImplementedError
+
+
+class MountEffect(Effect):
+    """The base turns on a compliant, damped mount (`bayesid.effects.mount`)."""
+
+    at = "base"
+    amplifies_encoder_errors = True
+
+    def resonance(self, values: Sequence[float]) -> tuple[float, float]:
+        """Frequency [Hz] and damping ratio."""
+        raise NotImplementedError
+
+
+# -- bodies and what acts on them
+
+
+class BodyEffect(Effect):
+    """A body, or part of one, more or less on a link."""
+
+    at = "joint"
+    changes_link = True
+
+    def body(self, values: Sequence[float]) -> np.ndarray:
+        """Ten parameters in the joint's frame (10,); unless the class says otherwise, those of the effect."""
+        return np.array(values, float)
+
+    @property
+    def is_ten_parameters(self) -> bool:
+        """Whether the effect's parameters are the body's."""
+        return type(self).body is BodyEffect.body
+
+
+class GravityEffect(Effect):
+    """Gravity is not what is stated."""
+
+    at = "base"
+
+    def turned(self, gravity: np.ndarray, values: Sequence[float]) -> np.ndarray:
+        """Gravity in the base frame (3,) [m/s^2]."""
+        raise NotImplementedError
+
+
+class LoadEffect(Effect):
+    """Something pulls or pushes links from outside."""
+
+    at = "joint"
+
+    def loads(self, robot: Robot, segment: MotionSegment, states: np.ndarray, values: Sequence[float]) -> Loads:
+        """Wrenches on bodies about the base origin.
+
+        Parameters
+        ----------
+        robot, segment
+            What moves, and when.
+        states
+            Of the links (N, n + 1, 24), see `bayesid.dynamics.kinematics`.
+        values
+            Of the parameters (k,).
+        """
+        raise NotImplementedError
+
+
+class RotorEffect(Effect):
+    """Angular momentum of a spinning rotor."""
+
+    at = "joint"
+    needs_gear_ratio = True
+
+    def inertia(self, values: Sequence[float]) -> float:
+        """Gear ratio x rotor inertia [kg m^2]."""
+        return float(values[0])
+
+
+# -- the instruments
+
+
+class InstrumentEffect(Effect):
+    """Changes readings, not what is read: neither motion nor loads depend on it."""
+
+
+class JointTorqueEffect(InstrumentEffect):
+    """Friction, springs, motors: what something inside a joint adds to its torque."""
+
+    channels = ("torque",)
+    at = "joint"
+    #: Whether it depends on the torque that moves and carries the links.
+    uses_load: ClassVar[bool] = False
+
+    def torque(self, motion: JointMotion, values: Sequence[float]) -> np.ndarray:
+        """What it adds (N,) [N m or N]."""
+        raise NotImplementedError
+
+    def per_load(self, motion: JointMotion, values: Sequence[float]) -> np.ndarray:
+        """Derivative of `torque` with respect to the load (N,), for effects that use it."""
+        step = 1e-6 * max(float(np.abs(motion.load).max(initial=0.0)), 1.0)
+        ends = [self.torque(replace(motion, link_torque=motion.load + s * step), values) for s in (1.0, -1.0)]
+        return (ends[0] - ends[1]) / (2.0 * step)
+
+    @property
+    def from_motion_alone(self) -> bool:
+        """Where it is linear and does not use the load."""
+        return not self.shape and not self.uses_load
+
+    def motion_columns(self, segment: MotionSegment, channels: Sequence[str]) -> np.ndarray:
+        """(N, channels, k)."""
+        out = np.zeros((len(segment.times), len(channels), len(self.parameters)))
+        joint = -1 if self.joint is None else self.joint
+        if (name := f"tau{joint + 1}") in channels:
+            q, v, a = (x[:, joint] for x in (segment.positions, segment.velocities, segment.accelerations))
+            motion = JointMotion(segment.times, q, v, a, None, segment.cell)
+            for k, unit in enumerate(np.eye(len(self.parameters))):
+                out[:, channels.index(name), k] = self.torque(motion, tuple(unit))
+        return out
+
+
+class JointGainEffect(InstrumentEffect):
+    """A joint's torque is read larger or smaller than it is, all that is inside the joint included."""
+
+    channels = ("torque",)
+    at = "joint"
+
+    def gain(self, values: Sequence[float]) -> float:
+        """What of the torque is read too much, as a share."""
+        return float(values[0])
+
+
+class SensorEffect(InstrumentEffect):
+    """A step of the force/torque sensor's chain."""
+
+    channels = ("wrench",)
+    at = "sensor"
+
+    def applied(self, chain: SensorChain, values: Sequence[float]) -> SensorChain:
+        """The chain with this effect."""
+        raise NotImplementedError
+
+    def columns(self, chain: SensorChain, segment: MotionSegment, true: np.ndarray, values: Sequence[float]) -> np.ndarray:
+        """Derivative of the reading (N, 6, k) at its values; ``chain`` is without it, ``true`` the wrench (N, 6)."""
+        return differences(self, values, lambda v: self.applied(chain, v).reading(segment, true))
+
+
+class ReadingEffect(InstrumentEffect):
+    """Something that comes on top of any channels' readings."""
+
+    def added(self, readout: Readout, values: Sequence[float]) -> np.ndarray:
+        """What is read beside the truth (N, c)."""
+        raise NotImplementedError
+
+    def tangent(self, readout: Readout, values: Sequence[float], change: np.ndarray) -> np.ndarray | None:
+        """Change of `added` with a change of the true readings (N, c, k); None: it does not depend on them."""
+        return None
+
+
+__all__ = [
+    "BodyEffect", "Effect", "EncoderEffect", "FlexibleJointEffect", "GravityEffect", "InstrumentEffect", "JointGainEffect",
+    "JointMotion", "JointTorqueEffect", "LoadEffect", "Loads", "MountEffect", "Parameter", "ReadingEffect", "Readout",
+    "RotorEffect", "SensorEffect", "differences",
+]  # fmt: skip

@@ -1,0 +1,219 @@
+"""Which effects there are: those that come with the package, those of installed packages, and the user's own.
+
+Names, places and signs are those of the experiment format.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from difflib import get_close_matches
+from functools import cached_property, lru_cache
+from importlib import import_module
+from importlib.metadata import entry_points
+from typing import TYPE_CHECKING
+
+from bayesid.dynamics.channels import WRENCH_NAMES
+from bayesid.errors import InputError
+
+if TYPE_CHECKING:
+    from bayesid.effects.effect import Effect
+
+#: Other packages register a class of theirs under this group.
+ENTRY_POINTS = "bayesid.effects"
+_PLACES = ("sensor", "axis", "axis->axis", "base", "joint", "robot", "joint|robot")
+
+
+@dataclass(frozen=True)
+class EffectLibrary:
+    """Effects by name. An experiment holds one; nothing is registered anywhere else.
+
+    Attributes
+    ----------
+    own
+        The user's classes, beside those of the package and of installed packages.
+    """
+
+    own: tuple[type[Effect], ...] = ()
+
+    @cached_property
+    def classes(self) -> dict[str, type[Effect]]:
+        """Every class by name: the package's in their order, then others."""
+        return {c.name: c for c in (*_installed(), *self.own)}
+
+    def with_classes(self, classes: Iterable[type[Effect]], source: str) -> EffectLibrary:
+        """A library with more classes.
+
+        Parameters
+        ----------
+        classes
+            Subclasses of `bayesid.effects.Effect`.
+        source
+            Where they come from, for messages.
+
+        Raises
+        ------
+        InputError
+            A class is incomplete, or its name is taken.
+        """
+        added = tuple(classes)
+        for c in added:
+            _check(c, source)
+        names = [*self.classes, *(c.name for c in added)]
+        for c in added:
+            if names.count(c.name) > 1:
+                raise InputError(f"{source}: an effect is called '{c.name}' already; give it another name")
+        return EffectLibrary((*self.own, *added))
+
+    def named(self, name: str, spec: str | None = None, fault: str = "no effect is called '{}'") -> type[Effect]:
+        """The class of this name.
+
+        Raises
+        ------
+        InputError
+            There is none; the message names the nearest one.
+        """
+        if name in self.classes:
+            return self.classes[name]
+        close = get_close_matches(name, self.classes, 1)
+        hint = f"did you mean '{close[0]}'?" if close else f"known: {', '.join(self.classes)}"
+        raise InputError(f"effect '{spec or name}': {fault.format(name)}; {hint}")
+
+    def places(
+        self, name: str, joint_names: Sequence[str], channels: Sequence[str], gear_ratio: Mapping[str, float] | None = None
+    ) -> tuple[Effect, ...]:
+        """All effects of one class that can change one of the channels.
+
+        Parameters
+        ----------
+        name
+            Of the class.
+        joint_names
+            The URDF's names in the order of q1 ... qn.
+        channels
+            Names of the channels.
+        gear_ratio
+            By the joint's name.
+        """
+        c = self.classes[name]
+        if not any(c.acts_on(channel) for channel in channels):
+            return ()
+        ratios = gear_ratio or {}
+        out: list[Effect] = []
+        if c.at == "axis":
+            out = [c(axis, axes=(k,)) for k, axis in enumerate(WRENCH_NAMES)]
+        elif c.at == "axis->axis":
+            pairs = [(i, k) for i in range(6) for k in range(6) if i != k]
+            out = [c(f"{WRENCH_NAMES[i]}->{WRENCH_NAMES[k]}", axes=(i, k)) for i, k in pairs]
+        elif c.at.startswith("joint"):
+            for i, joint in enumerate(joint_names):
+                if c.channels == ("torque",) and f"tau{i + 1}" not in channels:
+                    continue
+                if c.only_joint is not None and c.only_joint != i:
+                    continue
+                ratio = ratios.get(joint, ratios.get(f"joint{i + 1}")) if c.needs_gear_ratio else None
+                out.append(c(f"joint{i + 1}", i, ratio=ratio))
+            if c.at == "joint|robot":
+                out.append(c("robot"))
+        else:
+            out = [c(c.at)]
+        return tuple(out)
+
+    def parse(
+        self,
+        specs: Sequence[str],
+        joint_names: Sequence[str],
+        channels: Sequence[str],
+        gear_ratio: Mapping[str, float] | None = None,
+    ) -> tuple[Effect, ...]:
+        """Effects from their specifications, those that act on the given channels.
+
+        Parameters
+        ----------
+        specs
+            Each ``name``, which means everywhere, or ``name@where``.
+        joint_names
+            The URDF's names in the order of q1 ... qn; ``joint1`` ... ``jointn`` are understood too.
+        channels
+            Names of the channels in use; an effect on other channels is left out.
+        gear_ratio
+            By the joint's name.
+
+        Raises
+        ------
+        InputError
+            Unknown name or place.
+        """
+        effects: dict[str, Effect] = {}
+        for spec in specs:
+            name, _, where = spec.partition("@")
+            c = self.named(name, spec)
+            everything = (*WRENCH_NAMES, *(f"tau{i + 1}" for i in range(len(joint_names))))
+            everywhere = self.places(name, joint_names, everything, gear_ratio)
+            place = f"joint{list(joint_names).index(where) + 1}" if where in joint_names else where
+            found = [e for e in everywhere if place in ("", e.where)]
+            if not found:
+                raise InputError(f"effect '{spec}': {_where_else(c, where, len(joint_names))}")
+            if not place and c.at == "joint|robot":
+                found = [e for e in found if e.joint is not None]
+            if any(c.acts_on(channel) for channel in channels):
+                for effect in found:
+                    effects.setdefault(effect.spec, effect)
+        return tuple(effects.values())
+
+
+@lru_cache(maxsize=1)
+def _installed() -> tuple[type[Effect], ...]:
+    """The package's classes and those that installed packages register; constant as long as the interpreter runs."""
+    classes = import_module("bayesid.effects.built_in").CLASSES
+    taken = {c.name for c in classes}
+    for point in sorted(entry_points(group=ENTRY_POINTS), key=lambda p: p.name):
+        source = f"entry point {ENTRY_POINTS}:{point.name}"
+        try:
+            found = point.load()
+        except Exception as error:
+            raise InputError(f"{source}: {type(error).__name__}: {error}; mend or uninstall {point.value}") from error
+        _check(found, source)
+        if found.name in taken:
+            raise InputError(f"{source}: an effect is called '{found.name}' already; give it another name")
+        taken.add(found.name)
+        classes = (*classes, found)
+    return classes
+
+
+def _check(c: type[Effect], source: str) -> None:
+    """Refuse a class that others could not ask what they need to know."""
+    from bayesid.effects.effect import Effect
+
+    if not (isinstance(c, type) and issubclass(c, Effect)):
+        raise InputError(f"{source}: {c!r} is no effect; derive a class from one of bayesid.effects, such as JointTorqueEffect")
+    who = f"{source}: effect '{c.name or c.__name__}'"
+    if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", c.name):
+        raise InputError(f"{who}: name = {c.name!r}; write a name of letters, digits and underscores")
+    if c.at not in _PLACES:
+        raise InputError(f"{who}: at = {c.at!r}; write one of {', '.join(_PLACES)}")
+    if not c.channels or not set(c.channels) <= {"wrench", "torque"}:
+        raise InputError(f"{who}: channels = {c.channels!r}; write ('wrench',), ('torque',) or both")
+    if not c.quantities or len(set(c.parameters)) < len(c.parameters):
+        raise InputError(f"{who}: give it at least one Parameter in `quantities`, each with its own name")
+    for p in c.quantities:
+        if p.name == "fixed" or not p.name.isidentifier():
+            raise InputError(f"{who}: a parameter is called {p.name!r}; write an identifier, and not 'fixed'")
+        if not p.lower <= p.start <= p.upper:
+            raise InputError(f"{who}: {p.name} starts at {p.start:g}, outside {p.lower:g} ... {p.upper:g}; give a start inside")
+
+
+def _where_else(c: type[Effect], where: str, joints: int) -> str:
+    known = f"joint1 to joint{joints} or a URDF joint name"
+    if c.only_joint is not None and (not where or where.startswith("joint")):
+        return f"'{c.name}' is at joint{c.only_joint + 1} only; write '{c.name}'"
+    return {
+        "sensor": f"'{c.name}' acts at the sensor; write '{c.name}'",
+        "base": f"'{c.name}' acts at the base; write '{c.name}'",
+        "robot": f"'{c.name}' acts on the whole robot; write '{c.name}'",
+        "axis": f"no axis '{where}'; write one of {', '.join(WRENCH_NAMES)}",
+        "axis->axis": f"no pair of axes '{where}'; write the source and the axis that reads it, as in fx->mz",
+        "joint": f"no joint '{where}'; write {known}",
+        "joint|robot": f"no joint '{where}'; write {known}, or robot",
+    }[c.at]

@@ -1,0 +1,158 @@
+"""What pulls or pushes the links from outside: a tether, the air, a hand."""
+
+from __future__ import annotations
+
+from math import inf
+
+import numpy as np
+
+from bayesid.dynamics.kinematics import P, R, V, W
+from bayesid.effects import sizes
+from bayesid.effects.bodies import body_of
+from bayesid.effects.effect import Parameter
+from bayesid.effects.families import LoadEffect, Loads
+from bayesid.effects.proposals import Linearisation
+
+#: A contact grows and fades in this time, within its window [s].
+CONTACT_RAMP = 0.2
+#: Lengths of a tether that an exact fit starts from [m].
+TETHER_LENGTHS = (0.8, 2.0)
+_POINT = tuple(
+    Parameter(f"point_{axis}", "m", -1.0, 1.0, typical=x, linear=False) for axis, x in (("x", 0.05), ("y", 0.03), ("z", 0.08))
+)
+# Drag along a rod: five Gauss points, exact for the linear part, ample for |v| v.
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
+
+
+def _at(state: np.ndarray, row: int, point) -> np.ndarray:
+    """A point of a link in the base frame (N, 3)."""
+    x = state[:, row]
+    return x[:, P : P + 3] + x[:, R : R + 9].reshape(-1, 3, 3) @ np.asarray(point, float)
+
+
+def _wrench(points: np.ndarray, force: np.ndarray) -> np.ndarray:
+    return np.concatenate([force, np.cross(points, force)], axis=1)
+
+
+class Tether(LoadEffect):
+    name = "tether"
+    summary = "a hose or cable pulls a link, like a one-sided spring"
+    equation = "$k \\max(\\lVert d\\rVert - L, 0)\\,d / \\lVert d\\rVert$ on the point, $d$ from there to the anchor"
+    source = "one-sided linear spring"
+    quantities = (
+        Parameter("stiffness", "N/m", lower=0.0, start=10.0),
+        Parameter("rest_length", "m", 0.0, 10.0, start=0.3, linear=False),
+        Parameter("anchor_x", "m", -10.0, 10.0, linear=False),
+        Parameter("anchor_y", "m", -10.0, 10.0, linear=False),
+        Parameter("anchor_z", "m", -10.0, 10.0, start=1.5, linear=False),
+        *_POINT,
+    )
+    confusable_with = ("base_tilt", "tether")
+    single = True
+
+    def typical(self, robot):
+        long = sizes.reach(robot)
+        return [sizes.push(robot) / long, 0.3 * long, 0.4 * long, -0.5 * long, 1.5 * long, *(p.typical for p in _POINT)]
+
+    def loads(self, robot, segment, states, values) -> Loads:
+        assert self.joint is not None
+        stiffness, length = values[:2]
+        points = _at(states, self.joint, values[5:8])
+        line = np.asarray(values[2:5]) - points
+        distance = np.maximum(np.linalg.norm(line, axis=1, keepdims=True), 1e-12)
+        force = stiffness * np.maximum(distance - length, 0.0) * line / distance
+        return [(body_of(robot, self.joint), _wrench(points, force))]
+
+    def linearisations(self, around):
+        # A taut tether without length pulls with k (anchor - x): linear in k and k anchor, whose columns are the derivatives
+        # at k = 1 with the anchor at the origin.
+        centre = around.mean_places[self.joint or 0]
+        at = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+        return (
+            Linearisation(
+                at, lambda a: _tethers(a, centre), lambda v: np.array([v[0], 0.0, *(v[0] * v[2:5]), 0.0, 0.0, 0.0])
+            ),
+        )
+
+
+def _tethers(a: np.ndarray, centre: np.ndarray) -> np.ndarray:
+    """Tethers of several lengths (m, 8) whose mean pull is that of ``k (anchor - x)``, from amplitudes at k = 1, anchor 0.
+
+    A short motion shows the pull, hardly where it comes from; so the anchor is put at a likely distance from the link's
+    mean place (3,), with a third of the length slack, and the exact fit moves it.
+    """
+    pull = a[2:5] - a[0] * centre
+    size = max(float(np.linalg.norm(pull)), 1e-12)
+    return np.array([[size / (0.7 * x), 0.3 * x, *(centre + pull / size * x), 0.0, 0.0, 0.0] for x in TETHER_LENGTHS])
+
+
+class ExternalContact(LoadEffect):
+    name = "external_contact"
+    at = "joint|robot"
+    summary = "something pushes a link for part of the time"
+    equation = "force $F$ in base axes on the point, from start to end, with ramps of 0.2 s along half a cosine"
+    quantities = (
+        Parameter("start", "s", typical=2.0, linear=False, step=1e-3),
+        Parameter("end", "s", start=1.0, typical=4.0, linear=False, step=1e-3),
+        Parameter("fx", "N", start=1.0),
+        Parameter("fy", "N", start=1.0),
+        Parameter("fz", "N", start=1.0),
+        *_POINT,
+    )
+    confusable_with = ("external_contact", "tether")
+    in_static_run = False
+    once = True
+    single = True
+    #: Lengths of the time windows in which it is sought [s].
+    windows = (0.4, 0.7, 1.2, 2.0, 3.5, 6.0, 10.0)
+
+    def typical(self, robot):
+        push = sizes.push(robot)
+        return [2.0, 4.0, push, -0.6 * push, 0.8 * push, *(p.typical for p in _POINT)]
+
+    def loads(self, robot, segment, states, values) -> Loads:
+        row = robot.n if self.joint is None else self.joint
+        points = _at(states, row, values[5:8])
+        force = contact_window(segment.times, values[0], values[1])[:, None] * np.asarray(values[2:5])
+        if segment.still:  # it pushed while the robot moved, not when it was stopped for a reading
+            force = np.zeros_like(force)
+        return [(body_of(robot, self.joint), _wrench(points, force))]
+
+    def linearisations(self, around):
+        return ()  # it is sought in windows of time
+
+
+def contact_window(times: np.ndarray, start: float, end: float) -> np.ndarray:
+    """Share of a contact's force at each time (N,): up from its start and down to its end, along half a cosine."""
+    share = np.clip(np.minimum((times - start) / CONTACT_RAMP, (end - times) / CONTACT_RAMP), 0.0, 1.0)
+    return 0.5 - 0.5 * np.cos(np.pi * share)
+
+
+class FluidDrag(LoadEffect):
+    name = "fluid_drag"
+    at = "robot"
+    summary = "drag of air or water along the links"
+    equation = "$-(l + q\\lVert v\\rVert)\\,v$ per metre of the straight rods between joint origins"
+    source = "integral of the drag on a rod's elements"
+    quantities = (Parameter("linear", "N s/m^2", 0.0, inf), Parameter("quadratic", "N s^2/m^3", 0.0, inf))
+    confusable_with = ("viscous_friction", "sensor_delay")
+
+    def typical(self, robot):
+        return [0.5 * sizes.push(robot) / sizes.reach(robot)] * 2
+
+    def loads(self, robot, segment, states, values) -> Loads:
+        linear, quadratic = values
+        out: dict[int, np.ndarray] = {}
+        for joint, ends in zip(robot.rod_joint, robot.rods, strict=True):
+            rod = ends[1] - ends[0]
+            length = float(np.linalg.norm(rod))
+            if length < 1e-9:
+                continue
+            x, body = states[:, joint], body_of(robot, int(joint))
+            for node, weight in zip(_NODES, _WEIGHTS, strict=True):
+                points = _at(states, joint, ends[0] + 0.5 * (1.0 + node) * rod)
+                speed = x[:, V : V + 3] + np.cross(x[:, W : W + 3], points - x[:, P : P + 3])
+                size = linear + quadratic * np.linalg.norm(speed, axis=1, keepdims=True)
+                wrench = _wrench(points, -0.5 * weight * length * size * speed)
+                out[body] = out[body] + wrench if body in out else wrench
+        return list(out.items())

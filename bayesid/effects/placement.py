@@ -1,0 +1,99 @@
+"""Where joints and base really are: encoders, flexible joints, a base that is not level or gives way."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from bayesid.effects import sizes
+from bayesid.effects.effect import Parameter
+from bayesid.effects.families import EncoderEffect, FlexibleJointEffect, GravityEffect, MountEffect
+from bayesid.signals.smoothing import OVERLAP
+
+#: Resonances of a flexible joint [Hz], tried where columns leave something unexplained: above its resonance a link moves
+#: against its motor, which no derivative at a stiff joint says.
+JOINT_RESONANCES = np.geomspace(3.0, 30.0, 17)
+#: Resonances of a mount [Hz] and their damping, which are tried.
+MOUNT_RESONANCES, MOUNT_DAMPING = np.geomspace(2.5, 60.0, 14), 0.05
+#: Ringing of a mount is followed until it has died down to exp(-8), but no longer than this [s].
+_LONGEST = 20.0
+
+
+class EncoderOffset(EncoderEffect):
+    name = "encoder_offset"
+    summary = "an encoder's zero is wrong"
+    equation = "the encoder reads $q + a$"
+    quantities = (Parameter("angle", "rad", -0.5, 0.5, typical=0.01, linear=False),)
+    confusable_with = ("sensor_rotation", "joint_flexibility")
+
+    def shift(self, values):
+        return float(values[0])
+
+
+class JointFlexibility(FlexibleJointEffect):
+    name = "joint_flexibility"
+    summary = "the link gives under the joint's torque"
+    equation = "link at $q - C\\tau$, $\\tau$ the torque that moves the links"
+    source = "[Spong1987](references.md), torque by the rigid model of the links"
+    quantities = (Parameter("compliance", "rad/(N m)", 0.0, 1.0, linear=False, step=1e-6),)
+    confusable_with = ("encoder_offset", "sensor_delay")
+    last_resort = True
+    restarts = (0.25, 0.5, 2.0, 4.0)
+
+    def typical(self, robot):
+        # A hundredth of a radian under four times the effort limit, as in a harmonic drive.
+        return [2.5e-3 / sizes.effort(robot, self.joint)]
+
+    def reach(self, values, bandwidth, step):
+        return OVERLAP / bandwidth
+
+    def compliance(self, values):
+        return float(values[0])
+
+    def trials(self, around):
+        felt = around.joint_inertia[self.joint or 0]
+        return (1.0 / (felt * (2.0 * np.pi * JOINT_RESONANCES) ** 2))[:, None]
+
+
+class BaseTilt(GravityEffect):
+    name = "base_tilt"
+    summary = "the base is not level: gravity is turned"
+    equation = "gravity is turned about base $x$, then $y$"
+    quantities = tuple(Parameter(n, "rad", -0.3, 0.3, typical=x, linear=False) for n, x in (("x", 0.01), ("y", -0.015)))
+    confusable_with = ("sensor_rotation", "sensor_offset", "sensor_crosstalk")
+
+    def turned(self, gravity, values):
+        return Rotation.from_euler("xy", values).as_matrix() @ gravity
+
+
+class BaseCompliance(MountEffect):
+    name = "base_compliance"
+    channels = ("wrench",)
+    summary = "the mount gives and rings"
+    equation = (
+        "$I(q)\\ddot\\theta + c\\dot\\theta + k\\theta = -h$, $h$ the moment about base $x$ and $y$ that the robot asks for; "
+        "$k$, $c$ from the mean of the two inertias at the middle of the motion, the root link's included"
+    )
+    source = "a rigid body on a spring and damper"
+    quantities = (
+        Parameter("resonance", "Hz", 1.0, 200.0, start=20.0, typical=12.0, linear=False, step=0.01),
+        Parameter("damping", "1", 0.0, 1.0, start=0.05, typical=0.05, linear=False, step=1e-3),
+    )
+    confusable_with = ("base_tilt", "sensor_gain", "sensor_crosstalk")
+    settling = 1.5
+
+    def reach(self, values, bandwidth, step):
+        rate = 2.0 * np.pi * values[0] * max(values[1], 1e-3)
+        return min(8.0 / rate, _LONGEST) + 2.0 / bandwidth
+
+    def resonance(self, values):
+        return float(values[0]), float(values[1])
+
+    def sought(self, around):
+        return around.base_sensor
+
+    def linearisations(self, around):
+        return ()  # no small amplitude stands for it
+
+    def trials(self, around):
+        return np.column_stack([MOUNT_RESONANCES, np.full(len(MOUNT_RESONANCES), MOUNT_DAMPING)])

@@ -1,0 +1,118 @@
+"""One gap-free segment of joint motion, and results that are kept with it."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+#: Speed below which a joint counts as nearly at rest and friction as partly mobilised [rad/s or m/s].
+REST_SPEED = 1e-3
+_KEPT = 6
+
+
+class Results:
+    """The last few results by what they were made from; threads may share it.
+
+    Keys say by value all that a result depends on; none is an object's identity.
+
+    Parameters
+    ----------
+    most
+        How many results are kept; the oldest goes first.
+    """
+
+    def __init__(self, most: int = _KEPT):
+        self._most = most
+        self._kept: dict[Hashable, Any] = {}
+        self._lock = threading.Lock()
+
+    def get(self, key: Hashable, make: Callable[[], Any]) -> Any:
+        """The result of this key; made, outside the lock, where it is not there. Of two made at once the first stays."""
+        with self._lock:
+            if key in self._kept:
+                return self._kept[key]
+        made = make()
+        with self._lock:
+            if key not in self._kept:
+                while len(self._kept) >= self._most:
+                    del self._kept[next(iter(self._kept))]
+                self._kept[key] = made
+            return self._kept[key]
+
+
+@dataclass(frozen=True, eq=False)
+class MotionSegment:
+    """One gap-free segment of joint motion, smoothed.
+
+    Attributes
+    ----------
+    times
+        (N,) [s].
+    positions, velocities, accelerations
+        What the encoders say, (N, n) each [rad or m and per second (squared)].
+    still
+        Whether every sample is a pose at rest of its own.
+    bandwidth
+        Of the joint motion [Hz].
+    middle
+        Joint positions at the middle of the motion (n,), for effects that refer to it; default `middle_of` this segment.
+    clear
+        Up to where motion stands out of the encoders' noise [Hz]: what is differentiated again is smoothed to this, default
+        a share of the bandwidth.
+    cell
+        Time that a sample stands for [s]: friction that reverses in it is its mean there. Zero: its value at the sample.
+    results, basis
+        Link states and readings made lately, and what depends on the times alone.
+    """
+
+    times: np.ndarray
+    positions: np.ndarray
+    velocities: np.ndarray
+    accelerations: np.ndarray
+    still: bool = False
+    bandwidth: float = 10.0
+    middle: np.ndarray | None = None
+    clear: float | None = None
+    cell: float = 0.0
+    results: Results = field(default_factory=Results, init=False, repr=False)
+    basis: Results = field(default_factory=Results, init=False, repr=False)
+
+    @property
+    def middle_positions(self) -> np.ndarray:
+        """Joint positions at the middle of the motion (n,)."""
+        if self.middle is not None:
+            return np.asarray(self.middle, float)
+        return middle_of(self.positions)
+
+    @property
+    def at_rest(self) -> MotionSegment:
+        """The same positions, each held."""
+
+        def held() -> MotionSegment:
+            zero = np.zeros_like(self.positions)
+            return replace(self, velocities=zero, accelerations=zero, still=True, middle=self.middle_positions)
+
+        return self.basis.get("at rest", held)
+
+
+def middle_of(positions: np.ndarray) -> np.ndarray:
+    """Joint positions at the middle of a motion (n,).
+
+    Where it starts and ends, if that is one place, else half-way between the extremes: a periodic motion goes around
+    the place that it starts from and comes back to.
+    """
+    first, last = positions[0], positions[-1]
+    closed = np.abs(last - first) < 0.02 * np.maximum(np.ptp(positions, axis=0), 1e-9)
+    return first if closed.all() else 0.5 * (positions.min(axis=0) + positions.max(axis=0))
+
+
+def direction(velocity: np.ndarray, acceleration: np.ndarray, cell: float) -> np.ndarray:
+    """Sign of a velocity (N,), or its mean over the time that a sample stands for, in which the velocity is ``v + a t``.
+
+    Nearly at rest the sign is noise and the joint may stick, and a narrow ramp says so.
+    """
+    return np.clip(velocity / np.maximum(REST_SPEED, 0.5 * cell * np.abs(acceleration)), -1.0, 1.0)

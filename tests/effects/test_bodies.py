@@ -1,0 +1,68 @@
+"""The rigid model without effects, bodies more or less, and spinning rotors, against Pinocchio."""
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from bayesid.dynamics.channels import torque_channels, wrench_channels
+from bayesid.dynamics.regressors import dynamics_regressor
+from bayesid.effects import MotionSegment, readings, rigid_columns
+from bayesid.robot import inertia
+from tests.effects.arms import SHIFT, TURN, at_base, both, load, moving, term
+
+
+@pytest.mark.parametrize("name", ["panda", "tree", "prismatic_arm", "wrist_sensor_arm"])
+def test_without_effects_they_are_the_rigid_model(tmp_path, name):
+    robot = load(tmp_path, name)
+    rng = np.random.default_rng(1)
+    segment = MotionSegment(np.arange(50.0), *rng.normal(size=(3, 50, robot.n)))
+    for channels in (wrench_channels(robot, TURN, SHIFT), torque_channels(robot), both(robot)):
+        regressor = dynamics_regressor(robot, channels, segment.positions, segment.velocities, segment.accelerations)
+        expected = regressor @ robot.nominal.ravel() + channels.static_wrench
+        np.testing.assert_allclose(readings(robot, channels, segment, robot.nominal), expected, atol=1e-11)
+        np.testing.assert_allclose(rigid_columns(robot, channels, segment, robot.nominal), regressor, atol=1e-11)
+        lifted = dynamics_regressor(
+            robot, channels, segment.positions, segment.velocities, segment.accelerations, gravity=False
+        ) @ robot.nominal.ravel()  # fmt: skip
+        np.testing.assert_allclose(readings(robot, channels, segment, robot.nominal, gravity=False), lifted, atol=1e-11)
+
+
+def test_payload_is_a_body_more(wrist):
+    """In the joint's frame, on the part beyond a sensor that splits the link."""
+    segment = moving(wrist, 40)
+    body = term(wrist, "payload@joint6").effect.typical(wrist)
+    got = readings(wrist, both(wrist), segment, wrist.nominal, [term(wrist, "payload@joint6", *body)])
+    links = wrist.nominal.copy()
+    inverse = wrist.body_rotation[6].T
+    links[6] += inertia.transform(body, inverse, -inverse @ wrist.body_translation[6])
+    np.testing.assert_allclose(got, readings(wrist, both(wrist), segment, links), atol=1e-10)
+    got = readings(wrist, both(wrist), segment, wrist.nominal, [term(wrist, "inertia_error@joint2", *(-0.1 * wrist.nominal[1]))])
+    links = wrist.nominal.copy()
+    links[1] *= 0.9
+    np.testing.assert_allclose(got, readings(wrist, both(wrist), segment, links), atol=1e-10)
+
+
+def test_rotor_is_a_body_that_spins_fast(panda):
+    """A disc on its own joint, turned by gear ratio x joint rate, against the same disc held."""
+    segment, joint, ratio, disc = moving(panda), 3, 50.0, 2e-4
+    got = readings(
+        panda, at_base(panda), segment, panda.nominal,
+        [term(panda, "rotor_momentum@joint4", ratio * disc, gear_ratio={"panda_joint4": ratio})],
+    ) - readings(panda, at_base(panda), segment, panda.nominal)  # fmt: skip
+    for sample in (10, 222):
+        q, v, a = segment.positions[sample], segment.velocities[sample], segment.accelerations[sample]
+        out = []
+        for gear in (ratio, 0.0):
+            model = pin.buildModelFromUrdf(str(panda.urdf))
+            placement = model.jointPlacements[joint + 1]
+            extra = model.addJoint(joint, pin.JointModelRZ(), placement, "rotor")
+            model.appendBodyToJoint(extra, pin.Inertia(0.0, np.zeros(3), np.diag([0.0, 0.0, disc])), pin.SE3.Identity())
+            data = model.createData()
+            k = model.joints[extra].idx_v
+            full = [np.insert(x, k, gear * x[joint] if i else 0.0) for i, x in enumerate((q, v, a))]
+            pin.forwardKinematics(model, data, full[0])
+            tau = pin.rnea(model, data, *full)
+            own = np.delete(tau, k)
+            own[joint] += gear * tau[k]
+            out.append(np.concatenate([data.oMi[1].act(data.f[1]).vector, own]))
+        np.testing.assert_allclose(got[sample], out[0] - out[1], atol=1e-9)

@@ -1,0 +1,45 @@
+"""Effects by name and place, and what every class has to say of itself."""
+
+import numpy as np
+import pytest
+
+from bayesid.effects import starting_point
+from bayesid.errors import InputError
+from tests.effects.arms import LIBRARY, both
+
+
+def test_effects_are_found_where_they_can_be(panda):
+    names, channels = panda.joint_names, both(panda).names
+    assert len(LIBRARY.places("sensor_crosstalk", names, channels)) == 30
+    assert [e.where for e in LIBRARY.places("external_contact", names, channels)][-2:] == ["joint7", "robot"]
+    assert LIBRARY.places("viscous_friction", names, channels[:6]) == ()
+    assert LIBRARY.parse(["sensor_gain"], names, channels[6:]) == ()
+    (cross,) = LIBRARY.parse(["sensor_crosstalk@fx->mz"], names, channels)
+    assert cross.axes == (0, 5) and cross.units == ("N m per N",)
+    (tether,) = LIBRARY.parse(["tether@panda_joint3"], names, channels)
+    assert (tether.where, tether.joint) == ("joint3", 2)
+    for spec, message in [
+        ("sensor_gain@fq", "no axis 'fq'"), ("sensor_crosstalk@fx", "as in fx->mz"), ("tether@elbow", "no joint 'elbow'"),
+        ("base_tilt@joint1", "acts at the base"), ("fluid_drags", "did you mean 'fluid_drag'"),
+        ("fluid_drag@joint2", "whole robot"),
+    ]:  # fmt: skip
+        with pytest.raises(InputError, match=message):
+            LIBRARY.parse([spec], names, channels)
+    values, free = starting_point([tether, cross], {"tether@panda_joint3": {"stiffness": 40.0, "fixed": True}}, names)
+    assert values[0] == 40.0 and list(free) == [False] * 8 + [True]
+    with pytest.raises(InputError, match="no parameter 'length'"):
+        starting_point([tether], {"tether": {"length": 1.0}}, names)
+
+
+@pytest.mark.parametrize("name", LIBRARY.classes)
+def test_every_class_is_complete(panda, name):
+    kind = LIBRARY.classes[name]
+    count = len(kind.parameters)
+    assert [len(x) for x in (kind.quantities, kind.lower, kind.upper, kind.starts)] == [count] * 4
+    assert kind.summary and kind.equation and kind.source
+    assert set(kind.confusable_with) <= set(LIBRARY.classes)
+    assert {kind.columns_of, kind.may_be} <= {None, *LIBRARY.classes}
+    for effect in LIBRARY.places(name, panda.joint_names, both(panda).names):
+        size = np.array(effect.typical(panda), float)
+        assert np.all(size >= kind.lower) and np.all(size <= kind.upper) and np.isfinite(size).all() and size.any()
+    assert np.all(np.array(kind.starts) >= kind.lower) and np.all(np.array(kind.starts) <= kind.upper)

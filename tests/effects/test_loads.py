@@ -1,0 +1,54 @@
+"""Pushes, pulls and drag, against Pinocchio's recursion with external forces."""
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from bayesid.effects import readings
+from tests.effects.arms import at_base, moving, oracle, term
+
+
+def test_pushes_and_pulls_are_external_forces(panda):
+    segment = moving(panda)
+    point, anchor = np.array([0.05, -0.02, 0.08]), np.array([0.4, -0.3, 0.9])
+    contact = term(panda, "external_contact@joint5", 1.0, 3.0, 7.0, -4.0, 5.0, *point)
+    tether = term(panda, "tether@joint7", 60.0, 0.2, *anchor, *point)
+    got = readings(panda, at_base(panda), segment, panda.nominal, [contact, tether])
+    for sample in (20, 105, 200, 290):
+        model = pin.buildModelFromUrdf(str(panda.urdf))
+        data = model.createData()
+        pin.forwardKinematics(model, data, segment.positions[sample])
+        line = anchor - data.oMi[7].act(point)
+        size = np.linalg.norm(line)
+        pull = 60.0 * max(size - 0.2, 0.0) * line / size
+        share = np.clip(min(segment.times[sample] - 1.0, 3.0 - segment.times[sample]) / 0.2, 0, 1)
+        push = (0.5 - 0.5 * np.cos(np.pi * share)) * np.array([7.0, -4.0, 5.0])
+        expected = oracle(panda, segment, sample, outside=[(4, point, push), (6, point, pull)])
+        np.testing.assert_allclose(got[sample], expected, atol=1e-9)
+    # Force one way only, and the push only in its window.
+    slack = term(panda, "tether@joint7", 60.0, 50.0, *anchor, *point)
+    plain = readings(panda, at_base(panda), segment, panda.nominal)
+    np.testing.assert_array_equal(readings(panda, at_base(panda), segment, panda.nominal, [slack]), plain)
+    pushed = np.abs(readings(panda, at_base(panda), segment, panda.nominal, [contact]) - plain).max(axis=1) > 1e-9
+    assert (segment.times[pushed].min(), segment.times[pushed].max()) == pytest.approx((1.0, 3.0), abs=0.02)
+
+
+def test_drag_acts_along_the_links(panda):
+    segment, sample = moving(panda), 130
+    got = readings(panda, at_base(panda), segment, panda.nominal, [term(panda, "fluid_drag", 3.0, 8.0)])[sample]
+    model = pin.buildModelFromUrdf(str(panda.urdf))
+    data = model.createData()
+    pin.forwardKinematics(model, data, segment.positions[sample], segment.velocities[sample])
+    outside = []
+    for joint, (start, end) in zip(panda.rod_joint.tolist(), panda.rods, strict=True):
+        pieces = 400
+        for k in range(pieces):
+            point = start + (k + 0.5) / pieces * (end - start)
+            at = pin.SE3(np.eye(3), point)
+            velocity = data.oMi[joint + 1].rotation @ at.actInv(data.v[joint + 1]).linear
+            force = -(3.0 + 8.0 * np.linalg.norm(velocity)) * velocity * np.linalg.norm(end - start) / pieces
+            outside.append((joint, point, force))
+    np.testing.assert_allclose(got, oracle(panda, segment, sample, outside=outside), atol=1e-4)
+    # The hand is fixed to link 7: its mount is a rod's end, the base's first joint is none.
+    lengths = np.linalg.norm(panda.rods[:, 1] - panda.rods[:, 0], axis=1)
+    assert lengths.sum() == pytest.approx(0.316 + 0.0825 + np.hypot(0.0825, 0.384) + 0.088 + 0.107)

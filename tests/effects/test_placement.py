@@ -1,0 +1,86 @@
+"""Where joints and base really are: against Pinocchio with the joints and the base there."""
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+from scipy.spatial.transform import Rotation
+
+from bayesid.effects import Model, MotionSegment, readings
+from tests.effects.arms import at_base, moving, oracle, term
+
+
+def test_tilt_turns_gravity_and_offset_shifts_the_joint(panda):
+    segment, sample = moving(panda), 70
+    got = readings(panda, at_base(panda), segment, panda.nominal, [term(panda, "base_tilt", 0.05, -0.08)])[sample]
+    gravity = Rotation.from_euler("xy", [0.05, -0.08]).as_matrix() @ panda.gravity
+    np.testing.assert_allclose(got, oracle(panda, segment, sample, gravity=gravity), atol=1e-9)
+    got = readings(panda, at_base(panda), segment, panda.nominal, [term(panda, "encoder_offset@joint4", 0.03)])[sample]
+    shifted = segment.positions[sample] - 0.03 * np.eye(7)[3]
+    np.testing.assert_allclose(got, oracle(panda, segment, sample, q=shifted), atol=1e-9)
+
+
+def test_flexible_joint_bends_under_its_torque(panda):
+    """Static pose: a fixed point of q = encoder - compliance x torque(q)."""
+    q = moving(panda).positions[:3]
+    zero = np.zeros_like(q)
+    segment = MotionSegment(np.arange(3.0), q, zero, zero, still=True)
+    flexible = term(panda, "joint_flexibility@joint2", 2e-4)
+    got = readings(panda, at_base(panda), segment, panda.nominal, [flexible])
+    for sample in range(3):
+        link = q[sample].copy()
+        for _ in range(50):
+            link[1] = q[sample, 1] - 2e-4 * oracle(panda, segment, sample, q=link)[6 + 1]
+        np.testing.assert_allclose(got[sample], oracle(panda, segment, sample, q=link), atol=1e-6)
+    # Moving: the same in position and velocity, at every time.
+    segment = moving(panda, 1500)
+    model = Model.of(panda, at_base(panda), segment, panda.nominal, [flexible])
+    torque = model.readings[:, 7]
+    q, v, a = model.link_side(*model.motor)
+    inner = slice(200, -200)
+    np.testing.assert_allclose((segment.positions - q)[inner, 1], 2e-4 * torque[inner], atol=3e-5)
+    np.testing.assert_allclose((segment.velocities - v)[inner, 1], 2e-4 * np.gradient(torque, segment.times)[inner], atol=3e-4)
+    others = [0, 2, 3, 4, 5, 6]
+    np.testing.assert_array_equal(a[:, others], segment.accelerations[:, others])
+
+
+def test_mount_obeys_its_equation_of_motion(panda):
+    """Pinocchio's robot on two more joints: their torque is that of spring and damper, and the reading is that robot's."""
+    segment = replace(moving(panda, 1200, 0.004), middle=np.full(7, 0.3))
+    resonance, damping = 9.0, 0.06
+    mount = term(panda, "base_compliance", resonance, damping)
+    model = Model.of(panda, at_base(panda), segment, panda.nominal, [mount])
+    root = model.states[:, panda.n]
+    angles = np.stack([np.arctan2(root[:, 7], root[:, 4]), np.arctan2(root[:, 2], root[:, 0])], axis=1)
+    # The x and y joints' torques by Pinocchio, with rates from the angles by differences.
+    arm = pin.buildModelFromUrdf(str(panda.urdf))
+    full = pin.Model()
+    full.gravity = arm.gravity
+    full.addJoint(0, pin.JointModelRX(), pin.SE3.Identity(), "tilt_x")
+    full.addJoint(1, pin.JointModelRY(), pin.SE3.Identity(), "tilt_y")
+    full.appendBodyToJoint(2, pin.Inertia.FromDynamicParameters(panda.static_nominal), pin.SE3.Identity())
+    for k in range(7):
+        full.addJoint(k + 2, pin.JointModelRZ(), arm.jointPlacements[k + 1], f"j{k}")
+        full.appendBodyToJoint(k + 3, arm.inertias[k + 1], pin.SE3.Identity())
+    data = full.createData()
+    h = 0.004
+    rate = (angles[2:] - angles[:-2]) / (2 * h)
+    bend = (angles[2:] - 2 * angles[1:-1] + angles[:-2]) / h**2
+    tilting = pin.crba(full, data, np.concatenate([[0, 0], np.full(7, 0.3)]))[:2, :2]
+    mean, w = 0.5 * np.trace(tilting), 2 * np.pi * resonance
+    loads, springs = [], []
+    for sample in range(400, 1100, 50):
+        q = np.concatenate([angles[sample], segment.positions[sample]])
+        v = np.concatenate([rate[sample - 1], segment.velocities[sample]])
+        a = np.concatenate([bend[sample - 1], segment.accelerations[sample]])
+        tau = pin.rnea(full, data, q, v, a)
+        loads.append(tau[:2])
+        springs.append(-mean * (w**2 * angles[sample] + 2 * damping * w * rate[sample - 1]))
+        # The sensor turns with the base.
+        sensor = data.f[2].vector
+        np.testing.assert_allclose(model.readings[sample, :6], sensor, atol=0.02)
+        np.testing.assert_allclose(model.readings[sample, 6:], tau[2:], atol=0.01)
+    np.testing.assert_allclose(loads, springs, atol=0.02 * np.abs(loads).max())
+    stiff = readings(panda, at_base(panda), segment, panda.nominal, [term(panda, "base_compliance", 199.0, 0.5)])
+    rigid = readings(panda, at_base(panda), segment, panda.nominal)
+    assert np.abs(stiff - rigid).max() < 0.05 * np.abs(model.readings - rigid).max()
