@@ -9,44 +9,32 @@ from __future__ import annotations
 
 from functools import lru_cache
 
-import numba
 import numpy as np
 
 from bayesid.dynamics.channels import WRENCH_NAMES, Channels
+from bayesid.dynamics.newton_euler import BLOCK, LANES, STATE, add, body_columns, body_wrench, cross, dot, jit
+from bayesid.dynamics.newton_euler import project as project_block
 from bayesid.robot import inertia
 from bayesid.robot.robot import Robot
 
-_jit = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz", "reassoc"})
 R, P, W, DW, A, V, WIDTH = 0, 9, 12, 15, 18, 21, 24
 
-_dot = _jit(lambda a, b: a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
-_add = _jit(lambda a, b, k=1.0: (a[0] + k * b[0], a[1] + k * b[1], a[2] + k * b[2]))
-_cross = _jit(lambda a, b: (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]))
-_get = _jit(lambda x, i: (x[i], x[i + 1], x[i + 2]))
+_get = jit(lambda x, i: (x[i], x[i + 1], x[i + 2]))
 
 
-@_jit
+@jit
 def _put(x, i, value):
     x[i], x[i + 1], x[i + 2] = value
 
 
-@_jit
+@jit
 def _turn(row, x):
     """R x."""
-    return (_dot(_get(row, 0), x), _dot(_get(row, 3), x), _dot(_get(row, 6), x))
+    return (dot(_get(row, 0), x), dot(_get(row, 3), x), dot(_get(row, 6), x))
 
 
-@_jit
-def _back(row, x):
-    """R' x."""
-    return (
-        row[0] * x[0] + row[3] * x[1] + row[6] * x[2],
-        row[1] * x[0] + row[4] * x[1] + row[7] * x[2],
-        row[2] * x[0] + row[5] * x[1] + row[8] * x[2],
-    )
-
-
-@_jit
+# The recursion of `newton_euler.advance`, one sample at a time: it also carries the origin's velocity, and the root may turn.
+@jit
 def _states(q, v, a, order, parent, turn, translation, axis, slides, root, out):
     n, samples = q.shape[1], len(q)
     for s in range(samples):
@@ -67,16 +55,16 @@ def _states(q, v, a, order, parent, turn, translation, axis, slides, root, out):
                         total += up[3 * r + k] * (turn[i, 0, j] + cosine * turn[i, 1, j] + sine * turn[i, 2, j])
                     here[3 * r + c] = total
             d, fixed = _turn(up, _get(axis[i], 0)), _get(translation[i], 0)
-            offset = _add(_turn(up, fixed), d, slide * q[s, i])
+            offset = add(_turn(up, fixed), d, slide * q[s, i])
             w, dw = _get(up, W), _get(up, DW)
             speed, rate = v[s, i], a[s, i]
-            bend, turns = _cross(w, d), 1.0 - slide
-            _put(here, P, _add(_get(up, P), offset))
-            _put(here, W, _add(w, d, turns * speed))
-            _put(here, DW, _add(_add(dw, d, turns * rate), bend, turns * speed))
-            pull = _add(_add(_cross(dw, offset), _cross(w, _cross(w, offset))), d, slide * rate)
-            _put(here, A, _add(_get(up, A), _add(pull, bend, 2.0 * slide * speed)))
-            _put(here, V, _add(_get(up, V), _add(_cross(w, offset), d, slide * speed)))
+            bend, turns = cross(w, d), 1.0 - slide
+            _put(here, P, add(_get(up, P), offset))
+            _put(here, W, add(w, d, turns * speed))
+            _put(here, DW, add(add(dw, d, turns * rate), bend, turns * speed))
+            pull = add(add(cross(dw, offset), cross(w, cross(w, offset))), d, slide * rate)
+            _put(here, A, add(_get(up, A), add(pull, bend, 2.0 * slide * speed)))
+            _put(here, V, add(_get(up, V), add(cross(w, offset), d, slide * speed)))
 
 
 @lru_cache(maxsize=16)
@@ -129,32 +117,27 @@ def link_states(
     return out
 
 
-@_jit
+@jit
+def _run(states, row, first, count, gravity, out):
+    """A run of samples of one row of the states as `newton_euler` takes it, gravity taken off the acceleration."""
+    for s in range(count):
+        for field in range(V):
+            out[field * LANES + s] = states[first + s, row, field]
+        for k in range(3):
+            out[(A + k) * LANES + s] -= gravity[k]
+
+
+@jit
 def _wrenches(states, row_of, links, gravity, out):
-    g = _get(gravity, 0)
-    for s in range(len(states)):
+    state, wrench = np.zeros(STATE), np.zeros(6 * LANES)
+    for first in range(0, len(states), LANES):
+        count = min(LANES, len(states) - first)
         for b in range(len(links)):
-            x, phi = states[s, row_of[b]], links[b]
-            mass = phi[0]
-            moment1 = _turn(x, _get(phi, 1))
-            w, dw, acc = _get(x, W), _get(x, DW), _add(_get(x, A), g, -1.0)
-            force = _add(_cross(dw, moment1), _cross(w, _cross(w, moment1)))
-            force = _add(force, acc, mass)
-            wl, dl = _back(x, w), _back(x, dw)
-            iw = (
-                phi[4] * wl[0] + phi[5] * wl[1] + phi[7] * wl[2],
-                phi[5] * wl[0] + phi[6] * wl[1] + phi[8] * wl[2],
-                phi[7] * wl[0] + phi[8] * wl[1] + phi[9] * wl[2],
-            )
-            idw = (
-                phi[4] * dl[0] + phi[5] * dl[1] + phi[7] * dl[2],
-                phi[5] * dl[0] + phi[6] * dl[1] + phi[8] * dl[2],
-                phi[7] * dl[0] + phi[8] * dl[1] + phi[9] * dl[2],
-            )
-            spin = _turn(x, _add(idw, _cross(wl, iw)))
-            moment = _add(_add(spin, _cross(moment1, acc)), _cross(_get(x, P), force))
-            _put(out[s, b], 0, force)
-            _put(out[s, b], 3, moment)
+            _run(states, row_of[b], first, count, gravity, state)
+            body_wrench(state, links[b], wrench)
+            for s in range(count):
+                for k in range(6):
+                    out[first + s, b, k] = wrench[k * LANES + s]
 
 
 def body_wrenches(states: np.ndarray, row_of: np.ndarray, links: np.ndarray, gravity: np.ndarray) -> np.ndarray:
@@ -176,13 +159,13 @@ def body_wrenches(states: np.ndarray, row_of: np.ndarray, links: np.ndarray, gra
     return out
 
 
-@_jit
+@jit
 def _twists(states, rows, fixed, out):
     for s in range(len(states)):
         for c in range(len(rows)):
             x = states[s, rows[c]]
             angular = _turn(x, _get(fixed[c], 3))
-            _put(out[s, c], 0, _add(_turn(x, _get(fixed[c], 0)), _cross(_get(x, P), angular)))
+            _put(out[s, c], 0, add(_turn(x, _get(fixed[c], 0)), cross(_get(x, P), angular)))
             _put(out[s, c], 3, angular)
 
 
@@ -202,7 +185,7 @@ def root_twists(channels: Channels) -> np.ndarray:
     return np.where((channels.joint < 0)[:, None], moved, channels.twist)
 
 
-@_jit
+@jit
 def _project(twists, wrenches, carries, out):
     for s in range(len(twists)):
         for c in range(len(carries)):
@@ -221,38 +204,27 @@ def project(twists: np.ndarray, wrenches: np.ndarray, carries: np.ndarray) -> np
     return out
 
 
-@_jit
+@jit
 def _columns(states, twists, row_of, carries, gravity, out):
-    g = _get(gravity, 0)
-    block = np.zeros((10, 6))
-    zero = (0.0, 0.0, 0.0)
-    for s in range(len(states)):
+    channels = len(carries)
+    state, block, row, twist = np.zeros(STATE), np.zeros(6 * BLOCK), np.zeros(BLOCK), np.zeros((channels, 6 * LANES))
+    for first in range(0, len(states), LANES):
+        count = min(LANES, len(states) - first)
+        for s in range(count):
+            for c in range(channels):
+                for k in range(6):
+                    twist[c, k * LANES + s] = twists[first + s, c, k]
         for b in range(len(row_of)):
-            x = states[s, row_of[b]]
-            p, w, dw, acc = _get(x, P), _get(x, W), _get(x, DW), _add(_get(x, A), g, -1.0)
-            _put(block[0], 0, acc)
-            _put(block[0], 3, _cross(p, acc))
-            for k in range(3):
-                arm = (x[k], x[3 + k], x[6 + k])
-                force = _add(_cross(dw, arm), _cross(w, _cross(w, arm)))
-                _put(block[1 + k], 0, force)
-                _put(block[1 + k], 3, _add(_cross(p, force), _cross(arm, acc)))
-            d, e = _back(x, dw), _back(x, w)
-            _put(block[4], 3, _turn(x, (d[0], e[2] * e[0], -e[1] * e[0])))
-            _put(block[5], 3, _turn(x, (d[1] - e[2] * e[0], d[0] + e[2] * e[1], e[0] * e[0] - e[1] * e[1])))
-            _put(block[6], 3, _turn(x, (-e[2] * e[1], d[1], e[0] * e[1])))
-            _put(block[7], 3, _turn(x, (d[2] + e[1] * e[0], e[2] * e[2] - e[0] * e[0], d[0] - e[1] * e[2])))
-            _put(block[8], 3, _turn(x, (e[1] * e[1] - e[2] * e[2], d[2] - e[0] * e[1], d[1] + e[0] * e[2])))
-            _put(block[9], 3, _turn(x, (e[1] * e[2], -e[0] * e[2], d[2])))
-            for k in range(4, 10):
-                _put(block[k], 0, zero)
-            for c in range(len(carries)):
-                for k in range(10):
-                    total = 0.0
-                    if carries[c, b]:
-                        for i in range(6):
-                            total += twists[s, c, i] * block[k, i]
-                    out[s, c, 10 * b + k] = total
+            _run(states, row_of[b], first, count, gravity, state)
+            body_columns(state, block)
+            for c in range(channels):
+                if carries[c, b]:
+                    project_block(twist[c], block, row, False)
+                else:
+                    row[:] = 0.0
+                for s in range(count):
+                    for k in range(10):
+                        out[first + s, c, 10 * b + k] = row[k * LANES + s]
 
 
 def link_columns(

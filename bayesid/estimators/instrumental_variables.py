@@ -26,7 +26,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
 
 from bayesid.errors import InputError
 from bayesid.estimators.details import Details
@@ -42,6 +41,7 @@ from bayesid.estimators.errors_in_variables import (
 from bayesid.estimators.estimator import Estimate
 from bayesid.estimators.least_squares import make_estimate
 from bayesid.regression.blocks import Pair
+from bayesid.regression.hypothesis_tests import hausman
 from bayesid.regression.regression import Regression
 from bayesid.signals.noise import NoiseModel
 
@@ -222,12 +222,9 @@ def _hausman(sums: _Sums, spreads: np.ndarray, ordinary: np.ndarray) -> dict[str
     with_instruments, plain = _pinv(sums.z_x), _pinv(sums.x_x)
     difference = with_instruments @ sums.z_r - plain @ sums.x_r
     q = np.vstack([-plain.T, with_instruments.T])
-    values, vectors = np.linalg.eigh(q.T @ spreads @ q)
     # Directions that the encoders do not touch (an offset's) have no difference to test.
-    keep = values > 1e-10 * np.linalg.eigvalsh(ordinary)[-1]
-    statistic = float(np.sum((vectors.T[keep] @ difference) ** 2 / values[keep]))
-    dof = int(keep.sum())
-    return {"statistic": statistic, "dof": dof, "p": float(chi2.sf(statistic, dof)) if dof else 1.0}
+    test = hausman(difference, q.T @ spreads @ q, smallest=1e-10 * np.linalg.eigvalsh(ordinary)[-1])
+    return {"statistic": test.statistic, "dof": test.degrees, "p": test.probability}
 
 
 def _verdict(p: float, shift: float) -> str:

@@ -17,7 +17,8 @@ import numpy as np
 from scipy.linalg import solve_toeplitz
 from scipy.optimize import minimize
 
-from bayesid.signals.noise import NoiseModel, moving_average
+from bayesid.signals.autoregression import moving_average
+from bayesid.signals.noise import NoiseModel
 
 _TERMS = (0, 1, 2, 4)
 _GRID = 512

@@ -16,6 +16,7 @@ from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, Motion
 from bayesid.recordings.table import usual_step
 from bayesid.regression.encoder_noise import errors_of
+from bayesid.regression.motion_rows import MotionRows
 from bayesid.regression.options import FitOptions
 from bayesid.regression.regression import PriorKnowledge, Regression
 from bayesid.regression.row_cache import PILOT_ROWS, PILOT_SEGMENTS, RowCache, RowSource
@@ -54,6 +55,8 @@ class Problem:
         Rows of the motions that are fitted.
     segments
         Gap-free segments of every motion, by name.
+    rows
+        Their rows.
     fitted
         Names of the motions that are fitted.
     static
@@ -67,6 +70,7 @@ class Problem:
     smoother: Smoother
     regression: Regression
     segments: dict[str, list[Segment]]
+    rows: MotionRows
     fitted: tuple[str, ...]
     static: str
 
@@ -166,32 +170,34 @@ def prepare(experiment: Experiment, options: FitOptions | None = None) -> Proble
     )
     point = _point(experiment, base, parsed, fitted)
     row_model = RowModel(experiment.robot, channels, base, parsed, smoother.bandwidth, 1.0 / rate, options.low_pass, point)
+    rows, names = MotionRows(row_model, segments), tuple(m.name for m in chosen)
     return Problem(
         experiment=experiment,
         channel=channel,
         row_model=row_model,
         smoother=smoother,
-        regression=_regression(row_model, smoother, fitted, tuple(m.name for m in readable), experiment.inertia_rel_std),
+        regression=_regression(rows, smoother, names, tuple(m.name for m in readable), experiment.inertia_rel_std),
         segments=segments,
-        fitted=tuple(m.name for m in chosen),
+        rows=rows,
+        fitted=names,
         static="none" if all(m.static is None for m in chosen) or channel == "torque" else ("motion" if subtract else "joint"),
     )
 
 
 def restrict(problem: Problem, motions: Sequence[str]) -> Problem:
     """The same model fitted to other motions."""
-    segments = [r for name in motions for r in problem.segments[name]]
     names, rel_std = problem.regression.motion_names, problem.experiment.inertia_rel_std
-    regression = _regression(problem.row_model, problem.smoother, segments, names, rel_std)
+    regression = _regression(problem.rows, problem.smoother, motions, names, rel_std)
     return replace(problem, regression=regression, fitted=tuple(motions))
 
 
 def relinearised(problem: Problem, point: Point) -> Problem:
     """The same problem with its readings linearised at another point."""
     row_model = replace(problem.row_model, point=point)
-    segments = [r for name in problem.fitted for r in problem.segments[name]]
     names, rel_std = problem.regression.motion_names, problem.experiment.inertia_rel_std
-    return replace(problem, row_model=row_model, regression=_regression(row_model, problem.smoother, segments, names, rel_std))
+    rows = MotionRows(row_model, problem.segments)
+    regression = _regression(rows, problem.smoother, problem.fitted, names, rel_std)
+    return replace(problem, row_model=row_model, rows=rows, regression=regression)
 
 
 def weight_columns(row_model: RowModel) -> list[int]:
@@ -245,8 +251,9 @@ def _free(row_model: RowModel, values) -> tuple:
 
 
 def _regression(
-    row_model: RowModel, smoother: Smoother, fitted: list[Segment], names: tuple[str, ...], inertia_rel_std: float | None
+    rows: MotionRows, smoother: Smoother, motions: Sequence[str], names: tuple[str, ...], inertia_rel_std: float | None
 ) -> Regression:
+    row_model, fitted = rows.row_model, [segment for name in motions for segment in rows.segments[name]]
     robot, base = row_model.robot, row_model.base
     law, instruments = errors_of(row_model, fitted, smoother)
     return Regression(
@@ -258,7 +265,7 @@ def _regression(
         motion_names=names,
         rows=RowCache(
             RowSource(
-                blocks=lambda: make_blocks(row_model, fitted),
+                blocks=lambda: rows.blocks(motions),
                 count=row_count(row_model, fitted),
                 width=len(row_model.channels.names) * (base.rank + row_model.extra_columns + 1),
                 pilot=lambda: make_blocks(row_model, _pilot_segments(row_model, fitted)),

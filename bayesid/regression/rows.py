@@ -9,12 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.dynamics.channels import Channels
-from bayesid.dynamics.regressors import dynamics_regressor, momentum_regressors
+from bayesid.dynamics.regressors import Kernel
 from bayesid.effects import Effect, MotionSegment, Point, linearised
 from bayesid.errors import InputError
 from bayesid.regression.blocks import Block
@@ -112,6 +113,11 @@ class RowModel:
         settling = 0.0 if self.point is None else self.point.settling(self.effects)
         return max(0.75 / self.bandwidth, settling)
 
+    @cached_property
+    def kernel(self) -> Kernel:
+        """Regressors of the base parameters."""
+        return Kernel.of(self.robot, self.channels, self.base.independent)
+
     @property
     def free(self) -> np.ndarray:
         """Which of the effects' parameters are estimated (p,)."""
@@ -167,13 +173,30 @@ class RowModel:
         out = np.empty((last - first, len(self.channels), rank + effects.shape[2] + 1))
         for a in range(0, last - first, _PANEL):
             part = slice(a, a + _PANEL)
-            out[part, :, :rank] = dynamics_regressor(
-                self.robot, self.channels, state.positions[part], state.velocities[part], state.accelerations[part],
-                self.base.independent, gravity=segment.gravity,
-            )  # fmt: skip
+            out[part, :, :rank] = self.kernel.dynamics(
+                state.positions[part], state.velocities[part], state.accelerations[part], gravity=segment.gravity
+            )
         out[:, :, rank:-1] = effects
         out[:, :, -1] = segment.measured(first, last)
         return out
+
+    def predicted(self, segment: Segment, first: int, last: int, solution: np.ndarray) -> np.ndarray:
+        """What parameters say of the samples: readings less what is known of them (N, channels).
+
+        Without regressors, by inverse dynamics: base parameters are readings of links that have them in the kept columns and
+        nothing elsewhere.
+        """
+        if self.point is not None:
+            rows = self.about_point(segment, first, last)
+            # By way of the residual: rows about a point have a shifted target.
+            return segment.measured(first, last) + rows[:, :, :-1] @ solution - rows[:, :, -1]
+        state, rank = self.state(segment, first, last), self.base.rank
+        links = np.zeros(len(self.base.parameter_names))
+        links[self.base.independent] = solution[:rank]
+        rigid = self.kernel.readings(
+            state.positions, state.velocities, state.accelerations, links, gravity=segment.gravity
+        )
+        return rigid + self.effect_columns(segment, state) @ solution[rank:]
 
 
 def make_blocks(row_model: RowModel, segments: Sequence[Segment]) -> Iterator[Block]:
@@ -232,9 +255,9 @@ def _direct(row_model: RowModel, segment: Segment, a: int, b: int) -> Iterator[_
         buffer = np.empty((_PANEL, *rigid.shape[1:]))
         for k in range(0, last - first, _PANEL):
             part = slice(k, min(k + _PANEL, last - first))
-            rows = dynamics_regressor(
-                row_model.robot, row_model.channels, state.positions[part], state.velocities[part], state.accelerations[part],
-                row_model.base.independent, gravity=segment.gravity, out=buffer[: part.stop - k],
+            rows = row_model.kernel.dynamics(
+                state.positions[part], state.velocities[part], state.accelerations[part],
+                gravity=segment.gravity, out=buffer[: part.stop - k],
             )  # fmt: skip
             project(times[part], rows, start, row_model.step, begin, rigid, energy)
         return begin, np.concatenate([rigid, other], axis=2), energy
@@ -264,10 +287,7 @@ def _filtered(row_model: RowModel, segment: Segment, a: int, b: int) -> Iterator
         for k in range(0, last - first, _PANEL):
             size = min(_PANEL, last - first - k)
             wide, part = slice(k, k + size + 2), slice(k + 1, k + size + 1)
-            momentum, weight = momentum_regressors(
-                row_model.robot, row_model.channels, state.positions[wide], state.velocities[wide],
-                row_model.base.independent, gravity=segment.gravity,
-            )  # fmt: skip
+            momentum, weight = row_model.kernel.momentum(state.positions[wide], state.velocities[wide], gravity=segment.gravity)
             momentum = _for_trapezoids(state.times[wide], momentum)
             sub = MotionSegment(state.times[part], state.positions[part], state.velocities[part], state.accelerations[part])
             measured = segment.measured(first + k, first + k + size)

@@ -83,6 +83,12 @@ def smooth(
     InputError
         Too few samples for this bandwidth.
     """
+    coefficients, first = _fitted(times, positions, bandwidth)
+    return _evaluate(times if at is None else at, coefficients, first, 0.5 / bandwidth, _POLYNOMIALS)
+
+
+def _fitted(times: np.ndarray, positions: np.ndarray, bandwidth: float) -> tuple[np.ndarray, float]:
+    """Coefficients of the spline (functions, n), and the first knot in units of their spacing."""
     spacing = 0.5 / bandwidth
     # Knots on a grid common to all pieces of a recording, so that pieces agree where they overlap.
     first = np.floor(times[0] / spacing)
@@ -100,7 +106,7 @@ def smooth(
         coefficients = solveh_banded(band, right, check_finite=False)
     except LinAlgError:
         raise too_few from None
-    return _evaluate(times if at is None else at, coefficients, first, spacing, _POLYNOMIALS)
+    return coefficients, float(first)
 
 
 def choose_smoother(
@@ -139,8 +145,9 @@ def choose_smoother(
     for bandwidth in candidates:
         residual, samples, functions = np.zeros(n), 0, 0
         for t, q in pieces:
-            centre = q.mean(axis=0)
-            residual += np.sum((smooth(t, q - centre, bandwidth)[0] - (q - centre)) ** 2, axis=0)
+            centred = q - q.mean(axis=0)
+            coefficients, first = _fitted(t, centred, bandwidth)
+            residual += _residual_power(t, centred, coefficients, first, 0.5 / bandwidth, _POLYNOMIALS)
             samples += len(t)
             functions += int((t[-1] - t[0]) * 2 * bandwidth) + _ORDER
         free = max(samples - functions, 1)
@@ -179,6 +186,27 @@ def _normal_equations(times, positions, first, spacing, count, polynomials):
             for joint in range(n):
                 right[k + i, joint] += values[i] * positions[sample, joint]
     return band, right
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _residual_power(times, positions, coefficients, first, spacing, polynomials):
+    """Sums of squares of positions less the spline's (n,)."""
+    n, count = coefficients.shape[1], coefficients.shape[0]
+    power, left = np.zeros(n), np.zeros(n)
+    for sample in range(len(times)):
+        position = times[sample] / spacing - first
+        k = min(max(int(position), 0), count - 6)
+        u = position - k
+        left[:] = positions[sample]
+        for f in range(6):
+            value = polynomials[f, 5]
+            for step in range(4, -1, -1):
+                value = value * u + polynomials[f, step]
+            for joint in range(n):
+                left[joint] -= value * coefficients[k + f, joint]
+        for joint in range(n):
+            power[joint] += left[joint] * left[joint]
+    return power
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

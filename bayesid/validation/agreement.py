@@ -9,10 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
 
 from bayesid.estimators import Estimate
 from bayesid.estimators.factor import SMALLEST_AGREEMENT
+from bayesid.regression import hypothesis_tests
 
 #: Eigenvalues of a difference of covariances, relative to the larger one, below which it says nothing.
 _SMALLEST_GAP = 0.05
@@ -122,13 +122,10 @@ def hausman(method: str, estimate: Estimate, efficient: str, best: Estimate) -> 
     covariance = estimate.full_covariance[np.ix_(seen, seen)]
     size = np.sqrt(np.diag(covariance))
     gap = (covariance - best.full_covariance[np.ix_(seen, seen)]) / np.outer(size, size)
-    values, vectors = np.linalg.eigh(gap)
-    if values[0] < -_SMALLEST_GAP:
-        return HausmanTest(method, efficient, reason=f"it claims to be surer than {efficient} in some direction")
     # Where both are almost equally sure, the tiny difference is one of estimated weights, not of fits.
-    keep = values > _SMALLEST_GAP
-    if not keep.any():
+    test = hypothesis_tests.hausman((estimate.solution - best.solution)[seen] / size, gap, smallest=_SMALLEST_GAP)
+    if test.lowest < -_SMALLEST_GAP:
+        return HausmanTest(method, efficient, reason=f"it claims to be surer than {efficient} in some direction")
+    if not test.degrees:
         return HausmanTest(method, efficient, reason=f"it is as efficient as {efficient}: there is nothing to test")
-    z = vectors.T[keep] @ ((estimate.solution - best.solution)[seen] / size) / np.sqrt(values[keep])
-    statistic, degrees = float(z @ z), int(keep.sum())
-    return HausmanTest(method, efficient, statistic, degrees, float(chi2.sf(statistic, degrees)))
+    return HausmanTest(method, efficient, test.statistic, test.degrees, test.probability)

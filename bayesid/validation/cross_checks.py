@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
 
 from bayesid.dynamics.base_parameters import structural_base
 from bayesid.errors import InputError
 from bayesid.estimators import Estimate, Estimator, fit
 from bayesid.estimators.nonlinear import solve
+from bayesid.regression.hypothesis_tests import hausman
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import Problem, make_channels, prepare, restrict
 
@@ -69,24 +69,29 @@ def compare_estimates(first: str, one: Estimate, second: str, other: Estimate) -
 
 def _judge(first, second, difference, covariance, labels, left, right) -> Agreement:
     size = np.sqrt(np.diag(covariance))
-    values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
-    keep = values > 1e-9
-    z = vectors.T[keep] @ (difference / size) / np.sqrt(values[keep])
+    test = hausman(difference, covariance, size, 1e-9)
     worst = int(np.argmax(np.abs(difference / size)))
     return Agreement(
         first=first,
         second=second,
-        compared=int(keep.sum()),
-        rms=float(np.sqrt(np.mean(z**2))),
-        probability=float(chi2.sf(z @ z, keep.sum())),
+        compared=test.degrees,
+        rms=float(np.sqrt(test.statistic / test.degrees)),
+        probability=test.probability,
         worst=f"{labels[worst]}: {left[worst]:.4g} against {right[worst]:.4g} ({abs(difference[worst] / size[worst]):.1f} sigma)",
     )
 
 
-def motions_apart(problem: Problem, method: str | Estimator) -> list[Agreement]:
+def motions_apart(problem: Problem, estimate: Estimate, method: str | Estimator) -> list[Agreement]:
     """Fit every motion by itself and compare it with the estimate from all fitted motions but it.
 
     Validation motions take part, too; nothing that is estimated depends on what comes out.
+
+    Parameters
+    ----------
+    problem, estimate
+        The model, and its parameters from all fitted motions.
+    method
+        The estimator.
     """
     out = []
     for name, segments in problem.segments.items():
@@ -95,7 +100,7 @@ def motions_apart(problem: Problem, method: str | Estimator) -> list[Agreement]:
             continue
         try:
             alone = fit(restrict(problem, [name]).regression, method)
-            others = fit(restrict(problem, rest).regression, method)
+            others = estimate if len(rest) == len(problem.fitted) else fit(restrict(problem, rest).regression, method)
         except (InputError, np.linalg.LinAlgError):
             continue
         agreement = compare_estimates(f"motion {name}", alone, f"motions {', '.join(rest)}", others)

@@ -11,8 +11,9 @@ from scipy.signal import butter, correlate, sosfiltfilt, welch
 from bayesid.estimators import Estimate
 from bayesid.estimators.factor import whitened
 from bayesid.recordings.experiment import Experiment, Motion
+from bayesid.regression.parallel import in_order
 from bayesid.regression.problem import Problem
-from bayesid.regression.rows import Segment, make_blocks
+from bayesid.regression.rows import Segment
 from bayesid.signals.noise import NoiseModel
 
 #: Band in which predictions are compared, the same whatever filter or method was used [Hz].
@@ -155,7 +156,7 @@ def predict(problem: Problem, estimate: Estimate, motion: Motion) -> Prediction:
     y = np.concatenate(measured)
     y_raw = y + all_error - all_raw  # only its norm is used below
     pick = slice(None, None, max(-(-len(y) // _PLOTTED), 1))
-    rms, by_channel, coverage, spectrum = _whitened(problem, estimate, moving)
+    rms, by_channel, coverage, spectrum = _whitened(problem, estimate, motion.name, moving)
     scale, scale_raw = _rms(y), _rms(y_raw)
     return Prediction(
         motion=motion.name,
@@ -184,12 +185,11 @@ def _one(problem: Problem, estimate: Estimate, segment: Segment):
     margin = 0.0 if segment.poses else problem.row_model.margin
     a = int(np.searchsorted(times, times[0] + margin))
     b = int(np.searchsorted(times, times[-1] - margin, side="right"))
-    parts = []
-    for first in range(a, b, _CHUNK):
-        rows = problem.row_model.samples(segment, first, min(first + _CHUNK, b))
-        # By way of the residual: rows about a point have a shifted target.
-        parts.append(segment.measured(first, first + len(rows)) + rows[:, :, :-1] @ estimate.solution - rows[:, :, -1])
-    return times[a:b], segment.measured(a, b), np.concatenate(parts)
+
+    def predicted(first: int) -> np.ndarray:
+        return problem.row_model.predicted(segment, first, min(first + _CHUNK, b), estimate.solution)
+
+    return times[a:b], segment.measured(a, b), np.concatenate(list(in_order(predicted, range(a, b, _CHUNK))))
 
 
 def _band(times: np.ndarray, values: np.ndarray, poses: bool) -> np.ndarray:
@@ -207,7 +207,7 @@ def _rms(values: np.ndarray) -> np.ndarray:
 
 
 def _whitened(
-    problem: Problem, estimate: Estimate, segments: list[Segment]
+    problem: Problem, estimate: Estimate, motion: str, segments: list[Segment]
 ) -> tuple[float, np.ndarray, float, Spectrum | None]:
     """Root mean square of whitened residual rows, how many lie in their 95 % prediction interval, and their spectrum."""
     power, count, inside, total = 0.0, 0, 0, 0
@@ -216,7 +216,9 @@ def _whitened(
     for group in ("trajectory", "poses"):  # a kind of rows that was not fitted: the other's noise, uncoloured
         if group not in noise:
             noise[group] = next(iter(estimate.noise.values())).uncoloured()
-    for block, white in whitened(make_blocks(problem.row_model, segments), noise):
+    group = "poses" if all(s.poses for s in segments) else "trajectory"
+    blocks = (block for block in problem.rows.blocks([motion]) if block.group == group)
+    for block, white in whitened(blocks, noise):
         if block.group == "trajectory":
             raw.append(block.target - block.matrix @ estimate.solution)
         residual = white[:, :, -1] - white[:, :, :-1] @ estimate.solution

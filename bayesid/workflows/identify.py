@@ -83,7 +83,7 @@ def identify(
         clock("prediction")
         predictions = [predict(problem, estimate, m) for m in experiment.motions if m.name in problem.segments]
         clock("consistency")
-        agreements = motions_apart(problem, method)
+        agreements = motions_apart(problem, estimate, method)
         alternative = static_both_ways(problem, method)
         if problem.channel == "both":
             across = wrench_against_torque(problem, method)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from bayesid.dynamics.channels import torque_channels, wrench_channels
-from bayesid.dynamics.regressors import dynamics_regressor, momentum_regressors
+from bayesid.dynamics.regressors import Kernel, dynamics_regressor, momentum_regressors
 from bayesid.robot.robot import load_robot
 from tests.robots import ROBOTS, write
 
@@ -182,6 +182,17 @@ def test_column_subsets_and_reused_output(path):
             np.testing.assert_array_equal(out, full[:, :, columns])
             for part, whole in zip(momentum_regressors(robot, channels, q, v, columns), full_momentum, strict=True):
                 np.testing.assert_array_equal(part, whole[:, :, columns])
+
+
+@pytest.mark.parametrize("gravity", [True, False])
+def test_readings_are_the_regressor_times_any_links(path, gravity):
+    robot = load_robot(path)
+    q, v, a = trajectory(robot.n, 37)
+    for channels in channels_of(robot):
+        kernel = Kernel.of(robot, channels)
+        links = np.random.default_rng(6).normal(size=robot.nominal.size)
+        expected = kernel.dynamics(q, v, a, gravity=gravity) @ links
+        assert_equal(kernel.readings(q, v, a, links, gravity=gravity), expected, 1e-12)
 
 
 @pytest.mark.parametrize("samples", [0, 1, 15, 16, 17, 33])

@@ -1,0 +1,53 @@
+"""Rows of every motion of an experiment, made once: the fit, its cross-checks and predictions read the same ones."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from threading import Lock
+
+from bayesid.regression.blocks import Block
+from bayesid.regression.row_cache import CACHE_BYTES
+from bayesid.regression.rows import RowModel, Segment, make_blocks, row_count
+
+
+class MotionRows:
+    """Blocks of rows by motion, made when first read and kept while all that is kept fits in `CACHE_BYTES`.
+
+    Attributes
+    ----------
+    row_model
+        How samples become rows.
+    segments
+        Gap-free segments of every motion, by name.
+    """
+
+    def __init__(self, row_model: RowModel, segments: Mapping[str, Sequence[Segment]]):
+        self.row_model, self.segments = row_model, segments
+        self._kept: dict[str, tuple[Block, ...]] = {}
+        self._room, self._lock = CACHE_BYTES, Lock()
+
+    def blocks(self, motions: Iterable[str]) -> Iterator[Block]:
+        """Read the rows of motions, one after the other, in time order."""
+        for name in motions:
+            yield from self._kept[name] if name in self._kept else self._made(name)
+
+    def _made(self, name: str) -> Iterator[Block]:
+        segments = self.segments[name]
+        model = self.row_model
+        size = 8 * row_count(model, segments) * len(model.channels) * (model.base.rank + model.extra_columns + 1)
+        with self._lock:
+            keep = size <= self._room
+            self._room -= size if keep else 0
+        made, whole = [], False
+        try:
+            for block in make_blocks(model, segments):
+                if keep:
+                    made.append(block)
+                yield block
+            whole = True
+        finally:
+            with self._lock:
+                if keep and whole and name not in self._kept:
+                    self._kept[name] = tuple(made)
+                else:  # not read to the end, or made by two threads at once
+                    self._room += size if keep else 0

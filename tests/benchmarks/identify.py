@@ -1,0 +1,122 @@
+"""python tests/benchmarks/identify.py [--repeats N]: the whole of `bayesid.identify` beside FIGAROH's pipeline, in one run.
+
+A UR5 with 100,000 samples to fit and another motion of 20,000 samples to validate, encoder counts, constant offsets of the
+readings estimated along, default method: base parameters and their deviations, noise, predictions of both motions,
+consistency of the motions, nearest links. FIGAROH fits the same 100,000 samples and does nothing of the rest. Every run is a
+process of its own, the tools take turns, medians are quoted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+HERE = Path(__file__).resolve().parent
+sys.path[:0] = [str(HERE.parent.parent), str(HERE)]
+
+import bayesid  # noqa: E402
+from bayesid.recordings.experiment import Experiment, Motion, Sensor  # noqa: E402
+from bayesid.recordings.table import Table  # noqa: E402
+from bayesid.robot.robot import load_robot  # noqa: E402
+
+FITTED, VALIDATED = 100_000, 20_000
+#: Of the encoders [rad], as in `make_table`.
+RESOLUTION = 2e-5
+
+
+def load(urdf: Path, tables: tuple[Path, Path], kind: str, share: float = 1.0) -> Experiment:
+    """The experiment of two tables, or of the first part of each."""
+    robot = load_robot(urdf)
+    motions = []
+    for name, role, path in zip(("fitted", "unseen"), ("identification", "validation"), tables, strict=True):
+        with np.load(path) as data:
+            n = round(share * len(data["t"]))
+            readings = {"wrench": data["w"][:n]} if kind == "wrench" else {"torques": data["tau"][:n]}
+            motions.append(Motion(name, role, Table(times=data["t"][:n], positions=data["q"][:n], **readings)))
+    if kind == "wrench":  # the sensor's offset is estimated wherever no static run removes it
+        return Experiment("bench", robot, tuple(motions), Sensor(), position_resolution=RESOLUTION)
+    return Experiment("bench", robot, tuple(motions), effects=("torque_offset",), position_resolution=RESOLUTION)
+
+
+def once(urdf: Path, tables: tuple[Path, Path], kind: str) -> dict:
+    """One run in this process, after a small one that loads the compiled kernels."""
+    bayesid.identify(load(urdf, tables, kind, 0.1), kind)
+    experiment = load(urdf, tables, kind)
+    since, used = time.perf_counter(), time.process_time()
+    result = bayesid.identify(experiment, kind)
+    total, used = time.perf_counter() - since, time.process_time() - used
+    return {
+        "seconds": total, "processor_seconds": used, "us_per_sample": 1e6 * total / FITTED, "stages": result.seconds,
+        "residual": result.estimate.residual_rms, "unseen": [p.whitened_rms for p in result.validation],
+    }  # fmt: skip
+
+
+def compare(urdf: Path, folder: Path, repeats: int) -> dict:
+    """Medians of both tools and of their ratio, by kind of readings."""
+    from run import FIGAROH, call
+
+    tables = folder / "fitted.npz", folder / "unseen.npz"
+    for path, samples, seed in zip(tables, (FITTED, VALIDATED), (0, 1), strict=True):
+        call(sys.executable, "make_table.py", str(path), "--urdf", str(urdf), "--samples", str(samples), "--seed", str(seed))
+    out = {}
+    for kind in ("wrench", "torque"):
+        own, other = [], []
+        for _ in range(repeats):
+            own.append(call(sys.executable, "identify.py", "--one", str(urdf), *map(str, tables), "--kind", kind))
+            if FIGAROH.exists():
+                other.append(call(FIGAROH, "figaroh_pipeline.py", str(urdf), str(tables[0]), "--kind", kind))
+        out[kind] = {
+            "us_per_sample": statistics.median(r["us_per_sample"] for r in own),
+            "stages": {s: statistics.median(1e6 * r["stages"][s] / FITTED for r in own) for s in own[0]["stages"]},
+        }
+        if other:
+            ratios = [b["us_per_sample"] / a["us_per_sample"] for a, b in zip(own, other, strict=True)]
+            out[kind]["figaroh_us_per_sample"] = statistics.median(r["us_per_sample"] for r in other)
+            out[kind]["figaroh_over_bayesid"] = [min(ratios), statistics.median(ratios), max(ratios)]
+        print(f"{kind}: {json.dumps(out[kind], indent=1)}", flush=True)
+    return out
+
+
+def table(result: dict) -> list[str]:
+    """The results as lines of a page."""
+    lines = [
+        "| whole `identify`, us a fitted sample | total | " + " | ".join(result["wrench"]["stages"]) + " | FIGAROH | ratio |",
+        "|---" * (4 + len(result["wrench"]["stages"])) + "|",
+    ]
+    for kind, entry in result.items():
+        stages = " | ".join(f"{v:.2f}" for v in entry["stages"].values())
+        peer = "- | -"
+        if "figaroh_over_bayesid" in entry:
+            peer = f"{entry['figaroh_us_per_sample']:.1f} | {entry['figaroh_over_bayesid'][1]:.1f}"
+        lines.append(f"| {kind} | {entry['us_per_sample']:.2f} | {stages} | {peer} |")
+    return lines
+
+
+def main() -> None:
+    """Compare, or with ``--one`` run once on given files."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--one", type=Path, nargs=3, metavar=("URDF", "FITTED", "UNSEEN"))
+    parser.add_argument("--kind", choices=["wrench", "torque"], default="wrench")
+    parser.add_argument("--repeats", type=int, default=5)
+    options = parser.parse_args()
+    if options.one:
+        urdf, fitted, unseen = options.one
+        print(json.dumps(once(urdf, (fitted, unseen), options.kind)))
+        return
+    from tests.robots import ur5
+
+    with tempfile.TemporaryDirectory() as temporary:
+        urdf = Path(temporary) / "ur5.urdf"
+        urdf.write_text(ur5(), encoding="utf-8")
+        print("\n".join(table(compare(urdf, Path(temporary), options.repeats))))
+
+
+if __name__ == "__main__":
+    main()
