@@ -8,6 +8,7 @@ a Metropolis-Hastings step with the weight ``p / q`` [Tierney1994]_. One step in
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -20,12 +21,32 @@ from scipy.linalg import cho_solve, solve_triangular
 from bayesid.errors import InputError
 from bayesid.posterior.model import PosteriorModel
 
-State = dict[str, Any]
 MOVES = ("laplace", "de", "stretch")
 #: Stretch and differential evolution alone are refused above this many dimensions.
 MOST_DIMENSIONS = 25
 _WARM_UP = 60
 _WARM_UP_ALONE = 1000
+
+
+@dataclass(eq=False)
+class EnsembleState:
+    """Where an ensemble stands; steps move it on in place.
+
+    Attributes
+    ----------
+    points, log_density
+        Walkers in (z, log scales) (w, d), and the logarithm of their density (w,).
+    random
+        State of emcee's generator.
+    proposed, accepted
+        Proposals of the Laplace move so far, and how many were taken.
+    """
+
+    points: np.ndarray
+    log_density: np.ndarray
+    random: Any
+    accepted: int = 0
+    proposed: int = 0
 
 
 class LaplaceMove(Move):
@@ -105,7 +126,7 @@ class Ensemble:
             out = out - 0.5 * squares[:, :-1].sum(axis=1)
         else:
             out = out - logs @ model.likelihood.counts - 0.5 * np.sum(squares[:, :-1] * np.exp(-2.0 * logs), axis=1)
-            out = out + model.log_scale_prior(logs)
+            out = out + model.scale_prior.log_density(logs)
         if model.bodies or len(model.bounded):
             out = np.where(model.inside(self._linear(z)), out, -np.inf)
         return out
@@ -145,7 +166,7 @@ class Ensemble:
         logs = np.zeros(0) if prior.known else -0.5 * np.log(weights)
         return np.append(z, logs), np.linalg.cholesky(hessian)
 
-    def start(self, rng: np.random.Generator) -> State:
+    def start(self, rng: np.random.Generator) -> EnsembleState:
         """Walkers around the mode, wider than the posterior, inside the bounds."""
         mean, lower = self.laplace
         points = np.empty((0, self.dimensions))
@@ -159,27 +180,32 @@ class Ensemble:
             raise InputError("engine 'emcee' finds no start inside the bounds; use engine 'hmc'")
         points = points[: self.walkers]
         random = np.random.RandomState(rng.integers(2**32)).get_state()  # noqa: NPY002 - emcee knows no other generator
-        state: State = {"points": points, "log": self.log_density(points), "random": random, "accepted": 0, "proposed": 0}
+        state = EnsembleState(points, self.log_density(points), random)
         self._run(state, 1, _WARM_UP if self.moves == "laplace" else _WARM_UP_ALONE)
-        return {**state, "accepted": 0, "proposed": 0}
+        state.accepted = state.proposed = 0
+        return state
 
-    def advance(self, state: State, count: int, thin: int) -> np.ndarray:
+    def restored(self, saved: Mapping[str, Any]) -> EnsembleState:
+        """The state that was saved as its fields."""
+        return EnsembleState(**saved)
+
+    def advance(self, state: EnsembleState, count: int, thin: int) -> np.ndarray:
         """Draws (count, walkers, names) ``thin`` steps apart; the state moves on."""
         points = self._run(state, count, thin * self.thin)
         d = len(self.model.linear_names)
         return np.concatenate([self._linear(points[..., :d]), np.exp(points[..., d:])], axis=-1)
 
-    def _run(self, state: State, count: int, thin: int) -> np.ndarray:
+    def _run(self, state: EnsembleState, count: int, thin: int) -> np.ndarray:
         """Walkers after every ``thin`` steps (count, walkers, dimensions)."""
         laplace = LaplaceMove(*self.laplace)
         moves: Any = {"laplace": [(laplace, 0.9), (DEMove(), 0.1)], "de": DEMove(), "stretch": StretchMove()}[self.moves]
         sampler = emcee.EnsembleSampler(self.walkers, self.dimensions, self.log_density, moves=moves, vectorize=True)
-        now = emcee.State(state["points"], log_prob=state["log"], random_state=state["random"])
+        now = emcee.State(state.points, log_prob=state.log_density, random_state=state.random)
         steps = sampler.sample(now, iterations=count, thin_by=thin, store=False, skip_initial_state_check=True)
-        out = np.empty((count, *state["points"].shape))
+        out = np.empty((count, *state.points.shape))
         for k, now in enumerate(steps):
             out[k] = now.coords
-        state.update(points=now.coords, log=now.log_prob, random=now.random_state)
-        state["accepted"] += laplace.accepted
-        state["proposed"] += laplace.proposed
+        state.points, state.log_density, state.random = now.coords, now.log_prob, now.random_state
+        state.accepted += laplace.accepted
+        state.proposed += laplace.proposed
         return out

@@ -11,44 +11,19 @@ from functools import cached_property
 
 import numpy as np
 from scipy.linalg import solve_triangular
-from scipy.linalg.lapack import dpotrf, dpotrs
-from scipy.special import gammaln
 
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.errors import InputError
 from bayesid.estimators.estimator import unseen
 from bayesid.posterior import coordinates
 from bayesid.posterior.likelihood import Likelihood
+from bayesid.posterior.noise import NOISES, DofPrior, ScalePrior, student_log_likelihood
+from bayesid.posterior.quadratic import Quadratic
 from bayesid.posterior.trajectory import travel
 from bayesid.regression.regression import Regression
 from bayesid.robot.prior import Prior
 
-NOISES = ("gaussian", "student")
 _SHOWN = 4
-
-
-@dataclass(frozen=True)
-class ScalePrior:
-    """Inverse gamma law of every squared scale, ``s^2 ~ IG(shape, rate)``; (0, 0) is Jeffreys' ``1 / s``.
-
-    Attributes
-    ----------
-    known
-        Whether scales are held at one instead.
-    """
-
-    shape: float = 0.0
-    rate: float = 0.0
-    known: bool = False
-
-
-@dataclass(frozen=True)
-class DofPrior:
-    """Gamma law of Student's degrees of freedom, or their fixed value; the default is that of [Juarez2010]_."""
-
-    shape: float = 2.0
-    rate: float = 0.1
-    fixed: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,7 +175,7 @@ class PosteriorModel:
         return out
 
     @cached_property
-    def _prior_factor(self) -> np.ndarray:
+    def prior_factor(self) -> np.ndarray:
         """Rows [A | A mean] of the normal priors, ``|A theta - A mean|^2`` (q, d + 1)."""
         d = self.to_columns.shape[1]
         finite = np.flatnonzero(np.isfinite(self.effect_std))
@@ -218,7 +193,7 @@ class PosteriorModel:
         """Every term of the density as a quadratic form in well-conditioned coordinates."""
         matrices = [f[:, :-1] @ self.to_columns for f in self.likelihood.factors]
         targets = [f[:, -1] for f in self.likelihood.factors]
-        prior = self._prior_factor
+        prior = self.prior_factor
         whole = np.concatenate([np.column_stack([m, t]) for m, t in zip(matrices, targets, strict=True)] + [prior])
         d = self.to_columns.shape[1]
         r = np.asarray(np.linalg.qr(whole, mode="r"))
@@ -236,11 +211,6 @@ class PosteriorModel:
 
     # ---- densities ------------------------------------------------------------------------------------------
 
-    def log_scale_prior(self, log_scales: np.ndarray) -> np.ndarray:
-        """Of the logarithms of the scales (..., k), up to a constant."""
-        prior = self.scale_prior
-        return np.sum(-2.0 * prior.shape * log_scales - prior.rate * np.exp(-2.0 * log_scales), axis=-1)
-
     def log_joint(self, linear: np.ndarray, scales: np.ndarray, dof: np.ndarray) -> np.ndarray:
         """Logarithm of the posterior density of (linear, log scales, dof) without its bounds, up to a constant (...,)."""
         q = self.quadratic
@@ -254,10 +224,9 @@ class PosteriorModel:
         else:
             density = self.log_likelihood(linear, scales, dof) - 0.5 * q.squares(z)[..., -1]
         if not self.scale_prior.known:
-            density = density + self.log_scale_prior(logs)
+            density = density + self.scale_prior.log_density(logs)
         if self.dof_free:
-            prior = self.dof_prior
-            density = density + (prior.shape - 1.0) * np.log(dof) - prior.rate * dof
+            density = density + self.dof_prior.log_density(dof)
         return density
 
     def log_likelihood(self, linear: np.ndarray, scales: np.ndarray, dof: np.ndarray) -> np.ndarray:
@@ -269,15 +238,9 @@ class PosteriorModel:
             return -np.sum(rows * (np.log(scales) + 0.5 * np.log(2 * np.pi)) + 0.5 * squares / scales**2, axis=-1)
         columns = linear @ self.to_columns.T
         flat, size, nu = columns.reshape(-1, columns.shape[-1]), scales.reshape(-1, scales.shape[-1]), np.ravel(dof)
-        out = np.array([self._student(b, s, n) for b, s, n in zip(flat, size, nu, strict=True)])
+        white = self.likelihood.white
+        out = np.array([student_log_likelihood(white, b, s, n) for b, s, n in zip(flat, size, nu, strict=True)])
         return out.reshape(linear.shape[:-1])
-
-    def _student(self, columns: np.ndarray, scales: np.ndarray, dof: float) -> float:
-        total = 0.0
-        for white, s in zip(self.likelihood.white, np.split(scales, len(self.likelihood.white)), strict=True):
-            squares = np.sum(((white[:, :, -1] - white[:, :, :-1] @ columns) / s) ** 2, axis=1)
-            total += np.sum(log_student(squares, len(s), dof)) - len(white) * np.sum(np.log(s))
-        return float(total)
 
     # ---- the sampler's coordinates ------------------------------------------------------------------------
 
@@ -360,45 +323,3 @@ class PosteriorModel:
             travel(x, root @ rng.normal(size=n), mean, root, self.bodies, none)
             out[max(i, 0)] = x
         return out @ back.T
-
-
-@dataclass(frozen=True, eq=False)
-class Quadratic:
-    """Squares ``|F_k theta - f_k|^2`` of every term as ``z' G_k z - 2 h_k' z + q_k`` with ``theta = centre + root z``.
-
-    The last term is the prior's. At unit scales the sum of all G is the unit matrix and that of all h is zero, so
-    squaring the factors costs no digits.
-    """
-
-    centre: np.ndarray
-    root: np.ndarray
-    gram: np.ndarray
-    linear: np.ndarray
-    constant: np.ndarray
-
-    def squares(self, z: np.ndarray) -> np.ndarray:
-        """All terms (..., k + 1) at points z (..., d)."""
-        k, d = self.linear.shape
-        turned = (z @ self._side_by_side).reshape(*z.shape[:-1], k, d)
-        return np.einsum("...kd,...d->...k", turned - 2.0 * self.linear, z) + self.constant
-
-    @cached_property
-    def _side_by_side(self) -> np.ndarray:
-        """(d, (k + 1) d), for one product instead of many."""
-        return np.ascontiguousarray(np.swapaxes(self.gram, 0, 1).reshape(self.gram.shape[1], -1))
-
-    def gaussian(self, precisions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Mean (d,) and lower Cholesky factor (d, d) of the precision in z, for weights ``1 / s^2`` of the terms (k,)."""
-        weights = np.append(precisions, 1.0)
-        k, d = self.linear.shape
-        lower, trouble = dpotrf((weights @ self.gram.reshape(k, d * d)).reshape(d, d), lower=1)
-        if trouble:
-            raise np.linalg.LinAlgError("the precision is not positive definite")
-        return dpotrs(lower, weights @ self.linear, lower=1)[0], lower
-
-
-def log_student(squares: np.ndarray, channels: int, dof: float | np.ndarray) -> np.ndarray:
-    """Log density of multivariate t at unit scale for squared lengths (...,)."""
-    half = 0.5 * (dof + channels)
-    constant = gammaln(half) - gammaln(0.5 * dof) - 0.5 * channels * np.log(dof * np.pi)
-    return constant - half * np.log1p(squares / dof)

@@ -11,7 +11,7 @@ import numpy as np
 
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.estimators.estimator import LEVEL
-from bayesid.posterior import coordinates
+from bayesid.posterior import density
 from bayesid.posterior.convert import Groups, to_arviz
 from bayesid.posterior.diagnostics import Convergence
 from bayesid.posterior.model import PosteriorModel
@@ -163,95 +163,22 @@ class Posterior:
     @property
     def theta_names(self) -> tuple[str, ...]:
         """Names of the unconstrained coordinates, see `log_density` (q,)."""
-        model = self.model
-        linear = [f"log {n}" if k in model.bounded else n for k, n in enumerate(model.linear_names)]
-        if model.bodies:
-            bodies = [model.linear_names[10 * k].rpartition(".")[0] for k in range(model.bodies)]
-            linear[: 10 * model.bodies] = [f"{b}.{n}" for b in bodies for n in coordinates.NAMES]
-        return (*linear, *(f"log scale {n}" for n in model.scale_names), *(("log nu",) if model.dof_free else ()))
+        return density.theta_names(self.model)
 
     def log_density(self, theta: np.ndarray) -> np.ndarray:
         """Logarithm of the posterior density of unconstrained coordinates, up to a constant: bring your own sampler.
 
-        ``theta`` holds, in this order: for every body its log-Cholesky parameters (`bayesid.posterior.coordinates`;
-        with a flat prior the base parameters instead), effect parameters, logarithms of those that cannot be
-        negative, logarithms of the scales, and that of Student's degrees of freedom. All Jacobians are included. A
-        call costs nothing in the number of rows with Gaussian noise.
-
-        Parameters
-        ----------
-        theta
-            (..., q).
+        See `bayesid.posterior.density.log_density` for what ``theta`` (..., q) holds.
         """
-        return self._density(np.asarray(theta, float))[0]
-
-    def _density(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Log density (...,), linear parameters, scales and degrees of freedom."""
-        model = self.model
-        d, k = len(model.linear_names), len(model.scale_names)
-        x, jacobian = theta[..., :d].copy(), np.zeros(theta.shape[:-1])
-        if model.bodies:
-            part = theta[..., : 10 * model.bodies].reshape(*theta.shape[:-1], model.bodies, 10)
-            entries, logs = coordinates.from_log_cholesky(part)
-            x[..., : 10 * model.bodies] = entries.reshape(*theta.shape[:-1], -1)
-            jacobian = jacobian + logs.sum(axis=-1) + np.linalg.slogdet(model.from_entries)[1]
-        x[..., model.bounded] = np.exp(theta[..., model.bounded])
-        jacobian = jacobian + theta[..., model.bounded].sum(axis=-1)
-        linear = x @ model.from_entries.T
-        shape = theta.shape[:-1]
-        scales = np.exp(theta[..., d : d + k]) if k else np.ones((*shape, len(model.likelihood.names)))
-        fixed = np.inf if model.noise == "gaussian" else model.dof_prior.fixed or 0.0
-        dof = np.exp(theta[..., -1]) if model.dof_free else np.full(shape, fixed)
-        if model.dof_free:
-            jacobian = jacobian + theta[..., -1]
-        return model.log_joint(linear, scales, dof) + jacobian, linear, scales, dof
+        return density.log_density(self.model, theta)
 
     def log_density_gradient(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """`log_density` and its gradient in ``theta``, (...,) and (..., q); Gaussian noise only.
-
-        Raises
-        ------
-        NotImplementedError
-            The noise is Student's.
-        """
-        model = self.model
-        if model.noise != "gaussian":
-            raise NotImplementedError("the gradient is there for Gaussian noise only")
-        theta = np.asarray(theta, float)
-        density, linear, scales, _ = self._density(theta)
-        q, d = model.quadratic, len(model.linear_names)
-        z = np.linalg.solve(q.root, (linear - q.centre)[..., None])[..., 0]
-        weights = np.concatenate([scales**-2, np.ones((*scales.shape[:-1], 1))], axis=-1)
-        slope = np.einsum("...k,kj->...j", weights, q.linear) - np.einsum("...k,kij,...j->...i", weights, q.gram, z)
-        in_linear = np.linalg.solve(q.root.T, slope[..., None])[..., 0]
-        out = np.empty_like(theta)
-        in_x = in_linear @ model.from_entries
-        out[..., :d] = in_x
-        if model.bodies:
-            shape = (*theta.shape[:-1], model.bodies, 10)
-            end = 10 * model.bodies
-            bodies = coordinates.pull_back(theta[..., :end].reshape(shape), in_x[..., :end].reshape(shape))
-            out[..., :end] = bodies.reshape(*theta.shape[:-1], end)
-        out[..., model.bounded] = in_x[..., model.bounded] * np.exp(theta[..., model.bounded]) + 1.0
-        if model.scale_names:
-            prior = model.scale_prior
-            squares = q.squares(z)[..., :-1]
-            part = -model.likelihood.counts + (squares + 2.0 * prior.rate) / scales**2 - 2.0 * prior.shape
-            out[..., d : d + len(model.scale_names)] = part
-        return density, out
+        """`log_density` and its gradient in ``theta``, (...,) and (..., q)."""
+        return density.log_density_gradient(self.model, theta)
 
     def to_theta(self, draws: np.ndarray | None = None) -> np.ndarray:
         """Unconstrained coordinates (..., q) of draws as in ``model.names``; default: this posterior's."""
-        model = self.model
-        draws = self.chains.draws if draws is None else np.asarray(draws, float)
-        linear, scales, dof = model.split(draws)
-        x = linear @ model.entries.T
-        if model.bodies:
-            part = x[..., : 10 * model.bodies].reshape(*x.shape[:-1], model.bodies, 10)
-            x[..., : 10 * model.bodies] = coordinates.to_log_cholesky(part).reshape(*x.shape[:-1], -1)
-        x[..., model.bounded] = np.log(x[..., model.bounded])
-        parts = [x] + ([np.log(scales)] if model.scale_names else []) + ([np.log(dof)[..., None]] if model.dof_free else [])
-        return np.concatenate(parts, axis=-1)
+        return density.to_theta(self.model, self.chains.draws if draws is None else np.asarray(draws, float))
 
     # ---- results as data -----------------------------------------------------------------------------------------
 

@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 from tqdm import tqdm
 
 from bayesid.errors import InputError
 from bayesid.posterior.checkpoint import load_checkpoint, save_checkpoint
-from bayesid.posterior.cone import ReflectiveGibbs
 from bayesid.posterior.diagnostics import Convergence, convergence
 from bayesid.posterior.ensemble import Ensemble
 from bayesid.posterior.model import PosteriorModel
+from bayesid.posterior.reflective_gibbs import ReflectiveGibbs
 
 ENGINES = ("hmc", "emcee")
 _ROUNDS = 10
@@ -26,8 +26,11 @@ _ROUNDS = 10
 _FEWEST, _JUDGED = 50, 1600
 
 
-class Engine(Protocol):
-    """What moves the chains; a state is a dictionary that holds everything a chain needs to go on."""
+S = TypeVar("S")
+
+
+class Engine(Protocol[S]):
+    """What moves the chains; a state S is a dataclass that holds everything a chain needs to go on."""
 
     @property
     def name(self) -> str:
@@ -44,11 +47,15 @@ class Engine(Protocol):
         """Steps from one draw to the next."""
         ...
 
-    def start(self, rng: np.random.Generator) -> dict[str, Any]:
+    def start(self, rng: np.random.Generator) -> S:
         """A first state, warmed up."""
         ...
 
-    def advance(self, state: dict[str, Any], count: int, thin: int) -> np.ndarray:
+    def restored(self, saved: Mapping[str, Any]) -> S:
+        """The state that was saved as its fields."""
+        ...
+
+    def advance(self, state: S, count: int, thin: int) -> np.ndarray:
         """Draws (count, walkers, names), ``thin`` steps apart; the state moves on in place."""
         ...
 
@@ -75,11 +82,11 @@ class Chains:
     draws: np.ndarray
     engine: str
     thin: int
-    states: list[dict[str, Any]]
+    states: list[Any]
     diagnosis: Convergence
 
 
-def choose_engine(model: PosteriorModel, engine: str | None = None, moves: str = "laplace") -> Engine:
+def choose_engine(model: PosteriorModel, engine: str | None = None, moves: str = "laplace") -> Engine[Any]:
     """The engine of a name; default: exact trajectories where there are walls or Student's weights, else emcee.
 
     Raises
@@ -98,7 +105,7 @@ def choose_engine(model: PosteriorModel, engine: str | None = None, moves: str =
 
 def run(
     model: PosteriorModel,
-    engine: Engine,
+    engine: Engine[Any],
     *,
     draws: int = 2000,
     chains: int = 4,
@@ -158,7 +165,8 @@ def run(
         states = [engine.start(np.random.Generator(np.random.PCG64(s))) for s in sequences]
         kept, thin, rounds = np.empty((chains, 0, engine.walkers, len(model.names))), 1, 0
     else:
-        states, kept, thin, rounds = saved["states"], saved["kept"], saved["thin"], saved["rounds"]
+        states = [engine.restored(state) for state in saved["states"]]
+        kept, thin, rounds = saved["kept"], saved["thin"], saved["rounds"]
     size = max(-(-wanted // _ROUNDS), 1)
     show = bar and sys.stderr.isatty()
     with tqdm(total=wanted, initial=kept.shape[1], desc="sampling", unit="step", disable=not show, leave=False) as shown:
@@ -174,7 +182,8 @@ def run(
                     apart = f", draws {thin} times farther apart" if thin > 1 else ""
                     tell(f"sampling{apart}: {100 * kept.shape[1] // wanted} %")
                 if checkpoint is not None:
-                    save_checkpoint(checkpoint, mark, {"states": states, "kept": kept, "thin": thin, "rounds": rounds})
+                    fields = [vars(state) for state in states]
+                    save_checkpoint(checkpoint, mark, {"states": fields, "kept": kept, "thin": thin, "rounds": rounds})
             flat = np.swapaxes(kept, 1, 2).reshape(chains, -1, kept.shape[-1])[:, :each]
             diagnosis = convergence(*_monitored(model, flat))
             if diagnosis.passed or thin >= longest:
@@ -194,10 +203,10 @@ def _monitored(model: PosteriorModel, draws: np.ndarray) -> tuple[np.ndarray, tu
     return np.concatenate([draws, base], axis=-1), model.names + model.base.names
 
 
-def fingerprint(model: PosteriorModel, engine: Engine, draws: int, chains: int, seed: int) -> str:
+def fingerprint(model: PosteriorModel, engine: Engine[Any], draws: int, chains: int, seed: int) -> str:
     """What a checkpoint belongs to: data, model, engine and seed."""
     digest = sha256()
-    for array in (model.likelihood.factors, model.likelihood.counts, model.to_columns, model._prior_factor):
+    for array in (model.likelihood.factors, model.likelihood.counts, model.to_columns, model.prior_factor):
         digest.update(np.ascontiguousarray(array).tobytes())
     settings = [model.names, model.noise, str(model.scale_prior), str(model.dof_prior), model.physical, engine.name,
                 engine.walkers, getattr(engine, "moves", ""), draws, chains, seed]  # fmt: skip

@@ -104,7 +104,7 @@ def test_a_deep_wall_loses_no_trajectory(walled):
     engine = choose_engine(model)
     state = engine.start(np.random.default_rng(0))
     draws = engine.advance(state, 300, 1)
-    assert state["bounces"] > 300 and state["lost"] == 0
+    assert state.bounces > 300 and state.lost == 0
     assert model.inside(draws[:, 0, :11]).all()
 
 

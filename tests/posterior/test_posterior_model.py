@@ -11,6 +11,7 @@ from bayesid.errors import InputError
 from bayesid.estimators import fit
 from bayesid.estimators.factor import learn_weights, whitened
 from bayesid.posterior import DofPrior, Posterior, PosteriorModel, ScalePrior, coordinates
+from bayesid.posterior.density import _density
 from bayesid.posterior.diagnostics import Convergence
 from bayesid.posterior.run import Chains
 from bayesid.regression.regression import Regression
@@ -93,10 +94,10 @@ def test_unconstrained_density_has_the_whole_jacobian(noise):
     posterior = bare(model)
     rng = np.random.default_rng(3)
     theta = 0.3 * rng.normal(size=len(posterior.theta_names))
-    density, linear, scales, dof = posterior._density(theta)
+    density, linear, scales, dof = _density(model, theta)
 
     def outcome(t):
-        _, lin, sc, nu = posterior._density(t)
+        _, lin, sc, nu = _density(model, t)
         # The density is with respect to log s and nu itself.
         return np.concatenate([lin, np.log(sc), [nu] if model.dof_free else []])
 
@@ -118,10 +119,19 @@ def test_gradient_is_that_of_finite_differences(known):
             assert_allclose(g, numerical, rtol=1e-5, atol=1e-6 * np.abs(g).max())
 
 
-def test_gradient_of_student_noise_is_refused():
-    posterior = bare(one_body(noise="student", keep=True))
-    with pytest.raises(NotImplementedError, match="Gaussian"):
-        posterior.log_density_gradient(np.zeros(len(posterior.theta_names)))
+@pytest.mark.parametrize("known", [False, True])
+@pytest.mark.parametrize("fixed", [None, 3.0])
+def test_gradient_of_student_noise_is_that_of_finite_differences(known, fixed):
+    options = {"noise": "student", "scale_prior": ScalePrior(2.0, 1.0, known), "dof_prior": DofPrior(fixed=fixed)}
+    for model in (one_body(effects=1, keep=True, **options), PosteriorModel.of(regression(4), **options)):
+        posterior = bare(model)
+        theta = 0.1 * np.random.default_rng(1).normal(size=(2, 2, len(posterior.theta_names)))
+        theta[0, 0, -1] += 1.0
+        density, gradient = posterior.log_density_gradient(theta)
+        for at in np.ndindex(2, 2):
+            assert_allclose(density[at], posterior.log_density(theta[at]), rtol=1e-12)
+            numerical = numerical_gradient(lambda x, p=posterior: float(p.log_density(x)), theta[at])
+            assert_allclose(gradient[at], numerical, rtol=1e-5, atol=1e-6 * np.abs(gradient[at]).max())
 
 
 def test_quadratic_terms_are_the_normal_equations():

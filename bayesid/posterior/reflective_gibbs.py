@@ -11,7 +11,7 @@ with C channels an instant; nu comes before the weights and without them (slice 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -20,12 +20,37 @@ import numpy as np
 from scipy.linalg.blas import dsyrk
 from scipy.linalg.lapack import dtrtrs
 
-from bayesid.posterior.model import PosteriorModel, Quadratic, log_student
+from bayesid.posterior.model import PosteriorModel
+from bayesid.posterior.noise import log_student
+from bayesid.posterior.quadratic import Quadratic
 from bayesid.posterior.trajectory import feasible, travel
 
-State = dict[str, Any]
 _WARM_UP = 100
 _SLICE_STEP = 0.5
+
+
+@dataclass(eq=False)
+class GibbsState:
+    """Where a chain stands; sweeps move it on in place.
+
+    Attributes
+    ----------
+    x
+        Linear parameters in the sampler's coordinates (d,).
+    scales, dof
+        Of the noise (k,).
+    rng
+        The chain's own generator.
+    bounces, lost
+        Reflections so far, and trajectories that were given up.
+    """
+
+    x: np.ndarray
+    scales: np.ndarray
+    dof: float
+    rng: np.random.Generator
+    bounces: float = 0.0
+    lost: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,18 +62,23 @@ class ReflectiveGibbs:
     walkers: int = field(default=1, init=False)
     thin: int = field(default=1, init=False)
 
-    def start(self, rng: np.random.Generator) -> State:
+    def start(self, rng: np.random.Generator) -> GibbsState:
         """A state inside all walls, forgotten over a hundred sweeps."""
         model = self.model
         x = model.interior(rng)
         scales = np.ones(len(model.likelihood.names)) * (1.0 if model.scale_prior.known else np.exp(0.2 * rng.normal()))
         dof = model.dof_prior.fixed or float(np.exp(rng.normal(1.5, 0.3)))
-        state: State = {"x": x, "scales": scales, "dof": dof, "bounces": 0.0, "lost": 0.0, "rng": rng}
+        state = GibbsState(x, scales, dof, rng)
         for _ in range(_WARM_UP):
             self._sweep(state)
-        return {**state, "bounces": 0.0, "lost": 0.0}
+        state.bounces = state.lost = 0.0
+        return state
 
-    def advance(self, state: State, count: int, thin: int) -> np.ndarray:
+    def restored(self, saved: Mapping[str, Any]) -> GibbsState:
+        """The state that was saved as its fields."""
+        return GibbsState(**saved)
+
+    def advance(self, state: GibbsState, count: int, thin: int) -> np.ndarray:
         """Draws (count, 1, names) ``thin`` sweeps apart; the state moves on."""
         model = self.model
         out = np.empty((count, 1, len(model.names)))
@@ -56,11 +86,11 @@ class ReflectiveGibbs:
         for i in range(count):
             for _ in range(thin):
                 self._sweep(state)
-            out[i, 0, :d] = model.from_entries @ state["x"]
+            out[i, 0, :d] = model.from_entries @ state.x
             if not model.scale_prior.known:
-                out[i, 0, d : d + len(state["scales"])] = state["scales"]
+                out[i, 0, d : d + len(state.scales)] = state.scales
             if model.dof_free:
-                out[i, 0, -1] = state["dof"]
+                out[i, 0, -1] = state.dof
         return out
 
     # ---- one sweep ------------------------------------------------------------------------------------------
@@ -87,41 +117,41 @@ class ReflectiveGibbs:
         centre, outward, _ = self._maps
         return mean, centre + outward @ mean, np.ascontiguousarray(dtrtrs(lower, outward.T, lower=1)[0].T)
 
-    def _sweep(self, state: State) -> None:
-        model, rng = self.model, state["rng"]
+    def _sweep(self, state: GibbsState) -> None:
+        model, rng = self.model, state.rng
         centre, _, inward = self._maps
         terms, counts = model.quadratic, model.likelihood.counts
         if model.noise == "student":
-            squares = self._rows.squares(inward @ (state["x"] - centre), state["scales"])
+            squares = self._rows.squares(inward @ (state.x - centre), state.scales)
             if model.dof_free:
                 squares = self._dof(state, squares)
-            terms = self._rows.weighted(squares, state["dof"], rng)
+            terms = self._rows.weighted(squares, state.dof, rng)
         if model.scale_prior.known and model.noise == "gaussian":
             _, mean, root = self._fixed
         else:
-            _, mean, root = self._gaussian(terms, state["scales"])
+            _, mean, root = self._gaussian(terms, state.scales)
         step = root @ rng.normal(size=len(mean))
         if model.bodies or len(model.bounded):
-            bounces = travel(state["x"], step, mean, root, model.bodies, model.bounded)
-            state["lost"] += bounces < 0
-            state["bounces"] += max(bounces, 0)
+            bounces = travel(state.x, step, mean, root, model.bodies, model.bounded)
+            state.lost += bounces < 0
+            state.bounces += max(bounces, 0)
         else:
-            state["x"] = mean + step
+            state.x = mean + step
         if not model.scale_prior.known:
-            squares = terms.squares(inward @ (state["x"] - centre))[:-1]
+            squares = terms.squares(inward @ (state.x - centre))[:-1]
             prior = model.scale_prior
             shape, rate = prior.shape + 0.5 * counts, prior.rate + 0.5 * np.maximum(squares, 0.0)
-            state["scales"] = np.sqrt(rate / rng.gamma(shape))
+            state.scales = np.sqrt(rate / rng.gamma(shape))
 
-    def _dof(self, state: State, squares: list[np.ndarray]) -> list[np.ndarray]:
+    def _dof(self, state: GibbsState, squares: list[np.ndarray]) -> list[np.ndarray]:
         """Slice sampling of log nu with its law given the residuals alone; returns them in units of the new scales.
 
         Once with the scales held, once with ``s^2 (1 + 2 / nu)`` held, which is about the variance: nu and the scales
         depend on each other strongly. Both are shifts of log s, of unit Jacobian.
         """
-        model, prior, rng = self.model, self.model.dof_prior, state["rng"]
+        model, prior, rng = self.model, self.model.dof_prior, state.rng
         for along in (0.0, 0.0 if model.scale_prior.known else 1.0):
-            now, logs = np.log(state["dof"]), np.log(state["scales"])
+            now, logs = np.log(state.dof), np.log(state.scales)
 
             def shift(log: float, now: float = now, along: float = along) -> float:
                 return -0.5 * along * (np.log1p(2.0 * np.exp(-log)) - np.log1p(2.0 * np.exp(-now)))
@@ -132,19 +162,19 @@ class ReflectiveGibbs:
                 rows = sum(float(np.sum(log_student(s * inner, self._rows.channels, nu))) for s in squares)
                 rows -= by * float(model.likelihood.counts.sum())
                 if not model.scale_prior.known:
-                    rows += float(model.log_scale_prior(logs + by))
+                    rows += float(model.scale_prior.log_density(logs + by))
                 return rows + prior.shape * log - prior.rate * nu
 
             new = slice_step(density, now, rng)
             by = shift(new)
-            state["dof"] = float(np.exp(new))
-            state["scales"] = state["scales"] * np.exp(by)
+            state.dof = float(np.exp(new))
+            state.scales = state.scales * np.exp(by)
             squares = [s * np.exp(-2.0 * by) for s in squares]
         return squares
 
-    def check(self, state: State) -> bool:
+    def check(self, state: GibbsState) -> bool:
         """Whether a state is inside all walls."""
-        return bool(feasible(state["x"], self.model.bodies, self.model.bounded))
+        return bool(feasible(state.x, self.model.bodies, self.model.bounded))
 
 
 def slice_step(density: Callable[[float], float], now: float, rng: np.random.Generator) -> float:
