@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ast
 import re
+import sys
 import tomllib
 from collections import Counter
 from dataclasses import dataclass
@@ -23,6 +24,9 @@ from scipy.sparse.csgraph import connected_components
 
 DOCS = Path(__file__).resolve().parent
 ROOT = DOCS.parent
+sys.path.append(str(ROOT))
+from tests.studies.page import fill  # noqa: E402
+
 PAGE, PICTURE = DOCS / "architecture.md", DOCS / "structure.svg"
 SHOWN_MODULES = 8
 
@@ -111,15 +115,6 @@ def tables(found: Structure) -> dict[str, str]:
     return {"packages": "\n".join(rows), "counts": "\n".join(counts)}
 
 
-def filled(text: str, parts: dict[str, str]) -> str:
-    """The page with each part between its marks."""
-    for name, part in parts.items():
-        text, count = re.subn(rf"(<!-- {name} -->\n).*?(<!-- end -->)", lambda m, p=part: f"{m[1]}{p}\n{m[2]}", text, flags=re.S)
-        if count != 1:
-            raise ValueError(f"{PAGE.name} has {count} marks named {name}, not one")
-    return text
-
-
 def direct(found: Structure) -> list[tuple[str, str]]:
     """Imports that do not follow from others: a package to the highest of those below it."""
     below = {name: {other for one, other in found.imports if one == name} for name in found.packages}
@@ -175,7 +170,7 @@ def main() -> None:
     found = read_structure()
     with mpl.rc_context({"svg.hashsalt": "bayesid", "svg.fonttype": "none", "font.family": "sans-serif"}):
         picture(found).savefig(PICTURE, metadata={"Date": None, "Creator": None, "Description": in_words(found)})
-    PAGE.write_text(filled(PAGE.read_text(encoding="utf-8"), tables(found)), encoding="utf-8")
+    PAGE.write_text(fill(PAGE.read_text(encoding="utf-8"), tables(found)), encoding="utf-8")
 
 
 if __name__ == "__main__":

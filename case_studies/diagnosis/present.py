@@ -10,10 +10,9 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
-sys.path.append(str(Path(__file__).parents[1]))
-from readme import STYLE, fill, plain, table  # noqa: E402, F401
+sys.path.append(str(Path(__file__).parents[2]))
+from tests.studies.page import BLUE, GREEN, GREY, ORANGE, STYLE, fill, plain, table  # noqa: E402, F401
 
-BLUE, ORANGE, GREY, GREEN = "#1f6feb", "#d9480f", "#6b7280", "#2b8a3e"
 ROBOTS = {"kuka-lwr4": "KUKA LWR4+", "ur10": "UR10"}
 MODELS = {"rigid": "rigid bodies", "friction": "friction and offsets known"}
 COLOURS = {"named": ORANGE, "ambiguous": "#f59f00", "unknown": BLUE, "nothing_missing": GREY}
@@ -113,7 +112,24 @@ def _robot(robots: dict[str, Any]) -> dict[str, str]:
     head += " | floor from | squared residual gone"
     return {
         "robot": table(head, rows),
+        **_sentences(robots),
         "robot-joints": table("arm | model | " + " | ".join(f"joint {j}" for j in range(1, 8)), [r.rstrip() for r in places]),
+    }
+
+
+def _sentences(robots: dict[str, Any]) -> dict[str, str]:
+    """Numbers of the text beside the table."""
+    kuka, ur10, known = robots["kuka-lwr4"]["rigid"], robots["ur10"]["rigid"], robots["ur10"]["friction"]
+    left = {name.removeprefix("tau"): after for name, (_, after) in kuka["gap"]["channels"].items()}
+    worst = sorted(sorted(left, key=left.__getitem__)[-2:])
+    return {
+        "kuka-unseen": f"{kuka['gap']['before']:.1f}",
+        "kuka-fitted": f"{kuka['fitted']['after']:.1f}",
+        "kuka-joints": " and ".join(worst),
+        "ur10-share": f"{100 * (1 - (ur10['gap']['after'] / ur10['gap']['before']) ** 2):.0f} %",
+        "ur10-fitted": f"{ur10['fitted']['after']:.1f}",
+        "ur10-unseen": f"{ur10['gap']['after']:.1f}",
+        "ur10-little": f"{100 * (1 - known['gap']['after'] / known['gap']['before']):.0f} %",
     }
 
 
@@ -137,7 +153,9 @@ def _wrist(wrist: dict[str, Any]) -> dict[str, str]:
             f"{max(w['left']):.2g} times the noise, most from {w['window_starts'][int(np.argmax(w['left']))]:.1f} s."
         )  # fmt: skip
     head = "fitted | known | verdict | best attempt | left on the fitted motion | gap on the other before | after | floor"
-    return {"wrist": table(head, rows), "taps": "\n".join(lines)}
+    counts = {name: str(len(wrist[motion]["events"]) or "none") for name, motion in
+              (("wrist-taps", "vibrations"), ("wrist-quiet", "baseline"))}  # fmt: skip
+    return {"wrist": table(head, rows), "taps": "\n".join(lines), **counts}
 
 
 def _failure(cases: list[dict[str, Any]]) -> dict[str, str]:
@@ -155,7 +173,9 @@ def _failure(cases: list[dict[str, Any]]) -> dict[str, str]:
     text = f"The fitted motions reach {cases[0]['moments']['identification']:.0f} N m."
     if named:
         text += f" A wrong name is given up to {100 * max(c['size'] for c in named):g} %."
-    return {"failure": text + "\n\n" + table(head, rows)}
+    same, wider = (next(c["moments"] for c in cases if c["validation"] == name) for name in ("same range", "wider"))
+    more = f"{100 * (wider['validation'] / same['validation'] - 1):.0f} %"
+    return {"failure": text + "\n\n" + table(head, rows), "wider": more}
 
 
 def _with_rivals(c: dict[str, Any]) -> list[str]:

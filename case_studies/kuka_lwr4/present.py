@@ -8,8 +8,8 @@ from pathlib import Path
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
-sys.path.append(str(Path(__file__).parents[1]))
-from readme import STYLE, fill, plain, table  # noqa: E402, F401
+sys.path.append(str(Path(__file__).parents[2]))
+from tests.studies.page import BLUE, GREY, ORANGE, STYLE, fill, plain, table  # noqa: E402, F401
 
 ANSWERS = {
     "nominal": "the CAD model as it is",
@@ -17,11 +17,16 @@ ANSWERS = {
     "wls": "plain least squares, weighted",
     "huber": "robust (Huber)",
     "student": "robust (Student)",
-    "prior": "a prior alone (the CAD model, trusted as stated)",
-    "sdp, hardly a prior": "physical consistency with hardly a prior",
+    "prior": "a prior alone (the CAD model, with the stated standard deviation)",
+    "sdp, hardly a prior": "physical consistency with a very wide prior",
     "sdp": "both, `sdp` as it comes",
 }
-NAMES = {"nominal": "CAD", "nominal + effects": "CAD, friction fitted"}
+NAMES = {
+    "nominal": "CAD",
+    "nominal + effects": "CAD, friction fitted",
+    "sdp, hardly a prior": "sdp, wide prior",
+    "sdp, trust from the data": "sdp, prior from the data",
+}
 
 
 def tables(results: dict) -> dict[str, str]:
@@ -33,11 +38,16 @@ def tables(results: dict) -> dict[str, str]:
     )
     trusts = results["trusts"]
     out["trusts"] = table(
-        "stated trust | " + " | ".join(trusts), ["| error | " + " | ".join(f"{100 * e:.1f} %" for e in trusts.values()) + " |"]
+        "prior relative standard deviation | " + " | ".join(trusts),
+        ["| error | " + " | ".join(f"{100 * e:.1f} %" for e in trusts.values()) + " |"],
     )
     if results["trust_from_data"] is not None:
-        out["trusts"] += f"\n\nThe fitted motion alone asks for a trust of {results['trust_from_data']:.2g}."
+        found = results["trust_from_data"]
+        out["trusts"] += f"\n\nThe fitted motion alone is most probable with a prior relative standard deviation of {found:.2g}."
     rows = results["friction"]["rows"]
+    out["fit"] = f"{100 * rows['wls']['fit']:.0f} %"
+    out["stated"], out["stated-number"] = f"{100 * results['stated_trust']:.0f} %", f"{results['stated_trust']:g}"
+    out["block"] = f"{results['block_s']:g} s"
     out["answer"] = "\n".join(_answer(name, rows[name]) for name in ANSWERS if name in rows)
     return out
 
@@ -71,7 +81,6 @@ def _interval(row: dict) -> str:
 
 def figure(results: dict, path: Path) -> None:
     """Draw the difference to CAD on the other motion, in both directions."""
-    blue, orange, grey = "#1f6feb", "#d9480f", "#6b7280"
     with mpl.rc_context(STYLE):
         picture = Figure(figsize=(8.5, 3.8), layout="constrained")
         axes = picture.subplots(1, 2, sharey=True)
@@ -79,14 +88,14 @@ def figure(results: dict, path: Path) -> None:
         for ax, (key, title) in zip(axes, shown, strict=True):
             rows = {n: r for n, r in results[key]["rows"].items() if "cad" in r}
             for k, r in enumerate(rows.values()):
-                colour = blue if r["consistent"] else orange
+                colour = BLUE if r["consistent"] else ORANGE
                 ax.plot([100 * r["cad"]["low"], 100 * r["cad"]["high"]], [k, k], color=colour, lw=2)
                 ax.plot(100 * r["cad"]["difference"], k, "o", color=colour, ms=5)
-            ax.axvline(0, color=grey, lw=1)
+            ax.axvline(0, color=GREY, lw=1)
             ax.set_yticks(range(len(rows)), [NAMES.get(n, n) for n in rows])
             ax.set(xlabel="error less CAD's on the other motion [points]", title=title)
         axes[0].invert_yaxis()
-        for colour, label in ((blue, "links can exist"), (orange, "links cannot exist")):
+        for colour, label in ((BLUE, "links can exist"), (ORANGE, "links cannot exist")):
             axes[1].plot([], [], "o-", color=colour, label=label)
         picture.legend(*axes[1].get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False)
         picture.savefig(path, dpi=110, facecolor="white", metadata={"Software": None})

@@ -9,8 +9,8 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 
-sys.path.append(str(Path(__file__).parents[1]))
-from readme import STYLE, fill, plain, table  # noqa: E402, F401
+sys.path.append(str(Path(__file__).parents[2]))
+from tests.studies.page import BLUE, GREY, ORANGE, STYLE, fill, plain, table  # noqa: E402, F401
 
 
 def tables(results: dict) -> dict[str, str]:
@@ -79,18 +79,21 @@ def tables(results: dict) -> dict[str, str]:
         f"One encoder count is {count[0]:.4g} rad at joint 1 and {count[1]:.4g} rad at joint 2. "
         f"The motions last {results['machine']['seconds'][0]:.0f} s and {results['machine']['seconds'][1]:.1f} s."
     )
+    step, offset = results["machine"]["step_s"], results["machine"]["offset"]
+    largest = [max(abs(offset[f"{kind}{axis}"]) for axis in "xyz") for kind in "fm"]
+    out |= {"step": f"{1000 * step:g} ms", "half-step": f"{500 * step:g} ms"}
+    out["offset"] = f"{largest[0]:g} N and {largest[1]:g} N m"
     return out
 
 
 def figures(results: dict, parts: dict, folder: Path) -> None:
     """Draw the motions, the paper's figure 5 and the torques that the estimates predict."""
-    blue, orange, grey = "#1f6feb", "#d9480f", "#6b7280"
     setting = parts["setting"]
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(8, 2.5), layout="constrained")
         axes = figure.subplots(1, 2, sharey=True)
         for ax, motion in zip(axes, setting.motions, strict=True):
-            for j, colour in enumerate((blue, orange)):
+            for j, colour in enumerate((BLUE, ORANGE)):
                 ax.plot(motion.times, motion.positions[:, j], color=colour, label=f"q{j + 1}")
             ax.set(xlabel="time [s]", title=motion.name)
         axes[0].set_ylabel("joint angle [rad]")
@@ -101,8 +104,8 @@ def figures(results: dict, parts: dict, folder: Path) -> None:
         figure = Figure(figsize=(8, 5.6), layout="constrained")
         axes = figure.subplots(3, 2, sharex=True)
         for k, ax in enumerate(axes.T.ravel()):
-            ax.plot(prediction.times, prediction.measured[:, k], color=grey, lw=1.0, label="measured")
-            ax.plot(prediction.times, prediction.predicted[:, k], color=blue, lw=1.0, ls="--", label="predicted")
+            ax.plot(prediction.times, prediction.measured[:, k], color=GREY, lw=1.0, label="measured")
+            ax.plot(prediction.times, prediction.predicted[:, k], color=BLUE, lw=1.0, ls="--", label="predicted")
             ax.set_ylabel(f"{prediction.channel_names[k]} [{prediction.channel_units[k]}]")
         for ax in axes[-1]:
             ax.set_xlabel("time [s]")
@@ -113,9 +116,9 @@ def figures(results: dict, parts: dict, folder: Path) -> None:
         axes = figure.subplots(2, 1, sharex=True)
         truth = setting.torque(setting.torque_base.matrix @ setting.setup.robot.nominal.ravel())
         times = setting.motions[1].times
-        shown = {"torques, no friction model": orange, "base wrench": blue}
+        shown = {"torques, no friction model": ORANGE, "base wrench": BLUE}
         for j, ax in enumerate(axes):
-            ax.plot(times, truth[:, j], color=grey, lw=2.5, alpha=0.6, label="truth")
+            ax.plot(times, truth[:, j], color=GREY, lw=2.5, alpha=0.6, label="truth")
             for name, colour in shown.items():
                 values = np.asarray(results["claim"]["friction"][name]["values"])
                 ax.plot(times, setting.torque(values)[:, j], color=colour, lw=1.0, label=f"estimated from {name}")

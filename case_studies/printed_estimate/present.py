@@ -8,8 +8,8 @@ from pathlib import Path
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
-sys.path.append(str(Path(__file__).parents[1]))
-from readme import STYLE, fill, plain, table  # noqa: E402, F401
+sys.path.append(str(Path(__file__).parents[2]))
+from tests.studies.page import BLUE, GREY, ORANGE, STYLE, fill, plain, table  # noqa: E402, F401
 
 
 def tables(results: dict) -> dict[str, str]:
@@ -23,12 +23,15 @@ def tables(results: dict) -> dict[str, str]:
     # Bodies without positive pseudo-inertias or without the printed numbers would have stopped the script.
     out = {
         "masses": table(
-            "I2 is about | d2 [m] | possible | least moving mass [kg], proven between | link 1 and link 2 there [kg] "
+            "I2 is about | d2 [m] | possible | least moving mass [kg], certified between | link 1 and link 2 there [kg] "
             "| any mass of link 2 [kg]",
             rows,
         ),
         "hand": f"That is {results['by_hand']:.2f} kg.",
     }
+    # Of all readings with d2 < 0 the smallest bound, rounded down: a bound still. The reading with d2 > 0 that weighs most.
+    least = min(c["lower"] for c in cases.values() if c["d2"] < 0), max(c["lower"] for c in cases.values())
+    out["least"], out["least-positive"] = (f"{int(value)} kg" for value in least)
     radii = list(next(iter(cases.values()))["balls"])
     out["balls"] = table(
         "I2 is about | d2 [m] | anywhere | " + " | ".join(f"within {r} m" for r in radii),
@@ -110,23 +113,22 @@ def _interval(limits) -> str:
 
 def figure(results: dict, path: Path) -> None:
     """Draw what the least mass depends on."""
-    blue, orange, grey = "#1f6feb", "#d9480f", "#6b7280"
     curves = results["curves"]
 
     def look(name: str) -> dict:
-        return {"color": blue if name.startswith("joint") else orange, "ls": "--" if "= 0." in name else "-"}
+        return {"color": BLUE if name.startswith("joint") else ORANGE, "ls": "--" if "= 0." in name else "-"}
 
     with mpl.rc_context(STYLE):
         picture = Figure(figsize=(9.5, 3.2), layout="constrained")
         left, middle, right = picture.subplots(1, 3)
         for name, rows in curves["trade"].items():
             left.plot(*zip(*rows, strict=True), **look(name), label=f"I2 about {name} m")
-        left.axvline(results["puma_560_from_link_2"], color=grey, lw=1, ls=":", label="links 2 to 6, PUMA 560")
+        left.axvline(results["puma_560_from_link_2"], color=GREY, lw=1, ls=":", label="links 2 to 6, PUMA 560")
         left.set(xlabel="mass of link 2 [kg]", ylabel="least mass of link 1 [kg]", xlim=(0, 30), ylim=(0, 70))
         for name, rows in curves["offset"].items():
-            middle.plot(*zip(*rows, strict=True), color=blue if name == "joint 2" else orange)
+            middle.plot(*zip(*rows, strict=True), color=BLUE if name == "joint 2" else ORANGE)
         for d2 in (-0.2435, 0.2435):
-            middle.axvline(d2, color=grey, lw=1, ls=":")
+            middle.axvline(d2, color=GREY, lw=1, ls=":")
         middle.set(xlabel="d2 [m]", ylabel="least moving mass [kg]", ylim=(0, 90))
         for name, rows in curves["ball"].items():
             right.plot(*zip(*rows, strict=True), **look(name))
