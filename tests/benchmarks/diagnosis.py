@@ -1,6 +1,6 @@
 """python tests/benchmarks/diagnosis.py [--write]: how long `diagnose` takes on 40 s of a six-joint arm.
 
-The example PUMA 560, wrench and torques in turn, two motions of 20 s and one of 12 s for the proof, one hidden effect each.
+The example PUMA 560, wrench and torques in turn, two motions of 20 s and one of 12 s for validation, one hidden effect each.
 ``--write`` renews docs/diagnosis-speed.md and .json.
 """
 
@@ -19,15 +19,15 @@ from bayesid.robot.examples import puma560_urdf
 from bayesid.robot.robot import load_robot
 
 ROOT = Path(__file__).resolve().parent.parent.parent
-sys.path.insert(0, str(ROOT / "tests"))
-from studies.page import DOCS, write_page  # noqa: E402
+sys.path.insert(0, str(ROOT))
+from tests.studies.page import DOCS, write_page  # noqa: E402
 
 PAGE = """\
 # How long a diagnosis takes
 
-The example PUMA 560, six joints: two motions of 20 s to fit and one of 12 s for the proof, encoder counts of 2e-5 rad, one
+The example PUMA 560, six joints: two motions of 20 s to fit and one of 12 s for validation, encoder counts of 2e-5 rad, one
 hidden effect each. Median {{ median_s }} s, at most {{ largest_s }} s, on {{ cpus }} cores; this page is made by
-`python tests/benchmarks/diagnosis.py --write`. How well it names is another matter:
+`python tests/benchmarks/diagnosis.py --write`. How often it names correctly:
 [blind naming](../case_studies/blind_naming/README.md).
 
 | channel | hidden | named | seconds |
@@ -36,8 +36,8 @@ hidden effect each. Median {{ median_s }} s, at most {{ largest_s }} s, on {{ cp
 | {{ case.channel }} | {{ case.hidden | join or "nothing" }} | {{ case.named | join(", ") or "nothing" }} | {{ case.seconds }} |
 {% endfor %}
 
-Longest are flexible joints and mounts, whose noise is measured again for every compliance tried: on seven joints, or beside a
-second effect, up to two minutes.
+Flexible joints and compliant bases take longest, because their noise is estimated again for every compliance tried: on seven
+joints, or beside a second effect, up to two minutes.
 """
 HIDDEN = (
     ("wrench", ()), ("wrench", ("sensor_gain@mx",)), ("wrench", ("tether@joint3",)), ("wrench", ("base_tilt",)),

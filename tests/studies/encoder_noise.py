@@ -160,8 +160,8 @@ interval were exact, all coverages would lie within {{ pct(case.band[0]) }} to {
 
 ## How to read it
 
-*Bias* is the root mean square, over the base parameters, of each one's mean error in units of the scatter of `wls`; *chance* is
-what so many recordings would show without any bias. *rms error* has the same unit. Coverage is in per cent of 95 %
+*Bias* is the root mean square, over the base parameters, of each one's mean error in units of the standard deviation of `wls`;
+*chance* is what so many recordings would show without any bias. *rms error* has the same unit. Coverage is in per cent of 95 %
 intervals; `removed` is in per cent, and left out where the bias of `ols` is not three times what chance would show.
 
 The automatic bandwidth is what the motions need; 5 Hz is set by hand, as one would for a faster motion.
@@ -172,8 +172,8 @@ The automatic bandwidth is what the motions need; 5 Hz is set by hand, as one wo
 
 `tls` needs no more than the positions. `iv` is as good as its instruments: the commanded trajectory (here {{ lead }} ms ahead of
 the robot) is free of noise; another period, and even and odd samples, bring noise of their own. `gls` gives little weight to the
-frequencies where the noise is. `ols`, `wls` and `gls` take the regressor for exact: noise that moves no mean but differs from
-recording to recording is not in their intervals, while those of `tls` and `iv` count it.
+frequencies that contain the noise. `ols`, `wls` and `gls` treat the regressor as exact: the part of the error that varies from
+recording to recording without a bias is missing from their intervals; those of `tls` and `iv` include it.
 """
 
 

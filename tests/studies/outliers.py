@@ -144,7 +144,7 @@ def summarise(results: tuple[np.ndarray, ...]) -> dict[str, Any]:
 PAGE = """\
 # Taps and contacts
 
-Something touches the arm while it is recorded: {{ taps }} hammer taps (half sines of 100 to 300 N, 10 to 40 ms) and one
+External forces disturb the recording: {{ taps }} hammer taps (half sines of 100 to 300 N, 10 to 40 ms) and one
 contact (1 s, 20 to 60 N, ramps of 0.2 s) in 20 s, at random times, points and directions. {{ count }} simulated recordings of
 each robot from seed {{ seed }}, each fitted undisturbed (*clean*) and *disturbed*. `python -m tests.studies.outliers`
 made this page and [outliers.json](outliers.json). Motions, sensor and noise are those of [coverage.md](coverage.md).
@@ -152,7 +152,7 @@ made this page and [outliers.json](outliers.json). Motions, sensor and noise are
 *Error* is the root mean square over all recordings and base parameters, in units of the standard deviation of `wls` on the
 clean recording. *Over clean* divides it by the same method's error on clean recordings (`wls` for `ols`); *worst* is the
 parameter with the largest such ratio. *Stated* is the standard deviation that the estimates state, in the same unit.
-*Rejected* is the share of rows without weight, *touches* how many of the taps and contacts lie in a rejected window.
+*Rejected* is the share of rows without weight, *found* the share of the taps and contacts that lie in a rejected window.
 {% for name, arm in arms.items() %}
 
 ## {{ names[name] }}
@@ -160,7 +160,7 @@ parameter with the largest such ratio. *Stated* is the standard deviation that t
 {{ arm.parameters }} base parameters. If every interval were exact, all coverages at once would lie within
 {{ pct(arm.band[0]) }} to {{ pct(arm.band[1]) }} % with probability 99 %.
 
-| fit | error | over clean | worst | stated | coverage, lowest | mean | highest | rejected | touches |
+| fit | error | over clean | worst | stated | coverage, lowest | mean | highest | rejected | found |
 |---|---|---|---|---|---|---|---|---|---|
 {% for fit, f in arm.fits.items() -%}
 | {{ fit }} | {{ three(f.error) }} | {{ three(f.error_over_clean) }} | {{ three(f.largest_error_over_clean) }} | \
@@ -172,15 +172,15 @@ parameter with the largest such ratio. *Stated* is the standard deviation that t
 
 ## How to read it
 
-A part of the recording is gone, so no method can reach 1 on disturbed recordings: rejecting a share of $r$ of the rows costs
-a factor of about $1/\\sqrt{1 - r}$, more where only the rejected rows could tell a parameter.
+Part of the recording is unusable, so no method can reach 1 on disturbed recordings: rejecting a share $r$ of the rows increases
+the error by a factor of about $1/\\sqrt{1 - r}$, and more for parameters that mainly the rejected rows determine.
 
-The intervals of `ols` and `wls` on disturbed recordings hold the truth nearly as often as they say, but only because they
-are more than {{ wide }} times as wide: the touches count as noise. Behind a low-pass of 1 rad/s a tap lasts for seconds;
-`huber` and `student` undo the filter's known recursion before they look for it.
+The intervals of `ols` and `wls` on disturbed recordings hold the truth nearly as often as they should, but only because they
+are more than {{ wide }} times as wide: taps and contacts count as noise. After a low-pass of 1 rad/s a tap lasts for seconds;
+`huber` and `student` invert the filter's known recursion before they search for it.
 
-Not measured here: how weak a touch is still found, and what the touch does to the motion; the joints are taken to be held by
-their controllers. Where touches fill more than half of a recording they cannot be told from the robot.
+Not measured here: the weakest disturbance that is still found, and the effect of the disturbance on the motion; the controllers
+are assumed to hold the joints. Disturbances that fill more than half of a recording cannot be distinguished from the robot.
 """
 
 

@@ -137,27 +137,31 @@ PAGE = """\
 
 A 95 % interval should hold the truth in 95 of 100 recordings, also when the estimate is held inside the bodies that can exist.
 `python -m tests.studies.physical` made this page and [physical.json](physical.json): {{ runs }} simulated recordings a case,
-seeds from {{ seed }}. *Spread* is how far true links are from the nominal ones, and the trust that is stated; *found* leaves the
-trust to the data. *Lowest* is that of the worst base parameter; exact intervals stay within the band for all of them at once with
-99 %. *On boundary*: runs in which a link ended on the boundary of what can exist. *Error* is the root mean square in units of
-the standard deviation of `wls`. *Given*: runs in which `sdp` states intervals at all.
+seeds from {{ seed }}. *Spread* is the relative standard deviation of the true links about the nominal ones. It is stated as
+the prior's (*prior stated*), or the prior's is estimated from the data (*prior found*). *Lowest* is that of the worst base
+parameter; exact intervals stay within the band for all of them at once with 99 %. *On boundary*: runs in which a link ended on
+the boundary of what can exist. *Error* is the root mean square in units of the standard deviation of `wls`.
+*Given*: runs in which `sdp` states intervals at all.
 
 | arm | noise [N m] | spread | without extent | method | on boundary | given | coverage | lowest | band | error |
 |---|---|---|---|---|---|---|---|---|---|---|
 {% for c in cases %}{% for name, m in c.methods.items() -%}
-| {{ c.robot }} | {{ c.noise }} | {{ c.spread }} | {{ c.without_extent }} | {{ name }} | {{ pct(m.links_on_boundary) }} % | \
+| {{ c.robot }} | {{ c.noise }} | {{ c.spread }} | {{ c.without_extent }} | \
+{{ name | replace("trust", "prior") }} | {{ pct(m.links_on_boundary) }} % | \
 {{ m.coverage.runs if m.coverage else 0 }} | {{ pct(m.coverage.mean) ~ " %" if m.coverage else "none" }} | \
 {{ pct(m.coverage.lowest) ~ " %" if m.coverage else "none" }} | {{ pct(c.band[0]) }}-{{ pct(c.band[1]) }} % | \
 {{ "%.2f" | format(m.rms_error_in_wls_std) }} |
 {% endfor %}{% endfor %}
 
-Beside the boundary the estimate is no longer normal about the truth. What the intervals of `wls` about it would hold there:
+Near the boundary the estimate is no longer normally distributed about the truth. Coverage that the intervals of `wls`,
+centred on it, would have there:
 
 | arm | noise [N m] | spread | without extent | method | runs on boundary | coverage | lowest |
 |---|---|---|---|---|---|---|---|
 {% for c in cases %}{% for name, m in c.methods.items() if m.coverage_of_plain_std_on_boundary -%}
 {% set held = m.coverage_of_plain_std_on_boundary -%}
-| {{ c.robot }} | {{ c.noise }} | {{ c.spread }} | {{ c.without_extent }} | {{ name }} | {{ held.runs }} | \
+| {{ c.robot }} | {{ c.noise }} | {{ c.spread }} | {{ c.without_extent }} | \
+{{ name | replace("trust", "prior") }} | {{ held.runs }} | \
 {{ pct(held.mean) }} % | {{ pct(held.lowest) }} % |
 {% endfor %}{% endfor %}
 
