@@ -1,4 +1,6 @@
 from .diagnosis.diagnose import Diagnosis, diagnose
+from .effects.library import EffectLibrary
+from .effects.own import load_effects
 from .errors import BayesidError, BayesidWarning, EstimationError, InputError
 from .estimators import DEFAULT_METHOD, METHODS, estimator, fit
 from .estimators.conic.bounds import Bounds, load_bounds
@@ -39,6 +41,7 @@ __all__ = [
     "Comparison",
     "ConvergenceError",
     "Diagnosis",
+    "EffectLibrary",
     "Estimate",
     "EstimationError",
     "Estimator",
@@ -75,6 +78,7 @@ __all__ = [
     "fourier_trajectory",
     "identify",
     "load_bounds",
+    "load_effects",
     "load_experiment",
     "load_robot",
     "sample",

@@ -32,7 +32,7 @@ from bayesid.workflows.compare import DEFAULT_SET
 @STATIC
 @OUT
 @SEED
-def compare(experiment, filter_l, filter_d, model, methods, bounds, out, seed, **options) -> None:
+def compare(experiment, filter_l, filter_d, model, effects_from, methods, bounds, out, seed, **options) -> None:
     """Several estimators on the same data, side by side, and the nominal model beside them."""
     del seed
     check_output(out or OUTPUTS, "compare")
@@ -41,7 +41,7 @@ def compare(experiment, filter_l, filter_d, model, methods, bounds, out, seed, *
         bayesid.estimator(method)
     with show_progress() as progress:
         progress("reading")
-        loaded = load(experiment, model)
+        loaded = load(experiment, model, effects_from)
         if bounds is not None:
             methods = all_bounded(methods or DEFAULT_SET, bounds, loaded)
         result = bayesid.compare(loaded, methods, low_pass=filters, progress=progress, **options)

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import click
 
 import bayesid
-from bayesid.cli.options import EXPERIMENT, OUT, OUTPUTS, SEED, load, names, output_folder, show_progress
+from bayesid.cli.options import EFFECTS_FROM, EXPERIMENT, MODEL, OUT, OUTPUTS, SEED, load, names, output_folder, show_progress
 from bayesid.results.files import check_output
 
 
@@ -16,15 +14,16 @@ from bayesid.results.files import check_output
 @click.option("--channel", type=click.Choice(["wrench", "torque", "both"]), help="Which readings to compare.")
 @click.option("--motions", callback=names, help="Motions to fit, separated by commas.")
 @click.option("--effects", callback=names, help="Effects that the model already has, separated by commas.")
-@click.option("--model", type=click.Path(path_type=Path), help="A model.toml that replaces [model].")
+@MODEL
+@EFFECTS_FROM
 @OUT
 @SEED
-def diagnose(experiment, channel, motions, effects, model, out, seed) -> None:
+def diagnose(experiment, channel, motions, effects, model, effects_from, out, seed) -> None:
     """Where model and data disagree, which effect is missing, and validation on motions that were not fitted."""
     check_output(out or OUTPUTS, "diagnose")
     with show_progress() as progress:
         progress("reading")
-        loaded = load(experiment, model)
+        loaded = load(experiment, model, effects_from)
         result = bayesid.diagnose(loaded, channel, motions=motions, effects=effects, seed=seed, progress=progress)
         progress("report")
         report = result.write(output_folder(out, loaded.name, "diagnose"))

@@ -30,7 +30,7 @@ from bayesid.results.files import check_output
 @STATIC
 @OUT
 @SEED
-def identify(experiment, filter_l, filter_d, model, method, bounds, out, seed, **options) -> None:
+def identify(experiment, filter_l, filter_d, model, effects_from, method, bounds, out, seed, **options) -> None:
     """Base parameters with honest uncertainty, link parameters, proof on the validation motions."""
     del seed
     check_output(out or OUTPUTS, "identify")
@@ -38,7 +38,7 @@ def identify(experiment, filter_l, filter_d, model, method, bounds, out, seed, *
     chosen = bayesid.estimator(method)
     with show_progress() as progress:
         progress("reading")
-        loaded = load(experiment, model)
+        loaded = load(experiment, model, effects_from)
         chosen = bounded(chosen, bounds, loaded)
         result = bayesid.identify(loaded, method=chosen, low_pass=filters, progress=progress, **options)
         progress("report")

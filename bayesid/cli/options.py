@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import warnings
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,6 +13,7 @@ import click
 from bayesid.errors import InputError
 
 if TYPE_CHECKING:
+    from bayesid.effects import EffectLibrary
     from bayesid.recordings.experiment import Experiment
     from bayesid.signals.filters import LowPass
 
@@ -42,6 +42,10 @@ STATIC = click.option(
     help="Subtract a stop-and-go run, or fit it along.",
 )  # fmt: skip
 BOUNDS = click.option("--bounds", type=click.Path(path_type=Path), help="A TOML file of what is known of the links; for sdp.")
+MODEL = click.option("--model", type=click.Path(path_type=Path), help="A model.toml that replaces [model].")
+EFFECTS_FROM = click.option(
+    "--effects-from", type=click.Path(path_type=Path), multiple=True, help="A Python file with effects of your own."
+)  # fmt: skip
 SEED = click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of everything random.")
 
 
@@ -59,7 +63,8 @@ def model_options(command):
         click.option("--bandwidth", type=float, help="Bandwidth of the joint motion [Hz]; default: from the positions."),
         click.option("--motions", callback=names, help="Motions to fit, separated by commas."),
         click.option("--effects", callback=names, help="Effects in the model, separated by commas."),
-        click.option("--model", type=click.Path(path_type=Path), help="A model.toml that replaces [model]."),
+        MODEL,
+        EFFECTS_FROM,
     ]
     for option in reversed(options):
         command = option(command)
@@ -77,16 +82,22 @@ def low_pass(l: float | None, d: float | None) -> LowPass | None:  # noqa: E741
     return LowPass(l, 50.0 if d is None else d)
 
 
-def load(experiment: Path, model: Path | None) -> Experiment:
-    """The experiment folder, with the model of another file where one is named."""
+def load(experiment: Path, model: Path | None, effects_from: Sequence[Path]) -> Experiment:
+    """The experiment folder, with the user's own effects, and with the model of another file where one is named."""
     from bayesid.recordings.experiment import load_experiment
-    from bayesid.recordings.schema import read_model
 
-    loaded = load_experiment(experiment)
-    if model is None:
-        return loaded
-    effects, values = read_model(model)
-    return replace(loaded, effects=effects, effect_values=values)
+    loaded = load_experiment(experiment, own_effects(effects_from))
+    return loaded if model is None else loaded.with_model(model)
+
+
+def own_effects(files: Sequence[Path]) -> EffectLibrary | None:
+    """The effects that there are with those of Python files; None without any."""
+    from bayesid.effects import load_effects
+
+    library = None
+    for path in files:
+        library = load_effects(path, library)
+    return library
 
 
 def output_folder(out: Path | None, name: str, verb: str) -> Path:

@@ -37,11 +37,11 @@ from bayesid.workflows.sample import checkpoint_of
 @STATIC
 @OUT
 @SEED
-def sample(experiment, filter_l, filter_d, model, out, resume, **options) -> None:
+def sample(experiment, filter_l, filter_d, model, effects_from, out, resume, **options) -> None:
     """Draws from the posterior, with convergence checks and proof on the validation motions."""
     check_output(out or OUTPUTS, "sample")
     filters = low_pass(filter_l, filter_d)
-    loaded = load(experiment, model)
+    loaded = load(experiment, model, effects_from)
     folder = output_folder(out, loaded.name, "sample")
     kept = checkpoint_of(folder)
     try:

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import click
 
 import bayesid
-from bayesid.cli.options import EXPERIMENT, OUT, OUTPUTS, SEED, names, output_folder, show_progress
+from bayesid.cli.options import EFFECTS_FROM, EXPERIMENT, OUT, OUTPUTS, SEED, names, output_folder, own_effects, show_progress
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import load_setup
-from bayesid.recordings.schema import read_model
 from bayesid.results.files import check_output
 from bayesid.simulation.plant import complete_effects
 from bayesid.simulation.simulation import Recorder, write_simulation
@@ -31,9 +31,10 @@ from bayesid.simulation.trajectories import make_trajectories
 @click.option("--torque-std", type=float, help="Noise of a sample [N m].")
 @click.option("--resolution", type=float, help="One encoder count [rad or m].")
 @click.option("--position-std", type=float, help="Random encoder noise [rad or m].")
+@EFFECTS_FROM
 @OUT
 @SEED
-def simulate(experiment, new, duration, rate, static, effects, model, perturb, out, seed, **instruments) -> None:
+def simulate(experiment, new, duration, rate, static, effects, model, effects_from, perturb, out, seed, **instruments) -> None:
     """Simulate a recording with known truth (truth.json); [model] stays the experiment's, whatever the plant has."""
     if not new and (duration is not None or rate is not None):
         raise InputError(f"--{'rate' if duration is None else 'duration'} is for new motions; add --new")
@@ -43,9 +44,11 @@ def simulate(experiment, new, duration, rate, static, effects, model, perturb, o
     recorder = Recorder(**instruments)
     with show_progress() as progress:
         progress("simulating")
-        setup = load_setup(experiment) if new else bayesid.load_experiment(experiment)
-        hidden, values = (setup.effects, setup.effect_values) if model is None else read_model(model)
-        plant = complete_effects(setup.robot, hidden if effects is None else effects, values)
+        library = own_effects(effects_from)
+        setup = load_setup(experiment, library) if new else bayesid.load_experiment(experiment, library)
+        given = setup if model is None else setup.with_model(model)
+        setup = replace(setup, library=given.library)
+        plant = complete_effects(setup.robot, given.effects if effects is None else effects, given.effect_values, setup.library)
         made = make_trajectories(
             setup, new=new, duration=20.0 if duration is None else duration, rate=125.0 if rate is None else rate,
             static=static, seed=seed,

@@ -245,9 +245,10 @@ def model(diagnosis: Diagnosis) -> tuple[tuple[str, ...], EffectParameters]:
 def write(diagnosis: Diagnosis, folder: str | Path) -> Path:
     """Write ``diagnosis.json``, ``model.toml`` and ``report.html``; returns the report's path."""
     effects, values = model(diagnosis)
+    formulas = diagnosis.data.experiment.library.expressions
     page = diagnosis_report(diagnosis, views(diagnosis), page_text(diagnosis))
     documents = {"diagnosis.json": strict(diagnosis.to_dict())}
-    return write_results(folder, documents, {"model.toml": lambda path: write_model(effects, values, path)}, page)
+    return write_results(folder, documents, {"model.toml": lambda path: write_model(effects, values, path, formulas)}, page)
 
 
 def page_text(diagnosis: Diagnosis) -> dict:

@@ -20,6 +20,7 @@ from .library import EffectLibrary
 from .linearised import Point, linearised, moved, reach_of, starting_point
 from .loads import ExternalContact
 from .model import Model
+from .own import load_effects
 from .proposals import Linearisation, Surroundings
 from .segment import REST_SPEED, MotionSegment, middle_of
 
@@ -51,6 +52,7 @@ __all__ = [
     "Term",
     "columns",
     "linearised",
+    "load_effects",
     "middle_of",
     "moved",
     "reach_of",

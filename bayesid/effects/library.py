@@ -12,7 +12,7 @@ from difflib import get_close_matches
 from functools import cached_property, lru_cache
 from importlib import import_module
 from importlib.metadata import entry_points
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from bayesid.dynamics.channels import WRENCH_NAMES
 from bayesid.errors import InputError
@@ -65,6 +65,36 @@ class EffectLibrary:
             if names.count(c.name) > 1:
                 raise InputError(f"{source}: an effect is called '{c.name}' already; give it another name")
         return EffectLibrary((*self.own, *added))
+
+    @property
+    def expressions(self) -> dict[str, dict[str, Any]]:
+        """The user's formulas, ``[model.expressions]``, by the effect's name."""
+        return {c.name: c.table for c in self.own if hasattr(c, "table")}
+
+    def with_expressions(self, tables: Mapping[str, Mapping[str, Any]], joints: int, source: str) -> EffectLibrary:
+        """A library with the effects of ``[model.expressions]``; they take the place of formulas of the same name.
+
+        Parameters
+        ----------
+        tables
+            By the effect's name, see `bayesid.effects.expressions.expression_effect`.
+        joints
+            How many the robot has.
+        source
+            The file, for messages.
+
+        Raises
+        ------
+        InputError
+            A formula, reading or parameter cannot be, or a name is taken.
+        """
+        if not tables:
+            return self
+        from bayesid.effects.expressions import expression_effect
+
+        classes = [expression_effect(name, table, joints, source) for name, table in tables.items()]
+        others = tuple(c for c in self.own if not (c.name in tables and hasattr(c, "table")))
+        return EffectLibrary(others).with_classes(classes, source)
 
     def named(self, name: str, spec: str | None = None, fault: str = "no effect is called '{}'") -> type[Effect]:
         """The class of this name.

@@ -172,24 +172,27 @@ class Experiment:
         InputError
             The file is absent or holds anything else.
         """
-        effects, values = read_model(path)
-        return replace(self, effects=effects, effect_values=values)
+        effects, values, expressions = read_model(path)
+        library = self.library.with_expressions(expressions, self.robot.n, Path(path).name)
+        return replace(self, effects=effects, effect_values=values, library=library)
 
 
-def load_experiment(folder: str | Path) -> Experiment:
+def load_experiment(folder: str | Path, library: EffectLibrary | None = None) -> Experiment:
     """Read and check an experiment folder.
 
     Parameters
     ----------
     folder
         The folder with experiment.toml in it.
+    library
+        The effects that there are, with the user's own (`bayesid.load_effects`); default those of the package.
 
     Raises
     ------
     InputError
         Something is missing or cannot be right; the message says which file, key or column, and value, and what to do.
     """
-    setup, file = _read_setup(Path(folder))
+    setup, file = _read_setup(Path(folder), library)
     motions, warnings = [], list(setup.warnings)
     for index, section in enumerate(file.motion):
         motion, doubts = _load_motion(Path(folder), file, section, f"[motion.{index}]", setup.robot)
@@ -199,7 +202,7 @@ def load_experiment(folder: str | Path) -> Experiment:
     return replace(setup, motions=tuple(motions), warnings=tuple(warnings))
 
 
-def load_setup(folder: str | Path) -> Experiment:
+def load_setup(folder: str | Path, library: EffectLibrary | None = None) -> Experiment:
     """Read and check the robot and sensor of an experiment folder, whose tables need not exist yet: no motions.
 
     Raises
@@ -207,10 +210,10 @@ def load_setup(folder: str | Path) -> Experiment:
     InputError
         experiment.toml or the URDF is missing or wrong.
     """
-    return _read_setup(Path(folder))[0]
+    return _read_setup(Path(folder), library)[0]
 
 
-def _read_setup(folder: Path) -> tuple[Experiment, ExperimentFile]:
+def _read_setup(folder: Path, library: EffectLibrary | None) -> tuple[Experiment, ExperimentFile]:
     """What experiment.toml and the URDF say."""
     if not folder.is_dir():
         raise InputError(f"{folder}: {'not a folder' if folder.exists() else 'no such folder'}; give an experiment folder")
@@ -230,12 +233,13 @@ def _read_setup(folder: Path) -> tuple[Experiment, ExperimentFile]:
                 given[key] = None
                 warnings.append(f"experiment.toml: [sensor] {key}: 0 is no sensor's noise; the data's own is used instead")
         sensor = Sensor(**given)
-    effects, values = model_parts(file.model)
+    effects, values, expressions = model_parts(file.model)
     experiment = Experiment(
         name=file.name, robot=robot, sensor=sensor, motions=(), effects=effects, effect_values=values,
         inertia_rel_std=file.robot.inertia_rel_std, position_resolution=file.robot.position_resolution,
         position_std=file.robot.position_std, gear_ratio=dict(file.robot.gear_ratio), locked=dict(file.robot.locked),
         folder=folder, warnings=tuple(warnings),
+        library=(library or EffectLibrary()).with_expressions(expressions, robot.n, "experiment.toml"),
     )  # fmt: skip
     return experiment, file
 
@@ -334,8 +338,9 @@ def _write_into(experiment: Experiment, folder: Path) -> None:
             "force_std": sensor.force_std, "torque_std": sensor.torque_std,
         }  # fmt: skip
         document["sensor"] = {key: value for key, value in given.items() if value is not None}
-    if experiment.effects or experiment.effect_values:
-        document["model"] = dump_model(experiment.effects, experiment.effect_values)
+    expressions = experiment.library.expressions
+    if experiment.effects or experiment.effect_values or expressions:
+        document["model"] = dump_model(experiment.effects, experiment.effect_values, expressions)
     document["motion"] = []
     stems: set[str] = set()
     for motion in experiment.motions:

@@ -17,6 +17,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from bayesid.errors import InputError
 from bayesid.recordings.complaints import cut, describe, one_line
 
+Expressions = dict[str, dict[str, Any]]  # "cogging" -> {"tau2": "c * sin(3 * q2)", "parameters": {"c": {"unit": "N m"}}}
 EffectParameters = dict[str, dict[str, float | bool]]  # "tether@joint3" -> {"stiffness": 40.0, "fixed": True}
 
 #: No quantity of a robot in SI units is larger, and no size smaller without being zero: squares of both stay numbers.
@@ -115,11 +116,33 @@ class EffectValues(_Section):
     fixed: bool = False
 
 
+class ExpressionParameter(_Section):
+    """``[model.expressions.NAME.parameters.KEY]``: one number in a user's formula."""
+
+    unit: str = "1"
+    lower: Number | None = None
+    upper: Number | None = None
+    start: Number | None = None
+    typical: Number | None = None
+    tried: list[Number] = []
+
+
+class ExpressionSection(_Section):
+    """``[model.expressions.NAME]``: an effect of the user's own, as formulas by the reading that they add to."""
+
+    model_config = ConfigDict(extra="allow", strict=True, frozen=True, allow_inf_nan=False)
+    __pydantic_extra__: dict[str, str]  # pyright: ignore[reportIncompatibleVariableOverride]
+
+    summary: str = ""
+    parameters: dict[str, ExpressionParameter] = {}
+
+
 class ModelSection(_Section):
-    """``[model]``: effects the user's model already has."""
+    """``[model]``: effects the user's model already has, and formulas of the user's own."""
 
     effects: list[EffectName] = []
     values: dict[EffectName, EffectValues] = {}
+    expressions: dict[str, ExpressionSection] = {}
 
 
 class MotionSection(_Section):
@@ -205,8 +228,8 @@ def read_file(path: Path, kind: type[File]) -> File:
         raise InputError(f"{path.name}: {describe(details[0], _KEYS, kind.model_fields)}") from None
 
 
-def read_model(path: str | Path) -> tuple[tuple[str, ...], EffectParameters]:
-    """Read a model.toml, which stands in for ``[model]``: the effects and their starting values.
+def read_model(path: str | Path) -> tuple[tuple[str, ...], EffectParameters, Expressions]:
+    """Read a model.toml, which stands in for ``[model]``: the effects, their starting values, and the user's formulas.
 
     Raises
     ------
@@ -218,9 +241,11 @@ def read_model(path: str | Path) -> tuple[tuple[str, ...], EffectParameters]:
     return model_parts(section)
 
 
-def write_model(effects: Iterable[str], values: EffectParameters, path: str | Path) -> None:
+def write_model(
+    effects: Iterable[str], values: EffectParameters, path: str | Path, expressions: Expressions | None = None
+) -> None:
     """Write a model.toml for `read_model`."""
-    Path(path).write_text(tomli_w.dumps({"model": dump_model(effects, values)}), encoding="utf-8")
+    Path(path).write_text(tomli_w.dumps({"model": dump_model(effects, values, expressions or {})}), encoding="utf-8")
 
 
 def check_keys(file: ExperimentFile) -> list[str]:
@@ -299,19 +324,24 @@ def check_effects(effects: list[str], source: str) -> None:
             raise InputError(f'{source}: [model] effects: "{effect}" is listed twice; list it once')
 
 
-def dump_model(effects: Iterable[str], values: Mapping[str, Mapping[str, float | bool]]) -> dict[str, Any]:
+def dump_model(
+    effects: Iterable[str], values: Mapping[str, Mapping[str, float | bool]], expressions: Expressions
+) -> dict[str, Any]:
     """Return the ``[model]`` table, ready for a TOML writer."""
     table: dict[str, Any] = {"effects": list(effects)}
     if values:
         table["values"] = {effect: dict(parameters) for effect, parameters in values.items()}
+    if expressions:
+        table["expressions"] = expressions
     return table
 
 
-def model_parts(section: ModelSection) -> tuple[tuple[str, ...], EffectParameters]:
-    """Return the effects and their starting values; ``fixed`` is there only where it is true."""
+def model_parts(section: ModelSection) -> tuple[tuple[str, ...], EffectParameters, Expressions]:
+    """Return the effects, their starting values (``fixed`` is there only where it is true) and the user's formulas."""
     values: EffectParameters = {}
     for effect, given in section.values.items():
         values[effect] = {k: float(v) for k, v in (given.__pydantic_extra__ or {}).items()}
         if given.fixed:
             values[effect]["fixed"] = True
-    return tuple(section.effects), values
+    formulas = {name: given.model_dump(exclude_unset=True, exclude_none=True) for name, given in section.expressions.items()}
+    return tuple(section.effects), values, formulas

@@ -129,7 +129,7 @@ def test_a_failed_report_leaves_nothing(named, tmp_path, monkeypatch):
 
 
 def test_the_model_holds_what_was_found(named, written):
-    effects, values = read_model(written / "model.toml")
+    effects, values, _ = read_model(written / "model.toml")
     assert effects == ("sensor_gain@mx",)
     assert values == {"sensor_gain@mx": {"gain": named.found[0].term.values[0]}}
 
@@ -151,7 +151,7 @@ def test_the_model_keeps_what_was_there(named):
 
 def test_with_the_model_nothing_is_missing(named, written, robot):
     """And effects that are given replace those of the experiment, in the next model.toml, too."""
-    effects, values = read_model(written / "model.toml")
+    effects, values, _ = read_model(written / "model.toml")
     again = bayesid.diagnose(made(robot, GAIN, effects=("sensor_delay",), effect_values=values), effects=effects)
     assert again.verdict == "nothing_missing"
     assert again.gap.before == pytest.approx(named.gap.after, rel=1e-3)

@@ -323,7 +323,7 @@ def test_a_failed_write_leaves_nothing(folder: Path, tmp_path: Path) -> None:
 def test_a_model_file_replaces_the_model(folder: Path, tmp_path: Path) -> None:
     values: dict[str, dict[str, float | bool]] = {"tether@elbow": {"stiffness": 40.0, "fixed": True}, "spring": {}}
     write_model(("spring", "tether@elbow"), values, tmp_path / "model.toml")
-    assert read_model(tmp_path / "model.toml") == (("spring", "tether@elbow"), values)
+    assert read_model(tmp_path / "model.toml") == (("spring", "tether@elbow"), values, {})
     changed = load_experiment(folder).with_model(tmp_path / "model.toml")
     assert changed.effects == ("spring", "tether@elbow") and changed.effect_values == values
     assert changed.sensor is not None and changed.name == "two-joint"
