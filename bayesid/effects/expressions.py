@@ -139,7 +139,7 @@ def expression_effect(name: str, table: Mapping[str, Any], joints: int, source: 
         raise InputError(f"{place}: tau stands for every joint by itself; give the other readings an effect of their own")
     stated = dict(table.get("parameters", {}))
     for key in stated:
-        if not key.isidentifier() or key in CONSTANTS or key in FUNCTIONS or _is_variable(key):
+        if not key.isidentifier() or key in CONSTANTS or key in FUNCTIONS or _is_variable(key, "tau" in formulas):
             raise InputError(f"{place} parameters: '{key}' means something else in a formula; call the parameter otherwise")
     for reading, formula in formulas.items():
         _check_names(formula, reading, stated, joints, f"{place} {reading}")
@@ -196,8 +196,9 @@ def _true_names(formula: Formula) -> list[str]:
     return sorted(n for n in formula.names if n in WRENCH_NAMES or re.fullmatch(r"tau[0-9]*", n))
 
 
-def _is_variable(name: str) -> bool:
-    return name == "t" or name in WRENCH_NAMES or _OF_JOINT.fullmatch(name) is not None
+def _is_variable(name: str, of_own_joint: bool) -> bool:
+    """Whether a name is a variable; ``q``, ``v`` and ``a`` without a number are only where the formula is for each joint."""
+    return name == "t" or name in WRENCH_NAMES or (_OF_JOINT.fullmatch(name) is not None and (of_own_joint or name not in "qva"))
 
 
 def _check_names(formula: Formula, reading: str, parameters: Mapping[str, Any], joints: int, place: str) -> None:

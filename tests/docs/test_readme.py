@@ -5,9 +5,11 @@ from __future__ import annotations
 import re
 import runpy
 import shlex
+import tomllib
 from pathlib import Path
 
 import matplotlib
+import numpy as np
 import pytest
 
 from bayesid import write_experiment
@@ -50,6 +52,9 @@ def my_arm(tmp_path_factory) -> Path:
         still = recording(robot, sensor, path, seed=seed + 10, static=True, **noise)
         return Motion(name, role, recording(robot, sensor, path, seed=seed, **noise), static=still)
 
+    for code in (code for name in pages_with("python") for code in snippets(BY_NAME[name], "python")):
+        if file := re.match(r"# (\w+\.py)\n", code):  # a file of the reader's
+            (folder / file[1]).write_text(code, encoding="utf-8")
     motions = [motion("identification", "identification", 1), motion("validation", "validation", 2)]
     write_experiment(experiment(robot, motions, sensor, position_resolution=1e-4), folder / "my-arm")
     return folder
@@ -64,6 +69,24 @@ def test_python_snippets_run(name, my_arm, monkeypatch, capsys):
     for code in snippets(BY_NAME[name], "python"):
         exec(compile(code, name, "exec"), scope)
     assert capsys.readouterr().out
+    if name == "howto-own-effect.md":
+        _own_effect_was_found(scope, my_arm / "found")
+
+
+def _own_effect_was_found(scope: dict, written: Path) -> None:
+    """The effect of the page is named with the values that were hidden, in the report and in model.toml."""
+    diagnosis, (entry,) = scope["diagnosis"], scope["result"].to_dict()["effects"]
+    (found,) = diagnosis.found
+    assert diagnosis.verdict == "named" and found.term.effect.spec == "bent_shaft@joint2"
+    np.testing.assert_allclose(found.term.values, [3.0, -2.0], atol=0.1)
+    assert diagnosis.gap.before > 3.0 and diagnosis.gap.after < 1.2
+    assert "friction that varies over a turn of the joint" in (written / "report.html").read_text(encoding="utf-8")
+    model = tomllib.loads((written / "model.toml").read_text(encoding="utf-8"))["model"]
+    assert model["effects"] == ["bent_shaft@joint2"] and set(model["values"]["bent_shaft@joint2"]) == {"a", "b"}
+    for key, truth in (("a", 3.0), ("b", -2.0)):
+        value, std = entry["parameters"][key]["value"], entry["parameters"][key]["std"]
+        assert abs(value - truth) < 4.0 * std < 0.4
+    assert "bent_shaft" not in EffectLibrary().classes  # the experiment's library knows it, nothing else
 
 
 @pytest.mark.parametrize("name", pages_with("console"))
