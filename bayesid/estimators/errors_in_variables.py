@@ -26,11 +26,12 @@ from scipy.stats import norm, t
 
 from bayesid.errors import InputError
 from bayesid.estimators.details import OPTIONAL, Details
-from bayesid.estimators.estimator import Estimate, unseen
-from bayesid.estimators.factor import Factor, Weights, learn_weights, noise_of_residuals, reduce_whitened, root_covariance, solve
-from bayesid.estimators.least_squares import factor_inverse, make_estimate, nominal_start, target_from_nominal, weighted_factor
+from bayesid.estimators.estimator import Estimate
+from bayesid.estimators.factor import Factor, Weights, learn_weights, noise_of_residuals, reduce_whitened
+from bayesid.estimators.least_squares import make_estimate, nominal_start, target_from_nominal, weighted_factor
 from bayesid.estimators.sensor_noise import sensor_noise
 from bayesid.regression.blocks import Block, Pair, RegressorNoise
+from bayesid.regression.linalg import determined_inverse, pseudo_inverse, solve, standard_deviations, undetermined
 from bayesid.regression.regression import Regression
 from bayesid.signals.noise import NoiseModel
 
@@ -74,8 +75,8 @@ def begin(regression: Regression) -> Start:
     factor, scale = weighted_factor(regression, weights, "channel")
     solution = solve(factor.matrix, target_from_nominal(regression, factor))
     solution = solution + nominal_start(regression, len(solution))
-    hidden = unseen(factor.matrix)
-    return Start(weights, factor, scale, solution, hidden, factor_inverse(factor.matrix, hidden))
+    hidden = undetermined(factor.matrix)
+    return Start(weights, factor, scale, solution, hidden, determined_inverse(factor.matrix, hidden))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -234,7 +235,7 @@ def split_noise(
         if k < _SPECTRA:
             added.append(rows)
     blocks = regression.pilot()
-    taken = root_covariance(reduce_whitened(blocks, start.weights.noise).matrix)
+    taken = pseudo_inverse(reduce_whitened(blocks, start.weights.noise).matrix)
     noise = {}
     for group in start.weights.noise:
         own = [b for b in blocks if b.group == group]
@@ -268,13 +269,13 @@ def spread(noise: dict[str, NoiseModel], rows: Iterable[tuple[Block, np.ndarray]
 
 def largest_shift(change: np.ndarray, covariance: np.ndarray, hidden: np.ndarray) -> float:
     """Largest change of a parameter in standard deviations of least squares."""
-    std = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    std = standard_deviations(covariance, 1e-300)
     return float(np.max(np.where(hidden, 0.0, np.abs(change) / std), initial=0.0))
 
 
 def strongest(regression: Regression, direction: np.ndarray, covariance: np.ndarray) -> str:
     """Name of the parameter that a direction of parameters moves most, in standard deviations."""
-    std = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    std = standard_deviations(covariance, 1e-300)
     return [*regression.base.labels, *regression.effect_names][int(np.argmax(np.abs(direction) / std))]
 
 

@@ -12,6 +12,7 @@ from scipy.stats import norm
 
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.estimators.details import Details
+from bayesid.regression.linalg import standard_deviations
 from bayesid.regression.regression import Regression
 from bayesid.signals.noise import NoiseModel
 
@@ -109,7 +110,7 @@ class Estimate:
         """Standard deviations of ``solution`` (p,); nan where the data say nothing or none is honest."""
         if self.full_covariance is None:
             return np.full(len(self.solution), np.nan)
-        return np.where(self.undetermined, np.nan, np.sqrt(np.maximum(np.diag(self.full_covariance), 0.0)))
+        return np.where(self.undetermined, np.nan, standard_deviations(self.full_covariance))
 
     @property
     def std(self) -> np.ndarray:
@@ -196,29 +197,6 @@ class Estimate:
 
 def _number(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
-
-
-def unseen(matrix: np.ndarray, tolerance: float = 1e-10) -> np.ndarray:
-    """Columns of a (weighted) factor with a part that the rows do not determine (p,)."""
-    length = np.linalg.norm(matrix, axis=0)
-    nothing = length <= 1e-13 * length.max(initial=0.0)
-    if nothing.all():
-        return nothing
-    _, s, vt = np.linalg.svd(matrix[:, ~nothing] / length[~nothing])
-    out = nothing.copy()
-    out[~nothing] = (np.abs(vt[s <= tolerance * s[0]]) > 1e-6).any(axis=0)
-    return out
-
-
-def condition(matrix: np.ndarray) -> float:
-    """Condition number with columns of unit length; infinite where a column is zero."""
-    length = np.linalg.norm(matrix, axis=0)
-    if not len(length):
-        return 1.0
-    if length.min() <= 1e-13 * length.max():
-        return float("inf")
-    s = np.linalg.svd(matrix / length, compute_uv=False)
-    return float(s[0] / s[-1]) if s[-1] > 0 else float("inf")
 
 
 def largest_autocorrelation(white: Sequence[np.ndarray], lags: int = 10) -> float:

@@ -15,6 +15,7 @@ from scipy.linalg import cholesky, solve_triangular
 
 from bayesid.regression.blocks import Block
 from bayesid.regression.hypothesis_tests import hausman
+from bayesid.regression.linalg import pseudo_inverse, solve, standard_deviations
 from bayesid.regression.parallel import in_order
 from bayesid.regression.regression import Regression
 from bayesid.signals.noise import NoiseModel, estimate_noise
@@ -258,7 +259,7 @@ def noise_of_residuals(
     """Noise of each group of rows from the residuals of a fit; of an efficient one if its factor is given."""
     noise = {}
     total = sum(len(b.rows) for b in blocks)
-    root = None if efficient is None else root_covariance(efficient.matrix)
+    root = None if efficient is None else pseudo_inverse(efficient.matrix)
     for group in dict.fromkeys(b.group for b in blocks):
         own = [b for b in blocks if b.group == group]
         noise[group] = estimate_noise(
@@ -269,13 +270,6 @@ def noise_of_residuals(
             spread=None if root is None else [_flat(b.matrix, root) for b in own],
         )
     return noise
-
-
-def root_covariance(matrix: np.ndarray) -> np.ndarray:
-    """L with ``L L' = (R'R)^+`` for a factor R (p, p); directions that the rows say nothing about have none."""
-    length = np.linalg.norm(matrix, axis=0)
-    length = np.where(length > 1e-14 * length.max(initial=0.0), length, 1.0)
-    return np.linalg.pinv(matrix / length, rcond=1e-11) / length[:, None]
 
 
 def _agreement(
@@ -290,7 +284,7 @@ def _agreement(
     middle = pilot.gram(lambda b, x: noise[b.group].colour_transposed(x / scale[:, None] ** 2))
     outer = np.linalg.pinv(bread.T @ bread, rcond=1e-12, hermitian=True)
     covariance = outer @ middle @ outer
-    size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    size = standard_deviations(covariance, 1e-300)
     gap = covariance - np.linalg.pinv(whole.T @ whole, rcond=1e-12, hermitian=True)
     # Where the two fits are almost equally sure, the tiny difference is one of estimated weights, not of fits.
     return hausman(plain - efficient, gap, size, 0.05).probability
@@ -305,13 +299,3 @@ def reduce_whitened(blocks: Iterable[Block], noise: dict[str, NoiseModel]) -> Fa
         r = _stack_all(r, flat)
     assert r is not None
     return Factor(r, rows)
-
-
-def solve(matrix: np.ndarray, target: np.ndarray, tolerance: float = 1e-11) -> np.ndarray:
-    """Least-squares solution; directions that the rows say nothing about stay zero.
-
-    Columns are scaled to unit length first, except those that are zero.
-    """
-    length = np.linalg.norm(matrix, axis=0)
-    length = np.where(length > 1e-14 * length.max(initial=0.0), length, 1.0)
-    return np.linalg.lstsq(matrix / length, target, rcond=tolerance)[0] / length

@@ -19,9 +19,17 @@ from scipy.optimize import minimize_scalar
 
 from bayesid.errors import InputError
 from bayesid.estimators.details import Details
-from bayesid.estimators.estimator import Estimate, condition, largest_autocorrelation, unseen
-from bayesid.estimators.factor import Factor, Weights, gram_rows, learn_weights, reduce_rows, reduce_whitened, solve, whitened
+from bayesid.estimators.estimator import Estimate, largest_autocorrelation
+from bayesid.estimators.factor import Factor, Weights, gram_rows, learn_weights, reduce_rows, reduce_whitened, whitened
 from bayesid.regression.blocks import Block
+from bayesid.regression.linalg import (
+    column_lengths,
+    condition_number,
+    determined_inverse,
+    solve,
+    standard_deviations,
+    undetermined,
+)
 from bayesid.regression.regression import Regression
 from bayesid.signals.noise import NoiseModel
 
@@ -41,8 +49,8 @@ class LeastSquares:
         factor, scale = weighted_factor(regression, weights, self.weights)
         solution = solve(factor.matrix, target_from_nominal(regression, factor))
         solution = solution + nominal_start(regression, len(solution))
-        hidden = unseen(factor.matrix)
-        inverse = factor_inverse(factor.matrix, hidden)
+        hidden = undetermined(factor.matrix)
+        inverse = determined_inverse(factor.matrix, hidden)
         if self.weights == "noise":
             covariance = inverse @ inverse.T
         else:
@@ -174,15 +182,6 @@ def target_from_nominal(regression: Regression, factor: Factor) -> np.ndarray:
     return factor.target - factor.matrix @ nominal_start(regression, factor.matrix.shape[1])
 
 
-def factor_inverse(matrix: np.ndarray, hidden: np.ndarray) -> np.ndarray:
-    """Inverse of the triangular factor (p, p) in the determined columns, scaled for accuracy; zero in the hidden ones (p,)."""
-    seen = ~hidden
-    length = np.linalg.norm(matrix[:, seen], axis=0)
-    out = np.zeros(matrix.shape[::-1])
-    out[seen] = np.linalg.pinv(matrix[:, seen] / length, rcond=1e-12) / length[:, None]
-    return out
-
-
 def sandwich_middle(regression: Regression, noise: dict[str, NoiseModel], scale: dict[str, np.ndarray]) -> np.ndarray:
     """Sum of ``X' W' Sigma W X`` over all blocks (p, p).
 
@@ -209,8 +208,7 @@ def _shrink(regression, factor: Factor, given, inverse, *, continuous: bool) -> 
         project = np.eye(len(target)) - basis @ basis.T
     else:
         project = np.eye(len(target))
-    length = np.linalg.norm(project @ matrix, axis=0)
-    length = np.where(length > 1e-13 * length.max(initial=0.0), length, 1.0)
+    length = column_lengths(project @ matrix, 1e-13)
     u, s, vt = np.linalg.svd(project @ matrix / length, full_matrices=False)
     rotated = u.T @ project @ target
     floor = factor.least_squares + max(float(np.sum((project @ target) ** 2) - rotated @ rotated), 0.0)
@@ -235,7 +233,7 @@ def _shrink(regression, factor: Factor, given, inverse, *, continuous: bool) -> 
 
 
 def _biased(name, regression, weights, factor, values, details, reason) -> Estimate:
-    estimate = make_estimate(name, regression, weights, factor, values, None, unseen(factor.matrix))
+    estimate = make_estimate(name, regression, weights, factor, values, None, undetermined(factor.matrix))
     return replace(estimate, interval="none", interval_reason=reason, details=details)
 
 
@@ -269,7 +267,7 @@ def make_estimate(
     rms = float(np.sqrt(sum(np.sum(w**2) for w in white) / max(count - len(solution), 1)))
     weak = np.zeros(len(solution), bool)
     if covariance is not None:
-        std = np.sqrt(np.maximum(np.diag(covariance), 0.0))[: regression.base.rank]
+        std = standard_deviations(covariance)[: regression.base.rank]
         size = regression.nominal_scale if regression.nominal_scale is not None else np.abs(solution[: regression.base.rank])
         weak[: regression.base.rank] = std > size
     return Estimate(
@@ -284,7 +282,7 @@ def make_estimate(
         interval="confidence",
         noise=weights.noise,
         rows=factor.rows,
-        condition_number=condition(factor.matrix),
+        condition_number=condition_number(factor.matrix),
         residual_rms=rms,
         whiteness=largest_autocorrelation(white),
         details=Details(**_completeness(weights)),

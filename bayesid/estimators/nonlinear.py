@@ -6,17 +6,23 @@ A step that makes the residual larger is halved.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cached_property
+
 import numpy as np
 
 from bayesid.dynamics.nearest_links import nearest_links
 from bayesid.effects import Point, moved
 from bayesid.estimators import DEFAULT_METHOD, Estimate, Estimator, fit
+from bayesid.regression.gauss_newton import Linearised, StepControl, minimise
 from bayesid.regression.problem import Problem, absorbed_offset, relinearised
 
-_ITERATIONS = 15
-_HALVINGS = 6
 #: The effects' parameters have settled when a step is this small against their standard deviations.
 SETTLED = 0.05
+#: Shares of a step are tried until one makes the residual no larger; the next step is tried whole again.
+_CONTROL = StepControl(
+    steps=15, trials=6, first=1.0, refused=lambda share: 0.5 * share, accepted=lambda _: 1.0, tolerance=lambda cost: 1e-9 * cost
+)
 
 
 def solve(problem: Problem, method: str | Estimator = DEFAULT_METHOD) -> tuple[Problem, Estimate]:
@@ -34,34 +40,43 @@ def solve(problem: Problem, method: str | Estimator = DEFAULT_METHOD) -> tuple[P
     problem, estimate
         The problem, linearised at the estimate; the same where nothing has to be.
     """
-    estimate = fit(problem.regression, method)
-    point = problem.row_model.point
-    if point is None:
-        return problem, estimate
-    for _ in range(_ITERATIONS):
+    if problem.row_model.point is None:
+        return problem, fit(problem.regression, method)
+    found = minimise(Fitted(problem, method), Fitted.linearised, _CONTROL)
+    return found.problem, found.estimate
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A problem linearised at a point, with its estimate."""
+
+    problem: Problem
+    method: str | Estimator
+
+    @cached_property
+    def estimate(self) -> Estimate:
+        """The estimate of the linearised problem; made when asked for, as states that are refused need none."""
+        return fit(self.problem.regression, self.method)
+
+    def linearised(self) -> Linearised[Fitted] | None:
+        """Steps towards the estimate; None where it is at the point already."""
+        problem, estimate = self.problem, self.estimate
         here = problem.row_model.point
         assert here is not None
-        # In units of the present noise: while the point is far off, model error counts as noise, too.
-        cost = _cost(problem, here, estimate)
         others, now = slice(problem.row_model.base.rank, None), here.values[here.free]
         step = np.where(estimate.undetermined[others], 0.0, estimate.solution[others] - now)
         std = estimate.full_std[others]
         small = np.abs(step) <= np.where(np.isfinite(std) & (std > 0), SETTLED * std, 1e-6 + 1e-6 * np.abs(now))
         if small.all():
-            break
-        share, trial, new = 1.0, problem, np.inf
-        for _ in range(_HALVINGS):
+            return None
+
+        def trial(share: float) -> tuple[Fitted, float]:
             there = _stepped(problem, here, estimate, step, share)
-            trial = relinearised(problem, there)
-            new = _cost(trial, there, estimate)
-            if new <= cost * (1.0 + 1e-9):
-                break
-            share *= 0.5
-        if not new <= cost * (1.0 + 1e-9):
-            break
-        problem = trial
-        estimate = fit(problem.regression, method)
-    return problem, estimate
+            moved_problem = relinearised(problem, there)
+            return Fitted(moved_problem, self.method), _cost(moved_problem, there, estimate)
+
+        # In units of the present noise: while the point is far off, model error counts as noise, too.
+        return Linearised(_cost(problem, here, estimate), trial)
 
 
 def settled(problem: Problem) -> Problem:

@@ -14,12 +14,12 @@ from scipy.linalg import solve_triangular
 
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.errors import InputError
-from bayesid.estimators.estimator import unseen
 from bayesid.posterior import coordinates
 from bayesid.posterior.likelihood import Likelihood
 from bayesid.posterior.noise import NOISES, DofPrior, ScalePrior, student_log_likelihood
 from bayesid.posterior.quadratic import Quadratic
 from bayesid.posterior.trajectory import travel
+from bayesid.regression.linalg import undetermined
 from bayesid.regression.regression import Regression
 from bayesid.robot.prior import Prior
 
@@ -111,7 +111,9 @@ class PosteriorModel:
             stacked = stacked[:, r:]
             known = known[:, r:]
         names = (self.base.labels if self.prior is None else ()) + self.effect_names
-        hidden = unseen(np.concatenate([np.asarray(np.linalg.qr(stacked, mode="r")), known])) if len(names) else np.zeros(0, bool)
+        hidden = np.zeros(0, bool)
+        if names:
+            hidden = undetermined(np.concatenate([np.asarray(np.linalg.qr(stacked, mode="r")), known]))
         if hidden.any():
             shown = [names[k] for k in np.flatnonzero(hidden)[:_SHOWN]]
             more = f" and {hidden.sum() - _SHOWN} more" if hidden.sum() > _SHOWN else ""

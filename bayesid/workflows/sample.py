@@ -11,7 +11,7 @@ from threadpoolctl import threadpool_limits
 
 from bayesid.errors import InputError
 from bayesid.estimators import Estimate
-from bayesid.estimators.estimator import condition, largest_autocorrelation
+from bayesid.estimators.estimator import largest_autocorrelation
 from bayesid.estimators.factor import Factor, stack
 from bayesid.estimators.nonlinear import settled
 from bayesid.posterior.convert import write_netcdf
@@ -22,6 +22,7 @@ from bayesid.posterior.result import PRIOR_DRIVEN, Posterior
 from bayesid.posterior.run import Chains, choose_engine, run
 from bayesid.recordings.experiment import Experiment, load_experiment
 from bayesid.regression.blocks import Block
+from bayesid.regression.linalg import condition_number
 from bayesid.regression.options import NOT_FOR_REGRESSIONS, FitOptions
 from bayesid.regression.problem import Problem, prepare
 from bayesid.regression.regression import Regression
@@ -223,7 +224,7 @@ def as_estimate(posterior: Posterior, regression: Regression) -> Estimate:
     return Estimate(
         method="posterior", base=posterior.base, effect_names=model.effect_names, effect_units=model.effect_units,
         solution=solution, full_covariance=covariance, undetermined=undetermined, weak=weak, interval="credible", noise=noise,
-        rows=factor.rows, condition_number=condition(factor.matrix), residual_rms=float(np.sqrt(residual / factor.rows)),
+        rows=factor.rows, condition_number=condition_number(factor.matrix), residual_rms=float(np.sqrt(residual / factor.rows)),
         whiteness=largest_autocorrelation([w[:, :, -1] - w[:, :, :-1] @ solution for w in model.likelihood.white]),
     )  # fmt: skip
 

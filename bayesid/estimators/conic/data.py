@@ -8,6 +8,7 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
 from bayesid.errors import InputError
+from bayesid.regression.linalg import column_lengths
 from bayesid.regression.regression import Regression
 from bayesid.robot import inertia
 from bayesid.robot.prior import Prior
@@ -54,8 +55,7 @@ def compressed(matrix: np.ndarray, target: np.ndarray, middle: np.ndarray | None
 
     With ``R = U S V' D`` the coordinates ``z = S V' D x`` have bread one, so their covariance is their meat.
     """
-    length = np.linalg.norm(matrix, axis=0)
-    length = np.where(length > 1e-14 * length.max(initial=0.0), length, 1.0)
+    length = column_lengths(matrix)
     u, s, vt = np.linalg.svd(matrix / length)
     keep = s > 1e-11 * s[0]
     rows, rotated = s[keep][:, None] * vt[keep] * length, u.T[keep] @ target

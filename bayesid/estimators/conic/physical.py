@@ -31,9 +31,10 @@ from bayesid.estimators.conic.prior_strength import LinkPrior, link_prior
 from bayesid.estimators.conic.problem import Conic, Linear, Solution
 from bayesid.estimators.conic.solver import Infeasible, solve_conic
 from bayesid.estimators.details import OPTIONAL, Details
-from bayesid.estimators.estimator import Estimate, unseen
+from bayesid.estimators.estimator import Estimate
 from bayesid.estimators.factor import learn_weights
 from bayesid.estimators.least_squares import make_estimate, sandwich_middle, weighted_factor
+from bayesid.regression.linalg import determined_inverse, undetermined
 from bayesid.regression.regression import Regression
 from bayesid.robot.prior import Prior
 
@@ -92,7 +93,7 @@ class Physical:
         learned = learn_weights(regression)
         kind = self.weights if self.weights != "auto" else "noise" if learned.complete else "channel"
         factor, scale = weighted_factor(regression, learned, kind)
-        hidden = unseen(factor.matrix)
+        hidden = undetermined(factor.matrix)
         middle = None if kind == "noise" else sandwich_middle(regression, learned.noise, scale)
         matrix, target = compressed(factor.matrix, factor.target, middle)
         data = LinkData.of(regression, matrix, target, self.prior)
@@ -191,7 +192,7 @@ def conic(data: LinkData, prior: LinkPrior, bounds: tuple[Linear, ...] = (), str
     rows[len(data.target) :, : data.size] = root
     rows[len(data.target) :, -1] = root @ prior.mean
     length = np.linalg.norm(rows[:, :n], axis=0)
-    nothing = unseen(rows[:, :n])
+    nothing = undetermined(rows[:, :n])
     if nothing.any():
         # Columns that neither side knows, such as an effect that never acts: held at zero by next to nothing.
         hold = np.zeros((int(nothing.sum()), n + 1))
@@ -327,9 +328,5 @@ def _of_data(matrix: np.ndarray, hidden: np.ndarray) -> np.ndarray:
     For a prior that is wide, doubtful or chosen by the data themselves: too cautious about an estimate that the nominal
     model pulls to the truth, but it held the truth in every case simulated (docs/physical.md).
     """
-    seen = ~hidden
-    length = np.linalg.norm(matrix[:, seen], axis=0)
-    inverse = np.linalg.pinv(matrix[:, seen] / length, rcond=1e-12) / length[:, None]
-    out = np.zeros((len(hidden), len(hidden)))
-    out[np.ix_(seen, seen)] = inverse @ inverse.T
-    return out
+    inverse = determined_inverse(matrix, hidden)
+    return inverse @ inverse.T

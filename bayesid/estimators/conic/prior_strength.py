@@ -18,6 +18,7 @@ from scipy.stats import chi2
 
 from bayesid.errors import InputError
 from bayesid.estimators.conic.data import LinkData
+from bayesid.regression.linalg import or_one, standard_deviations
 from bayesid.regression.regression import Regression
 from bayesid.robot import inertia
 from bayesid.robot.prior import Prior
@@ -155,8 +156,7 @@ def _unit_root(mean: np.ndarray, bodies, metric: str) -> np.ndarray:
 
 def _root(precision: np.ndarray) -> np.ndarray:
     """W with ``W'W = precision``; directions without any are left out."""
-    size = np.sqrt(np.maximum(np.diag(precision), 0.0))
-    size = np.where(size > 0, size, 1.0)
+    size = or_one(standard_deviations(precision), 0.0)
     scaled = precision / np.outer(size, size)
     try:
         return cholesky(0.5 * (scaled + scaled.T)) * size

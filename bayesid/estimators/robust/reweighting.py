@@ -22,9 +22,9 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
-from bayesid.estimators.estimator import Estimate, unseen
-from bayesid.estimators.factor import Factor, Weights, gram_rows, learn_weights, reduce_rows, solve, whitened
-from bayesid.estimators.least_squares import factor_inverse, make_estimate, nominal_start, target_from_nominal
+from bayesid.estimators.estimator import Estimate
+from bayesid.estimators.factor import Factor, Weights, gram_rows, learn_weights, reduce_rows, whitened
+from bayesid.estimators.least_squares import make_estimate, nominal_start, target_from_nominal
 from bayesid.estimators.robust.losses import WHOLE, Loss
 from bayesid.estimators.robust.segments import (
     Residuals,
@@ -38,6 +38,7 @@ from bayesid.estimators.robust.segments import (
 )  # fmt: skip
 from bayesid.estimators.robust.trimmed import trimmed
 from bayesid.regression.blocks import Block
+from bayesid.regression.linalg import determined_inverse, solve, undetermined
 from bayesid.regression.regression import Regression
 from bayesid.regression.row_cache import RowCache
 from bayesid.signals.noise import NoiseModel
@@ -116,7 +117,7 @@ class RobustFit:
             weighted(self.plain.blocks(), self.left, self.good.astype(float)),
             lambda b: noise[b.group].colour_transposed(b.matrix * scale[b.group][:, None] ** 2),
         )
-        inverse = factor_inverse(self.factor.matrix, hidden)
+        inverse = determined_inverse(self.factor.matrix, hidden)
         bread = inverse @ inverse.T / self._slope(inverse)
         return bread @ middle @ bread
 
@@ -161,7 +162,7 @@ class RobustFit:
 
     def estimate(self, name: str) -> Estimate:
         """The estimate, whose details are still to be given."""
-        hidden = unseen(self.factor.matrix)
+        hidden = undetermined(self.factor.matrix)
         made = make_estimate(name, self.clean, self.learned, self.factor, self.solution, self.covariance(hidden), hidden)
         return replace(made, noise=_with_filters(self.regression, made.noise))
 

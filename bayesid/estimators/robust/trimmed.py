@@ -10,6 +10,7 @@ from scipy.stats import chi2
 
 from bayesid.estimators.robust.segments import Residuals, lengths, metrics, residuals, weighted
 from bayesid.regression.blocks import Block
+from bayesid.regression.linalg import or_one, standard_deviations
 from bayesid.signals.noise import NoiseModel
 
 _ABSOLUTE_PASSES, _TRIMMED_PASSES = 20, 12
@@ -76,6 +77,5 @@ def _gram(block: Block, scale: np.ndarray) -> np.ndarray:
 
 def _solve_gram(gram: np.ndarray) -> np.ndarray:
     """Least squares from the Gram matrix of [X y], good enough to start from."""
-    length = np.sqrt(np.maximum(np.diag(gram)[:-1], 0.0))
-    length = np.where(length > 1e-14 * length.max(initial=0.0), length, 1.0)
+    length = or_one(standard_deviations(gram)[:-1])
     return np.linalg.lstsq(gram[:-1, :-1] / np.outer(length, length), gram[:-1, -1] / length, rcond=1e-12)[0] / length

@@ -1,0 +1,78 @@
+"""Linear algebra for columns of very different sizes: scaled to unit length, and cut where the rows say nothing."""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def column_lengths(matrix: np.ndarray, smallest: float = 1e-14) -> np.ndarray:
+    """Lengths of columns (p,) to divide by; see `or_one`."""
+    return or_one(np.linalg.norm(matrix, axis=0), smallest)
+
+
+def or_one(length: np.ndarray, smallest: float = 1e-14) -> np.ndarray:
+    """Lengths (p,), one in place of those that are not above this share of the largest: columns that are zero to rounding."""
+    return np.where(length > smallest * length.max(initial=0.0), length, 1.0)
+
+
+def solve(matrix: np.ndarray, target: np.ndarray, tolerance: float = 1e-11) -> np.ndarray:
+    """Least-squares solution; directions that the rows say nothing about stay zero.
+
+    Parameters
+    ----------
+    matrix, target
+        (k, p) and (k,) or (k, m).
+    tolerance
+        Singular values of the columns at unit length count as zero below this share of the largest.
+    """
+    length = column_lengths(matrix)
+    return (np.linalg.lstsq(matrix / length, target, rcond=tolerance)[0].T / length).T
+
+
+def pseudo_inverse(matrix: np.ndarray, tolerance: float = 1e-11) -> np.ndarray:
+    """Pseudo-inverse (p, k) by way of columns at unit length; ``tolerance`` as in `solve`."""
+    length = column_lengths(matrix)
+    return np.linalg.pinv(matrix / length, rcond=tolerance) / length[:, None]
+
+
+def determined_inverse(matrix: np.ndarray, hidden: np.ndarray) -> np.ndarray:
+    """Inverse of a factor (k, p) in the determined columns, zero in the hidden ones (p, k).
+
+    Parameters
+    ----------
+    matrix
+        Factor of the rows (k, p).
+    hidden
+        Columns that the rows do not determine (p,), see `undetermined`.
+    """
+    out = np.zeros(matrix.shape[::-1])
+    out[~hidden] = pseudo_inverse(matrix[:, ~hidden], 1e-12)
+    return out
+
+
+def undetermined(matrix: np.ndarray, tolerance: float = 1e-10) -> np.ndarray:
+    """Columns of a (weighted) factor with a part that the rows do not determine (p,)."""
+    length = np.linalg.norm(matrix, axis=0)
+    nothing = length <= 1e-13 * length.max(initial=0.0)
+    if nothing.all():
+        return nothing
+    _, s, vt = np.linalg.svd(matrix[:, ~nothing] / length[~nothing])
+    out = nothing.copy()
+    out[~nothing] = (np.abs(vt[s <= tolerance * s[0]]) > 1e-6).any(axis=0)
+    return out
+
+
+def condition_number(matrix: np.ndarray) -> float:
+    """Condition number with columns of unit length; infinite where a column is zero."""
+    length = np.linalg.norm(matrix, axis=0)
+    if not len(length):
+        return 1.0
+    if length.min() <= 1e-13 * length.max():
+        return float("inf")
+    s = np.linalg.svd(matrix / length, compute_uv=False)
+    return float(s[0] / s[-1]) if s[-1] > 0 else float("inf")
+
+
+def standard_deviations(covariance: np.ndarray, smallest: float = 0.0) -> np.ndarray:
+    """Roots of the variances (p,), of ``smallest`` where rounding leaves less."""
+    return np.sqrt(np.maximum(np.diag(covariance), smallest))

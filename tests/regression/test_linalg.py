@@ -1,0 +1,69 @@
+"""Scaled least squares against plain dense answers."""
+
+import numpy as np
+from numpy.testing import assert_allclose
+
+from bayesid.regression.linalg import (
+    column_lengths,
+    condition_number,
+    determined_inverse,
+    pseudo_inverse,
+    solve,
+    standard_deviations,
+    undetermined,
+)
+
+SIZES = 10.0 ** np.array([-6.0, 0.0, 3.0, 6.0])
+
+
+def columns(rng, zero=(), dependent=False):
+    matrix = rng.normal(size=(30, 4)) * SIZES
+    if dependent:
+        matrix[:, 3] = 1e6 * matrix[:, 1] + 1e3 * matrix[:, 2]
+    matrix[:, list(zero)] = 0.0
+    return matrix
+
+
+def test_solution_is_that_of_the_normal_equations_whatever_the_units():
+    rng = np.random.default_rng(0)
+    matrix, target = columns(rng), rng.normal(size=(30, 2))
+    scaled = matrix / SIZES
+    expected = np.linalg.inv(scaled.T @ scaled) @ scaled.T @ target / SIZES[:, None]
+    assert_allclose(solve(matrix, target), expected, rtol=1e-10)
+    assert_allclose(solve(matrix, target[:, 0]), expected[:, 0], rtol=1e-10)
+    assert_allclose(pseudo_inverse(matrix) @ target, expected, rtol=1e-10)
+
+
+def test_directions_without_rows_stay_zero_and_are_told():
+    rng = np.random.default_rng(1)
+    matrix, target = columns(rng, zero=[2]), rng.normal(size=30)
+    found = solve(matrix, target)
+    assert found[2] == 0.0 and list(undetermined(matrix)) == [False, False, True, False]
+    left = matrix[:, [0, 1, 3]]
+    assert_allclose(found[[0, 1, 3]], np.linalg.lstsq(left / SIZES[[0, 1, 3]], target)[0] / SIZES[[0, 1, 3]], rtol=1e-10)
+    both = columns(rng, dependent=True)
+    assert list(undetermined(both)) == [False, True, True, True]
+    assert_allclose(both @ solve(both, target), both[:, :3] @ solve(both[:, :3], target), rtol=1e-8)
+
+
+def test_inverse_in_the_determined_columns_gives_their_covariance():
+    rng = np.random.default_rng(2)
+    factor = np.linalg.qr(columns(rng, zero=[0]), mode="r")
+    inverse = determined_inverse(factor, undetermined(factor))
+    assert not inverse[0].any()
+    unit = factor[:, 1:] / SIZES[1:]
+    expected = np.linalg.inv(unit.T @ unit) / np.outer(SIZES[1:], SIZES[1:])
+    assert_allclose((inverse @ inverse.T)[1:, 1:], expected, rtol=1e-9)
+
+
+def test_condition_number_does_not_know_units():
+    rng = np.random.default_rng(3)
+    matrix = columns(rng)
+    unit = matrix / np.linalg.norm(matrix, axis=0)
+    assert_allclose(condition_number(matrix), np.linalg.cond(unit), rtol=1e-9)
+    assert np.isinf(condition_number(columns(rng, zero=[1]))) and condition_number(np.zeros((3, 0))) == 1.0
+
+
+def test_lengths_and_standard_deviations_of_next_to_nothing():
+    assert_allclose(column_lengths(np.diag([3.0, 0.0, 1e-20])), [3.0, 1.0, 1.0])
+    assert_allclose(standard_deviations(np.diag([4.0, -1e-20]), 1e-300), [2.0, 1e-150])
