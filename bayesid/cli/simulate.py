@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -38,8 +37,8 @@ def simulate(experiment, new, duration, rate, static, effects, model, effects_fr
     """Simulate a recording with known truth (truth.json); [model] stays the experiment's, whatever the plant has."""
     if not new and (duration is not None or rate is not None):
         raise InputError(f"--{'rate' if duration is None else 'duration'} is for new motions; add --new")
-    if not (math.isfinite(perturb) and perturb >= 0):
-        raise InputError(f"--perturb {perturb}: give a number of at least 0, such as 0.1")
+    if not 0 <= perturb <= 10:
+        raise InputError(f"--perturb {perturb}: give a share from 0 to 10, such as 0.1")
     check_output(out or OUTPUTS)
     recorder = Recorder(**instruments)
     with show_progress() as progress:

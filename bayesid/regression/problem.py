@@ -329,9 +329,13 @@ def _choose(experiment: Experiment, motions: Sequence[str] | None) -> list[Motio
     if motions is None:
         return list(experiment.identification)
     by_name = {m.name: m for m in experiment.motions}
+    if not motions:
+        raise InputError(f"--motions names none; write one or more of {', '.join(by_name)}")
     for name in motions:
         if name not in by_name:
             raise InputError(f"--motions {name}: no such motion in experiment.toml; it has {', '.join(by_name)}")
+        if list(motions).count(name) > 1:
+            raise InputError(f"--motions {name}: is named twice, which would count its readings twice; name it once")
     return [by_name[name] for name in motions]
 
 
@@ -381,6 +385,8 @@ def _readings(table, channel: str) -> np.ndarray:
 
 
 def _smoother(experiment: Experiment, segments: list[Segment], bandwidth: float | None) -> Smoother:
+    if bandwidth is not None and not (np.isfinite(bandwidth) and bandwidth > 0):
+        raise InputError(f"--bandwidth {bandwidth}: give a positive frequency in Hz")
     pieces = []
     for r in segments:
         starts, length = [0], len(r.times)
@@ -392,8 +398,6 @@ def _smoother(experiment: Experiment, segments: list[Segment], bandwidth: float 
         return Smoother(bandwidth or 1.0, np.zeros(experiment.robot.n), "only poses at rest: nothing to smooth")
     chosen = choose_smoother(pieces, experiment.position_resolution, experiment.position_std)
     if bandwidth is not None:
-        if not bandwidth > 0:
-            raise InputError(f"--bandwidth {bandwidth}: give a positive frequency in Hz")
         chosen = replace(chosen, bandwidth=bandwidth, reason="as given")
     return chosen
 

@@ -17,6 +17,9 @@ import numpy as np
 
 from bayesid.errors import InputError
 
+#: Bandwidths that a recording can tell from none, and from no filter [rad/s].
+_SLOWEST, _FASTEST = 1e-6, 1e9
+
 
 @dataclass(frozen=True)
 class LowPass:
@@ -33,8 +36,8 @@ class LowPass:
 
     def __post_init__(self):
         for name, value in (("l", self.l), ("d", self.d)):
-            if not (np.isfinite(value) and value > 0):
-                raise InputError(f"low-pass {name} = {value}: give a positive bandwidth in rad/s")
+            if not _SLOWEST <= value <= _FASTEST:
+                raise InputError(f"low-pass {name} = {value}: give a bandwidth from {_SLOWEST:g} to {_FASTEST:g} rad/s")
 
     def poles(self, step: float) -> np.ndarray:
         """Poles of the two filters sampled every ``step`` seconds (2,)."""

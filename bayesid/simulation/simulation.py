@@ -27,6 +27,7 @@ from bayesid.effects import REST_SPEED, MotionSegment, Term, middle_of
 from bayesid.effects.sizes import ANY_EFFORT
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, Motion, Sensor, write_experiment
+from bayesid.recordings.schema import LARGEST
 from bayesid.recordings.table import Table
 from bayesid.robot import inertia
 from bayesid.robot.robot import Robot
@@ -62,8 +63,8 @@ class Recorder:
     def __post_init__(self):
         for item in fields(self):
             value = getattr(self, item.name)
-            if value is not None and not (np.isfinite(value).all() and np.min(value) >= 0):
-                raise InputError(f"{item.name} = {value}: give a number of at least 0")
+            if value is not None and not (np.min(value) >= 0 and np.max(value) <= LARGEST):
+                raise InputError(f"{item.name} = {value}: give a number from 0 to {LARGEST:g}")
 
 
 @dataclass(frozen=True, eq=False)

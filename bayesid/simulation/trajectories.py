@@ -13,6 +13,8 @@ from bayesid.robot.limits import motion_limits
 from bayesid.robot.robot import Robot
 from bayesid.signals.smoothing import choose_smoother, smooth
 
+_MOST_SAMPLES = 10_000_000
+
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
@@ -80,8 +82,10 @@ def fourier_trajectory(
     InputError
         Fewer than 20 samples, or a rate too low for the motion.
     """
-    if not (duration > 0 and rate > 0 and duration * rate >= 20):
-        raise InputError(f"duration = {duration:g} s at {rate:g} samples a second: give at least 20 samples")
+    if not (duration > 0 and rate > 0 and 20 <= duration * rate <= _MOST_SAMPLES):
+        raise InputError(
+            f"duration = {duration:g} s at {rate:g} samples a second: give at least 20 and at most {_MOST_SAMPLES:,} samples"
+        )
     if rate < 10 * harmonics * fundamental:
         raise InputError(f"rate = {rate:g}: give at least {10 * harmonics * fundamental:g} samples a second for this motion")
     rng = np.random.default_rng(seed)

@@ -1,0 +1,64 @@
+"""Thousands of damaged inputs: no traceback, no crash, no hang, one line each, nothing left behind."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, Phase, given, settings
+
+from tests.fuzz.arena import Worker, complaints, fresh, write_arm
+from tests.fuzz.mutations import Case, cases
+
+FEW, MANY = 150, 10_000
+
+
+@pytest.fixture(scope="module")
+def worker() -> Iterator[Worker]:
+    process = Worker()
+    yield process
+    process.close()
+
+
+@pytest.fixture(scope="module")
+def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_arm(tmp_path_factory.mktemp("fuzz"))
+
+
+def hold(case: Case, worker: Worker, original: Path) -> None:
+    """Run a case in a folder of its own and look at all that must hold."""
+    place = original.parent / "place"
+    arm = fresh(original, place)
+    case.damage(arm)
+    options = [option.format(arm=arm) if "{arm}" in option else option for option in case.options]
+    arguments = [case.verb, str(arm), *options, *([] if "--out" in options else ["--out", str(place / "out")])]
+    before = set(place.rglob("*"))
+    run = worker.run(arguments, place)
+    assert not complaints(run, before, place), (case, run)
+
+
+#: Without shrinking: a case tells what was done to the folder, and some take seconds.
+_FIXED = settings(
+    phases=[Phase.explicit, Phase.generate], suppress_health_check=list(HealthCheck), deadline=None, derandomize=True, database=None
+)
+
+
+def test_the_arm_itself_is_good(worker: Worker, original: Path) -> None:
+    place = original.parent / "place"
+    arm = fresh(original, place)
+    run = worker.run(["check", str(arm), "--out", str(place / "out")], place)
+    assert (run.status, run.err) == (0, "")
+
+
+@settings(_FIXED, max_examples=FEW)
+@given(case=cases())
+def test_a_fixed_share(case: Case, worker: Worker, original: Path) -> None:
+    hold(case, worker, original)
+
+
+@pytest.mark.slow
+@settings(_FIXED, max_examples=MANY)
+@given(case=cases())
+def test_ten_thousand(case: Case, worker: Worker, original: Path) -> None:
+    hold(case, worker, original)
