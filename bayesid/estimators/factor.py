@@ -215,7 +215,7 @@ class Pilot:
         """Find the coordinates of these rows."""
         root = reduce_rows(blocks, lambda b: b.rows).r
         # The diagonal is what each column adds to those before it.
-        if np.any(np.abs(np.diag(root)) < _WELL_DETERMINED * np.linalg.norm(root, axis=0)) or not root.any():
+        if np.any(np.abs(np.diag(root)) <= _WELL_DETERMINED * np.linalg.norm(root, axis=0)):
             return cls(blocks, None, blocks)
         inverse = solve_triangular(root, np.eye(len(root)))
         return cls(blocks, root, [replace(b, rows=_flat(b.rows, inverse)) for b in blocks])

@@ -170,6 +170,8 @@ def prepare(experiment: Experiment, options: FitOptions | None = None) -> Proble
     )
     point = _point(experiment, base, parsed, fitted)
     row_model = RowModel(experiment.robot, channels, base, parsed, smoother.bandwidth, 1.0 / rate, options.low_pass, point)
+    for motion in readable:
+        _require_length(motion, segments[motion.name], row_model)
     rows, names = MotionRows(row_model, segments), tuple(m.name for m in chosen)
     return Problem(
         experiment=experiment,
@@ -352,6 +354,18 @@ def _require(motion: Motion, channel: str) -> None:
             f"{motion.table.source}: columns {columns} are missing, which --channel {channel} needs; "
             f"add them, choose another --channel or leave motion '{motion.name}' out with --motions"
         )
+
+
+def _require_length(motion: Motion, segments: list[Segment], row_model: RowModel) -> None:
+    """Check that something of a motion is left where its trajectory has settled."""
+    moving = [s for s in segments if not s.poses]
+    if moving and not any(np.ptp(s.inner(row_model.margin)) for s in moving):
+        longest = max(float(s.times[-1] - s.times[0]) for s in moving)
+        raise InputError(
+            f"no segment without a gap is longer than {longest:.3g} s, and {row_model.margin:.3g} s at both ends are lost where the "
+            f"trajectory is loose (bandwidth {row_model.bandwidth:.3g} Hz)",
+            file=motion.table.source, value=longest, remedy=f"record longer, or remove motion '{motion.name}'",
+        )  # fmt: skip
 
 
 def _segments(

@@ -70,6 +70,12 @@ class Segment:
         """Readings of samples first ... last - 1 less what is known (k, channels)."""
         return self.readings[first:last] - (self.known if self.known.ndim == 1 else self.known[first:last])
 
+    def inner(self, margin: float) -> tuple[int, int]:
+        """First and last sample (exclusive) that are a time [s] from both ends; the same where none is."""
+        first = int(np.searchsorted(self.times, self.times[0] + margin))
+        last = int(np.searchsorted(self.times, self.times[-1] - margin, side="right"))
+        return first, max(first, last)
+
     def part(self, first: int, last: int) -> Segment:
         """Samples first ... last - 1 as a segment of their own."""
         span = slice(first, last)

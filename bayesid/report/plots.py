@@ -55,6 +55,7 @@ _STYLE: dict[Any, Any] = {
     "savefig.dpi": 110,
     "svg.fonttype": "none",
     "path.simplify_threshold": 0.3,
+    "text.parse_math": False,  # names are the user's: a $ in one begins no formula
 }
 _P = ParamSpec("_P")
 

@@ -141,7 +141,8 @@ def predict(problem: Problem, estimate: Estimate, motion: Motion) -> Prediction:
         Any motion of the experiment whose columns allow it.
     """
     segments = problem.segments[motion.name]
-    moving = [r for r in segments if not r.poses] or segments
+    margin = problem.row_model.margin
+    moving = [r for r in segments if not r.poses and np.ptp(r.inner(margin))] or [r for r in segments if r.poses]
     error, raw, times, measured, predicted = [], [], [], [], []
     for segment in moving:
         one = _one(problem, estimate, segment)
@@ -182,9 +183,7 @@ def predict(problem: Problem, estimate: Estimate, motion: Motion) -> Prediction:
 def _one(problem: Problem, estimate: Estimate, segment: Segment):
     """Times, measured and predicted raw samples; where the smoothed trajectory is sound."""
     times = segment.times
-    margin = 0.0 if segment.poses else problem.row_model.margin
-    a = int(np.searchsorted(times, times[0] + margin))
-    b = int(np.searchsorted(times, times[-1] - margin, side="right"))
+    a, b = segment.inner(0.0 if segment.poses else problem.row_model.margin)
 
     def predicted(first: int) -> np.ndarray:
         return problem.row_model.predicted(segment, first, min(first + _CHUNK, b), estimate.solution)

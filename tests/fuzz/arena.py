@@ -6,6 +6,7 @@ import json
 import os
 import selectors
 import shutil
+import signal
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -18,8 +19,8 @@ from bayesid.simulation.trajectories import new_trajectories
 from tests.malformed import URDF
 
 ROOT = Path(__file__).parents[2]
-#: No run may take longer [s].
-LONGEST = 60.0
+#: No run may take more of the processor's time [s], nor hang for longer than that.
+LONGEST, HANGING = 60.0, 600.0
 
 
 def write_arm(folder: Path) -> Path:
@@ -70,16 +71,19 @@ class Worker:
                 cwd=ROOT, env=environment, text=True,
             )  # fmt: skip
         assert self.process.stdin is not None and self.process.stdout is not None
-        self.process.stdin.write(json.dumps({"arguments": arguments, "folder": str(folder)}) + "\n")
+        self.process.stdin.write(json.dumps({"arguments": arguments, "folder": str(folder), "longest": LONGEST}) + "\n")
         self.process.stdin.flush()
         with selectors.DefaultSelector() as ready:
             ready.register(self.process.stdout, selectors.EVENT_READ)
-            answered = ready.select(LONGEST)
+            answered = ready.select(HANGING)
         reply = self.process.stdout.readline() if answered else ""
         if reply:
             status: int | str = json.loads(reply)
         else:
-            status = "died" if answered else f"was still running after {LONGEST:g} s"
+            self.process.kill()
+            code = self.process.wait()
+            slow = not answered or code == -signal.SIGPROF
+            status = f"ran for more than {LONGEST:g} s" if slow else f"died with {code}"
             self.close()
         printed = [(folder / name).read_text(encoding="utf-8", errors="replace") for name in ("stdout", "stderr")]
         for name in ("stdout", "stderr"):

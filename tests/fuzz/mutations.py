@@ -15,7 +15,25 @@ NUMBERS = [
     "0", "-0.0", "1", "-1", "1e-300", "1e-15", "1e-9", "1e9", "-1e9", "1e12", "1e300", "-1e308", "1.8e308", "inf", "-inf", "nan",
     "90", "-1000", "0.5", "1e-4", "12345678901234567890", "7" * 5000,
 ]  # fmt: skip
-WORDS = ["", " ", "x", "é", "a b", "$x_1$", "%s", "../x", "/etc/passwd", "\\n", "None", "true", "0x10", "1_0", "1,5", "x" * 300, "\x1b[31m"]
+WORDS = [
+    "",
+    " ",
+    "x",
+    "é",
+    "a b",
+    "$x_1$",
+    "%s",
+    "../x",
+    "/etc/passwd",
+    "\\n",
+    "None",
+    "true",
+    "0x10",
+    "1_0",
+    "1,5",
+    "x" * 300,
+    "\x1b[31m",
+]
 VALUES = [*NUMBERS, *WORDS]
 TOML_VALUES = [*NUMBERS, "true", '""', '"x"', '"$a_b$"', "[]", "[1, 2]", "[[1]]", "{}", "{ a = 1 }", "1979-05-27", "[" * 3000, '"' + "x" * 300 + '"',
                "[0, 0, 0]", "[1e300, 1, 1]", "[0.001, 90.0, 1e6]", "[[0.5, 1.0]]", "[[1.0, 0.5]]", '["sensor_offset"]', "0x" + "f" * 5000]  # fmt: skip
@@ -63,7 +81,10 @@ def bytes_damage(draw: st.DrawFn) -> tuple[str, Callable[[Path], None]]:
     """Cut, flip or insert bytes of a file, or take it away."""
     name = draw(st.sampled_from(["experiment.toml", "robot.urdf", *TABLES]))
     kind = draw(st.sampled_from(["cut", "flip", "insert", "remove", "empty", "folder"]))
-    share, junk = draw(st.floats(0.0, 1.0)), draw(st.sampled_from([b"\0", b"\xff", b'"', b"\n", b"\r", b"<", b"[", b",", b"\xef\xbb\xbf"]))
+    share, junk = (
+        draw(st.floats(0.0, 1.0)),
+        draw(st.sampled_from([b"\0", b"\xff", b'"', b"\n", b"\r", b"<", b"[", b",", b"\xef\xbb\xbf"])),
+    )
 
     def damage(folder: Path) -> None:
         path = folder / name
@@ -216,6 +237,7 @@ def urdf_damage(draw: st.DrawFn) -> tuple[str, Callable[[Path], None]]:
         if not found:
             return text
         if kind == "scale":
+
             def scaled(m: re.Match[str]) -> str:
                 key, _, number = m[0].partition("=")
                 try:
@@ -256,10 +278,16 @@ def _written(damage: Callable[[Path], None]) -> str:
 
 
 _ANY = st.sampled_from([*NUMBERS[:19], "", "x"])
-_MOTIONS = st.sampled_from(["", ",", "identification", "validation", "identification,validation", "identification,identification", "$x$", "x" * 300])
-_METHODS = st.sampled_from(["ols", "wls", "gls", "ridge", "tls", "iv", "huber", "student", "sdp", "lmi", "", "x", "ols,ols", "irls", "tsvd"])
+_MOTIONS = st.sampled_from(
+    ["", ",", "identification", "validation", "identification,validation", "identification,identification", "$x$", "x" * 300]
+)
+_METHODS = st.sampled_from(
+    ["ols", "wls", "gls", "ridge", "tls", "iv", "huber", "student", "sdp", "lmi", "", "x", "ols,ols", "irls", "tsvd"]
+)
 _CHANNELS = st.sampled_from(["wrench", "torque", "both", "x", ""])
-_SPECS = st.lists(st.tuples(st.sampled_from([*sorted(KINDS), "x"]), st.sampled_from(PLACES)).map("".join), max_size=3).map(",".join)
+_SPECS = st.lists(st.tuples(st.sampled_from([*sorted(KINDS), "x"]), st.sampled_from(PLACES)).map("".join), max_size=3).map(
+    ",".join
+)
 _OUT = st.sampled_from(["{arm}", "{arm}/robot.urdf", "{arm}/robot.urdf/x", "/proc/nowhere", "x" * 300, "a/b/c", "."])
 _COMMON = {
     "--channel": _CHANNELS, "--motions": _MOTIONS, "--effects": _SPECS, "--model": st.just("{arm}/model.toml"), "--seed": _ANY,
@@ -286,7 +314,16 @@ def cases(draw: st.DrawFn) -> Case:
     """A command line on a damaged folder."""
     verb = draw(st.sampled_from([verb for verb, share in SHARES.items() for _ in range(share)]))
     known = OPTIONS[verb]
-    kinds = [bytes_damage(), toml_damage(), toml_damage(), effects_damage(), table_damage(), table_damage(), urdf_damage(), urdf_damage()]
+    kinds = [
+        bytes_damage(),
+        toml_damage(),
+        toml_damage(),
+        effects_damage(),
+        table_damage(),
+        table_damage(),
+        urdf_damage(),
+        urdf_damage(),
+    ]
     damages = draw(st.lists(st.one_of(kinds), max_size=2))
     chosen = draw(st.lists(st.sampled_from(sorted(known)), max_size=2 if damages else 3, unique=True))
     options = [part for name in chosen for part in (name, draw(known[name]))]
@@ -295,7 +332,12 @@ def cases(draw: st.DrawFn) -> Case:
     if verb == "compare":
         options += ["--methods", draw(st.sampled_from(["ols", "ols,tls", "sdp", "huber,iv"]))]
     if verb == "sample":
-        options += ["--longest", "1", *([] if "--draws" in options else ["--draws", "200"]), *(["--chains", "2"] if "--chains" not in options else [])]
+        options += [
+            "--longest",
+            "1",
+            *([] if "--draws" in options else ["--draws", "200"]),
+            *(["--chains", "2"] if "--chains" not in options else []),
+        ]
     if "--model" in options or "--bounds" in options:
         damages.append(draw(model_file()))
     return Case(verb, tuple(options), tuple(damages))

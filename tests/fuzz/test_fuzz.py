@@ -40,7 +40,11 @@ def hold(case: Case, worker: Worker, original: Path) -> None:
 
 #: Without shrinking: a case tells what was done to the folder, and some take seconds.
 _FIXED = settings(
-    phases=[Phase.explicit, Phase.generate], suppress_health_check=list(HealthCheck), deadline=None, derandomize=True, database=None
+    phases=[Phase.explicit, Phase.generate],
+    suppress_health_check=list(HealthCheck),
+    deadline=None,
+    derandomize=True,
+    database=None,
 )
 
 

@@ -10,6 +10,7 @@ import contextlib
 import json
 import os
 import resource
+import signal
 import sys
 import warnings
 from pathlib import Path
@@ -19,7 +20,7 @@ MEMORY = 6 << 30
 
 
 def main() -> None:
-    """Serve until standard input ends: a line ``{"arguments": [...], "folder": ...}`` gives a line with the status."""
+    """Serve until standard input ends: a line ``{"arguments": [...], "folder": ..., "longest": seconds}`` gives a line with the status."""
     replies = os.fdopen(os.dup(1), "w", encoding="utf-8")
     with contextlib.suppress(ValueError, OSError):
         resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
@@ -33,10 +34,13 @@ def main() -> None:
         for number, stream in zip((1, 2), streams, strict=True):
             os.dup2(stream, number)
             os.close(stream)
+        # A run that takes longer ends the process. Its own time, not the clock's: others may use the machine as well.
+        signal.setitimer(signal.ITIMER_PROF, task["longest"])
         try:
             status: object = run(task["arguments"])
-        except BaseException as error:  # noqa: BLE001 -- main must let nothing through
+        except BaseException as error:  # main must let nothing through
             status = repr(error)
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
         sys.stdout.flush()
         sys.stderr.flush()
         replies.write(json.dumps(status) + "\n")
