@@ -362,8 +362,8 @@ def _require_length(motion: Motion, segments: list[Segment], row_model: RowModel
     if moving and not any(np.ptp(s.inner(row_model.margin)) for s in moving):
         longest = max(float(s.times[-1] - s.times[0]) for s in moving)
         raise InputError(
-            f"no segment without a gap is longer than {longest:.3g} s, and {row_model.margin:.3g} s at both ends are lost where the "
-            f"trajectory is loose (bandwidth {row_model.bandwidth:.3g} Hz)",
+            f"no segment without a gap is longer than {longest:.3g} s, and {row_model.margin:.3g} s at both ends are lost "
+            f"where the trajectory is loose (bandwidth {row_model.bandwidth:.3g} Hz)",
             file=motion.table.source, value=longest, remedy=f"record longer, or remove motion '{motion.name}'",
         )  # fmt: skip
 

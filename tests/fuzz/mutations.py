@@ -12,9 +12,29 @@ from hypothesis import strategies as st
 from bayesid.effects import KINDS
 
 NUMBERS = [
-    "0", "-0.0", "1", "-1", "1e-300", "1e-15", "1e-9", "1e9", "-1e9", "1e12", "1e300", "-1e308", "1.8e308", "inf", "-inf", "nan",
-    "90", "-1000", "0.5", "1e-4", "12345678901234567890", "7" * 5000,
-]  # fmt: skip
+    "0",
+    "-0.0",
+    "1",
+    "-1",
+    "1e-300",
+    "1e-15",
+    "1e-9",
+    "1e9",
+    "-1e9",
+    "1e12",
+    "1e300",
+    "-1e308",
+    "1.8e308",
+    "inf",
+    "-inf",
+    "nan",
+    "90",
+    "-1000",
+    "0.5",
+    "1e-4",
+    "12345678901234567890",
+    "7" * 5000,
+]
 WORDS = [
     "",
     " ",
@@ -35,8 +55,28 @@ WORDS = [
     "\x1b[31m",
 ]
 VALUES = [*NUMBERS, *WORDS]
-TOML_VALUES = [*NUMBERS, "true", '""', '"x"', '"$a_b$"', "[]", "[1, 2]", "[[1]]", "{}", "{ a = 1 }", "1979-05-27", "[" * 3000, '"' + "x" * 300 + '"',
-               "[0, 0, 0]", "[1e300, 1, 1]", "[0.001, 90.0, 1e6]", "[[0.5, 1.0]]", "[[1.0, 0.5]]", '["sensor_offset"]', "0x" + "f" * 5000]  # fmt: skip
+TOML_VALUES = [
+    *NUMBERS,
+    "true",
+    '""',
+    '"x"',
+    '"$a_b$"',
+    "[]",
+    "[1, 2]",
+    "[[1]]",
+    "{}",
+    "{ a = 1 }",
+    "1979-05-27",
+    "[" * 3000,
+    '"' + "x" * 300 + '"',
+    "[0, 0, 0]",
+    "[1e300, 1, 1]",
+    "[0.001, 90.0, 1e6]",
+    "[[0.5, 1.0]]",
+    "[[1.0, 0.5]]",
+    '["sensor_offset"]',
+    "0x" + "f" * 5000,
+]
 PLACES = ["", "@shoulder", "@elbow", "@joint1", "@sensor", "@fx", "@fx->mz", "@base", "@robot", "@nowhere", "@"]
 COLUMNS = ["t", "q1", "q2", "v1", "v2", "tau1", "tau2", "fx", "fy", "fz", "mx", "my", "mz"]
 TABLES = ["identification.csv", "identification_static.csv", "validation.csv", "validation_static.csv"]
@@ -109,10 +149,26 @@ def toml_damage(draw: st.DrawFn) -> tuple[str, Callable[[Path], None]]:
     """Another value, or a line more, less or twice, in experiment.toml."""
     kind = draw(st.sampled_from(["value", "value", "value", "number", "drop", "twice", "add"]))
     place, value = draw(st.integers(0, 60)), draw(st.sampled_from(TOML_VALUES))
-    key = draw(st.sampled_from([
-        "parked", "period", "static", "kind", "role", "inertia_rel_std", "position_std", "position_resolution", "rpy", "joint",
-        "force_std", "gear_ratio", "table", "unknown",
-    ]))  # fmt: skip
+    key = draw(
+        st.sampled_from(
+            [
+                "parked",
+                "period",
+                "static",
+                "kind",
+                "role",
+                "inertia_rel_std",
+                "position_std",
+                "position_resolution",
+                "rpy",
+                "joint",
+                "force_std",
+                "gear_ratio",
+                "table",
+                "unknown",
+            ]
+        )
+    )
 
     def change(text: str) -> str:
         found = list(re.finditer(r"= *(\[[^=]*?\]|[^\n]+)" if kind == "value" else r"-?\d+\.\d+", text))
@@ -151,10 +207,30 @@ def effects_damage(draw: st.DrawFn) -> tuple[str, Callable[[Path], None]]:
 def table_damage(draw: st.DrawFn) -> tuple[str, Callable[[Path], None]]:
     """Cells, rows and columns of a table."""
     name = draw(st.sampled_from(TABLES))
-    kind = draw(st.sampled_from([
-        "cell", "cell", "cell", "drop cell", "add cell", "drop row", "twice row", "head", "column value", "column scaled", "drop column",
-        "rename column", "blanks", "quotes", "blank lines", "swap rows", "extra column", "line ends",
-    ]))  # fmt: skip
+    kind = draw(
+        st.sampled_from(
+            [
+                "cell",
+                "cell",
+                "cell",
+                "drop cell",
+                "add cell",
+                "drop row",
+                "twice row",
+                "head",
+                "column value",
+                "column scaled",
+                "drop column",
+                "rename column",
+                "blanks",
+                "quotes",
+                "blank lines",
+                "swap rows",
+                "extra column",
+                "line ends",
+            ]
+        )
+    )
     column, row = draw(st.sampled_from(COLUMNS)), draw(st.integers(1, 150))
     value = draw(st.sampled_from(VALUES))
     factor = draw(st.sampled_from([0.0, -1.0, 1e-9, 1e-3, 57.3, 1e3, 1e6, 1e9, 1e11, 1e300]))
@@ -217,10 +293,24 @@ def urdf_damage(draw: st.DrawFn) -> tuple[str, Callable[[Path], None]]:
     kind = draw(st.sampled_from(["value", "value", "value", "scale", "tag", "drop", "twice", "insert", "chain"]))
     place, value = draw(st.integers(0, 200)), draw(st.sampled_from(VALUES)).replace("<", "")
     factor = draw(st.sampled_from([-1.0, 0.0, 1e-6, 1e-3, 1e3, 1e6, 1e9]))
-    junk = draw(st.sampled_from([
-        "<!-- a -- b -->", '<!DOCTYPE r [<!ENTITY a "b">]>', "<xacro:x/>", "<a>" * 500, "&a;", "<mimic joint='shoulder'/>", "]]>", "<mass value='1'/>",
-        "<link name='lost'/>", '<?xml version="1.0"?>', "<inertial/>", "<joint name='elbow' type='fixed'/>",
-    ]))  # fmt: skip
+    junk = draw(
+        st.sampled_from(
+            [
+                "<!-- a -- b -->",
+                '<!DOCTYPE r [<!ENTITY a "b">]>',
+                "<xacro:x/>",
+                "<a>" * 500,
+                "&a;",
+                "<mimic joint='shoulder'/>",
+                "]]>",
+                "<mass value='1'/>",
+                "<link name='lost'/>",
+                '<?xml version="1.0"?>',
+                "<inertial/>",
+                "<joint name='elbow' type='fixed'/>",
+            ]
+        )
+    )
 
     def change(text: str) -> str:
         pattern = {"value": r'"[^"]*"', "scale": r'(?:value|i[xyz][xyz])="[^"]*"', "tag": r"<\w+"}.get(kind, r"<[^>]*>")
@@ -290,21 +380,49 @@ _SPECS = st.lists(st.tuples(st.sampled_from([*sorted(KINDS), "x"]), st.sampled_f
 )
 _OUT = st.sampled_from(["{arm}", "{arm}/robot.urdf", "{arm}/robot.urdf/x", "/proc/nowhere", "x" * 300, "a/b/c", "."])
 _COMMON = {
-    "--channel": _CHANNELS, "--motions": _MOTIONS, "--effects": _SPECS, "--model": st.just("{arm}/model.toml"), "--seed": _ANY,
-}  # fmt: skip
-_FIT = {**_COMMON, "--filter-l": _ANY, "--filter-d": _ANY, "--bandwidth": _ANY, "--static": st.sampled_from(["motion", "joint", "x"]),
-        "--bounds": st.sampled_from(["{arm}/model.toml", "{arm}/robot.urdf", "nowhere"])}  # fmt: skip
+    "--channel": _CHANNELS,
+    "--motions": _MOTIONS,
+    "--effects": _SPECS,
+    "--model": st.just("{arm}/model.toml"),
+    "--seed": _ANY,
+}
+_FIT = {
+    **_COMMON,
+    "--filter-l": _ANY,
+    "--filter-d": _ANY,
+    "--bandwidth": _ANY,
+    "--static": st.sampled_from(["motion", "joint", "x"]),
+    "--bounds": st.sampled_from(["{arm}/model.toml", "{arm}/robot.urdf", "nowhere"]),
+}
 OPTIONS: dict[str, dict[str, st.SearchStrategy[str]]] = {
     "check": {"--out": _OUT, "--seed": _ANY},
     "identify": {**_FIT, "--method": _METHODS},
     "compare": {**_FIT},
-    "sample": {**_FIT, "--draws": _ANY, "--chains": _ANY, "--prior": st.sampled_from(["nominal", "flat", "x"]), "--prior-std": _ANY,
-               "--noise": st.sampled_from(["gaussian", "student", "x"]), "--engine": st.sampled_from(["hmc", "emcee", "x"]),
-               "--longest": st.sampled_from(["0", "-1", "1", "x"])},
+    "sample": {
+        **_FIT,
+        "--draws": _ANY,
+        "--chains": _ANY,
+        "--prior": st.sampled_from(["nominal", "flat", "x"]),
+        "--prior-std": _ANY,
+        "--noise": st.sampled_from(["gaussian", "student", "x"]),
+        "--engine": st.sampled_from(["hmc", "emcee", "x"]),
+        "--longest": st.sampled_from(["0", "-1", "1", "x"]),
+    },
     "diagnose": {**_COMMON},
-    "simulate": {"--duration": _ANY, "--rate": _ANY, "--effects": _SPECS, "--model": st.just("{arm}/model.toml"), "--perturb": _ANY,
-                 "--force-std": _ANY, "--torque-std": _ANY, "--resolution": _ANY, "--position-std": _ANY, "--out": _OUT, "--seed": _ANY},
-}  # fmt: skip
+    "simulate": {
+        "--duration": _ANY,
+        "--rate": _ANY,
+        "--effects": _SPECS,
+        "--model": st.just("{arm}/model.toml"),
+        "--perturb": _ANY,
+        "--force-std": _ANY,
+        "--torque-std": _ANY,
+        "--resolution": _ANY,
+        "--position-std": _ANY,
+        "--out": _OUT,
+        "--seed": _ANY,
+    },
+}
 #: How often each verb runs: those that take seconds seldom.
 SHARES = {"check": 11, "identify": 5, "simulate": 5, "compare": 1, "diagnose": 1, "sample": 1}
 

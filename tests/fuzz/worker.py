@@ -20,7 +20,7 @@ MEMORY = 6 << 30
 
 
 def main() -> None:
-    """Serve until standard input ends: a line ``{"arguments": [...], "folder": ..., "longest": seconds}`` gives a line with the status."""
+    """Serve until standard input ends: a line with ``arguments``, ``folder`` and ``longest`` [s] gives a line with the status."""
     replies = os.fdopen(os.dup(1), "w", encoding="utf-8")
     with contextlib.suppress(ValueError, OSError):
         resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
