@@ -1,4 +1,3 @@
-from .diagnosis.diagnose import Diagnosis, diagnose
 from .effects.library import EffectLibrary
 from .effects.own import load_effects
 from .errors import BayesidError, BayesidWarning, EstimationError, InputError
@@ -17,6 +16,7 @@ from .recordings.experiment import Experiment, Motion, Sensor, load_experiment, 
 from .recordings.table import Table
 from .regression.regression import Regression
 from .results.comparison import Comparison
+from .results.diagnosis import Diagnosis
 from .results.identification import Identification, summary
 from .results.inspection import Inspection
 from .results.posterior import ExperimentPosterior
@@ -27,6 +27,7 @@ from .simulation.simulation import Recorder, Simulation, simulate, write_simulat
 from .simulation.trajectories import Trajectory, fourier_trajectory
 from .workflows.check import check
 from .workflows.compare import compare
+from .workflows.diagnose import diagnose
 from .workflows.identify import identify
 from .workflows.sample import sample
 

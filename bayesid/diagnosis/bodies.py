@@ -13,8 +13,6 @@ from bayesid.effects import Term
 from bayesid.robot import inertia
 from bayesid.robot.prior import Prior
 
-#: A change of a link is a possible body unless its distance to one has a smaller probability.
-_POSSIBLE = 0.05
 _DRAWN = 5000
 #: A link's length, for the solver's units [m].
 _LENGTH = 0.1
@@ -46,7 +44,7 @@ def as_payload(fitted: Fit, index: int, dispersion: float) -> tuple[Term, float]
             distance = float(problem.solve(solver=cp.CLARABEL))  # pyright: ignore[reportArgumentType]
         except cp.SolverError:
             return term, 0.0
-    if body.value is None or chi2.sf(distance, 10) < _POSSIBLE:
+    if body.value is None or chi2.sf(distance, 10) < fitted.projector.data.settings.possible_body:
         return term, 0.0
     effect = next(e for e in fitted.projector.data.places(name) if e.where == term.effect.where)
     joint = effect.joint or 0

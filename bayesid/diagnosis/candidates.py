@@ -9,23 +9,19 @@ here.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from bayesid.diagnosis.contacts import contact_terms
 from bayesid.diagnosis.data import DiagnosisData
-from bayesid.diagnosis.fit import Fit, NuisanceProjector, model_rows, residual_rows, term_rows
+from bayesid.diagnosis.fit import Fit
+from bayesid.diagnosis.projector import NuisanceProjector
 from bayesid.diagnosis.ripples import RippleScan
+from bayesid.diagnosis.rows import model_rows, residual_rows, term_rows
 from bayesid.dynamics.channels import torque_channels
 from bayesid.dynamics.kinematics import P, link_states
 from bayesid.effects import Effect, Linearisation, MotionSegment, Surroundings, Term, readings
-
-#: Mean square of whitened residuals above which something is left that no effect found explains.
-UNEXPLAINED = 1.45
-#: Standard deviations by which an effect stands out.
-DETECTED = 5.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +63,7 @@ class _Block:
     about: Linearisation
 
 
-@dataclass(eq=False)
+@dataclass(frozen=True, eq=False)
 class Library:
     """Every effect that could be there, as columns at the user's model, made once.
 
@@ -77,6 +73,8 @@ class Library:
         What is projected out.
     base
         The user's model.
+    around
+        What effects may want to know of the recordings.
     blocks
         Columns by effect and shape.
     ripples
@@ -85,20 +83,23 @@ class Library:
 
     projector: NuisanceProjector
     base: Fit
-    blocks: list[_Block] = field(default_factory=list)
+    around: Surroundings
+    blocks: tuple[_Block, ...] = ()
     ripples: tuple[RippleScan, ...] = ()
-    _basis: tuple[Fit, np.ndarray] | None = field(default=None, repr=False)
 
-    def propose(self, fit: Fit, *, resonances: bool = False) -> list[Proposal]:
+    def propose(self, fit: Fit, dispersion: float | None = None) -> list[Proposal]:
         """Proposals beside the effects of a fit, best gain first; one for each effect and place.
 
-        With ``resonances`` effects whose values are tried as a last resort are among them, such as flexible joints that resonate
-        in the motion's band; that takes a while.
+        Parameters
+        ----------
+        fit
+            A model.
+        dispersion
+            Its dispersion factor: if that leaves something unexplained, effects whose values are tried as a last resort are
+            among the proposals, such as flexible joints that resonate in the motion's band; that takes a while.
         """
         projector, data = self.projector, self.projector.data
-        found = orthonormal(
-            projector.project_out(projector.with_prior_rows(model_rows(data, data.segments, fit.links, fit.terms)))
-        )
+        found = orthonormal(projector.columns(model_rows(data, data.segments, fit.links, fit.terms)))
         residual = np.concatenate([fit.residual, -projector.prior_residual(fit.coordinates)])
         left = projector.project_out(residual)
         left = left - found @ (found.T @ left)
@@ -113,10 +114,10 @@ class Library:
             amplitudes, gain, count = _explained(rows, left)
             if name not in best or gain - _cost(count) > best[name].gain - _cost(best[name].parameters):
                 length = float(np.linalg.norm(rows[:, 0]))
-                minimum = DETECTED / length if length > 0 else None
+                minimum = data.settings.detected / length if length > 0 else None
                 starts = [Term(block.effect, _inside(block.effect, v)) for v in np.atleast_2d(block.about.to_values(amplitudes))]
                 best[name] = Proposal(starts[0], gain, count, minimum, tuple(starts[1:]))
-        shaped = [([t], gain) for t, gain in [*self._tried(fit, resonances), *self._ripples(fit, left, found)]]
+        shaped = [([t], gain) for t, gain in [*self._tried(fit, taken, dispersion), *self._ripples(fit, left, found)]]
         for terms, gain in [*shaped, *contact_terms(projector, fit, left[: projector.length])]:
             name = terms[0].effect.spec
             if name not in taken and (name not in best or gain > best[name].gain):
@@ -132,43 +133,25 @@ class Library:
 
         What no effect of the library explains, however combined, is noise beyond the one measured, or an unmodelled effect.
         """
-        left = self.unexplained(fit)
-        return max(float(left @ left) / max(self.projector.rows - self.parameters(fit), 1), 1.0)
+        left, parameters = self.unexplained(fit)
+        return max(float(left @ left) / max(self.projector.rows - parameters, 1), 1.0)
 
-    def unexplained(self, fit: Fit) -> np.ndarray:
-        """Whitened rows less all that the fit and all columns together explain (rows,)."""
-        q, projector = self._everything(fit), self.projector
+    def unexplained(self, fit: Fit) -> tuple[np.ndarray, int]:
+        """Whitened rows less all that the fit and all columns together explain (rows,), and how many directions that takes."""
+        projector = self.projector
+        model = projector.columns(model_rows(projector.data, projector.data.segments, fit.links, fit.terms))
+        q = orthonormal(np.hstack([model, *(b.rows for b in self.blocks)]))
         left = projector.project_out(np.concatenate([fit.residual, -projector.prior_residual(fit.coordinates)]))
-        return (left - q @ (q.T @ left))[: projector.length]
+        return (left - q @ (q.T @ left))[: projector.length], q.shape[1]
 
-    def parameters(self, fit: Fit) -> int:
-        """How many directions that takes."""
-        return self._everything(fit).shape[1]
-
-    def _everything(self, fit: Fit) -> np.ndarray:
-        """An orthonormal basis of a fit's effects and all columns, links projected out."""
-        if self._basis is None or self._basis[0] is not fit:
-            projector = self.projector
-            model = projector.project_out(
-                projector.with_prior_rows(model_rows(projector.data, projector.data.segments, fit.links, fit.terms))
-            )
-            self._basis = (fit, orthonormal(np.hstack([model, *(b.rows for b in self.blocks)])))
-        return self._basis[1]
-
-    @cached_property
-    def around(self) -> Surroundings:
-        """What effects may want to know of the recordings."""
-        return surroundings(self.projector.data)
-
-    def _tried(self, fit: Fit, last_resort: bool) -> Iterator[tuple[Term, float]]:
+    def _tried(self, fit: Fit, taken: set[str], dispersion: float | None) -> Iterator[tuple[Term, float]]:
         """Effects with the best of the values that are tried exactly: no small amplitude stands for them."""
         data, projector = self.projector.data, self.projector
         prior = -projector.prior_residual(fit.coordinates)
         now = np.sum(projector.project_out(np.concatenate([fit.residual, prior])) ** 2)
-        taken = {t.effect.spec for t in fit.terms}
-        unexplained = last_resort and self.dispersion(fit) >= UNEXPLAINED
+        unexplained = dispersion is not None and dispersion >= data.settings.unexplained
         for effect in _everywhere(data):
-            if effect.last_resort and (effect.spec in taken or not unexplained) or not effect.sought(self.around):
+            if effect.spec in taken or (effect.last_resort and not unexplained) or not effect.sought(self.around):
                 continue
             trials = effect.trials(self.around)
             best = (0.0, None if effect.last_resort else 0)
@@ -184,7 +167,7 @@ class Library:
         data, projector = self.projector.data, self.projector
         for effect, order in (each for scan in self.ripples for each in scan.best(left[: projector.length])):
             rows = term_rows(data, data.segments, fit.links, fit.terms, Term(effect, effect.from_harmonic(order, 1.0, 0.0)))
-            rows = projector.project_out(projector.with_prior_rows(rows[:, [0, -1]]))  # sine and cosine
+            rows = projector.columns(rows[:, [0, -1]])  # sine and cosine
             amplitudes, gain, _ = _explained(rows - found @ (found.T @ rows), left)
             yield Term(effect, effect.from_harmonic(order, *map(float, amplitudes))), gain
 
@@ -196,13 +179,15 @@ def make_library(projector: NuisanceProjector, base: Fit, found: Fit | None = No
     of the first joint is more than a turn of the sensor.
     """
     data, at = projector.data, found or base
-    library = Library(projector, base, ripples=RippleScan.of(data, [e for e in _everywhere(data) if e.harmonics]))
+    around = surroundings(data)
+    blocks = []
     for effect in _everywhere(data):
-        for about in effect.linearisations(library.around) if effect.sought(library.around) else ():
+        for about in effect.linearisations(around) if effect.sought(around) else ():
             beside = tuple(t for t in at.terms if t.effect != effect)
             rows = term_rows(data, data.segments, at.links, beside, Term(effect, tuple(about.at)))
-            library.blocks.append(_Block(effect, projector.project_out(projector.with_prior_rows(rows)), about))
-    return library
+            blocks.append(_Block(effect, projector.columns(rows), about))
+    ripples = RippleScan.of(data, [e for e in _everywhere(data) if e.harmonics])
+    return Library(projector, base, around, tuple(blocks), ripples)
 
 
 def _everywhere(data: DiagnosisData) -> tuple[Effect, ...]:

@@ -7,7 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from bayesid.diagnosis.data import Episode
-from bayesid.diagnosis.fit import Fit, NuisanceProjector, term_rows
+from bayesid.diagnosis.fit import Fit
+from bayesid.diagnosis.projector import NuisanceProjector
+from bayesid.diagnosis.rows import term_rows
 from bayesid.diagnosis.spectra import Segment
 from bayesid.effects import Effect, ExternalContact, Term
 from bayesid.effects.loads import CONTACT_RAMP
@@ -61,7 +63,7 @@ def contact_terms(projector: NuisanceProjector, fit: Fit, left: np.ndarray) -> I
 
     def columns_at(effect: Effect, force: np.ndarray) -> np.ndarray:
         term = Episode(effect, (start, end, *force, 0.0, 0.0, 0.0), motion)
-        return projector.project_out(projector.with_prior_rows(term_rows(data, data.segments, fit.links, fit.terms, term)))
+        return projector.columns(term_rows(data, data.segments, fit.links, fit.terms, term))
 
     for effect in data.places(ExternalContact.name):
         if effect.where == "robot":

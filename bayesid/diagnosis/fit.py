@@ -1,9 +1,7 @@
 """Exact fits of the links and any effects, and how much the data prefer one set of effects to another.
 
-Links, with their prior, and the offset that a static run removes are in every model and enter
-linearly, so they are projected out once: with ``[A; I] = Q R`` of their whitened columns A over their prior, a column z
-of an effect keeps ``z - Q Q' z``, the part that no change of the links explains. What is left are a handful of
-parameters, found by Gauss-Newton steps on the exact readings.
+Links and offset are projected out (`bayesid.diagnosis.projector`). What is left are a handful of parameters, found by
+Gauss-Newton steps on the exact readings. Fits can be taken a few steps at a time, so that hopeless ones are given up early.
 
 Models are compared by ``score = -chi2 / 2 - log det S / 2 - k / 2 log n`` over n rows: the evidence under a prior with the
 information of one row for each of the k parameters [Schwarz1978]_. The noise S matters where a model makes more of it than
@@ -17,80 +15,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bayesid.diagnosis.data import DiagnosisData, active_terms
-from bayesid.diagnosis.spectra import Segment
-from bayesid.effects import Term, columns
+from bayesid.diagnosis.projector import NuisanceProjector
+from bayesid.diagnosis.rows import model_rows, residual_rows
+from bayesid.effects import Term
 from bayesid.robot.prior import Prior
 
-_STEPS = 15
 #: Damping of the first step, in units of a column's squared length, and how often a step is damped more.
 _DAMPING, _TRIALS = 1e-3, 6
-#: Neighbouring frequencies whose residuals may depend on each other.
-_TOGETHER = 10
-#: A fit has settled when a step changes chi2 by less.
-_SETTLED = 0.02
 #: Sizes that a change of a link is tried with, over its own.
 WIDTHS = np.array([0.02, 0.05, 0.1, 0.2, 0.5, 1.0])
 #: Share of a column's length that must be left once the links are projected out.
 ALIVE = 1e-5
-#: Prior standard deviations of an offset, of which nothing is known, are one over this [N, N m].
-UNKNOWN_OFFSET = 1e-6
 #: A column in sigmas per SI unit this small is rounding: a million newtons or radians would not be seen.
 _ROUNDING = 1e-6
-
-
-@dataclass(frozen=True, eq=False)
-class NuisanceProjector:
-    """Whitened columns of the links and the offset over their prior, reduced once.
-
-    Attributes
-    ----------
-    case
-        What is fitted.
-    root
-        ``links = nominal + root @ u`` with u ~ N(0, 1) (10 b, m).
-    offset
-        Whether a constant offset is among the columns, behind the links'.
-    q, r
-        Factors of ``[A; I]`` (rows + m + 6, m + 6).
-    rows
-        Number of rows that are data: those of channels that say anything.
-    volume
-        Log determinant of the noise of all rows.
-    """
-
-    data: DiagnosisData
-    root: np.ndarray
-    offset: bool
-    q: np.ndarray
-    r: np.ndarray
-    rows: int
-    volume: float
-
-    @property
-    def size(self) -> int:
-        """Number of columns projected out."""
-        return self.r.shape[1]
-
-    @property
-    def length(self) -> int:
-        """Number of rows above the prior's, those of channels that say nothing among them."""
-        return len(self.q) - self.size
-
-    def project_out(self, stacked: np.ndarray) -> np.ndarray:
-        """What links and offset cannot explain of rows of data with those of their prior beneath (rows + size, ...)."""
-        return stacked - self.q @ (self.q.T @ stacked)
-
-    def prior_residual(self, u: np.ndarray) -> np.ndarray:
-        """Rows of the prior at coordinates u (size,)."""
-        out = u.copy()
-        if self.offset:
-            out[-6:] *= UNKNOWN_OFFSET
-        return out
-
-    def with_prior_rows(self, rows: np.ndarray) -> np.ndarray:
-        """Rows of data with zeros for the prior (rows + size, ...)."""
-        return np.concatenate([rows, np.zeros((self.size, *rows.shape[1:]))])
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,73 +73,118 @@ class Fit:
     residual: np.ndarray
 
 
-def make_projector(data: DiagnosisData, terms: Sequence[Term]) -> NuisanceProjector:
-    """Reduce the columns that are in every model, at the given effects."""
-    root = np.zeros((len(data.links), 0))
-    if data.prior is not None:
-        size = np.sqrt(np.diag(data.prior.covariance))
-        root = size[:, None] * np.linalg.cholesky(data.prior.covariance / np.outer(size, size) + 1e-12 * np.eye(len(size)))
-    offset = data.offset_free and data.channel == "wrench"
-    parts = []
-    for s in data.segments:
-        mine = []
-        if data.prior is not None:
-            spectrum = s.whiten(s.spectrum(data.link_columns(s, terms)))
-            mine.append(spectrum.reshape(-1, spectrum.shape[2]) @ root)
-        if offset:
-            mine.append(offset_columns(s))
-        parts.append(np.hstack(mine) if mine else np.zeros((s.shape[0] * s.shape[1], 0)))
-    whitened = np.vstack(parts)
-    prior = np.eye(whitened.shape[1])
-    if offset:
-        prior[-6:] *= UNKNOWN_OFFSET
-    q, r = np.linalg.qr(np.vstack([whitened, prior]))
-    volume = sum(float(np.linalg.slogdet(s.covariance)[1].sum()) for s in data.segments)
-    return NuisanceProjector(data, root, offset, q, r, sum(s.count for s in data.segments), volume)
+@dataclass(frozen=True, eq=False)
+class Iterate:
+    """A fit under way.
+
+    Attributes
+    ----------
+    projector
+        The columns that are always in.
+    terms
+        Effects with their values so far.
+    free
+        (term, parameter) of those that are fitted.
+    coordinates
+        Links and offset (size,).
+    rows, prior
+        Whitened residual (rows,) and that of the prior (size,).
+    chi2
+        Sum of squares of both.
+    damping
+        Of the next step.
+    steps
+        Taken so far.
+    settled
+        Whether no step is left to take.
+    """
+
+    projector: NuisanceProjector
+    terms: tuple[Term, ...]
+    free: tuple[tuple[int, int], ...]
+    coordinates: np.ndarray
+    rows: np.ndarray
+    prior: np.ndarray
+    chi2: float
+    damping: float = _DAMPING
+    steps: int = 0
+    settled: bool = False
 
 
-def offset_columns(segment: Segment) -> np.ndarray:
-    """Whitened columns of a constant in every channel (rows, c)."""
-    channels = segment.readings.shape[1]
-    ones = np.broadcast_to(np.eye(channels), (len(segment.readings), channels, channels))
-    return segment.whiten(segment.measured(ones)).reshape(-1, channels)
+def begin(projector: NuisanceProjector, terms: Sequence[Term], start: Fit | None = None) -> Iterate:
+    """A fit before its first step, from the links and the offset of another one."""
+    data, terms = projector.data, tuple(terms)
+    u = np.zeros(projector.size) if start is None else start.coordinates.copy()
+    free = tuple((i, k) for i, t in enumerate(terms) if not data.fixed(t) for k in range(len(t.values)))
+    rows, prior = _rows(projector, u, terms), projector.prior_residual(u)
+    return Iterate(projector, terms, free, u, rows, prior, float(rows @ rows + prior @ prior))
 
 
-def residual_rows(data: DiagnosisData, segments: Sequence[Segment], links: np.ndarray, offset: np.ndarray, terms: Sequence[Term]):
-    """Whitened rows of what was measured less what is predicted (rows,)."""
-    out = []
-    for s in segments:
-        measured = s.measured(s.readings - offset)
-        with np.errstate(all="ignore"):  # a very compliant mount diverges; its fit is then refused
-            out.append(s.whiten(measured - s.spectrum(data.predict(s, links, terms))).ravel())
-    return np.concatenate(out)
+def advance(now: Iterate, steps: int) -> Iterate:
+    """The fit after so many Gauss-Newton steps more, fewer if it settles."""
+    for _ in range(steps):
+        if now.settled:
+            break
+        now = _stepped(now)
+    return now
 
 
-def term_rows(
-    data: DiagnosisData, segments: Sequence[Segment], links: np.ndarray, terms: Sequence[Term], term: Term
-) -> np.ndarray:
-    """Whitened derivatives of the readings with respect to a term's parameters beside other terms (rows, k)."""
-    parts = []
-    for s in segments:
-        if active_terms(s, [term]):
-            with np.errstate(all="ignore"):  # as above
-                found = columns(data.robot, data.channels, s.scene, links, active_terms(s, terms), term.effect, term.values)
-            parts.append(s.white(found))
-        else:
-            parts.append(np.zeros((s.shape[0] * s.shape[1], len(term.values))))
-    return np.vstack(parts)
+def _stepped(now: Iterate) -> Iterate:
+    """One damped Gauss-Newton step."""
+    projector, free, terms, u = now.projector, now.free, now.terms, now.coordinates
+    data, damping = projector.data, now.damping
+    links, _ = _split(projector, u)
+    jacobian = model_rows(data, data.segments, links, terms)
+    if not np.isfinite(jacobian).all():
+        return replace(now, settled=True)
+    stacked = np.concatenate([now.rows, -now.prior])
+    kept = projector.columns(jacobian)
+    length = np.linalg.norm(kept, axis=0)
+    scale = np.where(_alive(length, jacobian), length, np.inf)
+    scaled = kept / scale
+    values, vectors = _eigen(scaled)
+    pull = vectors.T @ (scaled.T @ projector.project_out(stacked))
+    for _ in range(_TRIALS):
+        # Levenberg and Marquardt: where a direction says nothing yet (a point without a force), hold it back.
+        change = (vectors / (values + damping)) @ pull / scale if len(free) else np.zeros(0)
+        trial = _moved(terms, free, change)
+        taken = np.array([trial[i].values[k] - terms[i].values[k] for i, k in free])
+        moved = u
+        if projector.size:
+            left = stacked.copy()
+            left[: projector.length] -= jacobian @ taken
+            moved = u + np.linalg.solve(projector.r, projector.q.T @ left)
+        rows, prior = _rows(projector, moved, trial), projector.prior_residual(moved)
+        chi2 = float(rows @ rows + prior @ prior)
+        if now.chi2 - chi2 > -data.settings.settled_chi2:
+            return replace(
+                now, terms=trial, coordinates=moved, rows=rows, prior=prior, chi2=chi2, steps=now.steps + 1,
+                damping=0.1 * damping if damping > 1e-7 else 0.0, settled=now.chi2 - chi2 < data.settings.settled_chi2,
+            )  # fmt: skip
+        damping = max(10.0 * damping, 1e-4)
+    return replace(now, settled=True)
 
 
-def model_rows(data: DiagnosisData, segments: Sequence[Segment], links: np.ndarray, terms: Sequence[Term]) -> np.ndarray:
-    """Whitened derivatives with respect to all free parameters of a model's effects (rows, k)."""
-    parts = [np.zeros((sum(s.shape[0] * s.shape[1] for s in segments), 0))]
-    parts += [
-        term_rows(data, segments, links, tuple(x for x in terms if x is not t), t) for t in terms if not data.fixed(t)
-    ]  # fmt: skip
-    return np.hstack(parts)
+def finish(now: Iterate) -> Fit:
+    """The fit as it stands, with its covariance and score; without a score where it diverged."""
+    projector, free, terms = now.projector, now.free, now.terms
+    data, rows, chi2 = projector.data, now.rows, now.chi2
+    links, offset = _split(projector, now.coordinates)
+    jacobian = model_rows(data, data.segments, links, terms)
+    possible = bool(np.isfinite(chi2) and np.isfinite(jacobian).all())
+    if not possible:  # diverged: refused
+        jacobian, rows, chi2 = np.zeros(jacobian.shape), np.zeros(len(rows)), np.inf
+    kept = projector.columns(jacobian)
+    length = np.linalg.norm(kept, axis=0)
+    safe = np.where(_alive(length, jacobian), length, np.inf)
+    values, vectors = _eigen(kept / safe)
+    covariance = (vectors / values) @ vectors.T / np.outer(safe, safe)
+    covariance = _widened(projector, covariance, kept, rows)
+    score = -0.5 * chi2 - 0.5 * projector.volume - _price(projector, terms, free, kept) if possible else -np.inf
+    return Fit(projector, terms, links, offset, chi2, len(values), score, covariance, free, now.coordinates, rows)
 
 
-def fit(projector: NuisanceProjector, terms: Sequence[Term], start: Fit | None = None, steps: int = _STEPS) -> Fit:
+def fit(projector: NuisanceProjector, terms: Sequence[Term], start: Fit | None = None, steps: int | None = None) -> Fit:
     """Fit links, offset and the effects' free parameters.
 
     Parameters
@@ -214,63 +196,9 @@ def fit(projector: NuisanceProjector, terms: Sequence[Term], start: Fit | None =
     start
         A fit whose links and offset to start from.
     steps
-        At most this many Gauss-Newton steps.
+        At most this many Gauss-Newton steps; default those of the settings.
     """
-    data, terms = projector.data, tuple(terms)
-    u = np.zeros(projector.size) if start is None else start.coordinates.copy()
-    free = tuple((i, k) for i, t in enumerate(terms) if not data.fixed(t) for k in range(len(t.values)))
-    rows = _rows(projector, u, terms)
-    prior = projector.prior_residual(u)
-    chi2 = float(rows @ rows + prior @ prior)
-    damping = _DAMPING
-    for _ in range(steps):
-        links, _ = _split(projector, u)
-        jacobian = model_rows(data, data.segments, links, terms)
-        if not np.isfinite(jacobian).all():
-            break
-        stacked = np.concatenate([rows, -prior])
-        kept = projector.project_out(projector.with_prior_rows(jacobian))
-        length = np.linalg.norm(kept, axis=0)
-        scale = np.where(_alive(length, jacobian), length, np.inf)
-        values, vectors = _eigen(kept / scale)
-        pull = vectors.T @ ((kept / scale).T @ projector.project_out(stacked))
-        accepted = None
-        for _ in range(_TRIALS):
-            # Levenberg and Marquardt: where a direction says nothing yet (a point without a force), hold it back.
-            change = (vectors / (values + damping)) @ pull / scale if len(free) else np.zeros(0)
-            trial = _moved(terms, free, change)
-            taken = np.array([trial[i].values[k] - terms[i].values[k] for i, k in free])
-            du = (
-                np.linalg.solve(projector.r, projector.q.T @ (stacked - projector.with_prior_rows(jacobian @ taken)))
-                if projector.size
-                else u
-            )
-            new_rows, new_prior = _rows(projector, u + du, trial), projector.prior_residual(u + du)
-            new_chi2 = float(new_rows @ new_rows + new_prior @ new_prior)
-            if chi2 - new_chi2 > -_SETTLED:
-                accepted = (u + du, new_rows, new_prior, new_chi2, trial)
-                break
-            damping = max(10.0 * damping, 1e-4)
-        if accepted is None:
-            break
-        gain = chi2 - accepted[3]
-        u, rows, prior, chi2, terms = accepted
-        damping = 0.1 * damping if damping > 1e-7 else 0.0
-        if gain < _SETTLED:
-            break
-    links, offset = _split(projector, u)
-    jacobian = model_rows(data, data.segments, links, terms)
-    possible = bool(np.isfinite(chi2) and np.isfinite(jacobian).all())
-    if not possible:  # diverged: refused
-        jacobian, rows, chi2 = np.zeros(jacobian.shape), np.zeros(len(rows)), np.inf
-    kept = projector.project_out(projector.with_prior_rows(jacobian))
-    length = np.linalg.norm(kept, axis=0)
-    safe = np.where(_alive(length, jacobian), length, np.inf)
-    values, vectors = _eigen(kept / safe)
-    covariance = (vectors / values) @ vectors.T / np.outer(safe, safe)
-    covariance = _widened(projector, covariance, kept, rows)
-    score = -0.5 * chi2 - 0.5 * projector.volume - _price(projector, terms, free, kept) if possible else -np.inf
-    return Fit(projector, terms, links, offset, chi2, len(values), score, covariance, free, u, rows)
+    return finish(advance(begin(projector, terms, start), projector.data.settings.fit_steps if steps is None else steps))
 
 
 def _widened(projector: NuisanceProjector, covariance: np.ndarray, kept: np.ndarray, rows: np.ndarray) -> np.ndarray:
@@ -286,7 +214,7 @@ def _widened(projector: NuisanceProjector, covariance: np.ndarray, kept: np.ndar
     for s in projector.data.segments:
         size = s.shape[0] * s.shape[1]
         product = kept[at : at + size] * rows[at : at + size, None]
-        edges = np.arange(0, size, _TOGETHER * s.shape[1])
+        edges = np.arange(0, size, projector.data.settings.grouped_frequencies * s.shape[1])
         scores.append(np.add.reduceat(product, edges, axis=0))
         at += size
     groups = np.vstack(scores)
@@ -352,6 +280,6 @@ def _moved(terms: tuple[Term, ...], free: Sequence[tuple[int, int]], change: np.
     """The terms with their free parameters changed, inside what is possible."""
     values = [np.array(t.values, float) for t in terms]
     for (i, k), d in zip(free, change, strict=True):
-        kind = terms[i].effect.kind
-        values[i][k] = np.clip(values[i][k] + d, kind.lower[k], kind.upper[k])
+        effect = terms[i].effect
+        values[i][k] = np.clip(values[i][k] + d, effect.lower[k], effect.upper[k])
     return tuple(replace(t, values=tuple(v)) for t, v in zip(terms, values, strict=True))

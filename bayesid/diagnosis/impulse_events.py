@@ -16,23 +16,11 @@ from scipy.ndimage import binary_dilation, binary_opening
 from scipy.signal import butter, sosfiltfilt
 from scipy.stats import chi2, norm
 
-from bayesid.diagnosis.spectra import RAMP, REST_SHARE, Segment, sensor_noise
+from bayesid.diagnosis.settings import Settings
+from bayesid.diagnosis.spectra import Segment, sensor_noise
 from bayesid.effects import REST_SPEED
 
-#: Windows [s], but no fewer samples than this, and how far around the usual level is sought [s].
-WINDOW, _FEWEST, _AROUND = 0.05, 5, 0.5
-#: An event is this many times the usual level in root mean square, whatever its significance.
-CLEAR = 2.5
-#: Friction's kick at a reversal lasts this long [s], and a joint this many times faster than at rest has moved.
-_KICK, _MOVES = 0.12, 10.0
-#: Windows and samples that it takes to know how readings scatter when nothing happens.
-_KNOWN, _LEAST = 30, 64
-#: A rest that lasts this long is not looked at [s].
-_REST = 0.25
-#: Marked windows closer than this are one event [s].
-_BRIDGE = 0.15
-#: A tap has this share of its energy within this time [s], spread over a band at least this wide [Hz].
-_MOST, TAP, _BROAD = 0.8, 0.1, 20.0
+#: Of the high-pass filter.
 _ORDER = 4
 
 
@@ -53,7 +41,7 @@ class Event:
     p_value
         Probability of as much by chance in one of all places looked at.
     tap
-        Whether it is over within `TAP` and its band is broad.
+        Whether it is over within `Settings.tap_time` and its band is broad.
     """
 
     channel: int
@@ -91,26 +79,26 @@ def _band(segment: Segment) -> tuple[float, float] | None:
 
 
 def _edges(segment: Segment) -> np.ndarray:
-    length = max(round(WINDOW / segment.step), _FEWEST)
+    length = max(round(segment.settings.event_window / segment.step), segment.settings.event_samples)
     return np.linspace(0, len(segment.times), max(len(segment.times) // length, 1) + 1).astype(int)
 
 
 def _events(segment: Segment, quiet: np.ndarray, looked: int, level: float) -> tuple[Event, ...]:
-    band, edges = _band(segment), _edges(segment)
-    if band is None or len(edges) <= _KNOWN or len(segment.times) < _LEAST:
+    band, edges, settings = _band(segment), _edges(segment), segment.settings
+    if band is None or len(edges) <= settings.known_windows or len(segment.times) < settings.least_samples:
         return ()
     high = _high(segment, band[0])
     energy, length = _mean_squares(high, edges), float(np.diff(edges).mean())
     share = 1.0 - band[0] / band[1]
-    around = max(round(_AROUND / (segment.step * length)), 3)
+    around = max(round(settings.event_around / (segment.step * length)), 3)
     ratio = energy / np.maximum(np.maximum(_usual(energy, around), share * quiet**2), 1e-300)
     judged = _inside(segment, edges) & ~np.maximum.reduceat(kicks(segment), edges[:-1])
     chance = np.ones_like(ratio)
-    chance[judged] = np.minimum(unlikely(ratio[judged], share * length) * looked, 1.0)
+    chance[judged] = np.minimum(unlikely(ratio[judged], share * length, settings) * looked, 1.0)
     usually = np.median(ratio[judged], axis=0) if judged.any() else np.ones(ratio.shape[1])
-    marked = (chance < level) & (ratio > CLEAR**2 * np.maximum(usually, 1.0))
+    marked = (chance < level) & (ratio > settings.event_clear**2 * np.maximum(usually, 1.0))
     out = []
-    for first, last in runs(np.asarray(marked.any(axis=1)), max(round(_BRIDGE / (segment.step * length)), 1)):
+    for first, last in runs(np.asarray(marked.any(axis=1)), max(round(settings.event_bridge / (segment.step * length)), 1)):
         strength = np.where(marked[first:last], ratio[first:last] / usually, 0.0)
         row, channel = (int(k) for k in np.unravel_index(int(np.argmax(strength)), strength.shape))
         start, end = edges[first + row], edges[first + row + 1]
@@ -120,7 +108,7 @@ def _events(segment: Segment, quiet: np.ndarray, looked: int, level: float) -> t
             Event(
                 channel, float(segment.times[edges[first]]), float(segment.times[edges[last] - 1]), float(segment.times[peak]),
                 band, float(np.sqrt(strength[row, channel])), float(chance[first + row, channel]),
-                _is_tap(high[:, channel], peak, segment.step, usually_here),
+                _is_tap(high[:, channel], peak, segment.step, usually_here, settings),
             )
         )  # fmt: skip
     return tuple(out)
@@ -138,7 +126,7 @@ def _mean_squares(values: np.ndarray, edges: np.ndarray) -> np.ndarray:
 def _inside(segment: Segment, edges: np.ndarray) -> np.ndarray:
     """Windows that a filter's start and end do not reach (w,)."""
     first, last = segment.times[edges[:-1]], segment.times[edges[1:] - 1]
-    return (first > segment.times[0] + RAMP) & (last < segment.times[-1] - RAMP)
+    return (first > segment.times[0] + segment.settings.ramp) & (last < segment.times[-1] - segment.settings.ramp)
 
 
 def _usual(energy: np.ndarray, around: int) -> np.ndarray:
@@ -148,14 +136,14 @@ def _usual(energy: np.ndarray, around: int) -> np.ndarray:
     return np.maximum(sides[: len(energy)], sides[around + 1 :])
 
 
-def unlikely(ratio: np.ndarray, freedom: np.ndarray | float) -> np.ndarray:
+def unlikely(ratio: np.ndarray, freedom: np.ndarray | float, settings: Settings) -> np.ndarray:
     """Probability of as large ratios (w, c) by chance, from each channel's own median and ninth decile.
 
     Disturbances are rare, so the lower nine tenths are what happens without. Logarithms of mean squares have a lighter
     upper tail than a normal distribution of that spread, so its probability is a bound; no spread is taken for smaller
     than that of white noise, a chi-squared of ``freedom``. Too few windows give no probability, 1.
     """
-    if len(ratio) < _KNOWN:
+    if len(ratio) < settings.known_windows:
         return np.ones_like(ratio)
     log = np.log(np.maximum(ratio, 1e-300))
     middle, upper = np.quantile(log, [0.5, 0.9], axis=0)
@@ -166,32 +154,32 @@ def unlikely(ratio: np.ndarray, freedom: np.ndarray | float) -> np.ndarray:
 
 def kicks(segment: Segment) -> np.ndarray:
     """Samples at which friction may kick the arm (N,): a joint reverses, starts or stops, or rests and may creep and slip."""
-    scene = segment.scene
+    scene, settings = segment.scene, segment.settings
     step = float(np.median(np.diff(scene.times)))
     fastest = np.abs(scene.velocities).max(axis=0)
-    speed = scene.velocities[:, fastest > _MOVES * REST_SPEED]
-    moves = np.abs(speed) > np.maximum(REST_SHARE * np.abs(speed).max(axis=0), 2.0 * REST_SPEED)
-    rests = np.any(binary_opening(~moves, np.ones((max(round(_REST / step), 1), 1), bool)), axis=1)
+    speed = scene.velocities[:, fastest > settings.kick_speed * REST_SPEED]
+    moves = np.abs(speed) > np.maximum(settings.rest_share * np.abs(speed).max(axis=0), 2.0 * REST_SPEED)
+    rests = np.any(binary_opening(~moves, np.ones((max(round(settings.event_rest / step), 1), 1), bool)), axis=1)
     sign = np.where(moves, np.sign(speed), 0.0)
     turns = np.concatenate([[False], (sign[1:] != sign[:-1]).any(axis=1)])
-    near = np.asarray(binary_dilation(turns, iterations=max(round(_KICK / step), 1)))
+    near = np.asarray(binary_dilation(turns, iterations=max(round(settings.kick_time / step), 1)))
     return np.interp(segment.times, scene.times, np.where(near, 1.0, rests)) > 0.0
 
 
-def _is_tap(high: np.ndarray, peak: int, step: float, usual: float) -> bool:
-    """Whether most of what an event adds to the usual readings comes within `TAP`, in a broad band.
+def _is_tap(high: np.ndarray, peak: int, step: float, usual: float, settings: Settings) -> bool:
+    """Whether most of what an event adds to the usual readings comes within `Settings.tap_time`, in a broad band.
 
     A band's width is one over the sum of squares of its power's shares, times the spacing of frequencies.
     """
-    around = max(round(2.0 * TAP / step), 8)
+    around = max(round(2.0 * settings.tap_time / step), 8)
     cut = high[max(peak - around, 0) : peak + around]
-    steps = max(round(TAP / step), 1)
+    steps = max(round(settings.tap_time / step), 1)
     total = np.concatenate([[0.0], np.cumsum(cut**2 - usual**2)])
-    if len(total) <= steps or np.max(total[steps:] - total[:-steps]) < _MOST * total[-1]:
+    if len(total) <= steps or np.max(total[steps:] - total[:-steps]) < settings.tap_share * total[-1]:
         return False
     power = np.abs(np.fft.rfft(cut)) ** 2
     width = np.sum(power) ** 2 / np.sum(power**2) / (len(cut) * step)
-    return bool(width > _BROAD)
+    return bool(width > settings.tap_width)
 
 
 def runs(flags: np.ndarray, bridge: int = 1) -> list[tuple[int, int]]:

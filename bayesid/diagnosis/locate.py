@@ -15,18 +15,11 @@ from scipy.stats import chi2
 
 from bayesid.diagnosis.data import DiagnosisData
 from bayesid.diagnosis.impulse_events import Event, runs, short_events, unlikely
+from bayesid.diagnosis.settings import Settings
 from bayesid.diagnosis.spectra import Segment
 
-#: Level of significance over everything that was looked at.
-LEVEL = 0.001
-#: Windows [s], and into how many each is divided to look closer.
-_WINDOW, _PARTS = 1.0, 4
-#: Share of a window's excess that its significant parts must hold to stand for it.
-_INSIDE = 0.8
 #: Bands told apart [Hz].
 BANDS = ((0.0, 0.3), (0.3, 1.0), (1.0, 3.0), (3.0, 10.0))
-#: Disagreements and short events listed, strongest first.
-_LISTED, _EVENTS = 8, 6
 
 
 @dataclass(frozen=True)
@@ -71,12 +64,17 @@ class Disagreement:
     tap: bool = False
     unseen: bool = False
 
+    @property
+    def looks_like(self) -> str | None:
+        """``tap`` or ``short event``, or None."""
+        return "tap" if self.tap else "short event" if self.event else None
+
     def to_dict(self) -> dict:
         """An entry of ``where``."""
         return {
             "channel": self.channel, "motion": self.motion, "start": self.start, "end": self.end, "joint": self.joint,
             "band_hz": list(self.band_hz), "times_noise": self.ratio, "p_value": self.p_value,
-            "at_rest": self.still, "looks_like": "tap" if self.tap else "short event" if self.event else None,
+            "at_rest": self.still, "looks_like": self.looks_like,
         }  # fmt: skip
 
 
@@ -102,23 +100,26 @@ def locate(
     looked = places_looked_at(segments)
     found = []
     for s, w in zip(segments, white, strict=True):
+        settings = s.settings
         p = by_window(s, w, dispersion, looked)[3]
-        edges, fine, share, chance = by_window(s, w, dispersion, looked, _PARTS)
-        alone = np.maximum(chance, np.minimum(unlikely(fine / share, share) * looked, 1.0))
+        edges, fine, share, chance = by_window(s, w, dispersion, looked, settings.window_parts)
+        alone = np.maximum(chance, np.minimum(unlikely(fine / share, share, settings) * looked, 1.0))
         for c in range(w.shape[1]):
-            flags = (alone[:, c] < LEVEL) | _placed(p[:, c] < LEVEL, chance[:, c] < LEVEL, (fine - share)[:, c])
-            for first, last in runs(flags, _PARTS):
+            level, parts = settings.level, settings.window_parts
+            flags = alone[:, c] < level
+            flags |= _placed(p[:, c] < level, chance[:, c] < level, (fine - share)[:, c], settings)
+            for first, last in runs(flags, parts):
                 span = slice(edges[first], edges[last])
                 course = s.samples(w[:, c])[span]
                 ratio = float(np.sqrt(fine[first:last, c].sum() / share[first:last, c].sum()))
-                least = min(p[first // _PARTS : (last - 1) // _PARTS + 1, c].min(), alone[first:last, c].min())
+                least = min(p[first // parts : (last - 1) // parts + 1, c].min(), alone[first:last, c].min())
                 found.append(
                     Disagreement(
                         data.channels.names[c], s.motion, float(s.times[edges[first]]), float(s.times[edges[last] - 1]),
                         _strongest_band(s, course, span), _joint(data, s, course, span), ratio, float(least), s.still,
                     )
                 )  # fmt: skip
-    strongest = sorted(found, key=_strength)[:_LISTED]
+    strongest = sorted(found, key=_strength)[: data.settings.listed]
     return tuple(sorted([*strongest, *_events(data)], key=_strength))
 
 
@@ -131,9 +132,9 @@ def _events(data: DiagnosisData) -> list[Disagreement]:
     """The strongest short events of fitted and unseen motions."""
     segments = (*data.segments, *data.unseen)
     found = []
-    for k, (s, events) in enumerate(zip(segments, short_events(segments, LEVEL), strict=True)):
+    for k, (s, events) in enumerate(zip(segments, short_events(segments, data.settings.level), strict=True)):
         found += [_event(data, s, e, unseen=k >= len(data.segments)) for e in events]
-    return sorted(found, key=_strength)[:_EVENTS]
+    return sorted(found, key=_strength)[: data.settings.listed_events]
 
 
 def _event(data: DiagnosisData, segment: Segment, event: Event, *, unseen: bool) -> Disagreement:
@@ -144,16 +145,17 @@ def _event(data: DiagnosisData, segment: Segment, event: Event, *, unseen: bool)
     )  # fmt: skip
 
 
-def _placed(long: np.ndarray, short: np.ndarray, excess: np.ndarray) -> np.ndarray:
+def _placed(long: np.ndarray, short: np.ndarray, excess: np.ndarray, settings: Settings) -> np.ndarray:
     """Parts of the windows that disagree (parts,): those that hold nearly all of a window's excess (parts,), or all of it."""
-    kept = short & np.repeat(long, _PARTS)
-    inside = np.where(kept, excess, 0.0).reshape(-1, _PARTS).sum(axis=1)
-    return kept | np.repeat(long & (inside < _INSIDE * excess.reshape(-1, _PARTS).sum(axis=1)), _PARTS)
+    parts = settings.window_parts
+    kept = short & np.repeat(long, parts)
+    inside = np.where(kept, excess, 0.0).reshape(-1, parts).sum(axis=1)
+    return kept | np.repeat(long & (inside < settings.inside_share * excess.reshape(-1, parts).sum(axis=1)), parts)
 
 
 def places_looked_at(segments: Sequence[Segment]) -> int:
     """Windows of all channels, and their parts."""
-    return sum((1 + _PARTS) * _windows(s) * s.shape[1] for s in segments)
+    return sum((1 + s.settings.window_parts) * _windows(s) * s.shape[1] for s in segments)
 
 
 def by_window(
@@ -202,7 +204,7 @@ def by_band(segment: Segment, white: np.ndarray) -> np.ndarray:
 
 
 def _windows(segment: Segment) -> int:
-    return max(int((segment.times[-1] - segment.times[0]) / _WINDOW), 1)
+    return max(int((segment.times[-1] - segment.times[0]) / segment.settings.window), 1)
 
 
 def _strongest_band(segment: Segment, course: np.ndarray, span: slice) -> tuple[float, float]:

@@ -21,17 +21,9 @@ from scipy.fft import dct, idct
 from scipy.interpolate import CubicSpline
 
 from bayesid.diagnosis.repeats import Repeat, find_repeats
-from bayesid.diagnosis.spectra import BAND, ROUNDINGS, Segment, other_readings, taper
+from bayesid.diagnosis.settings import Settings
+from bayesid.diagnosis.spectra import Segment, other_readings, taper
 from bayesid.signals.smoothing import smooth
-
-#: Frequency from which on a floor has to be measured to be called known [Hz], and degrees of freedom it needs.
-REACH, ENOUGH = 0.5, 120.0
-#: Degrees of freedom of one band at least, for a standard deviation to 13 %, and how much wider each is in ratio.
-_EACH, _WIDER = 30.0, 1.15
-#: What is left of a power once the encoders' share is subtracted is never taken for less than this share of it.
-_LEAST = 0.05
-#: Ratio of measured to white noise, in the median of windows of so long [s], from which on noise is coloured.
-_COLOURED, _WINDOW = 2.0, 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +44,8 @@ class Piece:
         Degrees of freedom for each coefficient.
     known
         Simulated values (k, N, c) of what does not count as the sensor's noise.
+    settings
+        The thresholds.
     """
 
     times: np.ndarray
@@ -61,12 +55,13 @@ class Piece:
     lowest: float
     share: float
     known: np.ndarray
+    settings: Settings
 
     @property
     def frequencies(self) -> np.ndarray:
         """Of the coefficients in the band (K,) [Hz]."""
         length = len(self.times) * (self.times[-1] - self.times[0]) / (len(self.times) - 1)
-        return 0.5 / length * np.arange(int(2.0 * length * BAND))
+        return 0.5 / length * np.arange(int(2.0 * length * self.settings.band))
 
     def power(self, values: np.ndarray) -> np.ndarray:
         """Covariance of one sample of white noise that has the coefficients of values (N, c), by frequency (K, c, c)."""
@@ -109,10 +104,9 @@ class Spectrum:
         """A motion's own, or else that of all."""
         return self.own.get(motion, self)
 
-    @property
-    def enough(self) -> bool:
+    def enough(self, settings: Settings) -> bool:
         """Whether it was measured where it matters, and often enough."""
-        return self.lowest <= REACH and float(self.freedom.sum()) >= ENOUGH
+        return self.lowest <= settings.spectrum_reach and float(self.freedom.sum()) >= settings.spectrum_freedom
 
     def at(self, frequencies: np.ndarray, least: np.ndarray | None = None) -> np.ndarray:
         """Covariance of one sample (K, c, c) at frequencies (K,); standard deviations no smaller than least (c,)."""
@@ -153,14 +147,14 @@ def repeat_pieces(
             CubicSpline(b.scene.times, y)(later) - CubicSpline(a.scene.times, x)(times)
             for x, y in zip(wrong[r.first], wrong[r.second], strict=True)
         ]
-        edge = taper(times, times, a.scene.bandwidth)[:, None]
+        edge = taper(times, times, a.scene.bandwidth, a.settings)[:, None]
         weight = edge * a.mobile(times) * b.mobile(later)
         known = np.array([_detrended(times, e) for e in errors]).reshape(-1, *values.shape)
         length, periodic = r.end - r.start, r.first == r.second
         lowest = max(1.0 / length, 0.25 / r.lag if periodic else 0.0)
         # Neighbouring differences share a period of the motion: their squares are correlated by a quarter.
         share = 1.0 / (1.0 + 0.5 * max(1.0 - r.lag / length, 0.0)) if periodic else 1.0
-        out.append(Piece(times, _detrended(times, values), weight, 2.0, lowest, share * _kept(edge[:, 0]), known))
+        out.append(Piece(times, _detrended(times, values), weight, 2.0, lowest, share * _kept(edge[:, 0]), known, a.settings))
     return out
 
 
@@ -170,12 +164,13 @@ def _left(segment: Segment, predicted: np.ndarray, times: np.ndarray) -> np.ndar
     return CubicSpline(segment.times, own)(times)
 
 
-def rest_piece(times: np.ndarray, readings: np.ndarray, bandwidth: float) -> Piece:
+def rest_piece(times: np.ndarray, readings: np.ndarray, bandwidth: float, settings: Settings) -> Piece:
     """Readings (N, c) of a robot that stands still."""
-    edge = taper(times, times, bandwidth)
+    edge = taper(times, times, bandwidth, settings)
     weight = np.repeat(edge[:, None], readings.shape[1], axis=1)
     lowest = 1.5 / (times[-1] - times[0])
-    return Piece(times, _detrended(times, readings), weight, 1.0, lowest, _kept(edge), np.zeros((0, *readings.shape)))
+    known = np.zeros((0, *readings.shape))
+    return Piece(times, _detrended(times, readings), weight, 1.0, lowest, _kept(edge), known, settings)
 
 
 def _kept(weight: np.ndarray) -> float:
@@ -198,10 +193,11 @@ def measured_spectrum(pieces: Sequence[Piece]) -> Spectrum | None:
         parts.append((p.frequencies[seen], total, known, np.full(seen.sum(), p.share)))
     if not parts:
         return None
+    settings = pieces[0].settings
     frequency, total, known, freedom = (np.concatenate(x) for x in zip(*parts, strict=True))
     order = np.argsort(frequency, kind="stable")
     frequency, total, known, freedom = frequency[order], total[order], known[order], freedom[order]
-    edges = _bands(frequency, freedom)
+    edges = _bands(frequency, freedom, settings)
     if len(edges) < 3:
         return None
 
@@ -213,7 +209,7 @@ def measured_spectrum(pieces: Sequence[Piece]) -> Spectrum | None:
     all_, part = banded(total), banded(known)
     if not np.all(np.einsum("bcc->bc", all_) > 0):
         return None
-    rest = np.stack([_less(a, k) for a, k in zip(all_, part, strict=True)])
+    rest = np.stack([_less(a, k, settings.least_noise_share) for a, k in zip(all_, part, strict=True)])
     size = np.sqrt(np.einsum("bcc->bc", rest))
     # As many degrees of freedom as there are make whitened squares larger than 1 by nu / (nu - 2) on average.
     std = size * np.sqrt(weight / (weight - 2.0))[:, None]
@@ -224,8 +220,8 @@ def measured_spectrum(pieces: Sequence[Piece]) -> Spectrum | None:
     return Spectrum(centre, std, np.stack(sound), weight, float(frequency[0]))
 
 
-def _less(total: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """A covariance (c, c) less a part of it, in no direction less than `_LEAST` of what it was.
+def _less(total: np.ndarray, known: np.ndarray, least: float) -> np.ndarray:
+    """A covariance (c, c) less a part of it, in no direction less than a least share of what it was.
 
     Encoders' errors come from a few joints and reach all channels: large in some directions, and nothing in others.
     """
@@ -234,16 +230,16 @@ def _less(total: np.ndarray, known: np.ndarray) -> np.ndarray:
     half = root[:, None] * vectors * np.sqrt(np.maximum(values, 1e-9))
     inverse = np.linalg.inv(half)
     left, axes = np.linalg.eigh(np.eye(len(total)) - inverse @ known @ inverse.T)
-    out = half @ axes * np.sqrt(np.clip(left, _LEAST, 1.0))
+    out = half @ axes * np.sqrt(np.clip(left, least, 1.0))
     return out @ out.T
 
 
-def _bands(frequency: np.ndarray, freedom: np.ndarray) -> np.ndarray:
-    """First indices of bands, wider with frequency, of at least `_EACH` degrees of freedom; the last is the end."""
+def _bands(frequency: np.ndarray, freedom: np.ndarray, settings: Settings) -> np.ndarray:
+    """First indices of bands, wider with frequency, of enough degrees of freedom; the last is the end."""
     edges, got = [0], 0.0
     for i, f in enumerate(freedom):
         got += f
-        if got >= _EACH and frequency[i] >= _WIDER * frequency[edges[-1]]:
+        if got >= settings.band_freedom and frequency[i] >= settings.band_growth * frequency[edges[-1]]:
             edges.append(i + 1)
             got = 0.0
     if len(edges) > 1:
@@ -270,18 +266,18 @@ def coloured(pieces: Sequence[Piece], white: np.ndarray, channels: Sequence[int]
     ratios = []
     for p in pieces:
         z = np.zeros(p.values.shape)
-        low, high = np.searchsorted(p.frequencies, 1.0 / _WINDOW), len(p.frequencies)
+        low, high = np.searchsorted(p.frequencies, 1.0 / p.settings.colour_window), len(p.frequencies)
         z[low:high] = np.asarray(dct(p.values * p.weight, axis=0, norm="ortho"))[low:high]
         signal = np.asarray(idct(z, axis=0, norm="ortho"))
         share = (high - low) / len(signal) * p.gain * p.weight**2
         known = np.mean([p.power(k).diagonal(0, 1, 2).mean(axis=0) for k in p.known], axis=0) if len(p.known) else 0.0
-        pieces_ = max(int((p.times[-1] - p.times[0]) / _WINDOW), 1)
+        pieces_ = max(int((p.times[-1] - p.times[0]) / p.settings.colour_window), 1)
         edges = np.linspace(0, len(signal), pieces_ + 1).astype(int)[:-1]
         expected = np.add.reduceat(share * (white**2 + known), edges)
         ratios.append(np.add.reduceat(signal**2, edges) / np.maximum(expected, 1e-300))
     if not ratios:
         return False
-    return bool(np.any(np.median(np.concatenate(ratios), axis=0)[list(channels)] > _COLOURED))
+    return bool(np.any(np.median(np.concatenate(ratios), axis=0)[list(channels)] > pieces[0].settings.coloured_ratio))
 
 
 def _own(segments: Sequence[Segment], repeats: Sequence[Repeat], pieces: Sequence[Piece]) -> dict[str, Spectrum]:
@@ -292,7 +288,7 @@ def _own(segments: Sequence[Segment], repeats: Sequence[Repeat], pieces: Sequenc
         for name in names if len(names) == 1 else ():
             mine.setdefault(name, []).append(piece)
     found = {name: measured_spectrum(own) for name, own in mine.items()}
-    return {name: spectrum for name, spectrum in found.items() if spectrum is not None and spectrum.enough}
+    return {name: spectrum for name, spectrum in found.items() if spectrum is not None and spectrum.enough(segments[0].settings)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -322,7 +318,7 @@ class Encoders:
         if not (self.resolution.any() or self.position_std.any()):
             return out
         exact = {i: smooth(s.times, s.encoders, s.scene.bandwidth)[0] for i, s in enumerate(segments) if i in wanted}
-        for _ in range(ROUNDINGS):
+        for _ in range(segments[0].settings.roundings):
             shift = rng.uniform(-0.5, 0.5, len(self.resolution)) * self.resolution
             for i, q in exact.items():
                 read = other_readings(q, shift, self.resolution, self.position_std, rng)
@@ -356,17 +352,19 @@ def measure(
     encoders
         For what of the difference of repeats is their doing.
     """
+    settings = segments[0].settings
     repeats = find_repeats(segments, encoders.resolution)
     roundings = encoders.roundings(segments, {i for r in repeats for i in (r.first, r.second)})
     channels = range(len(white))
     # A drive at rest holds with friction whatever it takes, and that may wander: no reason to distrust white noise.
     torques = {c for s in segments for c, _ in s.torque_channels}
+    standing = [rest_piece(*r, segments[0].scene.bandwidth, settings) for r in rests]
     sources = [
         ("repeats", repeat_pieces(segments, repeats, encoders.predict, roundings), channels),
-        ("parked", [rest_piece(*r, segments[0].scene.bandwidth) for r in rests], [c for c in channels if c not in torques]),
+        ("parked", standing, [c for c in channels if c not in torques]),
     ]
     for source, pieces, judged in sources:
         spectrum = measured_spectrum(pieces)
-        if spectrum is not None and spectrum.enough and (filtered or coloured(pieces, white, judged)):
+        if spectrum is not None and spectrum.enough(settings) and (filtered or coloured(pieces, white, judged)):
             return replace(spectrum, source=source, own=_own(segments, repeats, pieces) if source == "repeats" else {})
     return None

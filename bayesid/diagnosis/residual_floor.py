@@ -35,7 +35,7 @@ def with_floor_of(library: Library, fit: Fit) -> DiagnosisData:
     Never below what was measured. What remains of a model error that no effect of the library resembles counts as noise
     then: names become harder to earn, and whether something unknown is missing can no longer be said.
     """
-    data, left, parameters = library.projector.data, library.unexplained(fit), library.parameters(fit)
+    data, (left, parameters) = library.projector.data, library.unexplained(fit)
     share = library.projector.rows / max(library.projector.rows - parameters, 0.1 * library.projector.rows)
     channels = len(data.channels)
     energy, count = np.zeros((len(_EDGES), channels)), np.zeros((len(_EDGES), 1))

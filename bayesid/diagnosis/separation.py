@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayesid.diagnosis.candidates import DETECTED, Library
+from bayesid.diagnosis.candidates import Library
 from bayesid.effects import Effect
 
 #: Nearer to one than this a share is rounding: the two leave the same trace.
@@ -60,7 +60,7 @@ def visible(library: Library) -> tuple[Visible, ...]:
     library
         Columns of all effects at the user's model.
     """
-    robot = library.projector.data.robot
+    robot, detected = library.projector.data.robot, library.projector.data.settings.detected
     if not library.blocks:
         return ()
     traces = np.stack([b.rows @ b.about.to_amplitudes(np.array(b.effect.typical(robot), float)) for b in library.blocks], axis=1)
@@ -78,7 +78,7 @@ def visible(library: Library) -> tuple[Visible, ...]:
         size = abs(float(usual[by]))
         nearest = max((i for i, s in enumerate(specs) if s != specs[k]), key=lambda i: whole[i, k], default=None)  # noqa: B023
         share = 0.0 if nearest is None else float(np.clip(whole[nearest, k], 0.0, 1.0))
-        seen = DETECTED / float(lengths[k]) * size if lengths[k] > 0 and size > 0 else None
+        seen = detected / float(lengths[k]) * size if lengths[k] > 0 and size > 0 else None
         seen = None if seen is None or seen > _ABSURD * size else seen
         named = None if seen is None or share > _SAME else seen / float(np.sqrt(1.0 - share))
         named = None if named is None or named > _ABSURD * size else named

@@ -1,6 +1,6 @@
 """Readings in a frequency basis, where their noise is white once it is divided by its known spectrum.
 
-A segment of samples becomes its lowest discrete cosine coefficients, up to `BAND`. Each coefficient is one
+A segment of samples becomes its lowest discrete cosine coefficients, up to `Settings.band`. Each coefficient is one
 frequency, so a noise that depends on frequency is a small covariance across channels for each of them:
 
     S(f) = diag(sensor noise) + E(f) + accuracy of the model
@@ -21,28 +21,20 @@ from scipy.fft import dct, idct
 from scipy.ndimage import binary_opening, convolve, uniform_filter1d
 from scipy.stats import chi2
 
+from bayesid.diagnosis.settings import DEFAULT, Settings
 from bayesid.effects import REST_SPEED, MotionSegment
 from bayesid.signals.smoothing import smooth
 
-#: Highest frequency compared [Hz].
-BAND = 10.0
-#: Relative error of any model, of numbers written with few digits and samples taken not quite at the same time.
-ACCURACY = 1e-4
-#: Time in which a recording's weight rises from nothing at both ends [s].
-RAMP = 0.5
-#: A joint rests while it is slower than this share of its highest speed, if that lasts [s].
-REST_SHARE, REST_TIME = 0.005, 0.1
-#: Repetitions of the encoders' rounding.
-ROUNDINGS = 12
-#: Frequencies pooled on each side for E(f).
-_POOL = 6
-#: Samples of a window whose high frequencies are taken for noise, and which of the windows count as quiet.
-_WINDOW = 64
-_QUIET = 0.1
-#: Ratio of powers at two high frequencies above which noise is not white.
-_COLOURED = 8.0
-#: Steps that must be whole multiples before they count as an encoder's.
-_ENOUGH = 20
+
+@dataclass(frozen=True, eq=False)
+class _Fading:
+    """Samples at which a weight changes, their neighbours (k,), and factors of neighbours' difference and of samples (k, c)."""
+
+    at: np.ndarray
+    after: np.ndarray
+    before: np.ndarray
+    rates: np.ndarray
+    values: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +59,8 @@ class Segment:
         Of the coefficients (K, c, c); empty until it is known.
     instant
         Whether a reading is the value at its time; otherwise it is the mean over one sample's time.
+    settings
+        The diagnosis' thresholds.
     """
 
     motion: str
@@ -79,6 +73,7 @@ class Segment:
     torque_channels: tuple[tuple[int, int], ...]
     covariance: np.ndarray
     instant: bool = False
+    settings: Settings = DEFAULT
 
     @property
     def step(self) -> float:
@@ -93,7 +88,7 @@ class Segment:
     @cached_property
     def alive(self) -> np.ndarray:
         """Channels that say anything (c,): a torque whose joint rests all the time says nothing."""
-        return np.asarray(self.weight(self.times).any(axis=0))
+        return np.asarray(self._weight.any(axis=0))
 
     @property
     def count(self) -> int:
@@ -104,7 +99,7 @@ class Segment:
     def frequencies(self) -> np.ndarray:
         """Of the coefficients (K,) [Hz]."""
         spacing = 0.5 / (len(self.times) * self.step)
-        band = min(BAND, 0.4 / self.step, 0.8 * self.scene.bandwidth)
+        band = min(self.settings.band, 0.4 / self.step, 0.8 * self.scene.bandwidth)
         return spacing * np.arange(max(int(band / spacing), 1))
 
     def spectrum(self, samples: np.ndarray) -> np.ndarray:
@@ -115,34 +110,62 @@ class Segment:
         weight w is taken back: ``w mean(p) = mean(w p) - h^2 / 24 (2 w' p' + w'' p)``. Poses at rest and instants are points
         on both sides.
         """
-        times = self.scene.times
-        weight = self.weight(times)
+        scale = np.sqrt(len(self.times) / len(self.scene.times))
         if self.still or self.instant:
-            return _transform(samples, weight, len(self.frequencies)) * np.sqrt(len(self.times) / len(times))
+            return _transform(samples, self._scene_weight, len(self.frequencies)) * scale
+        fading = self._fading
+        wide = lambda x: x.reshape(x.shape + (1,) * (samples.ndim - x.ndim))  # noqa: E731
+        weighted = samples * wide(self._scene_weight)
+        rate = samples[fading.after] - samples[fading.before]
+        weighted[fading.at] -= wide(fading.rates) * rate + wide(fading.values) * samples[fading.at]
+        share = np.sinc(self.frequencies * self.step) * scale
+        return np.asarray(dct(weighted, axis=0, norm="ortho", overwrite_x=True))[: len(share)] * wide(share)
+
+    @cached_property
+    def _scene_weight(self) -> np.ndarray:
+        """Weight on the scene's grid (M, c)."""
+        return self.weight(self.scene.times)
+
+    @cached_property
+    def _fading(self) -> _Fading:
+        """What averaging does to the weight where that changes."""
+        times, weight = self.scene.times, self._scene_weight
         slope = np.gradient(weight, times, axis=0)
         bend = np.gradient(slope, times, axis=0)
         at = np.flatnonzero(np.abs(slope).max(axis=1) + np.abs(bend).max(axis=1) > 0.0)
         after, before = np.minimum(at + 1, len(times) - 1), np.maximum(at - 1, 0)
-        wide = lambda x: x.reshape(x.shape + (1,) * (samples.ndim - x.ndim))  # noqa: E731
-        rate = (samples[after] - samples[before]) / wide(times[after] - times[before])
-        weighted = samples * wide(weight)
-        weighted[at] -= self.step**2 / 24.0 * (2.0 * wide(slope[at]) * rate + wide(bend[at]) * samples[at])
-        share = np.sinc(self.frequencies * self.step) * np.sqrt(len(self.times) / len(times))
-        return np.asarray(dct(weighted, axis=0, norm="ortho"))[: len(share)] * wide(share)
+        share = self.step**2 / 24.0
+        rates = share * 2.0 * slope[at] / (times[after] - times[before])[:, None]
+        return _Fading(at, after, before, rates, share * bend[at])
+
+    @cached_property
+    def measured_readings(self) -> np.ndarray:
+        """Coefficients of the readings (K, c)."""
+        return self.measured(self.readings)
+
+    @cached_property
+    def measured_ones(self) -> np.ndarray:
+        """Coefficients of a constant of one in every channel (K, c)."""
+        return self.measured(np.ones(self.readings.shape))
 
     def measured(self, samples: np.ndarray) -> np.ndarray:
         """Coefficients (K, c, ...) of measured samples (N, c, ...)."""
-        return _transform(samples, self.weight(self.times), len(self.frequencies))
+        return _transform(samples, self._weight, len(self.frequencies))
+
+    @cached_property
+    def _weight(self) -> np.ndarray:
+        """Weight of the readings (N, c)."""
+        return self.weight(self.times)
 
     def course(self, samples: np.ndarray) -> np.ndarray:
         """Coefficients (K, ...) of courses in time (M, ...) on the scene's grid that belong to no channel."""
-        edge = taper(self.scene.times, self.times, self.scene.bandwidth)[:, None]
+        edge = taper(self.scene.times, self.times, self.scene.bandwidth, self.settings)[:, None]
         flat = _transform(samples.reshape(len(samples), -1), edge, len(self.frequencies))
         return flat.reshape(-1, *samples.shape[1:]) * np.sqrt(len(self.times) / len(samples))
 
     def weight(self, times: np.ndarray) -> np.ndarray:
         """Weight of times in every channel (k, c): the taper at both ends, and for torques what `mobile` says."""
-        return taper(times, self.times, self.scene.bandwidth)[:, None] * self.mobile(times)
+        return taper(times, self.times, self.scene.bandwidth, self.settings)[:, None] * self.mobile(times)
 
     def mobile(self, times: np.ndarray) -> np.ndarray:
         """How far a reading is determined (k, c): a joint at rest may stick, and its drive then holds anything."""
@@ -153,12 +176,12 @@ class Segment:
 
     @cached_property
     def _moving(self) -> np.ndarray:
-        """1 where a joint moves, 0 where it rests for longer than `REST_TIME`, with smooth flanks (M, n)."""
+        """1 where a joint moves, 0 where it rests for longer than `Settings.rest_time`, with smooth flanks (M, n)."""
         step = float(np.median(np.diff(self.scene.times)))
-        length = max(int(REST_TIME / step), 1)
+        length = max(int(self.settings.rest_time / step), 1)
         # Encoder counts make single velocities noisy; a mean over a rest is not, and one over a reversal is soon past zero.
         speed = np.abs(uniform_filter1d(self.scene.velocities, length, axis=0))
-        rest = speed < np.maximum(REST_SHARE * speed.max(axis=0), 2.0 * REST_SPEED)
+        rest = speed < np.maximum(self.settings.rest_share * speed.max(axis=0), 2.0 * REST_SPEED)
         # A rest that lasts: opening (erosion, then dilation) along time. Then the flanks.
         rest = binary_opening(rest, np.ones((length, 1), bool))
         wide = np.hanning(2 * length + 3)[1:-1, None]
@@ -190,13 +213,13 @@ def _transform(samples: np.ndarray, weight: np.ndarray, count: int) -> np.ndarra
     return np.asarray(dct(weighted, axis=0, norm="ortho"))[:count]
 
 
-def taper(times: np.ndarray, whole: np.ndarray, bandwidth: float) -> np.ndarray:
+def taper(times: np.ndarray, whole: np.ndarray, bandwidth: float, settings: Settings) -> np.ndarray:
     """Weight of times (k,) in a recording: 1, but falling to 0 at both ends, where the smoothed trajectory is loose.
 
-    It falls within `RAMP` as a squared cosine of a squared sine's argument, so gently that the large constant weight
+    It falls within `Settings.ramp` as a squared cosine of a squared sine's argument, so gently that the large constant weight
     of a robot leaks no more than 1e-6 of itself into the band when predictions are made on a coarse grid.
     """
-    length = min(max(RAMP, 1.5 / bandwidth), 0.25 * (whole[-1] - whole[0]))
+    length = min(max(settings.ramp, 1.5 / bandwidth), 0.25 * (whole[-1] - whole[0]))
     inside = np.clip(np.minimum(times - whole[0], whole[-1] - times) / length, 0.0, 1.0)
     return np.sin(0.5 * np.pi * np.sin(0.5 * np.pi * inside) ** 2) ** 2
 
@@ -214,7 +237,7 @@ def sensor_noise(segments: Sequence[Segment]) -> np.ndarray:
         Recordings made in the same way (a static run may average its readings longer than a moving one).
     """
     power, bins = _quiet_power(segments, 0.3, 0.48)
-    return np.sqrt(power / (chi2.ppf(_QUIET, 2 * bins) / (2 * bins)))
+    return np.sqrt(power / (chi2.ppf(segments[0].settings.quiet_quantile, 2 * bins) / (2 * bins)))
 
 
 def low_passed(segments: Sequence[Segment]) -> bool:
@@ -223,7 +246,7 @@ def low_passed(segments: Sequence[Segment]) -> bool:
     White noise has as much power at a fifth of the sampling rate as near half of it.
     """
     lower, upper = (_quiet_power(segments, *band)[0] for band in ((0.15, 0.25), (0.4, 0.48)))
-    return bool(np.max(lower / np.maximum(upper, 1e-300)) > _COLOURED)
+    return bool(np.max(lower / np.maximum(upper, 1e-300)) > segments[0].settings.filtered_ratio)
 
 
 def _quiet_power(segments: Sequence[Segment], low: float, high: float) -> tuple[np.ndarray, int]:
@@ -233,7 +256,7 @@ def _quiet_power(segments: Sequence[Segment], low: float, high: float) -> tuple[
     """
     powers, bins = [], 1
     for s in segments:
-        length = min(_WINDOW, len(s.readings) // 2)
+        length = min(s.settings.quiet_window, len(s.readings) // 2)
         pieces = len(s.readings) // length
         cut = np.diff(s.readings[: pieces * length].reshape(pieces, length, -1), n=2, axis=1)
         count = cut.shape[1]
@@ -244,7 +267,7 @@ def _quiet_power(segments: Sequence[Segment], low: float, high: float) -> tuple[
         # A Hann window spreads each frequency over about three bins' worth, 1.5 of them independent.
         bins = max(int(np.count_nonzero(inside) / 1.5), 1)
         powers.append(np.mean(power[:, inside] / ((2.0 * np.sin(np.pi * frequency[inside])) ** 4)[:, None], axis=1))
-    return np.quantile(np.concatenate(powers), _QUIET, axis=0), bins
+    return np.quantile(np.concatenate(powers), segments[0].settings.quiet_quantile, axis=0), bins
 
 
 def with_noise(
@@ -273,25 +296,25 @@ def with_noise(
     rng
         For the roundings.
     """
-    exact = predict(segment)
+    exact, settings = predict(segment), segment.settings
     smoothed_positions = smooth(segment.times, segment.encoders, segment.scene.bandwidth)[0]
     channels = exact.shape[1]
     signal = segment.spectrum(exact)
     scatter = np.zeros((len(segment.frequencies), channels, channels))
     if resolution.any() or position_std.any():
-        for _ in range(ROUNDINGS):
+        for _ in range(settings.roundings):
             # Where within a count the truth lies is unknown: another shift, another rounding.
             shift = rng.uniform(-0.5, 0.5, segment.encoders.shape[1]) * resolution
             read = other_readings(smoothed_positions, shift, resolution, position_std, rng)
             error = segment.spectrum(predict(resmooth(segment, read)) - exact)
-            scatter += error[:, :, None] * error[:, None, :] / ROUNDINGS
-        scatter = _pooled(scatter)
+            scatter += error[:, :, None] * error[:, None, :] / settings.roundings
+        scatter = _pooled(scatter, settings.pooled_frequencies)
     weight = segment.weight(segment.times)
     share = weight.T @ weight / len(weight) + np.diag(~segment.alive)  # a channel that says nothing has any noise
     floor = (np.diag(sensor**2) if sensor.ndim == 1 else sensor) * share
     rough = np.zeros_like(scatter)
-    power = _pooled(signal[:, :, None] ** 2)[:, :, 0]
-    rough[:, np.arange(channels), np.arange(channels)] = ACCURACY**2 * power
+    power = _pooled(signal[:, :, None] ** 2, settings.pooled_frequencies)[:, :, 0]
+    rough[:, np.arange(channels), np.arange(channels)] = settings.accuracy**2 * power
     return replace(segment, covariance=floor + scatter + rough)
 
 
@@ -305,16 +328,16 @@ def other_readings(
     return np.where(resolution > 0, np.round(read / count) * count, read) - shift
 
 
-def _pooled(values: np.ndarray) -> np.ndarray:
+def _pooled(values: np.ndarray, most: int) -> np.ndarray:
     """Mean over neighbouring frequencies, fewer at the ends."""
     total = np.cumsum(np.concatenate([np.zeros((1, *values.shape[1:])), values]), axis=0)
     index = np.arange(len(values))
-    reach = np.minimum(_POOL, np.maximum(index // 2, 1))
+    reach = np.minimum(most, np.maximum(index // 2, 1))
     low, high = np.maximum(index - reach, 0), np.minimum(index + reach + 1, len(values))
     return (total[high] - total[low]) / (high - low).reshape((-1,) + (1,) * (values.ndim - 1))
 
 
-def encoder_count(positions: np.ndarray) -> float:
+def encoder_count(positions: np.ndarray, settings: Settings) -> float:
     """The step that all readings (N,) are whole multiples of, apart from one another; 0 if there is none [rad or m]."""
     values = np.unique(positions)
     steps = np.diff(values)
@@ -324,6 +347,6 @@ def encoder_count(positions: np.ndarray) -> float:
     # Numbers written with few decimals are off by up to half of the last one; a step is then no exact multiple.
     for part in (1, 2, 3):
         multiples = steps / (steps.min() / part)
-        if len(steps) > _ENOUGH and np.mean(np.abs(multiples - np.round(multiples)) < 0.1) > 0.98:
+        if len(steps) > settings.encoder_steps and np.mean(np.abs(multiples - np.round(multiples)) < 0.1) > 0.98:
             return float(steps.min() / part)
     return 0.0

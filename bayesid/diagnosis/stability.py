@@ -21,14 +21,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.fft import idct
 
-from bayesid.diagnosis.fit import ALIVE, Fit, NuisanceProjector, model_rows, residual_rows
-from bayesid.diagnosis.search import ACCEPT, Found
+from bayesid.diagnosis.fit import ALIVE, Fit
+from bayesid.diagnosis.projector import NuisanceProjector
+from bayesid.diagnosis.rivals import Found
+from bayesid.diagnosis.rows import model_rows, residual_rows
 
-#: Blocks that all recordings together are cut into, about.
-BLOCKS = 10
-#: A moment carries an effect if its share of the evidence is this many times that of evenly spread evidence and the rest
-#: would not do to name it, or if all but a tenth is its share: rows are filtered, so a large disturbance leaves traces beside it.
-UNEVEN, ALL = 3.0, 0.9
 #: A parameter is not determined without a block if its variance grows by more than this.
 _LOST = 1e6
 #: Curvature of directions that the data do not determine, in units of a column's own.
@@ -57,7 +54,7 @@ class Stability:
     least
         Its smallest log evidence without one of them.
     rests_on
-        The part that carries it (see `UNEVEN`), or None.
+        The part that carries it, or None: so much of the evidence that the rest would not do to name it, and more than is even.
     ranges
         By parameter, the smallest and largest estimate without a part; infinite where one part alone determines it.
     """
@@ -149,6 +146,7 @@ def stability(
     """
     if not found:
         return ()
+    settings = projector.data.settings
     sums, moments = _sums(projector, best, known)
     less = sums.whole - sums.blocks
     # A fit that stopped a little before its minimum would take the rest of the way in every block: that is none of theirs.
@@ -168,7 +166,8 @@ def stability(
         left = (f.gain + price) * share - price
         worst = int(np.argmin(left))
         taken = 1.0 - share[worst]
-        carried = taken > ALL or (left[worst] < ACCEPT and taken > min(UNEVEN / len(moments), 0.5))
+        alone = left[worst] < settings.accept and taken > min(settings.uneven / len(moments), 0.5)
+        carried = taken > settings.carries_all or alone
         out.append(
             Stability(
                 f.term.effect.spec, len(moments), float(left[worst]), moments[worst] if carried else None,
@@ -185,8 +184,8 @@ def _gain(sums: _Sums, gram: np.ndarray, at: Sequence[int], effect: int) -> floa
 
 def _ranges(found: Found, steps: np.ndarray, lost: np.ndarray) -> tuple[tuple[float, float], ...]:
     """Smallest and largest estimates (k pairs) inside what is possible, from steps (b, k)."""
-    kind = found.term.effect.kind
-    values = np.clip(np.array(found.term.values) + steps, kind.lower, kind.upper)
+    effect = found.term.effect
+    values = np.clip(np.array(found.term.values) + steps, effect.lower, effect.upper)
     low = np.where(lost, -np.inf, values).min(axis=0)
     high = np.where(lost, np.inf, values).max(axis=0)
     return tuple((float(a), float(b)) for a, b in zip(low, high, strict=True))
@@ -195,7 +194,7 @@ def _ranges(found: Found, steps: np.ndarray, lost: np.ndarray) -> tuple[tuple[fl
 def _sums(projector: NuisanceProjector, best: Fit, known: int) -> tuple[_Sums, list[Moment]]:
     data = projector.data
     jacobian = model_rows(data, data.segments, best.links, best.terms)
-    kept = projector.project_out(projector.with_prior_rows(jacobian))
+    kept = projector.columns(jacobian)
     kept[:, np.linalg.norm(kept, axis=0) < ALIVE * np.linalg.norm(jacobian, axis=0)] = 0.0
     traces = [
         residual_rows(data, data.segments, best.links, best.offset, tuple(t for k, t in enumerate(best.terms) if k != i))
@@ -203,7 +202,7 @@ def _sums(projector: NuisanceProjector, best: Fit, known: int) -> tuple[_Sums, l
         for i in range(known, len(best.terms))
     ]
     prior_residual = projector.prior_residual(best.coordinates)
-    rest = projector.project_out(projector.with_prior_rows(np.stack(traces, axis=1)))
+    rest = projector.columns(np.stack(traces, axis=1))
     columns = np.hstack([kept, rest, np.concatenate([best.residual, -prior_residual])[:, None]])
     prior = np.hstack([projector.q[projector.length :], columns[projector.length :]])
     blocks, moments, row = [], [], 0
@@ -214,7 +213,7 @@ def _sums(projector: NuisanceProjector, best: Fit, known: int) -> tuple[_Sums, l
         row += size
         course = np.asarray(idct(mine, axis=0, norm="ortho"))
         length = s.times[-1] - s.times[0]
-        count = int(np.clip(round(BLOCKS * length / total), 1, len(course)))
+        count = int(np.clip(round(data.settings.blocks * length / total), 1, len(course)))
         edges = np.linspace(0, len(course), count + 1).astype(int)
         for a, b in zip(edges[:-1], edges[1:], strict=True):
             part = course[a:b].reshape(-1, course.shape[2])

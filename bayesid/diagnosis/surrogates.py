@@ -8,11 +8,6 @@ from bayesid.diagnosis.data import DiagnosisData
 from bayesid.diagnosis.fit import Fit
 from bayesid.effects import Term
 
-#: A model that explains so much of the residual may leave more than noise: no model of a drive is exact to a hundredth.
-EXPLAINED = 0.95
-#: More unrelated effects than this at once are taken for surrogates that together imitate an unmodelled one.
-LIKELY = 2
-
 
 def explained(base: Fit, best: Fit) -> float:
     """Share of what stands out of the noise on the fitted motions that a model explains."""
@@ -20,11 +15,16 @@ def explained(base: Fit, best: Fit) -> float:
     return 1.0 - after / before if before > 0.0 else 0.0
 
 
-def is_surrogate_combination(data: DiagnosisData, terms: Sequence[Term]) -> bool:
-    """Whether more effects are needed than a robot is likely to hide; one kind on most joints counts as one."""
+def unrelated(data: DiagnosisData, terms: Sequence[Term]) -> int:
+    """How many unrelated effects there are; one kind in half of the joints, two at least, counts once."""
     names = [t.effect.name for t in terms]
     many = max(2, data.robot.n / 2)
-    return sum(1 if names.count(n) >= many else names.count(n) for n in set(names)) > LIKELY
+    return sum(1 if names.count(n) >= many else names.count(n) for n in set(names))
 
 
-__all__ = ["EXPLAINED", "LIKELY", "explained", "is_surrogate_combination"]
+def is_surrogate_combination(data: DiagnosisData, terms: Sequence[Term]) -> bool:
+    """Whether more effects are needed than a robot is likely to hide."""
+    return unrelated(data, terms) > data.settings.likely_effects
+
+
+__all__ = ["explained", "is_surrogate_combination", "unrelated"]

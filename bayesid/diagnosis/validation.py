@@ -8,12 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesid.diagnosis.data import DiagnosisData
-from bayesid.diagnosis.fit import Fit, NuisanceProjector, model_rows, offset_columns
+from bayesid.diagnosis.fit import Fit
+from bayesid.diagnosis.projector import NuisanceProjector, offset_columns
+from bayesid.diagnosis.rows import model_rows
 from bayesid.diagnosis.spectra import Segment
-
-#: Time that the bootstrap takes for independent of the next [s], and how often it draws.
-_BLOCK = 1.5
-_DRAWS = 999
 
 
 @dataclass(frozen=True)
@@ -58,7 +56,7 @@ class Gap:
 
 def residual_spectra(data: DiagnosisData, segments: Sequence[Segment], fit: Fit) -> list[np.ndarray]:
     """Whitened coefficients (K, c) of every segment; a constant offset is taken out anew, a sensor may have been zeroed."""
-    white = [s.whiten(s.measured(s.readings) - s.spectrum(data.predict(s, fit.links, fit.terms))) for s in segments]
+    white = [s.whiten(s.measured_readings - s.spectrum(data.predict(s, fit.links, fit.terms))) for s in segments]
     rows = without_offset(data, segments, np.concatenate([w.ravel() for w in white]))
     parts = np.split(rows, np.cumsum([w.size for w in white])[:-1])
     return [part.reshape(w.shape) for part, w in zip(parts, white, strict=True)]
@@ -88,7 +86,7 @@ def validate(projector: NuisanceProjector, base: Fit, best: Fit, dispersion: flo
     floor2, bare2 = (1.0 + _parameter_share(projector, f, dispersion) / total for f in (best, base))
     energy = np.concatenate([_by_blocks(s, b, a) for s, b, a in zip(data.unseen, before, after, strict=True)])
     rng = np.random.default_rng(seed)
-    picks = rng.integers(len(energy), size=(_DRAWS, len(energy)))
+    picks = rng.integers(len(energy), size=(data.settings.bootstrap_draws, len(energy)))
     sums = energy[picks].sum(axis=1)
     counts = sums[:, 2]
     draws = _closed(sums[:, 0] / counts, sums[:, 1] / counts, floor2)
@@ -112,7 +110,7 @@ def _closed(before, after, floor2):
 def _by_blocks(segment: Segment, before: np.ndarray, after: np.ndarray) -> np.ndarray:
     """Energies before and after and number of coefficients, by block of time (blocks, 3)."""
     energies = [np.sum(segment.samples(w) ** 2, axis=1) for w in (before, after)]
-    count = max(int((segment.times[-1] - segment.times[0]) / _BLOCK), 1)
+    count = max(int((segment.times[-1] - segment.times[0]) / segment.settings.bootstrap_block), 1)
     edges = np.linspace(0, len(energies[0]), count + 1).astype(int)
     sums = [np.add.reduceat(e, edges[:-1]) for e in energies]
     return np.stack([*sums, np.full(count, segment.count / count)], axis=1)
@@ -129,7 +127,7 @@ def _parameter_share(projector: NuisanceProjector, best: Fit, dispersion: float)
         inverse = np.linalg.inv(projector.r)[: projector.root.shape[1]]
         share += float(np.sum((links @ inverse) ** 2))
         # Where an effect's estimate is off, the links have made up for it on the fitted motions.
-        fitted = projector.with_prior_rows(model_rows(data, data.segments, best.links, best.terms))
-        effects = effects - links @ (inverse @ (projector.q.T @ fitted))
+        fitted = model_rows(data, data.segments, best.links, best.terms)
+        effects = effects - links @ (inverse @ (projector.q[: projector.length].T @ fitted))
     share += float(np.einsum("ij,jk,ik->", effects, best.covariance, effects))
     return dispersion * share

@@ -1,4 +1,4 @@
-"""The report of `diagnose`: turns a `Diagnosis` and its views into what is shown."""
+"""The report of ``diagnose``."""
 
 from __future__ import annotations
 
@@ -7,9 +7,27 @@ from typing import Any
 
 import numpy as np
 
+from bayesid.diagnosis.data import WHITE, Episode
+from bayesid.diagnosis.locate import Disagreement
+from bayesid.diagnosis.remarks import by_kind
+from bayesid.diagnosis.residual_floor import SOURCES
+from bayesid.diagnosis.rivals import Found
+from bayesid.diagnosis.separation import Visible
+from bayesid.effects import Effect
 from bayesid.report.diagnosis_figures import before_and_after, evidence, residual_maps, signals
+from bayesid.report.diagnosis_views import Views, diagnosis_views
 from bayesid.report.identification import mood_of
 from bayesid.report.page import render, svg, versions
+from bayesid.results.diagnosis_text import (
+    known_share,
+    notes,
+    parameter_rows,
+    steady_sentence,
+    validation_sentence,
+    verdict_sentence,
+    worded,
+)
+from bayesid.results.findings import Findings
 from bayesid.results.text import DASH, chance, channel_text, number, percent
 
 #: Bars in the picture of the evidence, lines in the table of parameters that moved.
@@ -24,23 +42,10 @@ _VERDICTS = {
 }
 
 
-def diagnosis_report(diagnosis: Any, views: Any, text: dict[str, Any]) -> str:
-    """The report of ``diagnose``.
-
-    Parameters
-    ----------
-    diagnosis
-        The verb's result, a `Diagnosis`.
-    views
-        What its pictures show, a `Views`.
-    text
-        Its sentences: ``verdict``, ``validation``, ``effects``, ``tried``, ``closed``, ``floor`` and ``floor_is_white``.
-
-    Returns
-    -------
-    page
-        HTML with all figures inside.
-    """
+def diagnosis_report(diagnosis: Findings) -> str:
+    """The report of ``diagnose``: HTML with all figures inside."""
+    views = diagnosis_views(diagnosis)
+    text = _sentences(diagnosis)
     d, data = diagnosis, diagnosis.data
     channels = data.channels.names
     fitted = list(dict.fromkeys(s.motion for s in data.segments))
@@ -66,7 +71,7 @@ def diagnosis_report(diagnosis: Any, views: Any, text: dict[str, Any]) -> str:
         maps=svg(_maps(channels, views), "maps"),
         still=any("at rest" in p.title for p in views.panels),
         torque=data.channel != "wrench",
-        where=[_place(w.to_dict()) for w in d.where],
+        where=[_place(w) for w in d.where],
         evidence=svg(
             evidence([p["spec"] for p in shown], np.array([p["evidence"] for p in shown]), [p["kind"] for p in shown], d.needed),
             "evidence",
@@ -98,14 +103,34 @@ def diagnosis_report(diagnosis: Any, views: Any, text: dict[str, Any]) -> str:
     )  # fmt: skip
 
 
-def _maps(channels: Sequence[str], views: Any):
+def _sentences(d: Findings) -> dict[str, Any]:
+    """What the report says in sentences, by part."""
+    return {
+        "verdict": verdict_sentence(d),
+        "validation": validation_sentence(d),
+        "effects": [
+            {"name": worded(f.term.effect, d), "spec": f.term.effect.spec, "summary": f.term.effect.summary,
+             "motion": f.term.motion if isinstance(f.term, Episode) else "", "rows": parameter_rows(f),
+             "steady": steady_sentence(f, d)}
+            for f in d.found
+        ],
+        "notes": notes(d),
+        "tried": by_kind(f.term for f in d.search.found),
+        "closed": "" if d.gap is None else known_share(d.gap.closed),
+        "floor": SOURCES[d.data.floor_source],
+        "floor_is_white": d.data.floor_source == WHITE,
+        "closed_low": "" if d.gap is None else known_share(d.gap.closed_low),
+    }  # fmt: skip
+
+
+def _maps(channels: Sequence[str], views: Views):
     panels = [
         (f"{p.title}, {'not fitted' if p.unseen else 'fitted'}", p.pieces, p.bands) for p in views.panels
     ]  # fmt: skip
     return residual_maps(channels, panels, [f"{low:g}–{high:g}" for low, high in views.bands], views.changed)
 
 
-def _cards(d: Any, text: dict[str, Any], changed: bool) -> list[dict[str, str]]:
+def _cards(d: Findings, text: dict[str, Any], changed: bool) -> list[dict[str, str]]:
     words, mood = _VERDICTS[d.verdict]
     cards = [{"value": words, "mood": mood, "text": "the verdict"}]
     where = "on motions that were not fitted"
@@ -127,33 +152,33 @@ def _cards(d: Any, text: dict[str, Any], changed: bool) -> list[dict[str, str]]:
     return cards
 
 
-def _place(w: dict[str, Any]) -> dict[str, str]:
-    low, high = w["band_hz"]
-    digits = 2 if w["looks_like"] else 1
+def _place(w: Disagreement) -> dict[str, str]:
+    low, high = w.band_hz
+    digits = 2 if w.event else 1
     return {
-        "channel": w["channel"], "motion": w["motion"] + (", at rest" if w["at_rest"] else ""),
-        "time": f"{w['start']:.{digits}f} – {w['end']:.{digits}f} s",
-        "ratio": number(w["times_noise"], 3), "band": f"{low:.3g} – {high:.3g} Hz",
-        "joint": w["joint"] or w["looks_like"] or DASH, "chance": chance(w["p_value"]),
+        "channel": w.channel, "motion": w.motion + (", at rest" if w.still else ""),
+        "time": f"{w.start:.{digits}f} – {w.end:.{digits}f} s",
+        "ratio": number(w.ratio, 3), "band": f"{low:.3g} – {high:.3g} Hz",
+        "joint": w.joint or w.looks_like or DASH, "chance": chance(w.p_value),
     }  # fmt: skip
 
 
-def _proposals(d: Any) -> list[dict[str, Any]]:
+def _proposals(d: Findings) -> list[dict[str, Any]]:
     """All effects tried on their own, with what they would explain."""
     s = d.search
     excess = max(s.base.chi2 - s.projector.rows, 1.0)
     taken = {_columns_of(f.term.effect) for f in d.found}
     rivals = {_columns_of(t.effect) for f in d.found for t, _ in f.rivals}
     out = []
-    for p, entry in zip(s.proposals, d.to_dict()["candidates"], strict=True):
+    for p in s.proposals:
         name = _columns_of(p.term.effect)
         kind = "named" if name in taken else "rival" if name in rivals else "other"
-        out.append({"spec": p.term.effect.spec, "evidence": float(entry["log_bayes_factor"]), "kind": kind,
+        out.append({"spec": p.term.effect.spec, "evidence": d.evidence(p), "kind": kind,
                     "share": min(p.gain / excess, 1.0), "summary": p.term.effect.summary})  # fmt: skip
     return sorted(out, key=lambda p: -p["evidence"])
 
 
-def _columns_of(effect: Any) -> str:
+def _columns_of(effect: Effect) -> str:
     """An attached body and a wrong inertia have the same columns; only an exact fit tells them apart."""
     return f"{effect.columns_of or effect.name}@{effect.where}"
 
@@ -162,7 +187,7 @@ def _line(p: dict[str, Any]) -> dict[str, str]:
     return {**p, "evidence": _large(p["evidence"]), "share": percent(p["share"], 2)}
 
 
-def _rivals(found: Any) -> dict[str, Any]:
+def _rivals(found: Found) -> dict[str, Any]:
     return {
         "spec": found.term.effect.spec,
         "gain": _large(found.gain),
@@ -189,7 +214,7 @@ def _shift(shift: tuple[str, float, float, float]) -> dict[str, str]:
     return {"label": label, "before": number(before), "after": number(after), "sigmas": number(sigmas, 3)}
 
 
-def _visible(v: Any) -> dict[str, Any]:
+def _visible(v: Visible) -> dict[str, Any]:
     return {
         "spec": v.effect.spec, "parameter": v.effect.parameters[v.parameter], "unit": _unit(v),
         "seen": "never" if v.seen is None else number(v.seen, 2),
@@ -198,14 +223,14 @@ def _visible(v: Any) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _unit(v: Any) -> str:
+def _unit(v: Visible) -> str:
     unit = v.effect.units[v.parameter]
     return "" if unit == "1" else unit
 
 
-def _seen(views: Any) -> list[dict[str, str]]:
+def _seen(views: Views) -> list[dict[str, str]]:
     """One line for each kind of effect: the smallest sizes, over all its places."""
-    groups: dict[tuple[str, str], list[Any]] = {}
+    groups: dict[tuple[str, str], list[Visible]] = {}
     for v in views.visible:
         groups.setdefault((v.effect.name, _unit(v)), []).append(v)
     rows = []
@@ -222,7 +247,7 @@ def _seen(views: Any) -> list[dict[str, str]]:
     return rows
 
 
-def _at(size: float | None, v: Any, members: Sequence[Any]) -> str:
+def _at(size: float | None, v: Visible, members: Sequence[Visible]) -> str:
     return ("never" if size is None else number(size, 2)) + (f" ({v.effect.where})" if len(members) > 1 else "")
 
 
@@ -231,20 +256,20 @@ def _span(low: float, high: float) -> str:
     return one if one == other else f"{one} … {other}"
 
 
-def _look_alikes(views: Any) -> list[dict[str, str]]:
+def _look_alikes(views: Views) -> list[dict[str, str]]:
     """Pairs of effects that look alike, most alike first."""
-    pairs: dict[frozenset[str], Any] = {}
+    pairs: dict[frozenset[str], tuple[Effect, Effect, Visible]] = {}
     for v in sorted(views.visible, key=lambda v: -v.share):
         if v.most_collinear is not None and v.seen is not None and v.share > _ALIKE:
-            pairs.setdefault(frozenset((v.effect.spec, v.most_collinear.spec)), v)
-    return [{"one": v.effect.spec, "other": v.most_collinear.spec, "share": _near_one(v.share)} for v in list(pairs.values())[:8]]
+            pairs.setdefault(frozenset((v.effect.spec, v.most_collinear.spec)), (v.effect, v.most_collinear, v))
+    return [{"one": one.spec, "other": other.spec, "share": _near_one(v.share)} for one, other, v in list(pairs.values())[:8]]
 
 
 def _near_one(share: float) -> str:
     return f"{np.floor(1e6 * share) / 1e4:.6g} %" if share > 0.99 else percent(share, 2)
 
 
-def _how(d: Any) -> list[tuple[str, str]]:
+def _how(d: Findings) -> list[tuple[str, str]]:
     data, s = d.data, d.search
     rel_std = data.experiment.inertia_rel_std
     if rel_std is None:

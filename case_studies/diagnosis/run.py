@@ -24,7 +24,6 @@ import pandas as pd
 from present import FIGURES, fill, plain, tables
 
 import bayesid
-from bayesid.diagnosis import Diagnosis
 from bayesid.diagnosis.locate import by_window, places_looked_at
 from bayesid.diagnosis.validation import residual_spectra
 
@@ -81,7 +80,7 @@ def recorded(
     return {"values": values, "links": setup.arm.links.ravel(), "noise": setup.noise, "moments": moments}
 
 
-def gap_of(d: Diagnosis) -> dict[str, Any] | None:
+def gap_of(d: bayesid.Diagnosis) -> dict[str, Any] | None:
     """Gap on the unseen motions, with every channel's."""
     if d.gap is None:
         return None
@@ -89,7 +88,7 @@ def gap_of(d: Diagnosis) -> dict[str, Any] | None:
     return d.gap.to_dict() | {"channels": {n: list(map(float, row)) for n, row in zip(names, d.gap.by_channel, strict=True)}}
 
 
-def outcome(d: Diagnosis) -> dict[str, Any]:
+def outcome(d: bayesid.Diagnosis) -> dict[str, Any]:
     """Verdict, what was tried, gap and places of a diagnosis."""
     s = d.search
     tried = s.best.terms[len(s.base.terms) :]

@@ -13,8 +13,12 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from bayesid import diagnose
-from bayesid.diagnosis import bodies, candidates, fit, noise_models, search, spectra, surrogates, validation
-from bayesid.diagnosis.data import Episode, active_terms, prepare_data, smoothed
+from bayesid.diagnosis import bodies, candidates, fit, forward, projector, rivals, rows, search, spectra, surrogates, validation
+from bayesid.diagnosis.data import Episode, active_terms
+from bayesid.diagnosis.noise import smoothed
+from bayesid.diagnosis.noise_models import NoiseModels
+from bayesid.diagnosis.prepare import prepare_data
+from bayesid.diagnosis.settings import DEFAULT
 from bayesid.effects import EffectLibrary, Term
 from bayesid.recordings.experiment import load_experiment
 from bayesid.robot.prior import Prior
@@ -50,10 +54,10 @@ def record(plant, tmp_path_factory):
     return make
 
 
-def made(folder, channel, seed=0):
-    """The data and the projector of its links."""
-    data = prepare_data(load_experiment(folder), channel, (), None, seed)
-    return data, fit.make_projector(data, ())
+def made(folder, channel, seed=0, settings=DEFAULT):
+    """The data and the nuisance of its links."""
+    data = prepare_data(load_experiment(folder), channel, (), None, seed, settings=settings)
+    return data, projector.make_projector(data, ())
 
 
 @pytest.mark.parametrize(
@@ -90,19 +94,19 @@ def test_what_nearly_complete_models_leave_is_no_third_effect(record):
         (["sensor_gain", "fluid_drag", "base_tilt"], [], []),
     ):
         folder, answer = record(f"hidden-{len(hidden)}", "pair", hidden, "wrench", seed=3)
-        comparison, projector = made(folder, "wrench")
+        comparison, nuisance = made(folder, "wrench")
         names = [f"{e['name']}@{e['where']}" for e in answer["effects"]] + extra
         robot, channels = comparison.robot, [*"fx fy fz mx my mz".split()]
         terms = [Term(e, e.starts) for e in EffectLibrary().parse(names, robot.joint_names, channels, None)]
-        base, best = fit.fit(projector, ()), fit.fit(projector, terms)
-        held = noise_models.NoiseModels(0, (), {(): candidates.make_library(projector, base)})
-        few, rest = search._essential(held, base, best, 1.0)
+        base, best = fit.fit(nuisance, ()), fit.fit(nuisance, terms)
+        models = NoiseModels.of(0, (), candidates.make_library(nuisance, base))
+        few, rest = rivals.essential(rivals.Pruned(forward.State(models, base, best, 1.0)))
         assert surrogates.is_surrogate_combination(comparison, best.terms)
         assert [t.effect.spec for t in rest] == dropped
-        assert [t.effect.spec for t in few.terms] == [n for n in names if n not in dropped]
+        assert [t.effect.spec for t in few.state.best.terms] == [n for n in names if n not in dropped]
 
 
-def test_a_stranger_is_unknown(record):
+def test_an_unmodelled_effect_is_unknown(record):
     """An effect that the library does not have is not given a name."""
     folder, _ = record("stranger", "unlisted", ["dahl"], "torque")
     found = diagnose(folder, "torque")
@@ -111,15 +115,15 @@ def test_a_stranger_is_unknown(record):
     assert "no effect of the library" in " ".join(found.remarks)
 
 
-def test_nothing_is_named_where_nothing_is_hidden_but_a_naive_noise_names_often(record, monkeypatch):
+def test_nothing_is_named_where_nothing_is_hidden_but_a_naive_noise_names_often(record):
     """Whitened residuals have unit size and nothing is named; without the encoders' share of the noise, names abound."""
     folders = [record(f"none-{k}", "none", [], "wrench", trust=0.0, seed=20 + k)[0] for k in range(4)]
     honest = [diagnose(f, "wrench") for f in folders]
     assert [d.verdict for d in honest] == ["nothing_missing"] * 4
     for d in honest:
         assert d.search.base.chi2 / d.search.projector.rows == pytest.approx(1.0, abs=0.3)
-    monkeypatch.setattr(spectra, "ROUNDINGS", 0)
-    naive = [search.search(made(f, "wrench")[1], (), 0, lambda _: None) for f in folders]
+    naive = replace(DEFAULT, roundings=0)
+    naive = [search.search(made(f, "wrench", settings=naive)[1], (), 0, lambda _: None) for f in folders]
     assert sum(s.base.chi2 / s.projector.rows > 1.5 or bool(s.found) for s in naive) >= 2
 
 
@@ -134,13 +138,13 @@ def test_the_same_seed_gives_the_same_diagnosis(record):
 def test_a_placebo_explains_nothing(record):
     """Columns of the right effect, but of the motion run backwards, gain no more than chance."""
     folder, _ = record("placebo", "single", ["sensor_delay"], "wrench", seed=6)
-    _, projector = made(folder, "wrench")
-    base = fit.fit(projector, ())
-    block = next(b for b in candidates.make_library(projector, base).blocks if b.effect.name == "sensor_delay")
-    left = projector.project_out(np.concatenate([base.residual, -base.coordinates]))
+    _, nuisance = made(folder, "wrench")
+    base = fit.fit(nuisance, ())
+    block = next(b for b in candidates.make_library(nuisance, base).blocks if b.effect.name == "sensor_delay")
+    left = nuisance.project_out(np.concatenate([base.residual, -base.coordinates]))
     column = block.rows[:, 0] / np.linalg.norm(block.rows[:, 0])
     assert (column @ left) ** 2 > 1000
-    backwards = projector.project_out(projector.with_prior_rows(column[: projector.rows][::-1]))
+    backwards = nuisance.columns(column[: nuisance.rows][::-1])
     backwards /= np.linalg.norm(backwards)
     # The residual is mostly the true delay, so the placebo is judged against what is left once that is out.
     rest = left - column * (column @ left)
@@ -150,14 +154,14 @@ def test_a_placebo_explains_nothing(record):
 def test_projecting_the_links_out_equals_fitting_them(record):
     """The chi-squared of the reduced problem is that of all columns over their prior at once."""
     folder, _ = record("links", "none", [], "torque", trust=0.05, seed=8)
-    data, projector = made(folder, "torque")
-    base = fit.fit(projector, ())
-    rows = fit.residual_rows(data, data.segments, data.links, np.zeros(2), ())
-    columns = np.vstack([s.white(data.link_columns(s, ())) @ projector.root for s in data.segments])
-    stacked, target = np.vstack([columns, np.eye(columns.shape[1])]), np.concatenate([rows, np.zeros(columns.shape[1])])
+    data, nuisance = made(folder, "torque")
+    base = fit.fit(nuisance, ())
+    measured = rows.residual_rows(data, data.segments, data.links, np.zeros(2), ())
+    columns = np.vstack([s.white(data.link_columns(s, ())) @ nuisance.root for s in data.segments])
+    stacked, target = np.vstack([columns, np.eye(columns.shape[1])]), np.concatenate([measured, np.zeros(columns.shape[1])])
     u, left, *_ = np.linalg.lstsq(stacked, target, rcond=None)
     assert base.chi2 == pytest.approx(float(left[0]), rel=1e-8)
-    np.testing.assert_allclose(base.links, data.links + projector.root @ u, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(base.links, data.links + nuisance.root @ u, rtol=1e-6, atol=1e-9)
 
 
 def test_white_noise_becomes_unit_rows():
@@ -180,8 +184,8 @@ def test_white_noise_becomes_unit_rows():
 def test_the_encoder_count_is_read_from_the_positions(count):
     """Positions rounded to counts and written with six decimals give the count; smooth ones give none."""
     motion = np.sin(np.arange(0, 10, 0.01))
-    assert spectra.encoder_count(np.round(np.round(motion / count) * count, 6)) == pytest.approx(count, rel=1e-6)
-    assert spectra.encoder_count(motion) == 0.0
+    assert spectra.encoder_count(np.round(np.round(motion / count) * count, 6), DEFAULT) == pytest.approx(count, rel=1e-6)
+    assert spectra.encoder_count(motion, DEFAULT) == 0.0
 
 
 def test_a_contact_is_left_out_of_other_motions(record):
@@ -207,38 +211,38 @@ def test_the_gap_needs_unseen_motions(record):
     assert validation.validate(found.search.projector, found.search.base, found.search.best, 1.0, 0) is None
 
 
-def test_a_model_that_runs_away_is_refused(record, monkeypatch):
+def test_a_diverged_model_is_refused(record, monkeypatch):
     """Where derivatives overflow, a model gets no score that anything could lose against."""
     folder, _ = record("away", "none", [], "torque", seed=9)
-    data, projector = made(folder, "torque")
+    data, nuisance = made(folder, "torque")
     [effect] = [e for e in data.places("joint_flexibility") if e.where == "joint2"]
     [body] = [e for e in data.places("inertia_error") if e.where == "joint2"]
-    library = candidates.make_library(projector, base := fit.fit(projector, ()))
+    library = candidates.make_library(nuisance, base := fit.fit(nuisance, ()))
     proposals = [p for p in library.propose(base) if p.name == body.spec]
-    endless = lambda *given: np.full((projector.rows, sum(len(t.values) for t in given[-1])), np.inf)  # noqa: E731
+    endless = lambda *given: np.full((nuisance.rows, sum(len(t.values) for t in given[-1])), np.inf)  # noqa: E731
     monkeypatch.setattr(fit, "model_rows", endless)
     for term in (Term(effect, (1e-4,)), Term(body, body.starts)):
-        runaway = fit.fit(projector, (term,))
-        assert runaway.score == -np.inf and runaway.chi2 == np.inf
-        assert not runaway.covariance.any() and np.isfinite(runaway.residual).all()
-        assert bodies.as_payload(runaway, 0, 1.0) == (runaway.terms[0], 0.0)
-    held = noise_models.NoiseModels(0, (), {(): library})
-    assert search._exact(held, base, (), [replace(p, gain=1e3) for p in proposals], 1.0) == []
+        diverged = fit.fit(nuisance, (term,))
+        assert diverged.score == -np.inf and diverged.chi2 == np.inf
+        assert not diverged.covariance.any() and np.isfinite(diverged.residual).all()
+        assert bodies.as_payload(diverged, 0, 1.0) == (diverged.terms[0], 0.0)
+    models = NoiseModels.of(0, (), library)
+    assert forward.exact_fits(models, base, (), [replace(p, gain=1e3) for p in proposals], 1.0, 8)[1] == []
 
 
 def test_a_changed_link_is_priced_by_its_marginal_likelihood(record):
     """The score's gain is that of Gaussian densities with the link's columns under the prior of the best width."""
     folder, _ = record("heavier", "single", ["inertia_error"], "torque", trust=0.05, seed=11)
-    data, projector = made(folder, "torque")
-    base = fit.fit(projector, ())
+    data, nuisance = made(folder, "torque")
+    base = fit.fit(nuisance, ())
     [effect] = [e for e in data.places("inertia_error") if e.where == "joint2"]
-    changed = fit.fit(projector, (Term(effect, (0.0,) * 10),), base)
+    changed = fit.fit(nuisance, (Term(effect, (0.0,) * 10),), base)
     zero = np.zeros(data.robot.n)
-    rows = fit.residual_rows(data, data.segments, data.links, zero, ())
+    measured = rows.residual_rows(data, data.segments, data.links, zero, ())
     links = np.vstack([s.white(data.link_columns(s, ())) for s in data.segments])
     own = Prior.warped(data.links[10:20], 1.0).covariance
-    plain = np.eye(len(rows)) + links @ projector.root @ (links @ projector.root).T
+    plain = np.eye(len(measured)) + links @ nuisance.root @ (links @ nuisance.root).T
     change = links[:, 10:20] @ own @ links[:, 10:20].T
-    free = max(multivariate_normal.logpdf(rows, cov=plain + w**2 * change) for w in fit.WIDTHS)
-    want = free - multivariate_normal.logpdf(rows, cov=plain) - np.log(len(fit.WIDTHS))
+    free = max(multivariate_normal.logpdf(measured, cov=plain + w**2 * change) for w in fit.WIDTHS)
+    want = free - multivariate_normal.logpdf(measured, cov=plain) - np.log(len(fit.WIDTHS))
     assert changed.score - base.score == pytest.approx(want, abs=1e-3 * abs(want) + 0.02)

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import bayesid
-from bayesid.diagnosis.text import model
 from bayesid.robot.examples import PAPER_LOCKED, puma_two_joint_urdf
 from bayesid.robot.robot import load_robot
 
@@ -89,7 +88,7 @@ def test_a_rejected_attempt_leaves_the_users_model_alone(robot):
     found = bayesid.diagnose(given)
     rejected = replace(found, verdict="unknown", found=())
     assert rejected.terms == found.search.base.terms
-    assert model(rejected)[1]["sensor_gain@fz"]["gain"] == found.search.base.terms[0].values[0]
+    assert rejected.model[1]["sensor_gain@fz"]["gain"] == found.search.base.terms[0].values[0]
 
 
 def test_a_validation_motion_that_cannot_be_compared_is_named(robot):

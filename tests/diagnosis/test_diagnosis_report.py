@@ -9,14 +9,15 @@ import pytest
 
 import bayesid
 from bayesid.cli import main
-from bayesid.diagnosis import text
 from bayesid.diagnosis.data import Episode
 from bayesid.diagnosis.locate import BANDS, by_band, by_window
-from bayesid.diagnosis.search import Found
+from bayesid.diagnosis.rivals import Found
 from bayesid.diagnosis.validation import residual_spectra
-from bayesid.diagnosis.views import views
 from bayesid.effects import EffectLibrary, Term
 from bayesid.recordings.schema import read_model
+from bayesid.report import diagnosis as report
+from bayesid.report.diagnosis_views import diagnosis_views
+from bayesid.results import diagnosis_text
 from bayesid.robot.examples import PAPER_LOCKED
 from tests.report_pages import read
 from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
@@ -122,7 +123,7 @@ def test_a_failed_report_leaves_nothing(named, tmp_path, monkeypatch):
     def fail(*_):
         raise RuntimeError("no page")
 
-    monkeypatch.setattr(text, "diagnosis_report", fail)
+    monkeypatch.setattr(report, "diagnosis_report", fail)
     with pytest.raises(RuntimeError, match="no page"):
         named.write(tmp_path / "out")
     assert list(tmp_path.iterdir()) == []
@@ -142,7 +143,7 @@ def test_the_model_keeps_what_was_there(named):
     base = replace(named.search.base, terms=(delay,))
     best = replace(named.search.best, terms=(delay, *named.search.best.terms))
     changed = replace(named, data=replace(named.data, experiment=data), search=replace(named.search, base=base, best=best))
-    effects, values = text.model(changed)
+    effects, values = changed.model
     assert effects == ("viscous_friction", "sensor_delay", "sensor_gain@mx")
     assert values["viscous_friction@joint1"] == {"coefficient": 2.0}
     assert values["sensor_delay@sensor"] == {"delay": 0.001, "fixed": True}
@@ -155,7 +156,7 @@ def test_with_the_model_nothing_is_missing(named, written, robot):
     again = bayesid.diagnose(made(robot, GAIN, effects=("sensor_delay",), effect_values=values), effects=effects)
     assert again.verdict == "nothing_missing"
     assert again.gap.before == pytest.approx(named.gap.after, rel=1e-3)
-    assert text.model(again)[0] == effects
+    assert again.model[0] == effects
 
 
 # ---- command line ----------------------------------------------------------------------------------------------------
@@ -217,13 +218,13 @@ def test_two_effects_and_a_contact(named):
     both = replace(named, found=(*named.found, Found(contact, 90.0, np.full(8, 0.1))))
     assert "The model misses two effects: sensor_gain at mx" in str(both)
     assert "external_contact at joint2" in str(both)
-    assert "here in ‘identification’, so other motions cannot prove it" in text.validation_sentence(both)
+    assert "here in ‘identification’, so other motions cannot confirm it" in diagnosis_text.validation_sentence(both)
 
 
 def test_shares_are_not_rounded_up_to_all(named):
-    assert text.share_text(0.9999994) == "99.999 %"
-    assert text.share_text(1.0) == "100 %"
-    assert text.share_text(0.5) == "50.0 %"
+    assert diagnosis_text.share_text(0.9999994) == "99.999 %"
+    assert diagnosis_text.share_text(1.0) == "100 %"
+    assert diagnosis_text.share_text(0.5) == "50.0 %"
 
 
 def test_a_notebook_escapes(named):
@@ -293,7 +294,7 @@ def test_windows_and_bands_hold_all_of_the_residual(named):
 
 
 def test_pictures_show_what_the_gap_says(named):
-    seen = views(named)
+    seen = diagnosis_views(named)
     np.testing.assert_allclose(seen.by_channel, named.gap.by_channel, rtol=1e-9)
     assert [p.unseen for p in seen.panels] == [False, True]
     marked = np.concatenate([m for p in seen.panels for _, _, m in p.pieces])
@@ -311,7 +312,7 @@ def test_the_noise_band_is_that_of_drawn_noise(named):
     (segment,) = named.data.unseen
     rng = np.random.default_rng(0)
     root = np.linalg.cholesky(segment.covariance)
-    for s in views(named).signals:
+    for s in diagnosis_views(named).signals:
         c = named.data.channels.names.index(s.channel)
         drawn = np.einsum("kcd,kdn->kcn", root, rng.normal(size=(*segment.shape, 200)))[:, c]
         drawn[segment.frequencies > s.below] = 0.0
@@ -319,7 +320,7 @@ def test_the_noise_band_is_that_of_drawn_noise(named):
 
 
 def test_noise_is_what_was_put_in(named):
-    noise = views(named).noise
+    noise = diagnosis_views(named).noise
     assert {n.unit for n in noise} == {"N", "N m"}
     for n in noise:
         put = NOISE["force_std"] if n.unit == "N" else NOISE["torque_std"]
@@ -329,7 +330,7 @@ def test_noise_is_what_was_put_in(named):
 
 def test_shares_of_look_alikes_are_those_of_least_squares(named):
     library = named.search.library
-    by_name = {v.effect.spec: v for v in views(named).visible}
+    by_name = {v.effect.spec: v for v in diagnosis_views(named).visible}
     columns = {b.effect.spec: b.rows for b in library.blocks}
     assert by_name["sensor_gain@mx"].named is not None
     for spec in ("sensor_gain@mx", "sensor_delay@sensor", "encoder_offset@joint2"):

@@ -8,14 +8,17 @@ import pandas as pd
 import pytest
 from scipy.signal import lfilter
 
-from bayesid.diagnosis import text
-from bayesid.diagnosis.data import prepare_data, smoothed
 from bayesid.diagnosis.impulse_events import kicks, runs, short_events
-from bayesid.diagnosis.locate import LEVEL, by_window, locate, places_looked_at
+from bayesid.diagnosis.locate import by_window, locate, places_looked_at
+from bayesid.diagnosis.noise import smoothed
+from bayesid.diagnosis.prepare import prepare_data
+from bayesid.diagnosis.settings import DEFAULT
 from bayesid.diagnosis.spectra import Segment
 from bayesid.recordings.experiment import load_experiment
+from bayesid.results import diagnosis_text as text
 
 JOINTS, CHANNELS = 3, 6
+LEVEL = DEFAULT.level
 
 
 def segment(seed, duration=20.0, rate=250.0, colour="white", still=False, joints=JOINTS, moving=True):
@@ -117,9 +120,9 @@ def test_runs_close_short_gaps():
 # ---- the residual in the compared band -------------------------------------------------------------------------------
 
 
-def case_of(*segments):
+def data_of(*segments):
     channels = SimpleNamespace(names=("fx", "fy", "fz", "mx", "my", "mz"))
-    return SimpleNamespace(channels=channels, robot=SimpleNamespace(n=JOINTS), segments=segments, unseen=())
+    return SimpleNamespace(channels=channels, robot=SimpleNamespace(n=JOINTS), segments=segments, unseen=(), settings=DEFAULT)
 
 
 def white(s, seed):
@@ -129,7 +132,7 @@ def white(s, seed):
 def test_white_residuals_disagree_nowhere():
     """Over 120 recordings at a level of one in a thousand each; and windows have the size of noise wherever they are."""
     s = segment(0)
-    data = case_of(s)
+    data = data_of(s)
     found = [w for seed in range(120) for w in locate(data, [s], [white(s, seed)], 1.0)]
     assert len(found) <= 2
     energy, freedom = [], []
@@ -146,7 +149,7 @@ def test_a_short_disagreement_is_placed_by_short_windows():
     course = np.zeros((len(s.times), CHANNELS))
     course[:, 2] = 8.0 * np.exp(-(((s.times - 9.4) / 0.1) ** 2)) * np.cos(2.0 * np.pi * 6.0 * (s.times - 9.4))
     left = white(s, 4) + s.measured(course) / 1.0
-    (place,) = locate(case_of(s), [s], [left], 1.0)
+    (place,) = locate(data_of(s), [s], [left], 1.0)
     assert (place.channel, place.event) == ("fz", False)
     assert 8.9 < place.start < 9.4 < place.end < 9.9 and place.end - place.start < 0.8
     assert place.band_hz == (3.0, 10.0) and place.p_value < LEVEL
@@ -156,7 +159,7 @@ def test_a_disagreement_of_the_whole_recording_is_one_place():
     s = segment(5)
     left = white(s, 5)
     left[:20, 1] *= 30.0
-    places = locate(case_of(s), [s], [left], 1.0)
+    places = locate(data_of(s), [s], [left], 1.0)
     assert places[0].channel == "fy" and len([p for p in places if p.channel == "fy"]) <= 3
     assert sum(p.end - p.start for p in places if p.channel == "fy") > 0.6 * s.times[-1]
     assert {p.channel for p in places} == {"fy"}
@@ -176,18 +179,18 @@ def test_the_list_holds_events_and_the_memo_tells_them():
         segment(7),
         replace(hit(hit(segment(8, moving=False), 6.0, 15.0), 14.0, 15.0), motion="other", role="validation"),
     )
-    data = case_of(quiet)
+    data = data_of(quiet)
     data.unseen = (tapped,)
     where = locate(data, [quiet], [white(quiet, 7)], 1.0)
     assert [(w.channel, w.motion, w.event, w.tap, w.unseen) for w in where] == [("fx", "other", True, True, True)] * 2
     assert where[0].ratio * np.sqrt(where[0].end - where[0].start) >= where[1].ratio * np.sqrt(where[1].end - where[1].start)
     entry = where[0].to_dict()
     assert entry["looks_like"] == "tap" and entry["band_hz"][1] == pytest.approx(125.0) and entry["joint"] is None
-    (said,) = text.event_sentences(SimpleNamespace(where=where))
+    (said,) = text.event_sentences(SimpleNamespace(where=where, data=data))
     assert said.startswith("2 short events in ‘other’ at 6.01 and 14.01 s, loudest in fx") and "look like taps" in said
     assert ", in a motion that took no part in the fit; they" in said
     assert "a tap" in text.disagreement_line(where[0])
-    (said,) = text.event_sentences(SimpleNamespace(where=[replace(where[0], tap=False, unseen=False)]))
+    (said,) = text.event_sentences(SimpleNamespace(data=data, where=[replace(where[0], tap=False, unseen=False)]))
     assert said.startswith("One short event") and "tap" not in said and "no part" not in said
 
 
@@ -195,7 +198,7 @@ def test_many_events_are_listed_by_the_strongest():
     s = segment(9, moving=False)
     for k in range(9):
         s = hit(s, 1.5 + 2.0 * k, 15.0 + 5.0 * k)
-    where = locate(case_of(s), [s], [white(s, 9)], 1.0)
+    where = locate(data_of(s), [s], [white(s, 9)], 1.0)
     assert len(where) == 6 and all(w.start > 6.0 for w in where)
 
 

@@ -9,9 +9,11 @@ import pytest
 from scipy.signal import butter, freqz, lfilter
 
 from bayesid import diagnose
-from bayesid.diagnosis import data as diagnosis_data
+from bayesid.diagnosis import noise as noise_of_segments
 from bayesid.diagnosis import noise_spectrum, repeats
-from bayesid.diagnosis.data import prepare_data, smoothed
+from bayesid.diagnosis.noise import smoothed
+from bayesid.diagnosis.prepare import prepare_data
+from bayesid.diagnosis.settings import DEFAULT
 from bayesid.diagnosis.spectra import sensor_noise, taper
 from bayesid.dynamics.channels import torque_channels, wrench_channels
 from bayesid.dynamics.regressors import dynamics_regressor
@@ -221,7 +223,7 @@ def test_a_good_white_estimate_stays_to_the_last_bit(robot, motion, monkeypatch)
         given = replace(given, motions=(replace(given.motions[0], table=replace(table, wrench=table.wrench + push)),))
     found = made(given)
     assert (found.floor_known, found.floor_source, found.spectrum) == (True, "white noise above the band", None)
-    monkeypatch.setattr(diagnosis_data, "measure", lambda *_: None)
+    monkeypatch.setattr(noise_of_segments, "measure", lambda *_: None)
     np.testing.assert_array_equal(found.segments[0].covariance, made(given).segments[0].covariance)
 
 
@@ -258,7 +260,7 @@ def test_rests_are_where_nothing_moves():
     """One joint still is not enough, and what rings after a stop is left out."""
     times = np.arange(0.0, 20.0, 0.01)
     q = np.stack([np.interp(times, [5.0, 12.0], [0.0, 1.0]), np.interp(times, [4.0, 5.0], [0.0, 0.5])], axis=1)
-    found = repeats.find_rests(times, q, np.zeros(2))
+    found = repeats.find_rests(times, q, np.zeros(2), DEFAULT)
     assert len(found) == 2
     np.testing.assert_allclose(found, [(0.25, 3.5), (12.5, 19.75)], atol=0.02)
 
@@ -267,12 +269,12 @@ def test_pieces_of_white_noise_give_its_variance():
     """Differences and rests alike, the taper's loss included (a slow check by hand: the mean of many draws)."""
     rng = np.random.default_rng(0)
     times = np.arange(0, 12.0, 0.008)
-    weight = np.repeat(taper(times, times, 12.0)[:, None], 2, axis=1)
+    weight = np.repeat(taper(times, times, 12.0, DEFAULT)[:, None], 2, axis=1)
     values = []
     for gain in (1.0, 2.0):
         pieces = [
             noise_spectrum.Piece(times, np.sqrt(gain) * rng.normal(size=(len(times), 2)) * [1.0, 5.0], weight, gain, 0.1, 0.8,
-                          np.zeros((0, len(times), 2)))
+                          np.zeros((0, len(times), 2)), DEFAULT)
             for _ in range(20)
         ]  # fmt: skip
         found = noise_spectrum.measured_spectrum(pieces)

@@ -7,11 +7,15 @@ import pytest
 from scipy.fft import idct
 
 import bayesid
-from bayesid.diagnosis import text
-from bayesid.diagnosis.data import Episode, prepare_data
-from bayesid.diagnosis.fit import fit, make_projector, residual_rows
-from bayesid.diagnosis.search import ACCEPT, Found
-from bayesid.diagnosis.stability import BLOCKS, _gain, _sums, stability
+from bayesid.diagnosis.data import Episode
+from bayesid.diagnosis.fit import fit
+from bayesid.diagnosis.prepare import prepare_data
+from bayesid.diagnosis.projector import make_projector
+from bayesid.diagnosis.remarks import moment_sentence
+from bayesid.diagnosis.rivals import Found
+from bayesid.diagnosis.rows import residual_rows
+from bayesid.diagnosis.settings import DEFAULT
+from bayesid.diagnosis.stability import _gain, _sums, stability
 from bayesid.effects import Term
 from bayesid.robot.examples import PAPER_LOCKED
 from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
@@ -19,6 +23,8 @@ from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recordin
 SENSOR = Sensor(translation=np.array([0.0, 0.0, -0.1]))
 NOISE = dict(force_std=0.3, torque_std=0.05, resolution=2e-5)
 GAIN = 0.02
+
+ACCEPT, BLOCKS = DEFAULT.accept, DEFAULT.blocks
 
 
 def made(robot, gain, names=("identification",)):
@@ -132,7 +138,7 @@ def test_an_effect_of_a_moment_rests_on_it(robot, size):
     assert once.to_dict()["rests_on"] == [once.rests_on.start, once.rests_on.end, "identification"]
     low, high = once.ranges[0]
     assert min(abs(low), abs(high)) < 0.5 * abs(best.terms[0].values[0])
-    assert "rests on one moment" in text.moment_sentence(once)
+    assert "rests on one moment" in moment_sentence(once, ACCEPT)
 
 
 def test_contacts_and_nothing_are_left_out(robot):

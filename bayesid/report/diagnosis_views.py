@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bayesid.diagnosis.locate import BANDS, LEVEL, by_band, by_window, places_looked_at
+from bayesid.diagnosis.locate import BANDS, by_band, by_window, places_looked_at
 from bayesid.diagnosis.separation import Visible, visible
 from bayesid.diagnosis.spectra import Segment, sensor_noise
 from bayesid.diagnosis.validation import residual_spectra
-
-if TYPE_CHECKING:
-    from bayesid.diagnosis.diagnose import Diagnosis
+from bayesid.results.findings import Findings
 
 #: Recordings in the picture of residuals, and channels in the picture of signals.
 _PANELS, _CHANNELS = 4, 3
@@ -113,7 +110,7 @@ class Views:
     changed: bool
 
 
-def views(diagnosis: Diagnosis) -> Views:
+def diagnosis_views(diagnosis: Findings) -> Views:
     """Evaluate both models on all recordings."""
     data, s = diagnosis.data, diagnosis.search
     sides = []
@@ -156,7 +153,7 @@ def _panels(pairs: list[tuple[Segment, np.ndarray, bool]], level: float) -> tupl
         pieces = []
         for s, w, u in group:
             sides = [by_window(s, w[..., k], 1.0, looked[u]) for k in (0, 1)]
-            marks = [by_window(s, w[..., k], level, looked[u])[3] < LEVEL for k in (0, 1)]
+            marks = [by_window(s, w[..., k], level, looked[u])[3] < s.settings.level for k in (0, 1)]
             edges = s.times[np.minimum(sides[0][0], len(s.times) - 1)]
             ratio = np.stack([np.sqrt(energy / freedom) for _, energy, freedom, _ in sides], axis=-1)
             pieces.append((edges, ratio, np.stack(marks, axis=-1)))
@@ -168,7 +165,7 @@ def _panels(pairs: list[tuple[Segment, np.ndarray, bool]], level: float) -> tupl
     return tuple(out)
 
 
-def _signals(diagnosis: Diagnosis, judged: list[tuple[Segment, np.ndarray, bool]], by_channel: np.ndarray) -> tuple[Signal, ...]:
+def _signals(diagnosis: Findings, judged: list[tuple[Segment, np.ndarray, bool]], by_channel: np.ndarray) -> tuple[Signal, ...]:
     """The channels that disagreed most, on the recording on which they did."""
     channels = diagnosis.data.channels
     moving = [p for p in judged if not p[0].still] or judged
@@ -189,7 +186,7 @@ def _signals(diagnosis: Diagnosis, judged: list[tuple[Segment, np.ndarray, bool]
     return tuple(out)
 
 
-def _noise(diagnosis: Diagnosis) -> tuple[Noise, ...]:
+def _noise(diagnosis: Findings) -> tuple[Noise, ...]:
     data = diagnosis.data
     moving = [s for s in (*data.segments, *data.unseen) if not s.still]
     sample = sensor_noise(moving)

@@ -1,30 +1,18 @@
-"""A diagnosis in words: one sentence, a few lines for a terminal, a table for a notebook; and its files."""
+"""A diagnosis in words: one sentence, a few lines for a terminal, a table for a notebook."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from html import escape
-from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bayesid.diagnosis.data import WHITE, Episode
-from bayesid.diagnosis.impulse_events import TAP
+from bayesid.diagnosis.data import Episode
 from bayesid.diagnosis.locate import Disagreement
-from bayesid.diagnosis.residual_floor import SOURCES
-from bayesid.diagnosis.search import ACCEPT
-from bayesid.diagnosis.views import views
-from bayesid.effects import Effect, Term
-from bayesid.recordings.schema import EffectParameters, write_model
-from bayesid.report.diagnosis import diagnosis_report
-from bayesid.results.files import strict, write_results
+from bayesid.diagnosis.remarks import by_kind
+from bayesid.diagnosis.rivals import Found
+from bayesid.effects import Effect
+from bayesid.results.findings import Findings
 from bayesid.results.text import DASH, channel_text, interval, number, percent, with_half
-
-if TYPE_CHECKING:
-    from bayesid.diagnosis.diagnose import Diagnosis
-    from bayesid.diagnosis.search import Found
-    from bayesid.diagnosis.stability import Stability
 
 #: Half the width of a 95 % interval in standard deviations.
 HALF = 1.96
@@ -33,7 +21,7 @@ _SHOWN = 4
 _COUNTS = {1: "one effect", 2: "two effects", 3: "three effects"}
 
 
-def verdict_sentence(diagnosis: Diagnosis) -> str:
+def verdict_sentence(diagnosis: Findings) -> str:
     """The verdict in plain words."""
     d = diagnosis
     names = [f"{worded(f.term.effect, d)} ({f.term.effect.summary})" for f in d.found]
@@ -51,7 +39,7 @@ def verdict_sentence(diagnosis: Diagnosis) -> str:
     return f"The model misses {count}: {' and '.join(names)}."
 
 
-def validation_sentence(diagnosis: Diagnosis) -> str:
+def validation_sentence(diagnosis: Findings) -> str:
     """What unseen motions, or for want of any the fitted ones, say of it."""
     d, gap = diagnosis, diagnosis.gap
     s = d.search
@@ -59,7 +47,7 @@ def validation_sentence(diagnosis: Diagnosis) -> str:
         before, after = (number(float(np.sqrt(f.chi2 / s.projector.rows)), 3) for f in (s.base, s.best))
         text = f"No motion that took no part in the fit was compared. On the fitted ones the residual is {before} times the noise"
         return f"{text}." if d.verdict == "nothing_missing" or not s.found else f"{text} before and {after} times after."
-    motions = _listed([f"‘{m}’" for m in gap.motions])
+    motions = listed([f"‘{m}’" for m in gap.motions])
     before, after, floor = (number(v, 3) for v in (gap.before, gap.after, gap.floor))
     unseen = f"On {motions}, which took no part in any fit,"
     if d.verdict == "nothing_missing":
@@ -70,7 +58,7 @@ def validation_sentence(diagnosis: Diagnosis) -> str:
             text += f" In the fitted motions {places} out of the noise, but no effect of the library explains {them}."
         return text
     if d.verdict == "unknown":
-        tried = _listed(by_kind(f.term for f in s.found))
+        tried = listed(by_kind(f.term for f in s.found))
         fitted = number(float(np.sqrt(s.best.chi2 / s.projector.rows)), 3)
         end = f"a complete model would leave {floor}. On the fitted motions {fitted} times the noise stays."
         if not tried:
@@ -83,13 +71,13 @@ def validation_sentence(diagnosis: Diagnosis) -> str:
     return text
 
 
-def notes(diagnosis: Diagnosis) -> list[str]:
+def notes(diagnosis: Findings) -> list[str]:
     """What the reader should know beside the verdict and its validation."""
     said = [r for r in diagnosis.remarks if not r.startswith("Something is missing")]
     return [*said, *event_sentences(diagnosis)]
 
 
-def steady_sentence(found: Found, diagnosis: Diagnosis) -> str:
+def steady_sentence(found: Found, diagnosis: Findings) -> str:
     """Between which values the parameters stay, and what evidence is left, whichever part of the recordings is left out."""
     mine = next((x for x in diagnosis.stability if x is not None and x.spec == found.term.effect.spec), None)
     if mine is None:
@@ -108,39 +96,26 @@ def steady_sentence(found: Found, diagnosis: Diagnosis) -> str:
     return f"Whichever of {mine.blocks} parts of the recordings is left out: {'; '.join(parts)}; log evidence at least {least}."
 
 
-def moment_sentence(stability: Stability) -> str:
-    """That an effect rests on one moment."""
-    at = stability.rests_on
-    if at is None:
-        return ""
-    text = f"{stability.spec} rests on one moment, {at.start:.1f} to {at.end:.1f} s of ‘{at.motion}’: without it "
-    if stability.least < ACCEPT:
-        text += f"the log evidence is {number(stability.least, 3)}, too little to name it."
-    else:
-        text += f"only {number(stability.least, 3)} of the log evidence is left."
-    return f"{text} See what happened there, or record it again."
-
-
-def event_sentences(diagnosis: Diagnosis) -> list[str]:
+def event_sentences(diagnosis: Findings) -> list[str]:
     """Short events above the compared band, a sentence for each motion that has some."""
     events = [w for w in diagnosis.where if w.event]
     out = []
     for motion in dict.fromkeys(w.motion for w in events):
         mine = sorted((w for w in events if w.motion == motion), key=lambda w: w.start)
-        channels = _listed(list(dict.fromkeys(w.channel for w in mine)))
+        channels = listed(list(dict.fromkeys(w.channel for w in mine)))
         taps, one = sum(w.tap for w in mine), len(mine) == 1
-        times = _listed([f"{w.peak:.2f}" for w in mine])
+        times = listed([f"{w.peak:.2f}" for w in mine])
         text = f"{'One short event' if one else f'{len(mine)} short events'} in ‘{motion}’ at {times} s, loudest in {channels}, "
         text += f"above the frequencies that models are compared at ({mine[0].band_hz[0]:.3g} Hz and more)"
         text += ", in a motion that took no part in the fit" if mine[0].unseen else ""
         if taps:
             who = "it looks like a tap" if one else f"{'they' if taps == len(mine) else f'{taps} of them'} look like taps"
-            text += f"; {who}: a broad band, over within {TAP:g} s"
+            text += f"; {who}: a broad band, over within {diagnosis.data.settings.tap_time:g} s"
         out.append(f"{text}. No motion of the robot explains {'it' if one else 'them'}.")
     return out
 
 
-def worded(effect: Effect, diagnosis: Diagnosis) -> str:
+def worded(effect: Effect, diagnosis: Findings) -> str:
     """``sensor_gain at mx``, ``tether at joint3 (elbow_joint)``; the place is left out where there is only one."""
     if effect.at in ("sensor", "base", "robot"):
         return effect.name
@@ -163,17 +138,16 @@ def parameter_rows(found: Found) -> list[tuple[str, str, str, str, str]]:
 
 def disagreement_line(where: Disagreement) -> str:
     """Channel, motion, time, band and joint of a disagreement."""
-    w = where.to_dict()
-    low, high = w["band_hz"]
-    if where.event:
-        text = f"{w['channel']} in {w['motion']}, {w['start']:.2f} to {w['end']:.2f} s"
-        return f"{text}: {number(w['times_noise'], 3)} x the usual level at {low:.3g} to {high:.3g} Hz, a {w['looks_like']}"
-    text = f"{w['channel']} in {w['motion']}{' at rest' if w['at_rest'] else ''}, {w['start']:.1f} to {w['end']:.1f} s"
-    text += f": {number(w['times_noise'], 3)} x noise, most at {low:g} to {high:g} Hz"
-    return text + (f", goes with {w['joint']}" if w["joint"] else "")
+    w, (low, high) = where, where.band_hz
+    if w.event:
+        text = f"{w.channel} in {w.motion}, {w.start:.2f} to {w.end:.2f} s"
+        return f"{text}: {number(w.ratio, 3)} x the usual level at {low:.3g} to {high:.3g} Hz, a {w.looks_like}"
+    text = f"{w.channel} in {w.motion}{' at rest' if w.still else ''}, {w.start:.1f} to {w.end:.1f} s"
+    text += f": {number(w.ratio, 3)} x noise, most at {low:g} to {high:g} Hz"
+    return text + (f", goes with {w.joint}" if w.joint else "")
 
 
-def summary(diagnosis: Diagnosis) -> str:
+def summary(diagnosis: Findings) -> str:
     """A few lines for the terminal."""
     d = diagnosis
     fitted = dict.fromkeys(s.motion for s in d.data.segments)
@@ -189,7 +163,7 @@ def summary(diagnosis: Diagnosis) -> str:
     else:
         before, after, floor = (number(v, 3) for v in (d.gap.before, d.gap.after, d.gap.floor))
         text = f"  gap on {', '.join(d.gap.motions)}: {before} -> {after} x noise (floor {floor})"
-        closed, least = _known_share(d.gap.closed), _known_share(d.gap.closed_low)
+        closed, least = known_share(d.gap.closed), known_share(d.gap.closed_low)
         if d.found and closed:
             text += f", {closed} closed" + (f", at least {least}" if least else "")
         lines.append(text)
@@ -211,7 +185,7 @@ def share_text(share: float) -> str:
     return percent(share) if share < 0.999 else f"{np.floor(min(share, 1.0) * 1e5) / 1e3:.6g} %"
 
 
-def notebook(diagnosis: Diagnosis) -> str:
+def notebook(diagnosis: Findings) -> str:
     """The same as HTML for a notebook."""
     d = diagnosis
     out = [f"<p><b>{escape(verdict_sentence(d))}</b> {escape(validation_sentence(d))}</p>"]
@@ -226,63 +200,11 @@ def notebook(diagnosis: Diagnosis) -> str:
     return "".join(out)
 
 
-def model(diagnosis: Diagnosis) -> tuple[tuple[str, ...], EffectParameters]:
-    """The experiment's model with the named effects added, as `bayesid.recordings.schema.write_model` takes it.
-
-    Effects that act on other channels stay as they are; all others get the values fitted here as starting values.
-    """
-    experiment, terms = diagnosis.data.experiment, diagnosis.terms
-    effects = [*experiment.effects, *(f.term.effect.spec for f in diagnosis.found)]
-    values: EffectParameters = {spec: dict(given) for spec, given in experiment.effect_values.items()}
-    for term in terms:
-        spec = term.effect.spec
-        given = {k: float(v) for k, v in zip(term.effect.parameters, term.values, strict=True)}
-        fixed = values.get(spec, values.get(term.effect.name, {})).get("fixed", False)
-        values[spec] = {**given, "fixed": True} if fixed else dict(given)
-    return tuple(dict.fromkeys(effects)), values
-
-
-def write(diagnosis: Diagnosis, folder: str | Path) -> Path:
-    """Write ``diagnosis.json``, ``model.toml`` and ``report.html``; returns the report's path."""
-    effects, values = model(diagnosis)
-    formulas = diagnosis.data.experiment.library.expressions
-    page = diagnosis_report(diagnosis, views(diagnosis), page_text(diagnosis))
-    documents = {"diagnosis.json": strict(diagnosis.to_dict())}
-    return write_results(folder, documents, {"model.toml": lambda path: write_model(effects, values, path, formulas)}, page)
-
-
-def page_text(diagnosis: Diagnosis) -> dict:
-    """What the report says in sentences, by part."""
-    d = diagnosis
-    return {
-        "verdict": verdict_sentence(d),
-        "validation": validation_sentence(d),
-        "effects": [
-            {"name": worded(f.term.effect, d), "spec": f.term.effect.spec, "summary": f.term.effect.summary,
-             "motion": f.term.motion if isinstance(f.term, Episode) else "", "rows": parameter_rows(f),
-             "steady": steady_sentence(f, d)}
-            for f in d.found
-        ],
-        "notes": notes(d),
-        "tried": by_kind(f.term for f in d.search.found),
-        "closed": "" if d.gap is None else _known_share(d.gap.closed),
-        "floor": SOURCES[d.data.floor_source],
-        "floor_is_white": d.data.floor_source == WHITE,
-        "closed_low": "" if d.gap is None else _known_share(d.gap.closed_low),
-    }  # fmt: skip
-
-
-def _known_share(share: float) -> str:
+def known_share(share: float) -> str:
+    """A share of a gap as per cent; nothing where it is not known or none."""
     return share_text(share) if np.isfinite(share) and share > 0 else ""
 
 
-def by_kind(terms: Iterable[Term]) -> list[str]:
-    """``name@place`` of each effect; of a kind at several joints ``name@joint1+joint4``, places in order."""
-    places: dict[str, list[str]] = {}
-    for t in terms:
-        places.setdefault(t.effect.name, []).append(t.effect.where)
-    return [f"{name}@{'+'.join(sorted(where))}" for name, where in places.items()]
-
-
-def _listed(words: list[str]) -> str:
+def listed(words: list[str]) -> str:
+    """Words with commas and an and."""
     return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}" if words else ""

@@ -1,0 +1,200 @@
+"""Forward selection: effects added one by one, always on exact fits, each choice exchanged against rivals.
+
+After each effect, every one found earlier is exchanged against its rivals with the others held, for a first choice made beside a
+missing second effect is often the wrong one. Exact fits race: those far behind the best after a few steps are given up.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bayesid.diagnosis.bodies import as_payload
+from bayesid.diagnosis.candidates import Library, Proposal
+from bayesid.diagnosis.fit import Fit, advance, begin, finish, fit
+from bayesid.diagnosis.noise_models import NoiseModels
+from bayesid.diagnosis.settings import Settings
+from bayesid.effects import Term
+from bayesid.regression.parallel import in_order
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """What one phase of the search hands on to the next.
+
+    Attributes
+    ----------
+    models
+        The noise that models make, as far as it is known by now.
+    base
+        The user's model fitted alone.
+    best
+        The best model so far.
+    dispersion
+        Dispersion factor: mean square of what no model of the library explains, at least 1.
+    """
+
+    models: NoiseModels
+    base: Fit
+    best: Fit
+    dispersion: float
+
+    @property
+    def known(self) -> int:
+        """Number of the user's effects, the first in every model."""
+        return len(self.base.terms)
+
+    @property
+    def settings(self) -> Settings:
+        """The thresholds."""
+        return self.best.projector.data.settings
+
+
+def forward_selection(state: State, progress: Callable[[str], None]) -> State:
+    """Add effects while the data demand them, and say anew what nothing explains."""
+    settings = state.settings
+    state = measured_dispersion(state)
+    for _ in range(settings.most_families):
+        progress("naming what is missing")
+        models, better = _one_more(state)
+        state = replace(state, models=models)
+        if better is None:
+            break
+        # Small gains that leave much unexplained are surrogates of an unmodelled effect: nothing would come of more of them.
+        before, after = (f.chi2 / f.projector.rows - 1.0 for f in (state.best, better))
+        state = replace(state, best=better)
+        if after > settings.unexplained - 1.0 and after > settings.surrogate_share * before:
+            break
+        if _families_of(better.terms[state.known :]) < settings.most_families:  # so many are surrogates, however well chosen
+            state = _exchanged(state)
+        state = measured_dispersion(state)
+    return state
+
+
+def measured_dispersion(state: State) -> State:
+    """The state with the dispersion factor of its best model."""
+    models, library = state.models.library(state.best)
+    return replace(state, models=models, dispersion=library.dispersion(state.best))
+
+
+def _one_more(state: State) -> tuple[NoiseModels, Fit | None]:
+    """The best exact fit with one effect more, or with one kind of effect at several joints, if the data demand it."""
+    best, dispersion = state.best, state.dispersion
+    models, library = state.models.library(best)
+    proposals = library.propose(best, dispersion)
+    models, fits = exact_fits(models, best, best.terms, proposals, dispersion, state.settings.fitted_proposals)
+    for terms in _families(library, proposals, dispersion):
+        models, fitted = models.own(fit(best.projector, (*best.terms, *terms), best))
+        fits.append(fitted)
+    top = max(fits, key=lambda f: f.score, default=None)
+    if top is None:
+        return models, None
+    as_body = as_payload(top, len(top.terms) - 1, dispersion)[1]
+    demanded = top.score - best.score + as_body * dispersion >= state.settings.accept * dispersion
+    return models, top if demanded else None
+
+
+def _families(library: Library, proposals: Sequence[Proposal], dispersion: float) -> list[tuple[Term, ...]]:
+    """Kinds that act inside joints, at every joint that shows them; the most promising ones.
+
+    Friction is rarely in one joint alone, and joint by joint each might pass for something else.
+    """
+    settings = library.projector.data.settings
+    kinds: dict[str, list[Proposal]] = {}
+    for p in proposals:
+        kind = p.term.effect
+        if kind.at == "joint" and kind.channels == ("torque",) and 0.5 * p.gain > settings.accept * dispersion:
+            kinds.setdefault(kind.name, []).append(p)
+    each = 0.5 * np.log(library.projector.rows)
+    worth = {name: sum(0.5 * p.gain - each * len(p.term.values) for p in members) for name, members in kinds.items()}
+    order = sorted((name for name in kinds if len(kinds[name]) > 1), key=lambda name: -worth[name])
+    return [tuple(p.term for p in kinds[name]) for name in order[: settings.families_at_once]]
+
+
+def exact_fits(
+    models: NoiseModels, start: Fit, held: Sequence[Term], proposals: Sequence[Proposal], dispersion: float, most: int
+) -> tuple[NoiseModels, list[Fit]]:
+    """Exact fits of the most promising proposals beside the effects held, each under its own noise, best first.
+
+    Diverged models are left out, and those that are far behind the best after a few steps.
+
+    Parameters
+    ----------
+    models
+        The noise that models make.
+    start
+        A fit of the effects held.
+    held
+        Those effects.
+    proposals
+        Effects that may come in.
+    dispersion
+        The dispersion factor.
+    most
+        How many proposals to fit.
+    """
+    settings = start.projector.data.settings
+    terms = [term for p in _shortlist(proposals, dispersion, most, settings) for term in (p.term, *p.others)]
+    fits = []
+    for fitted in _raced(start, held, terms, settings):
+        models, own = models.own(fitted)
+        fits += [own] if np.isfinite(own.score) else []
+    return models, sorted(fits, key=lambda f: -f.score)
+
+
+def _raced(start: Fit, held: Sequence[Term], terms: Sequence[Term], settings: Settings) -> list[Fit]:
+    """Fits of one term each beside those held, without those that are far behind after a few steps."""
+    early = list(in_order(lambda t: advance(begin(start.projector, (*held, t), start), settings.race_steps), terms))
+    gains = [start.chi2 - now.chi2 for now in early]
+    least = settings.race_share * max((g for g in gains if np.isfinite(g)), default=0.0)
+    kept = [now for now, gain in zip(early, gains, strict=True) if least <= 0.0 or gain >= least]
+    return list(in_order(lambda now: finish(advance(now, settings.fit_steps - settings.race_steps)), kept))
+
+
+def _shortlist(proposals: Sequence[Proposal], dispersion: float, most: int, settings: Settings) -> list[Proposal]:
+    """The best proposals, but few of one kind: neighbouring links explain alike and would crowd out other kinds."""
+    kept: list[Proposal] = []
+    for p in proposals:
+        name = p.term.effect.name
+        same = sum(k.term.effect.name == name for k in kept)
+        room = same < (settings.single_proposals if p.term.effect.single else settings.alike_proposals)
+        if len(kept) < most and room and 0.5 * p.gain > settings.accept * dispersion:
+            kept.append(p)
+    return kept
+
+
+def _exchanged(state: State) -> State:
+    """Each effect found against its rivals, the others held, until no exchange is for the better.
+
+    An effect with a shape (a contact's time and point, a tether's anchor) is its own rival, too: beside other effects
+    it may start better than where it first settled.
+    """
+    settings, dispersion = state.settings, state.dispersion
+    models, best = state.models, state.best
+    for _ in range(settings.sweeps):
+        before = best
+        for i in range(state.known, len(best.terms)):
+            own, held = best.terms[i], tuple(t for k, t in enumerate(best.terms) if k != i)
+            if not held or in_family(best.terms, i):
+                continue  # the first effect alone has just been chosen against all others, a family by many joints
+            models, without = models.own(fit(best.projector, held, best, steps=settings.exchange_steps))
+            models, library = models.library(without)
+            rivals = [p for p in library.propose(without) if p.name != own.effect.spec or len(own.effect.shape) > 1]
+            models, fits = exact_fits(models, without, held, rivals, dispersion, settings.exchanged_proposals)
+            if fits and fits[0].score > best.score + dispersion:
+                best = fits[0]
+        if best is before:
+            break
+    return replace(state, models=models, best=best)
+
+
+def _families_of(terms: Sequence[Term]) -> int:
+    """How many kinds of effects there are."""
+    return len({t.effect.name for t in terms})
+
+
+def in_family(terms: Sequence[Term], index: int) -> bool:
+    """Whether the same kind of effect is in the model at several other joints, too; two may be a coincidence."""
+    return sum(t.effect.name == terms[index].effect.name for t in terms) > 2

@@ -1,0 +1,140 @@
+"""The noise of the segments: sensors', encoders' as a model passes it on, and how readings are taken."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from bayesid.diagnosis.data import WHITE, DiagnosisData
+from bayesid.diagnosis.noise_spectrum import Encoders, measure
+from bayesid.diagnosis.repeats import find_rests
+from bayesid.diagnosis.spectra import Segment, encoder_count, low_passed, sensor_noise, with_noise
+from bayesid.effects import MotionSegment, Term
+from bayesid.recordings.table import Table, usual_step
+from bayesid.signals.smoothing import smooth
+
+
+def at_instants(data: DiagnosisData, links: np.ndarray, terms: Sequence[Term], seed: int) -> DiagnosisData:
+    """The data with moving readings taken for the values at their times, not for means over a sample's time.
+
+    To friction that reverses it makes a difference: one sample near the reversal is all of it or half of it.
+    """
+
+    def points(segments: Sequence[Segment]) -> tuple[Segment, ...]:
+        out = []
+        for s in segments:
+            old = s.scene
+            scene = smoothed(s.times, s.encoders, s.times, old.bandwidth, s.still, old.middle_positions, old.clear)
+            out.append(s if s.still else replace(s, scene=scene, instant=True))
+        return tuple(out)
+
+    return with_noise_of(replace(data, segments=points(data.segments), unseen=points(data.unseen)), links, terms, seed)
+
+
+def with_noise_of(data: DiagnosisData, links: np.ndarray, terms: Sequence[Term], seed: int) -> DiagnosisData:
+    """Both sets of segments with the covariance of their coefficients, as a model passes the encoders' errors on.
+
+    A model with a resonance or a gain amplifies them; so once effects are found, the noise is measured anew.
+    """
+    rng = np.random.default_rng(seed)
+    everything = [*data.segments, *data.unseen]
+    sensor = {still: sensor_noise([s for s in everything if s.still == still]) for still in sorted({s.still for s in everything})}
+    moving = [s for s in everything if not s.still]
+    n = data.robot.n
+    stated = data.experiment.position_resolution
+    count = np.array([stated or max(encoder_count(s.encoders[:, j], data.settings) for s in moving) for j in range(n)])
+    smooth_ = [smooth(s.times, s.encoders, s.scene.bandwidth)[0] for s in moving]
+    error = np.sqrt(np.mean([np.mean((s.encoders - q) ** 2, axis=0) for s, q in zip(moving, smooth_, strict=True)], axis=0))
+    random = np.sqrt(np.maximum(error**2 - count**2 / 12.0, 0.0))
+    random = np.where(random > 0.5 * count, random, 0.0)
+    if data.experiment.position_std is not None:
+        random = np.full(n, data.experiment.position_std)
+
+    def predict(segment: Segment) -> np.ndarray:
+        return data.predict(segment, links, terms)
+
+    def resmooth(segment: Segment, read: np.ndarray) -> Segment:
+        old = segment.scene
+        at = old.times, old.bandwidth, segment.still, old.middle_positions, old.clear, old.cell
+        scene = smoothed(segment.times, read, *at)
+        return replace(segment, scene=scene)
+
+    filtered = low_passed(moving)
+    spectrum = data.spectrum
+    if not moving[0].covariance.size:  # the sensor's noise is the same whatever the model
+        encoders = Encoders(predict, resmooth, count, random, seed)
+        spectrum = measure(moving, _rests(data, count), sensor[False], filtered, encoders)
+    source = spectrum.source if spectrum else WHITE if not filtered else "richest model"
+    if filtered and spectrum is None and (stated_noise := _stated_noise(data)) is not None:
+        # A filter moves noise into the band: there is no less of it there than of one sample's.
+        sensor[False], source = np.maximum(sensor[False], stated_noise), "stated"
+
+    def noisy(segments: Sequence[Segment]) -> tuple[Segment, ...]:
+        out = []
+        for s in segments:
+            noise = spectrum.of(s.motion).at(s.frequencies, sensor[False]) if spectrum and not s.still else sensor[s.still]
+            out.append(with_noise(s, predict, resmooth, noise, count, random, rng))
+        return tuple(out)
+
+    fitted, unseen, known = noisy(data.segments), noisy(data.unseen), spectrum is not None or not filtered
+    return replace(data, segments=fitted, unseen=unseen, floor_known=known, floor_source=source, spectrum=spectrum)
+
+
+def _rests(data: DiagnosisData, count: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Times (N,) and readings (N, c) where the robot stands still, in motions and in static runs sampled like them."""
+    moving = [s for s in (*data.segments, *data.unseen) if not s.still]
+    names = {s.motion for s in moving}
+    step = float(np.median([s.step for s in moving]))
+    parts = [(s.times, s.encoders, s.readings) for s in moving]
+    for motion in data.experiment.motions:
+        table = motion.static
+        if motion.name in names and table is not None and not motion.stop_and_go and has_readings(table, data.channel):
+            # Rows of poses that were averaged one by one are no recording.
+            pieces = [p for p in table.segments() if p.stop - p.start > 2]
+            pieces = [p for p in pieces if abs(usual_step(table.times[p]) / step - 1.0) < 0.1]
+            parts += [(table.times[p], table.positions[p], readings_of(table, data.channel)[p]) for p in pieces]
+    out = []
+    for times, encoders, read in parts:
+        for start, end in find_rests(times, encoders, count, data.settings):
+            inside = (times >= start) & (times <= end)
+            out.append((times[inside], read[inside]))
+    return out
+
+
+def _stated_noise(data: DiagnosisData) -> np.ndarray | None:
+    """Noise of one sample from the data sheet (c,), where the sensor is all that is compared."""
+    sensor = data.experiment.sensor
+    if data.channel != "wrench" or sensor is None or sensor.force_std is None or sensor.torque_std is None:
+        return None
+    return np.repeat([sensor.force_std, sensor.torque_std], 3)
+
+
+def smoothed(
+    times: np.ndarray,
+    positions: np.ndarray,
+    grid: np.ndarray,
+    bandwidth: float,
+    still: bool,
+    middle: np.ndarray,
+    clear: float | None = None,
+    cell: float = 0.0,
+) -> MotionSegment:
+    """The scene of encoder readings (N, n) on a grid (M,); ``cell`` as in `MotionSegment`."""
+    q, v, a = smooth(times, positions, bandwidth, at=np.clip(grid, times[0], times[-1]))
+    if still:
+        v, a = 0.0 * v, 0.0 * a
+    return MotionSegment(grid, q, v, a, still, bandwidth, middle, clear, cell)
+
+
+def has_readings(table: Table, channel: str) -> bool:
+    """Whether a table has the readings of a channel."""
+    wrench, torque = table.wrench is not None, table.torques is not None
+    return {"wrench": wrench, "torque": torque, "both": wrench and torque}[channel]
+
+
+def readings_of(table: Table, channel: str) -> np.ndarray:
+    """A table's readings of a channel (N, c)."""
+    wanted = [table.wrench if channel != "torque" else None, table.torques if channel != "wrench" else None]
+    return np.hstack([a for a in wanted if a is not None])

@@ -1,0 +1,150 @@
+"""Recordings cut into segments and smoothed, with the noise of both their sensors and encoders."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+
+import numpy as np
+
+from bayesid.diagnosis.data import DiagnosisData
+from bayesid.diagnosis.noise import has_readings, readings_of, smoothed, with_noise_of
+from bayesid.diagnosis.settings import DEFAULT, Settings
+from bayesid.diagnosis.spectra import Segment
+from bayesid.effects import Term, middle_of, starting_point
+from bayesid.errors import InputError
+from bayesid.recordings.experiment import Experiment, Motion
+from bayesid.recordings.table import usual_step
+from bayesid.regression.problem import default_channel, make_channels
+from bayesid.robot.prior import Prior
+from bayesid.signals.smoothing import choose_smoother
+
+
+def known_terms(experiment: Experiment, channel: str, effects: Sequence[str] | None) -> tuple[tuple[Term, ...], frozenset[str]]:
+    """The user's effects at their starting values, and which of them (``name@where``) keep those."""
+    names = make_channels(experiment, channel).names
+    specs = experiment.effects if effects is None else effects
+    parsed = experiment.library.parse(specs, experiment.robot.joint_names, names, experiment.gear_ratio)
+    values, free = starting_point(parsed, experiment.effect_values, experiment.robot.joint_names)
+    terms, held, start = [], set(), 0
+    for effect in parsed:
+        own = slice(start, start + len(effect.parameters))
+        terms.append(Term(effect, tuple(map(float, values[own]))))
+        if not free[own].all():
+            held.add(effect.spec)
+        start = own.stop
+    return tuple(terms), frozenset(held)
+
+
+def prepare_data(
+    experiment: Experiment,
+    channel: str | None,
+    terms: Sequence[Term],
+    motions: Sequence[str] | None,
+    seed: int,
+    held: Collection[str] = (),
+    settings: Settings = DEFAULT,
+) -> DiagnosisData:
+    """Cut the recordings into segments, smooth them and measure their noise.
+
+    Parameters
+    ----------
+    experiment
+        The recordings.
+    channel
+        ``wrench``, ``torque`` or ``both``; default as for `bayesid.identify`.
+    terms
+        Effects of the user's model.
+    motions
+        Which to fit; default those with role ``identification``.
+    seed
+        Of the encoders' repeated rounding.
+    held
+        Effects among these, ``name@where``, whose values are kept.
+    settings
+        The thresholds.
+
+    Raises
+    ------
+    InputError
+        Nothing to fit, or samples that are not evenly spaced.
+    """
+    channel = channel or default_channel(experiment)
+    channels = make_channels(experiment, channel)
+    names = [m.name for m in experiment.identification] if motions is None else list(motions)
+    known = {m.name for m in experiment.motions}
+    for name in names:
+        if name not in known:
+            raise InputError(f"--motions {name}: no such motion in experiment.toml; it has {', '.join(sorted(known))}")
+    usable = [m for m in experiment.motions if m.kind == "trajectory" and has_readings(m.table, channel)]
+    chosen = [m for m in usable if m.name in names]
+    if not chosen and any(m.name in names and m.kind == "poses" for m in experiment.motions):
+        raise InputError("only poses at rest are to be fitted, and a diagnosis needs a trajectory; name one with --motions")
+    if not chosen:
+        raise InputError(f"no motion with readings for --channel {channel} can be fitted; add one with role identification")
+    unseen = [m for m in usable if m.role == "validation" and m.name not in names]
+    rate = min(1.0 / usual_step(m.table.times) for m in [*chosen, *unseen])
+    bandwidth = min(max(_clear(experiment, [*chosen, *unseen], settings), settings.smoothing_bandwidth), 0.2 * rate)
+    # One mount, one stiffness: "the middle of the motion" is the same pose for all motions, the first one's.
+    middle = middle_of(chosen[0].table.positions)
+    share = settings.fitted_clear_share
+    clear = {m.name: _clear(experiment, [m], settings) for m in [*chosen, *unseen]}
+    fitted = [s for m in chosen for s in _segments(m, channel, bandwidth, middle, share * clear[m.name], settings)]
+    others = [s for m in unseen for s in _segments(m, channel, bandwidth, middle, clear[m.name], settings)]
+    if not fitted:
+        shortest = f"{settings.shortest_segment:g} s"
+        raise InputError(f"the motions to fit have no segment of {shortest} without a gap; record longer ones")
+    rel_std = experiment.inertia_rel_std
+    assumed = settings.unknown_rel_std if rel_std is None else rel_std
+    prior = None if rel_std == 0 else Prior.warped(experiment.robot.nominal, assumed)
+    for_validation = {m.name for m in experiment.motions if m.role == "validation" and m.kind == "trajectory"} - set(names)
+    data = DiagnosisData(
+        experiment, channel, channels, tuple(fitted), tuple(others), prior, tuple(terms), held=frozenset(held),
+        skipped=tuple(sorted(for_validation - {s.motion for s in others})), settings=settings,
+    )  # fmt: skip
+    return with_noise_of(data, data.links, data.terms, seed)
+
+
+def _clear(experiment: Experiment, motions: Sequence[Motion], settings: Settings) -> float:
+    """Up to where motions stand out of the encoders' noise, at most 20 Hz."""
+    pieces = [(m.table.times[p], m.table.positions[p]) for m in motions for p in m.table.segments() if p.stop - p.start > 40]
+    pieces = [(t[:5000], q[:5000]) for t, q in pieces]
+    if not pieces:
+        return settings.smoothing_bandwidth
+    return choose_smoother(pieces, experiment.position_resolution, experiment.position_std).bandwidth
+
+
+def _segments(
+    motion: Motion, channel: str, bandwidth: float, middle: np.ndarray, clear: float, settings: Settings
+) -> list[Segment]:
+    """Gap-free recordings of a motion and of its static run."""
+    tables = [(motion.table, False)]
+    # At rest drives hold with friction whatever it takes; only the wrench of a static run is a measurement.
+    if channel == "wrench" and motion.static is not None and motion.static.wrench is not None and motion.stop_and_go:
+        tables.append((motion.static, True))
+    out = []
+    for table, still in tables:
+        for part in table.segments():
+            times = table.times[part]
+            if times[-1] - times[0] < settings.shortest_segment:
+                continue
+            step = np.diff(times)
+            if np.abs(times - np.linspace(times[0], times[-1], len(times))).max() > 2.0 * np.median(step):
+                raise InputError(f"{table.source}: samples are not evenly spaced; resample them to a constant rate")
+            read = readings_of(table, channel)[part]
+            rate = settings.friction_rate if channel != "wrench" else settings.smooth_rate
+            positions = table.positions[part]
+            grid = _grid(times, rate)
+            scene = smoothed(times, positions, grid, bandwidth, still, middle, clear, float(grid[1] - grid[0]))
+            torques = tuple((read.shape[1] - scene.positions.shape[1] + j, j) for j in range(scene.positions.shape[1]))
+            torques = () if channel == "wrench" else torques
+            out.append(
+                Segment(motion.name, motion.role, times, positions, read, scene, still, torques, np.zeros(0), settings=settings)
+            )
+    return out
+
+
+def _grid(times: np.ndarray, rate: float) -> np.ndarray:
+    """Even times at about this rate, the middles of equal parts of a recording's time."""
+    step = (times[-1] - times[0]) / (len(times) - 1)
+    count = min(int(np.ceil(len(times) * step * rate)), len(times))
+    return times[0] - 0.5 * step + (np.arange(count) + 0.5) * (len(times) * step / count)

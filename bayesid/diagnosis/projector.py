@@ -1,0 +1,108 @@
+"""Links and offset, which are in every model and enter linearly: projected out once.
+
+With ``[A; I] = Q R`` of their whitened columns A over their prior, a column z of an effect keeps ``z - Q Q' z``, the part that no
+change of the links explains.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayesid.diagnosis.data import DiagnosisData
+from bayesid.diagnosis.spectra import Segment
+from bayesid.effects import Term
+
+#: One over the prior standard deviation of an offset, of which nothing is known [1/N, 1/(N m)].
+UNKNOWN_OFFSET = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class NuisanceProjector:
+    """Whitened columns of the links and the offset over their prior, reduced once.
+
+    Attributes
+    ----------
+    data
+        What is fitted.
+    root
+        ``links = nominal + root @ u`` with u ~ N(0, 1) (10 b, m).
+    offset
+        Whether a constant offset is among the columns, behind the links'.
+    q, r
+        Factors of ``[A; I]`` (rows + m + 6, m + 6).
+    rows
+        Number of rows that are data: those of channels that say anything.
+    volume
+        Log determinant of the noise of all rows.
+    """
+
+    data: DiagnosisData
+    root: np.ndarray
+    offset: bool
+    q: np.ndarray
+    r: np.ndarray
+    rows: int
+    volume: float
+
+    @property
+    def size(self) -> int:
+        """Number of columns projected out."""
+        return self.r.shape[1]
+
+    @property
+    def length(self) -> int:
+        """Number of rows above the prior's, those of channels that say nothing among them."""
+        return len(self.q) - self.size
+
+    def project_out(self, stacked: np.ndarray) -> np.ndarray:
+        """What links and offset cannot explain of rows of data with those of their prior beneath (rows + size, ...)."""
+        return stacked - self.q @ (self.q.T @ stacked)
+
+    def prior_residual(self, u: np.ndarray) -> np.ndarray:
+        """Rows of the prior at coordinates u (size,)."""
+        out = u.copy()
+        if self.offset:
+            out[-6:] *= UNKNOWN_OFFSET
+        return out
+
+    def columns(self, rows: np.ndarray) -> np.ndarray:
+        """What links and offset cannot explain of columns (rows, k) of which the prior says nothing (rows + size, k)."""
+        out = self.q @ (self.q[: self.length].T @ rows)
+        np.negative(out, out=out)
+        out[: self.length] += rows
+        return out
+
+
+def make_projector(data: DiagnosisData, terms: Sequence[Term]) -> NuisanceProjector:
+    """Reduce the columns that are in every model, at the given effects."""
+    root = np.zeros((len(data.links), 0))
+    if data.prior is not None:
+        size = np.sqrt(np.diag(data.prior.covariance))
+        root = size[:, None] * np.linalg.cholesky(data.prior.covariance / np.outer(size, size) + 1e-12 * np.eye(len(size)))
+    offset = data.offset_free and data.channel == "wrench"
+    parts = []
+    for s in data.segments:
+        mine = []
+        if data.prior is not None:
+            spectrum = s.whiten(s.spectrum(data.link_columns(s, terms)))
+            mine.append(spectrum.reshape(-1, spectrum.shape[2]) @ root)
+        if offset:
+            mine.append(offset_columns(s))
+        parts.append(np.hstack(mine) if mine else np.zeros((s.shape[0] * s.shape[1], 0)))
+    whitened = np.vstack(parts)
+    prior = np.eye(whitened.shape[1])
+    if offset:
+        prior[-6:] *= UNKNOWN_OFFSET
+    q, r = np.linalg.qr(np.vstack([whitened, prior]))
+    volume = sum(float(np.linalg.slogdet(s.covariance)[1].sum()) for s in data.segments)
+    return NuisanceProjector(data, root, offset, q, r, sum(s.count for s in data.segments), volume)
+
+
+def offset_columns(segment: Segment) -> np.ndarray:
+    """Whitened columns of a constant in every channel (rows, c)."""
+    channels = segment.readings.shape[1]
+    ones = np.broadcast_to(np.eye(channels), (len(segment.readings), channels, channels))
+    return segment.whiten(segment.measured(ones)).reshape(-1, channels)

@@ -1,0 +1,176 @@
+"""What the reader of a diagnosis should know, one sentence or two each, and what to record next."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from bayesid.diagnosis.data import WHITE
+from bayesid.diagnosis.residual_floor import SOURCES
+from bayesid.diagnosis.search import Found, Search
+from bayesid.diagnosis.stability import Stability
+from bayesid.diagnosis.surrogates import explained
+from bayesid.diagnosis.validation import Gap
+from bayesid.diagnosis.verdict import Reason, Verdict
+from bayesid.effects import Term
+
+
+def by_kind(terms: Iterable[Term]) -> list[str]:
+    """``name@place`` of each effect; of a kind at several joints ``name@joint1+joint4``, places in order."""
+    places: dict[str, list[str]] = {}
+    for t in terms:
+        places.setdefault(t.effect.name, []).append(t.effect.where)
+    return [f"{name}@{'+'.join(sorted(where))}" for name, where in places.items()]
+
+
+def remarks(
+    search: Search, gap: Gap | None, verdict: Verdict, reason: Reason, stability: Sequence[Stability | None]
+) -> tuple[str, ...]:
+    """Everything worth knowing beside the verdict: why it is unknown first, then the noise, the model, validation, moments.
+
+    Parameters
+    ----------
+    search
+        The models fitted.
+    gap
+        On the held-out motions, of the model that is handed on; None without any.
+    verdict, reason
+        See `bayesid.diagnosis.verdict`.
+    stability
+        Of each effect named.
+    """
+    data = search.projector.data
+    out = _unknown(search, gap, reason)
+    if data.floor_source != WHITE:  # the usual one needs no word
+        out.append(SOURCES[data.floor_source])
+    found = () if verdict == "unknown" else search.found
+    out += _of_the_model(search, found, gap)
+    out += _of_the_validation(search, found, gap)
+    if data.experiment.inertia_rel_std is None:
+        out.append(
+            "The prior relative standard deviation of the nominal inertias is not stated (inertia_rel_std): every rigid "
+            "parameter is free, and a payload or a wrong inertia cannot be told from the nominal model being wrong."
+        )
+    out += [moment_sentence(x, data.settings.accept) for x in stability if x is not None and x.rests_on is not None]
+    return tuple(out)
+
+
+def _unknown(search: Search, gap: Gap | None, reason: Reason) -> list[str]:
+    """Why nothing is named although something is missing."""
+    tried = ", ".join(by_kind(f.term for f in search.found))
+    if reason == "residual":
+        left = float(np.sqrt(search.best.chi2 / search.projector.rows))
+        elsewhere = "" if gap is None else f" and {gap.after:.3g} times on the unseen ones"
+        return [
+            f"Something is missing that no effect of the library explains: residuals stay at {left:.3g} times the noise on the "
+            f"fitted motions{elsewhere}" + (f", even with the best fit of {tried}." if tried else ".")
+        ]
+    if reason == "denied":
+        return [f"{tried} fits the fitted motions, but predicts the unseen ones no better: not named."]
+    if reason == "surrogates":
+        together = ", ".join(by_kind((*(f.term for f in search.found), *search.dropped)))
+        return [
+            f"Only {together} together explain the residual. So many unrelated effects at once are less likely than one that "
+            "the library does not have and that they imitate between them: not named."
+        ]
+    return []
+
+
+def _of_the_model(search: Search, found: Sequence[Found], gap: Gap | None) -> list[str]:
+    """On the effects in and beside the model, and how the readings are taken."""
+    data, settings, out = search.projector.data, search.projector.data.settings, []
+    tried = ", ".join(by_kind(f.term for f in found))
+    if found and search.dropped:
+        out.append(
+            f"{tried} explain {100 * explained(search.base, search.best):.3g} % of what stands out of the noise. What is left "
+            f"would fit {', '.join(by_kind(search.dropped))}, but is no more than these models may be inexact by: not named."
+        )
+    parts = {t.effect.name for t in data.terms}
+    if idle := [spec for spec in data.experiment.effects if spec.split("@")[0] not in parts]:
+        out.append(
+            f"{', '.join(idle)} of the model cannot be seen in what is compared (--channel {data.channel}), and took no part."
+        )
+    if (start := max(abs(x.times[0]) for x in data.segments)) > settings.late_start:
+        out.append(
+            f"Times start at {start:.3g} s. A drift counts from time zero, so it is one with an offset here; subtract the start."
+        )
+    if data.instants:
+        out.append(
+            "Dry friction fits better with readings as values at their times than as means over a sample's time, so they are "
+            "taken for that."
+        )
+    hidden = gap is not None and gap.before <= settings.room_ratio * gap.floor
+    if found and hidden and all(f.term.effect.changes_link for f in found):
+        count = search.projector.root.shape[1]
+        far, near = (float(np.sum(f.coordinates[:count] ** 2)) for f in (search.base, search.best))
+        out.append(
+            f"The residual does not show {tried}, for changed links stand in for it on all motions. What speaks for it is the "
+            f"links' prior: the squared distance from the nominal links, in prior standard deviations, is {far:.3g} without it "
+            f"and {near:.3g} with it, for {count} parameters."
+        )
+    return out
+
+
+def _of_the_validation(search: Search, found: Sequence[Found], gap: Gap | None) -> list[str]:
+    """On the held-out motions."""
+    data, settings, out = search.projector.data, search.projector.data.settings, []
+    if gap is not None and gap.floor > settings.vague_floor:
+        out.append(
+            f"On the unseen motions a complete model would be off by {gap.floor:.3g} times the noise, for the fitted motions "
+            "leave its parameters that uncertain: they say little."
+        )
+    if data.skipped:
+        out.append(
+            f"Not compared: {', '.join(data.skipped)}; a validation motion needs the same readings and a segment of "
+            f"{settings.shortest_segment:g} s without a gap."
+        )
+    if found and gap is None:
+        out.append(
+            "No validation motion was compared: the effect is named on the fitted motions alone, and held-out validation is "
+            "missing."
+        )
+    return out
+
+
+def moment_sentence(stability: Stability, needed: float) -> str:
+    """That an effect rests on one moment.
+
+    Parameters
+    ----------
+    stability
+        Of the effect.
+    needed
+        Log evidence that an effect has to bring.
+    """
+    at = stability.rests_on
+    if at is None:
+        return ""
+    text = f"{stability.spec} rests on one moment, {at.start:.1f} to {at.end:.1f} s of ‘{at.motion}’: without it "
+    least = f"{stability.least:.0f}" if abs(stability.least) >= 100.0 else f"{stability.least:.3g}"
+    least = least.replace("-", "−")
+    if stability.least < needed:
+        text += f"the log evidence is {least}, too little to name it."
+    else:
+        text += f"only {least} of the log evidence is left."
+    return f"{text} See what happened there, or record it again."
+
+
+def next_experiment(verdict: Verdict, found: Sequence[Found]) -> str:
+    """What to record next, in a sentence."""
+    if verdict == "ambiguous":
+        pairs = [(f.term.effect.spec, ", ".join(t.effect.spec for t, _ in f.rivals)) for f in found if f.rivals]
+        names = "; ".join(f"{a} from {b}" for a, b in pairs)
+        return (
+            f"To tell {names}: move other joints and repeat the motion at half and at full speed; effects that look alike "
+            "on one motion differ in how they grow with speed and change with posture."
+        )
+    if verdict == "unknown":
+        return (
+            "Record one joint at a time, slowly and fast, forth and back through the same poses: what stays with position is a "
+            "spring, a cable or a calibration; what changes sign with velocity is friction or drag; what grows with acceleration "
+            "is inertia or delay."
+        )
+    if verdict == "nothing_missing":
+        return "Nothing is left to settle with these motions; faster motions of all joints would show smaller effects."
+    return "Repeat the validation on a new motion with the effect in the model (model.toml), to see the smaller gap hold."

@@ -1,0 +1,181 @@
+"""Effects that a model can do without, and other effects that would do as well."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from bayesid.diagnosis.bodies import as_payload
+from bayesid.diagnosis.candidates import orthonormal
+from bayesid.diagnosis.fit import Fit, fit
+from bayesid.diagnosis.forward import State, exact_fits, in_family
+from bayesid.diagnosis.noise_models import NoiseModels
+from bayesid.diagnosis.rows import term_rows
+from bayesid.diagnosis.surrogates import explained, is_surrogate_combination
+from bayesid.effects import Term
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """An effect that the data demand.
+
+    Attributes
+    ----------
+    term
+        The effect with its values.
+    gain
+        Log evidence lost without it, divided by the dispersion factor.
+    std
+        Standard deviations of its values, the links' uncertainty included.
+    rivals
+        Other effects that explain it nearly as well, with the log evidence they lack.
+    """
+
+    term: Term
+    gain: float
+    std: np.ndarray
+    rivals: tuple[tuple[Term, float], ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Pruned:
+    """A model without superfluous effects.
+
+    Attributes
+    ----------
+    state
+        With that model as the best.
+    without
+        The model without each of its effects, by index, as far as that was fitted.
+    """
+
+    state: State
+    without: Mapping[int, Fit] = field(default_factory=dict)
+
+
+def prune(state: State) -> Pruned:
+    """Take out effects that the others have made superfluous."""
+    models, best, dispersion, settings = state.models, state.best, state.dispersion, state.settings
+    fitted: dict[int, Fit] = {}
+    i = state.known
+    while i < len(best.terms):
+        if in_family(best.terms, i) and _standing(best, i, dispersion) > settings.accept:
+            i += 1
+            continue
+        models, without = _without(models, best, i)
+        if best.score - without.score + as_payload(best, i, dispersion)[1] * dispersion < settings.accept * dispersion:
+            best, fitted = without, {}
+        else:
+            fitted[i] = without
+            i += 1
+    return Pruned(replace(state, models=models, best=best), fitted)
+
+
+def _without(models: NoiseModels, best: Fit, index: int) -> tuple[NoiseModels, Fit]:
+    """A model fitted without one of its effects."""
+    return models.own(fit(best.projector, tuple(t for k, t in enumerate(best.terms) if k != index), best))
+
+
+def essential(pruned: Pruned) -> tuple[Pruned, tuple[Term, ...]]:
+    """Of a combination of surrogates the few effects that explain nearly everything, and the others; or all of it where none do.
+
+    What a joint's or a mount's real springs do beyond the model of one would otherwise count as one effect more.
+    """
+    state = pruned.state
+    models, few, known = state.models, state.best, state.known
+    while is_surrogate_combination(few.projector.data, few.terms[known:]):
+        least = min(range(known, len(few.terms)), key=lambda k: _standing(few, k, state.dispersion))
+        models, few = _without(models, few, least)
+        if explained(state.base, few) < state.settings.nearly_all:
+            return replace(pruned, state=replace(state, models=models)), ()
+    if few is state.best:
+        return pruned, ()
+    kept = {t.effect for t in few.terms}
+    return Pruned(replace(state, models=models, best=few)), tuple(t for t in state.best.terms if t.effect not in kept)
+
+
+def with_rivals(pruned: Pruned) -> tuple[State, tuple[Found, ...]]:
+    """The effects found with their rivals; where a rival turns out to be better, it takes an effect's place first."""
+    state = pruned.state
+    # Where an unmodelled effect is left, or surrogates stand in for it, nothing will be named, and nothing needs rivals.
+    best, settings = state.best, state.settings
+    left = best.chi2 >= settings.unexplained * best.projector.rows and explained(state.base, best) < settings.nearly_all
+    if left or is_surrogate_combination(best.projector.data, best.terms[state.known :]):
+        return state, tuple(_alone(state, i) for i in range(state.known, len(best.terms)))
+    for attempt in range(settings.sweeps + 1):
+        state, found, better = _found(pruned, exchange=attempt < settings.sweeps)
+        if better is None:
+            return state, found
+        pruned = Pruned(replace(state, best=better))
+    raise AssertionError("the last attempt exchanges nothing")
+
+
+def _alone(state: State, index: int) -> Found:
+    """An effect with its evidence from the estimate and its covariance."""
+    best = state.best
+    return Found(_canonical(best.terms[index]), _standing(best, index, state.dispersion), _std(state, index))
+
+
+def _std(state: State, index: int) -> np.ndarray:
+    """Standard deviations of one effect's values."""
+    at = [column for column, (owner, _) in enumerate(state.best.free) if owner == index]
+    return np.sqrt(np.maximum(state.dispersion * np.diag(state.best.covariance)[at], 0.0))
+
+
+def _found(pruned: Pruned, *, exchange: bool) -> tuple[State, tuple[Found, ...], Fit | None]:
+    """The effects of the best model with their rivals; or a model with a rival that turned out to be better."""
+    state, out = pruned.state, []
+    models, best, dispersion, settings = state.models, state.best, state.dispersion, state.settings
+    for i in range(state.known, len(best.terms)):
+        if in_family(best.terms, i):
+            out.append(_alone(state, i))
+            continue
+        term = _canonical(best.terms[i])
+        held = tuple(t for k, t in enumerate(best.terms) if k != i)
+        without = pruned.without.get(i)
+        if without is None:
+            models, without = _without(models, best, i)
+        models, library = models.library(without)
+        proposals = [p for p in library.propose(without) if p.name != term.effect.spec]
+        models, fits = exact_fits(models, without, held, proposals, dispersion, settings.fitted_proposals)
+        if exchange and fits and fits[0].score > best.score + dispersion:
+            return replace(state, models=models), (), fits[0]
+        named, bonus = as_payload(best, i, dispersion)
+        lacks: dict[str, tuple[Term, float]] = {}
+        for f in reversed(fits):
+            rival, own = as_payload(f, len(f.terms) - 1, dispersion)
+            lacks[f.terms[-1].effect.spec] = (rival, (best.score - f.score) / dispersion + bonus - own)
+        near = [(t, lack) for t, lack in lacks.values() if lack < settings.rival and not _contains(without, t, term)]
+        gain = (best.score - without.score) / dispersion
+        out.append(Found(_canonical(named), gain, _std(state, i), tuple(near)))
+    return replace(state, models=models), tuple(out), None
+
+
+def _standing(best: Fit, index: int, dispersion: float) -> float:
+    """Log evidence of one effect among many from its estimate and covariance alone, without a fit that leaves it out."""
+    at = [column for column, (owner, _) in enumerate(best.free) if owner == index]
+    values, covariance = np.array(best.terms[index].values), best.covariance[np.ix_(at, at)]
+    size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    squared = float(values / size @ np.linalg.pinv(covariance / np.outer(size, size), hermitian=True) @ (values / size))
+    return (0.5 * squared - 0.5 * len(at) * np.log(best.projector.rows)) / dispersion
+
+
+def _canonical(term: Term) -> Term:
+    """Of values that mean the same, those that a reader expects."""
+    return replace(term, values=term.effect.canonical(term.values))
+
+
+def _contains(without: Fit, wider: Term, term: Term) -> bool:
+    """Whether an effect can do all that another does and more (a spring, an offset): no rival, but a longer name for it."""
+    projector, data = without.projector, without.projector.data
+    outer, inner = (
+        projector.columns(term_rows(data, data.segments, without.links, without.terms, t))
+        for t in (wider, term)
+    )
+    if outer.shape[1] <= inner.shape[1]:
+        return False
+    q = orthonormal(outer)
+    left = inner - q @ (q.T @ inner)
+    return bool(np.linalg.norm(left) < data.settings.contained_share * np.linalg.norm(inner))

@@ -1,0 +1,45 @@
+"""Whitened rows of residuals and of the derivatives of models, over segments of recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from bayesid.diagnosis.data import DiagnosisData, active_terms
+from bayesid.diagnosis.spectra import Segment
+from bayesid.effects import Term, columns
+
+
+def residual_rows(data: DiagnosisData, segments: Sequence[Segment], links: np.ndarray, offset: np.ndarray, terms: Sequence[Term]):
+    """Whitened rows of what was measured less what is predicted (rows,)."""
+    out = []
+    for s in segments:
+        measured = s.measured_readings - s.measured_ones * offset
+        with np.errstate(all="ignore"):  # a very compliant mount diverges; its fit is then refused
+            out.append(s.whiten(measured - s.spectrum(data.predict(s, links, terms))).ravel())
+    return np.concatenate(out)
+
+
+def term_rows(
+    data: DiagnosisData, segments: Sequence[Segment], links: np.ndarray, terms: Sequence[Term], term: Term
+) -> np.ndarray:
+    """Whitened derivatives of the readings with respect to a term's parameters beside other terms (rows, k)."""
+    parts = []
+    for s in segments:
+        if active_terms(s, [term]):
+            with np.errstate(all="ignore"):  # as above
+                found = columns(data.robot, data.channels, s.scene, links, active_terms(s, terms), term.effect, term.values)
+            parts.append(s.white(found))
+        else:
+            parts.append(np.zeros((s.shape[0] * s.shape[1], len(term.values))))
+    return np.vstack(parts)
+
+
+def model_rows(data: DiagnosisData, segments: Sequence[Segment], links: np.ndarray, terms: Sequence[Term]) -> np.ndarray:
+    """Whitened derivatives with respect to all free parameters of a model's effects (rows, k)."""
+    parts = [np.zeros((sum(s.shape[0] * s.shape[1] for s in segments), 0))]
+    parts += [
+        term_rows(data, segments, links, tuple(x for x in terms if x is not t), t) for t in terms if not data.fixed(t)
+    ]  # fmt: skip
+    return np.hstack(parts)

@@ -1,0 +1,126 @@
+"""The verdict as a pure function of a few numbers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from bayesid.diagnosis.search import Search
+from bayesid.diagnosis.settings import Settings
+from bayesid.diagnosis.surrogates import explained, unrelated
+from bayesid.diagnosis.validation import Gap
+
+Verdict = Literal["named", "ambiguous", "unknown", "nothing_missing"]
+#: Why a verdict is ``unknown``: a residual that nothing explains, held-out motions that deny what was found, or so many effects
+#: that they stand in for one that the library lacks.
+Reason = Literal["", "residual", "denied", "surrogates"]
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What a verdict rests on.
+
+    Attributes
+    ----------
+    residual
+        Mean square of whitened residuals that the best model leaves on the fitted motions; 1 is noise.
+    explained
+        Share of what stood out of the noise there that it explains.
+    effects
+        How many effects were found.
+    unrelated
+        How many of them are unrelated: one kind at most joints counts once.
+    dropped
+        Whether others, that the data demanded too, were left out for their small share.
+    rivals
+        Whether another effect explains as much as one of those found.
+    unconfirmable
+        Whether held-out motions cannot deny the effects found: a contact does not come again, and of a changed link the same
+        motion is predicted as well by many links that are a little off.
+    before, after, floor
+        Root mean squares on the held-out motions, without and with the effects and of a complete model; None without such
+        motions.
+    closed, closed_low
+        Share of the gap on them that is closed, and the lower end of its interval; nan where there was no gap.
+    """
+
+    residual: float
+    explained: float
+    effects: int
+    unrelated: int = 0
+    dropped: bool = False
+    rivals: bool = False
+    unconfirmable: bool = False
+    before: float | None = None
+    after: float | None = None
+    floor: float | None = None
+    closed: float = float("nan")
+    closed_low: float = float("nan")
+
+
+def evidence_of(search: Search, gap: Gap | None) -> Evidence:
+    """The numbers that a verdict rests on.
+
+    Parameters
+    ----------
+    search
+        The models fitted.
+    gap
+        On the held-out motions; None without any.
+    """
+    terms = [f.term for f in search.found]
+    given = {} if gap is None else {k: float(getattr(gap, k)) for k in ("before", "after", "floor", "closed", "closed_low")}
+    return Evidence(
+        residual=search.best.chi2 / search.projector.rows,
+        explained=explained(search.base, search.best),
+        effects=len(terms),
+        unrelated=unrelated(search.projector.data, terms),
+        dropped=bool(search.dropped),
+        rivals=any(f.rivals for f in search.found),
+        unconfirmable=all(t.effect.once or t.effect.changes_link for t in terms),
+        **given,
+    )
+
+
+def nearly_complete(e: Evidence, s: Settings) -> bool:
+    """Whether the model closes nearly all of the gap, so that what it leaves is its own inexactness."""
+    if e.after is None or e.floor is None:
+        return False
+    return e.closed > s.closed and e.after <= s.open_ratio * e.floor and e.explained > s.nearly_all
+
+
+def denied(e: Evidence, s: Settings) -> bool:
+    """Whether held-out motions deny the effects: worse, no better where there was room, or most of the gap still open."""
+    if e.before is None or e.after is None or e.floor is None:
+        return False
+    worse = e.after**2 > e.before**2 * (1.0 + s.worse_share)
+    no_better = e.before > s.room_ratio * e.floor and e.closed_low <= 0.0
+    still_open = e.after > s.open_ratio * e.floor and e.closed < s.mostly_closed
+    return worse or no_better or still_open
+
+
+def verdict(evidence: Evidence, settings: Settings) -> tuple[Verdict, Reason]:
+    """The verdict, and why if it is ``unknown``.
+
+    Parameters
+    ----------
+    evidence
+        The numbers.
+    settings
+        The thresholds.
+    """
+    e, s = evidence, settings
+    nearly = nearly_complete(e, s)
+    left = 0.0 if e.effects and nearly else e.residual
+    # What is left of a gap on livelier motions than the fitted ones is no unmodelled effect if it is a small share of the gap.
+    forgiven = bool(e.effects) and e.closed > s.closed
+    unseen = 0.0 if e.after is None or e.floor is None or forgiven else (e.after / e.floor) ** 2
+    if max(left, unseen) > s.unexplained:
+        return "unknown", "residual"
+    if not e.effects:
+        return "nothing_missing", ""
+    if not e.unconfirmable and denied(e, s):
+        return "unknown", "denied"
+    if e.unrelated > s.likely_effects or (e.dropped and not nearly):
+        return "unknown", "surrogates"
+    return ("ambiguous" if e.rivals else "named"), ""

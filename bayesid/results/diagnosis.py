@@ -1,0 +1,19 @@
+"""What ``diagnose`` found, and how it shows itself."""
+
+from __future__ import annotations
+
+from bayesid.results.diagnosis_text import notebook, summary
+from bayesid.results.files import Result
+from bayesid.results.findings import Findings
+
+
+class Diagnosis(Findings, Result):
+    """What `diagnose` found: `Findings` that can be printed and written."""
+
+    def __str__(self) -> str:
+        """A few lines: the verdict, values, the gap, where it disagrees."""
+        return summary(self)
+
+    def _repr_html_(self) -> str:
+        """The same for notebooks."""
+        return notebook(self)

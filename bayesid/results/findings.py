@@ -1,0 +1,157 @@
+"""What ``diagnose`` found, as numbers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from bayesid.diagnosis.candidates import Proposal
+from bayesid.diagnosis.data import DiagnosisData
+from bayesid.diagnosis.locate import Disagreement
+from bayesid.diagnosis.search import Found, Search
+from bayesid.diagnosis.stability import Stability
+from bayesid.diagnosis.validation import Gap
+from bayesid.effects import Term
+from bayesid.recordings.schema import EffectParameters
+
+SCHEMA = 1
+
+
+@dataclass(frozen=True, eq=False)
+class Findings:
+    """What `diagnose` found, as plain data.
+
+    Attributes
+    ----------
+    data
+        What was compared.
+    verdict
+        ``named``, ``ambiguous``, ``unknown`` or ``nothing_missing``.
+    search
+        The models fitted.
+    found
+        The effects named, none for the last two verdicts.
+    where
+        Where the user's model and the data disagree.
+    gap
+        On the validation motions; None without any.
+    shifts
+        Base parameters that the missing effects had moved: label, value before, after, and by how many standard
+        deviations.
+    remarks
+        What the reader should know.
+    next_experiment
+        What would settle what is open.
+    seconds
+        Run time.
+    stability
+        Each effect named without each part of the recordings; None where that says nothing.
+    """
+
+    data: DiagnosisData
+    verdict: str
+    search: Search
+    found: tuple[Found, ...]
+    where: tuple[Disagreement, ...]
+    gap: Gap | None
+    shifts: tuple[tuple[str, float, float, float], ...]
+    remarks: tuple[str, ...]
+    next_experiment: str
+    seconds: float = 0.0
+    stability: tuple[Stability | None, ...] = ()
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """Effects of the model after the diagnosis: the user's, as they are beside those named, and those."""
+        fitted = self.search.best if self.found else self.search.base
+        known = fitted.terms[: len(self.search.base.terms)]
+        return (*known, *(f.term for f in self.found))
+
+    @property
+    def needed(self) -> float:
+        """Log evidence that an effect has to bring to be named."""
+        return self.data.settings.accept
+
+    @property
+    def noise_level(self) -> float:
+        """Mean square of whitened residuals that counts as noise when disagreements are looked for."""
+        return max(1.0, min(self.search.dispersion, self.data.settings.unexplained))
+
+    @property
+    def model(self) -> tuple[tuple[str, ...], EffectParameters]:
+        """The experiment's model with the named effects added, as `bayesid.recordings.schema.write_model` takes it.
+
+        Effects that act on other channels stay as they are; all others get the values fitted here as starting values.
+        """
+        experiment = self.data.experiment
+        effects = [*experiment.effects, *(f.term.effect.spec for f in self.found)]
+        values: EffectParameters = {spec: dict(given) for spec, given in experiment.effect_values.items()}
+        for term in self.terms:
+            spec = term.effect.spec
+            given = {k: float(v) for k, v in zip(term.effect.parameters, term.values, strict=True)}
+            fixed = values.get(spec, values.get(term.effect.name, {})).get("fixed", False)
+            values[spec] = {**given, "fixed": True} if fixed else dict(given)
+        return tuple(dict.fromkeys(effects)), values
+
+    def evidence(self, proposal: Proposal) -> float:
+        """Log evidence that an effect alone would add to the user's model."""
+        each = float(np.log(self.search.projector.rows))
+        return 0.5 * (proposal.gain / self.search.dispersion - proposal.parameters * each)
+
+    def to_dict(self) -> dict[str, Any]:
+        """``diagnosis.json``."""
+        return {
+            "schema": SCHEMA,
+            "experiment": self.data.experiment.name,
+            "channel": self.data.channel,
+            "verdict": self.verdict,
+            "effects": [self._effect(f) for f in self.found],
+            "where": [d.to_dict() for d in self.where],
+            "gap": self._gap(),
+            "candidates": [
+                {
+                    "name": p.term.effect.name, "where": p.term.effect.where,
+                    "log_bayes_factor": self.evidence(p),
+                    "minimum_detectable": p.minimum,
+                }
+                for p in self.search.proposals
+            ],
+            "identification": {
+                "rows": self.search.projector.rows,
+                "before": float(np.sqrt(self.search.base.chi2 / self.search.projector.rows)),
+                "after": float(np.sqrt(self.search.best.chi2 / self.search.projector.rows)),
+                "unexplained": float(np.sqrt(self.search.dispersion)),
+            },
+            "base_parameter_shifts": [
+                dict(zip(("label", "before", "after", "sigmas"), shift, strict=True)) for shift in self.shifts
+            ],
+            "remarks": list(self.remarks),
+            "next_experiment": self.next_experiment,
+            "runtime_s": self.seconds,
+        }  # fmt: skip
+
+    def _gap(self) -> dict[str, Any] | None:
+        """The gap of the model as it is handed on: an attempt that was not accepted closes nothing."""
+        if self.gap is None:
+            return None
+        out = {**self.gap.to_dict(), "floor_known": self.data.floor_known, "floor_source": self.data.floor_source}
+        if self.verdict == "unknown":
+            out |= {"best_attempt_after": out["after"], "after": out["before"], "closed": 0.0, "closed_low": 0.0}
+        return out
+
+    def _effect(self, found: Found) -> dict[str, Any]:
+        effect = found.term.effect
+        std = found.std
+        parameters = {
+            key: {"value": float(value), "std": float(s) if np.isfinite(s) and s > 0 else None, "unit": unit}
+            for key, value, s, unit in zip(effect.parameters, found.term.values, std, effect.units, strict=True)
+        }
+        rivals = [{"name": t.effect.name, "where": t.effect.where} for t, _ in found.rivals]
+        odds = np.array([0.0, *(-lack for _, lack in found.rivals)])
+        return {
+            "name": effect.name, "where": effect.where, "probability": float(1.0 / np.exp(odds).sum()),
+            "log_bayes_factor": found.gain, "parameters": parameters, "ambiguous_with": rivals,
+            "stability": next((x.to_dict() for x in self.stability if x and x.spec == effect.spec), None),
+        }  # fmt: skip

@@ -1,0 +1,118 @@
+"""The verb ``diagnose``: which effect a model misses, in phases."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from threadpoolctl import threadpool_limits
+
+from bayesid.diagnosis.data import DiagnosisData
+from bayesid.diagnosis.locate import locate
+from bayesid.diagnosis.prepare import known_terms, prepare_data
+from bayesid.diagnosis.projector import make_projector
+from bayesid.diagnosis.remarks import next_experiment, remarks
+from bayesid.diagnosis.search import Search, search
+from bayesid.diagnosis.settings import DEFAULT, Settings
+from bayesid.diagnosis.shifts import base_shifts
+from bayesid.diagnosis.stability import stability
+from bayesid.diagnosis.validation import residual_spectra, validate
+from bayesid.diagnosis.verdict import evidence_of, verdict
+from bayesid.recordings.experiment import Experiment, load_experiment
+from bayesid.recordings.schema import write_model
+from bayesid.regression.problem import default_channel
+from bayesid.results.diagnosis import Diagnosis
+from bayesid.results.files import Files, files_of, strict
+from bayesid.workflows.progress import Progress, quiet
+
+
+def diagnose(
+    experiment: Experiment | str | Path,
+    channel: str | None = None,
+    *,
+    motions: Sequence[str] | None = None,
+    effects: Sequence[str] | None = None,
+    seed: int = 0,
+    settings: Settings = DEFAULT,
+    progress: Progress = quiet,
+) -> Diagnosis:
+    """Find where model and data disagree, name the missing effect, add it and show on held-out motions that the gap shrank.
+
+    The phases: noise of sensors and encoders; forward selection of effects; refit under the noise as the new model passes it on;
+    pruning; rivals; held-out validation; verdict; remarks.
+
+    Parameters
+    ----------
+    experiment
+        Loaded, or its folder.
+    channel
+        ``wrench``, ``torque`` or ``both``; default as for `bayesid.identify`.
+    motions
+        Which to fit; default those with role ``identification``.
+    effects
+        Replaces ``[model] effects``.
+    seed
+        Of everything random: the encoders' repeated rounding and the bootstrap over the held-out motions.
+    settings
+        All thresholds.
+    progress
+        Called with a few words, such as ``rivals``, whenever a phase begins, from the thread of the caller; what it returns is
+        ignored, what it raises ends the diagnosis.
+
+    Raises
+    ------
+    InputError
+        Bad input; the message says what to do.
+    """
+    since = time.perf_counter()
+    with threadpool_limits(1, user_api="blas"):
+        if not isinstance(experiment, Experiment):
+            experiment = load_experiment(experiment)
+        if effects is not None:
+            experiment = replace(experiment, effects=tuple(effects))
+        progress("noise of sensors and encoders")
+        channel = channel or default_channel(experiment)
+        terms, held = known_terms(experiment, channel, effects)
+        data = prepare_data(experiment, channel, terms, motions, seed, held, settings)
+        found = search(make_projector(data, data.terms), data.terms, seed, progress)
+        progress("validation on unseen motions")
+        result = _concluded(found, seed)
+    return replace(result, seconds=time.perf_counter() - since)
+
+
+def _concluded(s: Search, seed: int) -> Diagnosis:
+    """The verdict on what was found, and everything that goes with it."""
+    data: DiagnosisData = s.projector.data
+    gap = validate(s.projector, s.base, s.best, s.dispersion, seed)
+    decided, reason = verdict(evidence_of(s, gap), data.settings)
+    named = () if decided == "unknown" else s.found
+    if decided == "unknown" and gap is not None:
+        # The model handed on is the user's; what a rejected attempt could not determine is no part of its floor.
+        gap = replace(gap, floor=gap.bare_floor)
+    parts = stability(s.projector, s.best, len(s.base.terms), named, s.dispersion)
+    white = residual_spectra(data, data.segments, s.base)
+    return Diagnosis(
+        data=data,
+        verdict=decided,
+        search=s,
+        found=named,
+        where=locate(data, data.segments, white, max(1.0, min(s.dispersion, data.settings.unexplained))),
+        gap=gap,
+        shifts=base_shifts(s) if named else (),
+        remarks=remarks(s, gap, decided, reason, parts),
+        next_experiment=next_experiment(decided, named),
+        stability=parts,
+    )
+
+
+@files_of.register
+def _(result: Diagnosis) -> Files:
+    """``diagnosis.json``, ``model.toml`` and the report."""
+    from bayesid.report.diagnosis import diagnosis_report
+
+    effects, values = result.model
+    expressions = result.data.experiment.library.expressions
+    others = {"model.toml": lambda path: write_model(effects, values, path, expressions)}
+    return Files({"diagnosis.json": strict(result.to_dict())}, others, diagnosis_report(result))
