@@ -1,5 +1,6 @@
 """docs/architecture.md and its picture are those of the code; the code keeps to what the page promises."""
 
+import ast
 import re
 import runpy
 from pathlib import Path
@@ -9,6 +10,7 @@ import pytest
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
 RENEW = "run python docs/structure.py"
+_CONTAINERS = r"default_factory=(list|dict|set|deque|defaultdict)\b"
 
 
 @pytest.fixture(scope="module")
@@ -45,6 +47,17 @@ def test_modules_import_each_other_in_no_circle(found):
 
 def test_modules_are_short(found):
     assert {path: lines for path, lines in found.lines.items() if lines > 350} == {}
+
+
+def test_no_frozen_class_changes_a_container_of_its_own_making():
+    """A list or dictionary that a frozen class makes for itself and fills later is hidden state, shared by its copies."""
+    found = []
+    for path in (ROOT / "bayesid").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ClassDef) and any("frozen=True" in ast.unparse(d) for d in node.decorator_list):
+                own = [ast.unparse(n) for n in node.body if isinstance(n, ast.AnnAssign)]
+                found += [f"{path.name}: {n}" for n in own if re.search(r"init=False|^_", n) and re.search(_CONTAINERS, n)]
+    assert found == []
 
 
 def test_a_circle_is_seen(script):
