@@ -204,6 +204,11 @@ def identify(*options: str) -> Callable[[Path], list[str]]:
     return lambda folder: ["identify", str(folder), *(option.format(folder=folder) for option in options)]
 
 
+def simulate(*options: str) -> Callable[[Path], list[str]]:
+    """``simulate --new`` with these options."""
+    return lambda folder: ["simulate", str(folder), "--new", *options]
+
+
 def insert_cell(text: list[str]) -> list[str]:
     return [*text[:30], text[30] + ",7.0", *text[31:]]
 
@@ -406,6 +411,22 @@ CASES = [
               identify("--model", "{folder}/experiment.toml")),
     Malformed("out is a file", nothing, ("robot.urdf", "file"), identify("--out", "{folder}/robot.urdf")),
     Malformed("filter as text", nothing, ("--filter-l", "ten"), identify("--filter-l", "ten")),
+    Malformed("no motion named", nothing, ("--motions names none", "identification, validation"), identify("--motions", "")),
+    Malformed("motion named twice", nothing, ("--motions identification", "twice"),
+              identify("--motions", "identification,identification")),
+    Malformed("bandwidth without end", nothing, ("--bandwidth inf",), identify("--bandwidth", "inf")),
+    Malformed("filter next to nothing", nothing, ("low-pass l = 1e-308",), identify("--filter-l", "1e-308")),
+    Malformed("validation too short", table(lambda d: d.iloc[60:82], "validation.csv"), ("validation.csv", "record longer"),
+              identify("--bandwidth", "2")),
+    Malformed("nothing to show", lambda f: _poses_at_rest(f), ("identification.csv", "no parameter", "static"), identify()),
+    Malformed("rate without end", nothing, ("inf samples a second", "10,000,000"), simulate("--rate", "inf")),
+    Malformed("duration of years", nothing, ("duration = 1e+09 s", "10,000,000"), simulate("--duration", "1e9")),
+    Malformed("noise without end", nothing, ("force_std = 1e+300",), simulate("--force-std", "1e300")),
+    Malformed("perturbed beyond all", nothing, ("--perturb 1e+300",), simulate("--perturb", "1e300")),
+    Malformed("simulate: mass negative", urdf('value="4', 'value="-4'), ("robot.urdf: link upper", "-4 kg"), simulate()),
+    Malformed("simulate: no axis", urdf('axis xyz="0.0 1.0 0.0"', 'axis xyz="0 0 0"'), ("joint elbow", "axis"), simulate()),
+    Malformed("simulate: joint listed twice", toml('"elbow"]', '"shoulder"]'), ("[robot] joints", "twice"), simulate()),
+    Malformed("out cannot be written", nothing, ("--out /proc/nowhere", "name another"), identify("--out", "/proc/nowhere")),
     Malformed("unknown option", nothing, ("--metod",), identify("--metod", "ols")),
 ]  # fmt: skip
 
@@ -425,6 +446,12 @@ def _without_sensor(folder: Path) -> None:
 def _prepend(folder: Path, text: str) -> None:
     path = folder / "robot.urdf"
     path.write_text(text + path.read_text(encoding="utf-8"), encoding="utf-8")
+
+
+def _poses_at_rest(folder: Path) -> None:
+    """Poses from which static readings of the same poses are subtracted."""
+    toml("parked = [[0.0, 0.5]]", 'kind = "poses"')(folder)
+    table(lambda frame: frame.drop(columns=["v1", "v2"]))(folder)
 
 
 def _copy(folder: Path, source: str, target: str) -> None:

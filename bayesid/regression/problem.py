@@ -163,6 +163,11 @@ def prepare(experiment: Experiment, options: FitOptions | None = None) -> Proble
         offset=any(r.offset for r in fitted) and channel != "torque",
         at_rest=all(r.poses for r in fitted),
     )
+    if not base.rank:
+        raise InputError(
+            f"{', '.join(m.table.source for m in chosen)}: these readings show no parameter of the robot; at rest its static "
+            'readings take all away: remove [[motion]] static, or write kind = "trajectory"'
+        )
     smoother = _smoother(experiment, [r for rs in segments.values() for r in rs if not r.poses], options.bandwidth)
     rate = min(
         max(ROWS_PER_BANDWIDTH * smoother.bandwidth, LOWEST_ROW_RATE),

@@ -59,7 +59,7 @@ class Entry:
     def to_dict(self) -> dict[str, Any]:
         """The estimator's part of ``comparison.json``."""
         if self.estimate is None:
-            return {"name": self.name, "status": "refused", "reason": self.refusal, "seconds": self.seconds}
+            return {"name": self.name, "status": "refused", "reason": self.refusal}
         estimate = self.estimate
         own = slice(estimate.base.rank, None)
         document = {k: v for k, v in estimate.to_dict().items() if k not in ("base_map", "link_parameter_names", "rank")}
@@ -76,7 +76,7 @@ class Entry:
             **self.proof_to_dict(),
         }
         known = {k: v for k, v in proof.items() if v is not None}
-        return strict({"name": self.name, "status": "fitted", **document, "effects": effects, **known, "seconds": self.seconds})
+        return strict({"name": self.name, "status": "fitted", **document, "effects": effects, **known})
 
     def proof_to_dict(self) -> dict[str, Any]:
         """Predictions; empty where there is no motion."""

@@ -9,8 +9,9 @@ from pathlib import Path
 
 from hypothesis import strategies as st
 
-from bayesid.effects import KINDS
+from bayesid.effects import EffectLibrary
 
+KINDS = EffectLibrary().classes
 NUMBERS = [
     "0",
     "-0.0",
