@@ -127,17 +127,20 @@ def regroup(
     length = np.linalg.norm(rows, axis=0)
     visible = length > tolerance * length.max(initial=0.0)
     scaled = rows / np.where(visible, length, 1.0)
-    basis = np.zeros((rows.shape[0], 0))
     extra = np.zeros((rows.shape[0], 0)) if nuisance is None else nuisance
-    if extra.shape[1]:
-        basis = np.linalg.qr(extra)[0]
+    whole = np.zeros((rows.shape[0], extra.shape[1] + p), order="F")
+    size = extra.shape[1]
+    if size:
+        whole[:, :size] = np.linalg.qr(extra)[0]
     kept = []
     for column in sorted(np.flatnonzero(visible).tolist(), key=lambda k: _order(names[k], k)):
         rest = scaled[:, column]
+        basis = whole[:, :size]
         for _ in range(2):  # twice is enough for orthogonality to rounding
             rest = rest - basis @ (basis.T @ rest)
         if np.linalg.norm(rest) > tolerance:
-            basis = np.column_stack([basis, rest / np.linalg.norm(rest)])
+            whole[:, size] = rest / np.linalg.norm(rest)
+            size += 1
             kept.append(column)
     independent = np.sort(np.array(kept, int))
     matrix = np.zeros((len(independent), p))

@@ -21,7 +21,7 @@ from bayesid.regression.regression import Regression
 from bayesid.signals.noise import NoiseModel, estimate_noise
 
 _PASSES = 3
-_PANEL = 4096
+_PANEL = 1024
 #: Two fits contradict each other when their difference is less probable than the first, and the efficient one's
 #: residuals have more than the second times the power of the plain one's; either alone happens by chance.
 SMALLEST_AGREEMENT = 1e-4
@@ -100,7 +100,7 @@ def gram_rows(blocks: Iterable[Block], transform: Callable[[Block], np.ndarray])
 
 
 def _stack_all(r: np.ndarray | None, flat: np.ndarray) -> np.ndarray:
-    """Update a factor with many rows, a few thousand at a time, which stay in the processor's cache."""
+    """Update a factor with many rows, a thousand at a time, which stay in the processor's second cache."""
     for a in range(0, len(flat), _PANEL):
         r = stack(r, flat[a : a + _PANEL])
     assert r is not None
@@ -117,7 +117,8 @@ def whitened(blocks: Iterable[Block], noise: dict[str, NoiseModel]) -> Iterator[
         white = noise[block.group].whiten(block.rows, before if joined else None)
         if not joined and not block.start:
             white = white[order:]  # a block out of the middle: its past is unknown
-        before = np.concatenate([before, block.rows])[-max(order, 1) :] if joined else block.rows[-max(order, 1) :]
+        short = joined and len(block.rows) < order
+        before = (np.concatenate([before, block.rows]) if short else block.rows)[-max(order, 1) :]
         last = block
         yield block, white
 

@@ -253,20 +253,19 @@ def _direct(row_model: RowModel, segment: Segment, a: int, b: int) -> Iterator[_
             begin, rows, energy = _empty(row_model, start, times, row_model.base.rank + row_model.extra_columns + 1)
             project(times, row_model.about_point(segment, first, last), start, row_model.step, begin, rows, energy)
             return begin, rows, energy
-        state = row_model.state(segment, first, last)
-        rest = np.concatenate([row_model.effect_columns(segment, state), segment.measured(first, last)[:, :, None]], axis=2)
-        begin, rigid, energy = _empty(row_model, start, times, row_model.base.rank)
-        other = np.zeros((len(rigid), *rest.shape[1:]))
-        project(times, rest, start, row_model.step, begin, other, np.zeros_like(energy))
-        buffer = np.empty((_PANEL, *rigid.shape[1:]))
+        state, rank = row_model.state(segment, first, last), row_model.base.rank
+        effects, measured = row_model.effect_columns(segment, state), segment.measured(first, last)
+        begin, rows, energy = _empty(row_model, start, times, rank + effects.shape[2] + 1)
+        buffer = np.empty((_PANEL, *rows.shape[1:]))
         for k in range(0, last - first, _PANEL):
             part = slice(k, min(k + _PANEL, last - first))
-            rows = row_model.kernel.dynamics(
+            panel = row_model.kernel.dynamics(
                 state.positions[part], state.velocities[part], state.accelerations[part],
                 gravity=segment.gravity, out=buffer[: part.stop - k],
             )  # fmt: skip
-            project(times[part], rows, start, row_model.step, begin, rigid, energy)
-        return begin, np.concatenate([rigid, other], axis=2), energy
+            panel[:, :, rank:-1], panel[:, :, -1] = effects[part], measured[part]
+            project(times[part], panel, start, row_model.step, begin, rows, energy)
+        return begin, rows, energy
 
     yield from in_order(work, range(a, b, _CHUNK))
 
@@ -325,33 +324,31 @@ def _merge(row_model: RowModel, segment: Segment, a: int, b: int, parts: Iterabl
     total = max(int((segment.times[b - 1] - segment.times[a]) / row_model.step), 1)
     done, waiting, energy = 0, None, np.zeros(0)
     ready: list[np.ndarray] = []
+    powers: list[np.ndarray] = []
     count, begun = 0, 0
 
     def block() -> Block:
         rows = np.concatenate(ready)
+        rows /= np.sqrt(np.maximum(np.concatenate(powers), 1e-12))[:, None, None]
         times = start + row_model.step * np.arange(begun, begun + len(rows))
         return Block(rows, times, segment.motion, begun == 0)
 
     for first, rows, power in parts:
-        if waiting is None:
-            waiting, energy = rows, power
-        else:
-            overlap = done + len(waiting) - first
-            rows[:overlap] += waiting[first - done :]
-            power[:overlap] += energy[first - done :]
-            waiting, energy = (
-                np.concatenate([waiting[: first - done], rows]), np.concatenate([energy[: first - done], power])
-            )  # fmt: skip
-        complete = max(first - done, 0) if first > done else 0
-        complete = min(complete, total - done)
-        if complete:
-            ready.append(waiting[:complete] / np.sqrt(energy[:complete, None, None]))
-            count += complete
-            done, waiting, energy = done + complete, waiting[complete:], energy[complete:]
+        if waiting is not None:
+            shared = done + len(waiting) - first
+            rows[:shared] += waiting[first - done :]
+            power[:shared] += energy[first - done :]
+            complete = min(first, total) - done
+            if complete > 0:
+                ready.append(waiting[:complete])
+                powers.append(energy[:complete])
+                count += complete
+        done, waiting, energy = first, rows, power
         if count >= _BLOCK_ROWS:
             yield block()
-            begun, count, ready = begun + count, 0, []
+            begun, count, ready, powers = begun + count, 0, [], []
     if waiting is not None and done < total:
-        ready.append(waiting[: total - done] / np.sqrt(np.maximum(energy[: total - done, None, None], 1e-12)))
+        ready.append(waiting[: total - done])
+        powers.append(energy[: total - done])
     if ready:
         yield block()

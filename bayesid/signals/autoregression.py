@@ -134,6 +134,12 @@ def moving_average(polynomial: np.ndarray, rows: np.ndarray) -> np.ndarray:
     return out
 
 
+def channel_products(rows: np.ndarray) -> np.ndarray:
+    """Sums over time and the last axis of products of channels (channels, channels) of rows (k, channels, p)."""
+    flat = np.ascontiguousarray(np.swapaxes(rows, 0, 1)).reshape(rows.shape[1], -1)
+    return flat @ flat.T
+
+
 def mix(matrix: np.ndarray, rows: np.ndarray) -> np.ndarray:
     """Apply a channels x channels matrix to rows (k, channels, ...)."""
     flat = np.ascontiguousarray(rows, float).reshape(*rows.shape[:2], -1)

@@ -158,6 +158,8 @@ def _kernel(x: np.ndarray, roll_off: float) -> np.ndarray:
 
 
 _PER_ROW = 2048
+#: Samples that are added to a row at once; the loop below is written for this many.
+_TOGETHER = 4
 _TABLE = _kernel(np.arange(_PER_ROW * HALF_WIDTH + 2) / _PER_ROW, ROLL_OFF)
 _TABLE[_PER_ROW * HALF_WIDTH :] = 0.0
 
@@ -165,13 +167,32 @@ _TABLE[_PER_ROW * HALF_WIDTH :] = 0.0
 @numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
 def _project(times, values, start, step, first, table, out, energy):
     rows, columns = out.shape
-    for sample in range(len(values)):
-        position = (times[sample] - start) / step - first
-        low = max(int(np.ceil(position - HALF_WIDTH)), 0)
-        for row in range(low, min(int(np.floor(position + HALF_WIDTH)), rows - 1) + 1):
-            at = abs(position - row) * _PER_ROW
-            k = int(at)
-            weight = table[k] + (at - k) * (table[k + 1] - table[k])
-            energy[row] += weight * weight
-            for column in range(columns):
-                out[row, column] += weight * values[sample, column]
+    weights = np.empty(_TOGETHER)
+    for first_sample in range(0, len(values), _TOGETHER):
+        # A few neighbouring samples at once: a row of the output is then read and written once for all of them.
+        count = min(_TOGETHER, len(values) - first_sample)
+        begin = (times[first_sample] - start) / step - first
+        end = (times[first_sample + count - 1] - start) / step - first
+        low = max(int(np.ceil(begin - HALF_WIDTH)), 0)
+        for row in range(low, min(int(np.floor(end + HALF_WIDTH)), rows - 1) + 1):
+            for k in range(_TOGETHER):
+                weights[k] = 0.0
+                if k < count:
+                    distance = abs((times[first_sample + k] - start) / step - first - row)
+                    if distance <= HALF_WIDTH:
+                        at = distance * _PER_ROW
+                        i = int(at)
+                        weights[k] = table[i] + (at - i) * (table[i + 1] - table[i])
+                        energy[row] += weights[k] * weights[k]
+            target = out[row]
+            if count == _TOGETHER:
+                one, two, three, four = weights
+                v1, v2 = values[first_sample], values[first_sample + 1]
+                v3, v4 = values[first_sample + 2], values[first_sample + 3]
+                for column in range(columns):
+                    target[column] += one * v1[column] + two * v2[column] + three * v3[column] + four * v4[column]
+            else:
+                for k in range(count):
+                    source = values[first_sample + k]
+                    for column in range(columns):
+                        target[column] += weights[k] * source[column]

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.linalg import cholesky, solve_triangular, toeplitz
 from scipy.signal import lfilter
 
-from bayesid.signals.autoregression import autocovariance, fit, mix, moving_average
+from bayesid.signals.autoregression import autocovariance, channel_products, fit, mix, moving_average
 
 #: Orders tried; the smallest score of Schwarz's criterion wins.
 ORDERS = (0, 1, 2, 3, 4, 6, 8, 12, 16, 24)
@@ -161,7 +161,7 @@ def estimate_noise(
     if spread is None:
         innovation /= max(1.0 - parameters / white.size, 0.05)
     else:
-        innovation += sum(np.einsum("tcj,tdj->cd", z, z) for z in map(shaped.whiten, spread)) / len(white)
+        innovation += sum(channel_products(shaped.whiten(z)) for z in spread) / len(white)
     # A channel without any noise (noise-free simulations) must not make the covariance singular.
     scale = np.diag(innovation)
     innovation = innovation + np.diag(1e-10 * scale + 1e-20 * max(scale.max(), 1e-200))

@@ -12,6 +12,7 @@ from bayesid.estimators import Estimate, Estimator, fit
 from bayesid.estimators.nonlinear import solve
 from bayesid.regression.hypothesis_tests import hausman
 from bayesid.regression.options import FitOptions
+from bayesid.regression.parallel import in_order
 from bayesid.regression.problem import Problem, make_channels, prepare, restrict
 
 
@@ -93,20 +94,19 @@ def motions_apart(problem: Problem, estimate: Estimate, method: str | Estimator)
     method
         The estimator.
     """
-    out = []
-    for name, segments in problem.segments.items():
+
+    def compared(name: str) -> Agreement | None:
         rest = [n for n in problem.fitted if n != name]
-        if not segments or not rest:
-            continue
+        if not problem.segments[name] or not rest:
+            return None
         try:
             alone = fit(restrict(problem, [name]).regression, method)
             others = estimate if len(rest) == len(problem.fitted) else fit(restrict(problem, rest).regression, method)
         except (InputError, np.linalg.LinAlgError):
-            continue
-        agreement = compare_estimates(f"motion {name}", alone, f"motions {', '.join(rest)}", others)
-        if agreement is not None:
-            out.append(agreement)
-    return out
+            return None
+        return compare_estimates(f"motion {name}", alone, f"motions {', '.join(rest)}", others)
+
+    return [agreement for agreement in in_order(compared, problem.segments) if agreement is not None]
 
 
 def wrench_against_torque(problem: Problem, method: str | Estimator) -> Agreement | None:

@@ -11,6 +11,7 @@ from scipy.signal import butter, correlate, sosfiltfilt, welch
 from bayesid.estimators import Estimate
 from bayesid.estimators.factor import whitened
 from bayesid.recordings.experiment import Experiment, Motion
+from bayesid.regression.blocks import Block
 from bayesid.regression.parallel import in_order
 from bayesid.regression.problem import Problem
 from bayesid.regression.rows import Segment
@@ -209,32 +210,33 @@ def _whitened(
     problem: Problem, estimate: Estimate, motion: str, segments: list[Segment]
 ) -> tuple[float, np.ndarray, float, Spectrum | None]:
     """Root mean square of whitened residual rows, how many lie in their 95 % prediction interval, and their spectrum."""
-    power, count, inside, total = 0.0, 0, 0, 0
-    raw = []
     noise = dict(estimate.noise)
     for group in ("trajectory", "poses"):  # a kind of rows that was not fitted: the other's noise, uncoloured
         if group not in noise:
             noise[group] = next(iter(estimate.noise.values())).uncoloured()
     group = "poses" if all(s.poses for s in segments) else "trajectory"
     blocks = (block for block in problem.rows.blocks([motion]) if block.group == group)
-    for block, white in whitened(blocks, noise):
-        if block.group == "trajectory":
-            raw.append(block.target - block.matrix @ estimate.solution)
-        residual = white[:, :, -1] - white[:, :, :-1] @ estimate.solution
-        power = power + np.sum(residual**2, axis=0)
-        count += len(residual)
-        spread = np.ones_like(residual)
+
+    def judged(pair: tuple[Block, np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Residuals of a block as they are and whitened, and squared standard deviations of the whitened predictions (k, c)."""
+        block, white = pair
+        x = white.reshape(-1, white.shape[2])[:, :-1]
+        residual = white[:, :, -1] - (x @ estimate.solution).reshape(white.shape[:2])
+        variance = np.zeros(residual.shape)
         if estimate.full_covariance is not None:
-            x = white[:, :, :-1]
-            spread = np.sqrt(1.0 + np.einsum("tcp,tcp->tc", x @ estimate.full_covariance, x))
-        inside += int(np.sum(np.abs(residual) <= 1.959964 * spread))
-        total += residual.size
-    channels = np.asarray(power) / max(count, 1)
+            variance = np.einsum("np,np->n", x @ estimate.full_covariance, x).reshape(residual.shape)
+        return block.target - block.matrix @ estimate.solution, residual, variance
+
+    parts = list(in_order(judged, whitened(blocks, noise)))
+    raw, residual, variance = ([part[k] for part in parts] for k in range(3))
+    residual, variance = np.concatenate(residual), np.concatenate(variance)
+    channels = np.mean(residual**2, axis=0)
+    inside = np.abs(residual) <= 1.959964 * np.sqrt(1.0 + variance)
     spectrum = None
-    if raw:
+    if group == "trajectory":
         rate = 1.0 / float(np.median(np.diff(next(r.times for r in segments if not r.poses))))
         spectrum = _spectrum(raw, noise["trajectory"], problem.row_model.step, rate, problem.row_model.filters is not None)
-    return float(np.sqrt(channels.mean())), np.sqrt(channels), inside / max(total, 1), spectrum
+    return float(np.sqrt(channels.mean())), np.sqrt(channels), float(inside.mean()), spectrum
 
 
 def _spectrum(residuals: list[np.ndarray], noise: NoiseModel, step: float, rate: float, filtered: bool) -> Spectrum | None:

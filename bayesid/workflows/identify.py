@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from bayesid.estimators import DEFAULT_METHOD, Estimate, Estimator, estimator
 from bayesid.estimators.nonlinear import solve
 from bayesid.recordings.experiment import Experiment, load_experiment
 from bayesid.regression.options import FitOptions
+from bayesid.regression.parallel import in_order
 from bayesid.regression.problem import Problem, prepare, weight_columns
 from bayesid.results.bodies import impossible_bodies
 from bayesid.results.files import Files, files_of
@@ -81,9 +83,12 @@ def identify(
         clock("estimate")
         problem, estimate = solve(problem, method)
         clock("prediction")
-        predictions = [predict(problem, estimate, m) for m in experiment.motions if m.name in problem.segments]
+        readable = [m for m in experiment.motions if m.name in problem.segments]
+        # Fits of single motions need none of the predictions: both at once, on as many cores as there are.
+        fits = partial(motions_apart, problem, estimate, method)
+        jobs = [fits, *(partial(predict, problem, estimate, motion) for motion in readable)]
+        agreements, *predictions = in_order(lambda job: job(), jobs)
         clock("consistency")
-        agreements = motions_apart(problem, estimate, method)
         alternative = static_both_ways(problem, method)
         if problem.channel == "both":
             across = wrench_against_torque(problem, method)
@@ -122,7 +127,10 @@ def _(result: Identification) -> Files:
 def _unexcited(problem: Problem, estimate: Estimate) -> tuple[str, ...]:
     """Base parameters of a rich motion that these motions do not show, and those the data say nothing about."""
     row_model = problem.row_model
-    rich = structural_base(row_model.robot, row_model.channels, offset=row_model.base.absorbed is not None)
+    fitted = [s for name in problem.fitted for s in problem.segments[name]]
+    rich = row_model.base
+    if all(s.poses or not s.gravity for s in fitted):  # otherwise the base parameters are those of a rich motion already
+        rich = structural_base(row_model.robot, row_model.channels, offset=row_model.base.absorbed is not None)
     if len(rich.names) > row_model.base.rank:
         seen = np.linalg.lstsq(row_model.base.matrix.T, rich.matrix.T, rcond=None)[0].T @ row_model.base.matrix
         hidden = np.linalg.norm(seen - rich.matrix, axis=1) > 1e-6 * np.linalg.norm(rich.matrix, axis=1)
