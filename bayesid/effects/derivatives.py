@@ -91,7 +91,7 @@ def effect_derivatives(model: Model, effect: Effect) -> np.ndarray:
             share = differences(effect, values, lambda v: np.array(effect.inertia(v)))
             out = tangent(model, unit[:, :, None] * share)
         case LoadEffect():
-            out = tangent(model, differences(effect, values, lambda v: _load_reading(model, effect, v)))
+            out = tangent(model, _load_columns(model, effect, values))
         case GravityEffect() if not (model.of_family(FlexibleJointEffect) or model.of_family(MountEffect)):
             out = tangent(model, differences(effect, values, lambda v: _weight(model, model.replaced(Term(effect, v)).gravity)))
         case _:
@@ -99,10 +99,14 @@ def effect_derivatives(model: Model, effect: Effect) -> np.ndarray:
     return out
 
 
-def _load_reading(model: Model, effect: LoadEffect, values: tuple[float, ...]) -> np.ndarray:
-    out = np.zeros((len(model.segment.times), len(model.channels)))
-    for body, force in effect.loads(model.robot, model.segment, model.states, values):
-        out -= np.einsum("nck,nk->nc", model.twists, force) * model.carries[:, body]
+def _load_columns(model: Model, effect: LoadEffect, values: tuple[float, ...]) -> np.ndarray:
+    """Derivative of what the channels read of loads from outside (N, c, k): wrenches are differentiated, and projected once."""
+    robot, segment, states = model.robot, model.segment, model.states
+    bodies = [body for body, _ in effect.loads(robot, segment, states, values)]
+    change = differences(effect, values, lambda v: np.stack([w for _, w in effect.loads(robot, segment, states, v)]))
+    out = np.zeros((len(segment.times), len(model.channels), len(values)))
+    for body, wrench in zip(bodies, change, strict=True):
+        out -= np.matmul(model.twists, wrench) * model.carries[:, body, None]
     return out
 
 

@@ -22,7 +22,7 @@ class Results:
     Parameters
     ----------
     most
-        How many results are kept; the oldest goes first.
+        How many results are kept; the one that was longest not asked for goes first.
     """
 
     def __init__(self, most: int = _KEPT):
@@ -34,6 +34,7 @@ class Results:
         """The result of this key; made, outside the lock, where it is not there. Of two made at once the first stays."""
         with self._lock:
             if key in self._kept:
+                self._kept[key] = self._kept.pop(key)  # to the end: asked for last
                 return self._kept[key]
         made = make()
         with self._lock:
