@@ -84,16 +84,16 @@ def _tables(holder: _Holder):
 
 
 class _Holder:
-    """Keeps a robot alive as long as its tables; equal for the same object."""
+    """A robot as the key of its tables: equal for robots that hold the same."""
 
     def __init__(self, robot: Robot):
         self.robot = robot
 
     def __hash__(self):
-        return id(self.robot)
+        return hash(self.robot.fingerprint)
 
     def __eq__(self, other):
-        return isinstance(other, _Holder) and self.robot is other.robot
+        return isinstance(other, _Holder) and self.robot.fingerprint == other.robot.fingerprint
 
 
 def link_states(

@@ -172,11 +172,6 @@ class Effect:
     # -- what a place adds
 
     @property
-    def kind(self) -> type[Effect]:
-        """Its class."""
-        return type(self)
-
-    @property
     def spec(self) -> str:
         """``name@where``."""
         return f"{self.name}@{self.where}"

@@ -71,7 +71,10 @@ class ExpressionEffect(ReadingEffect):
         """(N, channels, k)."""
         q, v, a = segment.positions, segment.velocities, segment.accelerations
         readout = Readout(tuple(channels), segment, q, v, a, np.zeros((len(segment.times), len(channels))))
-        return np.stack([self.added(readout, tuple(unit)) for unit in np.eye(len(self.parameters))], axis=-1)
+        out = np.stack([self.added(readout, tuple(unit)) for unit in np.eye(len(self.parameters))], axis=-1)
+        if not np.isfinite(out).all():
+            raise InputError(f"effect '{self.name}': the formula has no finite value somewhere in this motion; mend it")
+        return out
 
     def _full(self, name: str) -> str:
         """``tau`` of the effect's own joint as ``tau2``."""
@@ -121,6 +124,8 @@ def expression_effect(name: str, table: Mapping[str, Any], joints: int, source: 
     InputError
         A formula, reading or parameter cannot be; the message says which, and what to write.
     """
+    if not name.isidentifier():
+        raise InputError(f"{source}: [model.expressions] {name!r}: write a name of letters, digits and underscores")
     place = f"{source}: [model.expressions.{name}]"
     formulas: dict[str, Formula] = {}
     for reading, text in table.items():

@@ -116,6 +116,11 @@ def plant_readings(
     ----------
     robot, channels, segment, links, terms
         As in `bayesid.effects.readings`.
+
+    Raises
+    ------
+    InputError
+        Readings are not finite.
     """
     times, size = segment.times, len(segment.times)
     margin = 0.0
@@ -135,4 +140,7 @@ def plant_readings(
             _BANDWIDTH, middle,
         )
         out[first:last] = readings(robot, channels, piece, links, terms)[first - a : last - a]
+    if not np.isfinite(out).all():
+        specs = ", ".join(t.effect.spec for t in terms)
+        raise InputError(f"readings are not finite with {specs or 'these links'}; give smaller values, or mend the formula")
     return out
