@@ -185,7 +185,8 @@ def make_library(projector: NuisanceProjector, base: Fit, found: Fit | None = No
         for about in effect.linearisations(around) if effect.sought(around) else ():
             beside = tuple(t for t in at.terms if t.effect != effect)
             rows = term_rows(data, data.segments, at.links, beside, Term(effect, tuple(about.at)))
-            blocks.append(_Block(effect, projector.columns(rows), about))
+            if np.isfinite(rows).all():  # a formula of the user's need not mean something everywhere
+                blocks.append(_Block(effect, projector.columns(rows), about))
     ripples = RippleScan.of(data, [e for e in _everywhere(data) if e.harmonics])
     return Library(projector, base, around, tuple(blocks), ripples)
 

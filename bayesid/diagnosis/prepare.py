@@ -101,6 +101,11 @@ def prepare_data(
         experiment, channel, channels, tuple(fitted), tuple(others), prior, tuple(terms), held=frozenset(held),
         skipped=tuple(sorted(for_validation - {s.motion for s in others})), settings=settings,
     )  # fmt: skip
+    with np.errstate(all="ignore"):
+        finite = all(np.isfinite(data.predict(s, data.links, data.terms)).all() for s in data.segments)
+    if not finite:
+        specs = ", ".join(t.effect.spec for t in data.terms)
+        raise InputError(f"readings are not finite where {specs or 'the links'} start; state other values in [model.values]")
     return with_noise_of(data, data.links, data.terms, seed)
 
 

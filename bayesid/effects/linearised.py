@@ -76,6 +76,7 @@ def reach_of(terms: Sequence[Term], bandwidth: float, step: float) -> float:
     return max((t.effect.reach(t.values, bandwidth, step) for t in terms), default=0.0)
 
 
+@np.errstate(all="ignore")  # values that are tried may overflow; the cost, not a warning, says so
 def linearised(
     robot: Robot,
     channels: Channels,

@@ -13,6 +13,7 @@ import numpy as np
 
 from bayesid.dynamics.nearest_links import nearest_links
 from bayesid.effects import Point, moved
+from bayesid.errors import InputError
 from bayesid.estimators import DEFAULT_METHOD, Estimate, Estimator, fit
 from bayesid.regression.gauss_newton import Linearised, StepControl, minimise
 from bayesid.regression.problem import Problem, absorbed_offset, relinearised
@@ -39,11 +40,22 @@ def solve(problem: Problem, method: str | Estimator = DEFAULT_METHOD) -> tuple[P
     -------
     problem, estimate
         The problem, linearised at the estimate; the same where nothing has to be.
+
+    Raises
+    ------
+    InputError
+        Readings are not finite where the effects start.
     """
     if problem.row_model.point is None:
         return problem, fit(problem.regression, method)
+    if not all(np.isfinite(block.rows).all() for block in problem.regression.blocks()):
+        raise InputError(f"readings are not finite where {_specs(problem)} start; state other values in [model.values]")
     found = minimise(Fitted(problem, method), Fitted.linearised, _CONTROL)
     return found.problem, found.estimate
+
+
+def _specs(problem: Problem) -> str:
+    return ", ".join(e.spec for e in problem.row_model.effects)
 
 
 @dataclass(frozen=True)

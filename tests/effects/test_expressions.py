@@ -164,3 +164,19 @@ def test_a_model_file_brings_its_formulas(folder, tmp_path):
     (tmp_path / "model.toml").write_text(text.replace("cogging", "spring"), encoding="utf-8")
     with pytest.raises(InputError, match="an effect is called 'spring' already"):
         replace(experiment).with_model(tmp_path / "model.toml")
+
+
+@pytest.mark.parametrize("start", [0.0, 1.0])
+def test_a_formula_without_a_value_is_told(folder, start):
+    """A root of a negative number: in one line, whether the formula starts at zero or not."""
+    table = {"tau1": "c * sqrt(q1 - 10) + d * v1", "parameters": {"c": {"start": start}, "d": {}}}
+    experiment = bayesid.load_experiment(folder)
+    experiment = replace(experiment, library=experiment.library.with_expressions({"mine": table}, 2, "mine"), effects=("mine",))
+    held = replace(experiment, effect_values={"mine": {"c": start, "fixed": True}})
+    for verb in (bayesid.identify, bayesid.diagnose):
+        with pytest.raises(InputError, match="not finite where mine@joint1 start"):
+            verb(held, "torque")
+    with pytest.raises(InputError, match="no finite value somewhere|not finite where"):
+        bayesid.identify(experiment, "torque")
+    with pytest.raises(InputError, match="not finite with mine@joint1"):
+        bayesid.simulate(experiment, effects=["mine"])
