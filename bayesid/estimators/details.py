@@ -21,7 +21,7 @@ class Details:
     agreement_of_gls_and_wls
         Probability of a difference as large as theirs when the model is complete.
     warnings
-        What the user should know before trusting the estimate.
+        What the user should know before using the estimate.
     """
 
     model_complete: bool | None = field(default=None, metadata=OPTIONAL)

@@ -40,10 +40,10 @@ def predictive_groups(
     groups: dict[str, dict[str, np.ndarray]] = {"posterior_predictive": {}, "log_likelihood": {}, "observed_data": {}}
     coordinates: dict[str, Any] = {"channel": list(channels)}
     dimensions: dict[str, list[str]] = {}
-    for name, blocks in (("fitted", _some(fitted)), ("validation", _some(validation))):
+    for name, blocks in (("fitted", _first_rows(fitted)), ("validation", _first_rows(validation))):
         if not blocks:
             continue
-        keep = _picked(blocks)
+        keep = _evenly_spaced(blocks)
         groups["posterior_predictive"][name] = np.concatenate(
             [_replicated(posterior, b, rng)[:, :, k].astype(np.float32) for b, k in zip(blocks, keep, strict=True)], axis=2
         )
@@ -56,7 +56,7 @@ def predictive_groups(
     return Groups({name: arrays for name, arrays in groups.items() if arrays}, coordinates, dimensions)
 
 
-def _some(blocks: Iterable[Block]) -> list[Block]:
+def _first_rows(blocks: Iterable[Block]) -> list[Block]:
     out, total = [], 0
     for block in blocks:
         if total >= CONSIDERED:
@@ -67,7 +67,7 @@ def _some(blocks: Iterable[Block]) -> list[Block]:
     return out
 
 
-def _picked(blocks: list[Block]) -> list[np.ndarray]:
+def _evenly_spaced(blocks: list[Block]) -> list[np.ndarray]:
     """Evenly spaced rows of every block, about `ROWS` in all."""
     step = max(-(-sum(len(b.rows) for b in blocks) // ROWS), 1)
     return [np.arange(0, len(b.rows), step) for b in blocks]

@@ -63,7 +63,7 @@ class ReflectiveGibbs:
     thin: int = field(default=1, init=False)
 
     def start(self, rng: np.random.Generator) -> GibbsState:
-        """A state inside all walls, forgotten over a hundred sweeps."""
+        """A state inside all walls, after a warm-up of a hundred sweeps."""
         model = self.model
         x = model.interior(rng)
         scales = np.ones(len(model.likelihood.names)) * (1.0 if model.scale_prior.known else np.exp(0.2 * rng.normal()))

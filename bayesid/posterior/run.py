@@ -132,7 +132,7 @@ def run(
     seed
         Same seed, same draws; also if the run was interrupted and resumed.
     longest
-        Give up when draws would have to be more than so many times the engine's own distance apart.
+        Stop when draws would have to be more than so many times the engine's own distance apart.
     checkpoint
         File that the run is saved in after every tenth; None: nowhere.
     resume

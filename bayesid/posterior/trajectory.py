@@ -234,7 +234,7 @@ def _travel(x, velocity, mean, root, bodies, bounded, to_bernstein, nodes, most)
                 best, wall = u, bodies + k
         if best > limit:
             break
-        # A hair before the wall, so that the next stretch starts inside.
+        # Slightly before the wall, so that the next piece of the trajectory starts inside.
         t = 2.0 * np.arctan(best) * (1.0 - 1e-9)
         cosine, sine = np.cos(t), np.sin(t)
         for i in range(d):

@@ -55,7 +55,7 @@ class RowSource:
 class RowCache:
     """Rows read from a source, kept while they fit, with what depends on them alone.
 
-    Several threads may read at once: whoever finishes first decides what is kept.
+    Several threads may read at once: the rows of the first to finish are kept.
 
     Parameters
     ----------

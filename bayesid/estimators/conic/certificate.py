@@ -130,22 +130,22 @@ def explain(problem: Conic) -> InputError:
     problem
         An infeasible one.
     """
-    # Any regular objective will do; the body's size is where the solver is at ease.
+    # Any regular objective will do; in units of the body's size the solver is well conditioned.
     plain = replace(problem, factor=np.diag(1.0 / problem.units))
-    guilty = list(problem.bounds)
+    conflicting = list(problem.bounds)
     for group in problem.bounds:
-        rest = [g for g in guilty if g is not group]
-        if not _possible(plain, rest):
-            guilty = rest
-    if not guilty:
+        rest = [g for g in conflicting if g is not group]
+        if not _feasible(plain, rest):
+            conflicting = rest
+    if not conflicting:
         return InputError("bounds: no body can meet them; leave some out")
-    if len(guilty) == 1:
-        return InputError(f"bounds: no body that can exist has {guilty[0].name}; widen it")
-    named = f"{', '.join(g.name for g in guilty[:-1])} and {guilty[-1].name}"
+    if len(conflicting) == 1:
+        return InputError(f"bounds: no body that can exist has {conflicting[0].name}; widen it")
+    named = f"{', '.join(g.name for g in conflicting[:-1])} and {conflicting[-1].name}"
     return InputError(f"bounds: {named} exclude each other; widen one of them")
 
 
-def _possible(problem: Conic, bounds: Sequence[Linear]) -> bool:
+def _feasible(problem: Conic, bounds: Sequence[Linear]) -> bool:
     try:
         return solve_conic(replace(problem, bounds=tuple(bounds))).violation < 1e-6
     except (Infeasible, EstimationError):

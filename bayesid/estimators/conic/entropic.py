@@ -1,4 +1,4 @@
-"""The entropic distance to the nominal links, with its proof.
+"""The entropic distance to the nominal links, with its certificate.
 
 ``D(P || P0) = tr(P0^-1 P) - log det(P0^-1 P) - 4`` for each link, weighted with 1 / s^2 [Lee2020]_: the constant
 pull-back metric is its second-order expansion, so s means the same. The logarithm keeps every link off the boundary by
@@ -101,7 +101,7 @@ def solve_entropic(problem: Conic, matrix: np.ndarray, target: np.ndarray, rel_s
         if length <= 1e-10:
             break
         x = x + length * step
-    # The proof is about these multipliers, none of which may pull.
+    # The certificate is about these multipliers, none of which may be negative.
     z = np.maximum(z, 0.0)
     gradient, hessian = slopes(x, z)
     factor = cho_factor(hessian * np.outer(units, units) + 1e-15 * np.diag(np.diag(hessian) * units**2))
@@ -111,7 +111,7 @@ def solve_entropic(problem: Conic, matrix: np.ndarray, target: np.ndarray, rel_s
     values = np.linalg.eigvalsh(bodies(x))
     # The theorem needs a decrement below 0.68 in the function scaled to self-concordance.
     if not decrement / min(weight, 1.0) < 0.4:
-        raise EstimationError("the entropic problem was not solved to an accuracy that can be proved; try metric pullback")
+        raise EstimationError("the entropic problem was not solved to an accuracy that can be certified; try metric pullback")
     return Solution(
         x=x,
         multipliers=z,

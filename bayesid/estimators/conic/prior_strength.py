@@ -31,8 +31,8 @@ _UNEXPLAINED = 1e-4
 #: A relative standard deviation that says next to nothing, for questions to the data alone.
 _NEXT_TO_NONE = 30.0
 #: Without any nominal model: spheres of 1 kg with a radius of gyration of 0.1 m, known within a factor of ten.
-_ORDINARY = np.array([1.0, 0, 0, 0, 0.02, 0, 0.02, 0, 0, 0.02])
-_ORDINARY_STD = 10.0
+_TYPICAL = np.array([1.0, 0, 0, 0, 0.02, 0, 0.02, 0, 0, 0.02])
+_TYPICAL_STD = 10.0
 
 
 @dataclass(frozen=True)
@@ -115,9 +115,9 @@ def link_prior(regression: Regression, data: LinkData, prior: Prior | None, metr
     else:
         mean = np.zeros(data.size)
         for body in data.bodies:
-            mean[list(body)] = _ORDINARY
+            mean[list(body)] = _TYPICAL
         references = _references(mean, data.bodies)
-        rel_std = _ORDINARY_STD if rel_std is None else rel_std
+        rel_std = _TYPICAL_STD if rel_std is None else rel_std
     unit = _unit_root(mean, data.bodies, metric)
     stated = regression.knowledge.inertia_rel_std if rel_std is None and prior is None else rel_std
     # Exactly known links leave nothing to estimate: whoever asks for an estimate does not take them for exact.

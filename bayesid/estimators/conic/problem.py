@@ -6,7 +6,7 @@ Everything that data and prior say is one triangular factor C and its minimiser 
 
 with x the link parameters, then the effects; P_i the pseudo-inertia [Wensing2018]_, linear in x; S_i that of a reference
 body; and G x >= h the bounds. The dual of the problem is in closed form,
-so a pair (x, z) proves itself: no solver has to be believed. With K the cone of the constraints ``B x - c``,
+so a pair (x, z) certifies itself: no solver has to be trusted. With K the cone of the constraints ``B x - c``,
 
     d(z) = z'(c - B m) - 1/2 ||C^-T B' z||^2   <=   optimum   <=   1/2 ||C (x - m)||^2   for z in K*, B x - c in K,
 
@@ -161,7 +161,7 @@ def project_dual(problem: Conic, z: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Solution:
-    """A point, its multipliers and what they prove.
+    """A point, its multipliers and what they certify.
 
     Attributes
     ----------

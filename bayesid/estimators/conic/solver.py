@@ -25,14 +25,14 @@ class Infeasible(Exception):
 
 
 def solve_conic(problem: Conic) -> Solution:
-    """The minimiser, with its proof.
+    """The minimiser, with its certificate.
 
     Raises
     ------
     Infeasible
         No parameters meet all constraints.
     EstimationError
-        The solver stopped without a solution that proves itself.
+        The solver stopped without a solution whose certificate holds.
     """
     matrix, low, cones = problem.constraints()
     if violation(problem, matrix @ problem.centre - low) <= 0.0:
@@ -41,7 +41,7 @@ def solve_conic(problem: Conic) -> Solution:
 
 
 def _minimum(problem: Conic, matrix: np.ndarray, low: np.ndarray, cones: list) -> Solution:
-    """By Clarabel; the first of its solutions that proves itself with plenty to spare, else the best."""
+    """By Clarabel; the first of its solutions whose certificate holds with plenty to spare, else the best."""
     slack = matrix @ problem.centre - low
     # In u = C (x - m) the objective is 1/2 ||u||^2 whatever the data, and only constraints are left to be scaled: each
     # cone by one positive number. Squaring C, or scaling columns alone, costs half the digits.
@@ -65,7 +65,7 @@ def _minimum(problem: Conic, matrix: np.ndarray, low: np.ndarray, cones: list) -
             if _quality(tries[-1]) <= _SURE:
                 return tries[-1]
     if tries:
-        # Any multipliers prove any point: the highest bound may go with a point from another try.
+        # Any multipliers give a lower bound: the highest one may go with a point from another try.
         z = max(tries, key=lambda t: t.bound).multipliers
         tries += [solution_at(problem, matrix, low, t.x, z, t.iterations) for t in tries]
     best = min(tries, key=_quality, default=None)
@@ -75,22 +75,22 @@ def _minimum(problem: Conic, matrix: np.ndarray, low: np.ndarray, cones: list) -
 
 
 def _inward(problem: Conic, matrix: np.ndarray, low: np.ndarray, cones: list, found: Solution) -> Solution:
-    """The solution, moved towards the inside as far as its proof gains from it.
+    """The solution, moved towards the inside as far as its certificate gains from it.
 
     An interior-point method stops beside the boundary, on either side. Bodies are moved to the nearest ones that are
     inside: that costs little where the violated constraints hardly push. Where linear bounds do not allow it, the way is
     towards a point y with room on every side: at ``x + t (y - x)`` with ``t = v / (v + room of y)`` the violation v of x is
     gone, for the least eigenvalue is concave. The minimiser of the tightened problem is such a point, and costs little:
     by convexity the objective grows by no more than t times the difference. Of these, and of parts of the way, the best
-    proof counts.
+    certificate counts.
     """
     if found.violation <= _SURE * MARGIN:
         return found
 
-    def proved(x: np.ndarray) -> Solution:
+    def certified(x: np.ndarray) -> Solution:
         return solution_at(problem, matrix, low, x, found.multipliers, found.iterations)
 
-    best = min(found, proved(_clipped(problem, found.x)), key=_quality)
+    best = min(found, certified(_clipped(problem, found.x)), key=_quality)
     if _quality(best) <= _SURE:
         return best
     tight = low.copy()
@@ -105,7 +105,7 @@ def _inward(problem: Conic, matrix: np.ndarray, low: np.ndarray, cones: list, fo
     if room <= 0.0:
         return best
     way = best.violation / (best.violation + room) * (inside - best.x)
-    return min(best, *(proved(best.x + part * way) for part in (1.0, 0.5, 0.25)), key=_quality)
+    return min(best, *(certified(best.x + part * way) for part in (1.0, 0.5, 0.25)), key=_quality)
 
 
 def _clipped(problem: Conic, x: np.ndarray) -> np.ndarray:
@@ -120,7 +120,7 @@ def _clipped(problem: Conic, x: np.ndarray) -> np.ndarray:
 
 
 def _quality(solution: Solution) -> float:
-    """How far a proof is from being accepted; at most 1 when it is."""
+    """How far a certificate is from being accepted; at most 1 when it is."""
     return max(abs(solution.gap) / LARGEST_GAP, solution.violation / MARGIN, solution.stationarity / 1e-6)
 
 

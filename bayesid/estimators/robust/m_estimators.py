@@ -1,4 +1,4 @@
-"""Estimators that a contact or a hammer's tap cannot drag away: Huber's loss and Student's t.
+"""Robust estimators, for recordings with contacts and impacts: Huber's loss and Student's t.
 
 Both are reweighted least squares (`bayesid.estimators.robust.reweighting`) and differ in their losses
 (`bayesid.estimators.robust.losses`).

@@ -1,4 +1,4 @@
-"""Reweighted least squares that a contact or a hammer's tap cannot drag away.
+"""Iteratively reweighted least squares for recordings with contacts and impacts.
 
 All channels of a segment of neighbouring rows share one weight w, which the Mahalanobis length of the segment's residuals
 gives (`bayesid.estimators.robust.losses`). Windows that grow from segments of hardly any weight are rejected in time
@@ -8,9 +8,9 @@ gives (`bayesid.estimators.robust.losses`). Windows that grow from segments of h
 
 repeated until its own residuals give the same weights. With all w = 1 this is `wls`.
 
-Least squares on everything is no start: a contact drags it, and hides in its residuals. So the fit starts from least absolute
-lengths of segments, trims to the better half of the recording [Agullo2008]_, and learns the noise, colour and all, from rows
-that were not rejected.
+Plain least squares is no starting point: a contact biases it, which hides the contact in its residuals. So the fit starts from
+least absolute lengths of segments, trims to the better half of the recording [Agullo2008]_, and estimates the noise with its
+colour from rows that were not rejected.
 """
 
 from __future__ import annotations
@@ -57,9 +57,9 @@ _SMALLEST_SLOPE = 0.1
 class RobustFit:
     """A converged fit.
 
-    ``plain`` are the rows without the filters' known colour, ``clean`` the same with a pilot of accepted rows; ``left`` the
-    residuals, ``good`` the accepted rows, ``weights`` w of each row; ``q``, ``n``, ``variance`` lengths, degrees
-    of freedom and scale of the accepted rows of each segment.
+    ``plain`` are the rows without the filters' known colour, ``clean`` the same with a pilot of accepted rows; ``residual``
+    the residuals, ``accepted_rows`` which rows are not rejected, ``weights`` w of each row; ``q``, ``n``, ``variance``
+    lengths, degrees of freedom and scale of the accepted rows of each segment.
     """
 
     regression: Regression
@@ -67,8 +67,8 @@ class RobustFit:
     clean: Regression
     learned: Weights
     loss: Loss
-    left: Residuals
-    good: np.ndarray
+    residual: Residuals
+    accepted_rows: np.ndarray
     weights: np.ndarray
     q: np.ndarray
     n: np.ndarray
@@ -82,39 +82,41 @@ class RobustFit:
         """Learn the noise from a pilot, reject, iterate."""
         plain = _without_filters(regression)
         values, clean, learned, loss = _learn(plain, loss)
-        left = residuals(plain.blocks(), values)
-        metric = metrics(left, learned.noise)
-        loss, good = _judge(left, learned.noise, loss)
-        correction = overdispersion_correction(left, metric)
+        residual = residuals(plain.blocks(), values)
+        metric = metrics(residual, learned.noise)
+        loss, accepted_rows = _judge(residual, learned.noise, loss)
+        correction = overdispersion_correction(residual, metric)
         begin = nominal_start(regression, len(values))
         passes = 0
         while True:
             passes += 1
-            q, n = lengths(left, metric, good, correction)
+            q, n = lengths(residual, metric, accepted_rows, correction)
             used = n > 0
             variance = loss.variance(q[used], n[used])
             share = np.zeros(len(q))
             share[used] = loss.weights(q[used] / variance, n[used])
-            weights = np.where(good, share[left.segment], 0.0)
-            factor = _factor(weighted(plain.blocks(), left, np.sqrt(weights)), learned.noise)
+            weights = np.where(accepted_rows, share[residual.segment], 0.0)
+            factor = _factor(weighted(plain.blocks(), residual, np.sqrt(weights)), learned.noise)
             last, values = values, solve(factor.matrix, target_from_nominal(regression, factor)) + begin
-            left = residuals(plain.blocks(), values)
+            residual = residuals(plain.blocks(), values)
             if passes == _PASSES or np.linalg.norm(factor.matrix @ (values - last)) <= _TOLERANCE:
                 break
-        factor = Factor(factor.r, int(good.sum()) * left.values.shape[1])
-        return cls(regression, plain, clean, learned, loss, left, good, weights, q, n, variance, factor, values, passes)
+        factor = Factor(factor.r, int(accepted_rows.sum()) * residual.values.shape[1])
+        return cls(
+            regression, plain, clean, learned, loss, residual, accepted_rows, weights, q, n, variance, factor, values, passes
+        )
 
     def covariance(self, hidden: np.ndarray) -> np.ndarray:
         """Sandwich ``A^-1 B A^-1`` of these weights [Huber1981]_.
 
         The parameters solve ``sum_t X_t' D^2 s_t = 0`` with ``s_t = w_t r_t``. A is the derivative of that sum by the
         parameters, `_slope` times ``sum_t w_t X_t' D^2 X_t``. B is the sum's covariance, ``sum_tu X_t' D^2 C_tu D^2 X_u``
-        over accepted rows, C that of s: with size and colour of weighted noise, which is calmer and steadier than the noise.
+        over accepted rows, C that of s: with size and colour of weighted noise, which varies less than the noise.
         """
         noise = self._score_noise()
         scale = {g: 1.0 / m.std for g, m in self.learned.noise.items()}
         middle = gram_rows(
-            weighted(self.plain.blocks(), self.left, self.good.astype(float)),
+            weighted(self.plain.blocks(), self.residual, self.accepted_rows.astype(float)),
             lambda b: noise[b.group].colour_transposed(b.matrix * scale[b.group][:, None] ** 2),
         )
         inverse = determined_inverse(self.factor.matrix, hidden)
@@ -130,20 +132,20 @@ class RobustFit:
         """
         used = self.n > 0
         change = np.zeros(len(used))
-        left, metric = self.left, metrics(self.left, self.learned.noise)
-        numbers = left.values.shape[1] * np.bincount(left.segment[self.good], minlength=len(used))[used]
+        residual, metric = self.residual, metrics(self.residual, self.learned.noise)
+        numbers = residual.values.shape[1] * np.bincount(residual.segment[self.accepted_rows], minlength=len(used))[used]
         unit = self.n[used] / numbers / self.variance  # of q, in squared Mahalanobis lengths
         change[used] = 2.0 * unit * self.loss.slopes(self.q[used] / self.variance, self.n[used])
         if not change.any():
             return 1.0
-        total, sizes = 0.0, np.cumsum((0, *left.sizes))
+        total, sizes = 0.0, np.cumsum((0, *residual.sizes))
         for block, a, b in zip(self.plain.blocks(), sizes[:-1], sizes[1:], strict=True):
-            segment, keep = left.segment[a:b] - left.segment[a], self.good[a:b]
-            r = left.values[a:b] * keep[:, None]
+            segment, keep = residual.segment[a:b] - residual.segment[a], self.accepted_rows[a:b]
+            r = residual.values[a:b] * keep[:, None]
             pulls = np.stack([r / self.learned.noise[block.group].std ** 2, r @ metric[block.group].precision], axis=2)
             own = np.einsum("tcp,tck->tpk", block.matrix, pulls)
             own = np.add.reduceat(own, np.flatnonzero(np.append(True, np.diff(segment) > 0)), axis=0)
-            first, last = left.segment[a], left.segment[b - 1] + 1
+            first, last = residual.segment[a], residual.segment[b - 1] + 1
             both = np.sum((own[:, :, 0] @ inverse) * (own[:, :, 1] @ inverse), axis=1)
             total += float(change[first:last] @ both)
         seen = np.linalg.matrix_rank(inverse)
@@ -152,13 +154,13 @@ class RobustFit:
     def _score_noise(self) -> dict[str, NoiseModel]:
         """Noise of ``w y``, learned from weighted rows as that of y is from rows."""
         pilot = self.clean.pilot()
-        left = residuals(pilot, self.solution)
-        metric = metrics(left, self.learned.noise)
-        q, n = lengths(left, metric, np.ones(len(left.values), bool), overdispersion_correction(left, metric))
-        share = self.loss.weights(q / self.variance, n)[left.segment]
+        residual = residuals(pilot, self.solution)
+        metric = metrics(residual, self.learned.noise)
+        q, n = lengths(residual, metric, np.ones(len(residual.values), bool), overdispersion_correction(residual, metric))
+        share = self.loss.weights(q / self.variance, n)[residual.segment]
         if (share == 1.0).all():
             return self.learned.noise
-        return learn_weights(replace(self.clean, rows=self.clean.rows.with_pilot(tuple(weighted(pilot, left, share))))).noise
+        return learn_weights(replace(self.clean, rows=self.clean.rows.with_pilot(tuple(weighted(pilot, residual, share))))).noise
 
     def estimate(self, name: str) -> Estimate:
         """The estimate, whose details are still to be given."""
@@ -168,15 +170,15 @@ class RobustFit:
 
     def details(self) -> dict[str, Any]:
         """What both estimators say of the fit: the fields of `RobustDetails`."""
-        left, good = self.left, self.good
+        residual, accepted_rows = self.residual, self.accepted_rows
         return {
             "model_complete": self.learned.complete,
             "agreement_of_gls_and_wls": self.learned.agreement,
             "scale": float(np.sqrt(self.variance)),
-            "rejected_share": float(1.0 - good.mean()),
-            "rejected_windows": windows(left, good, self.regression.motion_names),
-            "mean_weight_of_accepted_rows": float(self.weights[good].mean()),
-            "rows_per_segment": int(np.median(np.bincount(left.segment))),
+            "rejected_share": float(1.0 - accepted_rows.mean()),
+            "rejected_windows": windows(residual, accepted_rows, self.regression.motion_names),
+            "mean_weight_of_accepted_rows": float(self.weights[accepted_rows].mean()),
+            "rows_per_segment": int(np.median(np.bincount(residual.segment))),
             "iterations": self.passes,
         }
 
@@ -222,12 +224,14 @@ def _learn(plain: Regression, loss: Loss) -> tuple[np.ndarray, Regression, Weigh
     values, noise = trimmed(pilot)
     before, clean, learned = np.zeros(0, bool), plain, None
     for _ in range(_ROUNDS):
-        left = residuals(pilot, values)
-        loss, good = _judge(left, noise, loss)
-        if learned is not None and np.array_equal(good, before):
+        residual = residuals(pilot, values)
+        loss, accepted_rows = _judge(residual, noise, loss)
+        if learned is not None and np.array_equal(accepted_rows, before):
             break
-        before = good
-        clean = plain if good.all() else replace(plain, rows=plain.rows.with_pilot(_pieces(pilot, left, good)))
+        before = accepted_rows
+        clean = plain
+        if not accepted_rows.all():
+            clean = replace(plain, rows=plain.rows.with_pilot(_pieces(pilot, residual, accepted_rows)))
         learned = learn_weights(clean)
         noise = learned.noise
         factor = _factor(clean.pilot(), noise)
@@ -236,10 +240,10 @@ def _learn(plain: Regression, loss: Loss) -> tuple[np.ndarray, Regression, Weigh
     return values, clean, learned, loss
 
 
-def _judge(left: Residuals, noise: dict[str, NoiseModel], loss: Loss) -> tuple[Loss, np.ndarray]:
+def _judge(residual: Residuals, noise: dict[str, NoiseModel], loss: Loss) -> tuple[Loss, np.ndarray]:
     """The loss with what it learns from all segments, and the rows that are not rejected."""
-    metric = metrics(left, noise)
-    q, n = lengths(left, metric, np.ones(len(left.values), bool), overdispersion_correction(left, metric))
+    metric = metrics(residual, noise)
+    q, n = lengths(residual, metric, np.ones(len(residual.values), bool), overdispersion_correction(residual, metric))
     variance = 1.0
     for _ in range(_ALTERNATIONS):
         loss = loss.fitted(q / variance, n)
@@ -247,19 +251,19 @@ def _judge(left: Residuals, noise: dict[str, NoiseModel], loss: Loss) -> tuple[L
         if abs(variance - last) <= 1e-4 * last:
             break
     heavy = loss.weights(q / variance, n) < REJECTED_WEIGHT
-    # Lengths in units of the median segment: noise that was learned from calm rows alone must not call others too long.
-    for mask in left.groups().values():
-        own = np.unique(left.segment[mask])
+    # Lengths in units of the median segment: noise that was estimated from accepted rows alone is too small for the others.
+    for mask in residual.groups().values():
+        own = np.unique(residual.segment[mask])
         q[own] /= max(float(np.median(q[own] / chi2.median(n[own]))), 1e-300)
-    good = accepted(left, q, n, heavy & (q > REJECTED_LENGTH**2 * chi2.ppf(WHOLE, n)))
-    enough = all(good[mask].mean() >= SMALLEST_ACCEPTED for mask in left.groups().values())
-    return loss, good if enough else np.ones(len(good), bool)
+    accepted_rows = accepted(residual, q, n, heavy & (q > REJECTED_LENGTH**2 * chi2.ppf(WHOLE, n)))
+    enough = all(accepted_rows[mask].mean() >= SMALLEST_ACCEPTED for mask in residual.groups().values())
+    return loss, accepted_rows if enough else np.ones(len(accepted_rows), bool)
 
 
-def _pieces(blocks: Sequence[Block], left: Residuals, good: np.ndarray) -> list[Block]:
+def _pieces(blocks: Sequence[Block], residual: Residuals, accepted_rows: np.ndarray) -> list[Block]:
     """What is left of the blocks, each piece as a recording of its own; poses stay together."""
     out = []
-    for block, keep in zip(blocks, left.split(good), strict=True):
+    for block, keep in zip(blocks, residual.split(accepted_rows), strict=True):
         if block.group == "poses":
             out.append(replace(block, rows=block.rows[keep], times=block.times[keep]))
             continue

@@ -1,8 +1,8 @@
 """Segments of neighbouring rows, and windows in time that are rejected as a whole.
 
-What touches an arm lasts: a hammer's tap is spread over a few rows by the kernels that thin them, a contact over a second.
-So lengths of residuals are taken over segments, and a window grows from a segment that is too long over its
-neighbours as long as those are unusual, too.
+A disturbance lasts for several rows: thinning spreads an impact over a few, a contact lasts for a second. So lengths of
+residuals are taken over segments, and a rejected window grows from a segment that is too long over its neighbours as long as
+those are unusual, too.
 """
 
 from __future__ import annotations
@@ -82,13 +82,13 @@ def residuals(blocks: Iterable[Block], values: np.ndarray) -> Residuals:
     """Residuals of a fit, with the rows laid out in segments."""
     parts, run, segment = [], -1, 0
     for block in blocks:
-        left = block.target - block.matrix @ values
-        k = len(left)
+        residual = block.target - block.matrix @ values
+        k = len(residual)
         poses = block.group == "poses"
         step = float(np.median(np.diff(block.times))) if k > 1 else np.inf
         run += int(block.start or not parts or parts[-1][2][0] != block.motion or block.times[0] - parts[-1][1][-1] > 1.5 * step)
         own = np.arange(k) // (1 if poses else max(round(SEGMENT_SECONDS / max(step, 1e-9)), SEGMENT_ROWS))
-        parts.append((left, block.times, np.full(k, block.motion), np.full(k, run), segment + own, np.full(k, poses)))
+        parts.append((residual, block.times, np.full(k, block.motion), np.full(k, run), segment + own, np.full(k, poses)))
         segment += int(own[-1]) + 1
     columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
     return Residuals(*columns, sizes=tuple(len(p[0]) for p in parts))
@@ -139,42 +139,42 @@ class Metric:
         return c * m / (1.0 + 2.0 / c * share @ alike[1:])
 
 
-def metrics(left: Residuals, noise: dict[str, NoiseModel]) -> dict[str, Metric]:
+def metrics(residual: Residuals, noise: dict[str, NoiseModel]) -> dict[str, Metric]:
     """Metrics of all groups, with lags for their longest segment."""
-    rows = np.bincount(left.segment)
-    return {g: Metric.of(noise[g], int(rows[left.segment[mask]].max())) for g, mask in left.groups().items()}
+    rows = np.bincount(residual.segment)
+    return {g: Metric.of(noise[g], int(rows[residual.segment[mask]].max())) for g, mask in residual.groups().items()}
 
 
 def lengths(
-    left: Residuals, metric: dict[str, Metric], good: np.ndarray, correction: dict[str, float] | None = None
+    residual: Residuals, metric: dict[str, Metric], accepted_rows: np.ndarray, correction: dict[str, float] | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Squared length q of each segment's good rows and its degrees of freedom n, so that q ~ chi2(n); 0, 0 without any.
 
     ``correction``: each group's share of the degrees of freedom, see `overdispersion_correction`.
     """
-    q, n = np.zeros(left.count), np.zeros(left.count)
-    for group, mask in left.groups().items():
-        use = mask & good
+    q, n = np.zeros(residual.count), np.zeros(residual.count)
+    for group, mask in residual.groups().items():
+        use = mask & accepted_rows
         free = metric[group].freedom() * (1.0 if correction is None else correction[group])
-        rows = np.bincount(left.segment[use], minlength=left.count)
-        channels = left.values.shape[1]
-        squares = np.bincount(left.segment[use], metric[group].lengths(left.values[use]), minlength=left.count)
+        rows = np.bincount(residual.segment[use], minlength=residual.count)
+        channels = residual.values.shape[1]
+        squares = np.bincount(residual.segment[use], metric[group].lengths(residual.values[use]), minlength=residual.count)
         q += squares * free[rows] / np.maximum(channels * rows, 1)
         n += free[rows]
     return q, n
 
 
-def overdispersion_correction(left: Residuals, metric: dict[str, Metric]) -> dict[str, float]:
-    """Share of the degrees of freedom of each group's segments that their actual spread leaves, at most 1.
+def overdispersion_correction(residual: Residuals, metric: dict[str, Metric]) -> dict[str, float]:
+    """Correction for overdispersion: share of each group's degrees of freedom that the actual spread of lengths has, at most 1.
 
-    Where a model lacks something, residuals are louder in some segments than in others without anything touching the
-    arm. The ratio of the lower quartile of q to its median shows that, and hardly feels a fifth of contaminated segments;
-    chi-squares of fewer degrees of freedom have the same.
+    Where an effect is missing in the model, residuals are larger in some segments than in others without any contact. The
+    ratio of the lower quartile of q to its median shows that, and is hardly changed by a fifth of contaminated segments;
+    chi-squared lengths of fewer degrees of freedom have the same ratio.
     """
     out = {}
-    q, n = lengths(left, metric, np.ones(len(left.values), bool))
-    for group, mask in left.groups().items():
-        own = np.unique(left.segment[mask])
+    q, n = lengths(residual, metric, np.ones(len(residual.values), bool))
+    for group, mask in residual.groups().items():
+        own = np.unique(residual.segment[mask])
         typical = float(np.median(n[own]))
         low, middle = np.quantile(q[own] / n[own], (0.25, 0.5))
         seen = low / middle if middle > 0 else 1.0
@@ -184,11 +184,11 @@ def overdispersion_correction(left: Residuals, metric: dict[str, Metric]) -> dic
     return out
 
 
-def accepted(left: Residuals, q: np.ndarray, n: np.ndarray, seeds: np.ndarray) -> np.ndarray:
+def accepted(residual: Residuals, q: np.ndarray, n: np.ndarray, seeds: np.ndarray) -> np.ndarray:
     """Rows outside of the windows that grow from ``seeds``, segments that are too long (N,)."""
     if not seeds.any():
-        return np.ones(len(left.values), bool)
-    run, poses = left.run[left.first], left.poses[left.first]
+        return np.ones(len(residual.values), bool)
+    run, poses = residual.run[residual.first], residual.poses[residual.first]
     together = (run[1:] == run[:-1]) & ~poses[1:] & ~poses[:-1]
     bad, unusual = seeds.copy(), chi2.sf(q, n) < GROWTH
     for order in (slice(None), slice(None, None, -1)):
@@ -200,8 +200,8 @@ def accepted(left: Residuals, q: np.ndarray, n: np.ndarray, seeds: np.ndarray) -
     for a, b in zip(at[:-1], at[1:], strict=True):
         if 1 < b - a <= CLOSED + 1 and together[a:b].all():
             bad[a:b] = True
-    rows = bad[left.segment]
-    edge = (left.run[1:] == left.run[:-1]) & ~left.poses[1:] & ~left.poses[:-1]
+    rows = bad[residual.segment]
+    edge = (residual.run[1:] == residual.run[:-1]) & ~residual.poses[1:] & ~residual.poses[:-1]
     for _ in range(MARGIN):
         wider = rows.copy()
         wider[1:] |= rows[:-1] & edge
@@ -210,18 +210,18 @@ def accepted(left: Residuals, q: np.ndarray, n: np.ndarray, seeds: np.ndarray) -
     return ~rows
 
 
-def weighted(blocks: Iterable[Block], left: Residuals, weights: np.ndarray) -> Iterator[Block]:
+def weighted(blocks: Iterable[Block], residual: Residuals, weights: np.ndarray) -> Iterator[Block]:
     """Blocks with every row times its weight."""
-    for block, w in zip(blocks, left.split(weights), strict=True):
+    for block, w in zip(blocks, residual.split(weights), strict=True):
         yield block if (w == 1.0).all() else replace(block, rows=block.rows * w[:, None, None])
 
 
-def windows(left: Residuals, good: np.ndarray, names: tuple[str, ...]) -> dict[str, list[list[float]]]:
+def windows(residual: Residuals, accepted_rows: np.ndarray, names: tuple[str, ...]) -> dict[str, list[list[float]]]:
     """Rejected windows of each recording: times of the first and the last row [s]."""
     out: dict[str, list[list[float]]] = {}
-    change = np.flatnonzero(np.diff(good) | (np.diff(left.run) != 0)) + 1
-    for part in np.split(np.arange(len(good)), change):
-        if not good[part[0]]:
-            span = [round(float(left.times[part[k]]), 4) for k in (0, -1)]
-            out.setdefault(names[left.motion[part[0]]], []).append(span)
+    change = np.flatnonzero(np.diff(accepted_rows) | (np.diff(residual.run) != 0)) + 1
+    for part in np.split(np.arange(len(accepted_rows)), change):
+        if not accepted_rows[part[0]]:
+            span = [round(float(residual.times[part[k]]), 4) for k in (0, -1)]
+            out.setdefault(names[residual.motion[part[0]]], []).append(span)
     return out
