@@ -11,7 +11,7 @@ from pathlib import Path
 
 import bayesid
 from bayesid.cli import main
-from bayesid.report import plots
+from bayesid.report.prediction_figures import measured_against_predicted
 from bayesid.workflows.demo import demo_experiment
 
 DOCS = Path(__file__).resolve().parent
@@ -26,7 +26,7 @@ def refresh() -> None:
             if main(["demo"]):
                 raise SystemExit("the demo failed")
         result = bayesid.identify(demo_experiment(Path(folder)))
-    figure = plots.measured_against_predicted(result.validation[0])
+    figure = measured_against_predicted(result.validation[0])
     figure.savefig(DOCS / "demo-validation.png", dpi=100, facecolor="white", metadata={"Software": None})
     shown = f"```text\n{printed.getvalue().replace(os.sep, '/')}```\n"
     text = re.sub(r"```text\n.*?```\n", lambda _: shown, README.read_text(encoding="utf-8"), count=1, flags=re.DOTALL)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from bayesid.recordings.table import WRENCH_COLUMNS
-from bayesid.report import plots
+from bayesid.report.check_figures import joint_ranges, recording
 from bayesid.report.page import render, svg
 from bayesid.results.inspection import Inspection, MotionSummary
 from bayesid.results.text import DASH, number, percent
@@ -49,7 +49,7 @@ def _content(check: Inspection) -> dict[str, Any]:
         "bodies": [_body(name, body) for name, body in zip(robot.body_names, robot.nominal, strict=True)],
         "motions": [_row(m) for m in check.motions],
         "ranges": svg(
-            plots.joint_ranges(
+            joint_ranges(
                 [f"q{j + 1}  {name}" for j, name in enumerate(robot.joint_names)], robot.lower, robot.upper,
                 [(m.motion.name, m.lowest, m.highest) for m in shown], units,
             ), "ranges",
@@ -196,4 +196,4 @@ def _figure(m: MotionSummary, prismatic: np.ndarray):
     if table.torques is not None:
         panels.append(("joint torques", "N m", [f"tau{j}" for j in numbers], table.torques[::stride]))
     breaks = [int(np.searchsorted(times, end)) for _, end in m.gaps]
-    return plots.recording(times, panels, [b for b in breaks if b < len(times)], poses)
+    return recording(times, panels, [b for b in breaks if b < len(times)], poses)

@@ -9,7 +9,7 @@ from matplotlib.colors import LinearSegmentedColormap, LogNorm
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from bayesid.report.plots import GREY, NOISE, PREDICTED, add_legend, make_grid, plain_log, styled
+from bayesid.report.figures import GREY, NOISE, PREDICTED, add_legend, make_grid, plain_log, styled
 
 BEFORE, AFTER = PREDICTED, "#1d4ed8"
 #: What is noise is white; what is many times as large is dark.

@@ -11,9 +11,10 @@ import numpy as np
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.estimators import Estimate
 from bayesid.regression.regression import Regression
-from bayesid.report import plots
 from bayesid.report.details import described
+from bayesid.report.identification_figures import parameter_intervals
 from bayesid.report.page import physical, render, run_times, svg, versions
+from bayesid.report.prediction_figures import measured_against_predicted, residuals
 from bayesid.results.identification import Identification
 from bayesid.results.text import DASH, HALF, chance, channel_text, interval, number, percent, with_half
 from bayesid.robot import inertia
@@ -172,7 +173,7 @@ def _reference(regression: Regression, estimate: Estimate) -> tuple[np.ndarray, 
 def _intervals(regression: Regression, estimate: Estimate):
     nominal, scale = _reference(regression, estimate)
     names = [f"{name}  ({k + 1})" for k, name in enumerate(short_names(estimate.base))]
-    return plots.parameter_intervals(names, estimate.values - nominal, HALF * estimate.std, scale, estimate.classes)
+    return parameter_intervals(names, estimate.values - nominal, HALF * estimate.std, scale, estimate.classes)
 
 
 def _parameters(regression: Regression, estimate: Estimate) -> list[dict[str, Any]]:
@@ -226,8 +227,8 @@ def _motion(prediction: Prediction, role: str, index: int) -> dict[str, Any]:
         "text": text,
         "caption": caption,
         "residual_caption": left,
-        "predicted": svg(plots.measured_against_predicted(prediction), f"{role}-{index}-predicted"),
-        "residuals": svg(plots.residuals(prediction), f"{role}-{index}-residuals"),
+        "predicted": svg(measured_against_predicted(prediction), f"{role}-{index}-predicted"),
+        "residuals": svg(residuals(prediction), f"{role}-{index}-residuals"),
     }
 
 

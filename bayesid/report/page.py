@@ -13,7 +13,7 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from bayesid.report import plots
+from bayesid.report.figures import to_svg
 from bayesid.results.text import number
 from bayesid.robot import inertia
 
@@ -37,7 +37,7 @@ def _environment() -> Environment:
 
 def svg(figure: Any, name: str) -> Markup:
     """A figure ready to be put into a template."""
-    return Markup(plots.to_svg(figure, name))
+    return Markup(to_svg(figure, name))
 
 
 def run_times(seconds: Mapping[str, float]) -> tuple[str, str]:

@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from bayesid.report import plots
 from bayesid.report.identification import mood_of, short_names
 from bayesid.report.page import render, run_times, svg, versions
 from bayesid.report.posterior_figures import marginals, narrowing, ranks
+from bayesid.report.prediction_figures import measured_against_predicted, residuals
 from bayesid.results.posterior import ExperimentPosterior
 from bayesid.results.text import DASH, channel_text, number, percent, with_half
 from bayesid.validation.prediction import BAND, Prediction, relative_error
@@ -158,8 +158,8 @@ def _motion(prediction: Prediction, index: int) -> dict[str, Any]:
     return {
         "title": prediction.motion,
         "caption": f"{prediction.motion}: measured (broad, pale) and predicted by the posterior mean (thin, red).",
-        "predicted": svg(plots.measured_against_predicted(prediction), f"validation-{index}"),
-        "residuals": svg(plots.residuals(prediction), f"residual-{index}"),
+        "predicted": svg(measured_against_predicted(prediction), f"validation-{index}"),
+        "residuals": svg(residuals(prediction), f"residual-{index}"),
     }
 
 

@@ -6,7 +6,10 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from bayesid.report import plots
+from bayesid.report.check_figures import joint_ranges, recording
+from bayesid.report.figures import to_svg
+from bayesid.report.identification_figures import parameter_intervals
+from bayesid.report.prediction_figures import measured_against_predicted, noise_in_band, residuals
 from bayesid.validation.prediction import Prediction, Spectrum
 
 WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")
@@ -86,17 +89,17 @@ def test_intervals_of_few_and_many_parameters_are_readable(count):
     classes = [("alone", "combination", "weak", "prior")[k % 4] for k in range(count)]
     half = np.where(np.array(classes) == "prior", np.nan, 10.0 ** rng.uniform(-4, 1, count))
     names = [f"m{k} r{k}x … ({k + 1})" for k in range(count)]
-    assert_readable(plots.parameter_intervals(names, rng.normal(size=count), half, np.ones(count), classes))
+    assert_readable(parameter_intervals(names, rng.normal(size=count), half, np.ones(count), classes))
 
 
 def test_intervals_without_any_interval_say_so():
-    figure = plots.parameter_intervals(["a", "b"], np.array([0.1, -5.0]), np.full(2, np.nan), np.ones(2), ["alone", "alone"])
-    assert "no honest interval" in plots.to_svg(figure, "x")
+    figure = parameter_intervals(["a", "b"], np.array([0.1, -5.0]), np.full(2, np.nan), np.ones(2), ["alone", "alone"])
+    assert "no honest interval" in to_svg(figure, "x")
 
 
 def test_weak_parameters_do_not_press_the_others_to_zero():
     change, half = np.array([0.02, -0.01, 400.0]), np.array([0.01, 0.01, 900.0])
-    figure = plots.parameter_intervals(["a", "b", "c"], change, half, np.ones(3), ["alone", "alone", "weak"])
+    figure = parameter_intervals(["a", "b", "c"], change, half, np.ones(3), ["alone", "alone", "weak"])
     assert figure.axes[0].get_xlim()[1] < 0.05
 
 
@@ -106,26 +109,26 @@ def test_weak_parameters_do_not_press_the_others_to_zero():
 @pytest.mark.parametrize("scale", [1e-4, 1.0, 3e4])
 def test_predictions_and_residuals_are_readable(channels, scale):
     for figure in (
-        plots.measured_against_predicted(prediction(channels, scale=scale)),
-        plots.residuals(prediction(channels, scale=scale)),
+        measured_against_predicted(prediction(channels, scale=scale)),
+        residuals(prediction(channels, scale=scale)),
     ):
         assert_readable(figure)
 
 
 def test_poses_and_motions_without_a_spectrum():
     for p in (prediction(samples=24, poses=True), prediction(samples=40, spectrum=False), prediction(samples=1, poses=True)):
-        assert_readable(plots.measured_against_predicted(p))
-        assert_readable(plots.residuals(p))
+        assert_readable(measured_against_predicted(p))
+        assert_readable(residuals(p))
 
 
 def test_lines_are_not_drawn_across_gaps():
-    figure = plots.measured_against_predicted(prediction(gap=True))
+    figure = measured_against_predicted(prediction(gap=True))
     x = figure.axes[0].lines[0].get_xdata()
     assert np.isnan(x).sum() == 1 and np.nanmax(np.diff(x)) < 0.1
 
 
 def test_forces_stand_left_of_moments():
-    figure = plots.measured_against_predicted(prediction())
+    figure = measured_against_predicted(prediction())
     place = {ax.get_title(loc="left"): ax.get_position().x0 for ax in figure.axes}
     assert place["fx [N]"] == place["fz [N]"] < place["mx [N m]"]
 
@@ -133,28 +136,28 @@ def test_forces_stand_left_of_moments():
 def test_noise_in_the_band_is_the_integral_of_its_density():
     frequencies = np.arange(1, 1001) * 0.02
     spectrum = Spectrum(frequencies, np.ones((1000, 1)), np.full((1000, 1), 0.3))
-    np.testing.assert_allclose(plots.noise_in_band(spectrum, 10.0), 0.3 * np.sqrt(10.0), rtol=1e-9)
+    np.testing.assert_allclose(noise_in_band(spectrum, 10.0), 0.3 * np.sqrt(10.0), rtol=1e-9)
 
 
 def test_joint_ranges_and_recordings():
     low, high = np.array([-1.0, 0.2, 0.0]), np.array([1.0, 0.9, 0.0])
     limits = np.array([-3.0, -np.inf, -1.0]), np.array([3.0, np.inf, 1.0])
     motions = [(f"motion {k}", low, high) for k in range(3)]
-    assert_readable(plots.joint_ranges(["q1 a", "q2 b", "q3 c"], *limits, motions, ["rad", "rad", "m"]))
+    assert_readable(joint_ranges(["q1 a", "q2 b", "q3 c"], *limits, motions, ["rad", "rad", "m"]))
     times = np.arange(0, 100, 0.01)
     values = np.column_stack([np.sin(times), np.cos(times)])
-    assert_readable(plots.recording(times, [("positions", "rad", ["q1", "q2"], values)], [500], False))
-    assert_readable(plots.recording(times[:9], [("positions", "rad", ["q1", "q2"], values[:9])], [], True))
+    assert_readable(recording(times, [("positions", "rad", ["q1", "q2"], values)], [500], False))
+    assert_readable(recording(times[:9], [("positions", "rad", ["q1", "q2"], values[:9])], [], True))
 
 
 def test_drawing_changes_no_global_style():
     before = dict(mpl.rcParams)
-    plots.to_svg(plots.residuals(prediction()), "x")
+    to_svg(residuals(prediction()), "x")
     assert dict(mpl.rcParams) == before
 
 
 def test_svg_is_reproducible_and_refers_only_to_itself():
-    figures = [plots.to_svg(plots.residuals(prediction(samples=4000)), name) for name in ("a b", "a b", "c")]
+    figures = [to_svg(residuals(prediction(samples=4000)), name) for name in ("a b", "a b", "c")]
     assert figures[0] == figures[1]
     one, other = (set(re.findall(r' id="([^"]+)"', f)) for f in (figures[0], figures[2]))
     assert one and not one & other

@@ -1,0 +1,149 @@
+"""What all figures share: style, colours, layout, and a figure as SVG.
+
+Figures are made without pyplot, so that nothing global changes and nothing needs a display. Dense curves are
+rasterised inside otherwise sharp figures.
+"""
+
+from __future__ import annotations
+
+import functools
+import io
+import re
+from collections.abc import Callable
+from typing import Any, ParamSpec
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLocator
+
+MEASURED, PREDICTED, NOISE, GREY = "#a9bbd6", "#b91c1c", "#0f766e", "#64748b"
+#: Colours of the classes of base parameters.
+CLASSES = {"alone": "#1d4ed8", "combination": "#7c3aed", "weak": "#d97706", "prior": "#94a3b8"}
+CYCLE = ("#1d4ed8", "#c2410c", "#0f766e", "#7c3aed", "#be185d", "#a16207", "#475569", "#0891b2", "#65a30d", "#dc2626")
+_WIDTH = 10.4  # inches; the page is about a hundred times that in pixels
+#: Points from which a curve is smaller as an image.
+DENSE = 1500
+_STYLE: dict[Any, Any] = {
+    "font.family": "DejaVu Sans",
+    "font.size": 9.0,
+    "axes.titlesize": 9.5,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.titley": 1.0,  # a fixed place: looking for a free one costs half the time of drawing
+    "axes.edgecolor": "#94a3b8",
+    "axes.labelcolor": "#334155",
+    "axes.linewidth": 0.7,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#e2e8f0",
+    "grid.linewidth": 0.7,
+    "xtick.color": "#475569",
+    "ytick.color": "#475569",
+    "xtick.labelsize": 8.5,
+    "ytick.labelsize": 8.5,
+    "legend.frameon": False,
+    "legend.fontsize": 9.0,
+    "figure.facecolor": "white",
+    "figure.dpi": 100,
+    "savefig.dpi": 110,
+    "svg.fonttype": "none",
+    "path.simplify_threshold": 0.3,
+    "text.parse_math": False,  # names are the user's: a $ in one begins no formula
+}
+_P = ParamSpec("_P")
+
+
+def styled(draw: Callable[_P, Figure]) -> Callable[_P, Figure]:
+    """Draw with the house style, and leave the caller's own style as it was."""
+
+    @functools.wraps(draw)
+    def inner(*args: _P.args, **kwargs: _P.kwargs) -> Figure:
+        with mpl.rc_context(_STYLE):
+            return draw(*args, **kwargs)
+
+    return inner
+
+
+def to_svg(figure: Figure, name: str) -> str:
+    """The figure as an ``<svg>`` element to be put into a page.
+
+    Parameters
+    ----------
+    figure
+        Any figure.
+    name
+        Different for each figure of a page, so that references inside one do not reach into another; the
+        same figure and name give the same text.
+    """
+    buffer = io.StringIO()
+    with mpl.rc_context({**_STYLE, "svg.hashsalt": name}):
+        figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
+    text = buffer.getvalue()
+    text = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", text[text.index("<svg") :], flags=re.DOTALL)
+    text = re.sub(r' xmlns(:\w+)?="[^"]*"| version="1\.1"', "", text)
+    # A hundredth of a point is finer than any screen or paper.
+    text = re.sub(r' d="[^"]*"', lambda path: re.sub(r"(\.\d\d)\d+", r"\1", path[0]).replace(" \n", "\n"), text)
+    used = set(re.findall(r'(?:href="#|url\(#)([^")]+)', text))
+    prefix = re.sub(r"\W+", "-", name)
+
+    def keep(match: re.Match) -> str:
+        return f' id="{prefix}-{match[1]}"' if match[1] in used else ""
+
+    text = re.sub(r' id="([^"]*)"', keep, text)
+    text = re.sub(r'(href="#|url\(#)', rf"\g<1>{prefix}-", text)
+    # The page decides how wide a figure is; the viewBox keeps its shape.
+    opening, rest = text.split(">", 1)
+    return re.sub(r' (width|height)="[^"]*"', "", opening) + ">" + rest
+
+
+def make_grid(
+    rows: int, columns: int, height: float, *, left: float = 0.7, right: float = 0.2, top: float = 0.5, gap: float = 0.75,
+    **options: Any,
+) -> tuple[Figure, np.ndarray]:  # fmt: skip
+    """A figure with panels of a height; margins in inches. An automatic layout would take most of a report's time."""
+    bottom, space = 0.45, 0.33
+    total = top + rows * height + (rows - 1) * space + bottom
+    figure = Figure(figsize=(_WIDTH, total))
+    width = (_WIDTH - left - right - (columns - 1) * gap) / columns
+    figure.subplots_adjust(
+        left=left / _WIDTH, right=1.0 - right / _WIDTH, top=1.0 - top / total, bottom=bottom / total,
+        wspace=gap / width, hspace=space / height,
+    )  # fmt: skip
+    return figure, figure.subplots(rows, columns, squeeze=False, **options)
+
+
+def add_legend(figure: Figure, handles: list, labels: list, lines: int = 1) -> None:
+    """One legend for all panels, in the figure's upper right corner."""
+    if handles:
+        figure.legend(handles, labels, loc="upper right", ncols=-(-len(handles) // lines), borderaxespad=0.1, handletextpad=0.6)
+
+
+def tidy_time(ax: Axes, x: np.ndarray, poses: bool) -> None:
+    """Margins and ticks of an axis of times, or of numbered poses; limits that rounding errors do not fill."""
+    ax.margins(x=0.01 if not poses else 0.03)
+    if poses:
+        ax.xaxis.set_major_locator(MaxNLocator(integer=True))
+    low, high = ax.get_ylim()
+    if high - low < 1e-12 * max(abs(low), abs(high), 1e-12):  # nothing moves: keep the axis from magnifying rounding
+        ax.set_ylim(low - 1.0, high + 1.0)
+
+
+def plain_log(axis) -> None:
+    """Round plain numbers on a logarithmic axis: no minor ticks, no mathematics font."""
+    low, high = sorted(axis.get_view_interval())
+    decades = np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)) + 1)
+    ticks = [10.0**c for c in (decades[::3], decades[::2], decades)]
+    ticks += [np.outer(10.0**decades, m).ravel() for m in ((1, 3), (1, 2, 5), (1, 1.5, 2, 3, 4, 5, 6, 7, 8, 9))]
+    inside = [t[(t >= low) & (t <= high)] for t in ticks]
+    chosen = next((t for t in inside if len(t) >= 3), inside[-1])
+    kept: list[float] = []
+    for tick in np.sort(chosen):  # labels need room: a sixth of the axis each
+        if not kept or np.log(tick / kept[-1]) >= np.log(high / low) / 6.0:
+            kept.append(float(tick))
+    axis.set_major_locator(FixedLocator(kept))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_locator(NullLocator())

@@ -1,0 +1,91 @@
+"""Figures of ``identify``: base parameters with their intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from bayesid.report.figures import CLASSES, GREY, add_legend, make_grid, plain_log, styled
+
+#: Half a 95 % interval, in natural sizes, from which a parameter counts as weak: a standard deviation of one.
+WEAK = 1.96
+
+
+@styled
+def parameter_intervals(
+    names: Sequence[str],
+    change: np.ndarray,
+    half: np.ndarray,
+    scale: np.ndarray,
+    classes: Sequence[str],
+    *,
+    relative_to: str = "nominal model",
+) -> Figure:
+    """Base parameters as dots with 95 % intervals, in units of their natural size, and how sure each one is.
+
+    Parameters
+    ----------
+    names
+        Short names (r,).
+    change
+        Value less reference (r,) [SI].
+    half
+        Half the width of the 95 % interval (r,) [SI], nan where there is none.
+    scale
+        Natural size of each parameter (r,) [SI], positive.
+    classes
+        Keys of `CLASSES` (r,).
+    relative_to
+        What ``change`` is counted from.
+    """
+    count = len(names)
+    figure, axes = make_grid(1, 2, 0.3 + 0.2 * count, left=0.3 + 0.062 * max(map(len, names), default=0), gap=0.4,
+                         sharey=True, width_ratios=(1.9, 1.0))  # fmt: skip
+    left, right = axes[0]
+    y = np.arange(count)
+    position, width = change / scale, half / scale
+    # The well determined ones set the scale: weak ones would press them all to zero.
+    good = np.isin(classes, ("alone", "combination"))
+    reach = (np.abs(position) + np.nan_to_num(width))[good if good.any() else slice(None)]
+    usual, longest = np.percentile(reach, [90, 100]) if count else (1.0, 1.0)
+    # Everything, unless a few intervals are so long that the others would be dots.
+    limit = float(1.05 * longest if longest <= 4.0 * usual else 1.1 * np.percentile(reach, 97))
+    limit = limit if limit > 0 else 1.0
+    for kind, colour in CLASSES.items():
+        at = np.flatnonzero(np.array(classes) == kind)
+        if not len(at):
+            continue
+        sure = at[np.isfinite(width[at])]
+        left.hlines(y[sure], position[sure] - width[sure], position[sure] + width[sure], color=colour, lw=2.2, alpha=0.45)
+        inside = at[np.abs(position[at]) <= limit]
+        left.plot(position[inside], y[inside], "o", ms=4.5, color=colour, label=kind, mew=0)
+        for k in at[np.abs(position[at]) > limit]:
+            side = np.sign(position[k])
+            left.plot(0.985 * side * limit, y[k], ">" if side > 0 else "<", ms=5.5, color=colour, mew=0)
+        shown = sure[width[sure] > 0]
+        right.hlines(y[shown], 1e-30, 100 * width[shown], color="#cbd5e1", lw=0.9)
+        right.plot(100 * width[shown], y[shown], "o", ms=4.5, color=colour, mew=0)
+    left.axvline(0.0, color="#334155", lw=0.9)
+    left.set(xlim=(-limit, limit), ylim=(count - 0.3, -0.7), xlabel=f"change against the {relative_to}, in natural sizes")
+    left.set_yticks(y, names)
+    left.grid(axis="y", visible=False)
+    left.set_title("Value and 95 % interval")
+    right.set_title("How sure")
+    right.set_xlabel("half interval [% of natural size]")
+    right.grid(axis="y", visible=False)
+    positive = 100 * width[np.isfinite(width) & (width > 0)]
+    if len(positive):
+        right.set_xscale("log")
+        right.set_xlim(10 ** np.floor(np.log10(positive.min()) - 0.1), 10 ** np.ceil(np.log10(positive.max()) + 0.1))
+        right.axvline(100.0 * WEAK, color=CLASSES["weak"], lw=0.9, ls="--")
+        plain_log(right.xaxis)
+    else:
+        right.set(title="", xlabel="", xticks=[], frame_on=False)
+        right.text(0.5, 0.5, "no honest interval", transform=right.transAxes, ha="center", color=GREY)
+    left.tick_params(axis="y", length=0)
+    right.tick_params(axis="y", length=0)
+    handles, labels = left.get_legend_handles_labels()
+    add_legend(figure, handles, labels)
+    return figure

@@ -1,0 +1,111 @@
+"""Figures of a prediction: measured beside predicted, and what is left beside the noise."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from bayesid.recordings.table import WRENCH_COLUMNS
+from bayesid.report.figures import DENSE, MEASURED, NOISE, PREDICTED, add_legend, make_grid, plain_log, styled, tidy_time
+from bayesid.validation.prediction import BAND, Prediction, Spectrum
+
+
+@styled
+def measured_against_predicted(prediction: Prediction) -> Figure:
+    """Each channel of one motion, measured and predicted: the paper's figure 5."""
+    count = len(prediction.channel_names)
+    columns = 2 if count > 1 else 1
+    rows = -(-count // columns)
+    figure, axes = make_grid(rows, columns, 1.15, sharex=True)
+    # A wrench: forces on the left, moments on the right. Anything else: row by row.
+    order = axes.T.ravel() if prediction.channel_names == WRENCH_COLUMNS else axes.ravel()
+    x, (measured, predicted) = _with_breaks(prediction, prediction.measured, prediction.predicted)
+    dense = len(x) > DENSE
+    for k, (ax, name, unit) in enumerate(zip(order, prediction.channel_names, prediction.channel_units, strict=False)):
+        if prediction.poses:
+            ax.plot(x, measured[:, k], "o", ms=6, mfc="none", mew=1.6, color="#64748b", label="measured")
+            ax.plot(x, predicted[:, k], "x", ms=5, mew=1.4, color=PREDICTED, label="predicted")
+        else:
+            ax.plot(x, measured[:, k], color=MEASURED, lw=3.2, label="measured", rasterized=dense)
+            ax.plot(x, predicted[:, k], color=PREDICTED, lw=0.9, label="predicted", rasterized=dense)
+        ax.set_title(f"{name} [{unit}]")
+        ax.yaxis.set_major_locator(MaxNLocator(4))
+        tidy_time(ax, x, prediction.poses)
+    for ax in order[count:]:
+        ax.set_visible(False)
+    _label_lowest(axes, "pose" if prediction.poses else "time [s]")
+    add_legend(figure, *order[0].get_legend_handles_labels())
+    return figure
+
+
+@styled
+def residuals(prediction: Prediction) -> Figure:
+    """What is left of each channel, in time and in frequency, beside the noise."""
+    spectrum, count = prediction.spectrum, len(prediction.channel_names)
+    if spectrum is None:
+        figure, axes = make_grid(count, 1, 0.95, sharex=True)
+    else:
+        figure, axes = make_grid(count, 2, 0.95, sharex="col", width_ratios=(1.7, 1.0))
+    x, (left,) = _with_breaks(prediction, prediction.measured - prediction.predicted)
+    level = None if spectrum is None or spectrum.filtered else noise_in_band(spectrum)
+    for k, (name, unit) in enumerate(zip(prediction.channel_names, prediction.channel_units, strict=True)):
+        ax = axes[k, 0]
+        if prediction.poses:
+            ax.vlines(x, 0.0, left[:, k], color=PREDICTED, lw=1.2)
+            ax.plot(x, left[:, k], "o", ms=4, color=PREDICTED, mew=0)
+        else:
+            if level is not None:
+                ax.axhspan(-1.96 * level[k], 1.96 * level[k], color=NOISE, alpha=0.16, lw=0, label="95 % of the noise")
+            ax.plot(x, left[:, k], color=PREDICTED, lw=0.8, rasterized=len(x) > DENSE, label="measured less predicted")
+        ax.axhline(0.0, color="#334155", lw=0.6)
+        ax.set_title(f"{name} [{unit}]")
+        ax.yaxis.set_major_locator(MaxNLocator(4, symmetric=True))
+        tidy_time(ax, x, prediction.poses)
+        if spectrum is not None:
+            ax = axes[k, 1]
+            ax.loglog(spectrum.frequencies, spectrum.residual[:, k], color=PREDICTED, lw=0.9)
+            ax.loglog(spectrum.frequencies, spectrum.noise[:, k], color=NOISE, lw=1.8, label="noise model")
+            ax.set_title(f"{name} [{unit}/√Hz]")
+            ax.set_xlim(spectrum.frequencies[0], spectrum.frequencies[-1])
+            plain_log(ax.xaxis)
+            plain_log(ax.yaxis)
+    axes[-1, 0].set_xlabel("pose" if prediction.poses else "time [s]")
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    if spectrum is not None:
+        axes[-1, 1].set_xlabel("frequency [Hz]")
+        more = axes[0, 1].get_legend_handles_labels()
+        handles, labels = [*handles, *more[0]], [*labels, *more[1]]
+    add_legend(figure, handles, labels)
+    return figure
+
+
+def noise_in_band(spectrum: Spectrum, band: float = BAND) -> np.ndarray:
+    """Standard deviation that the noise model leaves below a frequency (c,) [unit of the channel]."""
+    width = spectrum.frequencies[0]
+    inside = spectrum.frequencies <= band
+    return np.sqrt(np.sum(spectrum.noise[inside] ** 2, axis=0) * width)
+
+
+def _with_breaks(prediction: Prediction, *curves: np.ndarray) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
+    """Abscissa and curves with a hole wherever the recording has a gap."""
+    times = prediction.times
+    if prediction.poses:
+        return np.arange(1.0, len(times) + 1), curves
+    step = np.diff(times)
+    if len(step):
+        # Curves are limited to the band: points much closer than that only make the page large.
+        stride = max(int(0.2 / BAND / np.median(step)), 1)
+        times, curves = times[::stride], tuple(c[::stride] for c in curves)
+        step = np.diff(times)
+    gaps = np.flatnonzero(step > 5.0 * np.median(step)) + 1 if len(step) else []
+    return np.insert(times, gaps, np.nan), tuple(np.insert(c, gaps, np.nan, axis=0) for c in curves)
+
+
+def _label_lowest(axes: np.ndarray, label: str) -> None:
+    """Name the abscissa below the lowest visible panel of every column."""
+    for column in axes.T:
+        visible = [ax for ax in column if ax.get_visible()]
+        if visible:
+            visible[-1].set_xlabel(label)
+            visible[-1].tick_params(labelbottom=True)
