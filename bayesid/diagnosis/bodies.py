@@ -41,10 +41,13 @@ def as_payload(fitted: Fit, index: int, dispersion: float) -> tuple[Term, float]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a distance of three digits is accurate enough
         try:
-            distance = float(problem.solve(solver=cp.CLARABEL))  # pyright: ignore[reportArgumentType]
+            problem.solve(solver=cp.CLARABEL)
         except cp.SolverError:
             return term, 0.0
-    if body.value is None or chi2.sf(distance, 10) < fitted.projector.data.settings.possible_body:
+    if body.value is None:
+        return term, 0.0
+    distance = np.sum(((root * size) @ body.value - root @ values) ** 2)
+    if chi2.sf(distance, 10) < fitted.projector.data.settings.possible_body:
         return term, 0.0
     effect = next(e for e in fitted.projector.data.places(name) if e.where == term.effect.where)
     joint = effect.joint or 0

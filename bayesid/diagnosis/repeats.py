@@ -9,7 +9,7 @@ import numpy as np
 from scipy.fft import next_fast_len
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
-from scipy.optimize import minimize_scalar
+from scipy.optimize import fminbound
 
 from bayesid.diagnosis.settings import Settings
 from bayesid.diagnosis.spectra import Segment
@@ -134,9 +134,8 @@ def _same(
 
     # The median: a transient at the start or the end must not decide.
     step = 1.5 / settings.repeat_rate
-    exact = minimize_scalar(lambda x: float(np.median(off(x)[1])), bounds=(lag - step, lag + step), method="bounded",
-                            options={"xatol": 1e-5}).x  # fmt: skip
-    inside, distance = off(float(exact))
+    exact = float(fminbound(lambda x: float(np.median(off(x)[1])), lag - step, lag + step, xtol=1e-5, full_output=True)[0])
+    inside, distance = off(exact)
     times = first[0][inside]
     # A motion that settles into its period is still on its way there while it is off by much more than later.
     limit = min(1.0, max(settings.settled_ratio * float(np.median(distance)), 0.1)) if len(times) else 1.0
@@ -146,7 +145,7 @@ def _same(
     part = first[1][inside][slice(*longest)]
     if not np.any(np.ptp(part, axis=0) > settings.repeat_moves * np.maximum(span, 1e-12)):
         return None
-    return float(exact), float(times[longest[0]]), float(times[longest[1] - 1])
+    return exact, float(times[longest[0]]), float(times[longest[1] - 1])
 
 
 def _runs(flags: np.ndarray) -> list[tuple[int, int]]:

@@ -30,7 +30,7 @@ class RippleScan:
         for s in data.segments:
             angle = s.scene.positions[:, [j for _, j in self.at]]
             wave = np.exp(1j * angle[:, :, None] * self.orders)
-            parts = [s.course(wave.real), s.course(wave.imag)]
+            parts = [s.course(np.real(wave)), s.course(np.imag(wave))]
             self.spectra.append(np.stack(parts, axis=-1).astype(np.float32))  # (K, joints, orders, 2)
 
     @classmethod

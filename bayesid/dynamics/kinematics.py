@@ -113,7 +113,7 @@ def link_states(
     q, v, a = (np.ascontiguousarray(x, dtype=float) for x in (positions, velocities, accelerations))
     out = np.empty((len(q), robot.n + 1, WIDTH))
     held = np.zeros((0, 18)) if root is None else np.ascontiguousarray(root)
-    _states(q, v, a, *_tables(_Holder(robot)), held, out)  # pyright: ignore[reportCallIssue]
+    _states(q, v, a, *_tables(_Holder(robot)), held, out)
     return out
 
 
@@ -155,7 +155,7 @@ def body_wrenches(states: np.ndarray, row_of: np.ndarray, links: np.ndarray, gra
         (3,) [m/s^2].
     """
     out = np.empty((len(states), len(links), 6))
-    _wrenches(states, row_of, np.ascontiguousarray(links, dtype=float), np.ascontiguousarray(gravity, dtype=float), out)  # pyright: ignore[reportCallIssue]
+    _wrenches(states, row_of, np.ascontiguousarray(links, dtype=float), np.ascontiguousarray(gravity, dtype=float), out)
     return out
 
 
@@ -173,7 +173,7 @@ def channel_twists(robot: Robot, channels: Channels, states: np.ndarray) -> np.n
     """Twist of each channel about the base origin, (N, c, 6)."""
     out = np.empty((len(states), len(channels), 6))
     rows = np.where(channels.joint < 0, robot.n, channels.joint)
-    _twists(states, rows, np.ascontiguousarray(root_twists(channels)), out)  # pyright: ignore[reportCallIssue]
+    _twists(states, rows, np.ascontiguousarray(root_twists(channels)), out)
     return out
 
 
@@ -200,7 +200,7 @@ def _project(twists, wrenches, carries, out):
 def project(twists: np.ndarray, wrenches: np.ndarray, carries: np.ndarray) -> np.ndarray:
     """Readings (N, c): the twist's power with the wrenches (N, b, 6) of the bodies that the channel carries (c, b)."""
     out = np.empty(twists.shape[:2])
-    _project(twists, wrenches, carries, out)  # pyright: ignore[reportCallIssue]
+    _project(twists, wrenches, carries, out)
     return out
 
 
@@ -232,7 +232,7 @@ def link_columns(
 ) -> np.ndarray:
     """Derivative of the readings with respect to the bodies' parameters in their rows' frames, (N, c, 10 b)."""
     out = np.empty((len(states), len(carries), 10 * len(row_of)))
-    _columns(states, twists, row_of, carries, np.ascontiguousarray(gravity, dtype=float), out)  # pyright: ignore[reportCallIssue]
+    _columns(states, twists, row_of, carries, np.ascontiguousarray(gravity, dtype=float), out)
     return out
 
 

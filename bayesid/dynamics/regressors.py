@@ -117,7 +117,7 @@ class Kernel:
         """
         out = np.empty((len(positions), self._channels, self.columns)) if out is None else out
         q, v, a = map(_c, (positions, velocities, accelerations))
-        _regressor(False, q, v, a, *self._chain(gravity), *self.tables[6:], out, out[:0])  # pyright: ignore[reportCallIssue]
+        _regressor(False, q, v, a, *self._chain(gravity), *self.tables[6:], out, out[:0])
         return out
 
     def momentum(
@@ -129,7 +129,7 @@ class Kernel:
         """
         momentum, rest = np.empty((2, len(positions), self._channels, self.columns))
         q, v = _c(positions), _c(velocities)
-        _regressor(True, q, v, v, *self._chain(gravity), *self.tables[6:], momentum, rest)  # pyright: ignore[reportCallIssue]
+        _regressor(True, q, v, v, *self._chain(gravity), *self.tables[6:], momentum, rest)
         return momentum, rest
 
     def readings(
@@ -152,7 +152,7 @@ class Kernel:
         """
         q, v, a = map(_c, (positions, velocities, accelerations))
         out = np.empty((len(q), self._channels))
-        _readings(q, v, a, *self._chain(gravity), *self.tables[6:10], _c(links).reshape(-1, 10), out)  # pyright: ignore[reportCallIssue]
+        _readings(q, v, a, *self._chain(gravity), *self.tables[6:10], _c(links).reshape(-1, 10), out)
         return out
 
     @property

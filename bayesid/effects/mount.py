@@ -105,7 +105,7 @@ def _clear(segment: MotionSegment, drive: np.ndarray) -> np.ndarray:
 def _tilting(states: np.ndarray, row_of: np.ndarray, links: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Inertia about the base's x and y axes (N, 2, 2) and first moment of mass (N, 3) about the base origin."""
     out, first = np.empty((len(states), 2, 2)), np.empty((len(states), 3))
-    _tilting_kernel(states, np.ascontiguousarray(row_of), np.ascontiguousarray(links), out, first)  # pyright: ignore[reportCallIssue]
+    _tilting_kernel(states, np.ascontiguousarray(row_of), np.ascontiguousarray(links), out, first)
     return out, first
 
 

@@ -171,7 +171,7 @@ def _learned(regression: Regression) -> Weights:
         factor = pilot.weighted(scale)
         plain = solve(factor.matrix, factor.target)
         residual = [b.target - b.matrix @ plain for b in blocks]
-        power = sum(np.sum(r**2, axis=0) for r in residual) / sum(len(r) for r in residual)
+        power = np.sum([np.sum(r**2, axis=0) for r in residual], axis=0) / sum(len(r) for r in residual)
         scale = np.sqrt(np.maximum(power, 1e-20 * max(power.max(), 1e-200)))
     first = noise = noise_of_residuals(regression, blocks, plain)
     efficient = plain

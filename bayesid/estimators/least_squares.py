@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.optimize import minimize_scalar
+from scipy.optimize import fminbound
 
 from bayesid.errors import InputError
 from bayesid.estimators.details import Details
@@ -223,8 +223,7 @@ def _shrink(regression, factor: Factor, given, inverse, *, continuous: bool) -> 
     elif continuous:
         grid = np.linspace(-12.0, 0.0, 49)
         best = grid[int(np.argmin([gcv(10.0**x) for x in grid]))]
-        found = minimize_scalar(lambda x: gcv(10.0**x), bounds=(best - 0.25, best + 0.25), method="bounded")
-        chosen = float(10.0**found.x)
+        chosen = float(10.0 ** fminbound(lambda x: gcv(10.0**x), best - 0.25, best + 0.25, full_output=True)[0])
     else:
         chosen = float(np.argmin([gcv(k) for k in range(len(s) + 1)]))
     base = (vt.T @ (inverse(s, chosen) * rotated)) / length

@@ -6,7 +6,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg.lapack import dpotrf, dpotrs
+from scipy.linalg import get_lapack_funcs
+
+_FACTORISE, _SOLVE_FACTORISED = get_lapack_funcs(("potrf", "potrs"), dtype="d")
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +40,7 @@ class Quadratic:
         """Mean (d,) and lower Cholesky factor (d, d) of the precision in z, for weights ``1 / s^2`` of the terms (k,)."""
         weights = np.append(precisions, 1.0)
         k, d = self.linear.shape
-        lower, trouble = dpotrf((weights @ self.gram.reshape(k, d * d)).reshape(d, d), lower=1)
+        lower, trouble = _FACTORISE((weights @ self.gram.reshape(k, d * d)).reshape(d, d), lower=1)
         if trouble:
             raise np.linalg.LinAlgError("the precision is not positive definite")
-        return dpotrs(lower, weights @ self.linear, lower=1)[0], lower
+        return _SOLVE_FACTORISED(lower, weights @ self.linear, lower=1)[0], lower

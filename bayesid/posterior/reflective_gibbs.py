@@ -17,8 +17,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.linalg.blas import dsyrk
-from scipy.linalg.lapack import dtrtrs
+from scipy.linalg import get_blas_funcs, get_lapack_funcs
 
 from bayesid.posterior.model import PosteriorModel
 from bayesid.posterior.noise import log_student
@@ -27,6 +26,8 @@ from bayesid.posterior.trajectory import feasible, travel
 
 _WARM_UP = 100
 _SLICE_STEP = 0.5
+
+(_OUTER_PRODUCT,), (_SOLVE_TRIANGULAR,) = get_blas_funcs(("syrk",), dtype="d"), get_lapack_funcs(("trtrs",), dtype="d")
 
 
 @dataclass(eq=False)
@@ -115,7 +116,7 @@ class ReflectiveGibbs:
         """Mean in z and x, and a root of the covariance in x."""
         mean, lower = terms.gaussian(scales**-2)
         centre, outward, _ = self._maps
-        return mean, centre + outward @ mean, np.ascontiguousarray(dtrtrs(lower, outward.T, lower=1)[0].T)
+        return mean, centre + outward @ mean, np.ascontiguousarray(_SOLVE_TRIANGULAR(lower, outward.T, lower=1)[0].T)
 
     def _sweep(self, state: GibbsState) -> None:
         model, rng = self.model, state.rng
@@ -230,7 +231,7 @@ class _Rows:
             weight = rng.gamma(0.5 * (dof + self.channels), size=len(s)) / (0.5 * (dof + s))
             weighted = rows * np.sqrt(weight)[:, None]
             for one in weighted:
-                whole = dsyrk(1.0, one.T)  # the upper triangle
+                whole = _OUTER_PRODUCT(1.0, one.T)  # the upper triangle
                 whole = whole + np.triu(whole, 1).T
                 gram.append(self.onward.T @ whole[:-1, :-1] @ self.onward)
                 linear.append(whole[-1, :-1] @ self.onward)

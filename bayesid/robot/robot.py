@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pinocchio as pin  # pyright: ignore[reportMissingImports]  (found through a .pth file)
+import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
 from bayesid.errors import InputError

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pinocchio as pin  # pyright: ignore[reportMissingImports]  (found through a .pth file)
+import pinocchio as pin
 
 from bayesid.errors import InputError
 

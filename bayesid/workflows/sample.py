@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import TypedDict, Unpack, overload
 
 import numpy as np
 from scipy.linalg import cholesky
@@ -37,6 +38,39 @@ from bayesid.workflows.progress import Clock, Progress, quiet
 from bayesid.workflows.warnings import listed, repeated_motion
 
 PRIORS = ("nominal", "flat")
+
+
+class SampleChoices(TypedDict, total=False):
+    """The keywords of `sample`, for its two signatures; explained there."""
+
+    channel: str | None
+    prior: str | Prior | None
+    prior_std: float | None
+    noise: str
+    engine: str | None
+    moves: str
+    chains: int
+    longest: int
+    keep_going: bool
+    low_pass: LowPass | None
+    motions: Sequence[str] | None
+    effects: Sequence[str] | None
+    static: str
+    bandwidth: float | None
+    checkpoint: str | Path | None
+    resume: bool
+    progress: Progress
+    bar: bool
+
+
+@overload
+def sample(experiment: Regression, draws: int = ..., seed: int = ..., **choices: Unpack[SampleChoices]) -> Posterior: ...
+
+
+@overload
+def sample(
+    experiment: Experiment | str | Path, draws: int = ..., seed: int = ..., **choices: Unpack[SampleChoices]
+) -> ExperimentPosterior: ...
 
 
 def sample(

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from itertools import product
 
 import numpy as np
-import pinocchio as pin  # pyright: ignore[reportMissingImports]  (found through a .pth file)
+import pinocchio as pin
 
 from bayesid.errors import InputError
 from bayesid.robot.robot import Robot

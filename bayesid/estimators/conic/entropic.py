@@ -133,7 +133,7 @@ def _with_bounds(problem: Conic, matrix, target, weight, bases, rows, low) -> tu
     cost = 0.5 * cp.sum_squares((matrix * problem.units) @ y - target)
     for columns, basis in zip(problem.bodies, bases, strict=True):
         scaled = basis * problem.units[list(columns)][:, None, None]
-        pseudo = sum(y[c] * b for c, b in zip(columns, scaled, strict=True))
+        pseudo = cp.reshape(scaled.reshape(10, 16).T @ y[list(columns)], (4, 4), order="C")
         cost += weight * (cp.trace(pseudo) - cp.log_det(0.5 * (pseudo + pseudo.T)))
     rule = (rows * problem.units) @ y >= low
     task = cp.Problem(cp.Minimize(cost), [rule])

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 from scipy.linalg import cholesky, null_space
-from scipy.optimize import minimize_scalar
+from scipy.optimize import fminbound
 from scipy.stats import chi2
 
 from bayesid.errors import InputError
@@ -196,7 +196,7 @@ def _most_probable(data: LinkData, mean: np.ndarray, unit: np.ndarray) -> tuple[
     grid = np.linspace(np.log(_SMALLEST), np.log(_LARGEST), 47)
     best = int(np.argmin([cost(x) for x in grid]))
     low, high = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
-    found = float(minimize_scalar(cost, bounds=(low, high), method="bounded").x)
+    found = float(fminbound(cost, low, high, full_output=True)[0])
     # A search within bounds stops a little beside them.
     if best == 0 and cost(grid[0]) <= cost(found):
         return _SMALLEST, "smallest"
