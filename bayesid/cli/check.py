@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 import bayesid
-from bayesid.cli.options import EFFECTS_FROM, EXPERIMENT, OUT, OUTPUTS, SEED, load, output_folder, show_progress
+from bayesid.cli.options import EFFECTS_FROM, EXPERIMENT, OUT, OUTPUTS, UNUSED_SEED, load, output_folder, show_progress
 from bayesid.results.files import check_output
 
 
@@ -15,10 +15,9 @@ from bayesid.results.files import check_output
 @EXPERIMENT
 @EFFECTS_FROM
 @OUT
-@SEED
-def check(experiment: Path, effects_from: tuple[Path, ...], out: Path | None, seed: int) -> None:
+@UNUSED_SEED
+def check(experiment: Path, effects_from: tuple[Path, ...], out: Path | None) -> None:
     """Read and validate an experiment folder; say what is in it."""
-    del seed
     check_output(out or OUTPUTS, "check")
     with show_progress() as progress:
         result = bayesid.check(load(experiment, None, effects_from), progress=progress)

@@ -11,8 +11,8 @@ from bayesid.cli.options import (
     EXPERIMENT,
     OUT,
     OUTPUTS,
-    SEED,
     STATIC,
+    UNUSED_SEED,
     load,
     low_pass,
     model_options,
@@ -31,10 +31,9 @@ from bayesid.workflows.compare import DEFAULT_SET
 @BOUNDS
 @STATIC
 @OUT
-@SEED
-def compare(experiment, filter_l, filter_d, model, effects_from, methods, bounds, out, seed, **options) -> None:
+@UNUSED_SEED
+def compare(experiment, filter_l, filter_d, model, effects_from, methods, bounds, out, **options) -> None:
     """Several estimators on the same data, side by side, and the nominal model beside them."""
-    del seed
     check_output(out or OUTPUTS, "compare")
     filters = low_pass(filter_l, filter_d)
     for method in methods or ():

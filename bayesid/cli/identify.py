@@ -11,8 +11,8 @@ from bayesid.cli.options import (
     EXPERIMENT,
     OUT,
     OUTPUTS,
-    SEED,
     STATIC,
+    UNUSED_SEED,
     load,
     low_pass,
     model_options,
@@ -29,10 +29,9 @@ from bayesid.results.files import check_output
 @BOUNDS
 @STATIC
 @OUT
-@SEED
-def identify(experiment, filter_l, filter_d, model, effects_from, method, bounds, out, seed, **options) -> None:
+@UNUSED_SEED
+def identify(experiment, filter_l, filter_d, model, effects_from, method, bounds, out, **options) -> None:
     """Base parameters with honest uncertainty, link parameters, proof on the validation motions."""
-    del seed
     check_output(out or OUTPUTS, "identify")
     filters = low_pass(filter_l, filter_d)
     chosen = bayesid.estimator(method)

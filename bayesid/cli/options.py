@@ -46,6 +46,10 @@ MODEL = click.option("--model", type=click.Path(path_type=Path), help="A model.t
 EFFECTS_FROM = click.option(
     "--effects-from", type=click.Path(path_type=Path), multiple=True, help="A Python file with effects of your own."
 )  # fmt: skip
+UNUSED_SEED = click.option(
+    "--seed", type=click.IntRange(min=0), default=0, expose_value=False,
+    help="Accepted by every verb; nothing is random in this one.",
+)  # fmt: skip
 SEED = click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of everything random.")
 
 

@@ -69,7 +69,7 @@ class EffectLibrary:
     @property
     def expressions(self) -> dict[str, dict[str, Any]]:
         """The user's formulas, ``[model.expressions]``, by the effect's name."""
-        return {c.name: c.table for c in self.own if hasattr(c, "table")}
+        return {c.name: table for c in self.own if (table := getattr(c, "table", None)) is not None}
 
     def with_expressions(self, tables: Mapping[str, Mapping[str, Any]], joints: int, source: str) -> EffectLibrary:
         """A library with the effects of ``[model.expressions]``; they take the place of formulas of the same name.

@@ -205,7 +205,7 @@ class Ensemble:
         out = np.empty((count, *state.points.shape))
         for k, now in enumerate(steps):
             out[k] = now.coords
-        state.points, state.log_density, state.random = now.coords, now.log_prob, now.random_state
+        state.points, state.log_density, state.random = now.coords, np.asarray(now.log_prob), now.random_state
         state.accepted += laplace.accepted
         state.proposed += laplace.proposed
         return out
