@@ -25,8 +25,10 @@ help:
 demo: $(READY)
 	$(BIN)/bayesid demo
 
+# A process a core, each with one thread: threads of two processes would wait for each other. A module stays in one process,
+# so that what its tests share is made once.
 test: $(READY)
-	$(BIN)/python -m pytest -n 2
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile
 
 test-slow: $(READY)
 	$(BIN)/python -m pytest -m slow
