@@ -161,6 +161,20 @@ def test_method_page_names_modules_that_exist():
         assert (ROOT / "bayesid" / path).exists(), path
 
 
+def test_changelog_sends_nobody_to_a_module_that_is_not_there():
+    """Modules in the last column of the table of moves exist; ``.name`` continues the package before it."""
+    text = (ROOT / "docs" / "changelog.md").read_text(encoding="utf-8")
+    rows = [line.split("|")[2] for line in text.splitlines() if line.startswith("| `bayesid.")]
+    assert len(rows) > 15
+    for row in rows:
+        package = ""
+        for name in re.findall(r"`(bayesid[\w.]*|\.\w+)`", row):
+            module = package + name if name.startswith(".") else name
+            package = module.rpartition(".")[0]
+            path = ROOT / module.replace(".", "/")
+            assert path.is_dir() or path.with_suffix(".py").exists(), module
+
+
 def test_method_page_states_the_limit_of_the_code():
     """A validation motion is warned about above the residual that the page says."""
     text = (ROOT / "docs" / "method.md").read_text(encoding="utf-8")
