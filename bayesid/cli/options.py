@@ -48,7 +48,7 @@ EFFECTS_FROM = click.option(
 )  # fmt: skip
 UNUSED_SEED = click.option(
     "--seed", type=click.IntRange(min=0), default=0, expose_value=False,
-    help="Accepted by every verb; nothing is random in this one.",
+    help="Accepted by every verb; the results of this one are the same for any seed.",
 )  # fmt: skip
 SEED = click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of everything random.")
 

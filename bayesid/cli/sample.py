@@ -38,7 +38,7 @@ from bayesid.workflows.sample import checkpoint_of
 @OUT
 @SEED
 def sample(experiment, filter_l, filter_d, model, effects_from, out, resume, **options) -> None:
-    """Draws from the posterior, with convergence checks and proof on the validation motions."""
+    """Draws from the posterior, with convergence checks and held-out validation."""
     check_output(out or OUTPUTS, "sample")
     filters = low_pass(filter_l, filter_d)
     loaded = load(experiment, model, effects_from)

@@ -93,7 +93,8 @@ def _robot(check: Inspection) -> list[tuple[str, str]]:
     rows = [
         ("Model", f"{robot.name} ({robot.urdf.name})"),
         ("Gravity", f"({', '.join(number(g, 5) for g in robot.gravity)}) m/s² in the base frame"),
-        ("Trust in nominal inertias", "none stated: every rigid parameter is free" if trust is None else
+        ("Prior relative standard deviation of the inertias",
+         "none stated: every rigid parameter is free" if trust is None else
          "exact" if trust == 0 else f"{percent(trust, 2)} (1 sigma)"),
     ]  # fmt: skip
     if experiment.locked:

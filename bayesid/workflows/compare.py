@@ -234,7 +234,10 @@ def _warnings(
             where = " and ".join(what for what, those in beaten.items() if those == names)
             out.append(f"On '{p.motion}' the {model} predicts as well as or better than {names}, {where}.")
     if problem is not None and not done[0].validation:
-        out.append("No validation motion: errors are those of fitted motions, which prove little.")
+        out.append(
+            "No validation motion: the errors are those of fitted motions and say little about others. "
+            'Add one with role = "validation".'
+        )
     apart = [t for t in tests if t.contradiction]
     if apart:
         names, largest = ", ".join(t.method for t in apart), max(t.probability or 0.0 for t in apart)

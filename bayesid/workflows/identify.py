@@ -40,7 +40,7 @@ def identify(
     bandwidth: float | None = None,
     progress: Progress = quiet,
 ) -> Identification:
-    """Base parameters with uncertainty, link parameters, and proof on the validation motions.
+    """Base parameters with uncertainty, link parameters, and held-out validation.
 
     Parameters
     ----------
@@ -174,10 +174,14 @@ def _warnings(
             out.append(
                 f"Motion '{p.motion}' is not predicted to the noise: residuals are {p.whitened_rms:.3g} times as large "
                 f"(most in {p.channel_names[worst]}, {p.whitened_rms_by_channel[worst]:.3g} times; relative error "
-                f"{100 * relative_error(p):.3g} %). The model misses something there; the intervals do not cover that."
+                f"{100 * relative_error(p):.3g} %). Something is missing in the model there, and the intervals do not cover it: "
+                "`bayesid diagnose` looks for it."
             )
     if not validation:
-        out.append("No validation motion: nothing proves that the estimate holds for another motion.")
+        out.append(
+            "No validation motion: nothing shows that the estimate holds for another motion. "
+            'Add a motion with role = "validation".'
+        )
     for a in agreements:
         if a.contradiction:
             out.append(
@@ -187,7 +191,8 @@ def _warnings(
     if estimate.details.model_complete is False:
         out.append(
             "Efficient and plain least squares differ by more than the noise explains: something is missing in the model. "
-            "Model error is counted as noise, so intervals hold for motions like the fitted ones only."
+            "Model error is counted as noise, so intervals hold for motions like the fitted ones only. "
+            "`bayesid diagnose` looks for the missing effect."
         )
     # What the estimator itself has to say, such as weak instruments.
     out += estimate.details.warnings
@@ -199,7 +204,8 @@ def _warnings(
         )
     if impossible_bodies(links.reshape(-1, 10), problem.experiment.robot.body_names):
         out.append(
-            "The link parameters nearest to the nominal ones are not those of a body that can exist; do not simulate with them."
+            "The link parameters nearest to the nominal ones are not physically consistent: do not simulate with them. "
+            "Method sdp gives links that are."
         )
     if problem.row_model.base.absorbed is not None:
         out.append(

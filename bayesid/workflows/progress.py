@@ -10,7 +10,7 @@ Progress = Callable[[str], None]
 
 
 def quiet(_: str) -> None:
-    """Tell nobody."""
+    """No display of the progress."""
     return None
 
 

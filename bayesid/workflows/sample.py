@@ -1,4 +1,4 @@
-"""The posterior of an experiment or a regression: draws, proof on the validation motions, files."""
+"""The posterior of an experiment or a regression: draws, held-out validation, files."""
 
 from __future__ import annotations
 
@@ -276,7 +276,10 @@ def _warnings(posterior: Posterior, problem: Problem, validation: Sequence[Predi
         if p.repeats:
             out.append(repeated_motion(p))
     if not validation:
-        out.append("No validation motion: nothing proves that the posterior holds for another motion.")
+        out.append(
+            "No validation motion: nothing shows that the posterior holds for another motion. "
+            'Add a motion with role = "validation".'
+        )
     if not posterior.model.likelihood.complete:
         out.append(
             "Efficient and plain least squares differ by more than the noise explains: something is missing in the model. The "
