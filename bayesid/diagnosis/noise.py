@@ -8,9 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from bayesid.diagnosis.data import WHITE, DiagnosisData
-from bayesid.diagnosis.noise_spectrum import Encoders, measure
+from bayesid.diagnosis.encoders import Encoders, encoder_count, with_noise
+from bayesid.diagnosis.noise_spectrum import measure
 from bayesid.diagnosis.repeats import find_rests
-from bayesid.diagnosis.spectra import Segment, encoder_count, low_passed, sensor_noise, with_noise
+from bayesid.diagnosis.spectra import Segment, low_passed, sensor_noise
 from bayesid.effects import MotionSegment, Term
 from bayesid.recordings.table import Table, usual_step
 from bayesid.signals.smoothing import smooth

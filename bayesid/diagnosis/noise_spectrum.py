@@ -20,10 +20,10 @@ import numpy as np
 from scipy.fft import dct, idct
 from scipy.interpolate import CubicSpline
 
+from bayesid.diagnosis.encoders import Encoders
 from bayesid.diagnosis.repeats import Repeat, find_repeats
 from bayesid.diagnosis.settings import Settings
-from bayesid.diagnosis.spectra import Segment, other_readings, taper
-from bayesid.signals.smoothing import smooth
+from bayesid.diagnosis.spectra import Segment, taper
 
 
 @dataclass(frozen=True, eq=False)
@@ -289,41 +289,6 @@ def _own(segments: Sequence[Segment], repeats: Sequence[Repeat], pieces: Sequenc
             mine.setdefault(name, []).append(piece)
     found = {name: measured_spectrum(own) for name, own in mine.items()}
     return {name: spectrum for name, spectrum in found.items() if spectrum is not None and spectrum.enough(segments[0].settings)}
-
-
-@dataclass(frozen=True, eq=False)
-class Encoders:
-    """What their errors do to predictions.
-
-    Attributes
-    ----------
-    predict, resmooth
-        Readings predicted for a segment (M, c); the segment with other encoder readings (N, n).
-    resolution, position_std
-        One encoder count and random noise on top, by joint (n,) [rad or m].
-    seed
-        Of the roundings.
-    """
-
-    predict: Callable[[Segment], np.ndarray]
-    resmooth: Callable[[Segment, np.ndarray], Segment]
-    resolution: np.ndarray
-    position_std: np.ndarray
-    seed: int
-
-    def roundings(self, segments: Sequence[Segment], wanted: set[int]) -> dict[int, list[Segment]]:
-        """Segments as other roundings would have shown them; an encoder's zero is the same in all."""
-        rng = np.random.default_rng([self.seed, 1])
-        out: dict[int, list[Segment]] = {i: [] for i in sorted(wanted)}
-        if not (self.resolution.any() or self.position_std.any()):
-            return out
-        exact = {i: smooth(s.times, s.encoders, s.scene.bandwidth)[0] for i, s in enumerate(segments) if i in wanted}
-        for _ in range(segments[0].settings.roundings):
-            shift = rng.uniform(-0.5, 0.5, len(self.resolution)) * self.resolution
-            for i, q in exact.items():
-                read = other_readings(q, shift, self.resolution, self.position_std, rng)
-                out[i].append(self.resmooth(segments[i], read))
-        return out
 
 
 def measure(

@@ -12,8 +12,8 @@ frequency, so that low frequencies tell most, and an unweighted error in the tim
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -23,7 +23,6 @@ from scipy.stats import chi2
 
 from bayesid.diagnosis.settings import DEFAULT, Settings
 from bayesid.effects import REST_SPEED, MotionSegment
-from bayesid.signals.smoothing import smooth
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,8 +101,8 @@ class Segment:
         band = min(self.settings.band, 0.4 / self.step, 0.8 * self.scene.bandwidth)
         return spacing * np.arange(max(int(band / spacing), 1))
 
-    def spectrum(self, samples: np.ndarray) -> np.ndarray:
-        """Coefficients (K, c, ...) of predicted samples (M, c, ...).
+    def spectrum(self, samples: np.ndarray, channels: np.ndarray | slice = slice(None)) -> np.ndarray:
+        """Coefficients (K, c, ...) of predicted samples (M, c, ...) of all channels, or of those given.
 
         A reading is the mean over one sample's time h, a prediction a point: its coefficients get the mean's
         share, ``sin(pi f h) / (pi f h)``. Readings are averaged before they are weighted, so what averaging does to the
@@ -112,12 +111,12 @@ class Segment:
         """
         scale = np.sqrt(len(self.times) / len(self.scene.times))
         if self.still or self.instant:
-            return _transform(samples, self._scene_weight, len(self.frequencies)) * scale
+            return _transform(samples, self._scene_weight[:, channels], len(self.frequencies)) * scale
         fading = self._fading
         wide = lambda x: x.reshape(x.shape + (1,) * (samples.ndim - x.ndim))  # noqa: E731
-        weighted = samples * wide(self._scene_weight)
+        weighted = samples * wide(self._scene_weight[:, channels])
         rate = samples[fading.after] - samples[fading.before]
-        weighted[fading.at] -= wide(fading.rates) * rate + wide(fading.values) * samples[fading.at]
+        weighted[fading.at] -= wide(fading.rates[:, channels]) * rate + wide(fading.values[:, channels]) * samples[fading.at]
         share = np.sinc(self.frequencies * self.step) * scale
         return np.asarray(dct(weighted, axis=0, norm="ortho", overwrite_x=True))[: len(share)] * wide(share)
 
@@ -204,8 +203,13 @@ class Segment:
         return np.matmul(self.whitener, flat).reshape(coefficients.shape)
 
     def white(self, samples: np.ndarray) -> np.ndarray:
-        """Predicted samples (M, c, ...) as white rows (K c, ...)."""
-        return self.whiten(self.spectrum(samples)).reshape(-1, *samples.shape[2:])
+        """Predicted samples (M, c, ...) as white rows (K c, ...); channels that are zero throughout cost nothing."""
+        live = np.asarray(samples.reshape(*samples.shape[:2], -1).any(axis=(0, 2)))
+        if not live.any():
+            return np.zeros((self.shape[0] * self.shape[1], *samples.shape[2:]))
+        coefficients = self.spectrum(samples if live.all() else samples[:, live], live)
+        flat = np.matmul(self.whitener[:, :, live], coefficients.reshape(*coefficients.shape[:2], -1))
+        return flat.reshape(-1, *samples.shape[2:])
 
 
 def _transform(samples: np.ndarray, weight: np.ndarray, count: int) -> np.ndarray:
@@ -268,85 +272,3 @@ def _quiet_power(segments: Sequence[Segment], low: float, high: float) -> tuple[
         bins = max(int(np.count_nonzero(inside) / 1.5), 1)
         powers.append(np.mean(power[:, inside] / ((2.0 * np.sin(np.pi * frequency[inside])) ** 4)[:, None], axis=1))
     return np.quantile(np.concatenate(powers), segments[0].settings.quiet_quantile, axis=0), bins
-
-
-def with_noise(
-    segment: Segment,
-    predict: Callable[[Segment], np.ndarray],
-    resmooth: Callable[[Segment, np.ndarray], Segment],
-    sensor: np.ndarray,
-    resolution: np.ndarray,
-    position_std: np.ndarray,
-    rng: np.random.Generator,
-) -> Segment:
-    """The segment with the covariance of its coefficients.
-
-    Parameters
-    ----------
-    segment
-        A recording.
-    predict
-        Readings predicted for a segment (N, c).
-    resmooth
-        The segment with other encoder readings (N, n).
-    sensor
-        Standard deviation of white noise of one sample (c,), or the covariance of a sample for every coefficient (K, c, c).
-    resolution, position_std
-        One encoder count and random noise on top, by joint (n,) [rad or m].
-    rng
-        For the roundings.
-    """
-    exact, settings = predict(segment), segment.settings
-    smoothed_positions = smooth(segment.times, segment.encoders, segment.scene.bandwidth)[0]
-    channels = exact.shape[1]
-    signal = segment.spectrum(exact)
-    scatter = np.zeros((len(segment.frequencies), channels, channels))
-    if resolution.any() or position_std.any():
-        for _ in range(settings.roundings):
-            # Where within a count the truth lies is unknown: another shift, another rounding.
-            shift = rng.uniform(-0.5, 0.5, segment.encoders.shape[1]) * resolution
-            read = other_readings(smoothed_positions, shift, resolution, position_std, rng)
-            error = segment.spectrum(predict(resmooth(segment, read)) - exact)
-            scatter += error[:, :, None] * error[:, None, :] / settings.roundings
-        scatter = _pooled(scatter, settings.pooled_frequencies)
-    weight = segment.weight(segment.times)
-    share = weight.T @ weight / len(weight) + np.diag(~segment.alive)  # a channel that says nothing has any noise
-    floor = (np.diag(sensor**2) if sensor.ndim == 1 else sensor) * share
-    rough = np.zeros_like(scatter)
-    power = _pooled(signal[:, :, None] ** 2, settings.pooled_frequencies)[:, :, 0]
-    rough[:, np.arange(channels), np.arange(channels)] = settings.accuracy**2 * power
-    return replace(segment, covariance=floor + scatter + rough)
-
-
-def other_readings(
-    positions: np.ndarray, shift: np.ndarray, resolution: np.ndarray, position_std: np.ndarray, rng: np.random.Generator
-) -> np.ndarray:
-    """What encoders whose counts lie elsewhere, by a shift (n,), would have read of positions (N, n) [rad or m]."""
-    q = positions + shift
-    read = q + position_std * rng.normal(size=q.shape)
-    count = np.where(resolution > 0, resolution, 1.0)
-    return np.where(resolution > 0, np.round(read / count) * count, read) - shift
-
-
-def _pooled(values: np.ndarray, most: int) -> np.ndarray:
-    """Mean over neighbouring frequencies, fewer at the ends."""
-    total = np.cumsum(np.concatenate([np.zeros((1, *values.shape[1:])), values]), axis=0)
-    index = np.arange(len(values))
-    reach = np.minimum(most, np.maximum(index // 2, 1))
-    low, high = np.maximum(index - reach, 0), np.minimum(index + reach + 1, len(values))
-    return (total[high] - total[low]) / (high - low).reshape((-1,) + (1,) * (values.ndim - 1))
-
-
-def encoder_count(positions: np.ndarray, settings: Settings) -> float:
-    """The step that all readings (N,) are whole multiples of, apart from one another; 0 if there is none [rad or m]."""
-    values = np.unique(positions)
-    steps = np.diff(values)
-    steps = steps[steps > 1e-9]
-    if not len(steps):
-        return 0.0
-    # Numbers written with few decimals are off by up to half of the last one; a step is then no exact multiple.
-    for part in (1, 2, 3):
-        multiples = steps / (steps.min() / part)
-        if len(steps) > settings.encoder_steps and np.mean(np.abs(multiples - np.round(multiples)) < 0.1) > 0.98:
-            return float(steps.min() / part)
-    return 0.0

@@ -13,7 +13,20 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from bayesid import diagnose
-from bayesid.diagnosis import bodies, candidates, fit, forward, projector, rivals, rows, search, spectra, surrogates, validation
+from bayesid.diagnosis import (
+    bodies,
+    candidates,
+    encoders,
+    fit,
+    forward,
+    projector,
+    rivals,
+    rows,
+    search,
+    spectra,
+    surrogates,
+    validation,
+)
 from bayesid.diagnosis.data import Episode, active_terms
 from bayesid.diagnosis.noise import smoothed
 from bayesid.diagnosis.noise_models import NoiseModels
@@ -173,7 +186,7 @@ def test_white_noise_becomes_unit_rows():
     segment = spectra.Segment("m", "identification", times, np.sin(times)[:, None], noise, scene, False, (), np.zeros(0))
     np.testing.assert_allclose(spectra.sensor_noise([segment]), [0.5, 0.02], rtol=0.12)
     zero = np.zeros(1)
-    known = spectra.with_noise(
+    known = encoders.with_noise(
         segment, lambda s: np.zeros((len(s.scene.times), 2)), lambda s, _: s, np.array([0.5, 0.02]), zero, zero, rng
     )
     white = known.whiten(known.measured(noise))
@@ -184,8 +197,8 @@ def test_white_noise_becomes_unit_rows():
 def test_the_encoder_count_is_read_from_the_positions(count):
     """Positions rounded to counts and written with six decimals give the count; smooth ones give none."""
     motion = np.sin(np.arange(0, 10, 0.01))
-    assert spectra.encoder_count(np.round(np.round(motion / count) * count, 6), DEFAULT) == pytest.approx(count, rel=1e-6)
-    assert spectra.encoder_count(motion, DEFAULT) == 0.0
+    assert encoders.encoder_count(np.round(np.round(motion / count) * count, 6), DEFAULT) == pytest.approx(count, rel=1e-6)
+    assert encoders.encoder_count(motion, DEFAULT) == 0.0
 
 
 def test_a_contact_is_left_out_of_other_motions(record):

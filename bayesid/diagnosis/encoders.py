@@ -1,0 +1,129 @@
+"""What encoders' counts do to predictions: rounding, smoothing and prediction are repeated with other roundings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bayesid.diagnosis.settings import Settings
+from bayesid.diagnosis.spectra import Segment
+from bayesid.signals.smoothing import smooth
+
+
+def with_noise(
+    segment: Segment,
+    predict: Callable[[Segment], np.ndarray],
+    resmooth: Callable[[Segment, np.ndarray], Segment],
+    sensor: np.ndarray,
+    resolution: np.ndarray,
+    position_std: np.ndarray,
+    rng: np.random.Generator,
+) -> Segment:
+    """The segment with the covariance of its coefficients.
+
+    Parameters
+    ----------
+    segment
+        A recording.
+    predict
+        Readings predicted for a segment (N, c).
+    resmooth
+        The segment with other encoder readings (N, n).
+    sensor
+        Standard deviation of white noise of one sample (c,), or the covariance of a sample for every coefficient (K, c, c).
+    resolution, position_std
+        One encoder count and random noise on top, by joint (n,) [rad or m].
+    rng
+        For the roundings.
+    """
+    exact, settings = predict(segment), segment.settings
+    smoothed_positions = smooth(segment.times, segment.encoders, segment.scene.bandwidth)[0]
+    channels = exact.shape[1]
+    signal = segment.spectrum(exact)
+    scatter = np.zeros((len(segment.frequencies), channels, channels))
+    if resolution.any() or position_std.any():
+        for _ in range(settings.roundings):
+            # Where within a count the truth lies is unknown: another shift, another rounding.
+            shift = rng.uniform(-0.5, 0.5, segment.encoders.shape[1]) * resolution
+            read = other_readings(smoothed_positions, shift, resolution, position_std, rng)
+            error = segment.spectrum(predict(resmooth(segment, read)) - exact)
+            scatter += error[:, :, None] * error[:, None, :] / settings.roundings
+        scatter = _pooled(scatter, settings.pooled_frequencies)
+    weight = segment.weight(segment.times)
+    share = weight.T @ weight / len(weight) + np.diag(~segment.alive)  # a channel that says nothing has any noise
+    floor = (np.diag(sensor**2) if sensor.ndim == 1 else sensor) * share
+    rough = np.zeros_like(scatter)
+    power = _pooled(signal[:, :, None] ** 2, settings.pooled_frequencies)[:, :, 0]
+    rough[:, np.arange(channels), np.arange(channels)] = settings.accuracy**2 * power
+    return replace(segment, covariance=floor + scatter + rough)
+
+
+def other_readings(
+    positions: np.ndarray, shift: np.ndarray, resolution: np.ndarray, position_std: np.ndarray, rng: np.random.Generator
+) -> np.ndarray:
+    """What encoders whose counts lie elsewhere, by a shift (n,), would have read of positions (N, n) [rad or m]."""
+    q = positions + shift
+    read = q + position_std * rng.normal(size=q.shape)
+    count = np.where(resolution > 0, resolution, 1.0)
+    return np.where(resolution > 0, np.round(read / count) * count, read) - shift
+
+
+def _pooled(values: np.ndarray, most: int) -> np.ndarray:
+    """Mean over neighbouring frequencies, fewer at the ends."""
+    total = np.cumsum(np.concatenate([np.zeros((1, *values.shape[1:])), values]), axis=0)
+    index = np.arange(len(values))
+    reach = np.minimum(most, np.maximum(index // 2, 1))
+    low, high = np.maximum(index - reach, 0), np.minimum(index + reach + 1, len(values))
+    return (total[high] - total[low]) / (high - low).reshape((-1,) + (1,) * (values.ndim - 1))
+
+
+def encoder_count(positions: np.ndarray, settings: Settings) -> float:
+    """The step that all readings (N,) are whole multiples of, apart from one another; 0 if there is none [rad or m]."""
+    values = np.unique(positions)
+    steps = np.diff(values)
+    steps = steps[steps > 1e-9]
+    if not len(steps):
+        return 0.0
+    # Numbers written with few decimals are off by up to half of the last one; a step is then no exact multiple.
+    for part in (1, 2, 3):
+        multiples = steps / (steps.min() / part)
+        if len(steps) > settings.encoder_steps and np.mean(np.abs(multiples - np.round(multiples)) < 0.1) > 0.98:
+            return float(steps.min() / part)
+    return 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Encoders:
+    """What their errors do to predictions.
+
+    Attributes
+    ----------
+    predict, resmooth
+        Readings predicted for a segment (M, c); the segment with other encoder readings (N, n).
+    resolution, position_std
+        One encoder count and random noise on top, by joint (n,) [rad or m].
+    seed
+        Of the roundings.
+    """
+
+    predict: Callable[[Segment], np.ndarray]
+    resmooth: Callable[[Segment, np.ndarray], Segment]
+    resolution: np.ndarray
+    position_std: np.ndarray
+    seed: int
+
+    def roundings(self, segments: Sequence[Segment], wanted: set[int]) -> dict[int, list[Segment]]:
+        """Segments as other roundings would have shown them; an encoder's zero is the same in all."""
+        rng = np.random.default_rng([self.seed, 1])
+        out: dict[int, list[Segment]] = {i: [] for i in sorted(wanted)}
+        if not (self.resolution.any() or self.position_std.any()):
+            return out
+        exact = {i: smooth(s.times, s.encoders, s.scene.bandwidth)[0] for i, s in enumerate(segments) if i in wanted}
+        for _ in range(segments[0].settings.roundings):
+            shift = rng.uniform(-0.5, 0.5, len(self.resolution)) * self.resolution
+            for i, q in exact.items():
+                read = other_readings(q, shift, self.resolution, self.position_std, rng)
+                out[i].append(self.resmooth(segments[i], read))
+        return out
