@@ -9,7 +9,7 @@ import pytest
 from hypothesis import HealthCheck, Phase, given, settings
 
 from tests.fuzz.arena import Worker, complaints, fresh, write_arm
-from tests.fuzz.mutations import Case, cases
+from tests.fuzz.cases import Case, cases
 
 FEW, MANY = 150, 10_000
 

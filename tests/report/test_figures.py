@@ -166,3 +166,11 @@ def test_svg_is_reproducible_and_refers_only_to_itself():
         used = set(re.findall(r'href="#([^"]+)"|url\(#([^)]+)\)', text))
         assert {a or b for a, b in used} <= set(re.findall(r' id="([^"]+)"', text))
         assert text.startswith("<svg") and text.rstrip().endswith("</svg>")
+
+
+def test_a_dollar_in_a_name_begins_no_formula():
+    """Half a formula is an error in matplotlib."""
+    one = np.ones(1)
+    figure = plots.joint_ranges(["$q_{1$"], -one, one, [("$x_{1$", -one, one)], ["rad"])
+    svg = plots.to_svg(figure, "one")
+    assert "$q_{1$" in svg and "$x_{1$" in svg
