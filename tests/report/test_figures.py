@@ -171,6 +171,6 @@ def test_svg_is_reproducible_and_refers_only_to_itself():
 def test_a_dollar_in_a_name_begins_no_formula():
     """Half a formula is an error in matplotlib."""
     one = np.ones(1)
-    figure = plots.joint_ranges(["$q_{1$"], -one, one, [("$x_{1$", -one, one)], ["rad"])
-    svg = plots.to_svg(figure, "one")
+    figure = joint_ranges(["$q_{1$"], -one, one, [("$x_{1$", -one, one)], ["rad"])
+    svg = to_svg(figure, "one")
     assert "$q_{1$" in svg and "$x_{1$" in svg
