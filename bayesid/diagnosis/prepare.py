@@ -14,7 +14,7 @@ from bayesid.effects import Term, middle_of, starting_point
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, Motion
 from bayesid.recordings.table import usual_step
-from bayesid.regression.problem import default_channel, make_channels
+from bayesid.regression.readings import default_channel, make_channels
 from bayesid.robot.prior import Prior
 from bayesid.signals.smoothing import choose_smoother
 

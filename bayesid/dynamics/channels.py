@@ -110,3 +110,23 @@ def torque_channels(robot: Robot) -> Channels:
         reference_translation=np.zeros(3),
         static_wrench=np.zeros(robot.n),
     )
+
+
+def stack_channels(wrench: Channels, torque: Channels) -> Channels:
+    """Both sets of channels together, computed in the base frame."""
+    twist = wrench.twist
+    if (wrench.joint < 0).all():
+        # From the sensor frame, whose pose in the base is (R, p), to the base frame: (R l + p x R w; R w).
+        rotation, translation = wrench.reference_rotation, wrench.reference_translation
+        angular = wrench.twist[:, 3:] @ rotation.T
+        twist = np.hstack([wrench.twist[:, :3] @ rotation.T + np.cross(translation, angular), angular])
+    return Channels(
+        names=wrench.names + torque.names,
+        units=wrench.units + torque.units,
+        joint=np.concatenate([wrench.joint, torque.joint]),
+        twist=np.vstack([twist, torque.twist]),
+        bodies=np.vstack([wrench.bodies, torque.bodies]),
+        reference_rotation=torque.reference_rotation,
+        reference_translation=torque.reference_translation,
+        static_wrench=np.concatenate([wrench.static_wrench, torque.static_wrench]),
+    )

@@ -7,7 +7,7 @@ from threading import Lock
 
 from bayesid.regression.blocks import Block
 from bayesid.regression.row_cache import CACHE_BYTES
-from bayesid.regression.rows import RowModel, Segment, make_blocks, row_count
+from bayesid.regression.rows import RowModel, Segment, make_blocks
 
 
 class MotionRows:
@@ -51,3 +51,9 @@ class MotionRows:
                     self._kept[name] = tuple(made)
                 else:  # not read to the end, or made by two threads at once
                     self._room += size if keep else 0
+
+
+def row_count(row_model: RowModel, segments: Sequence[Segment]) -> int:
+    """How many rows `make_blocks` makes."""
+    margin, step = row_model.margin, row_model.step
+    return sum(len(s.times) if s.poses else max(int((s.times[-1] - s.times[0] - 2 * margin) / step), 1) for s in segments)

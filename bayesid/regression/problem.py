@@ -6,25 +6,23 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import solve_toeplitz
-from scipy.spatial.transform import Rotation
 
 from bayesid.dynamics.base_parameters import BaseParameters, structural_base
-from bayesid.dynamics.channels import Channels, torque_channels, wrench_channels
+from bayesid.dynamics.channels import Channels
 from bayesid.effects import Effect, EffectLibrary, Point, middle_of, starting_point
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, Motion
 from bayesid.recordings.table import usual_step
 from bayesid.regression.encoder_noise import errors_of
-from bayesid.regression.motion_rows import MotionRows
+from bayesid.regression.motion_rows import MotionRows, row_count
 from bayesid.regression.options import FitOptions
+from bayesid.regression.readings import default_channel, has_readings, make_channels, motion_segments, require_readings
 from bayesid.regression.regression import PriorKnowledge, Regression
 from bayesid.regression.row_cache import PILOT_ROWS, PILOT_SEGMENTS, RowCache, RowSource
-from bayesid.regression.rows import RowModel, Segment, make_blocks, row_count
-from bayesid.signals.filters import ROLL_OFF
+from bayesid.regression.rows import RowModel, Segment, make_blocks
+from bayesid.signals.filters import row_noise_poles
 from bayesid.signals.smoothing import Smoother, choose_smoother
 
-CHANNELS = ("wrench", "torque", "both")
 #: Rows a second, as a multiple of the bandwidth of the joint motion: products of joint motions reach higher.
 ROWS_PER_BANDWIDTH = 2.5
 #: At least this many rows a second, so that the noise can be told from the motion.
@@ -32,9 +30,6 @@ LOWEST_ROW_RATE = 20.0
 #: Samples that the bandwidth is chosen from, in pieces spread over a long recording.
 _PILOT_SAMPLES = 5_000
 _PIECES = 4
-#: Frequencies at which the spectrum of rows is computed; order of the recursion that stands for thinning.
-_SPECTRUM = 4096
-_THINNING_ORDER = 8
 
 
 @dataclass(frozen=True)
@@ -75,53 +70,6 @@ class Problem:
     static: str
 
 
-def default_channel(experiment: Experiment) -> str:
-    """The wrench where there is a sensor and every fitted motion has its readings, else the torques."""
-    wrench = experiment.sensor is not None and all(m.table.wrench is not None for m in experiment.identification)
-    return "wrench" if wrench else "torque"
-
-
-def stack_channels(wrench: Channels, torque: Channels) -> Channels:
-    """Both sets of channels together, computed in the base frame."""
-    twist = wrench.twist
-    if (wrench.joint < 0).all():
-        # From the sensor frame, whose pose in the base is (R, p), to the base frame: (R l + p x R w; R w).
-        rotation, translation = wrench.reference_rotation, wrench.reference_translation
-        angular = wrench.twist[:, 3:] @ rotation.T
-        twist = np.hstack([wrench.twist[:, :3] @ rotation.T + np.cross(translation, angular), angular])
-    return Channels(
-        names=wrench.names + torque.names,
-        units=wrench.units + torque.units,
-        joint=np.concatenate([wrench.joint, torque.joint]),
-        twist=np.vstack([twist, torque.twist]),
-        bodies=np.vstack([wrench.bodies, torque.bodies]),
-        reference_rotation=torque.reference_rotation,
-        reference_translation=torque.reference_translation,
-        static_wrench=np.concatenate([wrench.static_wrench, torque.static_wrench]),
-    )
-
-
-def make_channels(experiment: Experiment, channel: str) -> Channels:
-    """Channels of an experiment.
-
-    Raises
-    ------
-    InputError
-        The wrench is asked for and there is no sensor.
-    """
-    if channel not in CHANNELS:
-        raise InputError(f"--channel {channel}: choose one of {', '.join(CHANNELS)}")
-    if channel == "torque":
-        return torque_channels(experiment.robot)
-    if experiment.sensor is None:
-        raise InputError("experiment.toml: [sensor] is missing; add it, or use --channel torque")
-    rotation = Rotation.from_euler("xyz", experiment.sensor.rpy).as_matrix()
-    wrench = wrench_channels(experiment.robot, rotation, experiment.sensor.translation)
-    if channel == "wrench":
-        return wrench
-    return stack_channels(wrench, torque_channels(experiment.robot))
-
-
 def prepare(experiment: Experiment, options: FitOptions | None = None) -> Problem:
     """Make an experiment ready: choose motions, smooth trajectories, find base parameters, lay out rows.
 
@@ -142,12 +90,12 @@ def prepare(experiment: Experiment, options: FitOptions | None = None) -> Proble
     channels = make_channels(experiment, channel)
     chosen = _choose(experiment, options.motions)
     for motion in chosen:
-        _require(motion, channel)
+        require_readings(motion, channel)
     subtract = channel == "wrench" and options.static == "motion"
     specs = list(experiment.effects if options.effects is None else options.effects)
     # Validation motions are read, too: the same rows are made from them later.
-    readable = [m for m in experiment.motions if m in chosen or _readable(m, channel)]
-    segments = {m.name: _segments(experiment, channels, m, k, channel, subtract) for k, m in enumerate(readable)}
+    readable = [m for m in experiment.motions if m in chosen or has_readings(m, channel)]
+    segments = {m.name: motion_segments(experiment, channels, m, k, channel, subtract) for k, m in enumerate(readable)}
     fitted = [r for m in chosen for r in segments[m.name]]
     if any(r.offset for r in fitted):
         specs = [*_unstated(experiment.library, channels, specs), *specs]
@@ -291,29 +239,11 @@ def _regression(
 
 
 def _known_poles(row_model: RowModel, fitted: list[Segment]) -> np.ndarray | None:
-    """Poles of a recursion that white sensor noise obeys once it has become filtered rows.
-
-    Beside the filters' own two poles the rows' spectrum bears the mark of thinning: bilinear filters at the
-    sampling rate, times the projection's raised cosine, folded at the rate of rows. That is known, so it need
-    not be learned from few rows, and costs no parameters of the noise.
-    """
+    """Poles of the noise of rows that went through low-passes; None without."""
     steps = [usual_step(r.times) for r in fitted if not r.poses]
     if row_model.filters is None or not steps:
         return None
-    poles = row_model.filters.poles(row_model.step)
-    cycles = np.arange(_SPECTRUM) / _SPECTRUM - 0.5  # per row
-    density = np.zeros(_SPECTRUM)
-    for fold in (-1, 0, 1):
-        f = cycles + fold
-        # Raised cosine: 1 up to (1 - ROLL_OFF) / 2, 0 from (1 + ROLL_OFF) / 2.
-        inside = np.cos(0.5 * np.pi * np.clip((np.abs(f) - 0.5 * (1 - ROLL_OFF)) / ROLL_OFF, 0.0, 1.0)) ** 2
-        warped = (2.0 / np.median(steps) * np.tan(np.pi * f * np.median(steps) / row_model.step)) ** 2
-        density += inside / ((1.0 + warped / row_model.filters.l**2) * (1.0 + warped / row_model.filters.d**2))
-    turn = np.exp(2j * np.pi * cycles)
-    density *= np.prod(np.abs(1.0 - poles[:, None] / turn) ** 2, axis=0)
-    covariance = np.real(np.fft.ifft(np.fft.ifftshift(density)))
-    rest = solve_toeplitz(covariance[:_THINNING_ORDER], -covariance[1 : _THINNING_ORDER + 1])
-    return np.concatenate([poles, np.roots(np.append(1.0, rest))])
+    return row_noise_poles(row_model.filters, float(np.median(steps)), row_model.step)
 
 
 def _pilot_segments(row_model: RowModel, segments: list[Segment]) -> list[Segment]:
@@ -346,21 +276,6 @@ def _choose(experiment: Experiment, motions: Sequence[str] | None) -> list[Motio
     return [by_name[name] for name in motions]
 
 
-def _readable(motion: Motion, channel: str) -> bool:
-    wrench, torque = motion.table.wrench is not None, motion.table.torques is not None
-    return {"wrench": wrench, "torque": torque, "both": wrench and torque}[channel]
-
-
-def _require(motion: Motion, channel: str) -> None:
-    if not _readable(motion, channel):
-        torque_missing = channel != "wrench" and motion.table.torques is None
-        columns = "tau1 ... taun" if torque_missing else "fx ... mz"
-        raise InputError(
-            f"{motion.table.source}: columns {columns} are missing, which --channel {channel} needs; "
-            f"add them, choose another --channel or leave motion '{motion.name}' out with --motions"
-        )
-
-
 def _require_length(motion: Motion, segments: list[Segment], row_model: RowModel) -> None:
     """Check that something of a motion is left where its trajectory has settled."""
     moving = [s for s in segments if not s.poses]
@@ -371,36 +286,6 @@ def _require_length(motion: Motion, segments: list[Segment], row_model: RowModel
             f"where the trajectory is loose (bandwidth {row_model.bandwidth:.3g} Hz)",
             file=motion.table.source, value=longest, remedy=f"record longer, or remove motion '{motion.name}'",
         )  # fmt: skip
-
-
-def _segments(
-    experiment: Experiment, channels: Channels, motion: Motion, index: int, channel: str, subtract: bool
-) -> list[Segment]:
-    """Gap-free segments of one motion, and its static readings where those are fitted along."""
-    readings, known = _readings(motion.table, channel), channels.static_wrench
-    gravity = offset = True
-    rest = motion.static if channel == "wrench" and motion.static is not None and motion.static.wrench is not None else None
-    if rest is not None and rest.wrench is not None and subtract and motion.stop_and_go:
-        known = rest.wrench  # equation 21: free of offset and gravity
-        gravity = offset = False
-    table, poses = motion.table, motion.kind == "poses"
-    whole = Segment(
-        table.times, table.positions, readings, known, index, gravity, offset, poses, table.commanded, motion.period
-    )
-    out = [whole] if poses else [whole.part(p.start, p.stop) for p in table.segments()]
-    if rest is not None and rest.wrench is not None and offset:
-        out.append(
-            Segment(
-                rest.times, rest.positions, rest.wrench, channels.static_wrench, index, poses=True, commanded=rest.commanded
-            )
-        )
-    return out
-
-
-def _readings(table, channel: str) -> np.ndarray:
-    if channel == "both":
-        return np.hstack([table.wrench, table.torques])
-    return table.wrench if channel == "wrench" else table.torques
 
 
 def _smoother(experiment: Experiment, segments: list[Segment], bandwidth: float | None) -> Smoother:

@@ -225,12 +225,6 @@ def make_blocks(row_model: RowModel, segments: Sequence[Segment]) -> Iterator[Bl
         yield from _merge(row_model, segment, a, b, (_filtered if row_model.filters else _direct)(row_model, segment, a, b))
 
 
-def row_count(row_model: RowModel, segments: Sequence[Segment]) -> int:
-    """How many rows `make_blocks` makes."""
-    margin, step = row_model.margin, row_model.step
-    return sum(len(s.times) if s.poses else max(int((s.times[-1] - s.times[0] - 2 * margin) / step), 1) for s in segments)
-
-
 #: A chunk's share of the rows: index of its first row, rows so far, their kernels' energies.
 _Part = tuple[int, np.ndarray, np.ndarray]
 

@@ -14,11 +14,16 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
+from scipy.linalg import solve_toeplitz
 
 from bayesid.errors import InputError
 
 #: Bandwidths that a recording can tell from none, and from no filter [rad/s].
 _SLOWEST, _FASTEST = 1e-6, 1e9
+
+#: Frequencies at which the spectrum of rows is computed; order of the recursion that stands for thinning.
+_SPECTRUM = 4096
+_THINNING_ORDER = 8
 
 
 @dataclass(frozen=True)
@@ -196,3 +201,33 @@ def _project(times, values, start, step, first, table, out, energy):
                     source = values[first_sample + k]
                     for column in range(columns):
                         target[column] += weights[k] * source[column]
+
+
+def row_noise_poles(filters: LowPass, sample_step: float, row_step: float) -> np.ndarray:
+    """Poles of a recursion that white sensor noise obeys once it has become filtered rows.
+
+    Beside the filters' own two poles the rows' spectrum bears the mark of thinning: bilinear filters at the
+    sampling rate, times the projection's raised cosine, folded at the rate of rows. That is known, so it need
+    not be learned from few rows, and costs no parameters of the noise.
+
+    Parameters
+    ----------
+    filters
+        The two low-passes.
+    sample_step, row_step
+        Time between samples and between rows [s].
+    """
+    poles = filters.poles(row_step)
+    cycles = np.arange(_SPECTRUM) / _SPECTRUM - 0.5  # per row
+    density = np.zeros(_SPECTRUM)
+    for fold in (-1, 0, 1):
+        f = cycles + fold
+        # Raised cosine: 1 up to (1 - ROLL_OFF) / 2, 0 from (1 + ROLL_OFF) / 2.
+        inside = np.cos(0.5 * np.pi * np.clip((np.abs(f) - 0.5 * (1 - ROLL_OFF)) / ROLL_OFF, 0.0, 1.0)) ** 2
+        warped = (2.0 / sample_step * np.tan(np.pi * f * sample_step / row_step)) ** 2
+        density += inside / ((1.0 + warped / filters.l**2) * (1.0 + warped / filters.d**2))
+    turn = np.exp(2j * np.pi * cycles)
+    density *= np.prod(np.abs(1.0 - poles[:, None] / turn) ** 2, axis=0)
+    covariance = np.real(np.fft.ifft(np.fft.ifftshift(density)))
+    rest = solve_toeplitz(covariance[:_THINNING_ORDER], -covariance[1 : _THINNING_ORDER + 1])
+    return np.concatenate([poles, np.roots(np.append(1.0, rest))])

@@ -13,7 +13,8 @@ from bayesid.estimators.nonlinear import solve
 from bayesid.regression.hypothesis_tests import hausman
 from bayesid.regression.options import FitOptions
 from bayesid.regression.parallel import in_order
-from bayesid.regression.problem import Problem, make_channels, prepare, restrict
+from bayesid.regression.problem import Problem, prepare, restrict
+from bayesid.regression.readings import make_channels
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,8 @@ from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, Motion
 from bayesid.recordings.table import GAP, WRENCH_COLUMNS, Table
 from bayesid.regression.options import FitOptions
-from bayesid.regression.problem import default_channel, make_channels, prepare
+from bayesid.regression.problem import prepare
+from bayesid.regression.readings import default_channel, make_channels
 from bayesid.results.files import Files, files_of
 from bayesid.results.inspection import Inspection, MotionSummary, SensorSet
 from bayesid.signals.smoothing import smooth

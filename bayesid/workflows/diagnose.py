@@ -22,7 +22,7 @@ from bayesid.diagnosis.validation import residual_spectra, validate
 from bayesid.diagnosis.verdict import evidence_of, verdict
 from bayesid.recordings.experiment import Experiment, load_experiment
 from bayesid.recordings.schema import write_model
-from bayesid.regression.problem import default_channel
+from bayesid.regression.readings import default_channel
 from bayesid.results.diagnosis import Diagnosis
 from bayesid.results.files import Files, files_of, strict
 from bayesid.workflows.progress import Progress, quiet

@@ -23,7 +23,8 @@ from bayesid.dynamics.channels import torque_channels
 from bayesid.dynamics.nearest_links import nearest_links
 from bayesid.dynamics.regressors import dynamics_regressor, momentum_regressors
 from bayesid.regression.options import FitOptions
-from bayesid.regression.problem import make_channels, prepare
+from bayesid.regression.problem import prepare
+from bayesid.regression.readings import make_channels
 from bayesid.robot import inertia
 from bayesid.robot.examples import PAPER_ESTIMATE, PAPER_LABELS, paper_base_map
 from bayesid.signals.filters import LowPass, low_pass

@@ -4,9 +4,8 @@ import numpy as np
 import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
-from bayesid.dynamics.channels import torque_channels, wrench_channels
+from bayesid.dynamics.channels import stack_channels, torque_channels, wrench_channels
 from bayesid.effects import EffectLibrary, MotionSegment, Term
-from bayesid.regression.problem import stack_channels
 from bayesid.robot.robot import load_robot
 from tests.robots import ROBOTS, write
 

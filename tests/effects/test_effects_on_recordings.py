@@ -9,7 +9,7 @@ from scipy.signal import butter, sosfiltfilt
 
 from bayesid.effects import MotionSegment, Term, readings
 from bayesid.recordings.experiment import load_experiment
-from bayesid.regression.problem import make_channels
+from bayesid.regression.readings import make_channels
 from bayesid.signals.smoothing import smooth
 from tests.effects.arms import LIBRARY
 

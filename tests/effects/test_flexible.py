@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from bayesid.dynamics.channels import torque_channels, wrench_channels
+from bayesid.dynamics.channels import stack_channels, torque_channels, wrench_channels
 from bayesid.effects import EffectLibrary, MotionSegment, Term, readings
-from bayesid.regression.problem import stack_channels
 from bayesid.robot.robot import load_robot
 from bayesid.signals.smoothing import smooth
 from tests.robots import ROBOTS, write

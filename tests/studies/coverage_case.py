@@ -27,7 +27,8 @@ from bayesid.dynamics.channels import Channels
 from bayesid.dynamics.regressors import dynamics_regressor
 from bayesid.recordings.experiment import Experiment, Motion, Sensor, Table
 from bayesid.regression.options import FitOptions
-from bayesid.regression.problem import Problem, make_channels, prepare
+from bayesid.regression.problem import Problem, prepare
+from bayesid.regression.readings import make_channels
 from bayesid.robot import examples, inertia
 from bayesid.robot.robot import Robot, load_robot
 from bayesid.signals.filters import LowPass, low_pass

@@ -22,7 +22,8 @@ from bayesid import estimators
 from bayesid.dynamics.regressors import dynamics_regressor
 from bayesid.recordings.experiment import Experiment, Motion, Sensor, Table
 from bayesid.regression.options import FitOptions
-from bayesid.regression.problem import make_channels, prepare
+from bayesid.regression.problem import prepare
+from bayesid.regression.readings import make_channels
 from tests.studies.coverage import LEVEL, NAMES, band
 from tests.studies.coverage_case import DURATION, FUNDAMENTAL, NOISE, OFFSET, RATE, Setup, setup
 from tests.studies.page import DOCS, parsed, write_numbers, write_page

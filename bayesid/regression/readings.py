@@ -1,0 +1,87 @@
+"""What is read: the channels of an experiment, which motions have them, and their gap-free segments."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from bayesid.dynamics.channels import Channels, stack_channels, torque_channels, wrench_channels
+from bayesid.errors import InputError
+from bayesid.recordings.experiment import Experiment, Motion
+from bayesid.regression.rows import Segment
+
+CHANNELS = ("wrench", "torque", "both")
+
+
+def default_channel(experiment: Experiment) -> str:
+    """The wrench where there is a sensor and every fitted motion has its readings, else the torques."""
+    wrench = experiment.sensor is not None and all(m.table.wrench is not None for m in experiment.identification)
+    return "wrench" if wrench else "torque"
+
+
+def make_channels(experiment: Experiment, channel: str) -> Channels:
+    """Channels of an experiment.
+
+    Raises
+    ------
+    InputError
+        The wrench is asked for and there is no sensor.
+    """
+    if channel not in CHANNELS:
+        raise InputError(f"--channel {channel}: choose one of {', '.join(CHANNELS)}")
+    if channel == "torque":
+        return torque_channels(experiment.robot)
+    if experiment.sensor is None:
+        raise InputError("experiment.toml: [sensor] is missing; add it, or use --channel torque")
+    rotation = Rotation.from_euler("xyz", experiment.sensor.rpy).as_matrix()
+    wrench = wrench_channels(experiment.robot, rotation, experiment.sensor.translation)
+    if channel == "wrench":
+        return wrench
+    return stack_channels(wrench, torque_channels(experiment.robot))
+
+
+def has_readings(motion: Motion, channel: str) -> bool:
+    """Whether a motion has the readings of a channel."""
+    wrench, torque = motion.table.wrench is not None, motion.table.torques is not None
+    return {"wrench": wrench, "torque": torque, "both": wrench and torque}[channel]
+
+
+def require_readings(motion: Motion, channel: str) -> None:
+    """Refuse a motion without the readings of a channel."""
+    if not has_readings(motion, channel):
+        torque_missing = channel != "wrench" and motion.table.torques is None
+        columns = "tau1 ... taun" if torque_missing else "fx ... mz"
+        raise InputError(
+            f"{motion.table.source}: columns {columns} are missing, which --channel {channel} needs; "
+            f"add them, choose another --channel or leave motion '{motion.name}' out with --motions"
+        )
+
+
+def motion_segments(
+    experiment: Experiment, channels: Channels, motion: Motion, index: int, channel: str, subtract: bool
+) -> list[Segment]:
+    """Gap-free segments of one motion, and its static readings where those are fitted along."""
+    readings, known = _readings(motion.table, channel), channels.static_wrench
+    gravity = offset = True
+    rest = motion.static if channel == "wrench" and motion.static is not None and motion.static.wrench is not None else None
+    if rest is not None and rest.wrench is not None and subtract and motion.stop_and_go:
+        known = rest.wrench  # equation 21: free of offset and gravity
+        gravity = offset = False
+    table, poses = motion.table, motion.kind == "poses"
+    whole = Segment(
+        table.times, table.positions, readings, known, index, gravity, offset, poses, table.commanded, motion.period
+    )
+    out = [whole] if poses else [whole.part(p.start, p.stop) for p in table.segments()]
+    if rest is not None and rest.wrench is not None and offset:
+        out.append(
+            Segment(
+                rest.times, rest.positions, rest.wrench, channels.static_wrench, index, poses=True, commanded=rest.commanded
+            )
+        )
+    return out
+
+
+def _readings(table, channel: str) -> np.ndarray:
+    if channel == "both":
+        return np.hstack([table.wrench, table.torques])
+    return table.wrench if channel == "wrench" else table.torques
