@@ -232,7 +232,7 @@ def test_regressions_of_ones_own_have_no_robot(tmp_path):
     assert "physically_consistent" not in document["methods"][0]
     text = read(report.read_text()).text
     assert "no motion to validate on" in text and "Errors by channel" not in text
-    with pytest.raises(bayesid.InputError, match="not a Regression"):
+    with pytest.raises(bayesid.InputError, match="leave them out with a Regression"):
         bayesid.compare(regression, ["ols"], "torque")
 
 
