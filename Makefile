@@ -35,6 +35,7 @@ test-slow: $(READY)
 
 bench: $(READY) $(FIGAROH)/ready $(NUMPYRO)/ready
 	$(BIN)/python tests/benchmarks/run.py
+	$(BIN)/python tests/benchmarks/identify.py
 	$(BIN)/python tests/benchmarks/posterior_speed.py
 
 lint: $(READY)
