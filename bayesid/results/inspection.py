@@ -34,6 +34,9 @@ class MotionSummary:
         ``none``, ``stop-and-go`` (row by row the motion's positions) or ``poses``.
     noise
         Standard deviation of one sample by channel [unit of the channel]; empty where it cannot be had.
+    noise_at_rest
+        Standard deviation about the mean of each parked interval, by channel [unit of the channel]; empty where the
+        experiment states none.
     """
 
     motion: Motion
@@ -45,6 +48,7 @@ class MotionSummary:
     speed: np.ndarray
     static: str
     noise: dict[str, float]
+    noise_at_rest: dict[str, float]
 
     def to_dict(self) -> dict[str, Any]:
         """An entry of ``motions`` in ``check.json``."""
@@ -55,6 +59,7 @@ class MotionSummary:
             "lowest": self.lowest.tolist(), "highest": self.highest.tolist(), "speed": [_finite(v) for v in self.speed],
             "static": self.static, "static_samples": 0 if m.static is None else len(m.static),
             "period_s": m.period, "parked": [list(p) for p in m.parked], "noise_std": self.noise,
+            "noise_at_rest_std": self.noise_at_rest,
         }  # fmt: skip
 
 
@@ -156,6 +161,8 @@ class Inspection(Result):
                 f"  {m.motion.role} '{m.motion.name}': {len(m.motion.table)} {what}{rate}, "
                 f"columns {' '.join(m.columns)}, static {m.static}" + (f", {len(m.gaps)} gaps" if m.gaps else "")
             )
+            if m.noise_at_rest:
+                lines.append("    noise at rest: " + ", ".join(f"{c} {s:.3g}" for c, s in m.noise_at_rest.items()))
         if self.bandwidth is not None:
             lines.append(f"  bandwidth of the motion {self.bandwidth:.3g} Hz ({self.bandwidth_reason})")
         lines += [f"  rank {s.base.rank} from {s.name}{'' if s.available else ' (not recorded)'}" for s in self.sensor_sets]

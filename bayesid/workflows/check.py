@@ -80,10 +80,7 @@ def sample_noise(table: Table) -> dict[str, float]:
     differences are zero (coarse digits), their root mean square stands in.
     """
     out: dict[str, float] = {}
-    groups: list[tuple[tuple[str, ...], np.ndarray]] = [] if table.wrench is None else [(WRENCH_COLUMNS, table.wrench)]
-    if table.torques is not None:
-        groups.append((tuple(f"tau{j + 1}" for j in range(table.torques.shape[1])), table.torques))
-    for names, values in groups:
+    for names, values in _readings(table):
         parts = [np.diff(values[p], 3, axis=0) for p in table.segments() if p.stop - p.start > 20]
         if not parts:
             continue
@@ -92,6 +89,31 @@ def sample_noise(table: Table) -> dict[str, float]:
         plain = np.sqrt(np.mean(third**2, axis=0))
         out |= dict(zip(names, map(float, np.where(robust > 0, robust, plain) / np.sqrt(20.0)), strict=True))
     return out
+
+
+def noise_at_rest(motion: Motion) -> dict[str, float]:
+    """Standard deviation of each channel about its mean of every parked interval, all intervals together.
+
+    Unlike `sample_noise` it holds slow noise, too.
+    """
+    times = motion.table.times
+    inside = [(times >= start) & (times <= end) for start, end in motion.parked]
+    inside = [k for k in inside if np.count_nonzero(k) > 2]
+    out: dict[str, float] = {}
+    if inside:
+        freedom = sum(np.count_nonzero(k) - 1 for k in inside)
+        for names, values in _readings(motion.table):
+            squares = np.sum([np.sum((values[k] - values[k].mean(axis=0)) ** 2, axis=0) for k in inside], axis=0)
+            out |= dict(zip(names, map(float, np.sqrt(squares / freedom)), strict=True))
+    return out
+
+
+def _readings(table: Table) -> list[tuple[tuple[str, ...], np.ndarray]]:
+    """Names and values (N, c) of the wrench and of the torques, as far as they were recorded."""
+    groups: list[tuple[tuple[str, ...], np.ndarray]] = [] if table.wrench is None else [(WRENCH_COLUMNS, table.wrench)]
+    if table.torques is not None:
+        groups.append((tuple(f"tau{j + 1}" for j in range(table.torques.shape[1])), table.torques))
+    return groups
 
 
 def _summary(motion: Motion, bandwidth: float | None) -> MotionSummary:
@@ -109,6 +131,7 @@ def _summary(motion: Motion, bandwidth: float | None) -> MotionSummary:
         speed=_speed(table, bandwidth) if not poses and bandwidth else np.full(table.positions.shape[1], np.nan),
         static="none" if motion.static is None else "stop-and-go" if motion.stop_and_go else "poses",
         noise={} if poses else sample_noise(table),
+        noise_at_rest=noise_at_rest(motion),
     )
 
 

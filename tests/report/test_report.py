@@ -5,13 +5,14 @@ import numpy as np
 import pytest
 
 import bayesid
+from bayesid.recordings.table import Table
 from bayesid.report.check import check_report
 from bayesid.report.details import described
 from bayesid.report.identification import identification_report
 from bayesid.report.page import shorten
 from bayesid.results.text import number, percent, with_half
 from bayesid.robot.robot import load_robot
-from bayesid.workflows.check import check, sample_noise
+from bayesid.workflows.check import check, noise_at_rest, sample_noise
 from tests.report_pages import read
 from tests.robots import lwr4, wrist_sensor_arm, write
 from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
@@ -287,3 +288,15 @@ def test_long_sums_are_shortened_between_terms():
     assert long.startswith(head) and len(head) < 90 and long[len(head) :].count(" + ") == more
     assert shorten("m1 + m2") == ("m1 + m2", 0)
     assert percent(0.12345) == "12.3 %" and percent(np.nan) == "–"
+
+
+def test_noise_at_rest_is_that_of_the_parked_intervals_about_their_own_means():
+    rng = np.random.default_rng(0)
+    times = np.arange(0.0, 40.0, 0.01)
+    wrench = rng.normal(size=(len(times), 6)) * np.arange(1.0, 7.0) + np.where(times < 20.0, 50.0, -50.0)[:, None]
+    moving = (times > 10.0) & (times < 30.0)
+    wrench[moving] += 30.0 * np.sin(times[moving])[:, None]
+    table = Table(times, np.zeros((len(times), 2)), wrench=wrench)
+    found = noise_at_rest(Motion("a", "identification", table, parked=((0.0, 10.0), (30.0, 40.0))))
+    np.testing.assert_allclose(list(found.values()), np.arange(1.0, 7.0), rtol=4.0 / np.sqrt(2 * 2000))
+    assert noise_at_rest(Motion("a", "identification", table)) == {}
