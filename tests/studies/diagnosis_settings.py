@@ -1,6 +1,6 @@
 """What becomes of diagnoses when each threshold is moved by 30 % either way, on fresh simulated recordings.
 
-    python tests/studies/diagnosis_settings.py --work DIR [--count 20] [--seed 77] [--only NAME,...] [--quick] [--docs DIR]
+    python -m tests.studies.diagnosis_settings --work DIR [--count 20] [--seed 77] [--only NAME,...] [--quick] [--docs DIR]
 
 Recordings come from the independent plant of case_studies/blind_naming. Every diagnosis is kept in DIR/diagnoses.json as soon as
 it is made, and none is made twice: the run can be interrupted and taken up again. ``--quick`` takes two recordings and four
@@ -18,13 +18,13 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[2]
-sys.path[:0] = [str(ROOT / "tests"), str(ROOT / "case_studies" / "blind_naming")]
+sys.path.append(str(ROOT / "case_studies" / "blind_naming"))
 
 from judge import CLAIMS, within  # noqa: E402
-from studies.page import DOCS, write_page  # noqa: E402
 
 import bayesid  # noqa: E402
 from bayesid.diagnosis.settings import DEFAULT, Settings  # noqa: E402
+from tests.studies.page import DOCS, write_page  # noqa: E402
 
 MOVED = 0.3
 QUICK = ("accept", "unexplained", "race_share", "mostly_closed")
@@ -36,7 +36,7 @@ numbers by one at least, shares at most half-way to one), the others held, on {{
 [blind naming](../case_studies/blind_naming/README.md). "Right" counts recordings whose hidden effects are named and nothing else;
 nothing, where nothing is hidden; and `unknown`, where what is hidden is not in the library. "Changed" counts recordings with
 another verdict or other names than with the thresholds as they stand, which are right in {{ right }} of {{ cases }}. Made by
-`python tests/studies/diagnosis_settings.py`.
+`python -m tests.studies.diagnosis_settings`.
 {% if partial %}
 
 This is a part of the run: thresholds that are missing have not been moved yet.
