@@ -5,7 +5,7 @@ The public names stand in ``__init__.pyi``; each is imported when it is first us
 
 import lazy_loader
 
-from bayesid.numba_cache import find_place
+from bayesid.signals.numba_cache import find_place
 
 find_place()  # before anything imports numba
 del find_place

@@ -12,8 +12,9 @@ from .estimators.least_squares import LeastSquares, Ridge, TruncatedSVD
 from .estimators.robust.m_estimators import Huber, Student
 from .posterior.diagnostics import ConvergenceError
 from .posterior.result import Posterior
-from .recordings.experiment import Experiment, Motion, Sensor, load_experiment, write_experiment
+from .recordings.experiment import Experiment, Motion, Sensor, load_experiment
 from .recordings.table import Table
+from .recordings.writer import write_experiment
 from .regression.regression import Regression
 from .results.comparison import Comparison
 from .results.diagnosis import Diagnosis

@@ -26,9 +26,10 @@ from bayesid.dynamics.channels import torque_channels, wrench_channels
 from bayesid.effects import REST_SPEED, MotionSegment, Term, middle_of
 from bayesid.effects.sizes import ANY_EFFORT
 from bayesid.errors import InputError
-from bayesid.recordings.experiment import Experiment, Motion, Sensor, write_experiment
+from bayesid.recordings.experiment import Experiment, Motion, Sensor
 from bayesid.recordings.schema import LARGEST
 from bayesid.recordings.table import Table
+from bayesid.recordings.writer import write_experiment
 from bayesid.robot import inertia
 from bayesid.robot.robot import Robot
 from bayesid.simulation.plant import Values, complete_effects, encoder_offsets, plant_readings, plant_terms
@@ -227,7 +228,7 @@ def simulate(
 
 
 def write_simulation(simulation: Simulation, folder: str | Path) -> None:
-    """Write the experiment folder with ``truth.json`` in it; see `bayesid.recordings.experiment.write_experiment`."""
+    """Write the experiment folder with ``truth.json`` in it; see `bayesid.recordings.writer.write_experiment`."""
     truth = json.dumps(simulation.truth.to_dict(simulation.robot), indent=1, allow_nan=False)
     write_experiment(simulation, folder, {"truth.json": truth + "\n"})
 

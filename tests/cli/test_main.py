@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 
 import bayesid
-from bayesid import numba_cache
 from bayesid.cli import main
 from bayesid.errors import BayesidError, InputError
+from bayesid.signals import numba_cache
 from tests.malformed import write_good
 
 ROOT = Path(__file__).parents[2]

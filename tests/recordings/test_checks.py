@@ -13,7 +13,8 @@ import pandas as pd
 import pytest
 
 from bayesid.errors import InputError
-from bayesid.recordings.experiment import load_experiment, write_experiment
+from bayesid.recordings.experiment import load_experiment
+from bayesid.recordings.writer import write_experiment
 from tests.malformed import DATA, FOLDERS, cell, table, toml, urdf, write_good
 
 

@@ -17,10 +17,11 @@ from hypothesis.extra.numpy import arrays
 
 from bayesid.errors import InputError
 from bayesid.recordings import reader
-from bayesid.recordings.experiment import Experiment, Motion, Sensor, load_experiment, write_experiment
+from bayesid.recordings.experiment import Experiment, Motion, Sensor, load_experiment
 from bayesid.recordings.reader import read_table
 from bayesid.recordings.schema import read_model, write_model
 from bayesid.recordings.table import Table, write_table
+from bayesid.recordings.writer import write_experiment
 from bayesid.robot.robot import load_robot
 from tests.malformed import DATA, FOLDERS, recording, table, toml, write_good
 
