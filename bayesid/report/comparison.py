@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from bayesid.report.comparison_figures import proof_side_by_side, values_side_by_side
-from bayesid.report.identification import STATIC, mood_of, short_names
+from bayesid.report.identification import STATIC, mood_of
+from bayesid.report.notation import short_names
 from bayesid.report.page import render, run_times, svg, versions
 from bayesid.results.comparison import TEXT_MOTIONS, Comparison, in_sigmas, overview, values_table
 from bayesid.results.entry import Entry

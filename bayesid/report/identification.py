@@ -13,6 +13,7 @@ from bayesid.estimators import Estimate
 from bayesid.regression.regression import Regression
 from bayesid.report.details import described
 from bayesid.report.identification_figures import parameter_intervals
+from bayesid.report.notation import notation, short_names
 from bayesid.report.page import physical, render, run_times, svg, versions
 from bayesid.report.prediction_figures import measured_against_predicted, residuals
 from bayesid.results.identification import Identification
@@ -142,24 +143,6 @@ def _cards(result: Identification) -> list[dict[str, str]]:
     return cards
 
 
-def short_names(base: BaseParameters) -> list[str]:
-    """One parameter to name each combination by, ``I2xy …``."""
-    names = _notation(base.parameter_names)
-    return [names[k] + (" …" if np.count_nonzero(row) > 1 else "") for row, k in zip(base.matrix, base.independent, strict=True)]
-
-
-def _notation(names: Sequence[str]) -> list[str]:
-    """The notation of the labels: ``joint2.mcx`` is ``m2 r2x``; other names stay."""
-    bodies = list(dict.fromkeys(n.rpartition(".")[0] for n in names))
-    out = []
-    for name in names:
-        body, _, kind = name.rpartition(".")
-        place = bodies.index(body) + 1
-        short = f"m{place}" if kind == "m" else f"m{place} r{place}{kind[2:]}" if kind.startswith("mc") else f"I{place}{kind[1:]}"
-        out.append(short if body and kind in inertia.PARAMETERS else name)
-    return out
-
-
 def _reference(regression: Regression, estimate: Estimate) -> tuple[np.ndarray, np.ndarray]:
     """Nominal base parameters (zero without a model) and their natural sizes (r,)."""
     rank = estimate.base.rank
@@ -264,7 +247,7 @@ def _absorbed(base: BaseParameters) -> list[dict[str, str]]:
     """What an estimated offset contains besides the true one, axis by axis."""
     if base.absorbed is None:
         return []
-    rows, names = [], _notation(base.parameter_names)
+    rows, names = [], notation(base.parameter_names)
     for axis, row in zip(("fx", "fy", "fz", "mx", "my", "mz"), base.absorbed, strict=False):
         parts = [f"{'-' if row[k] < 0 else '+'} {abs(row[k]):.4g} {names[k]}" for k in np.flatnonzero(row)]
         if parts:

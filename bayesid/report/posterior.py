@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from bayesid.report.identification import mood_of, short_names
+from bayesid.report.identification import mood_of
+from bayesid.report.notation import short_names
 from bayesid.report.page import render, run_times, svg, versions
 from bayesid.report.posterior_figures import marginals, narrowing, ranks
 from bayesid.report.prediction_figures import measured_against_predicted, residuals
