@@ -69,7 +69,7 @@ class BaseTilt(GravityEffect):
 class BaseCompliance(MountEffect):
     name = "base_compliance"
     channels = ("wrench",)
-    summary = "the mount gives and rings"
+    summary = "the mount is compliant and underdamped"
     equation = (
         "$I(q)\\ddot\\theta + c\\dot\\theta + k\\theta = -h$, $h$ the moment about base $x$ and $y$ that the robot asks for; "
         "$k$, $c$ from the mean of the two inertias at the middle of the motion, the root link's included"

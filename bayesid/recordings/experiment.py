@@ -277,9 +277,10 @@ def _check_present(table: Table, has_sensor: bool) -> list[str]:
 def _check_roles(motions: list[Motion]) -> list[str]:
     warnings = []
     if not any(motion.role == "validation" for motion in motions):
-        warnings.append('experiment.toml: no motion has role "validation"; nothing will prove the result')
+        warnings.append('experiment.toml: no motion has role "validation"; add one, to test the estimate on a held-out motion')
     for one, other in itertools.combinations(motions, 2):
         same = len(one.table) == len(other.table) and np.array_equal(one.table.positions, other.table.positions)
         if same and one.role != other.role and np.array_equal(one.table.times, other.table.times):
-            warnings.append(f"{other.table.source}: the same motion as {one.table.source}; validation on it proves little")
+            source = other.table.source
+            warnings.append(f"{source}: the same motion as {one.table.source}; validation on it says little about other motions")
     return warnings

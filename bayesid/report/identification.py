@@ -197,7 +197,7 @@ def _motion(prediction: Prediction, role: str, index: int) -> dict[str, Any]:
         f"below {number(BAND, 2)} Hz; {_judged(prediction)}."
     )
     if prediction.repeats:
-        text += f" It repeats the fitted motion ‘{prediction.repeats}’ and so proves little."
+        text += f" It repeats the fitted motion ‘{prediction.repeats}’ and so says little about other motions."
     lines = ("circles", "crosses") if prediction.poses else ("broad, pale", "thin, red")
     caption = f"{prediction.motion}: measured ({lines[0]}) and predicted ({lines[1]}); {what}."
     left = f"{prediction.motion}: measured less predicted, in time" + (
