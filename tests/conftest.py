@@ -1,6 +1,7 @@
 """Recordings that are not part of the repository are found through BAYESID_DATA."""
 
 import os
+import signal
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,11 @@ from hypothesis import settings
 # The same examples on every run, and no time limit: machines are noisy.
 settings.register_profile("bayesid", derandomize=True, deadline=None)
 settings.load_profile("bayesid")
+
+
+# A shell ignores Ctrl-C for what it runs in the background, and children inherit that; here it is tested.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(scope="session")

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pytest
 
-import bayesid
 from bayesid.cli import main
 from bayesid.errors import BayesidError, InputError
+from bayesid.recordings import experiment
 from bayesid.signals import numba_cache
 from tests.malformed import write_good
 
@@ -42,7 +42,7 @@ def test_every_failure_is_one_line(error, status, says, folder, monkeypatch, cap
     def fail(*_, **__):
         raise error
 
-    monkeypatch.setattr(bayesid, "load_experiment", fail)
+    monkeypatch.setattr(experiment, "load_experiment", fail)
     assert main(["check", str(folder), "--out", str(folder.parent / "out")]) == status
     told = capsys.readouterr().err.splitlines()
     assert len(told) == 1 and told[0].startswith("bayesid: ") and says in told[0]
@@ -124,7 +124,7 @@ def test_numba_gets_a_folder_of_our_own_where_nothing_else_can_be_written(monkey
 
 
 def test_refusals_come_before_the_work(folder, monkeypatch, capsys):
-    monkeypatch.setattr(bayesid, "load_experiment", lambda *_: pytest.fail("the work had begun"))
+    monkeypatch.setattr(experiment, "load_experiment", lambda *_: pytest.fail("the work had begun"))
     (folder / "model.toml").write_text("[model]\n")
     since = time.perf_counter()
     for out in (folder / "robot.urdf" / "x", folder / ("x" * 300), folder):

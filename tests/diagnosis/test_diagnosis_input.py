@@ -123,4 +123,4 @@ def test_a_payload_that_links_can_hide_is_explained(robot):
     found = bayesid.diagnose(given)
     assert [f.term.effect.where for f in found.found] == ["joint2"]
     assert found.gap.before < 1.05 * found.gap.floor
-    assert any("What speaks for it is the trust" in r for r in found.remarks)
+    assert any("What speaks for it is the links' prior" in r for r in found.remarks)

@@ -163,7 +163,7 @@ def test_same_seed_same_recording(setup):
 
 
 def test_unusable_input_is_refused(setup):
-    with pytest.raises(bayesid.InputError, match="at least 20 samples"):
+    with pytest.raises(bayesid.InputError, match="at least 20 and at most 10,000,000 samples"):
         bayesid.fourier_trajectory(setup.robot, duration=0.01)
     with pytest.raises(bayesid.InputError, match="samples a second"):
         bayesid.fourier_trajectory(setup.robot, rate=2.0)
