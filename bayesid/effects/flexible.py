@@ -10,16 +10,17 @@ still whatever the link does, and nothing can be said.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy import sparse
-from scipy.interpolate import BSpline
-from scipy.sparse.linalg import splu
 
 from bayesid.signals.smoothing import DEGREE
 
+if TYPE_CHECKING:  # sparse matrices take long to import, and few experiments have flexible joints
+    from scipy import sparse
+
 Motion = tuple[np.ndarray, np.ndarray, np.ndarray]
-Basis = tuple[sparse.csr_array, ...]
+Basis = tuple["sparse.csr_array", ...]
 
 _TURNS = 5
 #: Near the resonance, where ``|1 - compliance I w^2|`` is less than the root of this, little is corrected.
@@ -48,6 +49,9 @@ def link_motion(
     basis
         Functions of time in which links move otherwise than motors, `splines`; None: every sample is a pose at rest.
     """
+    from scipy import sparse
+    from scipy.sparse.linalg import splu
+
     which = np.flatnonzero(compliance)
     link = (motor[0].copy(), motor[1].copy(), motor[2].copy())
     if basis is None:
@@ -70,6 +74,9 @@ def link_motion(
 
 def splines(times: np.ndarray, cutoff: float) -> Basis:
     """Quintic B-splines at times (N,) [s] with nothing above a cutoff [Hz], and their first two derivatives, (N, k) each."""
+    from scipy import sparse
+    from scipy.interpolate import BSpline
+
     spacing = 0.5 / cutoff
     pieces = max(int((times[-1] - times[0]) / spacing), 1)
     spacing = (times[-1] - times[0]) / pieces

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import pinocchio as pin
 
 from bayesid.effects import sizes
 from bayesid.effects.effect import Parameter
@@ -63,7 +63,7 @@ class BaseTilt(GravityEffect):
     confusable_with = ("sensor_rotation", "sensor_offset", "sensor_crosstalk")
 
     def turned(self, gravity, values):
-        return Rotation.from_euler("xy", values).as_matrix() @ gravity
+        return pin.rpy.rpyToMatrix(float(values[0]), float(values[1]), 0.0) @ gravity
 
 
 class BaseCompliance(MountEffect):

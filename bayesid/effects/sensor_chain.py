@@ -10,8 +10,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
-from scipy.spatial.transform import Rotation
+import pinocchio as pin
 
 from bayesid.dynamics.channels import Channels
 from bayesid.effects.segment import MotionSegment
@@ -63,7 +62,7 @@ class SensorChain:
         pose = np.eye(6)
         d = self.shift_axes @ self.shift
         pose[3:, :3] = -np.array([[0.0, -d[2], d[1]], [d[2], 0.0, -d[0]], [-d[1], d[0], 0.0]])
-        back = Rotation.from_rotvec(self.turn).as_matrix().T
+        back = pin.exp3(np.asarray(self.turn, float)).T
         return np.kron(np.eye(2), back) @ pose
 
     def late(self, segment: MotionSegment, values: np.ndarray) -> np.ndarray:
@@ -94,6 +93,8 @@ def delayed(times: np.ndarray, values: np.ndarray, delay: float) -> np.ndarray:
     """Values at ``t - delay``: a spline through the samples, its ends prolonged straight."""
     if len(times) <= _SPLINE:
         return values
+    from scipy.interpolate import make_interp_spline  # takes long to import, and few experiments have delays
+
     flat = values.reshape(len(times), -1)
     spline = make_interp_spline(times, flat, k=_SPLINE)
     at = times - delay

@@ -10,18 +10,23 @@ import csv
 import importlib
 import itertools
 import re
+import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
-import pandas as pd
 
 from bayesid.errors import InputError
 from bayesid.recordings.complaints import cut, one_line, suggest
 from bayesid.recordings.schema import LARGEST
 from bayesid.recordings.table import JOINT_GROUPS, WRENCH_COLUMNS, Table, check_increasing
 
+if TYPE_CHECKING:
+    import pandas as pd
+
+#: Files up to this size are read by numpy, in less time than it takes to import pandas [bytes].
+_SMALL = 8_000_000
 _BLOCK_ROWS = 200_000
 _BLOCK_BYTES = 1 << 24
 _LARGEST_TIME = 1e19  # [s]; nanoseconds since 1970, which are told as such, are below
@@ -62,11 +67,17 @@ def read_table(path: Path, source: str, joints: int, wrench: bool = True) -> tup
 
 def _read_csv(path: Path, source: str, joints: int, wrench: bool) -> tuple[Table, list[str]]:
     header = _header(path, source)
-    groups, warnings = _groups(header, source, joints, wrench)
+    groups, warned = _groups(header, source, joints, wrench)
     # By place, not by name: pandas knows the names as they stand, with blanks around them.
     places = {group: [header.index(column) for column in columns] for group, columns in groups.items()}
     used = {place: header[place] for group in places.values() for place in group}
     lines = _count_lines(path, source, len(header))
+    cells = _plain_cells(path, list(used)) if path.stat().st_size <= _SMALL else None
+    if cells is not None:
+        arrays = {group: cells[:, [list(used).index(k) for k in columns]] for group, columns in places.items()}
+        return _assemble(arrays, groups, source, lambda row: f"line {_line_number(path, row)}"), warned
+    import pandas as pd
+
     # More rows than needed, by blank lines at most; what is not filled takes no memory.
     arrays = {group: np.empty((lines, len(columns))) for group, columns in groups.items()}
     rows = 0
@@ -90,7 +101,20 @@ def _read_csv(path: Path, source: str, joints: int, wrench: bool) -> tuple[Table
     if not rows:
         raise InputError("has a header but no rows", file=source, remedy="write one row per sample")
     arrays = {group: array[:rows] for group, array in arrays.items()}
-    return _assemble(arrays, groups, source, lambda row: f"line {_line_number(path, row)}"), warnings
+    return _assemble(arrays, groups, source, lambda row: f"line {_line_number(path, row)}"), warned
+
+
+def _plain_cells(path: Path, places: list[int]) -> np.ndarray | None:
+    """Columns of a table (N, columns) that holds nothing but finite numbers below its first line; else None: pandas decides."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # that there are no rows
+            cells = np.loadtxt(
+                path, delimiter=",", skiprows=1, usecols=places, comments=None, ndmin=2, encoding="utf-8-sig"
+            )  # fmt: skip
+    except (ValueError, UserWarning):
+        return None
+    return cells if np.isfinite(cells).all() else None
 
 
 def _read_parquet(path: Path, source: str, joints: int, wrench: bool) -> tuple[Table, list[str]]:
@@ -104,7 +128,7 @@ def _read_parquet(path: Path, source: str, joints: int, wrench: bool) -> tuple[T
         file = parquet.ParquetFile(path)
     except ValueError as error:  # pyarrow.ArrowInvalid
         raise InputError(f"{source}: not a Parquet file ({' '.join(str(error).split())}); write it again") from None
-    groups, warnings = _groups(list(file.schema_arrow.names), source, joints, wrench)
+    groups, warned = _groups(list(file.schema_arrow.names), source, joints, wrench)
     arrays = {}
     for group, columns in groups.items():
         frame = file.read(columns=columns).to_pandas()
@@ -121,7 +145,7 @@ def _read_parquet(path: Path, source: str, joints: int, wrench: bool) -> tuple[T
             )
     if not len(arrays["t"]):
         raise InputError(f"{source}: has columns but no rows; write one row per sample")
-    return _assemble(arrays, groups, source, lambda row: f"row {row}"), warnings
+    return _assemble(arrays, groups, source, lambda row: f"row {row}"), warned
 
 
 def _assemble(
@@ -181,15 +205,15 @@ def _groups(header: list[str], source: str, joints: int, wrench: bool) -> tuple[
         elif group in ("t", "positions"):
             others = [name for name in header if name and name not in sum(groups.values(), [])]
             raise InputError(f"{source}: column {missing[0]} is missing; {suggest(missing[0], others, 'its other columns are')}")
-    warnings = []
+    warned = []
     more = [name for name in header if (m := re.fullmatch(r"(?:q|v|qr|tau)(\d+)", name)) and int(m[1]) > joints]
     if more:
-        warnings.append(
+        warned.append(
             f"{source}: columns {', '.join(more[:12])} are not used: [robot] joints lists {joints} joint{'s' * (joints > 1)}"
         )
     if not wrench and groups.pop("wrench", None):
-        warnings.append(f"{source}: columns fx ... mz are not used: experiment.toml has no [sensor]")
-    return groups, warnings
+        warned.append(f"{source}: columns fx ... mz are not used: experiment.toml has no [sensor]")
+    return groups, warned
 
 
 def _count_lines(path: Path, source: str, width: int) -> int:
@@ -245,6 +269,8 @@ def _blank(row: list[str]) -> bool:
 
 def _blame_cell(path: Path, source: str, columns: dict[int, str], options: dict[str, Any]) -> None:
     """Raise for the first cell that is not a finite number, if there is one."""
+    import pandas as pd
+
     options = options | dict(dtype=str, keep_default_na=False, encoding_errors="replace")
     places, row = list(columns), 0
     for frame in _quietly(pd.read_csv(path, **options)):

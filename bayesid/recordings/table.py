@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import pandas as pd
 
 from bayesid.errors import InputError
 
@@ -109,6 +108,8 @@ def usual_step(times: np.ndarray) -> float:
 
 def write_table(table: Table, path: Path) -> None:
     """Write a table as CSV, with digits enough to read the same numbers back."""
+    import pandas as pd  # takes longer to import than most tables take to read
+
     columns: dict[str, np.ndarray] = {"t": table.times}
     for field, prefix in JOINT_GROUPS.items():
         array = getattr(table, field)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import pinocchio as pin
 
 from bayesid.dynamics.channels import Channels, stack_channels, torque_channels, wrench_channels
 from bayesid.errors import InputError
@@ -33,7 +33,7 @@ def make_channels(experiment: Experiment, channel: str) -> Channels:
         return torque_channels(experiment.robot)
     if experiment.sensor is None:
         raise InputError("experiment.toml: [sensor] is missing; add it, or use --channel torque")
-    rotation = Rotation.from_euler("xyz", experiment.sensor.rpy).as_matrix()
+    rotation = pin.rpy.rpyToMatrix(*map(float, experiment.sensor.rpy))
     wrench = wrench_channels(experiment.robot, rotation, experiment.sensor.translation)
     if channel == "wrench":
         return wrench

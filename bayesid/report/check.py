@@ -5,10 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 
 from bayesid.recordings.table import WRENCH_COLUMNS
 from bayesid.report.check_figures import joint_ranges, recording
-from bayesid.report.page import render, svg
+from bayesid.report.page import render
 from bayesid.results.inspection import Inspection, MotionSummary
 from bayesid.results.text import DASH, number, percent
 from bayesid.robot import inertia
@@ -48,11 +49,9 @@ def _content(check: Inspection) -> dict[str, Any]:
         ],
         "bodies": [_body(name, body) for name, body in zip(robot.body_names, robot.nominal, strict=True)],
         "motions": [_row(m) for m in check.motions],
-        "ranges": svg(
-            joint_ranges(
-                [f"q{j + 1}  {name}" for j, name in enumerate(robot.joint_names)], robot.lower, robot.upper,
-                [(m.motion.name, m.lowest, m.highest) for m in shown], units,
-            ), "ranges",
+        "ranges": joint_ranges(
+            [f"q{j + 1}  {name}" for j, name in enumerate(robot.joint_names)], robot.lower, robot.upper,
+            [(m.motion.name, m.lowest, m.highest) for m in shown], units,
         ),
         "reach": [_reach(m, robot.lower, robot.upper) for m in check.motions],
         "bandwidth": _bandwidth(check),
@@ -69,8 +68,7 @@ def _content(check: Inspection) -> dict[str, Any]:
             for s in check.sensor_sets
         ],
         "recordings": [
-            {"name": m.motion.name, "role": m.motion.role, "svg": svg(_figure(m, robot.prismatic), f"recording-{k}")}
-            for k, m in enumerate(shown)
+            {"name": m.motion.name, "role": m.motion.role, "svg": _figure(m, robot.prismatic)} for m in shown
         ],
         "recordings_omitted": f"{more} more recordings are not drawn." if more else "",
     }  # fmt: skip
@@ -183,7 +181,7 @@ def _reach(m: MotionSummary, lower: np.ndarray, upper: np.ndarray) -> dict[str, 
     return {"name": m.motion.name, "rows": rows}
 
 
-def _figure(m: MotionSummary, prismatic: np.ndarray):
+def _figure(m: MotionSummary, prismatic: np.ndarray) -> Markup:
     """The recording as it is, thinned to what a page can show."""
     table, poses = m.motion.table, m.motion.kind == "poses"
     stride = 1 if poses else max(-(-len(table) // _PLOTTED), 1)

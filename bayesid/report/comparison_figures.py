@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from bayesid.report.figures import CYCLE, GREY, NOISE, add_legend, make_grid, plain_log, styled
+from bayesid.report.charts import CYCLE
+from bayesid.report.figures import GREY, NOISE, add_legend, make_grid, plain_log, styled
 from bayesid.validation.prediction import BAND
 
 #: From so many parameters they stand in two columns.

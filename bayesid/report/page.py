@@ -13,7 +13,6 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from bayesid.report.figures import to_svg
 from bayesid.results.text import number
 from bayesid.robot import inertia
 
@@ -36,7 +35,9 @@ def _environment() -> Environment:
 
 
 def svg(figure: Any, name: str) -> Markup:
-    """A figure ready to be put into a template."""
+    """A matplotlib figure ready to be put into a template."""
+    from bayesid.report.figures import to_svg
+
     return Markup(to_svg(figure, name))
 
 

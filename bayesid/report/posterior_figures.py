@@ -8,7 +8,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from bayesid.report.figures import CLASSES, CYCLE, GREY, NOISE, add_legend, make_grid, styled
+from bayesid.report.charts import CYCLE
+from bayesid.report.figures import CLASSES, GREY, NOISE, add_legend, make_grid, styled
 
 _COLUMNS = 6
 _BINS = 36

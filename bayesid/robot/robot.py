@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from scipy.spatial.transform import Rotation
 
 from bayesid.errors import InputError
 from bayesid.robot import inertia
@@ -276,7 +275,7 @@ def _single(joint):
 def _motion(direction: np.ndarray, slides: bool, position: float):
     if slides:
         return pin.SE3(np.eye(3), position * direction)
-    return pin.SE3(Rotation.from_rotvec(position * direction).as_matrix(), np.zeros(3))
+    return pin.SE3(pin.exp3(position * direction), np.zeros(3))
 
 
 def _limits(model, j: int) -> tuple[float, float, float, float]:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import pinocchio as pin
 
 from bayesid.errors import InputError
 from bayesid.robot import inertia
@@ -251,7 +251,7 @@ def _body(link: ET.Element, source: str) -> np.ndarray:
                          remedy=f"write kilograms, {LIGHTEST:g} to {HEAVIEST:g}, or 0")  # fmt: skip
     values = [_number(about.get(key), key, place, source, LARGEST) for key in _INERTIA]
     com, rpy = _origin(inertial, place, source)
-    rotation = Rotation.from_euler("xyz", rpy).as_matrix()
+    rotation = pin.rpy.rpyToMatrix(*map(float, rpy))
     xx, xy, xz, yy, yz, zz = values
     tensor = rotation @ np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) @ rotation.T
     return inertia.from_mass_com_inertia(m, com, tensor)

@@ -9,10 +9,10 @@ a long recording is smoothed in pieces with an overlap, and the pieces agree to 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import comb, factorial
 
 import numba
 import numpy as np
-from scipy.interpolate import BSpline
 from scipy.linalg import LinAlgError, solveh_banded
 
 from bayesid.errors import InputError
@@ -24,12 +24,17 @@ OVERLAP = 28
 
 
 def _basis_polynomials() -> np.ndarray:
-    """Coefficients (6 functions, 6 powers of the fraction u) of the uniform quintic B-spline."""
-    u = np.linspace(0.0, 1.0, _ORDER)
-    powers = np.vander(u, _ORDER, increasing=True)
-    spline = BSpline.basis_element(np.arange(_ORDER + 1.0))
-    # Function k of the six that live on one knot interval is the basis element shifted by 5 - k.
-    return np.array([np.linalg.solve(powers, spline(np.minimum(u + DEGREE - k, _ORDER - 1e-15))) for k in range(_ORDER)])
+    """Coefficients (6 functions, 6 powers of the fraction u) of the uniform quintic B-spline.
+
+    The basis element is ``sum_i (-1)^i (6 choose i) max(x - i, 0)^5 / 5!``; function k of the six that live on one knot
+    interval is the element at ``x = u + 5 - k``.
+    """
+    out = np.zeros((_ORDER, _ORDER))
+    for k in range(_ORDER):
+        for i in range(_ORDER - k):
+            weight = (-1) ** i * comb(_ORDER, i)
+            out[k] += [weight * comb(DEGREE, p) * (DEGREE - k - i) ** (DEGREE - p) for p in range(_ORDER)]
+    return out / factorial(DEGREE)
 
 
 _POLYNOMIALS = _basis_polynomials()

@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 from scipy.linalg import expm
-from scipy.spatial.transform import Rotation
 
 from bayesid.dynamics.channels import torque_channels, wrench_channels
 from bayesid.effects import REST_SPEED, MotionSegment, Term, middle_of
@@ -264,7 +264,7 @@ class _Bench:
         self.torque = torque_channels(self.robot)
         self.wrench = None
         if setup.sensor is not None:
-            rotation = Rotation.from_euler("xyz", setup.sensor.rpy).as_matrix()
+            rotation = pin.rpy.rpyToMatrix(*map(float, setup.sensor.rpy))
             self.wrench = wrench_channels(self.robot, rotation, setup.sensor.translation)
         effort = np.where(np.isfinite(self.robot.effort_limit), self.robot.effort_limit, ANY_EFFORT)
         self.drive_std = (recorder.drive_std or 0.0) * effort

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from bayesid.report.check_figures import joint_ranges, recording
 from bayesid.report.figures import to_svg
 from bayesid.report.identification_figures import parameter_intervals
 from bayesid.report.prediction_figures import measured_against_predicted, noise_in_band, residuals
@@ -139,17 +138,6 @@ def test_noise_in_the_band_is_the_integral_of_its_density():
     np.testing.assert_allclose(noise_in_band(spectrum, 10.0), 0.3 * np.sqrt(10.0), rtol=1e-9)
 
 
-def test_joint_ranges_and_recordings():
-    low, high = np.array([-1.0, 0.2, 0.0]), np.array([1.0, 0.9, 0.0])
-    limits = np.array([-3.0, -np.inf, -1.0]), np.array([3.0, np.inf, 1.0])
-    motions = [(f"motion {k}", low, high) for k in range(3)]
-    assert_readable(joint_ranges(["q1 a", "q2 b", "q3 c"], *limits, motions, ["rad", "rad", "m"]))
-    times = np.arange(0, 100, 0.01)
-    values = np.column_stack([np.sin(times), np.cos(times)])
-    assert_readable(recording(times, [("positions", "rad", ["q1", "q2"], values)], [500], False))
-    assert_readable(recording(times[:9], [("positions", "rad", ["q1", "q2"], values[:9])], [], True))
-
-
 def test_drawing_changes_no_global_style():
     before = dict(mpl.rcParams)
     to_svg(residuals(prediction()), "x")
@@ -170,7 +158,6 @@ def test_svg_is_reproducible_and_refers_only_to_itself():
 
 def test_a_dollar_in_a_name_begins_no_formula():
     """Half a formula is an error in matplotlib."""
-    one = np.ones(1)
-    figure = joint_ranges(["$q_{1$"], -one, one, [("$x_{1$", -one, one)], ["rad"])
+    figure = parameter_intervals(["$q_{1$", "$x_{1$"], np.zeros(2), np.ones(2), np.ones(2), ["alone", "alone"])
     svg = to_svg(figure, "one")
     assert "$q_{1$" in svg and "$x_{1$" in svg
