@@ -28,6 +28,7 @@ from bayesid.results.files import check_output
 @click.option("--method", default=bayesid.DEFAULT_METHOD, show_default=True, help=", ".join(bayesid.METHODS))
 @BOUNDS
 @STATIC
+@click.option("--unconstrained-urdf", is_flag=True, help="Also write the links with exactly the estimated base parameters.")
 @OUT
 @UNUSED_SEED
 def identify(experiment, filter_l, filter_d, model, effects_from, method, bounds, out, **options) -> None:

@@ -119,6 +119,8 @@ class Effect:
         Whether values are tried exactly (`trials`) only where columns leave something unexplained.
     restarts
         Factors on its first value, from which a fit that leaves something unexplained is started again.
+    urdf_dynamics
+        Attribute of a URDF joint's ``<dynamics>`` that its first parameter is, if there is one.
     """
 
     where: str
@@ -153,6 +155,7 @@ class Effect:
     harmonics: ClassVar[tuple[float, ...]] = ()
     last_resort: ClassVar[bool] = False
     restarts: ClassVar[tuple[float, ...]] = ()
+    urdf_dynamics: ClassVar[str | None] = None
 
     # Made from `quantities`, one entry a parameter.
     parameters: ClassVar[tuple[str, ...]] = ()

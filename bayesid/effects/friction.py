@@ -22,6 +22,7 @@ class ViscousFriction(JointTorqueEffect):
     source = _ARMSTRONG
     quantities = (Parameter("coefficient", "N m s/rad", lower=0.0),)
     confusable_with = ("coulomb_friction", "fluid_drag")
+    urdf_dynamics = "damping"
 
     def typical(self, robot):
         return [0.06 * sizes.effort(robot, self.joint) / sizes.speed(robot, self.joint)]
@@ -37,6 +38,7 @@ class CoulombFriction(JointTorqueEffect):
     source = _ARMSTRONG
     quantities = (Parameter("level", "N m", lower=0.0),)
     confusable_with = ("viscous_friction", "stribeck_friction", "load_friction")
+    urdf_dynamics = "friction"
     reverses_at_once = True
 
     def typical(self, robot):

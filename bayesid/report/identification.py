@@ -60,6 +60,8 @@ def identification_report(result: Identification) -> str:
         gravity_free=problem.static == "motion",
         absorbed=_absorbed(estimate.base),
         links=_links(result),
+        links_note=result.urdf.text(),
+        links_unconstrained=result.unconstrained_urdf,
         agreements=[
             {**a.to_dict(), "rms": number(a.rms, 3), "probability": chance(a.probability)} for a in result.agreements
         ],
@@ -137,9 +139,12 @@ def _cards(result: Identification) -> list[dict[str, str]]:
             {"value": percent(relative_error(p)), "mood": mood, "text": f"error of the signal on ‘{p.motion}’, raw samples"},
             {"value": f"{number(p.whitened_rms, 3)} ×", "mood": mood, "text": f"noise is left on ‘{p.motion}’; 1 is perfect"},
         ]
-    exist = result.physically_consistent
-    value, mood = ("possible", "good") if exist else ("impossible", "bad")
-    cards.append({"value": value, "mood": mood, "text": "bodies: can all links exist?"})
+    moved = result.urdf.moved
+    if moved is not None and moved.distance is not None:
+        cards.append(
+            {"value": f"{number(moved.distance, 2)} σ", "mood": "good" if moved.inside else "bad",
+             "text": f"from the estimate to links that can exist; {number(moved.allowed, 2)} is the 95 % region's radius"}
+        )  # fmt: skip
     return cards
 
 

@@ -12,6 +12,7 @@ from bayesid.estimators import Estimate
 from bayesid.regression.problem import Problem
 from bayesid.results.bodies import impossible_bodies
 from bayesid.results.files import Result
+from bayesid.results.urdf_links import UrdfLinks
 from bayesid.validation.cross_checks import Agreement
 from bayesid.validation.prediction import Prediction, relative_error
 
@@ -26,8 +27,8 @@ class Identification(Result):
     ----------
     problem, estimate
         The model and its parameters.
-    link_parameters
-        Those of the estimator, or the nearest to the nominal ones with these base parameters (10 bodies,).
+    urdf
+        Links and friction of ``identified.urdf``, and how far they are from the estimate.
     fitted, validation
         Predictions of the fitted motions and of the others.
     agreements
@@ -43,11 +44,13 @@ class Identification(Result):
         What the user should know, most important first.
     seconds
         Run time by stage.
+    unconstrained_urdf
+        Whether ``identified-unconstrained.urdf`` is written, too.
     """
 
     problem: Problem
     estimate: Estimate
-    link_parameters: np.ndarray
+    urdf: UrdfLinks
     fitted: tuple[Prediction, ...]
     validation: tuple[Prediction, ...]
     agreements: tuple[Agreement, ...]
@@ -56,6 +59,7 @@ class Identification(Result):
     unexcited: tuple[str, ...]
     warnings: tuple[str, ...]
     seconds: dict[str, float]
+    unconstrained_urdf: bool = False
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -81,6 +85,11 @@ class Identification(Result):
     def base(self) -> BaseParameters:
         """What they are combinations of."""
         return self.estimate.base
+
+    @property
+    def link_parameters(self) -> np.ndarray:
+        """Ten parameters a body (10 b,), those of ``identified.urdf``: physically consistent, ``urdf`` says how near."""
+        return self.urdf.links
 
     @property
     def physically_consistent(self) -> bool:
@@ -115,6 +124,7 @@ class Identification(Result):
             "link_parameters": self.link_parameters.tolist(),
             "effects": self.effects(),
             "physically_consistent": self.physically_consistent,
+            "identified_urdf": self.urdf.to_dict(),
             "unexcited": list(self.unexcited),
             "noise_std": {
                 group: dict(zip(self.problem.row_model.channels.names, map(float, model.std), strict=True))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,9 @@ from bayesid.robot.robot import Robot
 from bayesid.robot.urdf_file import read_urdf
 
 
-def write_urdf(robot: Robot, parameters: np.ndarray, path: Path) -> None:
+def write_urdf(
+    robot: Robot, parameters: np.ndarray, path: Path, friction: Mapping[str, Mapping[str, float]] | None = None
+) -> None:
     """Write the robot's URDF with other link parameters.
 
     Every moving joint's child link gets its body's parameters, merged links beyond fixed or locked joints lose
@@ -26,6 +29,8 @@ def write_urdf(robot: Robot, parameters: np.ndarray, path: Path) -> None:
         Ten a body (b, 10) or (10 b,).
     path
         File to write.
+    friction
+        By joint, values of attributes of its ``<dynamics>``: ``damping``, ``friction``. What is not named stays as it is.
     """
     root = read_urdf(robot.urdf).root
     tree = ET.ElementTree(root)
@@ -38,6 +43,12 @@ def write_urdf(robot: Robot, parameters: np.ndarray, path: Path) -> None:
                 links[merged].remove(old)
     for name, body in zip(owners, np.reshape(parameters, (-1, 10)), strict=True):
         links[name].insert(0, _inertial(body))
+    for name, values in (friction or {}).items():
+        dynamics = joints[name].find("dynamics")
+        if dynamics is None:
+            dynamics = ET.SubElement(joints[name], "dynamics")
+        for attribute, value in values.items():
+            dynamics.set(attribute, repr(float(value)))
     ET.indent(tree)
     tree.write(path, encoding="utf-8", xml_declaration=True)
 

@@ -10,21 +10,21 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from bayesid.dynamics.base_parameters import structural_base
-from bayesid.dynamics.nearest_links import nearest_links
 from bayesid.estimators import DEFAULT_METHOD, Estimate, Estimator, estimator
 from bayesid.estimators.nonlinear import solve
 from bayesid.recordings.experiment import Experiment, load_experiment
 from bayesid.regression.options import FitOptions
 from bayesid.regression.parallel import in_order
 from bayesid.regression.problem import Problem, prepare, weight_columns
-from bayesid.results.bodies import impossible_bodies
 from bayesid.results.files import Files, files_of
 from bayesid.results.identification import Identification
+from bayesid.results.urdf_links import UrdfLinks
 from bayesid.robot.urdf import write_urdf
 from bayesid.signals.filters import LowPass
 from bayesid.validation.cross_checks import Agreement, motions_apart, static_both_ways, wrench_against_torque
 from bayesid.validation.prediction import TOLERATED, Prediction, predict, relative_error
 from bayesid.workflows.progress import Clock, Progress, quiet
+from bayesid.workflows.urdf_links import urdf_links
 from bayesid.workflows.warnings import listed, repeated_motion
 
 
@@ -38,6 +38,7 @@ def identify(
     effects: Sequence[str] | None = None,
     static: str = "motion",
     bandwidth: float | None = None,
+    unconstrained_urdf: bool = False,
     progress: Progress = quiet,
 ) -> Identification:
     """Base parameters with uncertainty, link parameters, and held-out validation.
@@ -60,6 +61,8 @@ def identify(
         ``motion`` subtracts a stop-and-go run, ``joint`` fits it along.
     bandwidth
         Of the joint motion [Hz]; default chosen from the positions.
+    unconstrained_urdf
+        Also write ``identified-unconstrained.urdf``: links with exactly the estimated base parameters, possible or not.
     progress
         Called with the name of every stage.
 
@@ -93,34 +96,35 @@ def identify(
         if problem.channel == "both":
             across = wrench_against_torque(problem, method)
             agreements += [across] if across is not None else []
-        kept = ~estimate.undetermined[: problem.row_model.base.rank]
-        links = estimate.links
-        if links is None:
-            links = nearest_links(experiment.robot, problem.row_model.base, estimate.values, kept)
+        clock("links")
+        links = urdf_links(problem, estimate)
         unexcited = _unexcited(problem, estimate)
     validation = tuple(p for p in predictions if p.motion not in problem.fitted and p.role == "validation")
     return Identification(
         problem=problem,
         estimate=estimate,
-        link_parameters=links,
+        urdf=links,
         fitted=tuple(p for p in predictions if p.motion in problem.fitted),
         validation=validation,
         agreements=tuple(agreements),
         static_alternative=alternative,
-        offset=_offset(problem, estimate, links),
+        offset=_offset(problem, estimate, links.unconstrained),
         unexcited=unexcited,
         warnings=_warnings(problem, estimate, links, validation, agreements, unexcited),
         seconds=clock.stop(),
+        unconstrained_urdf=unconstrained_urdf,
     )
 
 
 @files_of.register
 def _(result: Identification) -> Files:
-    """``estimate.json``, ``identified.urdf`` and the report."""
+    """``estimate.json``, ``identified.urdf`` (and on request ``identified-unconstrained.urdf``) and the report."""
     from bayesid.report.identification import identification_report
 
-    robot, links = result.problem.experiment.robot, result.link_parameters
-    others = {"identified.urdf": lambda path: write_urdf(robot, links, path)}
+    robot, urdf = result.problem.experiment.robot, result.urdf
+    others = {"identified.urdf": lambda path: write_urdf(robot, urdf.links, path, urdf.friction)}
+    if result.unconstrained_urdf:
+        others["identified-unconstrained.urdf"] = lambda path: write_urdf(robot, urdf.unconstrained, path, urdf.friction)
     return Files({"estimate.json": result.to_dict()}, others, identification_report(result))
 
 
@@ -159,7 +163,7 @@ def _offset(problem: Problem, estimate: Estimate, links: np.ndarray) -> tuple[np
 def _warnings(
     problem: Problem,
     estimate: Estimate,
-    links: np.ndarray,
+    links: UrdfLinks,
     validation: Sequence[Prediction],
     agreements: Sequence[Agreement],
     unexcited: Sequence[str],
@@ -202,11 +206,7 @@ def _warnings(
             f"Not excited by these motions{lost}: {listed(unexcited, 6)}. "
             "The data say no more there than the size of a body does."
         )
-    if impossible_bodies(links.reshape(-1, 10), problem.experiment.robot.body_names):
-        out.append(
-            "The link parameters nearest to the nominal ones are not physically consistent: do not simulate with them. "
-            "Method sdp gives links that are."
-        )
+    out += links.warnings()
     if problem.row_model.base.absorbed is not None:
         out.append(
             "No static run removes the sensor's offset, so it is estimated along: what looks like an offset, "

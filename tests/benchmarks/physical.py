@@ -23,8 +23,8 @@ sys.path.insert(0, str(ROOT))
 
 from bayesid.estimators import Bounds  # noqa: E402
 from bayesid.estimators.conic.data import LinkData  # noqa: E402
-from bayesid.estimators.conic.physical import conic  # noqa: E402
 from bayesid.estimators.conic.prior_strength import link_prior  # noqa: E402
+from bayesid.estimators.conic.region import conic  # noqa: E402
 from bayesid.estimators.conic.solver import solve_conic  # noqa: E402
 from tests.estimators.test_physical import by_cvxpy  # noqa: E402
 from tests.physical_cases import arm, flat_bodies  # noqa: E402

@@ -153,7 +153,7 @@ def test_bounds_from_a_file(tmp_path):
 
 def test_the_global_test_is_conservative_and_has_power(panda):
     """True bodies on the boundary: never more alarms than stated. Readings no body can cause: always."""
-    from bayesid.estimators.conic.physical import conic
+    from bayesid.estimators.conic.region import conic
 
     rng = np.random.default_rng(4)
     chances = []

@@ -2,6 +2,7 @@ import json
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 import bayesid
 from bayesid.cli import main
@@ -54,8 +55,11 @@ def test_offset_is_told_from_the_weight_by_the_nominal_mass(result):
     assert abs(value[2] - OFFSET[2]) < 2 * std[2] and std[2] > 2.0
 
 
-def test_links_have_the_estimated_base_parameters_and_the_urdf_loads_back(result, arm, tmp_path):
-    np.testing.assert_allclose(result.base.matrix @ result.link_parameters, result.values, rtol=1e-8, atol=1e-10)
+def test_links_are_as_near_to_the_estimate_as_stated_and_the_urdf_loads_back(result, arm, tmp_path):
+    np.testing.assert_allclose(result.base.matrix @ result.urdf.unconstrained, result.values, rtol=1e-8, atol=1e-10)
+    away, moved = result.base.matrix @ result.link_parameters - result.values, result.urdf.moved
+    assert moved.distance == pytest.approx(np.sqrt(away @ np.linalg.solve(result.covariance, away)), rel=1e-6)
+    assert moved.inside and moved.distance < moved.allowed == pytest.approx(np.sqrt(chi2.ppf(0.95, 40)))
     result.write(tmp_path / "out")
     again = load_robot(tmp_path / "out" / "identified.urdf", arm.robot.joint_names)
     np.testing.assert_allclose(again.nominal.ravel(), result.link_parameters, rtol=1e-9, atol=1e-12)

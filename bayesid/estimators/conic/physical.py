@@ -15,11 +15,9 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 from scipy.linalg import solve_triangular
-from scipy.optimize import brentq
 from scipy.stats import chi2
 
 from bayesid.errors import BayesidWarning, EstimationError, InputError
@@ -29,6 +27,7 @@ from bayesid.estimators.conic.data import LinkData, compressed
 from bayesid.estimators.conic.entropic import solve_entropic
 from bayesid.estimators.conic.prior_strength import LinkPrior, link_prior
 from bayesid.estimators.conic.problem import Conic, Linear, Solution
+from bayesid.estimators.conic.region import closest_within, conic, misfit
 from bayesid.estimators.conic.solver import Infeasible, solve_conic
 from bayesid.estimators.details import OPTIONAL, Details
 from bayesid.estimators.estimator import Estimate
@@ -121,7 +120,7 @@ class Physical:
             weights=kind,
             prior=prior,
             closest=closest,
-            misfit=_misfit(data, solution.x),
+            misfit=misfit(data, solution.x),
             physics=physics,
             certificate=Certificate.of(problem, solution, data.names),
             covariance_of=about,
@@ -175,40 +174,6 @@ class PhysicalDetails(Details):
     covariance_of: str | None = field(default=None, metadata=OPTIONAL)
 
 
-def conic(data: LinkData, prior: LinkPrior, bounds: tuple[Linear, ...] = (), strength: float = 1.0) -> Conic:
-    """Data and prior as one triangular factor, by one QR decomposition; nothing is squared.
-
-    Parameters
-    ----------
-    data, prior, bounds
-        What is known.
-    strength
-        Factor of the prior's precision.
-    """
-    n = data.matrix.shape[1]
-    root = np.sqrt(strength) * prior.root
-    rows = np.zeros((len(data.target) + len(root), n + 1))
-    rows[: len(data.target), :n], rows[: len(data.target), -1] = data.matrix, data.target
-    rows[len(data.target) :, : data.size] = root
-    rows[len(data.target) :, -1] = root @ prior.mean
-    length = np.linalg.norm(rows[:, :n], axis=0)
-    nothing = undetermined(rows[:, :n])
-    if nothing.any():
-        # Columns that neither side knows, such as an effect that never acts: held at zero by next to nothing.
-        hold = np.zeros((int(nothing.sum()), n + 1))
-        hold[np.arange(len(hold)), np.flatnonzero(nothing)] = np.where(length > 0, 1e-6 * length, 1.0)[nothing]
-        rows = np.concatenate([rows, hold])
-    r = np.asarray(np.linalg.qr(rows, mode="r"))
-    r = r * np.where(np.diag(r) < 0, -1.0, 1.0)[: len(r), None]
-    return Conic(
-        factor=r[:n, :n],
-        centre=solve_triangular(r[:n, :n], r[:n, -1]),
-        bodies=data.bodies,
-        references=prior.references,
-        bounds=bounds,
-    )
-
-
 def _bounds(method: Physical, regression: Regression, data: LinkData) -> tuple[Linear, ...]:
     n = data.matrix.shape[1]
     groups = list(method.bounds.linear(data.names, data.bodies, n))
@@ -253,18 +218,13 @@ def _contradiction(physics: PhysicsTest) -> str:
 
 def _nearest(data: LinkData, prior: LinkPrior, groups: tuple[Linear, ...], solution: Solution) -> tuple[float, bool]:
     """Smallest misfit of any possible body, and whether it was found; otherwise that of the solution, which is larger."""
-    own = _misfit(data, solution.x)
+    own = misfit(data, solution.x)
     if solution.iterations == 0:
         return own, True
     try:
-        return min(own, _misfit(data, solve_conic(conic(data, prior, groups, prior.loosened)).x)), True
+        return min(own, misfit(data, solve_conic(conic(data, prior, groups, prior.loosened)).x)), True
     except EstimationError:
         return own, False
-
-
-def _misfit(data: LinkData, x: np.ndarray) -> float:
-    """Squared distance from the unconstrained estimate, which fits its factor exactly."""
-    return float(np.sum((data.matrix @ x - data.target) ** 2))
 
 
 def _free(data: LinkData, groups: tuple[Linear, ...]) -> int:
@@ -283,28 +243,11 @@ def _closest(
 ) -> tuple[Solution, Conic, float]:
     """Nearest to the nominal links among those whose misfit is at most a quantile above the best physical one's.
 
-    ``{x: ||A x - t||^2 <= min + chi2}`` is the confidence region of the base parameters by likelihood ratio. Its
-    member closest to the nominal links minimises misfit and distance weighed with a multiplier, and the misfit grows with the
-    distance's weight: so the multiplier is the root of one equation, and the last problem's certificate is this one's.
+    ``{x: ||A x - t||^2 <= min + chi2}`` is the confidence region of the base parameters by likelihood ratio.
     """
     effects = np.linalg.matrix_rank(data.matrix[:, data.size :], tol=1e-9) if data.matrix.shape[1] > data.size else 0
     limit = nearest + float(chi2.ppf(confidence, len(data.target) - effects))
-
-    def solved(log_strength: float) -> tuple[Solution, Conic]:
-        problem = conic(data, prior, groups, float(np.exp(log_strength)))
-        return solve_conic(problem), problem
-
-    def beyond(log_strength: float) -> float:
-        return _misfit(data, solved(log_strength)[0].x) / limit - 1.0
-
-    low = float(np.log(prior.loosened))
-    high = low + 3.0
-    while beyond(high) < 0.0:
-        if high > low + 40.0:  # the nominal links themselves fit as well as that
-            return (*solved(high), limit)
-        low, high = high, high + 3.0
-    root: Any = brentq(beyond, low, high, xtol=1e-9)
-    return (*solved(float(root)), limit)
+    return (*closest_within(limit, data, prior, groups), limit)
 
 
 def _posterior(data: LinkData, problem: Conic, base: np.ndarray) -> np.ndarray:

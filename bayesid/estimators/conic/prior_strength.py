@@ -137,6 +137,13 @@ def link_prior(regression: Regression, data: LinkData, prior: Prior | None, metr
     return LinkPrior(mean, unit / std, references, metric, std, not found, rule, _probability(data, mean, unit, std), end)
 
 
+def nominal_prior(mean: np.ndarray, bodies: tuple[tuple[int, ...], ...]) -> LinkPrior:
+    """Nominal links with relative standard deviation one, by the constant pull-back metric."""
+    return LinkPrior(
+        mean, _unit_root(mean, bodies, "pullback"), _references(mean, bodies), "pullback", 1.0, True, "relative distance"
+    )
+
+
 def _references(mean: np.ndarray, bodies) -> np.ndarray:
     return np.array([inertia.solid(mean[list(body)]) for body in bodies])
 

@@ -1,0 +1,116 @@
+"""The links that ``identified.urdf`` holds, and how far they are from the estimate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from bayesid.estimators.conic.consistent_links import ConsistentLinks
+from bayesid.estimators.estimator import LEVEL
+
+#: Errors of predictions that grow by more than this share are told.
+LARGEST_GROWTH = 0.05
+_NAMED = 4
+
+
+@dataclass(frozen=True)
+class UrdfLinks:
+    """Links of ``identified.urdf``.
+
+    Attributes
+    ----------
+    links
+        Ten parameters a body (10 b,), physically consistent.
+    unconstrained
+        The nearest to the nominal ones that have exactly the estimated base parameters, possible or not (10 b,).
+    moved
+        How far the base parameters had to move, and what stood against it; None where the estimator has links of its own.
+    nominal
+        What the links are near to.
+    errors
+        Relative error of the rows of each motion that was not fitted (of all, where all were): predicted by the estimate, and by
+        these links with the effects that go with them.
+    friction
+        Attributes of ``<dynamics>`` by joint: the identified damping and friction.
+    left_out
+        Identified friction that is negative, and so not written, ``joint1 damping``.
+    """
+
+    links: np.ndarray
+    unconstrained: np.ndarray
+    moved: ConsistentLinks | None
+    nominal: str
+    errors: dict[str, tuple[float, float]]
+    friction: dict[str, dict[str, float]]
+    left_out: tuple[str, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """``identified_urdf`` in ``estimate.json``."""
+        moved = self.moved
+        return {
+            "near_to": self.nominal,
+            "moved": None if moved is None else {
+                "sigma": moved.distance,
+                "allowed_sigma": moved.allowed,
+                "confidence": LEVEL,
+                "base_parameters": moved.directions,
+                "inside": moved.inside,
+                "largest": None if moved.largest is None else {"label": moved.largest[0], "sigma": moved.largest[1]},
+                "links_at_the_edge": list(moved.on_boundary),
+                "conflicts": [{"label": label, "sigma": sigma} for label, sigma in moved.conflicts],
+            },
+            "relative_error": {motion: {"estimate": a, "urdf": b} for motion, (a, b) in self.errors.items()},
+            "dynamics": self.friction,
+            "negative_friction": list(self.left_out),
+        }  # fmt: skip
+
+    def text(self) -> str:
+        """One or two sentences on how far the links are from the estimate."""
+        moved = self.moved
+        if moved is None:
+            return "The links are the estimator's own; their base parameters are the estimate."
+        text = f"Links are near to {self.nominal}"
+        if moved.distance is None or moved.largest is None:
+            return f"{text}; the estimate has no covariance, so predictions of the fitted motions alone hold them."
+        return (
+            f"{text}. Their base parameters are {moved.distance:.3g} sigma from the estimate, jointly ({_radius(moved)}); "
+            f"most moved {moved.largest[0]}, by {moved.largest[1]:.2g} of its standard deviations."
+        )
+
+    def warnings(self) -> list[str]:
+        """Conflicts between the estimate and bodies that can exist, and what the links predict worse."""
+        out, moved = [], self.moved
+        inside = moved is None or moved.inside
+        if moved is not None and not moved.inside:
+            labels = [f"{label} ({sigma:.3g} sigma)" for label, sigma in moved.conflicts]
+            furthest = f"; moved furthest: {_first(labels)}" if labels else ""
+            out.append(
+                "No bodies that can exist have base parameters inside the estimate's uncertainty: those of identified.urdf "
+                f"are {moved.distance:.3g} sigma away, jointly ({_radius(moved)}). At the edge of what can exist: "
+                f"{_first(moved.on_boundary)}{furthest}. Something is missing in the model, such as friction or rotor inertia: "
+                "`bayesid diagnose` looks for it."
+            )
+        for motion, (estimate, links) in self.errors.items():
+            if links > (1.0 + LARGEST_GROWTH) * estimate:
+                why = "stays inside the uncertainty, which is wide" if inside else "is a robot that can exist"
+                out.append(
+                    f"identified.urdf predicts '{motion}' with {100 * links:.3g} % error, the base parameters with "
+                    f"{100 * estimate:.3g} %: it {why}. Predict with the base parameters, simulate with the URDF."
+                )
+        if self.left_out:
+            out.append(
+                f"Negative friction was identified ({_first(self.left_out)}) and is not written to identified.urdf: torques "
+                "may have the wrong sign, or stand for another effect; check them, or leave that friction out of the model."
+            )
+        return out
+
+
+def _radius(moved: ConsistentLinks) -> str:
+    return f"{moved.allowed:.3g} is the radius of the {100 * LEVEL:g} % region of {moved.directions}"
+
+
+def _first(names) -> str:
+    names = list(names)
+    return ", ".join(names[:_NAMED]) + (f" and {len(names) - _NAMED} more" if len(names) > _NAMED else "")
