@@ -46,7 +46,7 @@ NAMED = 3.0
 _STRENGTHS = 10.0 ** np.arange(3.0, -7.0, -1.5)
 _STEPS = 6
 #: A misfit that a weaker pull leaves above this share is about the least one.
-_SETTLED = 0.98
+_SETTLED = 0.95
 #: Where links are further from the estimate than so many radii, predictions are not what keeps them from it.
 _HOPELESS = 2.0
 _TOLERANCE = 0.01
