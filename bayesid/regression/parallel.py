@@ -7,6 +7,9 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from itertools import chain, islice
+from typing import TypeVar
+
+_A, _B = TypeVar("_A"), TypeVar("_B")
 
 
 def in_order(work: Callable, jobs: Iterable) -> Iterator:
@@ -26,3 +29,10 @@ def in_order(work: Callable, jobs: Iterable) -> Iterator:
                 yield waiting.popleft().result()
         while waiting:
             yield waiting.popleft().result()
+
+
+def both(one: Callable[[], _A], other: Callable[[], _B]) -> tuple[_A, _B]:
+    """Results of two jobs that run at once; where both fail, the first one's error is raised."""
+    with ThreadPoolExecutor(1) as pool:
+        waiting = pool.submit(other)
+        return one(), waiting.result()

@@ -147,11 +147,14 @@ class RowModel:
 
     def effect_columns(self, segment: Segment, state: MotionSegment) -> np.ndarray:
         """(N, channels, effect parameters)."""
-        parts = [np.zeros((len(state.times), len(self.channels), 0))]
+        out = np.zeros((len(state.times), len(self.channels), sum(len(e.column_names) for e in self.effects)))
+        first = 0
         for effect in self.effects:
-            columns = effect.motion_columns(state, self.channels.names)
-            parts.append(np.zeros_like(columns) if effect.removed_by_static_run and not segment.offset else columns)
-        return np.concatenate(parts, axis=2)
+            last = first + len(effect.column_names)
+            if segment.offset or not effect.removed_by_static_run:
+                out[:, :, first:last] = effect.motion_columns(state, self.channels.names)
+            first = last
+        return out
 
     def about_point(self, segment: Segment, first: int, last: int) -> np.ndarray:
         """Unfiltered rows of samples about the point: regressor, effects, shifted target (N, channels, p + 1)."""

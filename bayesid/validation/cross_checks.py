@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -83,7 +84,25 @@ def _judge(first, second, difference, covariance, labels, left, right) -> Agreem
     )
 
 
-def motions_apart(problem: Problem, estimate: Estimate, method: str | Estimator) -> list[Agreement]:
+#: Estimates from single motions by their names; None where a motion cannot be fitted alone.
+Alone = Mapping[str, Estimate | None]
+
+
+def fits_alone(problem: Problem, method: str | Estimator, motions: Iterable[str]) -> Alone:
+    """Fit each of these motions by itself."""
+    return {name: _fit_of(problem, method, [name]) for name in motions if problem.segments[name]}
+
+
+def _fit_of(problem: Problem, method: str | Estimator, motions: Sequence[str]) -> Estimate | None:
+    try:
+        return fit(restrict(problem, motions).regression, method)
+    except (InputError, np.linalg.LinAlgError):
+        return None
+
+
+def motions_apart(
+    problem: Problem, estimate: Estimate, method: str | Estimator, made: Alone | None = None
+) -> list[Agreement]:
     """Fit every motion by itself and compare it with the estimate from all fitted motions but it.
 
     Validation motions take part, too; nothing that is estimated depends on what comes out.
@@ -94,18 +113,20 @@ def motions_apart(problem: Problem, estimate: Estimate, method: str | Estimator)
         The model, and its parameters from all fitted motions.
     method
         The estimator.
+    made
+        Fits of single motions that are there already.
     """
+    alone = dict(made or {})
 
     def compared(name: str) -> Agreement | None:
         rest = [n for n in problem.fitted if n != name]
         if not problem.segments[name] or not rest:
             return None
-        try:
-            alone = fit(restrict(problem, [name]).regression, method)
-            others = estimate if len(rest) == len(problem.fitted) else fit(restrict(problem, rest).regression, method)
-        except (InputError, np.linalg.LinAlgError):
+        one = alone[name] if name in alone else _fit_of(problem, method, [name])
+        others = estimate if len(rest) == len(problem.fitted) else _fit_of(problem, method, rest)
+        if one is None or others is None:
             return None
-        return compare_estimates(f"motion {name}", alone, f"motions {', '.join(rest)}", others)
+        return compare_estimates(f"motion {name}", one, f"motions {', '.join(rest)}", others)
 
     return [agreement for agreement in in_order(compared, problem.segments) if agreement is not None]
 

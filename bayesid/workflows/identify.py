@@ -14,14 +14,14 @@ from bayesid.estimators import DEFAULT_METHOD, Estimate, Estimator, estimator
 from bayesid.estimators.nonlinear import solve
 from bayesid.recordings.experiment import Experiment, load_experiment
 from bayesid.regression.options import FitOptions
-from bayesid.regression.parallel import in_order
+from bayesid.regression.parallel import both, in_order
 from bayesid.regression.problem import Problem, prepare, weight_columns
 from bayesid.results.files import Files, files_of
 from bayesid.results.identification import Identification
 from bayesid.results.urdf_links import UrdfLinks
 from bayesid.robot.urdf import write_urdf
 from bayesid.signals.filters import LowPass
-from bayesid.validation.cross_checks import Agreement, motions_apart, static_both_ways, wrench_against_torque
+from bayesid.validation.cross_checks import Agreement, fits_alone, motions_apart, static_both_ways, wrench_against_torque
 from bayesid.validation.prediction import TOLERATED, Prediction, predict, relative_error
 from bayesid.workflows.progress import Clock, Progress, quiet
 from bayesid.workflows.urdf_links import urdf_links
@@ -84,11 +84,13 @@ def identify(
         for _ in problem.regression.blocks():
             pass
         clock("estimate")
-        problem, estimate = solve(problem, method)
+        # Where nothing is linearised at the estimate, motions can be fitted alone beside it, on another core.
+        early = () if problem.row_model.point else [name for name in problem.segments if name not in problem.fitted]
+        (problem, estimate), alone = both(partial(solve, problem, method), partial(fits_alone, problem, method, early))
         clock("prediction")
         readable = [m for m in experiment.motions if m.name in problem.segments]
         # Fits of single motions need none of the predictions: both at once, on as many cores as there are.
-        fits = partial(motions_apart, problem, estimate, method)
+        fits = partial(motions_apart, problem, estimate, method, alone)
         jobs = [fits, *(partial(predict, problem, estimate, motion) for motion in readable)]
         agreements, *predictions = in_order(lambda job: job(), jobs)
         clock("consistency")
