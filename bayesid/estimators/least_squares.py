@@ -20,7 +20,16 @@ from scipy.optimize import fminbound
 from bayesid.errors import InputError
 from bayesid.estimators.details import Details
 from bayesid.estimators.estimator import Estimate, largest_autocorrelation
-from bayesid.estimators.factor import Factor, Weights, gram_rows, learn_weights, reduce_rows, reduce_whitened, whitened
+from bayesid.estimators.factor import (
+    Factor,
+    Weights,
+    gram_rows,
+    learn_weights,
+    pilot_of,
+    reduce_in_coordinates,
+    reduce_whitened,
+    whitened,
+)
 from bayesid.regression.blocks import Block
 from bayesid.regression.linalg import (
     column_lengths,
@@ -166,7 +175,8 @@ def weighted_factor(regression: Regression, weights: Weights, kind: str) -> tupl
     scale = {g: (1.0 / m.std if kind == "channel" else np.ones(channels)) for g, m in weights.noise.items()}
     if kind == "noise":
         return reduce_whitened(regression.blocks(), weights.noise), scale
-    return reduce_rows(regression.blocks(), lambda b: b.rows * scale[b.group][:, None]), scale
+    root = pilot_of(regression).root
+    return reduce_in_coordinates(root, regression.blocks, lambda b: b.rows * scale[b.group][:, None]), scale
 
 
 def nominal_start(regression: Regression, p: int) -> np.ndarray:

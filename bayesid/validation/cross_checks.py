@@ -100,9 +100,7 @@ def _fit_of(problem: Problem, method: str | Estimator, motions: Sequence[str]) -
         return None
 
 
-def motions_apart(
-    problem: Problem, estimate: Estimate, method: str | Estimator, made: Alone | None = None
-) -> list[Agreement]:
+def motions_apart(problem: Problem, estimate: Estimate, method: str | Estimator, made: Alone | None = None) -> list[Agreement]:
     """Fit every motion by itself and compare it with the estimate from all fitted motions but it.
 
     Validation motions take part, too; nothing that is estimated depends on what comes out.

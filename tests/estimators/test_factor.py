@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesid.estimators.factor import Pilot, reduce_rows
+from bayesid.estimators.factor import Pilot, reduce_in_coordinates, reduce_rows
 from bayesid.regression.blocks import Block
 from bayesid.signals.noise import NoiseModel
 
@@ -50,3 +50,24 @@ def test_sums_of_squares_are_those_of_the_rows():
     found = Pilot.of(blocks).gram(lambda b, x: NOISE.colour_transposed(x))
     expected = sum(z.T @ z for z in (NOISE.colour_transposed(b.matrix).reshape(-1, 3) for b in blocks))
     np.testing.assert_allclose(found, expected, rtol=1e-10)
+
+
+def test_rows_reduced_in_a_pilots_coordinates_have_the_factor_of_an_orthogonal_decomposition():
+    blocks, scale = made([1.0, 10.0, 1e3]), np.array([3.0, 0.2])
+    expected = reduce_rows(blocks, lambda b: b.rows / scale[:, None])
+    found = reduce_in_coordinates(Pilot.of(blocks[:1]).root, lambda: blocks, lambda b: b.rows / scale[:, None])
+    assert found.rows == expected.rows
+    np.testing.assert_allclose(np.abs(found.r), np.abs(expected.r), rtol=1e-9, atol=1e-12 * np.abs(expected.r).max())
+
+
+def test_coordinates_of_a_pilot_unlike_the_other_rows_are_not_used():
+    """In the pilot's coordinates the other rows' third column is a millionth: its square would have lost half of its digits."""
+    blocks = made([1.0, 10.0, 1e3])
+    pilot = [Block(b.rows * [1.0, 1.0, 1e6, 1.0], b.times, 0, b.start) for b in blocks]
+    root = Pilot.of(pilot).root
+    assert root is not None
+    expected, found = reduce_rows(blocks, lambda b: b.rows), reduce_in_coordinates(root, lambda: blocks, lambda b: b.rows)
+    np.testing.assert_array_equal(found.r, expected.r)
+    hidden = [Block(b.rows * [1.0, 0.0, 1.0, 1.0], b.times, 0, b.start) for b in blocks]
+    expected, found = reduce_rows(hidden, lambda b: b.rows), reduce_in_coordinates(root, lambda: hidden, lambda b: b.rows)
+    np.testing.assert_array_equal(found.r, expected.r)

@@ -7,6 +7,7 @@ from scipy.stats import chi2
 import bayesid
 from bayesid.cli import main
 from bayesid.robot.robot import load_robot
+from bayesid.validation.cross_checks import motions_apart
 from tests.robots import ur5, wrist_sensor_arm, write
 from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
 
@@ -63,6 +64,12 @@ def test_links_are_as_near_to_the_estimate_as_stated_and_the_urdf_loads_back(res
     result.write(tmp_path / "out")
     again = load_robot(tmp_path / "out" / "identified.urdf", arm.robot.joint_names)
     np.testing.assert_allclose(again.nominal.ravel(), result.link_parameters, rtol=1e-9, atol=1e-12)
+
+
+def test_motions_fitted_beside_the_estimate_are_compared_as_if_fitted_after_it(result):
+    (found,), (expected,) = result.agreements, motions_apart(result.problem, result.estimate, "wls")
+    assert "validation" in found.first and not found.contradiction
+    assert found.to_dict() == expected.to_dict()
 
 
 def test_json_holds_what_is_promised(result, tmp_path):
