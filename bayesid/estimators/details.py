@@ -20,12 +20,16 @@ class Details:
         Whether generalised and channel-weighted least squares agree, so that residuals are noise alone; None: not tested.
     agreement_of_gls_and_wls
         Probability of a difference as large as theirs when the model is complete.
+    dispersion
+        Factor that covariances have for model error: how much more the fit scatters between stretches of the recording
+        than noise explains; 1 where noise does.
     warnings
         What the user should know before using the estimate.
     """
 
     model_complete: bool | None = field(default=None, metadata=OPTIONAL)
     agreement_of_gls_and_wls: float | None = field(default=None, metadata=OPTIONAL)
+    dispersion: float | None = field(default=None, metadata=OPTIONAL)
     warnings: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:

@@ -28,7 +28,7 @@ from bayesid.errors import InputError
 from bayesid.estimators.details import OPTIONAL, Details
 from bayesid.estimators.estimator import Estimate
 from bayesid.estimators.factor import Factor, Weights, learn_weights, noise_of_residuals, reduce_whitened
-from bayesid.estimators.least_squares import make_estimate, nominal_start, target_from_nominal, weighted_factor
+from bayesid.estimators.least_squares import completeness, make_estimate, nominal_start, target_from_nominal, weighted_factor
 from bayesid.estimators.sensor_noise import sensor_noise
 from bayesid.regression.blocks import Block, Pair, RegressorNoise
 from bayesid.regression.linalg import determined_inverse, pseudo_inverse, solve, standard_deviations, undetermined
@@ -155,7 +155,7 @@ class TotalLeastSquares:
             # The equations' right side at the solution differs from draw to draw; its mean by that over their number.
             left = np.array([s - (np.eye(p) - d) @ -step for d, s in drawn])
             meat = meat + np.cov(left.T, ddof=1).reshape(p, p) / count
-        covariance = start.root @ inverse @ meat @ inverse @ start.root.T
+        covariance = start.weights.dispersion * start.root @ inverse @ meat @ inverse @ start.root.T
         estimate = make_estimate(
             self.name, regression, replace(start.weights, noise=noise_of_fit(regression, start, solution)), start.factor,
             solution, covariance, start.hidden,
@@ -165,8 +165,7 @@ class TotalLeastSquares:
         described = law.describe()
         warnings = tuple(described.pop("warnings", ()))
         details = TotalLeastSquaresDetails(
-            model_complete=start.weights.complete,
-            agreement_of_gls_and_wls=start.weights.agreement,
+            **completeness(start.weights),
             **described,
             draws=count,
             largest_noise_share=float(values[-1]),

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.linalg import LinAlgError
 from scipy.linalg import cholesky, solve_triangular
 
+from bayesid.estimators.dispersion import STRETCHES, beyond_chance, dispersion
 from bayesid.regression.blocks import Block
 from bayesid.regression.hypothesis_tests import hausman
 from bayesid.regression.linalg import pseudo_inverse, solve, standard_deviations
@@ -26,6 +27,8 @@ _PANEL = 1024
 #: residuals have more than the second times the power of the plain one's; either alone happens by chance.
 SMALLEST_AGREEMENT = 1e-4
 LARGEST_LOSS = 2.0
+#: An efficient fit whose stretches scatter more than noise explains, with a smaller probability than this, is not efficient.
+SMALLEST_STRETCHES = 1e-4
 #: Share of a column's length that the columns before it must leave, for rows to be brought to orthonormal coordinates.
 _WELL_DETERMINED = 1e-6
 #: Smallest share of the longest column that each adds to those before it, for squares of all rows to lose at most six digits.
@@ -179,11 +182,21 @@ class Weights:
     complete
         Whether ``agreement`` allows to take residuals for noise alone; the colour is then that of an
         efficient fit. Otherwise it is that of the channel-weighted residuals, model error included.
+    scatter, scatter_degrees
+        Dispersion of the channel-weighted fit between stretches of the recording over what ``noise`` allows, and its
+        degrees of freedom (`bayesid.estimators.dispersion`).
     """
 
     noise: dict[str, NoiseModel]
     agreement: float
     complete: bool
+    scatter: float = 1.0
+    scatter_degrees: int = 0
+
+    @property
+    def dispersion(self) -> float:
+        """Factor of the covariance of a fit weighted by channel: `scatter` where chance does not explain it, else 1."""
+        return self.scatter if self.scatter > 1.0 and beyond_chance(self.scatter, self.scatter_degrees) else 1.0
 
 
 def learn_weights(regression: Regression) -> Weights:
@@ -217,11 +230,13 @@ def _learned(regression: Regression) -> Weights:
     agreement = _agreement(pilot, noise, plain, efficient, scale)
     power = [sum(np.sum(((b.target - b.matrix @ x) / scale) ** 2) for b in blocks) for x in (plain, efficient)]
     complete = bool(agreement > SMALLEST_AGREEMENT or power[1] <= LARGEST_LOSS * power[0])
-    if not complete:
-        noise = first
+    found, degrees = dispersion(pilot.stretches([white for _, white in whitened(pilot.orthonormal, noise)]), efficient)
+    if not complete or beyond_chance(found, degrees, SMALLEST_STRETCHES):
+        complete, noise = False, first
         for _ in range(_PASSES):
             noise = noise_of_residuals(regression, blocks, plain, pilot.whitened(noise))
-    return Weights(noise, agreement, complete)
+    grams = pilot.stretches([b.rows / scale[:, None] for b in pilot.orthonormal])
+    return Weights(noise, agreement, complete, *dispersion(grams, plain, _middle(pilot, noise, scale)))
 
 
 def pilot_of(regression: Regression) -> Pilot:
@@ -268,6 +283,13 @@ class Pilot:
     def whitened(self, noise: dict[str, NoiseModel]) -> Factor:
         """Factor of whitened rows."""
         return self._reduced([white for _, white in whitened(self.orthonormal, noise)])
+
+    def stretches(self, parts: Sequence[np.ndarray]) -> list[np.ndarray]:
+        """``[X y]'[X y]`` of stretches, equally long, of weighted rows of ``orthonormal`` (k, channels, p + 1)."""
+        rows = np.concatenate(parts)
+        root = np.eye(rows.shape[2]) if self.root is None else self.root
+        flat = [part.reshape(-1, rows.shape[2]) for part in np.array_split(rows, STRETCHES)]
+        return [root.T @ (f.T @ f) @ root for f in flat if len(f)] if len(rows) > 2 * STRETCHES else []
 
     def gram(self, transform: Callable[[Block, np.ndarray], np.ndarray]) -> np.ndarray:
         """Sum of ``X'X`` over all blocks after a transform of their regressors (k, channels, p)."""
@@ -320,13 +342,18 @@ def _agreement(pilot: Pilot, noise: dict[str, NoiseModel], plain: np.ndarray, ef
     """
     whole = pilot.whitened(noise).matrix
     bread = pilot.weighted(scale).matrix
-    middle = pilot.gram(lambda b, x: noise[b.group].colour_transposed(x / scale[:, None] ** 2))
+    middle = _middle(pilot, noise, scale)
     outer = np.linalg.pinv(bread.T @ bread, rcond=1e-12, hermitian=True)
     covariance = outer @ middle @ outer
     size = standard_deviations(covariance, 1e-300)
     gap = covariance - np.linalg.pinv(whole.T @ whole, rcond=1e-12, hermitian=True)
     # Where the two fits are almost equally sure, the tiny difference is one of estimated weights, not of fits.
     return hausman(plain - efficient, gap, size, 0.05).probability
+
+
+def _middle(pilot: Pilot, noise: dict[str, NoiseModel], scale: np.ndarray) -> np.ndarray:
+    """``X' W Sigma W X`` of rows weighted by channel (p, p)."""
+    return pilot.gram(lambda b, x: noise[b.group].colour_transposed(x / scale[:, None] ** 2))
 
 
 def reduce_whitened(blocks: Iterable[Block], noise: dict[str, NoiseModel]) -> Factor:

@@ -39,7 +39,7 @@ from bayesid.estimators.errors_in_variables import (
     strongest,
 )
 from bayesid.estimators.estimator import Estimate
-from bayesid.estimators.least_squares import make_estimate
+from bayesid.estimators.least_squares import completeness, make_estimate
 from bayesid.regression.blocks import Pair
 from bayesid.regression.hypothesis_tests import hausman
 from bayesid.regression.regression import Regression
@@ -121,7 +121,7 @@ class InstrumentalVariables:
         # Rows of [X Z] that the estimate sums up: Z, or the mean of X and Z where each is the other's instrument.
         alone, mean = np.vstack([np.zeros((p, p)), np.eye(p)]), 0.5 * np.vstack([np.eye(p), np.eye(p)])
         meat = alone.T @ one @ alone + mean.T @ both @ mean + extra
-        covariance = start.root @ inverse @ meat @ inverse.T @ start.root.T
+        covariance = start.weights.dispersion * start.root @ inverse @ meat @ inverse.T @ start.root.T
         first = np.vstack([np.eye(p), np.zeros((p, p))])
         ordinary = first.T @ one @ first + mean.T @ both @ mean
         plain = start.root @ ordinary @ start.root.T
@@ -139,8 +139,7 @@ class InstrumentalVariables:
                 f"(first-stage statistic {statistic:.2g}, below {WEAKEST:.0f}): its interval may be too short."
             )
         details = InstrumentDetails(
-            model_complete=start.weights.complete,
-            agreement_of_gls_and_wls=start.weights.agreement,
+            **completeness(start.weights),
             **described,
             first_stage=statistic,
             weak_instruments=bool(statistic < WEAKEST),

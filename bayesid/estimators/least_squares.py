@@ -5,7 +5,8 @@ All minimise ``||W (y - X b)||`` for rows y = X b + e with cov e = Sigma:
 * ``ols``: W = 1. Covariance from the noise as it is, ``(X'X)^-1 X' Sigma X (X'X)^-1``: the sandwich, which
   allows for the colour that filters give.
 * ``wls``: W = 1 / the standard deviation of each channel. The same sandwich.
-* ``gls``: W'W = Sigma^-1, the efficient one; covariance ``(X' Sigma^-1 X)^-1``.
+* ``gls``: W'W = Sigma^-1, the efficient one; covariance ``(X' Sigma^-1 X)^-1``. It trusts whatever is quiet, so where
+  the model lacks something it goes astray: then W is that of ``wls``.
 * ``ridge``, ``tsvd``: biased towards the nominal model, or zero without one; no interval is honest for them.
 """
 
@@ -40,7 +41,6 @@ from bayesid.regression.linalg import (
     undetermined,
 )
 from bayesid.regression.regression import Regression
-from bayesid.signals.noise import NoiseModel
 
 _WEIGHTS = ("none", "channel", "noise")
 
@@ -55,17 +55,14 @@ class LeastSquares:
     def fit(self, regression: Regression) -> Estimate:
         """Estimate with the covariance that belongs to these weights."""
         weights = learn_weights(regression)
-        factor, scale = weighted_factor(regression, weights, self.weights)
+        kind = likelihood_weights(weights) if self.weights == "noise" else self.weights
+        factor, scale = weighted_factor(regression, weights, kind)
         solution = solve(factor.matrix, target_from_nominal(regression, factor))
         solution = solution + nominal_start(regression, len(solution))
         hidden = undetermined(factor.matrix)
         inverse = determined_inverse(factor.matrix, hidden)
-        if self.weights == "noise":
-            covariance = inverse @ inverse.T
-        else:
-            middle = sandwich_middle(regression, weights.noise, scale)
-            bread = inverse @ inverse.T
-            covariance = bread @ middle @ bread
+        bread = inverse @ inverse.T
+        covariance = bread if kind == "noise" else bread @ sandwich_middle(regression, weights, scale) @ bread
         return make_estimate(self.name, regression, weights, factor, solution, covariance, hidden)
 
 
@@ -110,7 +107,7 @@ class Ridge:
         weights = learn_weights(regression)
         factor, _ = weighted_factor(regression, weights, self.weights)
         values, chosen = _shrink(regression, factor, self.strength, lambda s, k: s / (s**2 + k * s[0] ** 2), continuous=True)
-        details = RidgeDetails(**_completeness(weights), strength=chosen, rule=_rule(self.strength is None))
+        details = RidgeDetails(**completeness(weights), strength=chosen, rule=_rule(self.strength is None))
         return _biased(self.name, regression, weights, factor, values, details, "ridge regression is biased towards its prior")
 
 
@@ -142,7 +139,7 @@ class TruncatedSVD:
             return np.where((np.arange(len(s)) < k) & (s > 0), 1.0 / np.where(s > 0, s, 1.0), 0.0)
 
         values, chosen = _shrink(regression, factor, self.rank, keep, continuous=False)
-        details = TruncationDetails(**_completeness(weights), kept=int(chosen), of=r, rule=_rule(self.rank is None))
+        details = TruncationDetails(**completeness(weights), kept=int(chosen), of=r, rule=_rule(self.rank is None))
         if chosen == r:
             reason = "the rule looked at the data to choose how many directions to keep"
         else:
@@ -152,6 +149,11 @@ class TruncatedSVD:
 
 def _rule(automatic: bool) -> str:
     return "generalised cross-validation" if automatic else "as given"
+
+
+def likelihood_weights(weights: Weights) -> str:
+    """How rows are weighted where they stand for a likelihood: ``noise``, or ``channel`` where the model lacks something."""
+    return "noise" if weights.complete else "channel"
 
 
 def weighted_factor(regression: Regression, weights: Weights, kind: str) -> tuple[Factor, dict[str, np.ndarray]]:
@@ -192,17 +194,17 @@ def target_from_nominal(regression: Regression, factor: Factor) -> np.ndarray:
     return factor.target - factor.matrix @ nominal_start(regression, factor.matrix.shape[1])
 
 
-def sandwich_middle(regression: Regression, noise: dict[str, NoiseModel], scale: dict[str, np.ndarray]) -> np.ndarray:
-    """Sum of ``X' W' Sigma W X`` over all blocks (p, p).
+def sandwich_middle(regression: Regression, weights: Weights, scale: dict[str, np.ndarray]) -> np.ndarray:
+    """Sum of ``X' W' Sigma W X`` over all blocks (p, p), Sigma the noise's covariance times `Weights.dispersion`.
 
     Blocks are long against the noise's memory; its correlation across their borders is left out.
     """
 
     def colour(block: Block) -> np.ndarray:
         weighted = block.matrix * scale[block.group][:, None] ** 2
-        return noise[block.group].colour_transposed(weighted)
+        return weights.noise[block.group].colour_transposed(weighted)
 
-    return gram_rows(regression.blocks(), colour)
+    return weights.dispersion * gram_rows(regression.blocks(), colour)
 
 
 def _shrink(regression, factor: Factor, given, inverse, *, continuous: bool) -> tuple[np.ndarray, float]:
@@ -246,8 +248,11 @@ def _biased(name, regression, weights, factor, values, details, reason) -> Estim
     return replace(estimate, interval="none", interval_reason=reason, details=details)
 
 
-def _completeness(weights: Weights) -> dict[str, Any]:
-    return {"model_complete": weights.complete, "agreement_of_gls_and_wls": weights.agreement}
+def completeness(weights: Weights) -> dict[str, Any]:
+    """What every estimator says of the model, as keywords of its `Details`."""
+    return {
+        "model_complete": weights.complete, "agreement_of_gls_and_wls": weights.agreement, "dispersion": weights.dispersion,
+    }  # fmt: skip
 
 
 def make_estimate(
@@ -294,5 +299,5 @@ def make_estimate(
         condition_number=condition_number(factor.matrix),
         residual_rms=rms,
         whiteness=largest_autocorrelation(white),
-        details=Details(**_completeness(weights)),
+        details=Details(**completeness(weights)),
     )

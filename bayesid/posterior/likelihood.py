@@ -9,6 +9,12 @@ say about (beta, s) is in the factors R_c of [X_c y_c] and their numbers of rows
 
     log p(y | beta, s) = -sum_c [ n_c log s_c + |R_c (beta; -1)|^2 / (2 s_c^2) ] + constant.
 
+Where the model lacks something (`Weights.complete`), whitening would trust whatever is quiet. Rows are then weighted by channel
+alone, ``X_c / std_c``, and linearly transformed about their least-squares fit b so that the curvature of the likelihood is
+the inverse of its sandwich covariance V, the scatter between stretches of the recording included [Ribatet2012]_,
+
+    y + X (C - 1) b = X C beta + s u,   C' (X'X) C = V^-1.
+
 Student's t takes the instant as the unit: a tap or a contact strikes all channels together, so all channels of an
 instant share one weight w ~ Gamma(nu/2, nu/2), u = N(0, 1) / sqrt(w) [Lange1989]_.
 """
@@ -18,8 +24,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import cholesky, solve_triangular
 
 from bayesid.estimators.factor import Weights, learn_weights, stack, whitened
+from bayesid.estimators.least_squares import sandwich_middle, weighted_factor
+from bayesid.regression.linalg import column_lengths
 from bayesid.regression.regression import Regression
 from bayesid.signals.noise import NoiseModel
 
@@ -45,8 +54,7 @@ class Likelihood:
     noise
         What they were whitened with, by group.
     complete
-        False where the fit that the noise was learned from said that something is missing in the model: then the
-        colour is that of the residuals of channel-weighted least squares, model error included.
+        False where the fit that the noise was learned from said that something is missing in the model.
     agreement
         The probability that this rests on.
     """
@@ -78,7 +86,11 @@ class Likelihood:
         factors: dict[str, list[np.ndarray]] = {}
         counts: dict[str, int] = {}
         rows: dict[str, list[np.ndarray]] = {}
-        for block, white in whitened(regression.blocks(), weights.noise):
+        noise, adjust = weights.noise, np.eye(columns)
+        if not weights.complete:
+            noise, adjust = {g: m.uncoloured() for g, m in noise.items()}, _adjusted(regression, weights)
+        for block, plain in whitened(regression.blocks(), noise):
+            white = plain if weights.complete else plain @ adjust
             own = factors.setdefault(block.group, [np.zeros((columns, columns))] * channels)
             for a in range(0, len(white), _PANEL):
                 own = [stack(r, white[a : a + _PANEL, c]) for c, r in enumerate(own)]
@@ -93,7 +105,25 @@ class Likelihood:
             tuple(names),
             tuple(factors),
             tuple(np.concatenate(parts) for parts in rows.values()),
-            weights.noise,
+            noise,
             weights.complete,
             weights.agreement,
         )
+
+
+def _adjusted(regression: Regression, weights: Weights) -> np.ndarray:
+    """Matrix that rows [X y] weighted by channel are multiplied by from the right for a curvature of V^-1 (p + 1, p + 1)."""
+    factor, scale = weighted_factor(regression, weights, "channel")
+    middle = sandwich_middle(regression, weights, scale)
+    length = column_lengths(factor.matrix)
+    u, s, vt = np.linalg.svd(factor.matrix / length)
+    keep = s > 1e-11 * s[0]
+    # Coordinates z = S V' D b, in which X has orthonormal columns, and the way back.
+    there, back = s[keep][:, None] * vt[keep] * length, (vt[keep] / s[keep][:, None] / length).T
+    covariance = back.T @ middle @ back
+    lower = cholesky(0.5 * (covariance + covariance.T), lower=True)
+    change = back @ (solve_triangular(lower, there, lower=True) - there)  # C - 1
+    out = np.eye(len(length) + 1)
+    out[:-1, :-1] += change
+    out[:-1, -1] = change @ back @ (u.T[keep] @ factor.target)
+    return out

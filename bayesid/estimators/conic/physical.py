@@ -32,7 +32,7 @@ from bayesid.estimators.conic.solver import Infeasible, solve_conic
 from bayesid.estimators.details import OPTIONAL, Details
 from bayesid.estimators.estimator import Estimate
 from bayesid.estimators.factor import learn_weights
-from bayesid.estimators.least_squares import make_estimate, sandwich_middle, weighted_factor
+from bayesid.estimators.least_squares import completeness, likelihood_weights, make_estimate, sandwich_middle, weighted_factor
 from bayesid.regression.linalg import determined_inverse, undetermined
 from bayesid.regression.regression import Regression
 from bayesid.robot.prior import Prior
@@ -90,10 +90,10 @@ class Physical:
         if self.closest is not None and not 0 < self.closest < 1:
             raise InputError(f"sdp closest = {self.closest}: give a confidence between 0 and 1, such as 0.95")
         learned = learn_weights(regression)
-        kind = self.weights if self.weights != "auto" else "noise" if learned.complete else "channel"
+        kind = self.weights if self.weights != "auto" else likelihood_weights(learned)
         factor, scale = weighted_factor(regression, learned, kind)
         hidden = undetermined(factor.matrix)
-        middle = None if kind == "noise" else sandwich_middle(regression, learned.noise, scale)
+        middle = None if kind == "noise" else sandwich_middle(regression, learned, scale)
         matrix, target = compressed(factor.matrix, factor.target, middle)
         data = LinkData.of(regression, matrix, target, self.prior)
         prior = link_prior(regression, data, self.prior, self.metric, self.rel_std)
@@ -115,8 +115,7 @@ class Physical:
             covariance = _posterior(data, problem, regression.base.matrix) if joint else _of_data(matrix, hidden)
         estimate = make_estimate(self.name, regression, learned, factor, values, covariance, hidden)
         details = PhysicalDetails(
-            model_complete=learned.complete,
-            agreement_of_gls_and_wls=learned.agreement,
+            **completeness(learned),
             weights=kind,
             prior=prior,
             closest=closest,

@@ -24,7 +24,7 @@ from scipy.stats import chi2
 
 from bayesid.estimators.estimator import Estimate
 from bayesid.estimators.factor import Factor, Weights, gram_rows, learn_weights, reduce_rows, whitened
-from bayesid.estimators.least_squares import make_estimate, nominal_start, target_from_nominal
+from bayesid.estimators.least_squares import completeness, make_estimate, nominal_start, target_from_nominal
 from bayesid.estimators.robust.losses import WHOLE, Loss
 from bayesid.estimators.robust.segments import (
     Residuals,
@@ -121,7 +121,7 @@ class RobustFit:
         )
         inverse = determined_inverse(self.factor.matrix, hidden)
         bread = inverse @ inverse.T / self._slope(inverse)
-        return bread @ middle @ bread
+        return self.learned.dispersion * bread @ middle @ bread
 
     def _slope(self, inverse: np.ndarray) -> float:
         """How much slower the equations change with the parameters than with fixed weights, mean over all directions.
@@ -172,8 +172,7 @@ class RobustFit:
         """What both estimators say of the fit: the fields of `RobustDetails`."""
         residual, accepted_rows = self.residual, self.accepted_rows
         return {
-            "model_complete": self.learned.complete,
-            "agreement_of_gls_and_wls": self.learned.agreement,
+            **completeness(self.learned),
             "scale": float(np.sqrt(self.variance)),
             "rejected_share": float(1.0 - accepted_rows.mean()),
             "rejected_windows": windows(residual, accepted_rows, self.regression.motion_names),
