@@ -13,6 +13,7 @@ from bayesid.effects import Effect, EffectLibrary, Point, middle_of, starting_po
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, Motion
 from bayesid.recordings.table import usual_step
+from bayesid.regression.bandwidth import BandwidthChoice, choose_bandwidth
 from bayesid.regression.encoder_noise import errors_of
 from bayesid.regression.motion_rows import MotionRows, row_count
 from bayesid.regression.options import FitOptions
@@ -20,15 +21,15 @@ from bayesid.regression.readings import default_channel, has_readings, make_chan
 from bayesid.regression.regression import PriorKnowledge, Regression
 from bayesid.regression.row_cache import PILOT_ROWS, PILOT_SEGMENTS, RowCache, RowSource
 from bayesid.regression.rows import RowModel, Segment, make_blocks
-from bayesid.signals.filters import row_noise_poles
+from bayesid.signals.filters import LowPass, row_noise_poles
 from bayesid.signals.smoothing import Smoother, choose_smoother
 
 #: Rows a second, as a multiple of the bandwidth of the joint motion: products of joint motions reach higher.
 ROWS_PER_BANDWIDTH = 2.5
 #: At least this many rows a second, so that the noise can be told from the motion.
 LOWEST_ROW_RATE = 20.0
-#: Samples that the bandwidth is chosen from, in pieces spread over a long recording.
-_PILOT_SAMPLES = 5_000
+#: Samples that the bandwidth is chosen from, in pieces spread over a long recording: by positions, by predictions.
+_PILOT_SAMPLES, _JUDGED_SAMPLES = 5_000, 12_000
 _PIECES = 4
 
 
@@ -46,6 +47,8 @@ class Problem:
         How samples become rows.
     smoother
         The bandwidth of the joint motion and why.
+    bandwidths
+        The bandwidths that were tried; None where there was nothing to choose.
     regression
         Rows of the motions that are fitted.
     segments
@@ -63,6 +66,7 @@ class Problem:
     channel: str
     row_model: RowModel
     smoother: Smoother
+    bandwidths: BandwidthChoice | None
     regression: Regression
     segments: dict[str, list[Segment]]
     rows: MotionRows
@@ -117,12 +121,19 @@ def prepare(experiment: Experiment, options: FitOptions | None = None) -> Proble
             'readings take all away: remove [[motion]] static, or write kind = "trajectory"'
         )
     smoother = _smoother(experiment, [r for rs in segments.values() for r in rs if not r.poses], options.bandwidth)
-    rate = min(
-        max(ROWS_PER_BANDWIDTH * smoother.bandwidth, LOWEST_ROW_RATE),
-        min((1.0 / usual_step(r.times) for rs in segments.values() for r in rs if not r.poses), default=np.inf),
-    )
+    fastest = min((1.0 / usual_step(r.times) for rs in segments.values() for r in rs if not r.poses), default=np.inf)
     point = _point(experiment, base, parsed, fitted)
-    row_model = RowModel(experiment.robot, channels, base, parsed, smoother.bandwidth, 1.0 / rate, options.low_pass, point)
+
+    def rows_at(bandwidth: float, filters: LowPass | None) -> RowModel:
+        rate = min(max(ROWS_PER_BANDWIDTH * bandwidth, LOWEST_ROW_RATE), fastest)
+        return RowModel(experiment.robot, channels, base, parsed, bandwidth, 1.0 / rate, filters, point)
+
+    choice = None
+    if options.bandwidth is None and any(not r.poses for r in fitted):
+        judges = _judges(fitted)
+        choice = choose_bandwidth(lambda b: tuple(make_blocks(rows_at(b, None), judges)), smoother.bandwidth)
+        smoother = _chosen(smoother, choice)
+    row_model = rows_at(smoother.bandwidth, options.low_pass)
     for motion in readable:
         _require_length(motion, segments[motion.name], row_model)
     rows, names = MotionRows(row_model, segments), tuple(m.name for m in chosen)
@@ -131,6 +142,7 @@ def prepare(experiment: Experiment, options: FitOptions | None = None) -> Proble
         channel=channel,
         row_model=row_model,
         smoother=smoother,
+        bandwidths=choice,
         regression=_regression(rows, smoother, names, tuple(m.name for m in readable), experiment.inertia_rel_std),
         segments=segments,
         rows=rows,
@@ -286,6 +298,31 @@ def _require_length(motion: Motion, segments: list[Segment], row_model: RowModel
             f"where the trajectory is loose (bandwidth {row_model.bandwidth:.3g} Hz)",
             file=motion.table.source, value=longest, remedy=f"record longer, or remove motion '{motion.name}'",
         )  # fmt: skip
+
+
+def _judges(fitted: list[Segment]) -> list[Segment]:
+    """Segments, or evenly spread pieces of long ones, that bandwidths are judged on."""
+    moving, out = [r for r in fitted if not r.poses], [r for r in fitted if r.poses]
+    total = sum(len(r.times) for r in moving)
+    for r in moving:
+        share = min(_JUDGED_SAMPLES / total, 1.0)
+        pieces = max(round(2 * _PIECES * len(r.times) / total), 1) if share < 1.0 else 1
+        length = int(share * len(r.times) / pieces)
+        out += [r.part(a, a + length) for a in np.linspace(0, len(r.times) - length, pieces).astype(int)]
+    return out
+
+
+def _chosen(smoother: Smoother, choice: BandwidthChoice | None) -> Smoother:
+    """The smoother with the bandwidth that predicts best."""
+    if choice is None:
+        return smoother
+    if choice.chosen == 0:
+        return replace(smoother, reason=f"{smoother.reason}; lower ones predict no better")
+    reason = (
+        f"the largest that predicts stretches left out as well as the best, from {choice.bandwidths[-1]:.2g} Hz up to the "
+        f"{choice.bandwidths[0]:.3g} Hz of the positions' own cross-validation"
+    )
+    return replace(smoother, bandwidth=float(choice.bandwidths[choice.chosen]), reason=reason)
 
 
 def _smoother(experiment: Experiment, segments: list[Segment], bandwidth: float | None) -> Smoother:

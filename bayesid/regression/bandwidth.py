@@ -1,0 +1,160 @@
+"""Bandwidth of the joint motion by what it does to predictions: the error on stretches of the recording that were left out.
+
+Cross-validation of the positions alone (`bayesid.signals.smoothing.choose_smoother`) asks which frequencies of the positions are
+not encoder noise. On a real arm that is not the question: positions that were resampled or filtered have no white noise, and joints
+vibrate at frequencies at which the readings do not follow a rigid model. So bandwidths from that choice downwards are tried. Each is
+fitted to three quarters of the stretches of the fitted motions and judged on the rest, always on residuals in the same band,
+
+    error(B) = mean over stretches of sum_c |residual_c|^2 / mean |residual_c at the first bandwidth|^2,
+
+and the largest bandwidth is taken whose error is not larger than the smallest one by more than `WORTH`: where the model holds,
+lower ones predict no better, and a lower bandwidth leaves readings unused.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.fft import dct
+
+from bayesid.regression.blocks import Block
+from bayesid.regression.linalg import solve
+
+#: Ratio of neighbouring bandwidths that are tried, and the lowest of them [Hz].
+RATIO, LOWEST = 2.0**0.5, 2.0
+#: At or below this bandwidth [Hz] nothing is tried: rows hold little but the motion.
+NARROW = 3.0
+#: Relative difference of two errors that is not worth a lower bandwidth.
+WORTH = 0.02
+#: Band of the residuals that judge [Hz]; rows at every bandwidth hold it.
+BAND = 8.0
+_STRETCHES, _FOLDS = 8, 4
+_SHORTEST = 8  # rows of a stretch
+
+
+@dataclass(frozen=True)
+class BandwidthChoice:
+    """Bandwidths that were tried, and what they do to predictions and to the estimate.
+
+    Attributes
+    ----------
+    bandwidths
+        (b,) [Hz], falling.
+    error
+        Residual power on stretches that were left out, relative to the first bandwidth (b,).
+    doubt
+        Standard error of each one's difference to the best (b,).
+    estimates
+        Channel-weighted least squares at each bandwidth (b, p).
+    chosen
+        Index of the one taken.
+    """
+
+    bandwidths: np.ndarray
+    error: np.ndarray
+    doubt: np.ndarray
+    estimates: np.ndarray
+    chosen: int
+
+
+def candidates(highest: float) -> np.ndarray:
+    """Bandwidths to try, falling [Hz]."""
+    if highest <= NARROW:
+        return np.array([highest])
+    count = int(np.log(highest / LOWEST) / np.log(RATIO) + 1e-9) + 1
+    return highest / RATIO ** np.arange(count)
+
+
+def choose_bandwidth(rows: Callable[[float], Sequence[Block]], highest: float) -> BandwidthChoice | None:
+    """Judge bandwidths by stretches that were left out; None where there is nothing to choose or too little to judge by.
+
+    Parameters
+    ----------
+    rows
+        Rows of the fitted motions at a bandwidth; their times may differ from bandwidth to bandwidth.
+    highest
+        The first bandwidth tried [Hz].
+    """
+    bandwidths = candidates(highest)
+    if len(bandwidths) < 2:
+        return None
+    tried = [tuple(rows(float(b))) for b in bandwidths]
+    edges = _stretches(tried[-1])
+    while len(tried) > 1 and min((len(_part(tried[-1], edge)) for edge in edges), default=0) < _SHORTEST:
+        tried = tried[:-1]  # a short recording: slow rows are too few
+        edges = _stretches(tried[-1])
+    if len(tried) < 2 or len(edges) < _FOLDS:
+        return None
+    scale = np.ones(tried[0][0].rows.shape[1])
+    powers, estimates = [], []
+    for k, blocks in enumerate(tried):
+        parts = [_part(blocks, edge) for edge in edges]
+        poses = [b.rows for b in blocks if b.group == "poses"]
+        if k == 0:
+            for _ in range(2):
+                scale = _scale(_fitted([*parts, *poses], scale), parts)
+        power = np.zeros((len(parts), len(scale)))
+        for fold in range(_FOLDS):
+            found = _fitted([*(part for i, part in enumerate(parts) if i % _FOLDS != fold), *poses], scale)
+            for i in range(fold, len(parts), _FOLDS):
+                power[i] = _band_power(parts[i][:, :, -1] - parts[i][:, :, :-1] @ found, edges[i])
+        powers.append(power)
+        estimates.append(_fitted([*parts, *poses], scale))
+    error = np.array([np.sum(power / powers[0].mean(axis=0), axis=1) for power in powers])  # (bandwidths, stretches)
+    mean = error.mean(axis=1)
+    best = int(np.argmin(mean))
+    doubt = np.std(error - error[best], axis=1, ddof=1) / np.sqrt(error.shape[1])
+    good = mean <= (1.0 + WORTH) * mean[best]
+    chosen = int(np.flatnonzero(good)[0])
+    return BandwidthChoice(bandwidths[: len(tried)], mean / mean[0], doubt / mean[0], np.array(estimates), chosen)
+
+
+def _stretches(blocks: Sequence[Block]) -> list[tuple[int, float, float]]:
+    """Motion, start and end [s] of stretches about equally long, within blocks that follow one another."""
+    spans: list[list] = []
+    for b in blocks:
+        if b.group == "poses" or len(b.times) < 2:
+            continue
+        if spans and not b.start and spans[-1][0] == b.motion and b.times[0] > spans[-1][2]:
+            spans[-1][2] = b.times[-1]
+        else:
+            spans.append([b.motion, b.times[0], b.times[-1]])
+    whole = sum(end - start for _, start, end in spans)
+    out = []
+    for motion, start, end in spans:
+        count = max(round(_STRETCHES * (end - start) / whole), 1)
+        cuts = np.linspace(start, end, count + 1)
+        out += [(motion, float(a), float(b)) for a, b in zip(cuts[:-1], cuts[1:], strict=True)]
+    return out
+
+
+def _part(blocks: Sequence[Block], edge: tuple[int, float, float]) -> np.ndarray:
+    """Rows of a stretch (k, channels, p + 1)."""
+    motion, start, end = edge
+    own = [b for b in blocks if b.motion == motion and b.group != "poses"]
+    return np.concatenate([b.rows[(b.times >= start) & (b.times < end)] for b in own] or [np.zeros((0, 1, 1))])
+
+
+def _fitted(parts: Sequence[np.ndarray], scale: np.ndarray) -> np.ndarray:
+    rows = np.concatenate([(part / scale[:, None]).reshape(-1, part.shape[2]) for part in parts])
+    factor = np.asarray(np.linalg.qr(rows, mode="r"))
+    return solve(factor[:, :-1], factor[:, -1])
+
+
+def _scale(found: np.ndarray, parts: Sequence[np.ndarray]) -> np.ndarray:
+    residual = np.concatenate([part[:, :, -1] - part[:, :, :-1] @ found for part in parts])
+    size = np.sqrt(np.mean(residual**2, axis=0))
+    return np.maximum(size, 1e-9 * max(float(size.max()), 1e-300))
+
+
+def _band_power(residual: np.ndarray, edge: tuple[int, float, float]) -> np.ndarray:
+    """Energy of residual rows (k, c) in the band over their time, whatever the rate of rows (c,).
+
+    Rows are scaled to the noise of one sample, which makes a slow signal larger by the root of the samples that a row stands for:
+    its energy is the same in many rows and in few.
+    """
+    duration = edge[2] - edge[1]
+    z = np.asarray(dct(residual, axis=0, norm="ortho"))[: max(int(2.0 * duration * BAND), 1)]
+    return np.sum(z**2, axis=0) / duration
