@@ -1,9 +1,10 @@
 """Bandwidth of the joint motion by what it does to predictions: the error on stretches of the recording that were left out.
 
-Cross-validation of the positions alone (`bayesid.signals.smoothing.choose_smoother`) asks which frequencies of the positions are
-not encoder noise. On a real arm that is not the question: positions that were resampled or filtered have no white noise, and joints
-vibrate at frequencies at which the readings do not follow a rigid model. So bandwidths from that choice downwards are tried. Each is
-fitted to three quarters of the stretches of the fitted motions and judged on the rest, always on residuals in the same band,
+Cross-validation of the positions alone (`bayesid.signals.smoothing.choose_smoother`) asks which frequencies of the positions
+are not encoder noise. On a real arm that is not the question: positions that were resampled or filtered have no white noise,
+and joints vibrate at frequencies at which the readings do not follow a rigid model. So bandwidths from that choice downwards
+are tried. Each is fitted to three quarters of the stretches of the fitted motions and judged on the rest, always on residuals in
+the same band,
 
     error(B) = mean over stretches of sum_c |residual_c|^2 / mean |residual_c at the first bandwidth|^2,
 

@@ -104,7 +104,8 @@ def test_iv_is_the_textbook_formula():
     assert noise.order == 0  # so that the covariance of all rows is that of one sample, again and again
     sigma = np.kron(np.eye(len(target)), noise.innovation * np.outer(scale, scale))
     a = np.linalg.inv(z.T @ x)
-    np.testing.assert_allclose(estimate.covariance, a @ z.T @ sigma @ z @ a.T, rtol=1e-6)
+    dispersion = learn_weights(regression).dispersion
+    np.testing.assert_allclose(estimate.covariance, dispersion * (a @ z.T @ sigma @ z @ a.T), rtol=1e-6)
 
 
 @pytest.mark.parametrize("method", ["tls", "iv"])

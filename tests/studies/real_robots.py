@@ -160,8 +160,8 @@ def judged(case: Case, methods: tuple[str, ...]) -> dict[str, Any]:
     problem = prepare(case.experiment, FitOptions(effects=case.effects))
     bandwidth = problem.smoother.bandwidth
     out: dict[str, Any] = {
-        "channel": problem.channel, "bandwidth": bandwidth, "chosen": problem.smoother.reason, "rank": problem.row_model.base.rank,
-        "methods": {},
+        "channel": problem.channel, "bandwidth": bandwidth, "chosen": problem.smoother.reason,
+        "rank": problem.row_model.base.rank, "methods": {},
     }  # fmt: skip
     if case.unseen is not None and problem.channel == "torque":
         out["thirty_lines"] = thirty_lines(case)
@@ -219,8 +219,8 @@ def lines(name: str, found: dict[str, Any]) -> list[str]:
 PAGE = """\
 # Real robots
 
-What bayesid says of real recordings at its defaults, beside least squares in thirty lines of Pinocchio (positions low-passed at
-10 Hz, differences, regressor, channel weights). *Unseen* is the error norm over the signal norm of all channels below 10 Hz on a
+What bayesid says of real recordings at its defaults, beside least squares in thirty lines of Pinocchio (positions
+low-passed at 10 Hz, differences, regressor, channel weights). *Unseen* is the error norm over the signal norm of all channels below 10 Hz on a
 motion that was not fitted. *Halves* and *motions* say how far estimates of the two halves of the fitted motion, and of two motions,
 lie apart in their own standard deviations (root mean square over all parameters); 1 is right, more means that intervals are
 too short for what a real robot does beyond any model. Made by `python -m tests.studies.real_robots --write`.
@@ -239,7 +239,8 @@ too short for what a real robot does beyond any model. Made by `python -m tests.
 | {{ method }} | {{ f.error }} | | | | | | |
 {% else %}
 | {{ method }} | {{ cell(f.unseen, "%.2f %%", 100) }} | {{ cell(f.over_noise, "%.3g") }} | {{ cell(f.mass, "%.3g kg") }} |
-{{- " " + possible(f.physical) }} | {{ cell(f.halves, "%.2f") }} | {{ cell(f.motions, "%.2f") }} | {{ cell(f.dispersion, "%.2f") }} |
+{{- " " + possible(f.physical) }} | {{ cell(f.halves, "%.2f") }} | {{ cell(f.motions, "%.2f") }} |
+{{- " " + cell(f.dispersion, "%.2f") }} |
 {% endif %}
 {% endfor %}
 {% endfor %}
