@@ -220,10 +220,11 @@ PAGE = """\
 # Real robots
 
 What bayesid says of real recordings at its defaults, beside least squares in thirty lines of Pinocchio (positions
-low-passed at 10 Hz, differences, regressor, channel weights). *Unseen* is the error norm over the signal norm of all channels below 10 Hz on a
-motion that was not fitted. *Halves* and *motions* say how far estimates of the two halves of the fitted motion, and of two motions,
-lie apart in their own standard deviations (root mean square over all parameters); 1 is right, more means that intervals are
-too short for what a real robot does beyond any model. Made by `python -m tests.studies.real_robots --write`.
+low-passed at 10 Hz, differences, regressor, channel weights). *Unseen* is the error norm over the signal norm of all channels
+below 10 Hz on a motion that was not fitted. *Halves* and *motions* say how far estimates of the two halves of the fitted
+motion, and of two motions, lie apart in their own standard deviations (root mean square over all parameters); 1 is right, more
+means that intervals are too short for what a real robot does beyond any model. Made by
+`python -m tests.studies.real_robots --write`.
 {% for name, found in cases.items() %}
 
 ## {{ name }}
