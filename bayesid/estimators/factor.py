@@ -31,8 +31,6 @@ LARGEST_LOSS = 2.0
 SMALLEST_STRETCHES = 1e-4
 #: Share of a column's length that the columns before it must leave, for rows to be brought to orthonormal coordinates.
 _WELL_DETERMINED = 1e-6
-#: Smallest share of the longest column that each adds to those before it, for squares of all rows to lose at most six digits.
-_NEARLY_ORTHONORMAL = 1e-3
 
 
 @dataclass(frozen=True)
@@ -91,39 +89,6 @@ def reduce_rows(blocks: Iterable[Block], transform: Callable[[Block], np.ndarray
     for other, _ in parts[1:]:
         r = stack(r, other)
     return Factor(r, sum(rows for _, rows in parts))
-
-
-def reduce_in_coordinates(
-    root: np.ndarray | None, blocks: Callable[[], Iterable[Block]], transform: Callable[[Block], np.ndarray]
-) -> Factor:
-    """The same factor as of `reduce_rows`, in half its time, where a pilot's coordinates are known.
-
-    Parameters
-    ----------
-    root
-        `Pilot.root` of some of the rows, in whose coordinates all of them are nearly orthonormal; None: there are none.
-    blocks
-        Reads all blocks; twice where they turn out to be far from orthonormal.
-    transform
-        As for `reduce_rows`.
-    """
-    if root is not None:
-        inverse = solve_triangular(root, np.eye(len(root)))
-
-        def gram(block: Block) -> tuple[np.ndarray, int]:
-            new = transform(block)
-            flat = new.reshape(-1, new.shape[-1])
-            panels = (flat[a : a + _PANEL] @ inverse for a in range(0, len(flat), _PANEL))  # of the processor's cache
-            return sum((z.T @ z for z in panels), np.zeros(root.shape)), len(flat)
-
-        parts = list(in_order(gram, blocks()))
-        try:
-            r = cholesky(sum(part for part, _ in parts))
-        except LinAlgError:  # columns that the pilot shows and the weights hide
-            return reduce_rows(blocks(), transform)
-        if np.all(np.diag(r) > _NEARLY_ORTHONORMAL * np.linalg.norm(r, axis=0).max()):
-            return Factor(r @ root, sum(rows for _, rows in parts))
-    return reduce_rows(blocks(), transform)
 
 
 def gram_rows(blocks: Iterable[Block], transform: Callable[[Block], np.ndarray]) -> np.ndarray:

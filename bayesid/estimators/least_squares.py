@@ -27,10 +27,10 @@ from bayesid.estimators.factor import (
     gram_rows,
     learn_weights,
     pilot_of,
-    reduce_in_coordinates,
     reduce_whitened,
     whitened,
 )
+from bayesid.estimators.reduction import reduce_in_coordinates
 from bayesid.regression.blocks import Block
 from bayesid.regression.linalg import (
     column_lengths,

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from bayesid.estimators.factor import Pilot, reduce_in_coordinates, reduce_rows
+from bayesid.estimators.factor import Pilot, reduce_rows
+from bayesid.estimators.reduction import reduce_in_coordinates
 from bayesid.regression.blocks import Block
 from bayesid.signals.noise import NoiseModel
 
