@@ -214,12 +214,10 @@ def make_blocks(row_model: RowModel, segments: Sequence[Segment]) -> Iterator[Bl
         if segment.poses:
             for a in range(0, len(segment.times), _CHUNK):
                 b = min(a + _CHUNK, len(segment.times))
-                rows = row_model.samples(segment, a, b)
-                yield Block(rows, segment.times[a:b], segment.motion, a == 0, "poses")
+                yield Block(row_model.samples(segment, a, b), segment.times[a:b], segment.motion, a == 0, "poses")
             continue
         times = segment.times
-        a = int(np.searchsorted(times, times[0] + row_model.margin))
-        b = int(np.searchsorted(times, times[-1] - row_model.margin, side="right"))
+        a, b = segment.inner(row_model.margin)
         if b - a < 2:
             raise InputError(
                 f"a stretch of {times[-1] - times[0]:.3g} s from t = {times[0]:.6g} is too short for "
