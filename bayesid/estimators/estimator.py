@@ -183,6 +183,8 @@ class Estimate:
             "base_parameters": base,
             "interval": self.interval,
             "covariance": covariance,
+            "full_covariance": None if self.full_covariance is None else self.full_covariance.tolist(),
+            "full_covariance_names": [*self.names, *self.effect_names],
             "base_map": self.base.matrix.tolist(),
             "link_parameter_names": list(self.base.parameter_names),
             "rank": self.base.rank,

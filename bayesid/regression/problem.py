@@ -60,6 +60,8 @@ class Problem:
     static
         ``motion`` where a static run has been subtracted, ``joint`` where static readings are fitted along,
         ``none``.
+    effects
+        The model's effects as they were named, ``name`` or ``name@where``; those nobody needs to name first.
     """
 
     experiment: Experiment
@@ -72,6 +74,7 @@ class Problem:
     rows: MotionRows
     fitted: tuple[str, ...]
     static: str
+    effects: tuple[str, ...] = ()
 
 
 def prepare(experiment: Experiment, options: FitOptions | None = None) -> Problem:
@@ -148,6 +151,7 @@ def prepare(experiment: Experiment, options: FitOptions | None = None) -> Proble
         rows=rows,
         fitted=names,
         static="none" if all(m.static is None for m in chosen) or channel == "torque" else ("motion" if subtract else "joint"),
+        effects=tuple(specs),
     )
 
 

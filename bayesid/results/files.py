@@ -24,7 +24,7 @@ WRITTEN = {
     "check": ("check.json",),
     "compare": ("comparison.json",),
     "diagnose": ("diagnosis.json", "model.toml"),
-    "identify": ("estimate.json", "identified.urdf", "identified-unconstrained.urdf"),
+    "identify": ("estimate.json", "identified.urdf", "identified-unconstrained.urdf", "model.toml"),
     "sample": ("posterior.json", "posterior.nc"),
 }
 

@@ -15,6 +15,7 @@ from bayesid.diagnosis.stability import Stability
 from bayesid.diagnosis.validation import Gap
 from bayesid.effects import Term
 from bayesid.recordings.schema import EffectParameters
+from bayesid.results.fitted_model import fitted_model
 
 SCHEMA = 1
 
@@ -81,19 +82,9 @@ class Findings:
 
     @property
     def model(self) -> tuple[tuple[str, ...], EffectParameters]:
-        """The experiment's model with the named effects added, as `bayesid.recordings.schema.write_model` takes it.
-
-        Effects that act on other channels stay as they are; all others get the values fitted here as starting values.
-        """
+        """The experiment's model with the named effects added, see `bayesid.results.fitted_model`."""
         experiment = self.data.experiment
-        effects = [*experiment.effects, *(f.term.effect.spec for f in self.found)]
-        values: EffectParameters = {spec: dict(given) for spec, given in experiment.effect_values.items()}
-        for term in self.terms:
-            spec = term.effect.spec
-            given = {k: float(v) for k, v in zip(term.effect.parameters, term.values, strict=True)}
-            fixed = values.get(spec, values.get(term.effect.name, {})).get("fixed", False)
-            values[spec] = {**given, "fixed": True} if fixed else dict(given)
-        return tuple(dict.fromkeys(effects)), values
+        return fitted_model(experiment, [*experiment.effects, *(f.term.effect.spec for f in self.found)], self.terms)
 
     def evidence(self, proposal: Proposal) -> float:
         """Log evidence that an effect alone would add to the user's model."""

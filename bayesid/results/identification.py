@@ -8,12 +8,16 @@ from typing import Any
 import numpy as np
 
 from bayesid.dynamics.base_parameters import BaseParameters
+from bayesid.effects import Term
 from bayesid.estimators import Estimate
+from bayesid.recordings.schema import EffectParameters
 from bayesid.regression.problem import Problem
 from bayesid.results.bodies import impossible_bodies
 from bayesid.results.files import Result
+from bayesid.results.fitted_model import fitted_model
 from bayesid.results.urdf_links import UrdfLinks
 from bayesid.validation.cross_checks import Agreement
+from bayesid.validation.predicted_readings import PredictedReadings, predict_readings
 from bayesid.validation.prediction import Prediction, relative_error
 
 SCHEMA = 1
@@ -96,6 +100,32 @@ class Identification(Result):
         """Whether every link of ``link_parameters`` can exist."""
         return not impossible_bodies(self.link_parameters.reshape(-1, 10), self.problem.experiment.robot.body_names)
 
+    def predict(
+        self, q: np.ndarray, v: np.ndarray, a: np.ndarray, times: np.ndarray | None = None
+    ) -> PredictedReadings:
+        """Readings of any motion, friction and other effects included, with their 95 % band.
+
+        Parameters
+        ----------
+        q, v, a
+            Joint positions, velocities and accelerations as the encoders say (N, n), or (n,) for one sample [rad or m, and
+            per second (squared)].
+        times
+            (N,) [s]; needed only with effects to which time matters.
+
+        Returns
+        -------
+        PredictedReadings
+            ``values``, ``std``, ``low`` and ``high`` (N, c) [N, N m], in the order of its ``channel_names`` (c,).
+
+        Raises
+        ------
+        InputError
+            Shapes do not fit, values are not finite, or times are missing.
+        """
+        e = self.estimate
+        return predict_readings(self.problem, e.solution, e.full_covariance, e.undetermined, q, v, a, times)
+
     def __str__(self) -> str:
         """Summary with the table of parameters."""
         return f"{summary(self)}\n\n{self.estimate}"
@@ -139,21 +169,35 @@ class Identification(Result):
 
     def effects(self) -> list[dict[str, Any]]:
         """Every effect of the model with the values, standard deviations (None without one) and units of its parameters."""
+        out = []
+        for term, stds in self._fitted_effects():
+            effect = term.effect
+            parameters = {
+                key: {"value": value, "std": float(std) if np.isfinite(std) else None, "unit": unit}
+                for key, value, std, unit in zip(effect.parameters, term.values, stds, effect.units, strict=True)
+            }
+            out.append({"name": effect.name, "where": effect.where, "parameters": parameters})
+        return out
+
+    @property
+    def model(self) -> tuple[tuple[str, ...], EffectParameters]:
+        """The model that was fitted, with the effects' values found: what ``model.toml`` holds."""
+        terms = [term for term, _ in self._fitted_effects()]
+        return fitted_model(self.problem.experiment, self.problem.effects, terms)
+
+    def _fitted_effects(self) -> list[tuple[Term, np.ndarray]]:
+        """Every effect with its values, and their standard deviations (k,), nan where there is none."""
         row_model = self.problem.row_model
         values = np.zeros(len(row_model.free)) if row_model.point is None else row_model.point.values.copy()
         stds = np.full(len(row_model.free), np.nan)
         values[row_model.free] = self.estimate.solution[self.base.rank :]
         stds[row_model.free] = self.estimate.full_std[self.base.rank :]
-        out, column = [], 0
+        out, first = [], 0
         for effect in row_model.effects:
-            parameters = {}
-            for k, (key, unit) in enumerate(zip(effect.parameters, effect.units, strict=True)):
-                value, std = values[column], stds[column]
-                if effect.absorbs_weight and self.offset is not None:
-                    value, std = self.offset[0][k], self.offset[1][k]
-                parameters[key] = {"value": float(value), "std": float(std) if np.isfinite(std) else None, "unit": unit}
-                column += 1
-            out.append({"name": effect.name, "where": effect.where, "parameters": parameters})
+            own = slice(first, first + len(effect.parameters))
+            first = own.stop
+            found = self.offset if effect.absorbs_weight and self.offset is not None else (values[own], stds[own])
+            out.append((Term(effect, tuple(found[0])), found[1]))
         return out
 
 

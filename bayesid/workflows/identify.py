@@ -13,6 +13,7 @@ from bayesid.dynamics.base_parameters import structural_base
 from bayesid.estimators import DEFAULT_METHOD, Estimate, Estimator, estimator
 from bayesid.estimators.nonlinear import solve
 from bayesid.recordings.experiment import Experiment, load_experiment
+from bayesid.recordings.schema import write_model
 from bayesid.regression.options import FitOptions
 from bayesid.regression.parallel import both, in_order
 from bayesid.regression.problem import Problem, prepare, weight_columns
@@ -120,13 +121,16 @@ def identify(
 
 @files_of.register
 def _(result: Identification) -> Files:
-    """``estimate.json``, ``identified.urdf`` (and on request ``identified-unconstrained.urdf``) and the report."""
+    """``estimate.json``, ``identified.urdf`` (on request ``identified-unconstrained.urdf``), ``model.toml`` and the report."""
     from bayesid.report.identification import identification_report
 
     robot, urdf = result.problem.experiment.robot, result.urdf
     others = {"identified.urdf": lambda path: write_urdf(robot, urdf.links, path, urdf.friction)}
     if result.unconstrained_urdf:
         others["identified-unconstrained.urdf"] = lambda path: write_urdf(robot, urdf.unconstrained, path, urdf.friction)
+    effects, values = result.model
+    expressions = result.problem.experiment.library.expressions
+    others["model.toml"] = lambda path: write_model(effects, values, path, expressions)
     return Files({"estimate.json": result.to_dict()}, others, identification_report(result))
 
 

@@ -258,7 +258,7 @@ def test_demo_verb(tmp_path, capsys):
     assert main(["demo", "--out", str(out), "--seed", "1"]) == 0
     shown = capsys.readouterr().out
     assert "intervals hold the truth" in shown and str(out / "report.html") in shown
-    assert {"report.html", "estimate.json", "identified.urdf", "experiment"} == {p.name for p in out.iterdir()}
+    assert {"report.html", "estimate.json", "identified.urdf", "model.toml", "experiment"} == {p.name for p in out.iterdir()}
     assert bayesid.load_experiment(out / "experiment").validation
     assert main(["demo", "--out", str(out)]) == 0  # an earlier demo's folder is replaced
     (out / "experiment" / "mine.txt").write_text("keep", encoding="utf-8")

@@ -145,7 +145,7 @@ def test_command_line_writes_all_or_nothing(arm, tmp_path, capsys):
     bayesid.write_experiment(arm, folder)
     out = tmp_path / "out"
     assert main(["identify", str(folder), "--out", str(out), "--method", "gls", "--filter-l", "1", "--filter-d", "50"]) == 0
-    assert {p.name for p in out.iterdir()} == {"estimate.json", "identified.urdf", "report.html"}
+    assert {p.name for p in out.iterdir()} == {"estimate.json", "identified.urdf", "model.toml", "report.html"}
     document = json.loads((out / "estimate.json").read_text())
     assert document["method"] == "gls" and document["filter"]["l"] == 1.0
     assert "report.html" in capsys.readouterr().out

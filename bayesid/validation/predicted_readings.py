@@ -1,0 +1,147 @@
+"""Readings that an estimate predicts for any motion, with their bands."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import norm
+
+from bayesid.effects import MotionSegment, Point, linearised
+from bayesid.errors import InputError
+from bayesid.estimators.estimator import LEVEL
+from bayesid.regression.problem import Problem
+from bayesid.regression.rows import RowModel, Segment
+
+#: Share of a row's length that a column without any information may have before nothing is known of the reading.
+_NOTHING = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class PredictedReadings:
+    """Readings that a model predicts, and how sure they are.
+
+    Attributes
+    ----------
+    channel_names, channel_units
+        What is read (c,).
+    values
+        Predicted readings (N, c), effects such as friction included.
+    std
+        Their standard deviations (N, c), from the covariance of all parameters; the noise of a single reading is not in them.
+        nan where the estimate has no honest covariance, or where the reading takes a parameter that the data say nothing of.
+    gravity
+        Whether they hold gravity; False where a static run was subtracted from what was fitted: then the estimate knows
+        the motion's part of the wrench only.
+    """
+
+    channel_names: tuple[str, ...]
+    channel_units: tuple[str, ...]
+    values: np.ndarray
+    std: np.ndarray
+    gravity: bool = True
+
+    @property
+    def low(self) -> np.ndarray:
+        """Lower ends of the 95 % band, reading by reading (N, c)."""
+        return self.values - norm.ppf(0.5 + LEVEL / 2) * self.std
+
+    @property
+    def high(self) -> np.ndarray:
+        """Upper ends of the 95 % band, reading by reading (N, c)."""
+        return self.values + norm.ppf(0.5 + LEVEL / 2) * self.std
+
+    def __repr__(self) -> str:
+        gravity = "" if self.gravity else ", without gravity"
+        return f"<PredictedReadings: {len(self.values)} samples of {', '.join(self.channel_names)}{gravity}>"
+
+
+def predict_readings(
+    problem: Problem,
+    solution: np.ndarray,
+    covariance: np.ndarray | None,
+    undetermined: np.ndarray,
+    q: np.ndarray,
+    v: np.ndarray,
+    a: np.ndarray,
+    times: np.ndarray | None = None,
+) -> PredictedReadings:
+    """Readings at joint positions, velocities and accelerations.
+
+    Parameters
+    ----------
+    problem
+        The model, linearised at the estimate.
+    solution, covariance, undetermined
+        Base parameters, then effect parameters (p,); theirs (p, p), or None; which the data say nothing about (p,).
+    q, v, a
+        (N, n) each, or (n,) for one sample [rad or m, and per second (squared)].
+    times
+        (N,) [s], increasing; needed where the model has an effect to which time matters, such as a delay or a drift.
+
+    Raises
+    ------
+    InputError
+        Shapes do not fit, values are not finite, or times are missing.
+    """
+    row_model = problem.row_model
+    states = [np.atleast_2d(np.asarray(x, float)) for x in (q, v, a)]
+    count, n = states[0].shape[0], row_model.robot.n
+    for name, x in zip("qva", states, strict=True):
+        if x.shape != (count, n) or not count:
+            raise InputError(f"{name} has shape {np.shape(x)}: give (N, {n}), one column a joint, for q, v and a alike")
+        if not np.isfinite(x).all():
+            raise InputError(f"{name} is not finite in row {int(np.argwhere(~np.isfinite(x))[0][0])}; leave that sample out")
+    gravity = any(s.gravity for name in problem.fitted for s in problem.segments[name])
+    if times is None:
+        _require_timeless(problem, states, gravity)
+        clock = np.arange(count, dtype=float)
+    else:
+        clock = np.asarray(times, float)
+        if clock.shape != (count,) or not (np.isfinite(clock).all() and (np.diff(clock) > 0).all()):
+            raise InputError(f"times: give {count} increasing times [s], one a sample of q")
+    matrix, constant = _columns(row_model, clock, states, gravity)
+    values = constant + matrix @ solution
+    std = np.full(values.shape, np.nan)
+    if covariance is not None:
+        std = np.sqrt(np.maximum(np.einsum("ncp,pq,ncq->nc", matrix, covariance, matrix, optimize=True), 0.0))
+        length = np.linalg.norm(matrix, axis=2)
+        std[np.linalg.norm(matrix[:, :, undetermined], axis=2) > _NOTHING * length] = np.nan
+    channels = row_model.channels
+    return PredictedReadings(channels.names, channels.units, values, std, gravity)
+
+
+def _columns(row_model: RowModel, times: np.ndarray, states: list[np.ndarray], gravity: bool) -> tuple[np.ndarray, np.ndarray]:
+    """``matrix`` (N, c, p) and ``constant`` (N, c): readings are ``constant + matrix @ solution``."""
+    rank, channels = row_model.base.rank, row_model.channels
+    state = MotionSegment(times, states[0], states[1], states[2], bandwidth=row_model.bandwidth)
+    if row_model.point is not None:
+        state = replace(state, middle=row_model.point.middle)
+        nothing = np.zeros((len(times), len(channels)))
+        rigid, others, target = linearised(
+            row_model.robot, channels, state, row_model.effects, row_model.point, row_model.base.independent, nothing,
+            gravity=gravity,
+        )  # fmt: skip
+        return np.concatenate([rigid, others], axis=2), -target
+    nothing = np.zeros((len(times), len(channels)))
+    segment = Segment(times, states[0], nothing, nothing, 0, gravity=gravity, offset=gravity)
+    matrix = np.empty((*nothing.shape, rank + row_model.extra_columns))
+    matrix[:, :, :rank] = row_model.kernel.dynamics(*states, gravity=gravity)
+    matrix[:, :, rank:] = row_model.effect_columns(segment, state)
+    return matrix, nothing + channels.static_wrench if gravity else nothing
+
+
+def _require_timeless(problem: Problem, states: list[np.ndarray], gravity: bool) -> None:
+    """Refuse to do without times where any effect asks for them: with another clock it would say something else."""
+    row_model = problem.row_model
+    effects, point = row_model.effects, row_model.point
+    waits = isinstance(point, Point) and (
+        point.settling(effects) > 0.0 or point.reach(effects, row_model.bandwidth, row_model.step) > 0.0
+    )
+    if not waits:
+        some = [x[:8] for x in states]
+        clock = np.arange(len(some[0]), dtype=float)
+        (one, first), (other, second) = (_columns(row_model, t, some, gravity) for t in (clock, 100.0 + 3.0 * clock))
+        waits = not (np.array_equal(one, other) and np.array_equal(first, second))
+    if waits:
+        raise InputError(f"times are missing, and one of {', '.join(e.spec for e in effects)} depends on them; give times=")
