@@ -111,7 +111,8 @@ def test_readings_that_depend_on_time_ask_for_times(result):
     robot = result.problem.experiment.robot
     times, q, v, a = fourier(robot, 7, duration=2.0)
     sensor = Sensor(translation=np.array([0.0, 0.0, -0.1]))
-    motion = Motion("identification", "identification", recording(robot, sensor, fourier(robot, 1), force_std=0.1, torque_std=0.1))
+    table = recording(robot, sensor, fourier(robot, 1), force_std=0.1, torque_std=0.1)
+    motion = Motion("identification", "identification", table)
     drifting = bayesid.identify(experiment(robot, [motion], sensor, effects=["sensor_drift"]), channel="wrench")
     with pytest.raises(bayesid.InputError, match="give times="):
         drifting.predict(q, v, a)
