@@ -35,7 +35,7 @@ def recording(
     force_std: float = 0.0,
     torque_std: float = 0.0,
     resolution: float = 0.0,
-    offset=0.0,
+    offset: float | np.ndarray = 0.0,
     phi: np.ndarray | None = None,
     static: bool = False,
 ) -> Table:

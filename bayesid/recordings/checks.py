@@ -14,6 +14,8 @@ from bayesid.robot.robot import Robot
 
 FAR_OUTSIDE = 4.0 * np.pi  # beyond a limit by this much [rad or m]: another unit
 LARGE_ANGLE = 20.0  # no joint with limits turns this far [rad]
+_KINKS = 2  # so many turns at zero make a magnitude
+_REACH = 6  # samples on either side of a turn
 LIMIT_SLACK = 0.1  # [rad or m]
 
 
@@ -39,7 +41,8 @@ def check_positions(table: Table, robot: Robot) -> list[str]:
         allowed = f"{robot.urdf.name} allows {lower:.6g} to {upper:.6g} {'m' if slides else 'rad'}"
         if far:
             unit = "millimetres? write metres" if slides else "degrees? write radians"
-            raise InputError(f"{place}, {allowed}; is it in {unit}, or correct the limits")
+            motor = "; if it is the motor's position, divide by the gear ratio"
+            raise InputError(f"{place}, {allowed}; is it in {unit}, or correct the limits{motor}")
         if excess[worst] > LIMIT_SLACK:
             warnings.append(f"{place}, {allowed}; check the unit (rad or m), the joint order and the limits")
     return warnings
@@ -51,13 +54,45 @@ def check_channels(table: Table) -> list[str]:
     Raises
     ------
     InputError
-        All six wrench channels, or all torques, are zero throughout.
+        All six wrench channels, or all torques, are zero throughout; torques have lost their signs.
     """
     for array, names in ((table.wrench, "fx ... mz"), (table.torques, "tau1 ...")):
         if array is not None and not array.any():
             raise InputError(f"{table.source}: columns {names}: 0 in every row; record them, or leave them out")
+    unsigned = _without_sign(table)
+    if unsigned:
+        raise InputError(
+            f"{table.source}: columns {', '.join(unsigned)}: never negative, as if they were magnitudes; a moving robot's "
+            "torques have both signs: export them with their signs"
+        )
     dead = [(name, values[0]) for name, values in table.channels() if len(table) > 1 and np.ptp(values) == 0.0]
     return [f"{table.source}: column {name}: {value:g} in every row; that channel looks dead" for name, value in dead]
+
+
+def _without_sign(table: Table) -> list[str]:
+    """Torque columns that are magnitudes: none is ever negative.
+
+    Of three joints, one at least is not loaded by gravity to one side only, or has friction in both directions. One or two
+    may be; their torques are magnitudes where they turn back at zero, instead of going on with their slope: a minimum that
+    touches zero by chance is flat for many samples.
+    """
+    if table.torques is None or len(table) < 4 * _REACH or (table.torques < 0.0).any():
+        return []
+    if table.torques.shape[1] > 2:
+        return ["tau1", "...", f"tau{table.torques.shape[1]}"]
+    found = []
+    for j, values in enumerate(table.torques.T):
+        noise = float(np.median(np.abs(np.diff(values, 3)))) / (0.6745 * np.sqrt(20.0))  # as of white noise
+        low = _REACH + np.flatnonzero(values[_REACH:-_REACH] < max(2.0 * noise, 0.01 * values.max()))
+        before, after = values[low - _REACH], values[low + _REACH]
+        # Down to zero and up again by as much within a few samples, far beyond the noise: a minimum is flatter than that.
+        steep = np.minimum(before, after) > np.maximum(8.0 * noise, 4.0 * values[low])
+        alike = np.maximum(before, after) < 2.0 * np.minimum(before, after)
+        bottom = np.median(values[low[:, None] + np.arange(-1, 2)], axis=1)
+        straight = bottom < 0.5 * np.minimum(values[low - _REACH // 2], values[low + _REACH // 2])
+        if np.count_nonzero(np.diff(low[steep & alike & straight], prepend=-np.inf) > _REACH) >= _KINKS:
+            found.append(f"tau{j + 1}")
+    return found
 
 
 def check_static(table: Table, static: Table, resolution: float | None) -> list[str]:

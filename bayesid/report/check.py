@@ -78,8 +78,9 @@ def _lead(check: Inspection) -> str:
     fitted, proof = len(check.experiment.identification), len(check.experiment.validation)
     best = next((s for s in check.sensor_sets if s.available), None)
     reading = "sensor’s wrench" if check.channel == "wrench" else "joint torques"
+    opening = "Something seems to be wrong with the data" if check.mistakes else "The folder reads well"
     text = (
-        f"The folder reads well: {check.experiment.robot.n} moving joints, {fitted} motion{'s' if fitted != 1 else ''} to fit "
+        f"{opening}: {check.experiment.robot.n} moving joints, {fitted} motion{'s' if fitted != 1 else ''} to fit "
         f"and {proof} to validate on. By default the {reading} will be fitted"
     )
     return text + (f", which can show at most {best.base.rank} base parameters." if best else ".")

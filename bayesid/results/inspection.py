@@ -10,6 +10,7 @@ import numpy as np
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.recordings.experiment import Experiment, Motion
 from bayesid.results.files import Result
+from bayesid.validation.mistakes.mistake import Mistake
 
 SCHEMA = 1
 
@@ -100,6 +101,8 @@ class Inspection(Result):
         Of the joint motion [Hz], as `identify` would choose it; None where it cannot be chosen.
     position_std
         Random error of one position sample (n,) [rad or m].
+    mistakes
+        Signs, frames, orders and units that seem to be wrong, the most certain first; the warnings begin with them.
     warnings
         What looks doubtful, most important first.
     """
@@ -111,6 +114,7 @@ class Inspection(Result):
     bandwidth: float | None
     bandwidth_reason: str
     position_std: np.ndarray
+    mistakes: tuple[Mistake, ...]
     warnings: tuple[str, ...]
 
     @property
@@ -126,6 +130,7 @@ class Inspection(Result):
             "schema": SCHEMA,
             "experiment": self.name,
             "warnings": list(self.warnings),
+            "mistakes": [m.to_dict() for m in self.mistakes],
             "robot": {
                 "name": robot.name, "joints": list(robot.joint_names), "prismatic": robot.prismatic.tolist(), **limits,
                 "locked": dict(self.experiment.locked), "gravity": robot.gravity.tolist(), "bodies": list(robot.body_names),

@@ -14,6 +14,7 @@ from bayesid.regression.readings import default_channel, make_channels
 from bayesid.results.files import Files, files_of
 from bayesid.results.inspection import Inspection, MotionSummary, SensorSet
 from bayesid.signals.smoothing import smooth
+from bayesid.validation.mistakes.search import find_mistakes
 from bayesid.workflows.progress import Progress, quiet
 
 _GROUPS = {"positions": "q", "velocities": "v", "commanded": "qr", "torques": "tau", "wrench": "wrench"}
@@ -51,6 +52,8 @@ def check(experiment: Experiment, progress: Progress = quiet) -> Inspection:
         reason = str(error)
         warnings.append(f"identify will refuse this folder as it is: {error}")
     motions = tuple(_summary(m, bandwidth) for m in experiment.motions)
+    progress("signs, frames and units")
+    mistakes = find_mistakes(experiment)
     progress("base parameters")
     return Inspection(
         experiment=experiment,
@@ -60,7 +63,8 @@ def check(experiment: Experiment, progress: Progress = quiet) -> Inspection:
         bandwidth=bandwidth,
         bandwidth_reason=reason,
         position_std=position_std,
-        warnings=tuple([*warnings, *experiment.warnings]),
+        mistakes=mistakes,
+        warnings=tuple([*(m.text for m in mistakes), *warnings, *experiment.warnings]),
     )
 
 

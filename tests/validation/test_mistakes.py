@@ -1,0 +1,161 @@
+"""Mistakes of signs, orders, units and frames: named where they are made, and never where they are not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.optimize import nnls
+
+import bayesid
+from bayesid.dynamics.channels import torque_channels
+from bayesid.recordings.checks import check_channels
+from bayesid.recordings.experiment import Experiment
+from bayesid.robot import inertia
+from bayesid.robot.robot import load_robot
+from bayesid.validation.mistakes.candidates import candidates, of_wrench
+from bayesid.validation.mistakes.evidence import Explainer
+from bayesid.validation.mistakes.plausible import body_generators
+from bayesid.validation.mistakes.samples import low_passed
+from bayesid.validation.mistakes.search import find_mistakes
+from tests.robots import ROBOTS, ur5, write
+from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
+from tests.studies.mistakes import Made, changed, made, magnitudes, times
+
+
+def arm(folder: Path, masses: bool = True, seed: int = 0) -> Experiment:
+    """Torques of a UR5 with friction, drives of their own inertia, and link masses a tenth off the URDF's."""
+    robot = load_robot(write(folder, ur5()))
+    rng = np.random.default_rng(seed)
+    true = robot.nominal * (1.0 + 0.1 * rng.normal(size=(robot.n, 1)))
+    motion = fourier(robot, seed, speed=1.0)
+    table = recording(robot, None, motion, seed=seed, torque_std=0.3, resolution=1e-4, phi=true.ravel())
+    _, _, v, a = motion
+    friction = np.linspace(6.0, 1.5, robot.n) * np.tanh(v / 0.02) + 3.0 * v + np.linspace(2.0, 0.2, robot.n) * a
+    assert table.torques is not None
+    table = replace(table, torques=table.torques + friction, wrench=None)
+    if not masses:
+        robot = replace(robot, nominal=np.zeros_like(robot.nominal))
+    return experiment(robot, [Motion("a", "identification", table)])
+
+
+def on_sensor(folder: Path, seed: int = 0) -> Experiment:
+    """The wrench under the paper's two-joint robot, with an unknown offset."""
+    robot = puma2(folder)
+    sensor = Sensor(rpy=np.array([0.2, -0.3, 0.5]), translation=np.array([0.0, 0.02, -0.08]))
+    table = recording(
+        robot,
+        sensor,
+        fourier(robot, seed),
+        seed=seed,
+        force_std=1.0,
+        torque_std=0.2,
+        resolution=1e-4,
+        offset=offset,
+    )
+    return experiment(robot, [Motion("a", "identification", replace(table, torques=None))], sensor)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_recordings_without_a_mistake_raise_no_alarm(seed: int, tmp_path: Path) -> None:
+    for whole in (arm(tmp_path, True, seed), arm(tmp_path, False, seed), on_sensor(tmp_path, seed)):
+        assert find_mistakes(whole) == ()
+
+
+def names(whole: Experiment) -> set[tuple[str, str]]:
+    return {pair for m in find_mistakes(whole) for pair in ((m.name, m.where), *m.alternatives)}
+
+
+def one_a_kind(whole: Experiment, left_out: tuple[str, ...] = ()) -> list[Made]:
+    """The second mistake of each kind: that of joint 2 where it concerns a joint, which carries the arm."""
+    kinds: dict[str, list[Made]] = {}
+    for one in made(whole):
+        if one.named and one.kind not in left_out:
+            kinds.setdefault(one.kind, []).append(one)
+    return [every[min(1, len(every) - 1)] for every in kinds.values()]
+
+
+#: Neither is a base turned over told from masses on the other side of the joints, nor are motors' torques from those of a toy,
+#: where the URDF has no masses.
+NEEDS_MASSES = ("torques of the motors", "stated to hang on the ceiling")
+
+
+@pytest.mark.parametrize("masses", [True, False], ids=["masses", "no masses"])
+def test_mistakes_with_torques_are_named(masses: bool, tmp_path: Path) -> None:
+    every = one_a_kind(arm(tmp_path, masses), () if masses else NEEDS_MASSES)
+    missed = [(one.kind, one.named) for one in every if not set(one.named) & names(one.experiment)]
+    assert missed == []
+    assert len(every) >= 9
+
+
+def test_mistakes_with_a_wrench_are_named(tmp_path: Path) -> None:
+    every = one_a_kind(on_sensor(tmp_path), ("degrees for radians",))
+    missed = [(one.kind, one.named) for one in every if not set(one.named) & names(one.experiment)]
+    assert missed == []
+    assert len(every) >= 15
+
+
+def test_the_line_says_what_by_how_much_and_what_to_do(tmp_path: Path) -> None:
+    whole = changed(arm(tmp_path), times(np.diag([1.0, 1, -1, 1, 1, 1]), "torques"))
+    (found,) = find_mistakes(whole)
+    assert "tau3" in found.text and "opposite sign" in found.text and "change the sign of tau3" in found.text
+    assert "\n" not in found.text
+    assert found.before[2] > 5.0 * found.after[2]
+    inspected = bayesid.check(whole)
+    assert inspected.warnings[0] == found.text
+    assert inspected.to_dict()["mistakes"][0]["name"] == "torque_sign"
+    assert found.text in str(inspected)
+
+
+def test_torques_without_signs_are_refused_and_others_are_not(tmp_path: Path) -> None:
+    table = arm(tmp_path).motions[0].table
+    assert check_channels(table) == []
+    with pytest.raises(bayesid.InputError, match="never negative"):
+        check_channels(magnitudes(table))
+
+
+def test_two_joints_may_be_loaded_to_one_side(tmp_path: Path) -> None:
+    table = recording(puma2(tmp_path), None, fourier(puma2(tmp_path), 1), torque_std=0.05, seed=1)
+    assert table.torques is not None
+    with pytest.raises(bayesid.InputError, match="never negative"):
+        check_channels(magnitudes(table))
+    assert check_channels(replace(table, torques=table.torques - table.torques.min(axis=0))) == []
+
+
+def test_generators_hold_the_bodies_of_real_arms(tmp_path: Path) -> None:
+    """Uniform ellipsoids about the links are sums of generators, and masses are never negative."""
+    for name, text in ROBOTS.items():
+        robot = load_robot(write(tmp_path, text()))
+        generators = body_generators(robot)
+        scale = np.abs(generators).max(axis=1)
+        _, left = nnls(generators / scale[:, None], robot.nominal.ravel()[: len(scale)] / scale)
+        assert left < 0.1 * np.linalg.norm(robot.nominal.ravel() / scale), name
+        mixed = np.random.default_rng(0).uniform(size=generators.shape[1])
+        bodies = (generators @ mixed).reshape(-1, 10)
+        assert (bodies[:, 0] > 0.0).all()
+        assert all(np.linalg.eigvalsh(inertia.inertia_matrix(body))[0] > 0.0 for body in bodies)
+
+
+def test_undoing_a_candidate_is_its_own_mistake_undone(tmp_path: Path) -> None:
+    """Every change of readings can be undone, and no two candidates of a sensor are the same."""
+    sensor = Sensor(rpy=np.array([0.2, -0.3, 0.5]), translation=np.array([0.0, 0.02, -0.08]))
+    matrices = [c.readings for c in of_wrench(sensor) if c.readings is not None]
+    assert all(abs(np.linalg.det(m)) > 0.0 for m in matrices)
+    flat = np.array([m.ravel() for m in matrices])
+    apart = np.linalg.norm(flat[:, None] - flat[None], axis=2) + np.eye(len(flat))
+    assert apart.min() > 1e-6
+    assert sum(c.name == "sensor_axes" for c in of_wrench(sensor)) == 46
+
+
+def test_changes_of_units_alone_are_no_evidence(tmp_path: Path) -> None:
+    """The density is that of the readings as recorded: all of them in another unit are exactly as probable."""
+    whole = arm(tmp_path)
+    samples = low_passed(whole, "torque")
+    assert samples is not None
+    explainer = Explainer(whole.robot, torque_channels(whole.robot), samples)
+    here, there = explainer.fit()[0], explainer.fit(1e3 * np.eye(whole.robot.n))[0]
+    assert there.log_likelihood == pytest.approx(here.log_likelihood, abs=0.05)
+    every = candidates(whole, "torque", np.abs(samples.positions).max(axis=0))
+    assert len({(c.name, c.where) for c in every}) == len(every)
