@@ -53,7 +53,7 @@ def on_sensor(folder: Path, seed: int = 0) -> Experiment:
         force_std=1.0,
         torque_std=0.2,
         resolution=1e-4,
-        offset=offset,
+        offset=np.array([5.0, -3.0, 20.0, 1.0, 2.0, -1.0]),
     )
     return experiment(robot, [Motion("a", "identification", replace(table, torques=None))], sensor)
 
