@@ -92,17 +92,19 @@ def choose_bandwidth(rows: Callable[[float], Sequence[Block]], highest: float) -
     powers, estimates = [], []
     for k, blocks in enumerate(tried):
         parts = [_part(blocks, edge) for edge in edges]
-        poses = [b.rows for b in blocks if b.group == "poses"]
+        # Rows are reduced once, stretch by stretch and channel by channel: other weights and folds need the factors alone.
+        reduced = [_by_channel(rows) for rows in (*parts, *(b.rows for b in blocks if b.group == "poses"))]
         if k == 0:
             for _ in range(2):
-                scale = _scale(_fitted([*parts, *poses], scale), parts)
+                scale = _scale(_solved([_weighted(factors, scale) for factors in reduced]), parts)
+        factors = [_weighted(factors, scale) for factors in reduced]
         power = np.zeros((len(parts), len(scale)))
         for fold in range(_FOLDS):
-            found = _fitted([*(part for i, part in enumerate(parts) if i % _FOLDS != fold), *poses], scale)
+            found = _solved([factor for i, factor in enumerate(factors) if i >= len(parts) or i % _FOLDS != fold])
             for i in range(fold, len(parts), _FOLDS):
                 power[i] = _band_power(parts[i][:, :, -1] - parts[i][:, :, :-1] @ found, edges[i])
         powers.append(power)
-        estimates.append(_fitted([*parts, *poses], scale))
+        estimates.append(_solved(factors))
     error = np.array([np.sum(power / powers[0].mean(axis=0), axis=1) for power in powers])  # (bandwidths, stretches)
     mean = error.mean(axis=1)
     best = int(np.argmin(mean))
@@ -138,9 +140,23 @@ def _part(blocks: Sequence[Block], edge: tuple[int, float, float]) -> np.ndarray
     return np.concatenate([b.rows[(b.times >= start) & (b.times < end)] for b in own] or [np.zeros((0, 1, 1))])
 
 
-def _fitted(parts: Sequence[np.ndarray], scale: np.ndarray) -> np.ndarray:
-    rows = np.concatenate([(part / scale[:, None]).reshape(-1, part.shape[2]) for part in parts])
-    factor = np.asarray(np.linalg.qr(rows, mode="r"))
+def _factor(rows: np.ndarray) -> np.ndarray:
+    return np.asarray(np.linalg.qr(rows, mode="r"))
+
+
+def _by_channel(rows: np.ndarray) -> list[np.ndarray]:
+    """Triangular factor of each channel's rows (k, channels, p + 1)."""
+    return [_factor(rows[:, c]) for c in range(rows.shape[1])]
+
+
+def _weighted(factors: Sequence[np.ndarray], scale: np.ndarray) -> np.ndarray:
+    """Factor of all channels' rows over their scales (c,)."""
+    return _factor(np.concatenate([factor / s for factor, s in zip(factors, scale, strict=True)]))
+
+
+def _solved(factors: Sequence[np.ndarray]) -> np.ndarray:
+    """Least squares of all rows behind some factors (p,)."""
+    factor = _factor(np.concatenate(factors))
     return solve(factor[:, :-1], factor[:, -1])
 
 
