@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from bayesid.dynamics.base_parameters import structural_base
 from bayesid.errors import InputError
@@ -46,7 +47,9 @@ def check(experiment: Experiment, progress: Progress = quiet) -> Inspection:
     except InputError as error:
         raise InputError(f"experiment.toml: [model] effects: {error}") from None
     try:
-        problem = prepare(experiment, FitOptions(channel, effects=()))
+        # The matrices are small: threads inside the linear algebra cost more than they gain here.
+        with threadpool_limits(1, user_api="blas"):
+            problem = prepare(experiment, FitOptions(channel, effects=()))
         bandwidth, reason, position_std = problem.smoother.bandwidth, problem.smoother.reason, problem.smoother.position_std
     except InputError as error:
         reason = str(error)
