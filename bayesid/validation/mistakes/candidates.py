@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import pinocchio as pin
 
 from bayesid.recordings.experiment import Experiment, Sensor
 from bayesid.robot.robot import Robot
@@ -105,7 +105,7 @@ def of_joints(names: Sequence[str], torques: bool) -> list[Candidate]:
 def of_wrench(sensor: Sensor) -> list[Candidate]:
     """Signs, order, units and frame of a wrench, sensor frame, moments about the sensor origin."""
     same, zero = np.eye(3), np.zeros((3, 3))
-    rotation = Rotation.from_euler("xyz", sensor.rpy).as_matrix()
+    rotation = pin.rpy.rpyToMatrix(*map(float, sensor.rpy))
     shift = rotation.T @ sensor.translation
     table = [
         ("wrench_sign", "", "the wrench seems to be that of the robot on the sensor",
