@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import fields, is_dataclass, replace
 from difflib import get_close_matches
 
-from bayesid.errors import InputError
+from scipy.stats import chi2
+
+from bayesid.errors import BayesidWarning, InputError
 from bayesid.estimators.conic.bounds import Bounds, load_bounds
 from bayesid.estimators.conic.physical import Physical
 from bayesid.estimators.details import Details, OwnDetails
 from bayesid.estimators.errors_in_variables import TotalLeastSquares
 from bayesid.estimators.estimator import Estimate, Estimator
+from bayesid.estimators.factor import learn_weights, pilot_of
 from bayesid.estimators.instrumental_variables import InstrumentalVariables
 from bayesid.estimators.least_squares import LeastSquares, Ridge, TruncatedSVD
 from bayesid.estimators.robust.m_estimators import Huber, Student
@@ -31,6 +35,8 @@ METHODS: dict[str, Estimator] = {
     "sdp": Physical(),
 }
 DEFAULT_METHOD = "wls"
+#: Residuals less likely than this under the noise that was stated contradict it.
+UNLIKELY = 1e-4
 
 
 def estimator(method: str | Estimator) -> Estimator:
@@ -73,7 +79,31 @@ def fit(regression: Regression, method: str | Estimator = DEFAULT_METHOD, prior:
             takes = [name for name, other in METHODS.items() if hasattr(other, "prior")]
             raise InputError(f"method '{chosen.name}' takes no prior; leave it out, or choose {' or '.join(takes)}")
         chosen = replace(chosen, prior=prior)
-    return chosen.fit(regression)
+    estimate = chosen.fit(regression)
+    doubt = _stated_noise_doubted(regression, estimate)
+    if doubt:
+        warnings.warn(f"{chosen.name}: {doubt}", BayesidWarning, stacklevel=2)
+        estimate = replace(estimate, details=replace(estimate.details, warnings=(*estimate.details.warnings, doubt)))
+    return estimate
+
+
+def _stated_noise_doubted(regression: Regression, estimate: Estimate) -> str:
+    """What to say where residuals contradict the noise that was stated; empty where they do not, or none was."""
+    if regression.noise_std is None:
+        return ""
+    efficient = pilot_of(regression).whitened(learn_weights(regression).noise)
+    degrees = max(efficient.rows - len(estimate.solution), 1)
+    # Of the efficient fit, whose residuals are the smallest; but not of outliers that this estimator leaves out.
+    square = min(efficient.least_squares, degrees * estimate.residual_rms**2)
+    ratio = f"{(square / degrees) ** 0.5:.3g} times the stated noise_std"
+    if chi2.sf(square, degrees) < UNLIKELY:
+        return (
+            f"residuals are {ratio}: the model misses something, and intervals do not cover it, or the noise is larger; complete "
+            "the model, correct noise_std, or leave it out to have noise and model error estimated from the residuals"
+        )
+    if chi2.cdf(square, degrees) < UNLIKELY:
+        return f"residuals are {ratio}, so intervals are too long; correct noise_std, or leave it out"
+    return ""
 
 
 __all__ = [

@@ -27,7 +27,7 @@ from scipy.stats import norm, t
 from bayesid.errors import InputError
 from bayesid.estimators.details import OPTIONAL, Details
 from bayesid.estimators.estimator import Estimate
-from bayesid.estimators.factor import Factor, Weights, learn_weights, noise_of_residuals, reduce_whitened
+from bayesid.estimators.factor import Factor, Weights, learn_weights, noise_of_residuals, reduce_whitened, stated_noise
 from bayesid.estimators.least_squares import completeness, make_estimate, nominal_start, target_from_nominal, weighted_factor
 from bayesid.estimators.sensor_noise import sensor_noise
 from bayesid.regression.blocks import Block, Pair, RegressorNoise
@@ -235,8 +235,8 @@ def split_noise(
             added.append(rows)
     blocks = regression.pilot()
     taken = pseudo_inverse(reduce_whitened(blocks, start.weights.noise).matrix)
-    noise = {}
-    for group in start.weights.noise:
+    noise = stated_noise(regression) or {}
+    for group in start.weights.noise if not noise else ():
         own = [b for b in blocks if b.group == group]
         noise[group] = sensor_noise(
             [b.target - b.matrix @ solution for b in own],

@@ -178,6 +178,9 @@ def learn_weights(regression: Regression) -> Weights:
 def _learned(regression: Regression) -> Weights:
     pilot = pilot_of(regression)
     blocks = pilot.blocks
+    known = stated_noise(regression)
+    if known is not None:  # and what exceeds it is for `bayesid.estimators.fit` to tell
+        return Weights(known, 1.0, True)
     scale = np.ones(blocks[0].rows.shape[1])
     plain = np.zeros(0)
     for _ in range(2):
@@ -281,10 +284,22 @@ def _flat(rows: np.ndarray, matrix: np.ndarray) -> np.ndarray:
     return (rows.reshape(-1, rows.shape[-1]) @ matrix).reshape(*rows.shape[:-1], matrix.shape[1])
 
 
+def stated_noise(regression: Regression) -> dict[str, NoiseModel] | None:
+    """Noise of each group of rows where it is known beforehand, else None."""
+    if regression.noise_std is None:
+        return None
+    groups = dict.fromkeys(block.group for block in regression.pilot())
+    poles = regression.known_poles
+    return {g: NoiseModel.stated(regression.noise_std, poles if g == "trajectory" else None) for g in groups}
+
+
 def noise_of_residuals(
     regression: Regression, blocks: Sequence[Block], values: np.ndarray, efficient: Factor | None = None
 ) -> dict[str, NoiseModel]:
     """Noise of each group of rows from the residuals of a fit; of an efficient one if its factor is given."""
+    known = stated_noise(regression)
+    if known is not None:
+        return known
     noise = {}
     total = sum(len(b.rows) for b in blocks)
     root = None if efficient is None else pseudo_inverse(efficient.matrix)

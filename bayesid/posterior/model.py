@@ -74,6 +74,8 @@ class PosteriorModel:
         if prior is not None and len(prior.mean) != links:
             raise InputError(f"prior has {len(prior.mean)} parameters, the links have {links}; give one value for each")
         effects = len(regression.effect_names)
+        if regression.noise_std is not None:
+            options = {"scale_prior": ScalePrior(known=True), **options}
         model = cls(
             regression.base, regression.effect_names, regression.effect_units,
             np.array(regression.knowledge.effect_non_negative or (False,) * effects, bool),

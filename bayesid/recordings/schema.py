@@ -204,7 +204,7 @@ def read_file(path: Path, kind: type[File]) -> File:
     try:
         if path.exists() and not path.is_file():
             raise InputError(f"{path}: is no file; give the path of a TOML file")
-        data = tomllib.loads(path.read_bytes().decode("utf-8"))
+        data = tomllib.loads(path.read_bytes().decode("utf-8-sig"))  # Windows' editors begin files with a mark
     except FileNotFoundError:
         raise InputError(f"{path}: no such file; give the path of a model.toml, which holds a [model] table") from None
     except UnicodeDecodeError as error:

@@ -48,6 +48,25 @@ def checked_like(given: np.ndarray | None, matrix: np.ndarray, argument: str, ax
     return array
 
 
+def checked_noise(given: Sequence[float] | np.ndarray | None, shape: tuple[int, ...]) -> np.ndarray | None:
+    """Known standard deviations (channels,) or (samples, channels) as an array.
+
+    Raises
+    ------
+    InputError
+        The shape does not fit, or a number is not above zero and finite.
+    """
+    if given is None:
+        return None
+    std = np.asarray(given, float)
+    if std.shape not in (shape, shape[1:]):
+        raise InputError(f"noise_std has shape {std.shape}; give one a channel {shape[1:]} or a sample and channel {shape}")
+    if not (np.isfinite(std) & (std > 0)).all():
+        where = [int(i) for i in np.argwhere(~(np.isfinite(std) & (std > 0)))[0]]
+        raise InputError(f"noise_std{where} is no standard deviation; give numbers above zero, in the channels' units")
+    return std
+
+
 def _require_finite(name: str, array: np.ndarray) -> None:
     if not np.isfinite(array).all():
         where = [int(i) for i in np.argwhere(~np.isfinite(array))[0]]

@@ -64,6 +64,8 @@ class Regression:
         What is known of the parameters beforehand.
     instruments, regressor_noise
         What `iv` and `tls` need to know, if anything is known of it.
+    noise_std
+        Standard deviation of the noise of each channel's rows (c,), where it is known; None: learned from residuals.
     """
 
     base: BaseParameters
@@ -76,6 +78,7 @@ class Regression:
     knowledge: PriorKnowledge = field(default_factory=PriorKnowledge)
     instruments: Instruments | None = None
     regressor_noise: RegressorNoise | None = None
+    noise_std: np.ndarray | None = None
 
     @property
     def column_names(self) -> tuple[str, ...]:
@@ -140,6 +143,7 @@ class Regression:
         bodies: Sequence[Sequence[int]] = (),
         instruments: np.ndarray | None = None,
         regressor_noise: np.ndarray | None = None,
+        noise_std: Sequence[float] | np.ndarray | None = None,
     ) -> Regression:
         """A regression from a filtered regressor and offset-free measurements of one's own.
 
@@ -166,6 +170,11 @@ class Regression:
         regressor_noise
             For ``tls``: simulated errors of the matrix, (draws, samples, channels, parameters): what your own way from
             positions to the matrix makes of positions with fresh encoder noise on top, less the matrix. Ten draws do.
+        noise_std
+            Known standard deviation of the target's noise, by channel (channels,) or by sample and channel (samples,
+            channels); white, or with ``low_pass`` of the colour that it gives. Weights and covariances come from it instead of
+            from residuals, in every estimator and in `bayesid.sample`, and model error is not counted. By sample and channel,
+            both sides are divided by it: all estimators, ``ols`` too, then weigh samples by it, and residuals are in its units.
 
         Raises
         ------
@@ -176,6 +185,14 @@ class Regression:
         samples, channels, p = matrix.shape
         beside = arrays.checked_like(instruments, matrix, "instruments", 3)
         errors = arrays.checked_like(regressor_noise, matrix, "regressor_noise", 4)
+        known = arrays.checked_noise(noise_std, target.shape)
+        if known is not None and known.ndim == 2:
+            if low_pass is not None:
+                raise InputError("noise_std by sample goes without low_pass, which mixes samples; give one number a channel")
+            matrix, target = matrix / known[:, :, None], target / known
+            beside = None if beside is None else beside / known[:, :, None]
+            errors = None if errors is None else errors / known[:, :, None]
+            known = np.ones(channels)
         names = arrays.names_of(parameter_names, p, "p", "parameter_names")
         channel = arrays.names_of(channel_names, channels, "y", "channel_names")
         units = arrays.names_of(parameter_units, p, "1", "parameter_units") if parameter_units else ("1",) * p
@@ -200,4 +217,5 @@ class Regression:
             PriorKnowledge(bodies=tuple(tuple(b) for b in bodies)),
             instruments=None if beside is None else arrays.instruments_of(blocks, beside[:, :, kept], noise),
             regressor_noise=noise,
+            noise_std=known,
         )  # fmt: skip

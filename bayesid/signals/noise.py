@@ -41,6 +41,21 @@ class NoiseModel:
     innovation: np.ndarray
     from_zero: bool = False
 
+    @classmethod
+    def stated(cls, std: np.ndarray, known_poles: np.ndarray | None = None) -> NoiseModel:
+        """Noise of known size: white, or white noise that went through low-passes.
+
+        Parameters
+        ----------
+        std
+            Stationary standard deviation of each channel's rows (c,), independent of each other.
+        known_poles
+            Poles of the filters that the rows passed, from the zero state; None: none.
+        """
+        polynomial = np.array([1.0]) if known_poles is None else np.real(np.poly(known_poles))
+        innovation = np.asarray(std, float) ** 2 / autocovariance(polynomial, 0)[0]
+        return cls(np.tile(polynomial, (len(innovation), 1)), np.diag(innovation), from_zero=known_poles is not None)
+
     @property
     def order(self) -> int:
         """Order of the recursion."""

@@ -6,13 +6,14 @@ import re
 import runpy
 import shlex
 import tomllib
+from dataclasses import fields
 from pathlib import Path
 
 import matplotlib
 import numpy as np
 import pytest
 
-from bayesid import write_experiment
+from bayesid import load_bounds, write_experiment
 from bayesid.cli import main
 from bayesid.effects import EffectLibrary
 from bayesid.recordings import schema
@@ -149,6 +150,17 @@ def test_experiment_page_is_complete():
     sections = (schema.ExperimentFile, schema.RobotSection, schema.SensorSection, schema.MotionSection, schema.ModelSection)
     keys = {key for section in sections for key in section.model_fields}
     assert not {key for key in keys if not re.search(rf"\b{key}\b", text)}
+
+
+def test_bounds_page_is_complete_and_its_file_is_read(tmp_path):
+    """Every key of bounds.toml stands on the page, and the file shown is taken as it is."""
+    page = BY_NAME["bounds.md"]
+    (shown,) = snippets(page, "toml")
+    (tmp_path / "bounds.toml").write_text(shown, encoding="utf-8")
+    known = load_bounds(tmp_path / "bounds.toml")
+    for key in (f.name for f in fields(known)):
+        assert getattr(known, key) and f"| `{key}` |" in page.read_text(encoding="utf-8")
+    assert known.linear(("joint1", "joint2", "joint3"), tuple(tuple(range(k, k + 10)) for k in (0, 10, 20)), 30)
 
 
 def test_method_page_names_modules_that_exist():

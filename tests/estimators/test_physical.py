@@ -7,7 +7,9 @@ from dataclasses import replace
 
 import cvxpy as cp
 import numpy as np
+import pinocchio as pin
 import pytest
+from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from bayesid.errors import InputError
@@ -453,3 +455,33 @@ def test_the_page_of_the_study_is_what_its_numbers_say(tmp_path):
     study.write_page(json.loads((docs / "physical.json").read_text(encoding="utf-8")), tmp_path)
     for name in ("physical.json", "physical.md"):
         assert (tmp_path / name).read_text(encoding="utf-8") == (docs / name).read_text(encoding="utf-8")
+
+
+def test_a_turned_ellipsoid_bounds_bodies_as_the_same_one_in_its_own_axes_does():
+    turn = Rotation.from_euler("xyz", [0.3, -0.2, 0.5]).as_matrix()
+    centre, axes = np.array([0.1, -0.05, 0.2]), np.array([0.3, 0.2, 0.1])
+    turned = Bounds(ellipsoid={"a": (centre, axes, [0.3, -0.2, 0.5])}).linear(("a",), (tuple(range(10)),), 10)[0]
+    matrix = Bounds(ellipsoid={"a": (centre, axes, turn)}).linear(("a",), (tuple(range(10)),), 10)[0]
+    straight = Bounds(ellipsoid={"a": (turn.T @ centre, axes)}).linear(("a",), (tuple(range(10)),), 10)[0]
+    rng = np.random.default_rng(0)
+    for _ in range(20):  # points of mass: inside, and outside
+        point = centre + 0.2 * rng.normal(size=3)
+        body, seen = (pin.Inertia(1.0, p, np.zeros((3, 3))).toDynamicParameters() for p in (point, turn.T @ point))
+        value = (turned.matrix @ body)[0]
+        np.testing.assert_allclose([value, (matrix.matrix @ body)[0]], (straight.matrix @ seen)[0], rtol=1e-9, atol=1e-9)
+        assert (value >= 0) == (np.sum((turn.T @ (point - centre) / axes) ** 2) <= 1.0)
+
+
+@pytest.mark.parametrize("turn", [[0.1, 0.2], [[1.0, 0.0], [0.0, 1.0]], (2.0 * np.eye(3)).tolist(), ["a", 0.0, 0.0]])
+def test_what_turns_no_ellipsoid_is_refused(turn):
+    with pytest.raises(InputError, match="roll, pitch"):
+        Bounds.from_dict({"ellipsoid": {"a": [[0, 0, 0], [1, 1, 1], turn]}})
+
+
+def test_bounds_from_a_file_with_a_mark_in_front_and_a_turned_ellipsoid(tmp_path):
+    path = tmp_path / "bounds.toml"
+    path.write_text("[ellipsoid]\na = [[0, 0, 0], [1, 2, 3], [0.0, 0.0, 1.5707963267948966]]", encoding="utf-8-sig")
+    (group,) = load_bounds(path).linear(("a",), (tuple(range(10)),), 10)
+    (other,) = Bounds(ellipsoid={"a": ([0, 0, 0], [2, 1, 3])}).linear(("a",), (tuple(range(10)),), 10)
+    np.testing.assert_allclose(group.matrix, other.matrix, atol=1e-12)
+    assert group.name.endswith("turned")

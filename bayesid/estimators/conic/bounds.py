@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 
 from bayesid.errors import InputError
 from bayesid.estimators.conic.collision import collision_boxes
@@ -27,7 +28,8 @@ from bayesid.robot import inertia
 from bayesid.robot.robot import Robot
 
 Range = tuple[float, float]
-Corner = Sequence[float]
+Corner = Sequence[float] | np.ndarray
+Rotation = Sequence[float] | Sequence[Sequence[float]] | np.ndarray
 
 
 @dataclass(frozen=True)
@@ -43,7 +45,8 @@ class Bounds:
     com
         Box that holds a body's centre of mass: lower and upper corner (3,), (3,) [m].
     ellipsoid
-        Ellipsoid that a body's mass is in: centre (3,) and half axes along the frame's (3,) [m].
+        Ellipsoid that a body's mass is in: centre (3,) and half axes (3,) [m], and where these are not along the body's frame,
+        third, what turns them from there: a rotation matrix (3, 3), or roll, pitch and yaw (3,) [rad] as in a URDF.
     box
         Box that a body's mass is in: lower and upper corner (3,), (3,) [m]; see `collision_boxes`.
     """
@@ -51,7 +54,7 @@ class Bounds:
     total_mass: Range | None = None
     mass: Mapping[str, Range] = field(default_factory=dict)
     com: Mapping[str, tuple[Corner, Corner]] = field(default_factory=dict)
-    ellipsoid: Mapping[str, tuple[Corner, Corner]] = field(default_factory=dict)
+    ellipsoid: Mapping[str, tuple[Corner, Corner] | tuple[Corner, Corner, Rotation]] = field(default_factory=dict)
     box: Mapping[str, tuple[Corner, Corner]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -66,10 +69,14 @@ class Bounds:
                 raise InputError(f"bounds: {key}: give the lower and the upper corner, three numbers each [m]")
             if key.startswith("box.") and not np.isfinite([a, b]).all():
                 raise InputError(f"bounds: {key}: give finite corners, or bound the centre of mass only (com)")
-        for key, (centre, axes) in _keys("ellipsoid", self.ellipsoid).items():
+        for key, (centre, axes, *turned) in _keys("ellipsoid", self.ellipsoid).items():
             c, h = np.asarray(centre, float), np.asarray(axes, float)
             if c.shape != (3,) or h.shape != (3,) or not (h > 0).all() or not np.isfinite([c, h]).all():
                 raise InputError(f"bounds: {key}: give the centre and the three half axes above 0, three numbers each [m]")
+            if len(turned) > 1 or not all(_is_rotation(r) for r in turned):
+                raise InputError(
+                    f"bounds: {key}: the third entry turns the half axes: give roll, pitch and yaw [rad], or a rotation matrix"
+                )
 
     @classmethod
     def from_dict(cls, table: Mapping[str, Any]) -> Bounds:
@@ -97,8 +104,10 @@ class Bounds:
                 raise InputError(f"bounds: {key} has to be a table with one entry a body")
             for name, pair in entries.items():
                 nested = key not in ("total_mass", "mass")
-                if not _is_pair(pair, nested):
+                corners = pair[:2] if key == "ellipsoid" and isinstance(pair, list | tuple) and len(pair) == 3 else pair
+                if not (_is_pair(corners, nested) and (corners is pair or _is_turn(pair[2]))):
                     form = "[[x, y, z], [x, y, z]]" if nested else "[low, high]"
+                    form += ", or with [roll, pitch, yaw] third" if key == "ellipsoid" else ""
                     raise InputError(f"bounds: {key}{'' if key == 'total_mass' else f'.{name}'} = {pair}: give {form}")
             out[key] = tuple(value) if key == "total_mass" else {k: tuple(v) for k, v in value.items()}
         return cls(**out)
@@ -137,7 +146,7 @@ class Bounds:
             ("box", self.box, _box_forms),
         ):
             for name, pair in regions.items():
-                form = forms(np.asarray(pair[0], float), np.asarray(pair[1], float))
+                form = forms(*(np.asarray(part, float) for part in pair))
                 rows = np.zeros((len(form), columns))
                 # tr(Q P) is linear in the ten parameters.
                 rows[:, list(where[name])] = np.einsum("qij,kij->qk", form, inertia.BASIS)
@@ -161,7 +170,7 @@ def load_bounds(path: str | Path, robot: Robot | None = None, locked: Mapping[st
         The file cannot be read, or its content is refused.
     """
     try:
-        table = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+        table = tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise InputError(f"{path}: cannot be read as TOML: {error}") from None
     try:
@@ -187,15 +196,30 @@ def _is_pair(value: Any, nested: bool) -> bool:
     return all(isinstance(n, int | float) and not isinstance(n, bool) for n in numbers)
 
 
+def _is_turn(value: Any) -> bool:
+    """Whether a table's entry has the form of roll, pitch and yaw, or of a matrix."""
+    rows = value if isinstance(value, list | tuple) and all(isinstance(p, list | tuple) for p in value) else [value]
+    return all(_is_pair([row, row], True) for row in rows)
+
+
+def _is_rotation(value: Any) -> bool:
+    """Whether numbers are roll, pitch and yaw, or a rotation matrix."""
+    r = np.asarray(value, float)
+    if not np.isfinite(r).all() or r.shape not in ((3,), (3, 3)):
+        return False
+    return r.shape == (3,) or bool(np.abs(r @ r.T - np.eye(3)).max() < 1e-6 and np.linalg.det(r) > 0)
+
+
 def _between(name: str, row: np.ndarray, low: float, high: float) -> Linear:
     keep = np.isfinite([low, high])
     text = f"in [{low:g}, {high:g}] kg" if keep.all() else f">= {low:g} kg" if keep[0] else f"<= {high:g} kg"
     return Linear(f"{name} {text}", np.concatenate([row, -row])[keep], np.array([low, -high])[keep])
 
 
-def _text(kind: str, pair: tuple[Corner, Corner]) -> str:
-    first, second = ("(" + ", ".join(f"{v:g}" for v in part) + ")" for part in pair)
-    return f"with centre {first} and half axes {second} m" if kind == "ellipsoid" else f"between {first} and {second} m"
+def _text(kind: str, pair: Sequence[Any]) -> str:
+    first, second = ("(" + ", ".join(f"{v:g}" for v in part) + ")" for part in pair[:2])
+    turned = ", turned" if len(pair) > 2 else ""
+    return f"with centre {first} and half axes {second} m{turned}" if kind == "ellipsoid" else f"between {first} and {second} m"
 
 
 def _com_forms(low: np.ndarray, high: np.ndarray) -> np.ndarray:
@@ -208,9 +232,12 @@ def _com_forms(low: np.ndarray, high: np.ndarray) -> np.ndarray:
     return np.array(forms).reshape(-1, 4, 4)
 
 
-def _ellipsoid_forms(centre: np.ndarray, axes: np.ndarray) -> np.ndarray:
-    """The form ``1 - (x - c)' S^-1 (x - c)``."""
+def _ellipsoid_forms(centre: np.ndarray, axes: np.ndarray, rotation: np.ndarray | None = None) -> np.ndarray:
+    """The form ``1 - (x - c)' S^-1 (x - c)`` with ``S = R diag(axes)^2 R'``."""
     inverse = np.diag(1.0 / axes**2)
+    if rotation is not None:
+        turn = rotation if rotation.ndim == 2 else pin.rpy.rpyToMatrix(*map(float, rotation))
+        inverse = turn @ inverse @ turn.T
     out = np.zeros((1, 4, 4))
     out[0, :3, :3] = -inverse
     out[0, :3, 3] = out[0, 3, :3] = inverse @ centre

@@ -160,7 +160,8 @@ class RobustFit:
         share = self.loss.weights(q / self.variance, n)[residual.segment]
         if (share == 1.0).all():
             return self.learned.noise
-        return learn_weights(replace(self.clean, rows=self.clean.rows.with_pilot(tuple(weighted(pilot, residual, share))))).noise
+        rows = self.clean.rows.with_pilot(tuple(weighted(pilot, residual, share)))
+        return learn_weights(replace(self.clean, rows=rows, noise_std=None)).noise
 
     def estimate(self, name: str) -> Estimate:
         """The estimate, whose details are still to be given."""
@@ -202,7 +203,10 @@ def _without_filters(regression: Regression) -> Regression:
     source = replace(
         rows.source, blocks=lambda: undone(rows.blocks()), pilot=lambda: undone(rows.pilot()), known_poles=None
     )
-    return replace(regression, rows=RowCache(source))
+    std = regression.noise_std  # of what went into the filters
+    if std is not None:
+        std = np.sqrt(np.diag(NoiseModel.stated(std, poles).innovation))
+    return replace(regression, rows=RowCache(source), noise_std=std)
 
 
 def _with_filters(regression: Regression, noise: dict[str, NoiseModel]) -> dict[str, NoiseModel]:
