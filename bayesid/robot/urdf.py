@@ -19,7 +19,8 @@ def write_urdf(
     """Write the robot's URDF with other link parameters.
 
     Every moving joint's child link gets its body's parameters, merged links beyond fixed or locked joints lose
-    theirs (they are in the body's), and a split sensor link's far part goes to the sensor joint's child.
+    theirs (they are in the body's), and a split sensor link's far part goes to the sensor joint's child. Elements that
+    a joint or an ``<inertial>`` has twice stay as they are read: the first one (MuJoCo refuses others).
 
     Parameters
     ----------
@@ -49,6 +50,11 @@ def write_urdf(
             dynamics = ET.SubElement(joints[name], "dynamics")
         for attribute, value in values.items():
             dynamics.set(attribute, repr(float(value)))
+    for element in (*root.findall("joint"), *root.iter("inertial")):
+        kept = {child.tag: child for child in reversed(element)}
+        for child in list(element):
+            if kept[child.tag] is not child:
+                element.remove(child)
     ET.indent(tree)
     tree.write(path, encoding="utf-8", xml_declaration=True)
 

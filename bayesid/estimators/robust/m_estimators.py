@@ -37,6 +37,8 @@ class RobustDetails(Details):
         Times of the first and the last row of each rejected window, by recording [s].
     mean_weight_of_accepted_rows, rows_per_segment, iterations
         Of the fit; the number of rows is ``rows_per_stretch`` in ``estimate.json``.
+    diverged, divergence
+        Whether the fit cannot be right, and why.
     """
 
     rule: str
@@ -46,6 +48,8 @@ class RobustDetails(Details):
     mean_weight_of_accepted_rows: float
     rows_per_segment: int = field(metadata={"key": "rows_per_stretch"})
     iterations: int
+    diverged: bool
+    divergence: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,6 +97,7 @@ class Huber:
             constant=float(np.sqrt(chi2.isf(rare, channels))),
             rule="95 % of normal segments keep their whole weight" if self.constant is None else "as given",
             efficiency_for_normal_noise=loss.efficiency(typical),
+            warnings=fit.warnings(self.name),
         )
         return replace(made, details=details)
 
@@ -117,4 +122,5 @@ class Student:
         fit = RobustFit.of(regression, StudentLoss(_FIRST_NU, True) if self.nu is None else StudentLoss(self.nu))
         assert isinstance(fit.loss, StudentLoss)
         rule = "largest likelihood of all segments" if self.nu is None else "as given"
-        return replace(fit.estimate(self.name), details=StudentDetails(**fit.details(), nu=fit.loss.nu, rule=rule))
+        details = StudentDetails(**fit.details(), nu=fit.loss.nu, rule=rule, warnings=fit.warnings(self.name))
+        return replace(fit.estimate(self.name), details=details)

@@ -15,7 +15,7 @@ colour from rows that were not rejected.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -25,6 +25,7 @@ from scipy.stats import chi2
 from bayesid.estimators.estimator import Estimate
 from bayesid.estimators.factor import Factor, Weights, gram_rows, learn_weights, reduce_rows, whitened
 from bayesid.estimators.least_squares import completeness, make_estimate, nominal_start, target_from_nominal
+from bayesid.estimators.robust.divergence import SMALLEST_SHARE, Directions, Fitted, reasons, share_left
 from bayesid.estimators.robust.losses import WHOLE, Loss
 from bayesid.estimators.robust.segments import (
     Residuals,
@@ -59,7 +60,8 @@ class RobustFit:
 
     ``plain`` are the rows without the filters' known colour, ``clean`` the same with a pilot of accepted rows; ``residual``
     the residuals, ``accepted_rows`` which rows are not rejected, ``weights`` w of each row; ``q``, ``n``, ``variance``
-    lengths, degrees of freedom and scale of the accepted rows of each segment.
+    lengths, degrees of freedom and scale of the accepted rows of each segment; ``hidden`` the parameters that no rows show,
+    whatever their weights; ``note`` why nothing was rejected although much is unusual; ``divergence`` why the fit is not right.
     """
 
     regression: Regression
@@ -74,8 +76,11 @@ class RobustFit:
     n: np.ndarray
     variance: float
     factor: Factor
+    hidden: np.ndarray
     solution: np.ndarray
     passes: int
+    note: str
+    divergence: tuple[str, ...]
 
     @classmethod
     def of(cls, regression: Regression, loss: Loss) -> RobustFit:
@@ -84,7 +89,10 @@ class RobustFit:
         values, clean, learned, loss = _learn(plain, loss)
         residual = residuals(plain.blocks(), values)
         metric = metrics(residual, learned.noise)
-        loss, accepted_rows = _judge(residual, learned.noise, loss)
+        loss, accepted_rows, note = _judge(plain.blocks, residual, learned.noise, loss)
+        # The rank is that of all rows: weights that leave little of a direction must not hide it.
+        whole = _factor(plain.blocks(), learned.noise)
+        directions = Directions.of(whole.matrix)
         correction = overdispersion_correction(residual, metric)
         begin = nominal_start(regression, len(values))
         passes = 0
@@ -97,14 +105,23 @@ class RobustFit:
             share[used] = loss.weights(q[used] / variance, n[used])
             weights = np.where(accepted_rows, share[residual.segment], 0.0)
             factor = _factor(weighted(plain.blocks(), residual, np.sqrt(weights)), learned.noise)
-            last, values = values, solve(factor.matrix, target_from_nominal(regression, factor)) + begin
+            last, values = values, directions.solve(factor, target_from_nominal(regression, factor)) + begin
             residual = residuals(plain.blocks(), values)
             if passes == _PASSES or np.linalg.norm(factor.matrix @ (values - last)) <= _TOLERANCE:
                 break
         factor = Factor(factor.r, int(accepted_rows.sum()) * residual.values.shape[1])
+        ordinary = directions.solve(whole, target_from_nominal(regression, whole)) + begin
+        every = np.ones(len(accepted_rows), bool)
+        fits = []
+        for own in (residual, residuals(plain.blocks(), ordinary)):
+            q_all, n_all = lengths(own, metric, every, correction)
+            fits.append(Fitted.of(own, q_all, n_all, plain.blocks()))
+        share, direction = directions.least(factor)
+        divergence = reasons(regression, share, direction, float(np.sqrt(variance)), fits[0], fits[1], values, ordinary)
         return cls(
-            regression, plain, clean, learned, loss, residual, accepted_rows, weights, q, n, variance, factor, values, passes
-        )
+            regression, plain, clean, learned, loss, residual, accepted_rows, weights, q, n, variance, factor,
+            undetermined(whole.matrix), values, passes, note, divergence,
+        )  # fmt: skip
 
     def covariance(self, hidden: np.ndarray) -> np.ndarray:
         """Sandwich ``A^-1 B A^-1`` of these weights [Huber1981]_.
@@ -165,9 +182,23 @@ class RobustFit:
 
     def estimate(self, name: str) -> Estimate:
         """The estimate, whose details are still to be given."""
-        hidden = undetermined(self.factor.matrix)
-        made = make_estimate(name, self.clean, self.learned, self.factor, self.solution, self.covariance(hidden), hidden)
+        covariance = None if self.divergence else self.covariance(self.hidden)
+        made = make_estimate(name, self.clean, self.learned, self.factor, self.solution, covariance, self.hidden)
+        if self.divergence:
+            made = replace(made, interval="none", interval_reason="the fit diverged")
         return replace(made, noise=_with_filters(self.regression, made.noise))
+
+    def warnings(self, name: str) -> tuple[str, ...]:
+        """What the user should know of the fit."""
+        if self.divergence:
+            return (
+                f"{name} diverged: {'; '.join(self.divergence)}. Do not use its numbers: take wls, cut the disturbed part out of "
+                "the table, or record more motion of these links outside of it.",
+            )
+        out = [f"{name} rejected no rows although much is unusual: {self.note}."] if self.note else []
+        if self.passes == _PASSES:
+            out.append(f"{name} did not settle in {_PASSES} rounds, so it is less sure than its intervals say: compare wls.")
+        return tuple(out)
 
     def details(self) -> dict[str, Any]:
         """What both estimators say of the fit: the fields of `RobustDetails`."""
@@ -180,6 +211,8 @@ class RobustFit:
             "mean_weight_of_accepted_rows": float(self.weights[accepted_rows].mean()),
             "rows_per_segment": int(np.median(np.bincount(residual.segment))),
             "iterations": self.passes,
+            "diverged": bool(self.divergence),
+            "divergence": self.divergence,
         }
 
 
@@ -228,7 +261,7 @@ def _learn(plain: Regression, loss: Loss) -> tuple[np.ndarray, Regression, Weigh
     before, clean, learned = np.zeros(0, bool), plain, None
     for _ in range(_ROUNDS):
         residual = residuals(pilot, values)
-        loss, accepted_rows = _judge(residual, noise, loss)
+        loss, accepted_rows, _ = _judge(lambda: pilot, residual, noise, loss)
         if learned is not None and np.array_equal(accepted_rows, before):
             break
         before = accepted_rows
@@ -243,8 +276,10 @@ def _learn(plain: Regression, loss: Loss) -> tuple[np.ndarray, Regression, Weigh
     return values, clean, learned, loss
 
 
-def _judge(residual: Residuals, noise: dict[str, NoiseModel], loss: Loss) -> tuple[Loss, np.ndarray]:
-    """The loss with what it learns from all segments, and the rows that are not rejected."""
+def _judge(
+    read: Callable[[], Iterable[Block]], residual: Residuals, noise: dict[str, NoiseModel], loss: Loss
+) -> tuple[Loss, np.ndarray, str]:
+    """The loss with what it learns from all segments, the rows that are not rejected, and why none is where more should be."""
     metric = metrics(residual, noise)
     q, n = lengths(residual, metric, np.ones(len(residual.values), bool), overdispersion_correction(residual, metric))
     variance = 1.0
@@ -259,8 +294,14 @@ def _judge(residual: Residuals, noise: dict[str, NoiseModel], loss: Loss) -> tup
         own = np.unique(residual.segment[mask])
         q[own] /= max(float(np.median(q[own] / chi2.median(n[own]))), 1e-300)
     accepted_rows = accepted(residual, q, n, heavy & (q > REJECTED_LENGTH**2 * chi2.ppf(WHOLE, n)))
-    enough = all(accepted_rows[mask].mean() >= SMALLEST_ACCEPTED for mask in residual.groups().values())
-    return loss, accepted_rows if enough else np.ones(len(accepted_rows), bool)
+    if accepted_rows.all():
+        return loss, accepted_rows, ""
+    every = np.ones(len(accepted_rows), bool)
+    if any(accepted_rows[mask].mean() < SMALLEST_ACCEPTED for mask in residual.groups().values()):
+        return loss, every, "more than half of the rows are, so that the model is to blame, not a disturbance"
+    if share_left(read, residual, accepted_rows, noise) < SMALLEST_SHARE:
+        return loss, every, "these rows are the only ones that show some of the parameters"
+    return loss, accepted_rows, ""
 
 
 def _pieces(blocks: Sequence[Block], residual: Residuals, accepted_rows: np.ndarray) -> list[Block]:

@@ -14,6 +14,8 @@ from bayesid.regression.linalg import or_one, standard_deviations
 from bayesid.signals.noise import NoiseModel
 
 _ABSOLUTE_PASSES, _TRIMMED_PASSES = 20, 12
+#: Root of the weight of the other half: next to nothing, but enough to hold directions that it alone shows.
+_TRIMMED_WEIGHT = 0.03
 
 
 def trimmed(blocks: Sequence[Block]) -> tuple[np.ndarray, dict[str, NoiseModel]]:
@@ -42,12 +44,12 @@ def trimmed(blocks: Sequence[Block]) -> tuple[np.ndarray, dict[str, NoiseModel]]
             order = np.argsort(power)
             kept = np.zeros(len(power), bool)
             kept[order[: int(np.searchsorted(np.cumsum(rows[order]), half)) + 1]] = True
-            use = kept[residual.segment].astype(float)
+            use = np.where(kept[residual.segment], 1.0, _TRIMMED_WEIGHT)
             if k > _ABSOLUTE_PASSES and np.allclose(values, last, rtol=1e-12, atol=0.0):
                 break
     noise = {}
     for group, mask in residual.groups().items():
-        kept = residual.values[mask & (use > 0)]
+        kept = residual.values[mask & (use == 1.0)]
         channels = kept.shape[1]
         size = kept.T @ kept / len(kept) if len(kept) >= 3 * channels else np.diag(scale[group] ** 2)
         size = size + np.diag(1e-10 * np.diag(size) + 1e-20 * max(np.diag(size).max(), 1e-200))

@@ -1,0 +1,148 @@
+"""What keeps a robust fit from running away, and how it is noticed when it does.
+
+Rows that disagree lose weight. Where they are the only ones that show a direction of the parameters (a joint that moves in one
+part of the recording, and is modelled worst there), the others say nothing of it: the fit then follows their noise, the rows
+disagree by even more, and the iteration has converged on nonsense. So the information that weights leave is compared with
+that of all rows, ``min v'G_w v / v'G v`` over directions v, G the Gram matrix.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayesid.estimators.factor import Factor, gram_rows
+from bayesid.estimators.robust.segments import Residuals, weighted
+from bayesid.regression.blocks import Block
+from bayesid.regression.linalg import column_lengths, or_one, standard_deviations
+from bayesid.regression.regression import Regression
+from bayesid.signals.noise import NoiseModel
+
+#: Rejected rows must leave this share of what all rows say of every direction; half of ordinary rows leave about half.
+SMALLEST_SHARE = 0.02
+#: With less than this share left by the weights, a direction follows the noise of a few rows.
+_LOST = 1e-3
+#: Errors above the signal itself, and so many times those of least squares, are no fit.
+_WORSE = 3.0
+#: The typical segment fits better than with least squares, or contamination is not why others have no weight.
+_WORSE_MEDIAN = 2.0
+#: Base parameters so many body sizes from the nominal ones, and so many times as far as those of least squares.
+_IMPLAUSIBLE, _FURTHER = 100.0, 10.0
+_COLLAPSED = 1e-3
+_DETERMINED = 1e-10
+
+
+@dataclass(frozen=True)
+class Directions:
+    """Directions of the parameters that all rows together determine.
+
+    Attributes
+    ----------
+    basis
+        T (p, r), in which the unweighted factor is orthonormal.
+    """
+
+    basis: np.ndarray
+
+    @classmethod
+    def of(cls, matrix: np.ndarray) -> Directions:
+        """Of an unweighted factor (k, p)."""
+        length = column_lengths(matrix)
+        _, s, vt = np.linalg.svd(matrix / length, full_matrices=False)
+        keep = s > _DETERMINED * s[0]
+        return cls((vt[keep] / s[keep, None]).T / length[:, None])
+
+    def solve(self, factor: Factor, target: np.ndarray) -> np.ndarray:
+        """Weighted least squares in these directions alone: weights take no part in the choice of the rank."""
+        return self.basis @ np.linalg.lstsq(factor.matrix @ self.basis, target, rcond=1e-12)[0]
+
+    def least(self, factor: Factor) -> tuple[float, np.ndarray]:
+        """Smallest share of the information that the weights leave, and its direction in parameters (p,)."""
+        _, s, vt = np.linalg.svd(factor.matrix @ self.basis)
+        share = 0.0 if len(s) < self.basis.shape[1] else float(s[-1] ** 2)
+        return share, self.basis @ vt[-1]
+
+
+def share_left(
+    read: Callable[[], Iterable[Block]], residual: Residuals, accepted_rows: np.ndarray, noise: dict[str, NoiseModel]
+) -> float:
+    """Smallest share of the information on any direction that the accepted rows of the blocks hold."""
+
+    def scaled(block: Block) -> np.ndarray:
+        return block.matrix / noise[block.group].std[:, None]
+
+    whole = gram_rows(read(), scaled)
+    part = gram_rows(weighted(read(), residual, accepted_rows.astype(float)), scaled)
+    length = or_one(standard_deviations(whole), 0.0)
+    values, vectors = np.linalg.eigh(whole / np.outer(length, length))
+    keep = values > _DETERMINED * values[-1]
+    whiten = vectors[:, keep] / np.sqrt(values[keep]) / length[:, None]
+    return float(np.linalg.eigvalsh(whiten.T @ part @ whiten)[0])
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """Sizes of a fit's residuals: of the typical segment (squared, in units of the noise), and of all rows over the signal."""
+
+    typical: float
+    relative: float
+
+    @classmethod
+    def of(cls, residual: Residuals, q: np.ndarray, n: np.ndarray, blocks: Iterable[Block]) -> Fitted:
+        """From residuals and lengths of all segments."""
+        signal = sum((np.sum(b.target**2, axis=0) for b in blocks), np.zeros(residual.values.shape[1]))
+        used = signal > 0
+        error = np.sum(residual.values**2, axis=0)
+        return cls(float(np.median(q / n)), float(np.sqrt(np.mean(error[used] / signal[used]))) if used.any() else 0.0)
+
+
+def reasons(
+    regression: Regression, share: float, direction: np.ndarray, scale: float, robust: Fitted, plain: Fitted,
+    values: np.ndarray, least_squares: np.ndarray,
+) -> tuple[str, ...]:
+    """Why the fit cannot be right, in words; empty where nothing says so.
+
+    Parameters
+    ----------
+    regression
+        What was fitted.
+    share, direction
+        Smallest share of the information that the weights left, and where (p,).
+    scale
+        Of the residuals, in units of the noise.
+    robust, plain
+        Residuals of this fit and of least squares with weights of channels alone.
+    values, least_squares
+        Both solutions (p,).
+    """
+    out = []
+    if share < _LOST:
+        out.append(f"the weights leave {share:.1g} of the information on {strongest_column(regression, direction)}")
+    if robust.relative > 1.0 and robust.relative > _WORSE * plain.relative:
+        errors = (f"{100 * fit.relative:.3g} %" for fit in (robust, plain))
+        out.append("its error is {} of the signal, that of least squares {}".format(*errors))
+    if robust.typical > _WORSE_MEDIAN**2 * plain.typical:
+        out.append("it fits most of the recording worse than least squares does")
+    scales = regression.nominal_scale
+    if scales is not None and regression.nominal is not None:
+        rank = len(scales)
+        sizes = np.where(scales > 0, scales, np.inf)
+        away, usual = (np.abs(x[:rank] - regression.nominal) / sizes for x in (values, least_squares))
+        worst = int(np.argmax(away))
+        if away[worst] > max(_IMPLAUSIBLE, _FURTHER * usual.max()):
+            out.append(f"{regression.column_names[worst]} = {values[worst]:.3g} is no body's")
+    if scale < _COLLAPSED:
+        out.append(f"the scale of the residuals collapsed to {scale:.1g} of the noise")
+    return tuple(out)
+
+
+def strongest_column(regression: Regression, direction: np.ndarray) -> str:
+    """The parameter that a direction is mostly about, by sizes of bodies where they are known."""
+    sizes = np.ones(len(direction))
+    scales = regression.nominal_scale
+    if scales is not None:
+        sizes[: len(scales)] = np.where(scales > 0, scales, np.inf)
+    names = (*regression.base.labels, *regression.effect_names)
+    return names[int(np.argmax(np.abs(direction) / sizes))]
