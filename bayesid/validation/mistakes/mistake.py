@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import isfinite
 from typing import Any
 
 
@@ -38,7 +39,8 @@ class Mistake:
     def to_dict(self) -> dict[str, Any]:
         """An entry of ``mistakes`` in ``check.json``."""
         return {
-            "name": self.name, "where": self.where, "text": self.text, "channel": self.channel, "evidence_nats": self.evidence,
+            "name": self.name, "where": self.where, "text": self.text, "channel": self.channel,
+            "evidence_nats": self.evidence if isfinite(self.evidence) else None,
             "residual_before": list(self.before), "residual_after": list(self.after),
             "alternatives": [{"name": name, "where": where} for name, where in self.alternatives],
         }  # fmt: skip
