@@ -19,10 +19,11 @@ from functools import cached_property
 import numpy as np
 from scipy.fft import dct, idct
 from scipy.ndimage import binary_opening, convolve, uniform_filter1d
-from scipy.stats import chi2
 
 from bayesid.diagnosis.settings import DEFAULT, Settings
 from bayesid.effects import REST_SPEED, MotionSegment
+from bayesid.signals import white_noise
+from bayesid.signals.white_noise import quiet_noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,46 +230,14 @@ def taper(times: np.ndarray, whole: np.ndarray, bandwidth: float, settings: Sett
 
 
 def sensor_noise(segments: Sequence[Segment]) -> np.ndarray:
-    """Standard deviation of one sample's white noise (c,), from quiet moments above the motion's band.
-
-    Power at high frequencies in short windows. Real motion reaches there, too, where the robot hurries, reverses or is
-    struck; so the quietest windows count: a low quantile of the windows' powers, over what that quantile would be if
-    the noise were all there is.
-
-    Parameters
-    ----------
-    segments
-        Recordings made in the same way (a static run may average its readings longer than a moving one).
-    """
-    power, bins = _quiet_power(segments, 0.3, 0.48)
-    return np.sqrt(power / (chi2.ppf(segments[0].settings.quiet_quantile, 2 * bins) / (2 * bins)))
+    """Standard deviation of one sample's white noise (c,) of recordings made in the same way."""
+    settings = segments[0].settings
+    return quiet_noise([s.readings for s in segments], settings.quiet_window, settings.quiet_quantile)
 
 
 def low_passed(segments: Sequence[Segment]) -> bool:
-    """Whether readings were filtered before they were recorded, so that noise above the band tells nothing of it below.
-
-    White noise has as much power at a fifth of the sampling rate as near half of it.
-    """
-    lower, upper = (_quiet_power(segments, *band)[0] for band in ((0.15, 0.25), (0.4, 0.48)))
-    return bool(np.max(lower / np.maximum(upper, 1e-300)) > segments[0].settings.filtered_ratio)
-
-
-def _quiet_power(segments: Sequence[Segment], low: float, high: float) -> tuple[np.ndarray, int]:
-    """Power per sample in quiet windows between two frequencies (c,) (shares of the sampling rate), and how many bins.
-
-    Second differences first, so that a slow, large motion does not leak upwards; their gain is (2 sin(pi f h))^4.
-    """
-    powers, bins = [], 1
-    for s in segments:
-        length = min(s.settings.quiet_window, len(s.readings) // 2)
-        pieces = len(s.readings) // length
-        cut = np.diff(s.readings[: pieces * length].reshape(pieces, length, -1), n=2, axis=1)
-        count = cut.shape[1]
-        frequency = np.fft.rfftfreq(count)
-        shape = np.hanning(count + 2)[1:-1]
-        power = np.abs(np.fft.rfft(cut * shape[:, None], axis=1)) ** 2 / np.sum(shape**2)
-        inside = (frequency > low) & (frequency < high)
-        # A Hann window spreads each frequency over about three bins' worth, 1.5 of them independent.
-        bins = max(int(np.count_nonzero(inside) / 1.5), 1)
-        powers.append(np.mean(power[:, inside] / ((2.0 * np.sin(np.pi * frequency[inside])) ** 4)[:, None], axis=1))
-    return np.quantile(np.concatenate(powers), segments[0].settings.quiet_quantile, axis=0), bins
+    """Whether readings were filtered before they were recorded, so that noise above the band tells nothing of it below."""
+    settings = segments[0].settings
+    return white_noise.low_passed(
+        [s.readings for s in segments], settings.filtered_ratio, settings.quiet_window, settings.quiet_quantile
+    )

@@ -57,6 +57,8 @@ class Likelihood:
         False where the fit that the noise was learned from said that something is missing in the model.
     agreement
         The probability that this rests on.
+    dispersion
+        Factor of the covariance for the scatter between stretches of the recording.
     """
 
     factors: np.ndarray
@@ -67,6 +69,7 @@ class Likelihood:
     noise: dict[str, NoiseModel] | None = None
     complete: bool = True
     agreement: float = 1.0
+    dispersion: float = 1.0
 
     @classmethod
     def of(cls, regression: Regression, weights: Weights | None = None, *, keep_rows: bool = False) -> Likelihood:
@@ -108,6 +111,7 @@ class Likelihood:
             noise,
             weights.complete,
             weights.agreement,
+            weights.dispersion,
         )
 
 

@@ -14,6 +14,7 @@ from bayesid.results.comparison import TEXT_MOTIONS, Comparison, in_sigmas, over
 from bayesid.results.entry import Entry
 from bayesid.results.text import DASH, HALF, chance, channel_text, number, percent
 from bayesid.validation.agreement import HausmanTest
+from bayesid.validation.headline import judged
 from bayesid.validation.prediction import BAND, band_error
 
 _SHOWN_MOTIONS = 4
@@ -87,7 +88,7 @@ def _row(result: Comparison, entry: Entry) -> dict[str, Any]:
         "refused": entry.refusal,
         "baseline": any(entry is b for b in result.baselines),
         "motions": [
-            {"error": percent(band_error(p)), "white": number(p.whitened_rms, 3), "mood": mood_of(p.whitened_rms)}
+            {"error": percent(band_error(p)), "white": number(p.whitened_rms, 3), "mood": judged(p).mood}
             for p in entry.proof[:TEXT_MOTIONS]
         ],
         "links_mood": "" if entry.impossible is None else "bad" if entry.impossible else "good",
@@ -222,7 +223,7 @@ def _motion_errors(result: Comparison, index: int) -> dict[str, Any]:
                    for p in ps]}
         for c, (name, unit) in enumerate(zip(ps[0].channel_names, ps[0].channel_units, strict=True))
     ]  # fmt: skip
-    whole = [{"nrmse": percent(band_error(p)), "white": number(p.whitened_rms, 3), "mood": mood_of(p.whitened_rms)} for p in ps]
+    whole = [{"nrmse": percent(band_error(p)), "white": number(p.whitened_rms, 3), "mood": judged(p).mood} for p in ps]
     return {"title": ps[0].motion, "names": [e.name for e in entries], "channels": channels, "whole": whole,
             "repeats": f"This motion repeats the fitted ‘{ps[0].repeats}’." if ps[0].repeats else ""}  # fmt: skip
 

@@ -19,13 +19,16 @@ from bayesid.report.prediction_figures import measured_against_predicted, residu
 from bayesid.results.identification import Identification
 from bayesid.results.text import DASH, HALF, chance, channel_text, interval, number, percent, with_half
 from bayesid.robot import inertia
-from bayesid.validation.prediction import BAND, Prediction, relative_error
+from bayesid.validation.headline import judged
+from bayesid.validation.noise_floor import RESIDUALS
+from bayesid.validation.prediction import BAND, TOLERATED, Prediction, band_error, relative_error
 
 #: Figures of at most so many motions of each role are shown.
 SHOWN_MOTIONS = 6
 STATIC = {"motion": "subtracted sample by sample", "joint": "fitted along", "none": "none"}
 #: Residuals up to so many times the noise count as good and as fair.
-_GOOD, _FAIR = 1.15, 1.5
+_GOOD, _FAIR = TOLERATED, 1.5
+_MOODS = ("good", "fair", "bad")
 
 
 def identification_report(result: Identification) -> str:
@@ -94,15 +97,6 @@ def _sizes(prediction: Prediction) -> str:
     return " and ".join(f"{number(r, 2)} {unit}" for unit, r in rms.items()) + " rms per channel"
 
 
-def _judged(prediction: Prediction) -> str:
-    white = prediction.whitened_rms
-    if white <= _GOOD:
-        return f"what is left is {number(white, 3)} times the noise: nothing more can be explained"
-    if white <= _FAIR:
-        return f"what is left is {number(white, 3)} times the noise: a little is missing in the model"
-    return f"what is left is {number(white, 3)} times as large as the noise, so something is missing in the model"
-
-
 def _verdict(result: Identification) -> str:
     """The result in a few plain sentences."""
     estimate, problem = result.estimate, result.problem
@@ -116,13 +110,12 @@ def _verdict(result: Identification) -> str:
         )
     if not result.validation:
         return f"{count} There is no validation motion, so nothing shows yet how well they hold for a motion that was not fitted."
-    explained = all(p.whitened_rms <= _GOOD for p in result.validation)
-    worst = max(result.validation, key=relative_error if explained else lambda p: p.whitened_rms)
+    worst = max(result.validation, key=lambda p: (_MOODS.index(judged(p).mood), band_error(p)))
     unseen = "the motion" if len(result.validation) == 1 else f"the worst of {len(result.validation)} motions"
     text = (
         f"{count} On {unseen} not used for the fit (‘{worst.motion}’), the {channel_text(problem.channel)} "
-        f"{'are' if problem.channel != 'wrench' else 'is'} predicted to {percent(relative_error(worst), 2)} of the signal on raw "
-        f"samples ({_sizes(worst)} below {number(BAND, 2)} Hz); {_judged(worst)}."
+        f"{'are' if problem.channel != 'wrench' else 'is'} predicted to {percent(band_error(worst), 2)} of the signal below "
+        f"{number(BAND, 2)} Hz ({_sizes(worst)}; {percent(relative_error(worst), 2)} on raw samples); {judged(worst).text}."
     )
     if worst.repeats:
         text += f" That motion repeats the fitted ‘{worst.repeats}’, however."
@@ -134,10 +127,11 @@ def _cards(result: Identification) -> list[dict[str, str]]:
     total = problem.experiment.robot.nominal.size
     cards = [{"value": str(estimate.base.rank), "mood": "", "text": f"base parameters (rank), of {total} in the links"}]
     for p in _most_telling(result.validation)[:2]:
-        mood = mood_of(p.whitened_rms)
+        mood = judged(p).mood
+        left = "what the fit left (sensor noise unknown)" if p.noise_source == RESIDUALS else "the sensor's noise"
         cards += [
-            {"value": percent(relative_error(p)), "mood": mood, "text": f"error of the signal on ‘{p.motion}’, raw samples"},
-            {"value": f"{number(p.whitened_rms, 3)} ×", "mood": mood, "text": f"noise is left on ‘{p.motion}’; 1 is perfect"},
+            {"value": percent(band_error(p)), "mood": mood, "text": f"error of the signal on ‘{p.motion}’, below {BAND:.2g} Hz"},
+            {"value": f"{number(p.whitened_rms, 3)} ×", "mood": mood, "text": f"{left} is the residual on ‘{p.motion}’"},
         ]
     moved = result.urdf.moved
     if moved is not None and moved.distance is not None:
@@ -198,8 +192,8 @@ def _motion(prediction: Prediction, role: str, index: int) -> dict[str, Any]:
     title = f"{prediction.motion} ({'validation: not fitted' if role == 'validation' else 'fitted'})"
     what = "poses, numbered" if prediction.poses else f"motion of {number(prediction.times[-1] - prediction.times[0], 3)} s"
     text = (
-        f"Error {percent(relative_error(prediction), 3)} of the signal on raw samples, {_sizes(prediction)} "
-        f"below {number(BAND, 2)} Hz; {_judged(prediction)}."
+        f"Error {percent(band_error(prediction), 3)} of the signal below {number(BAND, 2)} Hz, {_sizes(prediction)} "
+        f"({percent(relative_error(prediction), 3)} on raw samples); {judged(prediction).text}."
     )
     if prediction.repeats:
         text += f" It repeats the fitted motion ‘{prediction.repeats}’ and so says little about other motions."
@@ -223,7 +217,7 @@ def _motion(prediction: Prediction, role: str, index: int) -> dict[str, Any]:
 def _errors(p: Prediction, role: str) -> dict[str, Any]:
     channels = [
         {"name": name, "unit": unit, "rmse": number(a, 3), "nrmse": percent(b), "raw": number(c, 3), "nraw": percent(d),
-         "white": number(w, 3), "mood": mood_of(w)}
+         "white": number(w, 3), "mood": "" if p.noise_source == RESIDUALS else mood_of(w)}
         for name, unit, a, b, c, d, w in zip(
             p.channel_names, p.channel_units, p.rmse, p.nrmse, p.rmse_raw, p.nrmse_raw, p.whitened_rms_by_channel, strict=True
         )
@@ -233,7 +227,7 @@ def _errors(p: Prediction, role: str) -> dict[str, Any]:
         "channels": channels,
         "relative": percent(relative_error(p)),
         "white": number(p.whitened_rms, 3),
-        "mood": mood_of(p.whitened_rms),
+        "mood": judged(p).mood,
         "coverage": percent(p.coverage),
         "repeats": f"This motion repeats the fitted ‘{p.repeats}’." if p.repeats else "",
     }

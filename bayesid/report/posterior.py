@@ -6,14 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from bayesid.report.identification import mood_of
 from bayesid.report.notation import short_names
 from bayesid.report.page import render, run_times, svg, versions
 from bayesid.report.posterior_figures import marginals, narrowing, ranks
 from bayesid.report.prediction_figures import measured_against_predicted, residuals
 from bayesid.results.posterior import ExperimentPosterior
 from bayesid.results.text import DASH, channel_text, number, percent, with_half
-from bayesid.validation.prediction import BAND, Prediction, relative_error
+from bayesid.validation.headline import judged
+from bayesid.validation.prediction import BAND, Prediction, band_error, relative_error
 
 _SHOWN_MOTIONS = 3
 _RANKED = 4
@@ -80,8 +80,8 @@ def _lead(result: ExperimentPosterior) -> str:
     if result.validation:
         worst = max(result.validation, key=lambda p: p.whitened_rms)
         text += (
-            f"On ‘{worst.motion}’, which was not fitted, what is left is {number(worst.whitened_rms, 3)} times the noise, and "
-            f"{percent(worst.coverage)} of the readings lie within their 95 % predictive intervals."
+            f"‘{worst.motion}’, which was not fitted, is predicted to {percent(band_error(worst))} of the signal; "
+            f"{judged(worst).text}. {percent(worst.coverage)} of the readings lie within their 95 % predictive intervals."
         )
     return text
 
@@ -96,7 +96,7 @@ def _cards(result: ExperimentPosterior) -> list[dict[str, str]]:
     ]
     for p in sorted(result.validation, key=lambda p: -p.whitened_rms)[:1]:
         cards.append(
-            {"value": f"{number(p.whitened_rms, 3)} ×", "mood": mood_of(p.whitened_rms), "text": f"noise is left on ‘{p.motion}’"}
+            {"value": f"{percent(band_error(p))}", "mood": judged(p).mood, "text": f"error of the signal on ‘{p.motion}’"}
         )
         cards.append({"value": percent(p.coverage), "mood": "", "text": "of its readings inside 95 % predictive intervals"})
     return cards
@@ -167,7 +167,7 @@ def _motion(prediction: Prediction, index: int) -> dict[str, Any]:
 def _error(p: Prediction, role: str) -> dict[str, str]:
     return {
         "motion": p.motion, "role": role, "relative": percent(relative_error(p)), "white": number(p.whitened_rms, 3),
-        "mood": mood_of(p.whitened_rms), "coverage": percent(p.coverage),
+        "mood": judged(p).mood, "coverage": percent(p.coverage),
     }  # fmt: skip
 
 
@@ -189,7 +189,7 @@ def _how(result: ExperimentPosterior) -> list[tuple[str, str]]:
     return [
         ("Prior", prior),
         ("Noise", f"{noise}; autoregressive in time as learned from residuals, correlated between channels"),
-        ("Model complete", "yes" if model.likelihood.complete else "no: model error is taken for noise"),
+        ("Model complete", "yes" if model.likelihood.complete else "no: intervals count how far stretches scatter"),
         ("Rows", f"{int(model.likelihood.counts.sum())} numbers, {number(1.0 / problem.row_model.step, 3)} rows a second"),
         ("Sampler", f"{engine}; a draw every {chains.thin} of its usual distances; seed {result.seed}"),
         run_times(result.seconds),

@@ -17,8 +17,9 @@ from bayesid.results.files import Result
 from bayesid.results.fitted_model import fitted_model
 from bayesid.results.urdf_links import UrdfLinks
 from bayesid.validation.cross_checks import Agreement
+from bayesid.validation.headline import over_noise
 from bayesid.validation.predicted_readings import PredictedReadings, predict_readings
-from bayesid.validation.prediction import Prediction, relative_error
+from bayesid.validation.prediction import BAND, Prediction, band_error, relative_error
 
 SCHEMA = 1
 
@@ -210,8 +211,8 @@ def summary(result: Identification) -> str:
     ]
     for prediction in (*result.fitted, *result.validation):
         lines.append(
-            f"  {prediction.role} '{prediction.motion}': relative error {100 * relative_error(prediction):.3g} %, "
-            f"residual {prediction.whitened_rms:.3g} x noise"
+            f"  {prediction.role} '{prediction.motion}': error {100 * band_error(prediction):.3g} % of the signal below "
+            f"{BAND:.2g} Hz ({100 * relative_error(prediction):.3g} % raw), residual {over_noise(prediction)}"
         )
     lines += [f"  warning: {w}" for w in result.warnings]
     return "\n".join(lines)

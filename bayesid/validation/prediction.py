@@ -1,4 +1,4 @@
-"""Proof on motions: what the estimate predicts, what was measured, and how far apart they are."""
+"""Held-out validation: what the estimate predicts, what was measured, and how far apart they are."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from bayesid.regression.parallel import in_order
 from bayesid.regression.problem import Problem
 from bayesid.regression.rows import Segment
 from bayesid.signals.noise import NoiseModel
+from bayesid.validation.noise_floor import RESIDUALS, NoiseFloor
 
 #: Band in which predictions are compared, the same whatever filter or method was used [Hz].
 BAND = 10.0
@@ -65,9 +66,13 @@ class Prediction:
     nrmse, nrmse_raw
         The same over the root mean square of what was measured (c,).
     whitened_rms
-        Of the rows' residual in units of the noise; 1 is perfect.
+        Of the rows' residual below 10 Hz in units of the noise floor, the sensor's own noise and what encoder errors make of a
+        prediction; 1 is perfect.
     whitened_rms_by_channel
         (c,).
+    noise_source
+        Where the floor comes from: ``readings``, ``parked`` or ``data sheet``; ``residuals`` where none of these tells it,
+        and the noise that the fit itself left stands in for it: model error counts as noise then.
     coverage
         Share of whitened residuals inside their central 95 % prediction interval.
     repeats
@@ -92,6 +97,7 @@ class Prediction:
     whitened_rms: float
     whitened_rms_by_channel: np.ndarray
     coverage: float
+    noise_source: str = RESIDUALS
     repeats: str | None = None
     poses: bool = False
     spectrum: Spectrum | None = None
@@ -112,6 +118,7 @@ class Prediction:
             "relative_error": relative_error(self),
             "whitened_rms": float(self.whitened_rms),
             "whitened_rms_by_channel": by_channel(self.whitened_rms_by_channel),
+            "noise_source": self.noise_source,
             "interval_coverage": float(self.coverage),
             "repeats": self.repeats,
         }
@@ -131,7 +138,7 @@ def band_error(prediction: Prediction) -> float:
     return float(np.linalg.norm(prediction.rmse) / max(np.linalg.norm(signal), 1e-300))
 
 
-def predict(problem: Problem, estimate: Estimate, motion: Motion) -> Prediction:
+def predict(problem: Problem, estimate: Estimate, motion: Motion, floor: NoiseFloor | None) -> Prediction:
     """Predict a motion's readings with an estimate and compare.
 
     Parameters
@@ -140,6 +147,8 @@ def predict(problem: Problem, estimate: Estimate, motion: Motion) -> Prediction:
         The model and its parameters.
     motion
         Any motion of the experiment whose columns allow it.
+    floor
+        Noise that no model can remove; None: not known, the estimate's own stands in for it.
     """
     segments = problem.segments[motion.name]
     margin = problem.row_model.margin
@@ -158,7 +167,9 @@ def predict(problem: Problem, estimate: Estimate, motion: Motion) -> Prediction:
     y = np.concatenate(measured)
     y_raw = y + all_error - all_raw  # only its norm is used below
     pick = slice(None, None, max(-(-len(y) // _PLOTTED), 1))
-    rms, by_channel, coverage, spectrum = _whitened(problem, estimate, motion.name, moving)
+    if all(r.poses for r in moving):
+        floor = None  # averaged one by one: nothing shows their noise
+    by_channel, coverage, spectrum = _whitened(problem, estimate, motion.name, moving, floor)
     scale, scale_raw = _rms(y), _rms(y_raw)
     return Prediction(
         motion=motion.name,
@@ -172,9 +183,10 @@ def predict(problem: Problem, estimate: Estimate, motion: Motion) -> Prediction:
         rmse_raw=_rms(all_raw),
         nrmse=_rms(all_error) / np.where(scale > 0, scale, np.inf),
         nrmse_raw=_rms(all_raw) / np.where(scale_raw > 0, scale_raw, np.inf),
-        whitened_rms=rms,
+        whitened_rms=float(np.sqrt(np.mean(by_channel**2))),
         whitened_rms_by_channel=by_channel,
         coverage=coverage,
+        noise_source=RESIDUALS if floor is None else floor.source,
         repeats=repeated(problem.experiment, motion, problem.fitted),
         poses=all(r.poses for r in moving),
         spectrum=spectrum,
@@ -207,9 +219,9 @@ def _rms(values: np.ndarray) -> np.ndarray:
 
 
 def _whitened(
-    problem: Problem, estimate: Estimate, motion: str, segments: list[Segment]
-) -> tuple[float, np.ndarray, float, Spectrum | None]:
-    """Root mean square of whitened residual rows, how many lie in their 95 % prediction interval, and their spectrum."""
+    problem: Problem, estimate: Estimate, motion: str, segments: list[Segment], floor: NoiseFloor | None
+) -> tuple[np.ndarray, float, Spectrum | None]:
+    """Root mean square of residual rows over the noise (c,), the share inside 95 % prediction intervals, and their spectrum."""
     noise = dict(estimate.noise)
     for group in ("trajectory", "poses"):  # a kind of rows that was not fitted: the other's noise, uncoloured
         if group not in noise:
@@ -230,13 +242,16 @@ def _whitened(
     parts = list(in_order(judged, whitened(blocks, noise)))
     raw, residual, variance = ([part[k] for part in parts] for k in range(3))
     residual, variance = np.concatenate(residual), np.concatenate(variance)
-    channels = np.mean(residual**2, axis=0)
+    if floor is None:
+        channels = np.sqrt(np.mean(residual**2, axis=0))
+    else:
+        channels = floor.ratio(raw, problem.row_model.step, BAND)
     inside = np.abs(residual) <= 1.959964 * np.sqrt(1.0 + variance)
     spectrum = None
     if group == "trajectory":
         rate = 1.0 / float(np.median(np.diff(next(r.times for r in segments if not r.poses))))
         spectrum = _spectrum(raw, noise["trajectory"], problem.row_model.step, rate, problem.row_model.filters is not None)
-    return float(np.sqrt(channels.mean())), np.sqrt(channels), float(inside.mean()), spectrum
+    return channels, float(inside.mean()), spectrum
 
 
 def _spectrum(residuals: list[np.ndarray], noise: NoiseModel, step: float, rate: float, filtered: bool) -> Spectrum | None:

@@ -26,9 +26,10 @@ from bayesid.results.files import Files, files_of
 from bayesid.signals.filters import LowPass
 from bayesid.validation.agreement import HausmanTest, gaps, hausman
 from bayesid.validation.baselines import nominal_estimates
+from bayesid.validation.noise_floor import NoiseFloor, noise_floor
 from bayesid.validation.prediction import band_error, predict
 from bayesid.workflows.progress import Progress, quiet
-from bayesid.workflows.warnings import repeated_motion
+from bayesid.workflows.warnings import incomplete, repeated_motion
 
 #: What is compared when nothing is asked for, as far as it is there: plain, default and efficient least squares,
 #: and one estimator each against outliers, against encoder noise and for bodies that can exist.
@@ -104,9 +105,12 @@ def compare(
         if problem is None:
             entries, baselines = [_with_own_links(e, regression) for e in entries], []
         else:
-            entries = [_predicted(e, problem, weights) for e in entries]
+            # One floor for all, whatever each of them left over.
+            yardstick = next(e.estimate for e in entries if e.estimate is not None)
+            floor = noise_floor(problem, yardstick.solution)
+            entries = [_predicted(e, problem, weights, floor) for e in entries]
             baselines = [
-                _predicted(Entry(e.method, text, e), problem, weights) for text, e in nominal_estimates(problem, weights)
+                _predicted(Entry(e.method, text, e), problem, weights, floor) for text, e in nominal_estimates(problem, weights)
             ]
         seconds["prediction"] = time.perf_counter() - started - sum(seconds.values())
     reference = _reference(entries)
@@ -125,7 +129,7 @@ def compare(
         reference=reference,
         gaps=() if reference is None else tuple(gaps(estimates, reference)),
         tests=tests,
-        warnings=_warnings(problem, entries, baselines, tests),
+        warnings=_warnings(problem, weights, entries, baselines, tests),
         seconds=seconds,
     )
 
@@ -182,7 +186,7 @@ def _attempt(name: str, method: Estimator, regression: Regression) -> Entry:
     return Entry(name, description, estimate, seconds=time.perf_counter() - started)
 
 
-def _predicted(entry: Entry, problem: Problem, weights: Weights) -> Entry:
+def _predicted(entry: Entry, problem: Problem, weights: Weights, floor: NoiseFloor | None) -> Entry:
     """Add links and predictions of all motions; residuals are counted in one and the same noise for all."""
     estimate, row_model = entry.estimate, problem.row_model
     if estimate is None:
@@ -192,7 +196,7 @@ def _predicted(entry: Entry, problem: Problem, weights: Weights) -> Entry:
         kept = ~estimate.undetermined[: row_model.base.rank]
         links = nearest_links(problem.experiment.robot, row_model.base, estimate.values, kept)
     same = replace(estimate, noise=weights.noise)
-    predictions = [predict(problem, same, m) for m in problem.experiment.motions if m.name in problem.segments]
+    predictions = [predict(problem, same, m, floor) for m in problem.experiment.motions if m.name in problem.segments]
     return replace(
         entry,
         links=links,
@@ -213,7 +217,7 @@ def _with_own_links(entry: Entry, regression: Regression) -> Entry:
 
 
 def _warnings(
-    problem: Problem | None, entries: Sequence[Entry], baselines: Sequence[Entry], tests: Sequence[HausmanTest]
+    problem: Problem | None, weights: Weights, entries: Sequence[Entry], baselines: Sequence[Entry], tests: Sequence[HausmanTest]
 ) -> tuple[str, ...]:
     """What the user should know, most important first."""
     out = []
@@ -238,6 +242,8 @@ def _warnings(
             "No validation motion: the errors are those of fitted motions and say little about others. "
             'Add one with role = "validation".'
         )
+    if not weights.complete:
+        out.append(incomplete(weights.dispersion))
     apart = [t for t in tests if t.contradiction]
     if apart:
         names, largest = ", ".join(t.method for t in apart), max(t.probability or 0.0 for t in apart)

@@ -23,10 +23,11 @@ from bayesid.results.urdf_links import UrdfLinks
 from bayesid.robot.urdf import write_urdf
 from bayesid.signals.filters import LowPass
 from bayesid.validation.cross_checks import Agreement, fits_alone, motions_apart, static_both_ways, wrench_against_torque
-from bayesid.validation.prediction import TOLERATED, Prediction, predict, relative_error
+from bayesid.validation.noise_floor import noise_floor
+from bayesid.validation.prediction import Prediction, predict
 from bayesid.workflows.progress import Clock, Progress, quiet
 from bayesid.workflows.urdf_links import urdf_links
-from bayesid.workflows.warnings import listed, repeated_motion
+from bayesid.workflows.warnings import incomplete, listed, repeated_motion, unpredicted
 
 
 def identify(
@@ -90,9 +91,10 @@ def identify(
         (problem, estimate), alone = both(partial(solve, problem, method), partial(fits_alone, problem, method, early))
         clock("prediction")
         readable = [m for m in experiment.motions if m.name in problem.segments]
+        floor = noise_floor(problem, estimate.solution)
         # Fits of single motions need none of the predictions: both at once, on as many cores as there are.
         fits = partial(motions_apart, problem, estimate, method, alone)
-        jobs = [fits, *(partial(predict, problem, estimate, motion) for motion in readable)]
+        jobs = [fits, *(partial(predict, problem, estimate, motion, floor) for motion in readable)]
         agreements, *predictions = in_order(lambda job: job(), jobs)
         clock("consistency")
         alternative = static_both_ways(problem, method)
@@ -179,14 +181,7 @@ def _warnings(
     for p in validation:
         if p.repeats:
             out.append(repeated_motion(p))
-        if p.whitened_rms > TOLERATED:
-            worst = int(np.argmax(p.whitened_rms_by_channel))
-            out.append(
-                f"Motion '{p.motion}' is not predicted to the noise: residuals are {p.whitened_rms:.3g} times as large "
-                f"(most in {p.channel_names[worst]}, {p.whitened_rms_by_channel[worst]:.3g} times; relative error "
-                f"{100 * relative_error(p):.3g} %). Something is missing in the model there, and the intervals do not cover it: "
-                "`bayesid diagnose` looks for it."
-            )
+        out += unpredicted(p)
     if not validation:
         out.append(
             "No validation motion: nothing shows that the estimate holds for another motion. "
@@ -199,11 +194,7 @@ def _warnings(
                 f"{a.compared} numbers; most in {a.worst}. They are not noise apart; do not average them."
             )
     if estimate.details.model_complete is False:
-        out.append(
-            "Efficient and plain least squares differ by more than the noise explains: something is missing in the model. "
-            "Model error is counted as noise, so intervals hold for motions like the fitted ones only. "
-            "`bayesid diagnose` looks for the missing effect."
-        )
+        out.append(incomplete(estimate.details.dispersion))
     # What the estimator itself has to say, such as weak instruments.
     out += estimate.details.warnings
     if unexcited:

@@ -33,9 +33,10 @@ from bayesid.results.posterior import ExperimentPosterior
 from bayesid.robot.prior import Prior
 from bayesid.signals.filters import LowPass
 from bayesid.signals.noise import NoiseModel
-from bayesid.validation.prediction import TOLERATED, Prediction, predict
+from bayesid.validation.noise_floor import noise_floor
+from bayesid.validation.prediction import Prediction, predict
 from bayesid.workflows.progress import Clock, Progress, quiet
-from bayesid.workflows.warnings import listed, repeated_motion
+from bayesid.workflows.warnings import incomplete, listed, repeated_motion, unpredicted
 
 PRIORS = ("nominal", "flat")
 
@@ -216,8 +217,9 @@ def _with_predictions(
     blocks = _blocks(problem, [m.name for m in judges])
     extra = predictive_groups(posterior, regression.pilot(), blocks, regression.channel_names)
     estimate = as_estimate(posterior, regression)
-    fitted = tuple(predict(problem, estimate, m) for m in problem.experiment.motions if m.name in problem.fitted)
-    validation = tuple(predict(problem, estimate, m) for m in judges)
+    floor = noise_floor(problem, estimate.solution)
+    fitted = tuple(predict(problem, estimate, m, floor) for m in problem.experiment.motions if m.name in problem.fitted)
+    validation = tuple(predict(problem, estimate, m, floor) for m in judges)
     clock.stop()
     return ExperimentPosterior(
         model, result, seed, extra, problem=problem, fitted=fitted, validation=validation, trust=trust,
@@ -268,11 +270,7 @@ def _warnings(posterior: Posterior, problem: Problem, validation: Sequence[Predi
     if not posterior.diagnosis.passed:
         out.append(f"The chains did not converge: {posterior.diagnosis.complaint()}. Do not use these draws as a posterior.")
     for p in validation:
-        if p.whitened_rms > TOLERATED:
-            out.append(
-                f"Motion '{p.motion}' is not predicted to the noise: residuals are {p.whitened_rms:.3g} times as large. The "
-                "model misses something there; the posterior does not cover that."
-            )
+        out += unpredicted(p)
         if p.repeats:
             out.append(repeated_motion(p))
     if not validation:
@@ -281,11 +279,7 @@ def _warnings(posterior: Posterior, problem: Problem, validation: Sequence[Predi
             'Add a motion with role = "validation".'
         )
     if not posterior.model.likelihood.complete:
-        out.append(
-            "Efficient and plain least squares differ by more than the noise explains: something is missing in the model. The "
-            "likelihood takes model error for noise with the colour of the residuals; intervals hold for motions like the fitted "
-            "ones only."
-        )
+        out.append(incomplete(posterior.model.likelihood.dispersion))
     driven = [label for label, share in zip(posterior.base.labels, posterior.prior_share, strict=True) if share > PRIOR_DRIVEN]
     if driven:
         out.append(f"Driven by the prior, the data hardly narrow them: {listed(driven, 4)}.")

@@ -1,0 +1,67 @@
+"""What the two numbers of a held-out motion say together: the relative error, and the residual over the sensor's own noise.
+
+Neither says enough alone. A residual at the noise is perfect only where the readings hold more than noise; a relative error
+of one per cent may be a model that lacks something, seen by a quiet sensor, and still serve.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayesid.validation.noise_floor import RESIDUALS
+from bayesid.validation.prediction import TOLERATED, Prediction, band_error
+
+#: Relative errors below which a prediction is close, and above which it predicts little.
+CLOSE, POOR = 0.1, 0.3
+#: A channel that is wrong by more than this share of its signal is named.
+_NAMED = 0.5
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """A verdict in words.
+
+    Attributes
+    ----------
+    mood
+        ``good``, ``fair`` or ``bad``.
+    text
+        A clause that goes on after what was predicted.
+    """
+
+    mood: str
+    text: str
+
+
+def judged(prediction: Prediction) -> Judgement:
+    """The verdict on one motion that was not fitted."""
+    error, white = band_error(prediction), prediction.whitened_rms
+    worst = int(np.argmax(prediction.nrmse))
+    share = float(prediction.nrmse[worst])
+    wrong = f"; {prediction.channel_names[worst]} is wrong by {100 * share:.0f} % of its signal" if share > _NAMED else ""
+    if prediction.noise_source == RESIDUALS:
+        # The only noise at hand is what the fit left over: it cannot tell model error from noise.
+        mood = "fair" if error <= CLOSE else "bad"
+        return Judgement(
+            mood, f"the sensor's own noise is not known here, so nothing says how much of that is missing in the model{wrong}"
+        )
+    if white <= TOLERATED:
+        if error > _NAMED:
+            return Judgement("fair", "that is the sensor's noise: the readings of this motion hold little else, and prove little")
+        where = f", though {prediction.channel_names[worst]} holds little but noise" if share > _NAMED else ""
+        return Judgement("good", f"what is left is the sensor's noise ({white:.3g} times){where}")
+    times = f"{white:.3g} times the sensor's noise"
+    if error <= CLOSE:
+        return Judgement("fair", f"what is left is {times}: something small is missing in the model{wrong}")
+    if error <= POOR:
+        return Judgement("fair" if not wrong else "bad", f"what is left is {times}: something is missing in the model{wrong}")
+    return Judgement("bad", f"what is left is {times}: the model predicts this motion poorly{wrong}")
+
+
+def over_noise(prediction: Prediction) -> str:
+    """The residual over the noise, and which noise that is."""
+    if prediction.noise_source == RESIDUALS:
+        return f"{prediction.whitened_rms:.3g} times what the fit left (the sensor's own noise is not known)"
+    return f"{prediction.whitened_rms:.3g} times the sensor's noise"
