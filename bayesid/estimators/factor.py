@@ -145,8 +145,11 @@ class Weights:
         Probability that generalised and channel-weighted least squares differ as much as they do when the
         model is complete (a Hausman test [Hausman1978]_): when it is tiny, something is missing in the model.
     complete
-        Whether ``agreement`` allows to take residuals for noise alone; the colour is then that of an
-        efficient fit. Otherwise it is that of the channel-weighted residuals, model error included.
+        Whether residuals may be taken for noise alone: ``agreement`` allows it, and the efficient fit scatters between
+        stretches of the recording no more than noise explains. Where ``agreement`` does not, the noise is that of the
+        channel-weighted residuals, model error included; else that of an efficient fit.
+    solution
+        Of the channel-weighted fit to the pilot (p,).
     scatter, scatter_degrees
         Dispersion of the channel-weighted fit between stretches of the recording over what ``noise`` allows, and its
         degrees of freedom (`bayesid.estimators.dispersion`).
@@ -155,6 +158,7 @@ class Weights:
     noise: dict[str, NoiseModel]
     agreement: float
     complete: bool
+    solution: np.ndarray
     scatter: float = 1.0
     scatter_degrees: int = 0
 
@@ -199,12 +203,13 @@ def _learned(regression: Regression) -> Weights:
     power = [sum(np.sum(((b.target - b.matrix @ x) / scale) ** 2) for b in blocks) for x in (plain, efficient)]
     complete = bool(agreement > SMALLEST_AGREEMENT or power[1] <= LARGEST_LOSS * power[0])
     found, degrees = dispersion(pilot.stretches([white for _, white in whitened(pilot.orthonormal, noise)]), efficient)
-    if not complete or beyond_chance(found, degrees, SMALLEST_STRETCHES):
-        complete, noise = False, first
+    if not complete:
+        noise = first
         for _ in range(_PASSES):
             noise = noise_of_residuals(regression, blocks, plain, pilot.whitened(noise))
+    complete = complete and not beyond_chance(found, degrees, SMALLEST_STRETCHES)
     grams = pilot.stretches([b.rows / scale[:, None] for b in pilot.orthonormal])
-    return Weights(noise, agreement, complete, *dispersion(grams, plain, _middle(pilot, noise, scale)))
+    return Weights(noise, agreement, complete, plain, *dispersion(grams, plain, _middle(pilot, noise, scale)))
 
 
 def pilot_of(regression: Regression) -> Pilot:

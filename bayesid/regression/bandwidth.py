@@ -8,8 +8,10 @@ the same band,
 
     error(B) = mean over stretches of sum_c |residual_c|^2 / mean |residual_c at the first bandwidth|^2,
 
-and the largest bandwidth is taken whose error is not larger than the smallest one by more than `WORTH`: where the model holds,
-lower ones predict no better, and a lower bandwidth leaves readings unused.
+and the largest bandwidth is taken whose error is not larger than the smallest one by more than `WORTH` and by more than chance,
+twice the standard error of the differences stretch by stretch: where the model holds, lower ones predict no better, and a lower
+bandwidth leaves readings unused. Where the positions' own choice is the end of the range searched it is no choice, and the
+bandwidth of the smallest error is taken.
 """
 
 from __future__ import annotations
@@ -22,12 +24,11 @@ import numpy as np
 from bayesid.regression.blocks import Block
 from bayesid.regression.linalg import solve
 
-#: Ratio of neighbouring bandwidths that are tried, and the lowest of them [Hz].
-RATIO, LOWEST = 2.0**0.5, 2.0
-#: At or below this bandwidth [Hz] nothing is tried: rows hold little but the motion.
-NARROW = 3.0
-#: Relative difference of two errors that is not worth a lower bandwidth.
-WORTH = 0.02
+#: Ratio of neighbouring bandwidths that are tried, and the lowest of them [Hz]: below it rows hold little but the motion, that of
+#: validation motions included, which these errors do not see.
+RATIO, LOWEST = 2.0**0.5, 5.0
+#: Relative difference of two errors (of power; half of it in amplitude) that is not worth a lower bandwidth.
+WORTH = 0.05
 #: Band of the residuals that judge [Hz]; rows at every bandwidth hold it.
 BAND = 8.0
 _STRETCHES, _FOLDS = 8, 4
@@ -61,13 +62,13 @@ class BandwidthChoice:
 
 def candidates(highest: float) -> np.ndarray:
     """Bandwidths to try, falling [Hz]."""
-    if highest <= NARROW:
-        return np.array([highest])
-    count = int(np.log(highest / LOWEST) / np.log(RATIO) + 1e-9) + 1
+    count = int(max(np.log(highest / LOWEST), 0.0) / np.log(RATIO) + 1e-9) + 1
     return highest / RATIO ** np.arange(count)
 
 
-def choose_bandwidth(rows: Callable[[float], Sequence[Block]], highest: float) -> BandwidthChoice | None:
+def choose_bandwidth(
+    rows: Callable[[float], Sequence[Block]], highest: float, at_end: bool = False
+) -> BandwidthChoice | None:
     """Judge bandwidths by stretches that were left out; None where there is nothing to choose or too little to judge by.
 
     Parameters
@@ -76,6 +77,8 @@ def choose_bandwidth(rows: Callable[[float], Sequence[Block]], highest: float) -
         Rows of the fitted motions at a bandwidth; their times may differ from bandwidth to bandwidth.
     highest
         The first bandwidth tried [Hz].
+    at_end
+        Whether that is the end of the range that the positions were searched in.
     """
     bandwidths = candidates(highest)
     if len(bandwidths) < 2:
@@ -108,7 +111,7 @@ def choose_bandwidth(rows: Callable[[float], Sequence[Block]], highest: float) -
     mean = error.mean(axis=1)
     best = int(np.argmin(mean))
     doubt = np.std(error - error[best], axis=1, ddof=1) / np.sqrt(error.shape[1])
-    good = mean <= (1.0 + WORTH) * mean[best]
+    good = mean - mean[best] <= (0.0 if at_end else np.maximum(WORTH * mean[best], 2.0 * doubt))
     chosen = int(np.flatnonzero(good)[0])
     return BandwidthChoice(bandwidths[: len(tried)], mean / mean[0], doubt / mean[0], np.array(estimates), chosen)
 

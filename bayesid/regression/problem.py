@@ -134,7 +134,7 @@ def prepare(experiment: Experiment, options: FitOptions | None = None) -> Proble
     choice = None
     if options.bandwidth is None and any(not r.poses for r in fitted):
         judges = _judges(fitted)
-        choice = choose_bandwidth(lambda b: tuple(make_blocks(rows_at(b, None), judges)), smoother.bandwidth)
+        choice = choose_bandwidth(lambda b: tuple(make_blocks(rows_at(b, None), judges)), smoother.bandwidth, smoother.at_end)
         smoother = _chosen(smoother, choice)
     row_model = rows_at(smoother.bandwidth, options.low_pass)
     for motion in readable:

@@ -54,12 +54,15 @@ class Smoother:
         Where the bandwidth comes from, one sentence.
     automatic
         The bandwidth that cross-validation chooses [Hz]; 0: there was nothing to choose from.
+    at_end
+        Whether that is the end of the range searched, so that it is no choice.
     """
 
     bandwidth: float
     position_std: np.ndarray
     reason: str
     automatic: float = 0.0
+    at_end: bool = False
 
     @property
     def spacing(self) -> float:
@@ -167,7 +170,7 @@ def choose_smoother(
         if moving.any()
         else "no joint moves; the lowest bandwidth searched"
     )
-    return Smoother(bandwidth, np.maximum(errors[chosen], np.sqrt(floor)), reason, bandwidth)
+    return Smoother(bandwidth, np.maximum(errors[chosen], np.sqrt(floor)), reason, bandwidth, bandwidth >= 0.999 * highest)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

@@ -3,7 +3,7 @@
 Neither depends on what the fit left over, so a model that lacks something cannot pass for noise. The sensor's noise is read
 off the readings above the band of the motion; where they were filtered before they were recorded it is that of a robot at
 rest (``parked``), else the data sheet's, else not known. Encoder errors are simulated: the smoothed motion once more with fresh
-encoder noise, and what the estimate predicts for both.
+encoder noise, and what channel-weighted least squares predicts for both.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 from scipy.fft import dct
 from scipy.signal import detrend
 
+from bayesid.estimators.factor import learn_weights
 from bayesid.regression.encoder_noise import errors_of
 from bayesid.regression.problem import Problem
 from bayesid.regression.rows import Segment
@@ -64,16 +65,8 @@ class NoiseFloor:
         return np.sqrt(energy / max(count, 1))
 
 
-def noise_floor(problem: Problem, solution: np.ndarray) -> NoiseFloor | None:
-    """The floor of an experiment's moving readings; None where the readings do not tell it and nothing else does.
-
-    Parameters
-    ----------
-    problem
-        The readings, and how they become rows.
-    solution
-        Base and effect parameters that predictions are made with (p,): encoder errors grow with them.
-    """
+def noise_floor(problem: Problem) -> NoiseFloor | None:
+    """The floor of an experiment's moving readings, the same for all estimates of them; None where nothing tells it."""
     moving = [s for segments in problem.segments.values() for s in segments if not s.poses]
     samples = [s.measured(0, len(s.times)) for s in moving if len(s.times) >= 32]
     if not samples:
@@ -92,10 +85,10 @@ def noise_floor(problem: Problem, solution: np.ndarray) -> NoiseFloor | None:
     sensor = np.maximum(sensor, 1e-9 * max(float(np.max([np.abs(y).max() for y in samples])), 1e-300))
     known = problem.regression.known_poles
     poles = np.array([1.0]) if known is None else np.real(np.poly(known))
-    return NoiseFloor(sensor, _encoder_power(problem, solution, poles, moving), poles, source)
+    return NoiseFloor(sensor, _encoder_power(problem, poles, moving), poles, source)
 
 
-def _encoder_power(problem: Problem, solution: np.ndarray, poles: np.ndarray, moving: Sequence[Segment]) -> np.ndarray:
+def _encoder_power(problem: Problem, poles: np.ndarray, moving: Sequence[Segment]) -> np.ndarray:
     """What encoder errors add to rows, by frequency (bins, c)."""
     row_model = problem.row_model
     power, count = np.zeros((_BINS, len(row_model.channels))), np.zeros(_BINS)
@@ -110,7 +103,7 @@ def _encoder_power(problem: Problem, solution: np.ndarray, poles: np.ndarray, mo
     law, _ = errors_of(row_model, pieces, problem.smoother)
     if not law.present():
         return power
-    exact = list(law.simulated(None))
+    exact, solution = list(law.simulated(None)), learn_weights(problem.regression).solution
     for draw in range(_DRAWS):
         for true, noisy in zip(exact, law.simulated(draw), strict=True):
             error = moving_average(poles, (noisy.matrix - true.matrix) @ solution)

@@ -105,9 +105,7 @@ def compare(
         if problem is None:
             entries, baselines = [_with_own_links(e, regression) for e in entries], []
         else:
-            # One floor for all, whatever each of them left over.
-            yardstick = next(e.estimate for e in entries if e.estimate is not None)
-            floor = noise_floor(problem, yardstick.solution)
+            floor = noise_floor(problem)
             entries = [_predicted(e, problem, weights, floor) for e in entries]
             baselines = [
                 _predicted(Entry(e.method, text, e), problem, weights, floor) for text, e in nominal_estimates(problem, weights)

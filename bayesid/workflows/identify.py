@@ -91,7 +91,7 @@ def identify(
         (problem, estimate), alone = both(partial(solve, problem, method), partial(fits_alone, problem, method, early))
         clock("prediction")
         readable = [m for m in experiment.motions if m.name in problem.segments]
-        floor = noise_floor(problem, estimate.solution)
+        floor = noise_floor(problem)
         # Fits of single motions need none of the predictions: both at once, on as many cores as there are.
         fits = partial(motions_apart, problem, estimate, method, alone)
         jobs = [fits, *(partial(predict, problem, estimate, motion, floor) for motion in readable)]

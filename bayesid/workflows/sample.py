@@ -217,7 +217,7 @@ def _with_predictions(
     blocks = _blocks(problem, [m.name for m in judges])
     extra = predictive_groups(posterior, regression.pilot(), blocks, regression.channel_names)
     estimate = as_estimate(posterior, regression)
-    floor = noise_floor(problem, estimate.solution)
+    floor = noise_floor(problem)
     fitted = tuple(predict(problem, estimate, m, floor) for m in problem.experiment.motions if m.name in problem.fitted)
     validation = tuple(predict(problem, estimate, m, floor) for m in judges)
     clock.stop()
