@@ -47,7 +47,7 @@ def judged(prediction: Prediction) -> Judgement:
         return Judgement(
             mood, f"the sensor's own noise is not known here, so nothing says how much of that is missing in the model{wrong}"
         )
-    if white <= TOLERATED:
+    if white <= TOLERATED * prediction.expected_rms:
         if error > _NAMED:
             return Judgement("fair", "that is the sensor's noise: the readings of this motion hold little else, and prove little")
         where = f", though {prediction.channel_names[worst]} holds little but noise" if share > _NAMED else ""

@@ -9,7 +9,7 @@ encoder noise, and what channel-weighted least squares predicts for both.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.fft import dct
@@ -19,7 +19,6 @@ from bayesid.estimators.factor import learn_weights
 from bayesid.regression.encoder_noise import errors_of
 from bayesid.regression.problem import Problem
 from bayesid.regression.rows import Segment
-from bayesid.signals.autoregression import moving_average
 from bayesid.signals.white_noise import low_passed, steady_noise
 
 #: Where a floor comes from, for reports.
@@ -33,7 +32,7 @@ _SHORTEST_REST = 1.0
 
 @dataclass(frozen=True)
 class NoiseFloor:
-    """Noise of the rows that is left to a perfect model.
+    """Noise that is left to a perfect model, of rows straight from the smoothed trajectory, whatever filter was fitted with.
 
     Attributes
     ----------
@@ -41,22 +40,19 @@ class NoiseFloor:
         Standard deviation of one sample's noise (c,) [unit of the channel].
     encoder
         Power that encoder errors add to a row, by frequency from zero to half the row rate (bins, c).
-    poles
-        Whitening polynomial of the low-pass filters that the rows went through; ``[1]`` without.
     source
         ``readings``, ``parked`` or ``data sheet``.
     """
 
     sensor: np.ndarray
     encoder: np.ndarray
-    poles: np.ndarray
     source: str
 
     def ratio(self, residuals: Sequence[np.ndarray], step: float, band: float) -> np.ndarray:
         """Root mean square of residual rows of stretches (k, c) in units of this noise, below a frequency (c,)."""
         energy, count = np.zeros(len(self.sensor)), 0
         for rows in residuals:
-            z = np.asarray(dct(moving_average(self.poles, rows), axis=0, norm="ortho"))
+            z = np.asarray(dct(rows, axis=0, norm="ortho"))
             frequency = np.arange(len(z)) / len(z)  # shares of half the row rate
             z = z[: max(int(min(2.0 * step * band, 1.0) * len(z)), 1)]
             noise = self.sensor**2 + self.encoder[(frequency[: len(z)] * _BINS).astype(int)]
@@ -83,14 +79,12 @@ def noise_floor(problem: Problem) -> NoiseFloor | None:
             return None
     # Noise-free simulations: a floor of exactly zero would divide by it.
     sensor = np.maximum(sensor, 1e-9 * max(float(np.max([np.abs(y).max() for y in samples])), 1e-300))
-    known = problem.regression.known_poles
-    poles = np.array([1.0]) if known is None else np.real(np.poly(known))
-    return NoiseFloor(sensor, _encoder_power(problem, poles, moving), poles, source)
+    return NoiseFloor(sensor, _encoder_power(problem, moving), source)
 
 
-def _encoder_power(problem: Problem, poles: np.ndarray, moving: Sequence[Segment]) -> np.ndarray:
+def _encoder_power(problem: Problem, moving: Sequence[Segment]) -> np.ndarray:
     """What encoder errors add to rows, by frequency (bins, c)."""
-    row_model = problem.row_model
+    row_model = replace(problem.row_model, filters=None)
     power, count = np.zeros((_BINS, len(row_model.channels))), np.zeros(_BINS)
     pieces = []
     for s in sorted(moving, key=lambda s: -len(s.times))[:_PIECES]:
@@ -106,7 +100,7 @@ def _encoder_power(problem: Problem, poles: np.ndarray, moving: Sequence[Segment
     exact, solution = list(law.simulated(None)), learn_weights(problem.regression).solution
     for draw in range(_DRAWS):
         for true, noisy in zip(exact, law.simulated(draw), strict=True):
-            error = moving_average(poles, (noisy.matrix - true.matrix) @ solution)
+            error = (noisy.matrix - true.matrix) @ solution
             z = np.asarray(dct(error, axis=0, norm="ortho"))
             at = (np.arange(len(z)) / len(z) * _BINS).astype(int)
             np.add.at(power, at, z**2)

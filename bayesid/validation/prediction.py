@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from bayesid.recordings.experiment import Experiment, Motion
 from bayesid.regression.blocks import Block
 from bayesid.regression.parallel import in_order
 from bayesid.regression.problem import Problem
-from bayesid.regression.rows import Segment
+from bayesid.regression.rows import Segment, make_blocks
 from bayesid.signals.noise import NoiseModel
 from bayesid.validation.noise_floor import RESIDUALS, NoiseFloor
 
@@ -70,6 +70,8 @@ class Prediction:
         prediction; 1 is perfect.
     whitened_rms_by_channel
         (c,).
+    expected_rms
+        What ``whitened_rms`` is on average of a complete model: noise, and the uncertainty of the parameters.
     noise_source
         Where the floor comes from: ``readings``, ``parked`` or ``data sheet``; ``residuals`` where none of these tells it,
         and the noise that the fit itself left stands in for it: model error counts as noise then.
@@ -97,6 +99,7 @@ class Prediction:
     whitened_rms: float
     whitened_rms_by_channel: np.ndarray
     coverage: float
+    expected_rms: float = 1.0
     noise_source: str = RESIDUALS
     repeats: str | None = None
     poses: bool = False
@@ -118,6 +121,7 @@ class Prediction:
             "relative_error": relative_error(self),
             "whitened_rms": float(self.whitened_rms),
             "whitened_rms_by_channel": by_channel(self.whitened_rms_by_channel),
+            "expected_rms": float(self.expected_rms),
             "noise_source": self.noise_source,
             "interval_coverage": float(self.coverage),
             "repeats": self.repeats,
@@ -169,7 +173,7 @@ def predict(problem: Problem, estimate: Estimate, motion: Motion, floor: NoiseFl
     pick = slice(None, None, max(-(-len(y) // _PLOTTED), 1))
     if all(r.poses for r in moving):
         floor = None  # averaged one by one: nothing shows their noise
-    by_channel, coverage, spectrum = _whitened(problem, estimate, motion.name, moving, floor)
+    by_channel, expected, coverage, spectrum = _whitened(problem, estimate, motion.name, moving, floor)
     scale, scale_raw = _rms(y), _rms(y_raw)
     return Prediction(
         motion=motion.name,
@@ -186,6 +190,7 @@ def predict(problem: Problem, estimate: Estimate, motion: Motion, floor: NoiseFl
         whitened_rms=float(np.sqrt(np.mean(by_channel**2))),
         whitened_rms_by_channel=by_channel,
         coverage=coverage,
+        expected_rms=expected,
         noise_source=RESIDUALS if floor is None else floor.source,
         repeats=repeated(problem.experiment, motion, problem.fitted),
         poses=all(r.poses for r in moving),
@@ -220,8 +225,8 @@ def _rms(values: np.ndarray) -> np.ndarray:
 
 def _whitened(
     problem: Problem, estimate: Estimate, motion: str, segments: list[Segment], floor: NoiseFloor | None
-) -> tuple[np.ndarray, float, Spectrum | None]:
-    """Root mean square of residual rows over the noise (c,), the share inside 95 % prediction intervals, and their spectrum."""
+) -> tuple[np.ndarray, float, float, Spectrum | None]:
+    """Root mean square of residual rows over the noise (c,), what is expected, share inside 95 % intervals, spectrum."""
     noise = dict(estimate.noise)
     for group in ("trajectory", "poses"):  # a kind of rows that was not fitted: the other's noise, uncoloured
         if group not in noise:
@@ -245,13 +250,17 @@ def _whitened(
     if floor is None:
         channels = np.sqrt(np.mean(residual**2, axis=0))
     else:
-        channels = floor.ratio(raw, problem.row_model.step, BAND)
+        unfiltered = raw
+        if problem.row_model.filters is not None:  # the floor is that of rows without them
+            plain = make_blocks(replace(problem.row_model, filters=None), segments)
+            unfiltered = [b.target - b.matrix @ estimate.solution for b in plain]
+        channels = floor.ratio(unfiltered, problem.row_model.step, BAND)
     inside = np.abs(residual) <= 1.959964 * np.sqrt(1.0 + variance)
     spectrum = None
     if group == "trajectory":
         rate = 1.0 / float(np.median(np.diff(next(r.times for r in segments if not r.poses))))
         spectrum = _spectrum(raw, noise["trajectory"], problem.row_model.step, rate, problem.row_model.filters is not None)
-    return channels, float(inside.mean()), spectrum
+    return channels, float(np.sqrt(1.0 + variance.mean())), float(inside.mean()), spectrum
 
 
 def _spectrum(residuals: list[np.ndarray], noise: NoiseModel, step: float, rate: float, filtered: bool) -> Spectrum | None:

@@ -1,0 +1,76 @@
+"""Dispersion between stretches: the textbook formula, no effect on noise, intervals that hold where parameters wander."""
+
+import numpy as np
+import pytest
+from scipy.linalg import sqrtm
+
+import bayesid
+from bayesid.estimators.dispersion import STRETCHES, beyond_chance, dispersion
+from bayesid.estimators.factor import learn_weights
+from bayesid.posterior.likelihood import Likelihood
+from bayesid.regression.regression import Regression
+
+
+def regression(rng, p=6, channels=2, rows=640, wander=0.0):
+    """Slow sines as columns, white noise, and parameters that differ from stretch to stretch by ``wander``."""
+    times = np.arange(rows) / 20.0
+    columns = [np.sin(np.outer(times, rng.uniform(0.5, 12.0, p)) + rng.uniform(0, 6, p)) for _ in range(channels)]
+    matrix = np.stack(columns, axis=1)
+    own = np.repeat(1.0 + wander * rng.normal(size=(STRETCHES, p)), rows // STRETCHES, axis=0)
+    target = np.einsum("tcp,tp->tc", matrix, own) + 0.1 * rng.normal(size=(rows, channels))
+    return Regression.from_arrays(matrix, target), np.ones(p)
+
+
+def test_it_is_the_bias_reduced_covariance_of_clustered_rows():
+    """Against the definition with whole matrices, one projection a cluster."""
+    rng = np.random.default_rng(0)
+    x, y = rng.normal(size=(160, 3)), rng.normal(size=160)
+    b = np.linalg.lstsq(x, y, rcond=None)[0]
+    bread = np.linalg.inv(x.T @ x)
+    total = np.zeros((3, 3))
+    for rows in np.array_split(np.arange(160), STRETCHES):
+        own = x[rows]
+        adjust = np.linalg.inv(np.real(sqrtm(np.eye(len(rows)) - own @ bread @ own.T)))
+        pull = bread @ own.T @ adjust @ (y[rows] - own @ b)
+        total += np.outer(pull, pull)
+    grams = [np.column_stack([x[k], y[k]]).T @ np.column_stack([x[k], y[k]]) for k in np.array_split(np.arange(160), STRETCHES)]
+    found, degrees = dispersion(grams, b)
+    # The root is taken in other coordinates, in which the share of a cluster is the same.
+    assert found == pytest.approx(np.trace(np.linalg.inv(bread) @ total) / 3, rel=1e-9)
+    assert degrees == 3 * (STRETCHES - 1) // 2
+
+
+def test_noise_alone_is_hardly_ever_called_scatter():
+    found = [learn_weights(regression(np.random.default_rng(k))[0]) for k in range(60)]
+    assert np.mean([w.scatter for w in found]) == pytest.approx(1.0, abs=0.1)
+    assert np.mean([w.dispersion > 1.0 for w in found]) <= 0.12
+    assert all(w.complete for w in found)
+
+
+@pytest.mark.parametrize("method", ["ols", "wls", "gls", "huber"])
+def test_intervals_hold_where_parameters_wander(method):
+    """Intervals from the noise alone would hold the mean parameters in a quarter of the cases."""
+    inside, widened = [], []
+    for k in range(25):
+        data, truth = regression(np.random.default_rng(100 + k), wander=0.1)
+        estimate = bayesid.fit(data, method)
+        inside.append(np.abs(estimate.values - truth) < 1.96 * estimate.std)
+        widened.append(estimate.details.dispersion)
+    assert min(widened) > 2.0
+    assert np.mean(inside) > 0.85
+
+
+def test_the_likelihood_of_an_incomplete_model_has_the_curvature_of_the_sandwich():
+    data, _ = regression(np.random.default_rng(3), wander=0.2)
+    weights = learn_weights(data)
+    assert not weights.complete
+    plain = bayesid.fit(data, "wls")
+    likelihood = Likelihood.of(data)
+    stacked = np.concatenate(likelihood.factors)
+    precision = stacked[:, :-1].T @ stacked[:, :-1]
+    np.testing.assert_allclose(np.linalg.inv(precision), plain.full_covariance, rtol=1e-6)
+    np.testing.assert_allclose(np.linalg.lstsq(stacked[:, :-1], stacked[:, -1], rcond=None)[0], plain.solution, rtol=1e-8)
+
+
+def test_chance_needs_degrees_of_freedom():
+    assert not beyond_chance(100.0, 0) and beyond_chance(2.0, 100) and not beyond_chance(1.05, 100)

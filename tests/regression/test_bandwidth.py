@@ -1,0 +1,54 @@
+"""The choice of the bandwidth by predictions of stretches left out."""
+
+import numpy as np
+import pytest
+
+import bayesid
+from bayesid.regression.bandwidth import LOWEST, candidates, choose_bandwidth
+from bayesid.regression.blocks import Block
+from bayesid.regression.options import FitOptions
+from bayesid.regression.problem import prepare
+
+
+def rows_at(bandwidth, spoilt_above=np.inf, blurred_below=0.0):
+    """Rows of three slow columns at the rate of a bandwidth, whose regressor is wrong outside a range of bandwidths."""
+    rng = np.random.default_rng(5)
+    times = np.arange(0.0, 40.0, 1.0 / (2.5 * bandwidth))
+    matrix = np.stack([np.sin(2 * np.pi * f * times + f) for f in (0.3, 0.7, 1.1)], axis=1)[:, None, :]
+    size = np.sqrt(100.0 / (2.5 * bandwidth))  # a row has the noise of one sample: a signal is larger in fewer rows
+    target = size * matrix @ np.array([1.0, 2.0, -1.0]) + 0.05 * rng.normal(size=(len(times), 1))
+    wrong = 0.3 * (bandwidth > spoilt_above) + 0.3 * (bandwidth < blurred_below)
+    matrix = size * (matrix + wrong * rng.normal(size=matrix.shape))
+    return (Block(np.concatenate([matrix, target[:, :, None]], axis=2), times, 0, True),)
+
+
+def test_candidates_fall_to_the_lowest():
+    assert candidates(4.0) == pytest.approx([4.0])
+    np.testing.assert_allclose(candidates(20.0), [20.0, 14.1421, 10.0, 7.0711, 5.0], rtol=1e-4)
+    assert candidates(20.0)[-1] >= LOWEST - 1e-9
+
+
+def test_nothing_changes_where_lower_bandwidths_predict_no_better():
+    choice = choose_bandwidth(rows_at, 18.0)
+    assert choice is not None and choice.chosen == 0
+    np.testing.assert_allclose(choice.error, 1.0, atol=0.15)  # the same noise in the same band, whatever the rate of rows
+
+
+def test_bandwidths_that_spoil_predictions_are_left():
+    choice = choose_bandwidth(lambda b: rows_at(b, spoilt_above=12.0), 20.0)
+    assert choice is not None and choice.bandwidths[choice.chosen] < 12.0
+    assert choice.error[choice.chosen] < 0.3
+    higher = choose_bandwidth(lambda b: rows_at(b, blurred_below=12.0), 20.0)
+    assert higher is not None and higher.bandwidths[higher.chosen] >= 14.0
+
+
+def test_nothing_is_chosen_of_a_slow_motion_or_a_short_one():
+    assert choose_bandwidth(rows_at, 6.0) is None
+    assert choose_bandwidth(lambda b: tuple(Block(x.rows[:20], x.times[:20], 0, True) for x in rows_at(b)), 20.0) is None
+
+
+def test_a_real_arm_is_not_read_at_the_end_of_the_grid(shared):
+    """Positions with four decimals, resampled: their own cross-validation goes to 20 Hz, where accelerations are noise."""
+    problem = prepare(bayesid.load_experiment(shared("data/ur10e/before")), FitOptions())
+    assert problem.bandwidths is not None and problem.smoother.at_end
+    assert 6.0 < problem.smoother.bandwidth < 16.0
