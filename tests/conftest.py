@@ -17,6 +17,22 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+#: Modules that take longest. `make test` gives modules to two processes one by one; begun first, these leave none of them alone
+#: with a long one at the end.
+LONGEST = (
+    "test_fuzz.py", "test_robust.py", "test_regression.py", "test_diagnosis_study.py", "test_physical.py", "test_readme.py",
+    "test_residual_floor.py", "test_diagnosis.py", "test_posterior_sampling.py", "test_posterior_calibration.py",
+    "test_errors_in_variables.py", "test_report.py", "test_compare.py", "test_mistakes.py", "test_diagnosis_report.py",
+    "test_experiment.py", "test_identify.py",
+)  # fmt: skip
+
+
+def pytest_collection_modifyitems(items):
+    """The longest modules first, the others and all tests of a module in their order."""
+    place = {name: k for k, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: place.get(item.path.name, len(place)))
+
+
 @pytest.fixture(scope="session")
 def shared():
     """Path of a file or folder below BAYESID_DATA; skips where it is absent."""
