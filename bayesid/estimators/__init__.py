@@ -14,10 +14,10 @@ from bayesid.estimators.conic.physical import Physical
 from bayesid.estimators.details import Details, OwnDetails
 from bayesid.estimators.errors_in_variables import TotalLeastSquares
 from bayesid.estimators.estimator import Estimate, Estimator
-from bayesid.estimators.factor import learn_weights, pilot_of
 from bayesid.estimators.instrumental_variables import InstrumentalVariables
 from bayesid.estimators.least_squares import LeastSquares, Ridge, TruncatedSVD
 from bayesid.estimators.robust.m_estimators import Huber, Student
+from bayesid.estimators.weights import learn_weights, pilot_of
 from bayesid.regression.regression import Regression
 from bayesid.robot.prior import Prior
 

@@ -27,9 +27,10 @@ from scipy.stats import norm, t
 from bayesid.errors import InputError
 from bayesid.estimators.details import OPTIONAL, Details
 from bayesid.estimators.estimator import Estimate
-from bayesid.estimators.factor import Factor, Weights, learn_weights, noise_of_residuals, reduce_whitened, stated_noise
+from bayesid.estimators.factor import Factor, reduce_whitened
 from bayesid.estimators.least_squares import completeness, make_estimate, nominal_start, target_from_nominal, weighted_factor
 from bayesid.estimators.sensor_noise import sensor_noise
+from bayesid.estimators.weights import Weights, learn_weights, noise_of_residuals, stated_noise
 from bayesid.regression.blocks import Block, Pair, RegressorNoise
 from bayesid.regression.linalg import determined_inverse, pseudo_inverse, solve, standard_deviations, undetermined
 from bayesid.regression.regression import Regression

@@ -1,8 +1,4 @@
-"""Triangular factors of weighted rows, and the noise that the weights come from.
-
-The rows are reduced once to the factor R of a QR decomposition of [X y]; estimators work on R alone. Weights
-are learned on a pilot: all rows of an ordinary recording, evenly spread stretches of a long one.
-"""
+"""Triangular factors of weighted rows: the rows are reduced once to R of a QR decomposition of [X y]; estimators work on R."""
 
 from __future__ import annotations
 
@@ -13,22 +9,12 @@ import numpy as np
 from numpy.linalg import LinAlgError
 from scipy.linalg import cholesky, solve_triangular
 
-from bayesid.estimators.dispersion import STRETCHES, beyond_chance, dispersion
+from bayesid.estimators.dispersion import STRETCHES
 from bayesid.regression.blocks import Block
-from bayesid.regression.hypothesis_tests import hausman
-from bayesid.regression.linalg import pseudo_inverse, solve, standard_deviations
 from bayesid.regression.parallel import in_order
-from bayesid.regression.regression import Regression
-from bayesid.signals.noise import NoiseModel, estimate_noise
+from bayesid.signals.noise import NoiseModel
 
-_PASSES = 3
 _PANEL = 1024
-#: Two fits contradict each other when their difference is less probable than the first, and the efficient one's
-#: residuals have more than the second times the power of the plain one's; either alone happens by chance.
-SMALLEST_AGREEMENT = 1e-4
-LARGEST_LOSS = 2.0
-#: An efficient fit whose stretches scatter more than noise explains, with a smaller probability than this, is not efficient.
-SMALLEST_STRETCHES = 1e-4
 #: Share of a column's length that the columns before it must leave, for rows to be brought to orthonormal coordinates.
 _WELL_DETERMINED = 1e-6
 
@@ -134,90 +120,6 @@ def _follows(last: Block, block: Block) -> bool:
 
 
 @dataclass(frozen=True)
-class Weights:
-    """What the noise looks like and where that was learned.
-
-    Attributes
-    ----------
-    noise
-        Noise model of each group of rows.
-    agreement
-        Probability that generalised and channel-weighted least squares differ as much as they do when the
-        model is complete (a Hausman test [Hausman1978]_): when it is tiny, something is missing in the model.
-    complete
-        Whether residuals may be taken for noise alone: ``agreement`` allows it, and the efficient fit scatters between
-        stretches of the recording no more than noise explains. Where ``agreement`` does not, the noise is that of the
-        channel-weighted residuals, model error included; else that of an efficient fit.
-    solution
-        Of the channel-weighted fit to the pilot (p,).
-    scatter, scatter_degrees
-        Dispersion of the channel-weighted fit between stretches of the recording over what ``noise`` allows, and its
-        degrees of freedom (`bayesid.estimators.dispersion`).
-    """
-
-    noise: dict[str, NoiseModel]
-    agreement: float
-    complete: bool
-    solution: np.ndarray
-    scatter: float = 1.0
-    scatter_degrees: int = 0
-
-    @property
-    def dispersion(self) -> float:
-        """Factor of the covariance of a fit weighted by channel: `scatter` where chance does not explain it, else 1."""
-        return self.scatter if self.scatter > 1.0 and beyond_chance(self.scatter, self.scatter_degrees) else 1.0
-
-
-def learn_weights(regression: Regression) -> Weights:
-    """Estimate the noise from residuals of a pilot.
-
-    Channel-weighted least squares comes first. Rounds of generalised least squares then follow, so that the
-    colour of the noise is not hidden by parameters that followed it. But an efficient fit trusts whatever is
-    quiet, so on a model with something missing it goes astray: where the two fits differ by more than the noise
-    explains, the residuals of the first one count. A regression's weights are learned once for all estimators.
-    """
-    return regression.once("weights", lambda: _learned(regression))
-
-
-def _learned(regression: Regression) -> Weights:
-    pilot = pilot_of(regression)
-    blocks = pilot.blocks
-    known = stated_noise(regression)
-    if known is not None:  # and what exceeds it is for `bayesid.estimators.fit` to tell
-        return Weights(known, 1.0, True)
-    scale = np.ones(blocks[0].rows.shape[1])
-    plain = np.zeros(0)
-    for _ in range(2):
-        factor = pilot.weighted(scale)
-        plain = solve(factor.matrix, factor.target)
-        residual = [b.target - b.matrix @ plain for b in blocks]
-        power = np.sum([np.sum(r**2, axis=0) for r in residual], axis=0) / sum(len(r) for r in residual)
-        scale = np.sqrt(np.maximum(power, 1e-20 * max(power.max(), 1e-200)))
-    first = noise = noise_of_residuals(regression, blocks, plain)
-    efficient = plain
-    for _ in range(_PASSES):
-        factor = pilot.whitened(noise)
-        efficient = solve(factor.matrix, factor.target)
-        noise = noise_of_residuals(regression, blocks, efficient, factor)
-    agreement = _agreement(pilot, noise, plain, efficient, scale)
-    power = [sum(np.sum(((b.target - b.matrix @ x) / scale) ** 2) for b in blocks) for x in (plain, efficient)]
-    complete = bool(agreement > SMALLEST_AGREEMENT or power[1] <= LARGEST_LOSS * power[0])
-    found, degrees = dispersion(pilot.stretches([white for _, white in whitened(pilot.orthonormal, noise)]), efficient)
-    if not complete:
-        noise = first
-        for _ in range(_PASSES):
-            noise = noise_of_residuals(regression, blocks, plain, pilot.whitened(noise))
-    complete = complete and not beyond_chance(found, degrees, SMALLEST_STRETCHES)
-    grams = pilot.stretches([b.rows / scale[:, None] for b in pilot.orthonormal])
-    return Weights(noise, agreement, complete, plain, *dispersion(grams, plain, _middle(pilot, noise, scale)))
-
-
-def pilot_of(regression: Regression) -> Pilot:
-    """The pilot rows of a regression in coordinates of their own, found once."""
-    return regression.once("pilot", lambda: Pilot.of(regression.pilot()))
-
-
-@dataclass(frozen=True)
 class Pilot:
     """Rows that are reduced again and again with other weights, in coordinates in which they are orthonormal.
 
@@ -247,7 +149,7 @@ class Pilot:
         if np.any(np.abs(np.diag(root)) <= _WELL_DETERMINED * np.linalg.norm(root, axis=0)):
             return cls(blocks, None, blocks)
         inverse = solve_triangular(root, np.eye(len(root)))
-        return cls(blocks, root, [replace(b, rows=_flat(b.rows, inverse)) for b in blocks])
+        return cls(blocks, root, [replace(b, rows=on_columns(b.rows, inverse)) for b in blocks])
 
     def weighted(self, scale: np.ndarray) -> Factor:
         """Factor of rows over the scale of every channel (c,)."""
@@ -284,61 +186,9 @@ class Pilot:
         return Factor(r, count)
 
 
-def _flat(rows: np.ndarray, matrix: np.ndarray) -> np.ndarray:
+def on_columns(rows: np.ndarray, matrix: np.ndarray) -> np.ndarray:
     """``rows @ matrix`` (k, channels, p) as one product."""
     return (rows.reshape(-1, rows.shape[-1]) @ matrix).reshape(*rows.shape[:-1], matrix.shape[1])
-
-
-def stated_noise(regression: Regression) -> dict[str, NoiseModel] | None:
-    """Noise of each group of rows where it is known beforehand, else None."""
-    if regression.noise_std is None:
-        return None
-    groups = dict.fromkeys(block.group for block in regression.pilot())
-    poles = regression.known_poles
-    return {g: NoiseModel.stated(regression.noise_std, poles if g == "trajectory" else None) for g in groups}
-
-
-def noise_of_residuals(
-    regression: Regression, blocks: Sequence[Block], values: np.ndarray, efficient: Factor | None = None
-) -> dict[str, NoiseModel]:
-    """Noise of each group of rows from the residuals of a fit; of an efficient one if its factor is given."""
-    known = stated_noise(regression)
-    if known is not None:
-        return known
-    noise = {}
-    total = sum(len(b.rows) for b in blocks)
-    root = None if efficient is None else pseudo_inverse(efficient.matrix)
-    for group in dict.fromkeys(b.group for b in blocks):
-        own = [b for b in blocks if b.group == group]
-        noise[group] = estimate_noise(
-            [b.target - b.matrix @ values for b in own],
-            parameters=round(sum(len(b.rows) for b in own) / total * len(values)),
-            known_poles=regression.known_poles if group == "trajectory" else None,
-            highest_order=0 if group == "poses" else 24,
-            spread=None if root is None else [_flat(b.matrix, root) for b in own],
-        )
-    return noise
-
-
-def _agreement(pilot: Pilot, noise: dict[str, NoiseModel], plain: np.ndarray, efficient: np.ndarray, scale: np.ndarray) -> float:
-    """Probability of a difference between the two fits as large as this one.
-
-    Under a complete model ``d = b_wls - b_gls`` has covariance ``V_wls - V_gls``.
-    """
-    whole = pilot.whitened(noise).matrix
-    bread = pilot.weighted(scale).matrix
-    middle = _middle(pilot, noise, scale)
-    outer = np.linalg.pinv(bread.T @ bread, rcond=1e-12, hermitian=True)
-    covariance = outer @ middle @ outer
-    size = standard_deviations(covariance, 1e-300)
-    gap = covariance - np.linalg.pinv(whole.T @ whole, rcond=1e-12, hermitian=True)
-    # Where the two fits are almost equally sure, the tiny difference is one of estimated weights, not of fits.
-    return hausman(plain - efficient, gap, size, 0.05).probability
-
-
-def _middle(pilot: Pilot, noise: dict[str, NoiseModel], scale: np.ndarray) -> np.ndarray:
-    """``X' W Sigma W X`` of rows weighted by channel (p, p)."""
-    return pilot.gram(lambda b, x: noise[b.group].colour_transposed(x / scale[:, None] ** 2))
 
 
 def reduce_whitened(blocks: Iterable[Block], noise: dict[str, NoiseModel]) -> Factor:

@@ -21,16 +21,9 @@ from scipy.optimize import fminbound
 from bayesid.errors import InputError
 from bayesid.estimators.details import Details
 from bayesid.estimators.estimator import Estimate, largest_autocorrelation
-from bayesid.estimators.factor import (
-    Factor,
-    Weights,
-    gram_rows,
-    learn_weights,
-    pilot_of,
-    reduce_whitened,
-    whitened,
-)
+from bayesid.estimators.factor import Factor, gram_rows, reduce_whitened, whitened
 from bayesid.estimators.reduction import reduce_in_coordinates
+from bayesid.estimators.weights import Weights, learn_weights, pilot_of
 from bayesid.regression.blocks import Block
 from bayesid.regression.linalg import (
     column_lengths,

@@ -26,8 +26,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
-from bayesid.estimators.factor import Weights, learn_weights, stack, whitened
+from bayesid.estimators.factor import stack, whitened
 from bayesid.estimators.least_squares import sandwich_middle, weighted_factor
+from bayesid.estimators.weights import Weights, learn_weights
 from bayesid.regression.linalg import column_lengths
 from bayesid.regression.regression import Regression
 from bayesid.signals.noise import NoiseModel

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from bayesid.estimators import Estimate
-from bayesid.estimators.factor import Weights
+from bayesid.estimators.weights import Weights
 from bayesid.regression.problem import Problem
 from bayesid.regression.regression import Regression
 from bayesid.results.entry import Entry

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesid.estimators import Estimate
-from bayesid.estimators.factor import SMALLEST_AGREEMENT
+from bayesid.estimators.weights import SMALLEST_AGREEMENT
 from bayesid.regression import hypothesis_tests
 
 #: Eigenvalues of a difference of covariances, relative to the larger one, below which it says nothing.

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from bayesid.estimators import Estimate
-from bayesid.estimators.factor import Weights, reduce_rows
+from bayesid.estimators.factor import reduce_rows
+from bayesid.estimators.weights import Weights
 from bayesid.regression.linalg import solve
 from bayesid.regression.problem import Problem, weight_columns
 

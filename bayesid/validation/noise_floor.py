@@ -15,7 +15,7 @@ import numpy as np
 from scipy.fft import dct
 from scipy.signal import detrend
 
-from bayesid.estimators.factor import learn_weights
+from bayesid.estimators.weights import learn_weights
 from bayesid.regression.encoder_noise import errors_of
 from bayesid.regression.problem import Problem
 from bayesid.regression.rows import Segment

@@ -13,8 +13,8 @@ from threadpoolctl import threadpool_limits
 from bayesid.dynamics.nearest_links import nearest_links
 from bayesid.errors import BayesidError, EstimationError, InputError
 from bayesid.estimators import DEFAULT_METHOD, METHODS, Estimator, LeastSquares, estimator, fit
-from bayesid.estimators.factor import Weights, learn_weights
 from bayesid.estimators.nonlinear import settled
+from bayesid.estimators.weights import Weights, learn_weights
 from bayesid.recordings.experiment import Experiment, load_experiment
 from bayesid.regression.options import NOT_FOR_REGRESSIONS, FitOptions
 from bayesid.regression.problem import Problem, prepare

@@ -6,7 +6,7 @@ from scipy.linalg import sqrtm
 
 import bayesid
 from bayesid.estimators.dispersion import STRETCHES, beyond_chance, dispersion
-from bayesid.estimators.factor import learn_weights
+from bayesid.estimators.weights import learn_weights
 from bayesid.posterior.likelihood import Likelihood
 from bayesid.regression.regression import Regression
 

@@ -7,9 +7,9 @@ from scipy.stats import kstest
 from bayesid.errors import InputError
 from bayesid.estimators import fit
 from bayesid.estimators.errors_in_variables import TotalLeastSquares
-from bayesid.estimators.factor import learn_weights
 from bayesid.estimators.instrumental_variables import InstrumentalVariables
 from bayesid.estimators.sensor_noise import sensor_noise
+from bayesid.estimators.weights import learn_weights
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import prepare
 from bayesid.regression.regression import Regression

@@ -9,7 +9,8 @@ from scipy import stats
 
 from bayesid.errors import InputError
 from bayesid.estimators import fit
-from bayesid.estimators.factor import learn_weights, whitened
+from bayesid.estimators.factor import whitened
+from bayesid.estimators.weights import learn_weights
 from bayesid.posterior import DofPrior, Posterior, PosteriorModel, ScalePrior, coordinates
 from bayesid.posterior.density import _density
 from bayesid.posterior.diagnostics import Convergence

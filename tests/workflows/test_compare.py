@@ -8,7 +8,7 @@ from scipy.stats import kstest
 
 import bayesid
 from bayesid.cli import main
-from bayesid.estimators import factor
+from bayesid.estimators import weights
 from bayesid.report.comparison import comparison_report
 from bayesid.validation.agreement import gaps, hausman
 from bayesid.workflows import compare as module
@@ -93,7 +93,7 @@ def test_each_is_what_it_would_be_alone(compared, heavier):
 
 def test_rows_and_noise_are_made_once(heavier, monkeypatch):
     calls = {"prepare": 0, "noise": 0}
-    prepare, learned = module.prepare, factor._learned
+    prepare, learned = module.prepare, weights._learned
 
     def counted(*args, **options):
         calls["prepare"] += 1
@@ -104,7 +104,7 @@ def test_rows_and_noise_are_made_once(heavier, monkeypatch):
         return learned(regression)
 
     monkeypatch.setattr(module, "prepare", counted)
-    monkeypatch.setattr(factor, "_learned", counted_noise)
+    monkeypatch.setattr(weights, "_learned", counted_noise)
     stages = []
     bayesid.compare(heavier, ["ols", "wls", "gls", "ridge"], progress=stages.append)
     assert calls == {"prepare": 1, "noise": 1}

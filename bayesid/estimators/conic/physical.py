@@ -31,8 +31,8 @@ from bayesid.estimators.conic.region import closest_within, conic, misfit
 from bayesid.estimators.conic.solver import Infeasible, solve_conic
 from bayesid.estimators.details import OPTIONAL, Details
 from bayesid.estimators.estimator import Estimate
-from bayesid.estimators.factor import learn_weights
 from bayesid.estimators.least_squares import completeness, likelihood_weights, make_estimate, sandwich_middle, weighted_factor
+from bayesid.estimators.weights import learn_weights
 from bayesid.regression.linalg import determined_inverse, undetermined
 from bayesid.regression.regression import Regression
 from bayesid.robot.prior import Prior

@@ -23,7 +23,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from bayesid.estimators.estimator import Estimate
-from bayesid.estimators.factor import Factor, Weights, gram_rows, learn_weights, reduce_rows, whitened
+from bayesid.estimators.factor import Factor, gram_rows, reduce_rows, whitened
 from bayesid.estimators.least_squares import completeness, make_estimate, nominal_start, target_from_nominal
 from bayesid.estimators.robust.divergence import SMALLEST_SHARE, Directions, Fitted, reasons, share_left
 from bayesid.estimators.robust.losses import WHOLE, Loss
@@ -38,6 +38,7 @@ from bayesid.estimators.robust.segments import (
     windows,
 )  # fmt: skip
 from bayesid.estimators.robust.trimmed import trimmed
+from bayesid.estimators.weights import Weights, learn_weights
 from bayesid.regression.blocks import Block
 from bayesid.regression.linalg import determined_inverse, solve, undetermined
 from bayesid.regression.regression import Regression
