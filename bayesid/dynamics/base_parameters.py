@@ -50,6 +50,9 @@ class BaseParameters:
     units: tuple[str, ...]
     absorbed: np.ndarray | None = None
 
+    def __repr__(self) -> str:
+        return f"<BaseParameters: {self.rank} combinations of {len(self.parameter_names)} parameters>"
+
     @property
     def rank(self) -> int:
         """Number of base parameters."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 from scipy.stats import norm
@@ -15,6 +15,9 @@ from bayesid.estimators.details import Details
 from bayesid.regression.linalg import standard_deviations
 from bayesid.regression.regression import Regression
 from bayesid.signals.noise import NoiseModel
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 #: Central probability of ``low`` to ``high``.
 LEVEL = 0.95
@@ -136,6 +139,19 @@ class Estimate:
             for i in range(self.base.rank)
         )
 
+    def to_dataframe(self) -> DataFrame:
+        """Base parameters, then effect parameters (class ``effect``), as a table; see `parameter_table` for its columns."""
+        return parameter_table(
+            [*self.names, *self.effect_names], [*self.base.labels, *self.effect_names], self.solution, self.full_std,
+            [*self.base.units, *self.effect_units], [*self.classes, *["effect"] * len(self.effect_names)],
+        )  # fmt: skip
+
+    def __repr__(self) -> str:
+        return (
+            f"<Estimate by {self.method}: {self.base.rank} base and {len(self.effect_names)} effect parameters "
+            f"from {self.rows} rows>"
+        )
+
     def __str__(self) -> str:
         """Table of the base and effect parameters."""
         lines = [f"{self.method}: {self.base.rank} base parameters, {self.rows} rows"]
@@ -195,6 +211,33 @@ class Estimate:
         if self.interval_reason:
             result["interval_reason"] = self.interval_reason
         return result
+
+
+def parameter_table(
+    names: Sequence[str], labels: Sequence[str], values: np.ndarray, std: np.ndarray, units: Sequence[str],
+    classes: Sequence[str], low: np.ndarray | None = None, high: np.ndarray | None = None,
+) -> DataFrame:
+    """Parameters as a table: ``name``, ``label``, ``value``, ``std``, ``low``, ``high``, ``unit``, ``class``, a row each.
+
+    Parameters
+    ----------
+    names, labels, units, classes
+        Texts (p,).
+    values, std
+        (p,); nan where there is no honest standard deviation.
+    low, high
+        Ends of the central 95 % intervals (p,); default those of a normal distribution.
+    """
+    from pandas import DataFrame
+
+    half = norm.ppf(0.5 + LEVEL / 2) * std
+    return DataFrame(
+        {
+            "name": list(names), "label": list(labels), "value": values, "std": std,
+            "low": values - half if low is None else low, "high": values + half if high is None else high,
+            "unit": list(units), "class": list(classes),
+        }
+    )  # fmt: skip
 
 
 def _number(value: float) -> float | None:

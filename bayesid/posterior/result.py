@@ -5,17 +5,20 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cached_property
 from html import escape
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from bayesid.dynamics.base_parameters import BaseParameters
-from bayesid.estimators.estimator import LEVEL
+from bayesid.estimators.estimator import LEVEL, parameter_table
 from bayesid.posterior import density
 from bayesid.posterior.convert import Groups, to_arviz
 from bayesid.posterior.diagnostics import Convergence
 from bayesid.posterior.model import PosteriorModel
 from bayesid.posterior.run import Chains
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 #: A parameter whose standard deviation stays above this share of the prior's is driven by the prior.
 PRIOR_DRIVEN = 0.9
@@ -256,6 +259,20 @@ class Posterior:
                 "smallest_ess_tail": float(d.ess_tail.min()),
             },
         }
+
+    def to_dataframe(self) -> DataFrame:
+        """Base parameters, then effect parameters, by their draws, as `bayesid.estimators.estimator.parameter_table`."""
+        names, draws = self.model.effect_names, self.effect_draws
+        return parameter_table(
+            [*self.names, *names], [*self.base.labels, *names], self.columns.mean(axis=(0, 1)),
+            np.concatenate([self.std, draws.std(axis=(0, 1))]), [*self.base.units, *self.model.effect_units],
+            [*self.classes, *["effect"] * len(names)],
+            *(np.quantile(self.columns, 0.5 + side * LEVEL / 2, axis=(0, 1)) for side in (-1, 1)),
+        )  # fmt: skip
+
+    def __repr__(self) -> str:
+        chains, draws = self.chains.draws.shape[:2]
+        return f"<{type(self).__name__}: {self.base.rank} base parameters, {chains} chains of {draws} draws>"
 
     def __str__(self) -> str:
         """Table of the base and effect parameters."""

@@ -55,6 +55,9 @@ class Motion:
     period: float | None = None
     parked: tuple[tuple[float, float], ...] = ()
 
+    def __repr__(self) -> str:
+        return f"<Motion {self.name} ({self.role}): {self.table!r}>"
+
     @property
     def stop_and_go(self) -> bool:
         """Whether the static table holds the motion's own positions, row by row."""
@@ -147,6 +150,12 @@ class Experiment:
                         f"{table.source}: {table.positions.shape[1]} joints but the robot has {self.robot.n}; "
                         "give a table with one column of positions per joint"
                     )
+
+    def __repr__(self) -> str:
+        place = None if self.sensor is None else self.sensor.joint
+        sensor = f", sensor in {place}" if place else "" if self.sensor is None else ", sensor under the base"
+        motions = f"{len(self.motions)} motion{'s' * (len(self.motions) != 1)}"
+        return f"<{type(self).__name__} {self.name}: {self.robot.name} with {self.robot.n} joints{sensor}, {motions}>"
 
     @property
     def identification(self) -> tuple[Motion, ...]:

@@ -68,6 +68,9 @@ class Table:
             object.__setattr__(self, field, array)
         check_increasing(self.times, self.source, lambda row: f"row {row}")
 
+    def __repr__(self) -> str:
+        return f"<Table {self.source}: {len(self)} samples, {self.positions.shape[1]} joints, {self.duration:.4g} s>"
+
     def __len__(self) -> int:
         """Return the number of samples."""
         return len(self.times)

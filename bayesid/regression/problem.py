@@ -33,7 +33,7 @@ _PILOT_SAMPLES, _JUDGED_SAMPLES = 5_000, 12_000
 _PIECES = 4
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Problem:
     """An experiment made ready for estimation.
 

@@ -80,6 +80,12 @@ class Regression:
     regressor_noise: RegressorNoise | None = None
     noise_std: np.ndarray | None = None
 
+    def __repr__(self) -> str:
+        return (
+            f"<Regression: {self.base.rank} base and {len(self.effect_names)} effect parameters, {len(self.channel_names)} "
+            f"channels, {self.row_count} rows>"
+        )
+
     @property
     def column_names(self) -> tuple[str, ...]:
         """Base parameters, then effect parameters."""

@@ -86,7 +86,7 @@ class Segment:
         )  # fmt: skip
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class RowModel:
     """How samples become rows: everything but the samples.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from bayesid.report.comparison_figures import proof_side_by_side, values_side_by_side
 from bayesid.report.identification import STATIC, mood_of
@@ -58,8 +59,8 @@ def comparison_report(result: Comparison) -> str:
         overview=[_row(result, e) for e in (*result.baselines, *result.entries)],
         refused=[{"name": e.name, "reason": e.refusal} for e in result.entries if e.estimate is None],
         descriptions=[(e.name, _describe(e)) for e in (*result.baselines, *result.entries)],
-        proof=svg(_proof_figure(result), "proof") if motions else "",
-        values_figure=svg(_values_figure(result, result.reference), "values") if result.reference else "",
+        proof=svg(errors_figure(result), "proof") if motions else "",
+        values_figure=svg(values_figure(result, result.reference), "values") if result.reference else "",
         columns=[e.name for e in done],
         nominal=result.regression.nominal is not None,
         values=values_table(result),
@@ -170,7 +171,8 @@ def _baseline(name: str) -> str:
     return "the nominal model" if name == "nominal" else "the nominal model with fitted effects"
 
 
-def _proof_figure(result: Comparison):
+def errors_figure(result: Comparison) -> Figure:
+    """What each estimator's predictions miss, motion by motion."""
     entries = [e for e in (*result.baselines, *result.entries) if e.estimate is not None]
     motions = []
     for k in range(min(len(entries[0].proof), _SHOWN_MOTIONS)):
@@ -183,7 +185,8 @@ def _proof_figure(result: Comparison):
     return proof_side_by_side([e.name for e in entries], len(result.baselines), motions)
 
 
-def _values_figure(result: Comparison, name: str):
+def values_figure(result: Comparison, name: str) -> Figure:
+    """Base parameters by each estimator around those of the reference of a name."""
     reference = result[name]
     shown = np.flatnonzero(reference.std > 0)
     names = [f"{short}  ({k + 1})" for k, short in enumerate(short_names(reference.base)) if k in shown]

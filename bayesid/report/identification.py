@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.estimators import Estimate
@@ -47,7 +48,7 @@ def identification_report(result: Identification) -> str:
         verdict=_verdict(result),
         card_list=_cards(result),
         interval_reason=estimate.interval_reason if estimate.interval == "none" else "",
-        intervals=svg(_intervals(problem.regression, estimate), "intervals"),
+        intervals=svg(intervals_figure(problem.regression, estimate), "intervals"),
         parameters=_parameters(problem.regression, estimate),
         effects=_effects(result.effects()),
         offset_note=_OFFSET_NOTE if result.offset is not None and problem.row_model.base.absorbed is not None else "",
@@ -152,7 +153,8 @@ def _reference(regression: Regression, estimate: Estimate) -> tuple[np.ndarray, 
     return nominal, np.where(np.isfinite(scale) & (scale > 1e-9 * own), scale, own)
 
 
-def _intervals(regression: Regression, estimate: Estimate):
+def intervals_figure(regression: Regression, estimate: Estimate) -> Figure:
+    """Base parameters against the nominal model, with their 95 % intervals."""
     nominal, scale = _reference(regression, estimate)
     names = [f"{name}  ({k + 1})" for k, name in enumerate(short_names(estimate.base))]
     return parameter_intervals(names, estimate.values - nominal, HALF * estimate.std, scale, estimate.classes)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from bayesid.report.notation import short_names
 from bayesid.report.page import render, run_times, svg, versions
@@ -24,11 +25,7 @@ _DRIVEN = 0.9
 def posterior_report(result: ExperimentPosterior) -> str:
     """The report of ``sample``: an HTML page with all figures inside."""
     problem, model = result.problem, result.model
-    names = short_names(result.base)
-    flat = result.base_draws.reshape(-1, result.base.rank)
-    prior = model.prior_draws(_PRIOR_DRAWS, np.random.default_rng(result.seed))
-    pushed = None if prior is None else prior @ result.base.matrix.T
-    shares = [("base parameters", names, result.prior_share)]
+    shares = [("base parameters", short_names(result.base), result.prior_share)]
     if result.link_draws is not None:
         shares.append(("link parameters", _link_names(result.base.parameter_names), result.link_prior_share))
     shown = sorted(result.validation, key=lambda p: -p.whitened_rms)[:_SHOWN_MOTIONS]
@@ -41,13 +38,13 @@ def posterior_report(result: ExperimentPosterior) -> str:
         warning_list=result.warnings,
         lead=_lead(result),
         card_list=_cards(result),
-        marginals=svg(marginals(names, flat, pushed, problem.regression.nominal), "marginals"),
-        has_prior=pushed is not None,
+        marginals=svg(marginals_figure(result), "marginals"),
+        has_prior=model.prior is not None,
         parameters=_parameters(result, problem.regression.nominal),
         effects=_effects(result),
         scales=_scales(result),
         student=model.noise == "student",
-        narrowing=None if pushed is None else svg(narrowing(shares, _DRIVEN), "narrowing"),
+        narrowing=None if model.prior is None else svg(narrowing(shares, _DRIVEN), "narrowing"),
         physical=model.physical,
         ranks=svg(ranks(*_worst(result)), "ranks"),
         diagnostics=_diagnostics(result),
@@ -56,6 +53,14 @@ def posterior_report(result: ExperimentPosterior) -> str:
         band=number(BAND, 2),
         how=_how(result),
     )
+
+
+def marginals_figure(result: ExperimentPosterior) -> Figure:
+    """Posterior, prior and nominal value of every base parameter."""
+    flat = result.base_draws.reshape(-1, result.base.rank)
+    prior = result.model.prior_draws(_PRIOR_DRAWS, np.random.default_rng(result.seed))
+    pushed = None if prior is None else prior @ result.base.matrix.T
+    return marginals(short_names(result.base), flat, pushed, result.problem.regression.nominal)
 
 
 def _link_names(names) -> list[str]:

@@ -4,19 +4,26 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from html import escape
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bayesid.errors import InputError
 from bayesid.estimators import Estimate
 from bayesid.estimators.weights import Weights
 from bayesid.regression.problem import Problem
 from bayesid.regression.regression import Regression
 from bayesid.results.entry import Entry
+from bayesid.results.figures import figures_of
 from bayesid.results.files import Result
 from bayesid.results.text import DASH, HALF, chance, channel_text, html_table, number, percent, text_table, with_half
 from bayesid.validation.agreement import Gap, HausmanTest
+from bayesid.validation.predicted_readings import PredictedReadings, predict_readings
 from bayesid.validation.prediction import BAND, band_error
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from pandas import DataFrame
 
 SCHEMA = 1
 #: Errors of at most so many motions stand in the overview.
@@ -84,6 +91,59 @@ class Comparison(Result):
             refused = [e.refusal for e in self.entries if e.name == name]
             raise KeyError(f"{name} refused: {refused[0]}" if refused else f"{name}; there are {', '.join(self.estimates)}")
         return self.estimates[name]
+
+    def predict(
+        self, q: np.ndarray, v: np.ndarray, a: np.ndarray, times: np.ndarray | None = None
+    ) -> dict[str, PredictedReadings]:
+        """Readings of any motion by every estimator, with their bands, by its name; as `Identification.predict`.
+
+        Raises
+        ------
+        InputError
+            A regression of one's own was compared, which knows no robot; or as there.
+        """
+        problem = self.problem
+        if problem is None:
+            raise InputError("predict needs a robot; compare estimators on an experiment, or multiply your own regressor")
+        return {
+            name: predict_readings(problem, e.solution, e.full_covariance, e.undetermined, q, v, a, times)
+            for name, e in self.estimates.items()
+        }
+
+    def to_dataframe(self) -> DataFrame:
+        """Parameters of all estimators below each other: ``method``, then the columns of `Estimate.to_dataframe`."""
+        from pandas import concat
+
+        tables = {name: e.to_dataframe() for name, e in self.estimates.items()}
+        return concat(tables, names=["method"]).reset_index(level="method").reset_index(drop=True)
+
+    def plot_errors(self) -> Figure:
+        """What each estimator's predictions miss, motion by motion.
+
+        Raises
+        ------
+        InputError
+            A regression of one's own was compared, which has no motions to predict.
+        """
+        if self.problem is None:
+            raise InputError("a regression of one's own has no motions to predict; compare estimators on an experiment")
+        return figures_of(self)["errors"]()
+
+    def plot_values(self) -> Figure:
+        """Base parameters by each estimator with their 95 % intervals, around those of the reference.
+
+        Raises
+        ------
+        InputError
+            No estimator has intervals.
+        """
+        if self.reference is None:
+            raise InputError("no estimator here has intervals to compare by; add wls to the methods")
+        return figures_of(self)["values"]()
+
+    def __repr__(self) -> str:
+        of = "a regression" if self.problem is None else self.problem.experiment.name
+        return f"<Comparison on {of} of {', '.join(e.name for e in self.entries)}>"
 
     def __str__(self) -> str:
         """The estimators in a table, then their values."""

@@ -46,6 +46,9 @@ class Entry:
     fitted: tuple[Prediction, ...] = ()
     validation: tuple[Prediction, ...] = ()
 
+    def __repr__(self) -> str:
+        return f"<Entry {self.name}: {'refused' if self.estimate is None else 'fitted'}>"
+
     @property
     def physically_consistent(self) -> bool | None:
         """Whether every link can exist; None where that is not known."""

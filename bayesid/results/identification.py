@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.effects import Term
 from bayesid.estimators import Estimate
+from bayesid.estimators.estimator import parameter_table
 from bayesid.recordings.schema import EffectParameters
 from bayesid.regression.problem import Problem
 from bayesid.results.bodies import impossible_bodies
+from bayesid.results.figures import PlotsPredictions, figures_of
 from bayesid.results.files import Result
 from bayesid.results.fitted_model import fitted_model
 from bayesid.results.urdf_links import UrdfLinks
@@ -21,11 +23,15 @@ from bayesid.validation.headline import over_noise
 from bayesid.validation.predicted_readings import PredictedReadings, predict_readings
 from bayesid.validation.prediction import BAND, Prediction, band_error, relative_error
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from pandas import DataFrame
+
 SCHEMA = 1
 
 
 @dataclass(frozen=True)
-class Identification(Result):
+class Identification(PlotsPredictions, Result):
     """What `identify` found.
 
     Attributes
@@ -126,6 +132,27 @@ class Identification(Result):
         """
         e = self.estimate
         return predict_readings(self.problem, e.solution, e.full_covariance, e.undetermined, q, v, a, times)
+
+    def to_dataframe(self) -> DataFrame:
+        """Base parameters, then effects as in ``estimate.json``, as `bayesid.estimators.estimator.parameter_table`."""
+        e, fitted = self.estimate, self._fitted_effects()
+        names = [name for term, _ in fitted for name in term.effect.column_names]
+        units = [unit for term, _ in fitted for unit in term.effect.units]
+        return parameter_table(
+            [*e.names, *names], [*e.base.labels, *names], np.concatenate([e.values, *(term.values for term, _ in fitted)]),
+            np.concatenate([e.std, *(std for _, std in fitted)]), [*e.base.units, *units], [*e.classes, *["effect"] * len(names)],
+        )  # fmt: skip
+
+    def plot_intervals(self) -> Figure:
+        """Base parameters against the nominal model, with their 95 % intervals."""
+        return figures_of(self)["intervals"]()
+
+    def __repr__(self) -> str:
+        p = self.problem
+        return (
+            f"<Identification of {p.experiment.name} by {self.estimate.method}: {self.base.rank} base parameters from the "
+            f"{p.channel} of {', '.join(p.fitted)}>"
+        )
 
     def __str__(self) -> str:
         """Summary with the table of parameters."""

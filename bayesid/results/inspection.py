@@ -154,6 +154,10 @@ class Inspection(Result):
             ],
         }  # fmt: skip
 
+    def __repr__(self) -> str:
+        found = f"{len(self.mistakes)} mistakes, {len(self.warnings)} warnings"
+        return f"<Inspection of {self.name}: {len(self.motions)} motions, {found}>"
+
     def __str__(self) -> str:
         """A few lines for the terminal, warnings first."""
         robot = self.experiment.robot

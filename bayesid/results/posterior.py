@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from bayesid.posterior.result import Posterior
 from bayesid.regression.problem import Problem
+from bayesid.results.figures import PlotsPredictions, figures_of
 from bayesid.results.files import Result
+from bayesid.validation.predicted_readings import PredictedReadings, predict_readings
 from bayesid.validation.prediction import Prediction
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 SCHEMA = 1
 
 
-@dataclass(frozen=True, eq=False)
-class ExperimentPosterior(Posterior, Result):
+@dataclass(frozen=True, eq=False, repr=False)
+class ExperimentPosterior(PlotsPredictions, Posterior, Result):
     """The posterior of an experiment, with its predictions.
 
     Attributes
@@ -37,6 +44,19 @@ class ExperimentPosterior(Posterior, Result):
     trust: float | None = None
     warnings: tuple[str, ...] = ()
     seconds: dict[str, float] = field(default_factory=dict)
+
+    def predict(
+        self, q: np.ndarray, v: np.ndarray, a: np.ndarray, times: np.ndarray | None = None
+    ) -> PredictedReadings:
+        """Readings of any motion by the posterior's mean, with the 95 % band of its covariance; as `Identification.predict`."""
+        columns = self.columns.reshape(-1, self.columns.shape[-1])
+        nothing = np.zeros(columns.shape[1], bool)
+        covariance = np.atleast_2d(np.cov(columns.T))
+        return predict_readings(self.problem, columns.mean(axis=0), covariance, nothing, q, v, a, times)
+
+    def plot_marginals(self) -> Figure:
+        """Posterior, prior and nominal value of every base parameter."""
+        return figures_of(self)["marginals"]()
 
     def to_dict(self) -> dict[str, Any]:
         """``posterior.json``."""

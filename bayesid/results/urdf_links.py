@@ -46,6 +46,9 @@ class UrdfLinks:
     friction: dict[str, dict[str, float]]
     left_out: tuple[str, ...]
 
+    def __repr__(self) -> str:
+        return f"<UrdfLinks: {len(self.links) // 10} bodies>"
+
     def to_dict(self) -> dict[str, Any]:
         """``identified_urdf`` in ``estimate.json``."""
         moved = self.moved

@@ -31,6 +31,9 @@ class Prior:
     bodies: tuple[tuple[int, ...], ...]
     physical: bool = True
 
+    def __repr__(self) -> str:
+        return f"<Prior of {len(self.bodies)} bodies{', which can exist only' if self.physical else ''}>"
+
     @classmethod
     def nominal(cls, links: np.ndarray, rel_std: float, *, physical: bool = True) -> Prior:
         """Bodies near nominal ones, by the constant pull-back metric [Lee2020]_.

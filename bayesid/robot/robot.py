@@ -90,6 +90,9 @@ class Robot:
     rod_joint: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
     rods: np.ndarray = field(default_factory=lambda: np.zeros((0, 2, 3)))
 
+    def __repr__(self) -> str:
+        return f"<Robot {self.name}: {self.n} joints, {len(self.body_names)} bodies>"
+
     @property
     def n(self) -> int:
         """Number of moving joints."""

@@ -113,7 +113,7 @@ class Truth:
         }  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Simulation(Experiment):
     """An experiment whose truth is known; it can be used wherever an experiment can.
 

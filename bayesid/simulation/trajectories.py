@@ -43,6 +43,9 @@ class Trajectory:
     period: float | None = None
     parked: tuple[tuple[float, float], ...] = ()
 
+    def __repr__(self) -> str:
+        return f"<Trajectory {self.name} ({self.role}): {len(self.times)} samples, {self.positions.shape[1]} joints>"
+
 
 def fourier_trajectory(
     robot: Robot,

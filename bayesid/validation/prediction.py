@@ -105,6 +105,9 @@ class Prediction:
     poses: bool = False
     spectrum: Spectrum | None = None
 
+    def __repr__(self) -> str:
+        return f"<Prediction of {self.motion}: {len(self.channel_names)} channels, error {100 * relative_error(self):.3g} %>"
+
     def to_dict(self) -> dict:
         """An entry of ``validation`` in ``estimate.json``."""
 

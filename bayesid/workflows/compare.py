@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -22,6 +24,7 @@ from bayesid.regression.regression import Regression
 from bayesid.results.bodies import impossible_bodies
 from bayesid.results.comparison import Comparison
 from bayesid.results.entry import Entry
+from bayesid.results.figures import figures_of
 from bayesid.results.files import Files, files_of
 from bayesid.signals.filters import LowPass
 from bayesid.validation.agreement import HausmanTest, gaps, hausman
@@ -130,6 +133,14 @@ def compare(
         warnings=_warnings(problem, weights, entries, baselines, tests),
         seconds=seconds,
     )
+
+
+@figures_of.register
+def _(result: Comparison) -> Mapping[str, Callable[..., Any]]:
+    from bayesid.report.comparison import errors_figure, values_figure
+
+    values = {} if result.reference is None else {"values": partial(values_figure, result, result.reference)}
+    return {"errors": partial(errors_figure, result), **values}
 
 
 @files_of.register

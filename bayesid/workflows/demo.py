@@ -98,6 +98,9 @@ class Demo:
     truth: np.ndarray
     report: Path
 
+    def __repr__(self) -> str:
+        return f"<Demo of {self.result!r}>"
+
     @property
     def inside(self) -> np.ndarray:
         """Which true values lie inside their 95 % intervals (r,)."""

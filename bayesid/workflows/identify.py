@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -17,6 +18,7 @@ from bayesid.recordings.schema import write_model
 from bayesid.regression.options import FitOptions
 from bayesid.regression.parallel import both, in_order
 from bayesid.regression.problem import Problem, prepare, weight_columns
+from bayesid.results.figures import figures_of
 from bayesid.results.files import Files, files_of
 from bayesid.results.identification import Identification
 from bayesid.results.urdf_links import UrdfLinks
@@ -119,6 +121,15 @@ def identify(
         seconds=clock.stop(),
         unconstrained_urdf=unconstrained_urdf,
     )
+
+
+@figures_of.register
+def _(result: Identification) -> Mapping[str, Callable[..., Any]]:
+    from bayesid.report.identification import intervals_figure
+    from bayesid.report.prediction_figures import measured_against_predicted, residuals
+
+    intervals = partial(intervals_figure, result.problem.regression, result.estimate)
+    return {"predictions": measured_against_predicted, "residuals": residuals, "intervals": intervals}
 
 
 @files_of.register

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
-from typing import TypedDict, Unpack, overload
+from typing import Any, TypedDict, Unpack, overload
 
 import numpy as np
 from scipy.linalg import cholesky
@@ -28,6 +29,7 @@ from bayesid.regression.options import NOT_FOR_REGRESSIONS, FitOptions
 from bayesid.regression.problem import Problem, prepare
 from bayesid.regression.regression import Regression
 from bayesid.regression.rows import make_blocks
+from bayesid.results.figures import figures_of
 from bayesid.results.files import Files, check_output, files_of
 from bayesid.results.posterior import ExperimentPosterior
 from bayesid.robot.prior import Prior
@@ -170,6 +172,14 @@ def sample(
         error.partial = posterior
         raise error
     return posterior
+
+
+@figures_of.register
+def _(result: ExperimentPosterior) -> Mapping[str, Callable[..., Any]]:
+    from bayesid.report.posterior import marginals_figure
+    from bayesid.report.prediction_figures import measured_against_predicted, residuals
+
+    return {"predictions": measured_against_predicted, "residuals": residuals, "marginals": partial(marginals_figure, result)}
 
 
 @files_of.register

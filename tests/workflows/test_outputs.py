@@ -1,11 +1,14 @@
 """What `identify` hands on to programs: model.toml, covariances, tables, figures, predicted readings."""
 
 import json
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
 import pytest
+from matplotlib.figure import Figure
 
 import bayesid
 from bayesid.regression.problem import prepare
@@ -137,3 +140,105 @@ def test_effects_that_are_not_linear_are_predicted_as_the_model_reads(result):
 def test_states_that_cannot_be_are_refused(result, q, message):
     with pytest.raises(bayesid.InputError, match=message):
         result.predict(q, q, q)
+
+
+def test_the_table_has_what_the_json_has(result):
+    table, document = result.to_dataframe(), result.to_dict()
+    assert list(table.columns) == ["name", "label", "value", "std", "low", "high", "unit", "class"]
+    base = table[table["class"] != "effect"]
+    assert len(base) == result.base.rank and len(table) == len(base) + 4
+    for row, entry in zip(base.to_dict("records"), document["base_parameters"], strict=True):
+        assert row == pytest.approx(entry)
+    friction = table.set_index("name").loc["viscous_friction@joint1.coefficient"]
+    assert friction["value"] == document["effects"][0]["parameters"]["coefficient"]["value"] and friction["unit"] == "N m s/rad"
+    assert friction["low"] < VISCOUS[0] < friction["high"]
+    assert result.estimate.to_dataframe().equals(table)  # no offset here that weight hides in
+
+
+@pytest.fixture(scope="module")
+def comparison(result):
+    return bayesid.compare(result.problem.experiment, methods=["ols", "wls", "ridge"])
+
+
+@pytest.fixture(scope="module")
+def posterior(result):
+    return bayesid.sample(result.problem.experiment, draws=1000, seed=1)
+
+
+def test_tables_of_a_comparison_and_a_posterior(comparison, posterior, result):
+    table = comparison.to_dataframe()
+    assert list(table.columns)[:2] == ["method", "name"] and set(table["method"]) == {"ols", "wls", "ridge"}
+    np.testing.assert_allclose(table[table["method"] == "wls"]["value"], result.estimate.solution, rtol=1e-9)
+    assert table[table["method"] == "ridge"]["std"].isna().all()
+    drawn = posterior.to_dataframe()
+    np.testing.assert_allclose(drawn["value"][: result.base.rank], posterior.values)
+    np.testing.assert_allclose(drawn["high"][: result.base.rank], posterior.high)
+    assert list(drawn["name"]) == list(result.to_dataframe()["name"])
+
+
+def test_every_estimator_and_the_posterior_predict(comparison, posterior, result):
+    _, q, v, a = fourier(result.problem.experiment.robot, 7, duration=1.0)
+    own, each, drawn = result.predict(q, v, a), comparison.predict(q, v, a), posterior.predict(q, v, a)
+    np.testing.assert_allclose(each["wls"].values, own.values, rtol=1e-9)
+    assert np.isnan(each["ridge"].std).all() and np.isfinite(each["ridge"].values).all()
+    every = posterior.columns.reshape(-1, posterior.columns.shape[-1])[::10]
+    moved = [replace(result, estimate=replace(result.estimate, solution=x)).predict(q, v, a).values for x in every]
+    np.testing.assert_allclose(drawn.values, np.mean(moved, axis=0), atol=5 * drawn.std.max() / np.sqrt(len(every)))
+    np.testing.assert_allclose(drawn.std, np.std(moved, axis=0), rtol=0.35)
+
+
+def test_figures_are_matplotlibs_and_show_what_was_asked_for(comparison, posterior, result):
+    for owner in (result, posterior):
+        figure = owner.plot_predictions("identification")
+        titles = [ax.get_title(loc="left") for ax in figure.axes if ax.get_visible()]
+        assert titles == ["tau1 [N m]", "tau2 [N m]"]
+        line = figure.axes[0].lines[0].get_ydata()
+        (fitted,) = owner.fitted
+        assert np.nanmax(line) <= fitted.measured[:, 0].max() and np.isin(line[np.isfinite(line)], fitted.measured[:, 0]).all()
+        spectra = [ax for ax in owner.plot_residuals().axes if ax.get_xscale() == "log"]
+        assert len(spectra) == 2
+        with pytest.raises(bayesid.InputError, match="choose one of validation, identification"):
+            owner.plot_predictions("another")
+    assert len(result.plot_intervals().axes[0].get_yticks()) == result.base.rank
+    assert isinstance(posterior.plot_marginals(), Figure) and len(posterior.plot_marginals().axes) >= result.base.rank
+    assert [t.get_text() for t in comparison.plot_errors().axes[0].get_yticklabels()][-3:] == ["ols", "wls", "ridge"]
+    assert isinstance(comparison.plot_values(), Figure)
+
+
+def test_results_need_neither_matplotlib_nor_pandas_until_they_are_asked():
+    code = (
+        "import sys, bayesid.results.identification, bayesid.results.comparison, bayesid.results.posterior; "
+        "print(*(name for name in ('matplotlib', 'pandas') if name in sys.modules))"
+    )
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip() == ""
+
+
+def test_a_regression_of_ones_own_has_no_motions_to_show():
+    rng = np.random.default_rng(0)
+    matrix = rng.normal(size=(200, 2, 3))
+    regression = bayesid.Regression.from_arrays(matrix, matrix @ [1.0, 2.0, 3.0] + rng.normal(size=(200, 2)))
+    compared = bayesid.compare(regression, methods=["ols", "wls"])
+    assert len(compared.to_dataframe()) == 6 and isinstance(compared.plot_values(), Figure)
+    with pytest.raises(bayesid.InputError, match="no motions to predict"):
+        compared.plot_errors()
+    with pytest.raises(bayesid.InputError, match="needs a robot"):
+        compared.predict(np.zeros(2), np.zeros(2), np.zeros(2))
+    one_line(regression, compared, compared["ols"], bayesid.sample(regression, draws=400))
+
+
+def one_line(*things) -> None:
+    for thing in things:
+        assert "\n" not in repr(thing) and len(repr(thing)) < 160 and "array(" not in repr(thing), repr(thing)[:300]
+
+
+def test_everything_public_shows_itself_in_one_line(comparison, posterior, result):
+    problem = result.problem
+    moved = bayesid.fourier_trajectory(problem.experiment.robot, duration=2.0)
+    one_line(
+        result, result.estimate, result.base, result.urdf, *result.validation, comparison, *comparison.entries, posterior,
+        problem, problem.row_model, problem.regression, problem.experiment, problem.experiment.robot, *problem.experiment.motions,
+        problem.experiment.motions[0].table, bayesid.check(problem.experiment), bayesid.Prior.nominal(result.link_parameters, 0.2),
+        moved, bayesid.simulate(problem.experiment.robot, [moved]), result.predict(*np.zeros((3, 2))), bayesid.EffectLibrary(),
+        bayesid.Physical(prior=bayesid.Prior.nominal(result.link_parameters, 0.2)), bayesid.estimator("huber"),
+    )  # fmt: skip
+    assert "test" in repr(result) and "wls" in repr(result) and "2 joints" in repr(problem.experiment)
