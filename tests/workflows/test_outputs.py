@@ -237,8 +237,9 @@ def test_everything_public_shows_itself_in_one_line(comparison, posterior, resul
     one_line(
         result, result.estimate, result.base, result.urdf, *result.validation, comparison, *comparison.entries, posterior,
         problem, problem.row_model, problem.regression, problem.experiment, problem.experiment.robot, *problem.experiment.motions,
-        problem.experiment.motions[0].table, bayesid.check(problem.experiment), bayesid.Prior.nominal(result.link_parameters, 0.2),
-        moved, bayesid.simulate(problem.experiment.robot, [moved]), result.predict(*np.zeros((3, 2))), bayesid.EffectLibrary(),
+        problem.experiment.motions[0].table, bayesid.check(problem.experiment), moved,
+        bayesid.Prior.nominal(result.link_parameters, 0.2), bayesid.Bounds(mass={"joint1": (1.0, 2.0)}),
+        bayesid.simulate(problem.experiment.robot, [moved]), result.predict(*np.zeros((3, 2))), bayesid.EffectLibrary(),
         bayesid.Physical(prior=bayesid.Prior.nominal(result.link_parameters, 0.2)), bayesid.estimator("huber"),
     )  # fmt: skip
     assert "test" in repr(result) and "wls" in repr(result) and "2 joints" in repr(problem.experiment)

@@ -78,6 +78,10 @@ class Bounds:
                     f"bounds: {key}: the third entry turns the half axes: give roll, pitch and yaw [rad], or a rotation matrix"
                 )
 
+    def __repr__(self) -> str:
+        known = {f.name: getattr(self, f.name) for f in fields(self)}
+        return f"Bounds({', '.join(f'{key}={value}' for key, value in known.items() if value)})"
+
     @classmethod
     def from_dict(cls, table: Mapping[str, Any]) -> Bounds:
         """Bounds from a table such as a TOML file's.
