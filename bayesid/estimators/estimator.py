@@ -72,6 +72,8 @@ class Estimate:
         What the method chose, and why; one class for each family, `OwnDetails` for estimators of one's own.
     links
         Link parameters of its own (P,), ``base.matrix @ links == values``; None: the nearest to the nominal ones.
+    possible
+        Smallest and largest values that the estimator allows, where intervals end (2, p); None: any.
     """
 
     method: str
@@ -91,6 +93,7 @@ class Estimate:
     interval_reason: str = ""
     details: Details = Details()
     links: np.ndarray | None = None
+    possible: np.ndarray | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -121,14 +124,35 @@ class Estimate:
         return self.full_std[: self.base.rank]
 
     @property
+    def full_low(self) -> np.ndarray:
+        """Lower ends of the central 95 % intervals of ``solution`` (p,), cut off where nothing is possible."""
+        ends = self.solution - norm.ppf(0.5 + LEVEL / 2) * self.full_std
+        return ends if self.possible is None else np.clip(ends, *self.possible)
+
+    @property
+    def full_high(self) -> np.ndarray:
+        """Upper ends of the central 95 % intervals of ``solution`` (p,), cut off where nothing is possible."""
+        ends = self.solution + norm.ppf(0.5 + LEVEL / 2) * self.full_std
+        return ends if self.possible is None else np.clip(ends, *self.possible)
+
+    @property
     def low(self) -> np.ndarray:
-        """Lower ends of the central 95 % intervals of the base parameters (r,)."""
-        return self.values - norm.ppf(0.5 + LEVEL / 2) * self.std
+        """Lower ends of the intervals of the base parameters (r,)."""
+        return self.full_low[: self.base.rank]
 
     @property
     def high(self) -> np.ndarray:
-        """Upper ends of the central 95 % intervals of the base parameters (r,)."""
-        return self.values + norm.ppf(0.5 + LEVEL / 2) * self.std
+        """Upper ends of the intervals of the base parameters (r,)."""
+        return self.full_high[: self.base.rank]
+
+    def _spreads(self) -> list[str]:
+        """Intervals as text (p,): half their width, both ends where one is cut off, empty where there is none."""
+        out = []
+        for std, low, high in zip(self.full_std, self.full_low, self.full_high, strict=True):
+            whole = np.isclose(high - low, 2 * 1.959964 * std, rtol=1e-6)
+            text = f"± {1.96 * std:<10.3g}" if whole else f"in [{low:.3g}, {high:.3g}]"
+            out.append(text if np.isfinite(std) else "")
+        return out
 
     @property
     def classes(self) -> tuple[str, ...]:
@@ -158,9 +182,8 @@ class Estimate:
         names = [*self.base.labels, *self.effect_names]
         units = [*self.base.units, *self.effect_units]
         width = min(max(map(len, names), default=0), 60)
-        for name, value, std, unit in zip(names, self.solution, self.full_std, units, strict=True):
-            spread = f"± {1.96 * std:<10.3g}" if np.isfinite(std) else "  (no interval)"
-            lines.append(f"  {name[:60]:<{width}}  {value:>11.5g} {spread} {unit}")
+        for name, value, spread, unit in zip(names, self.solution, self._spreads(), units, strict=True):
+            lines.append(f"  {name[:60]:<{width}}  {value:>11.5g} {spread or '  (no interval)'} {unit}")
         if self.interval == "none":
             lines.append(f"  no intervals: {self.interval_reason}")
         return "\n".join(lines)
@@ -170,8 +193,8 @@ class Estimate:
         names = [*self.base.labels, *self.effect_names]
         units = [*self.base.units, *self.effect_units]
         rows = ""
-        for name, value, std, unit in zip(names, self.solution, self.full_std, units, strict=True):
-            spread = f"{1.96 * std:.3g}" if np.isfinite(std) else ""
+        for name, value, text, unit in zip(names, self.solution, self._spreads(), units, strict=True):
+            spread = text.removeprefix("± ").strip()
             rows += f"<tr><td>{escape(name)}</td><td>{value:.5g}</td><td>{spread}</td><td>{unit}</td></tr>"
         return f"<table><tr><th>{self.method}</th><th>value</th><th>± 95 %</th><th>unit</th></tr>{rows}</table>"
 

@@ -18,7 +18,7 @@ from bayesid.report.notation import notation, short_names
 from bayesid.report.page import physical, render, run_times, svg, versions
 from bayesid.report.prediction_figures import measured_against_predicted, residuals
 from bayesid.results.identification import Identification
-from bayesid.results.text import DASH, HALF, chance, channel_text, interval, number, percent, with_half
+from bayesid.results.text import DASH, HALF, chance, channel_text, ends, number, percent, with_half, with_interval
 from bayesid.robot import inertia
 from bayesid.validation.headline import judged
 from bayesid.validation.noise_floor import RESIDUALS
@@ -157,19 +157,20 @@ def intervals_figure(regression: Regression, estimate: Estimate) -> Figure:
     """Base parameters against the nominal model, with their 95 % intervals."""
     nominal, scale = _reference(regression, estimate)
     names = [f"{name}  ({k + 1})" for k, name in enumerate(short_names(estimate.base))]
-    return parameter_intervals(names, estimate.values - nominal, HALF * estimate.std, scale, estimate.classes)
+    beside = estimate.low - nominal, estimate.high - nominal
+    return parameter_intervals(names, estimate.values - nominal, HALF * estimate.std, scale, estimate.classes, ends=beside)
 
 
 def _parameters(regression: Regression, estimate: Estimate) -> list[dict[str, Any]]:
     rows = []
     nominal = [DASH] * estimate.base.rank if regression.nominal is None else [number(v) for v in regression.nominal]
     for k, (label, unit, kind) in enumerate(zip(estimate.base.labels, estimate.base.units, estimate.classes, strict=True)):
-        half = HALF * estimate.std[k]
-        value, spread = with_half(estimate.values[k], half)
+        low, high = estimate.low[k], estimate.high[k]
+        value, spread = with_interval(estimate.values[k], estimate.std[k], low, high)
         rows.append(
             {
                 "index": k + 1, "label": label, "value": value, "half": spread, "unit": unit, "kind": kind,
-                "interval": interval(estimate.values[k], half),
+                "interval": ends(low, high),
                 "nominal": nominal[k],
             }
         )  # fmt: skip
@@ -180,8 +181,7 @@ def _effects(effects: list[dict[str, Any]]) -> list[dict[str, Any]]:
     rows = []
     for effect in effects:
         for k, (key, parameter) in enumerate(effect["parameters"].items()):
-            std = parameter["std"]
-            value, half = with_half(parameter["value"], None if std is None else HALF * std)
+            value, half = with_interval(*(parameter[part] for part in ("value", "std", "low", "high")))
             name = effect["name"].replace("_", " ")
             rows.append(
                 {"first": k == 0, "name": name if k == 0 else "", "where": effect["where"] if k == 0 else "",

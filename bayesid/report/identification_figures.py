@@ -21,6 +21,7 @@ def parameter_intervals(
     scale: np.ndarray,
     classes: Sequence[str],
     *,
+    ends: tuple[np.ndarray, np.ndarray] | None = None,
     relative_to: str = "nominal model",
 ) -> Figure:
     """Base parameters as dots with 95 % intervals, in units of their natural size, and how sure each one is.
@@ -37,6 +38,8 @@ def parameter_intervals(
         Natural size of each parameter (r,) [SI], positive.
     classes
         Keys of `CLASSES` (r,).
+    ends
+        Ends of the intervals, less the reference (r,), where they are not half a width from the value.
     relative_to
         What ``change`` is counted from.
     """
@@ -46,6 +49,7 @@ def parameter_intervals(
     left, right = axes[0]
     y = np.arange(count)
     position, width = change / scale, half / scale
+    low, high = (position - width, position + width) if ends is None else (ends[0] / scale, ends[1] / scale)
     # The well determined ones set the scale: weak ones would press them all to zero.
     good = np.isin(classes, ("alone", "combination"))
     reach = (np.abs(position) + np.nan_to_num(width))[good if good.any() else slice(None)]
@@ -58,7 +62,7 @@ def parameter_intervals(
         if not len(at):
             continue
         sure = at[np.isfinite(width[at])]
-        left.hlines(y[sure], position[sure] - width[sure], position[sure] + width[sure], color=colour, lw=2.2, alpha=0.45)
+        left.hlines(y[sure], low[sure], high[sure], color=colour, lw=2.2, alpha=0.45)
         inside = at[np.abs(position[at]) <= limit]
         left.plot(position[inside], y[inside], "o", ms=4.5, color=colour, label=kind, mew=0)
         for k in at[np.abs(position[at]) > limit]:

@@ -16,7 +16,7 @@ from bayesid.regression.regression import Regression
 from bayesid.results.entry import Entry
 from bayesid.results.figures import figures_of
 from bayesid.results.files import Result
-from bayesid.results.text import DASH, HALF, chance, channel_text, html_table, number, percent, text_table, with_half
+from bayesid.results.text import DASH, chance, channel_text, html_table, number, percent, text_table, with_interval
 from bayesid.validation.agreement import Gap, HausmanTest
 from bayesid.validation.predicted_readings import PredictedReadings, predict_readings
 from bayesid.validation.prediction import BAND, band_error
@@ -291,8 +291,11 @@ def values_table(result: Comparison, *, effects: bool = False) -> list[dict[str,
     for k, (label, unit) in enumerate(zip(labels, units, strict=True)):
         cells = []
         for estimate in result.estimates.values():
-            value, half = with_half(estimate.solution[first + k], HALF * estimate.full_std[first + k])
-            cells.append({"value": value, "half": half, "text": value if half == DASH else f"{value} ± {half}"})
+            at = first + k
+            spread = (estimate.full_std[at], estimate.full_low[at], estimate.full_high[at])
+            value, half = with_interval(estimate.solution[at], *spread)
+            text = value if half == DASH else f"{value} in {half}" if "…" in half else f"{value} ± {half}"
+            cells.append({"value": value, "half": half, "text": text})
         rows.append({"index": k + 1, "label": label, "unit": unit, "cells": cells,
                      "nominal": DASH if nominal is None else number(nominal[k])})  # fmt: skip
     return rows

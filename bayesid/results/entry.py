@@ -67,9 +67,10 @@ class Entry:
         own = slice(estimate.base.rank, None)
         document = {k: v for k, v in estimate.to_dict().items() if k not in ("base_map", "link_parameter_names", "rank")}
         effects = [
-            {"name": n, "value": float(v), "std": float(s), "unit": u}
-            for n, u, v, s in zip(
-                estimate.effect_names, estimate.effect_units, estimate.solution[own], estimate.full_std[own], strict=True
+            {"name": n, "value": float(v), "std": float(s), "low": float(low), "high": float(high), "unit": u}
+            for n, u, v, s, low, high in zip(
+                estimate.effect_names, estimate.effect_units, estimate.solution[own], estimate.full_std[own],
+                estimate.full_low[own], estimate.full_high[own], strict=True,
             )
         ]
         proof = {

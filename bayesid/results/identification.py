@@ -17,6 +17,7 @@ from bayesid.results.bodies import impossible_bodies
 from bayesid.results.figures import PlotsPredictions, figures_of
 from bayesid.results.files import Result
 from bayesid.results.fitted_model import fitted_model
+from bayesid.results.text import HALF
 from bayesid.results.urdf_links import UrdfLinks
 from bayesid.validation.cross_checks import Agreement
 from bayesid.validation.headline import over_noise
@@ -196,13 +197,22 @@ class Identification(PlotsPredictions, Result):
         }
 
     def effects(self) -> list[dict[str, Any]]:
-        """Every effect of the model with the values, standard deviations (None without one) and units of its parameters."""
-        out = []
+        """Every effect of the model with values, standard deviations and 95 % intervals (None without) and units."""
+        free = self.problem.row_model.free
+        limits = np.full((2, len(free)), np.nan)
+        limits[:, free] = [e[self.base.rank :] for e in (self.estimate.full_low, self.estimate.full_high)]
+        out, first = [], 0
         for term, stds in self._fitted_effects():
             effect = term.effect
+            low, high = limits[:, first : first + len(stds)]
+            first += len(stds)
+            if effect.absorbs_weight and self.offset is not None:
+                low, high = np.array(term.values) - HALF * stds, np.array(term.values) + HALF * stds
             parameters = {
-                key: {"value": value, "std": float(std) if np.isfinite(std) else None, "unit": unit}
-                for key, value, std, unit in zip(effect.parameters, term.values, stds, effect.units, strict=True)
+                key: {"value": value, "std": _known(std), "low": _known(a), "high": _known(b), "unit": unit}
+                for key, value, std, a, b, unit in zip(
+                    effect.parameters, term.values, stds, low, high, effect.units, strict=True
+                )
             }
             out.append({"name": effect.name, "where": effect.where, "parameters": parameters})
         return out
@@ -227,6 +237,10 @@ class Identification(PlotsPredictions, Result):
             found = self.offset if effect.absorbs_weight and self.offset is not None else (values[own], stds[own])
             out.append((Term(effect, tuple(found[0])), found[1]))
         return out
+
+
+def _known(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
 
 
 def summary(result: Identification) -> str:

@@ -42,9 +42,20 @@ def with_half(value: float, half: float | None) -> tuple[str, str]:
 
 def interval(value: float, half: float) -> str:
     """The interval's ends, to the second digit of half its width."""
-    if not np.isfinite(half) or half <= 0:
-        return DASH
-    return " … ".join(_alike(value - half, value + half, half=half))
+    return ends(value - half, value + half)
+
+
+def ends(low: float, high: float) -> str:
+    """Both ends of an interval, to the second digit of half its width."""
+    half = 0.5 * (high - low)
+    return " … ".join(_alike(low, high, half=half)) if np.isfinite(half) and half > 0 else DASH
+
+
+def with_interval(value: float, std: float | None, low: float, high: float) -> tuple[str, str]:
+    """As `with_half`; both ends in place of half the width where one of them is cut off."""
+    if std is None or not np.isfinite(std) or std <= 0 or np.isclose(high - low, 2 * HALF * std, rtol=1e-6) or not high > low:
+        return with_half(value, None if std is None else HALF * std)
+    return _alike(value, value, half=0.5 * (high - low))[0], ends(low, high)
 
 
 def _alike(one: float, other: float, *, half: float) -> tuple[str, str]:

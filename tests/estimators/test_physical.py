@@ -199,6 +199,40 @@ def test_friction_cannot_be_negative(tmp_path):
     assert ours.details.certificate.certified and ours.details.certificate.active_bounds
 
 
+def test_intervals_end_where_no_robot_is_possible(tmp_path):
+    """Masses and friction are not negative, whatever the noise; what is inside of the intervals stays as it was."""
+    _, truth, made = simulated(tmp_path, std=5.0)
+    regression = prepare(made, FitOptions("torque", effects=["viscous_friction", "torque_offset"])).regression
+    estimate = fit(regression, Physical(rel_std=1.0))
+    rank, (low, high) = regression.base.rank, estimate.possible
+    friction = np.array(regression.knowledge.effect_non_negative)
+    assert (low[rank:][friction] == 0.0).all() and np.isinf(low[rank:][~friction]).all() and np.isinf(high).all()
+    assert (estimate.full_low >= low).all() and (estimate.full_low[rank:][friction] == 0.0).any()
+    whole = estimate.solution - 1.959964 * estimate.full_std
+    np.testing.assert_allclose(estimate.full_low[np.isinf(low)], whole[np.isinf(low)], rtol=1e-5, atol=1e-9)
+    assert " in [0, " in str(estimate)
+    # Thousands of possible robots: none leaves the range, and each of its ends is one's that is almost empty.
+    rng, size = np.random.default_rng(0), regression.base.matrix.shape[1]
+    roots = rng.normal(size=(4000, size // 10, 4, 4)) * 10.0 ** rng.uniform(-3, 1, (4000, 1, 1, 4))
+    bodies = [[inertia.from_pseudo_inertia(r @ r.T) for r in robot] for robot in roots]
+    values = np.reshape(bodies, (4000, size)) @ regression.base.matrix.T
+    assert (values >= low[:rank]).all() and (values.min(axis=0)[np.isinf(low[:rank])] < 0.0).all()
+    mass = regression.base.matrix[:, ::10].any(axis=1)
+    assert 3 <= np.isfinite(low[:rank]).sum() < rank and mass.any()
+
+
+def test_a_bound_ends_intervals_of_the_parameter_that_it_bounds():
+    rng = np.random.default_rng(0)
+    rows = rng.normal(size=(200, 1, 10))
+    readings = rows @ np.array([2.0, 0.1, 0.0, 0.0, 0.3, 0.0, 0.3, 0.0, 0.0, 0.2]) + rng.normal(size=(200, 1))
+    regression = Regression.from_arrays(rows, readings, bodies=[range(10)],
+                                        parameter_names=[f"a.{p}" for p in inertia.PARAMETERS])  # fmt: skip
+    bounded = fit(regression, Physical(bounds=Bounds(mass={"a": (1.9, 2.05)})))
+    where = list(regression.base.names).index("a.m")
+    np.testing.assert_allclose(bounded.possible[:, where], [1.9, 2.05], rtol=1e-9)
+    assert bounded.low[where] >= 1.9 and bounded.high[where] <= 2.05 + 1e-9
+
+
 def test_a_closed_form_on_the_boundary():
     """One body, all ten parameters measured alike in the metric of the unit body: eigenvalues are clipped at zero."""
     rng = np.random.default_rng(0)

@@ -98,6 +98,7 @@ def _row(estimate, true: np.ndarray, plain_std: np.ndarray) -> dict[str, Any]:
     certificate = getattr(estimate.details, "certificate", None)
     return {
         "z": (estimate.values - true) / estimate.std,
+        "held": (estimate.low <= true) & (true <= estimate.high),
         "z_plain": (estimate.values - true) / plain_std,
         "interval": estimate.interval,
         "boundary": bool(certificate and (certificate.on_boundary or certificate.active_bounds)),
@@ -112,7 +113,7 @@ def _summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
     def held(chosen: list[dict[str, Any]], key: str) -> dict[str, Any] | None:
         if not chosen:
             return None
-        inside = np.mean([np.abs(r[key]) <= 1.96 for r in chosen], axis=0)
+        inside = np.mean([r["held"] if key == "z" else np.abs(r[key]) <= 1.96 for r in chosen], axis=0)
         return {"runs": len(chosen), "mean": float(inside.mean()), "lowest": float(inside.min()), "highest": float(inside.max())}
 
     given = [r for r in rows if r["interval"] != "none"]

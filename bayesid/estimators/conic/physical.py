@@ -25,6 +25,7 @@ from bayesid.estimators.conic.bounds import Bounds
 from bayesid.estimators.conic.certificate import Certificate, PhysicsTest, explain
 from bayesid.estimators.conic.data import LinkData, compressed
 from bayesid.estimators.conic.entropic import solve_entropic
+from bayesid.estimators.conic.possible_range import possible_range
 from bayesid.estimators.conic.prior_strength import LinkPrior, link_prior
 from bayesid.estimators.conic.problem import Conic, Linear, Solution
 from bayesid.estimators.conic.region import closest_within, conic, misfit
@@ -131,6 +132,7 @@ class Physical:
             interval_reason=reason,
             details=details,
             links=links,
+            possible=possible_range(regression.base.matrix, data.bodies, groups, len(regression.effect_names)),
         )
 
 
