@@ -136,7 +136,8 @@ class InstrumentalVariables:
         if statistic < WEAKEST:
             warnings.append(
                 f"The instruments hardly follow the motion in the direction of {strongest(regression, direction, plain)} "
-                f"(first-stage statistic {statistic:.2g}, below {WEAKEST:.0f}): its interval may be too short."
+                f"(first-stage statistic {statistic:.2g}, below {WEAKEST:.0f}): its interval may be too short; "
+                "record more motion there, or take wls."
             )
         details = InstrumentDetails(
             **completeness(start.weights),

@@ -66,7 +66,7 @@ def check_channels(table: Table) -> list[str]:
             "torques have both signs: export them with their signs"
         )
     dead = [(name, values[0]) for name, values in table.channels() if len(table) > 1 and np.ptp(values) == 0.0]
-    return [f"{table.source}: column {name}: {value:g} in every row; that channel looks dead" for name, value in dead]
+    return [f"{table.source}: column {name}: {value:g} in every row; that channel looks dead, check it" for name, value in dead]
 
 
 def _without_sign(table: Table) -> list[str]:
@@ -170,7 +170,7 @@ def check_intervals(
         travel = np.ptp(table.positions[inside], axis=0)
         j = int(np.argmax(travel))
         if travel[j] > max(MATCH, 10.0 * (resolution or 0.0)):
-            warnings.append(f"{place}: q{j + 1} moves by {travel[j]:.3g} in that time; is the robot really standing?")
+            warnings.append(f"{place}: q{j + 1} moves by {travel[j]:.3g} in that time; does it stand? correct the interval")
     if period is None:
         return warnings
     place = f"experiment.toml: {key} period: {period:g} s"

@@ -234,7 +234,9 @@ def _read_setup(folder: Path, library: EffectLibrary | None) -> tuple[Experiment
         for key in ("force_std", "torque_std"):
             if given[key] == 0.0:
                 given[key] = None
-                warnings.append(f"experiment.toml: [sensor] {key}: 0 is no sensor's noise; the data's own is used instead")
+                warnings.append(
+                    f"experiment.toml: [sensor] {key}: 0 is no sensor's noise; the data's own is used: write the data sheet's"
+                )
         sensor = Sensor(**given)
     effects, values, expressions = model_parts(file.model)
     experiment = Experiment(
@@ -279,7 +281,7 @@ def _check_present(table: Table, has_sensor: bool) -> list[str]:
             "add torques, or a wrench fx ... mz and a [sensor]"
         )
     if table.wrench is None and has_sensor:
-        return [f"{table.source}: columns fx ... mz are missing although there is a [sensor]; only its torques are used"]
+        return [f"{table.source}: columns fx ... mz are missing although there is a [sensor]; add them, to use more than torques"]
     return []
 
 
@@ -291,5 +293,5 @@ def _check_roles(motions: list[Motion]) -> list[str]:
         same = len(one.table) == len(other.table) and np.array_equal(one.table.positions, other.table.positions)
         if same and one.role != other.role and np.array_equal(one.table.times, other.table.times):
             source = other.table.source
-            warnings.append(f"{source}: the same motion as {one.table.source}; validation on it says little about other motions")
+            warnings.append(f"{source}: the same motion as {one.table.source}, which says little about others; record another")
     return warnings

@@ -66,11 +66,11 @@ def _steps(table: Table) -> list[str]:
     start = f"{table.source}: column t: "
     usual = f"a step is usually {table.step:.4g} s"
     if not len(gaps):
-        return [f"{start}{len(lost)} steps lack a sample, the first at {table.times[lost[0]]:.6g} s ({usual})"]
+        return [f"{start}{len(lost)} steps lack a sample, the first at {table.times[lost[0]]:.6g} s ({usual}); check the logger"]
     listed = ", ".join(f"{table.times[k]:.6g} to {table.times[k + 1]:.6g} s" for k in gaps[:3])
     more = f" and {len(gaps) - 3} more" if len(gaps) > 3 else ""
     short = f", and {len(lost) - len(gaps)} steps lack a sample" if len(lost) > len(gaps) else ""
-    return [f"{start}gap at {listed}{more}{short} ({usual}); the pieces between gaps are treated apart"]
+    return [f"{start}gap at {listed}{more}{short} ({usual}); the pieces between gaps are treated apart, check the logger"]
 
 
 def _travel(table: Table, j: int) -> tuple[np.ndarray, np.ndarray]:
@@ -186,7 +186,7 @@ def _stalls(table: Table, stalled: np.ndarray) -> list[str]:
     a, b = max(counted, key=lambda run: run[1] - run[0])
     return [
         f"{table.source}: {rows} rows repeat the row before in every column while the robot moves, the longest time "
-        f"from {table.times[a]:.6g} to {table.times[b - 1]:.6g} s; did the logger stall?"
+        f"from {table.times[a]:.6g} to {table.times[b - 1]:.6g} s; did the logger stall? cut them out"
     ]
 
 

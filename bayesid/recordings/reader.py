@@ -209,10 +209,11 @@ def _groups(header: list[str], source: str, joints: int, wrench: bool) -> tuple[
     more = [name for name in header if (m := re.fullmatch(r"(?:q|v|qr|tau)(\d+)", name)) and int(m[1]) > joints]
     if more:
         warned.append(
-            f"{source}: columns {', '.join(more[:12])} are not used: [robot] joints lists {joints} joint{'s' * (joints > 1)}"
+            f"{source}: columns {', '.join(more[:12])} are not used: [robot] joints lists {joints} joint{'s' * (joints > 1)}; "
+            "list the others there, or remove the columns"
         )
     if not wrench and groups.pop("wrench", None):
-        warned.append(f"{source}: columns fx ... mz are not used: experiment.toml has no [sensor]")
+        warned.append(f"{source}: columns fx ... mz are not used: experiment.toml has no [sensor]; add it, or remove the columns")
     return groups, warned
 
 

@@ -62,11 +62,13 @@ def _doubts(urdf: UrdfFile, section: RobotSection) -> list[str]:
     out = []
     for name, joint in urdf.joints.items():
         if joint.mimics is not None and joint.kind != "fixed":
-            where = "needs its own column of positions" if name in section.joints else "is held where [robot] locked says"
-            out.append(f"{section.urdf}: joint {name} mimics {joint.mimics}; here it moves by itself and {where}")
+            remedy = "list it in [robot] joints if it moves, now it is locked"
+            if name in section.joints:
+                remedy = "give it its own column of positions"
+            out.append(f"{section.urdf}: joint {name} mimics {joint.mimics}; here it does not follow; {remedy}")
     for name, angle in section.locked.items():
         if urdf.joints[name].kind in ("revolute", "continuous") and abs(angle) > 2.0 * math.pi:
-            out.append(f"experiment.toml: [robot] locked: {name} = {angle:g} rad is more than a turn; is it in degrees?")
+            out.append(f"experiment.toml: [robot] locked: {name} = {angle:g} rad is over a turn; is it in degrees? write radians")
     return out
 
 
@@ -76,6 +78,6 @@ def _weights(robot: Robot, section: RobotSection) -> list[str]:
     if 0.0 < total < 1e-3:
         return [
             f"{section.urdf}: all moving links weigh {total:g} kg together; intervals are not proved for so light a robot: "
-            "are the masses in kilograms?"
+            "are the masses in kilograms? write kilograms"
         ]
     return []

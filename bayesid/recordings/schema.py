@@ -290,13 +290,13 @@ def check_keys(file: ExperimentFile) -> list[str]:
     warnings = []
     strength = math.hypot(*robot.gravity)
     if not 9.7 < strength < 9.9:
-        warnings.append(f"experiment.toml: [robot] gravity: {strength:.4g} m/s^2 is not the Earth's; is that so?")
+        warnings.append(f"experiment.toml: [robot] gravity: {strength:.4g} m/s^2 is not the Earth's; correct it unless meant")
     warnings += _sizes(file)
     listed = {effect.partition("@")[0] for effect in file.model.effects if "@" not in effect} | set(file.model.effects)
     for effect in file.model.values:
         if effect not in listed and effect.partition("@")[0] not in listed:
             warnings.append(
-                f'experiment.toml: [model.values."{effect}"]: effects does not list it; used only where --effects does'
+                f'experiment.toml: [model.values."{effect}"]: effects does not list it; add it there, unless --effects is to'
             )
     return warnings
 
@@ -311,9 +311,9 @@ def _sizes(file: ExperimentFile) -> list[str]:
             "0.1 for ten per cent: correct it, or leave it out"
         )
     if file.sensor is not None and max(map(abs, file.sensor.translation)) > 10.0:
-        out.append(f"experiment.toml: [sensor] translation: {file.sensor.translation} m is far off; is it in millimetres?")
+        out.append(f"experiment.toml: [sensor] translation: {file.sensor.translation} m is far; in millimetres? write metres")
     if file.sensor is not None and max(map(abs, file.sensor.rpy)) > 2.0 * math.pi:
-        out.append(f"experiment.toml: [sensor] rpy: {file.sensor.rpy} rad is more than a turn; is it in degrees?")
+        out.append(f"experiment.toml: [sensor] rpy: {file.sensor.rpy} rad is more than a turn; is it in degrees? write radians")
     return out
 
 

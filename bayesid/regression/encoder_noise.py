@@ -153,7 +153,7 @@ def _both(row_model: RowModel, r: Segment, kind: str) -> tuple[Segment, Segment]
 def _not_white(worst: float) -> str:
     return (
         f"Errors of neighbouring position samples correlate by {worst:.2f} (encoder counts of a slow motion do that); "
-        "the correction takes them for independent and is too small."
+        "the correction takes them for independent and is too small: record faster motions, or commanded positions (qr) for iv."
     )
 
 

@@ -245,7 +245,8 @@ def _warnings(
         model = "nominal model with its effects fitted" if len(baselines) > 1 else "nominal model"
         for names in dict.fromkeys(n for n in beaten.values() if n):
             where = " and ".join(what for what, those in beaten.items() if those == names)
-            out.append(f"On '{p.motion}' the {model} predicts as well as or better than {names}, {where}.")
+            out.append(f"On '{p.motion}' the {model} predicts as well as or better than {names}, {where}: "
+                       "keep the nominal parameters for such motions, or fit motions like it, too.")
     if problem is not None and not done[0].validation:
         out.append(
             "No validation motion: the errors are those of fitted motions and say little about others. "
@@ -259,7 +260,7 @@ def _warnings(
         size = f"{'' if len(apart) == 1 else 'at most '}{largest:.1g}"
         out.append(
             f"{names} and {apart[0].efficient} differ by more than the noise explains (Hausman test, probability {size}): "
-            "something is missing in the model or in the noise, and intervals do not cover it."
+            "something is missing in the model or in the noise, and intervals do not cover it. `bayesid diagnose` looks for it."
         )
     if problem is not None:
         out += problem.experiment.warnings

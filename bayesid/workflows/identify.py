@@ -202,7 +202,8 @@ def _warnings(
         if a.contradiction:
             out.append(
                 f"{a.first[0].upper()}{a.first[1:]} and {a.second} contradict each other: {a.rms:.3g} sigma rms over "
-                f"{a.compared} numbers; most in {a.worst}. They are not noise apart; do not average them."
+                f"{a.compared} numbers; most in {a.worst}. They are not noise apart; do not average them, but fit them "
+                "apart, and look for what changed in between (`bayesid diagnose`)."
             )
     if estimate.details.model_complete is False:
         out.append(incomplete(estimate.details.dispersion))
@@ -212,12 +213,13 @@ def _warnings(
         lost = " (the static run takes gravity with it)" if problem.static == "motion" else ""
         out.append(
             f"Not excited by these motions{lost}: {listed(unexcited, 6)}. "
-            "The data say no more there than the size of a body does."
+            "The data say no more there than the size of a body does: add motions that move these links in other ways, or rely "
+            "on the nominal model there."
         )
     out += links.warnings()
     if problem.row_model.base.absorbed is not None:
         out.append(
             "No static run removes the sensor's offset, so it is estimated along: what looks like an offset, "
-            "above all the total mass, cannot be identified."
+            "above all the total mass, cannot be identified. Where a scale says the mass, state it: --method sdp --bounds FILE."
         )
     return tuple([*out, *problem.experiment.warnings])

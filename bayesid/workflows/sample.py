@@ -278,7 +278,8 @@ def as_estimate(posterior: Posterior, regression: Regression) -> Estimate:
 def _warnings(posterior: Posterior, problem: Problem, validation: Sequence[Prediction]) -> tuple[str, ...]:
     out = []
     if not posterior.diagnosis.passed:
-        out.append(f"The chains did not converge: {posterior.diagnosis.complaint()}. Do not use these draws as a posterior.")
+        out.append(f"The chains did not converge: {posterior.diagnosis.complaint()}. Do not use these draws as a posterior; "
+                   "draw longer (--longest), or take --engine hmc.")
     for p in validation:
         out += unpredicted(p)
         if p.repeats:
@@ -292,11 +293,14 @@ def _warnings(posterior: Posterior, problem: Problem, validation: Sequence[Predi
         out.append(incomplete(posterior.model.likelihood.dispersion))
     driven = [label for label, share in zip(posterior.base.labels, posterior.prior_share, strict=True) if share > PRIOR_DRIVEN]
     if driven:
-        out.append(f"Driven by the prior, the data hardly narrow them: {listed(driven, 4)}.")
+        out.append(
+            f"Driven by the prior, the data hardly narrow them: {listed(driven, 4)}. They are as good as the nominal model: add "
+            "motions that move these links in other ways."
+        )
     if posterior.model.prior is None:
         out.append(
             "The prior is flat on the base parameters, so links are not sampled and nothing keeps them possible; "
-            "--prior nominal --prior-std 0.3 does both."
+            "take --prior nominal --prior-std 0.3 for both."
         )
     return tuple([*out, *problem.experiment.warnings])
 

@@ -11,7 +11,7 @@ from bayesid.validation.prediction import BAND, Prediction, band_error
 def repeated_motion(prediction: Prediction) -> str:
     """That a motion repeats a fitted one, and so proves little."""
     own, other = prediction.motion, prediction.repeats
-    return f"Motion '{own}' repeats the fitted motion '{other}': its error says little about other motions."
+    return f"Motion '{own}' repeats the fitted motion '{other}': its error says little about others; validate on another."
 
 
 def unpredicted(prediction: Prediction) -> list[str]:

@@ -81,7 +81,7 @@ DOUBTS: list[tuple[str, Callable[[Path], None], tuple[str, ...]]] = [
     ("beyond a limit", table(beyond, "validation.csv"), ("column q2: elbow", "-2.5 to 2.5 rad")),
     ("velocity off by 1.5", table(lambda d: d.assign(v1=1.5 * d["v1"])), ("column v1: 1.5 times", "q1 of shoulder")),
     ("dead channel", table(lambda d: d.assign(my=0.25), "validation.csv"), ("column my: 0.25 in every row",)),
-    ("moving while parked", toml("[[0.0, 0.5]]", "[[0.0, 0.5], [1.0, 2.0]]"), ("[motion.0] parked: [1, 2]", "standing")),
+    ("moving while parked", toml("[[0.0, 0.5]]", "[[0.0, 0.5], [1.0, 2.0]]"), ("[motion.0] parked: [1, 2]", "stand?")),
     ("no such period", toml("parked", "period = 1.1\nparked"), ("[motion.0] period: 1.1 s", "does not repeat")),
     ("gravity of the Moon", toml("-9.81", "-1.62"), ("[robot] gravity", "1.62")),
     ("values unused", toml("[[motion]]", '[model.values."spring@elbow"]\nrest = 0\n\n[[motion]]'), ("spring@elbow",)),
@@ -105,6 +105,12 @@ DOUBTS: list[tuple[str, Callable[[Path], None], tuple[str, ...]]] = [
 ]  # fmt: skip
 
 
+#: Words that begin what is to be done about it.
+REMEDY = re.compile(
+    r"[;:,?] (?:or |\S+ on it says .*; )?(add|check|correct|cut|give|leave|list|lock|record|remove|unwrap|use|write)\b"
+)
+
+
 @pytest.mark.parametrize(("damage", "says"), [case[1:] for case in DOUBTS], ids=[case[0] for case in DOUBTS])
 def test_doubts_are_warnings_that_say_where(damage: Callable[[Path], None], says: tuple[str, ...], folder: Path) -> None:
     damage(folder)
@@ -113,6 +119,7 @@ def test_doubts_are_warnings_that_say_where(damage: Callable[[Path], None], says
     for text in says:
         assert text in warnings[0]
     assert "\n" not in warnings[0]
+    assert REMEDY.search(warnings[0]), warnings[0]
 
 
 @pytest.mark.parametrize("header", ["t, q1 ,q2", ' t,"q1",q2 '], ids=["blanks", "quotes"])

@@ -1,6 +1,7 @@
 """What `identify` hands on to programs: model.toml, covariances, tables, figures, predicted readings."""
 
 import json
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -243,3 +244,23 @@ def test_everything_public_shows_itself_in_one_line(comparison, posterior, resul
         bayesid.Physical(prior=bayesid.Prior.nominal(result.link_parameters, 0.2)), bayesid.estimator("huber"),
     )  # fmt: skip
     assert "test" in repr(result) and "wls" in repr(result) and "2 joints" in repr(problem.experiment)
+
+
+def test_every_warning_says_what_to_do(tmp_path):
+    """One recording short of everything: no validation motion, an offset, links not excited, halves that differ, a flat prior."""
+    robot = puma2(tmp_path)
+    sensor = Sensor(translation=np.array([0.0, 0.0, -0.1]))
+    motions = []
+    for k in (1, 2):
+        table = recording(robot, sensor, fourier(robot, k, duration=12.0), seed=k, force_std=0.3, torque_std=0.1)
+        motions.append(Motion(f"half{k}", "identification", replace(table, wrench=table.wrench * (1.0 + 0.2 * k))))
+    short = experiment(robot, motions, sensor)
+    results = [
+        bayesid.identify(short), bayesid.identify(short, method="iv"), bayesid.identify(short, motions=["half1"]),
+        bayesid.compare(short, methods=["ols", "gls"]), bayesid.sample(short, draws=400),
+        bayesid.sample(short, draws=400, prior="nominal", prior_std=1e-3), bayesid.identify(short, method="sdp"),
+    ]  # fmt: skip
+    said = {warning for result in results for warning in result.warnings}
+    assert len(said) >= 8
+    remedy = re.compile(r"\b([Aa]dd|compare|correct|check|fit|looks for|record|state|take|[Pp]redict|validate|leave)\b")
+    assert not [warning for warning in said if not remedy.search(warning)]

@@ -103,7 +103,8 @@ class Physical:
         if not solution.certified:
             warnings.warn(
                 f"sdp: certified to a relative gap of {abs(solution.gap):.1g}, a violation of {solution.violation:.1g} and "
-                f"a dual residual of {solution.stationarity:.1g} only; the motion hardly excites some links",
+                f"a dual residual of {solution.stationarity:.1g} only; the motion hardly excites some links: "
+                "add motions, or state how far the nominal links are to be trusted (inertia_rel_std)",
                 BayesidWarning,
                 stacklevel=2,
             )
@@ -213,7 +214,8 @@ def _solved(
 def _contradiction(physics: PhysicsTest) -> str:
     return (
         "The data contradict physics: no body that can exist fits them to their noise (chance at most "
-        f"{physics.probability_at_most:.2g}). The model misses something; the intervals do not cover that."
+        f"{physics.probability_at_most:.2g}). The model misses something, which the intervals do not cover; "
+        "`bayesid diagnose` looks for it."
     )
 
 

@@ -196,7 +196,7 @@ class RobustFit:
                 f"{name} diverged: {'; '.join(self.divergence)}. Do not use its numbers: take wls, cut the disturbed part out of "
                 "the table, or record more motion of these links outside of it.",
             )
-        out = [f"{name} rejected no rows although much is unusual: {self.note}."] if self.note else []
+        out = [f"{name} rejected no rows although much is unusual: {self.note}; compare wls."] if self.note else []
         if self.passes == _PASSES:
             out.append(f"{name} did not settle in {_PASSES} rounds, so it is less sure than its intervals say: compare wls.")
         return tuple(out)
