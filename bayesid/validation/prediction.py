@@ -145,7 +145,7 @@ def band_error(prediction: Prediction) -> float:
     return float(np.linalg.norm(prediction.rmse) / max(np.linalg.norm(signal), 1e-300))
 
 
-def predict(problem: Problem, estimate: Estimate, motion: Motion, floor: NoiseFloor | None) -> Prediction:
+def predict(problem: Problem, estimate: Estimate, motion: Motion, floor: NoiseFloor | None = None) -> Prediction:
     """Predict a motion's readings with an estimate and compare.
 
     Parameters
