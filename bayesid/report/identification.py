@@ -13,7 +13,7 @@ from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.estimators import Estimate
 from bayesid.regression.regression import Regression
 from bayesid.report.details import described
-from bayesid.report.identification_figures import parameter_intervals
+from bayesid.report.identification_figures import bandwidth_sensitivity, parameter_intervals
 from bayesid.report.notation import notation, short_names
 from bayesid.report.page import physical, render, run_times, svg, versions
 from bayesid.report.prediction_figures import measured_against_predicted, residuals
@@ -36,6 +36,7 @@ def identification_report(result: Identification) -> str:
     """The report of ``identify``: an HTML page with all figures inside."""
     estimate, problem = result.estimate, result.problem
     validation, fitted = _most_telling(result.validation), _most_telling(result.fitted)
+    tried = problem.bandwidths
     left_out = len(result.validation) + len(result.fitted) - len(validation) - len(fitted)
     return render(
         "identification.html",
@@ -49,6 +50,7 @@ def identification_report(result: Identification) -> str:
         card_list=_cards(result),
         interval_reason=estimate.interval_reason if estimate.interval == "none" else "",
         intervals=svg(intervals_figure(problem.regression, estimate), "intervals"),
+        bandwidths="" if tried is None else svg(bandwidth_sensitivity(tried, estimate.full_std), "bandwidths"),
         parameters=_parameters(problem.regression, estimate),
         effects=_effects(result.effects()),
         offset_note=_OFFSET_NOTE if result.offset is not None and problem.row_model.base.absorbed is not None else "",

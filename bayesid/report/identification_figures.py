@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from bayesid.report.figures import CLASSES, GREY, add_legend, make_grid, plain_log, styled
+from bayesid.regression.bandwidth import BandwidthChoice
+from bayesid.report.figures import CLASSES, GREY, NOISE, PREDICTED, add_legend, make_grid, plain_log, styled
 
 #: Half a 95 % interval, in natural sizes, from which a parameter counts as weak: a standard deviation of one.
 WEAK = 1.96
@@ -92,4 +93,34 @@ def parameter_intervals(
     right.tick_params(axis="y", length=0)
     handles, labels = left.get_legend_handles_labels()
     add_legend(figure, handles, labels)
+    return figure
+
+
+@styled
+def bandwidth_sensitivity(choice: BandwidthChoice, std: np.ndarray) -> Figure:
+    """What the bandwidth does to predictions of stretches left out, and to the estimate.
+
+    Parameters
+    ----------
+    choice
+        The bandwidths that were tried.
+    std
+        Standard deviations of the estimate (p,), nan or zero where there is none.
+    """
+    figure, axes = make_grid(1, 2, 1.9, left=0.65, gap=0.75)
+    left, right = axes[0]
+    tried, taken = choice.bandwidths, choice.bandwidths[choice.chosen]
+    error = np.sqrt(choice.error)
+    left.plot(tried, 100 * (error / error[choice.chosen] - 1), "o-", color=NOISE, ms=4)
+    left.set_ylabel("error on stretches left out,\nover the chosen one's [%]")
+    known = np.isfinite(std) & (std > 0)
+    moved = (choice.estimates - choice.estimates[choice.chosen])[:, known] / std[known]
+    if moved.size:
+        right.plot(tried, np.abs(moved).max(axis=1), "o-", color=PREDICTED, ms=4, label="largest")
+        right.plot(tried, np.sqrt(np.mean(moved**2, axis=1)), "o-", color=NOISE, ms=4, label="root mean square")
+        right.legend(loc="best", frameon=False)
+    right.set_ylabel("change of the parameters\n[standard deviations]")
+    for axis in (left, right):
+        axis.axvline(taken, color=GREY, lw=1, ls=":")
+        axis.set_xlabel("bandwidth [Hz]; dotted: chosen")
     return figure

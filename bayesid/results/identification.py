@@ -165,7 +165,7 @@ class Identification(PlotsPredictions, Result):
 
     def to_dict(self) -> dict[str, Any]:
         """``estimate.json``."""
-        filters, smoother = self.problem.row_model.filters, self.problem.smoother
+        filters, smoother, tried = self.problem.row_model.filters, self.problem.smoother, self.problem.bandwidths
         return {
             "schema": SCHEMA,
             "experiment": self.problem.experiment.name,
@@ -178,6 +178,9 @@ class Identification(PlotsPredictions, Result):
                 "bandwidth_hz": smoother.bandwidth,
                 "row_rate_hz": 1.0 / self.problem.row_model.step,
                 "reason": smoother.reason,
+                "bandwidths_tried": None if tried is None else {
+                    "bandwidth_hz": tried.bandwidths.tolist(), "relative_error": np.sqrt(tried.error).tolist(),
+                },
             },
             **self.estimate.to_dict(),
             "link_parameters": self.link_parameters.tolist(),

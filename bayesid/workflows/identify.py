@@ -198,6 +198,13 @@ def _warnings(
             "No validation motion: nothing shows that the estimate holds for another motion. "
             'Add a motion with role = "validation".'
         )
+    smoother = problem.smoother
+    if smoother.at_end and smoother.bandwidth >= 0.999 * smoother.automatic and smoother.reason != "as given":
+        out.append(
+            f"The bandwidth of the motion is {smoother.bandwidth:.3g} Hz, the end of the range searched: the positions hold more "
+            "than motion and white encoder noise up to there. Compare with --bandwidth 10; a difference says that the estimate "
+            "hangs on it."
+        )
     for a in agreements:
         if a.contradiction:
             out.append(
