@@ -16,6 +16,7 @@ from bayesid.recordings.experiment import Experiment, Motion
 from bayesid.recordings.table import usual_step
 from bayesid.regression.readings import default_channel, make_channels
 from bayesid.robot.prior import Prior
+from bayesid.signals.resampling import resample_evenly, uneven
 from bayesid.signals.smoothing import choose_smoother
 
 
@@ -66,7 +67,7 @@ def prepare_data(
     Raises
     ------
     InputError
-        Nothing to fit, or samples that are not evenly spaced.
+        Nothing to fit.
     """
     channel = channel or default_channel(experiment)
     channels = make_channels(experiment, channel)
@@ -132,12 +133,12 @@ def _segments(
             times = table.times[part]
             if times[-1] - times[0] < settings.shortest_segment:
                 continue
-            step = np.diff(times)
-            if np.abs(times - np.linspace(times[0], times[-1], len(times))).max() > 2.0 * np.median(step):
-                raise InputError(f"{table.source}: samples are not evenly spaced; resample them to a constant rate")
-            read = readings_of(table, channel)[part]
+            positions, read = table.positions[part], readings_of(table, channel)[part]
+            if uneven(times):  # a frequency basis needs even times
+                both = np.hstack([positions, read])
+                times, both = resample_evenly(times, both, bandwidth)
+                positions, read = both[:, : positions.shape[1]], both[:, positions.shape[1] :]
             rate = settings.friction_rate if channel != "wrench" else settings.smooth_rate
-            positions = table.positions[part]
             grid = _grid(times, rate)
             scene = smoothed(times, positions, grid, bandwidth, still, middle, clear, float(grid[1] - grid[0]))
             torques = tuple((read.shape[1] - scene.positions.shape[1] + j, j) for j in range(scene.positions.shape[1]))

@@ -9,6 +9,7 @@ import numpy as np
 
 from bayesid.errors import InputError
 from bayesid.recordings.table import GAP, Table
+from bayesid.recordings.timing import TOLD, Timing
 from bayesid.robot.robot import Robot
 
 MIN_SAMPLES = 20
@@ -61,16 +62,34 @@ def check_trajectory(table: Table, robot: Robot, resolution: float | None) -> li
 def _steps(table: Table) -> list[str]:
     steps = np.diff(table.times)
     gaps, lost = np.flatnonzero(steps > GAP * table.step), np.flatnonzero(steps > STEP_SLACK * table.step)
-    if not len(lost):
-        return []
     start = f"{table.source}: column t: "
+    timing, uneven = Timing.of(table), []
+    if timing.jitter > TOLD * table.step:
+        uneven.append(
+            f"{start}time stamps jitter by {timing.jitter:.2g} s rms (a step is usually {table.step:.4g} s) and are taken as "
+            "true times; if the samples were taken evenly, write even times"
+        )
+        lost = np.flatnonzero(steps > (STEP_SLACK + 5.0 * timing.jitter / table.step) * table.step)
+    if abs(timing.last_step - timing.first_step) > TOLD * table.step:
+        uneven.append(
+            f"{start}steps drift from {timing.first_step:.4g} to {timing.last_step:.4g} s and are taken as they are; "
+            "if the rate was constant, write even times"
+        )
+    if not len(lost):
+        return uneven
     usual = f"a step is usually {table.step:.4g} s"
     if not len(gaps):
-        return [f"{start}{len(lost)} steps lack a sample, the first at {table.times[lost[0]]:.6g} s ({usual}); check the logger"]
+        return [
+            *uneven,
+            f"{start}{len(lost)} steps lack a sample, the first at {table.times[lost[0]]:.6g} s ({usual}); check the logger",
+        ]
     listed = ", ".join(f"{table.times[k]:.6g} to {table.times[k + 1]:.6g} s" for k in gaps[:3])
     more = f" and {len(gaps) - 3} more" if len(gaps) > 3 else ""
     short = f", and {len(lost) - len(gaps)} steps lack a sample" if len(lost) > len(gaps) else ""
-    return [f"{start}gap at {listed}{more}{short} ({usual}); the pieces between gaps are treated apart, check the logger"]
+    return [
+        *uneven,
+        f"{start}gap at {listed}{more}{short} ({usual}); the pieces between gaps are treated apart, check the logger",
+    ]
 
 
 def _travel(table: Table, j: int) -> tuple[np.ndarray, np.ndarray]:

@@ -156,6 +156,10 @@ def _row(m: MotionSummary) -> dict[str, Any]:
     motion, poses = m.motion, m.motion.kind == "poses"
     also = [f"period {number(motion.period, 4)} s"] if motion.period else []
     also += [f"parked {number(sum(b - a for a, b in motion.parked), 3)} s"] if motion.parked else []
+    if m.timing and m.timing.dropped:
+        also.append(f"{m.timing.dropped} samples dropped")
+    if m.timing and m.timing.jitter > 0.01 / m.rate:
+        also.append(f"stamps jitter by {number(1e3 * m.timing.jitter, 2)} ms rms")
     static = {"none": "none", "stop-and-go": "stop-and-go run", "poses": f"{len(motion.static or ())} poses"}[m.static]
     return {
         "name": motion.name, "role": motion.role, "kind": motion.kind, "samples": str(len(motion.table)),

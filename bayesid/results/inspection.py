@@ -9,6 +9,7 @@ import numpy as np
 
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.recordings.experiment import Experiment, Motion
+from bayesid.recordings.timing import TOLD, Timing
 from bayesid.results.files import Result
 from bayesid.validation.mistakes.mistake import Mistake
 
@@ -25,6 +26,8 @@ class MotionSummary:
         The recording itself.
     gaps
         (start, end) of each hole in it [s].
+    timing
+        How even its time stamps are; None for poses.
     rate
         Samples a second; nan for poses.
     columns
@@ -42,6 +45,7 @@ class MotionSummary:
 
     motion: Motion
     gaps: tuple[tuple[float, float], ...]
+    timing: Timing | None
     rate: float
     columns: tuple[str, ...]
     lowest: np.ndarray
@@ -56,7 +60,9 @@ class MotionSummary:
         m = self.motion
         return {
             "name": m.name, "role": m.role, "kind": m.kind, "samples": len(m.table), "duration_s": m.table.duration,
-            "rate_hz": _finite(self.rate), "gaps": [list(g) for g in self.gaps], "columns": list(self.columns),
+            "rate_hz": _finite(self.rate), "gaps": [list(g) for g in self.gaps],
+            "dropped_samples": self.timing.dropped if self.timing else 0, "jitter_s": self.timing.jitter if self.timing else None,
+            "columns": list(self.columns),
             "lowest": self.lowest.tolist(), "highest": self.highest.tolist(), "speed": [_finite(v) for v in self.speed],
             "static": self.static, "static_samples": 0 if m.static is None else len(m.static),
             "period_s": m.period, "parked": [list(p) for p in m.parked], "noise_std": self.noise,
@@ -168,7 +174,10 @@ class Inspection(Result):
             what = "poses" if m.motion.kind == "poses" else "samples"
             lines.append(
                 f"  {m.motion.role} '{m.motion.name}': {len(m.motion.table)} {what}{rate}, "
-                f"columns {' '.join(m.columns)}, static {m.static}" + (f", {len(m.gaps)} gaps" if m.gaps else "")
+                f"columns {' '.join(m.columns)}, static {m.static}"
+                + (f", {len(m.gaps)} gaps" if m.gaps else "")
+                + (f", {m.timing.dropped} samples dropped" if m.timing and m.timing.dropped else "")
+                + (f", stamps jitter by {m.timing.jitter:.2g} s rms" if m.timing and m.timing.jitter > TOLD / m.rate else "")
             )
             if m.noise_at_rest:
                 lines.append("    noise at rest: " + ", ".join(f"{c} {s:.3g}" for c, s in m.noise_at_rest.items()))

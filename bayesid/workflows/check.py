@@ -9,6 +9,7 @@ from bayesid.dynamics.base_parameters import structural_base
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, Motion
 from bayesid.recordings.table import GAP, WRENCH_COLUMNS, Table
+from bayesid.recordings.timing import Timing
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import prepare
 from bayesid.regression.readings import default_channel, make_channels
@@ -131,6 +132,7 @@ def _summary(motion: Motion, bandwidth: float | None) -> MotionSummary:
     return MotionSummary(
         motion=motion,
         gaps=tuple((float(table.times[k]), float(table.times[k + 1])) for k in at),
+        timing=None if poses or not len(step) else Timing.of(table),
         rate=np.nan if poses or not len(step) else 1.0 / table.step,
         columns=columns,
         lowest=table.positions.min(axis=0),
