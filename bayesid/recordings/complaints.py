@@ -21,6 +21,12 @@ def suggest(word: str, known: Iterable[str], are: str = "known") -> str:
     return f"{are}: {', '.join(cut(k) for k in known[:_LISTED])}{more}"
 
 
+def listed(names: Iterable[str], shown: int = 12) -> str:
+    """Return the first of some names, and how many more there are."""
+    every = list(names)
+    return ", ".join(every[:shown]) + (f" and {len(every) - shown} more" if len(every) > shown else "")
+
+
 def describe(error: ErrorDetails, keys: Mapping[tuple[str, ...], Iterable[str]], others: Iterable[str]) -> str:
     """Return ``[section] key: what is wrong; what to write`` for one pydantic error.
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from bayesid.errors import InputError
+from bayesid.recordings.complaints import listed
 from bayesid.recordings.table import GAP, Table
 from bayesid.recordings.timing import TOLD, Timing
 from bayesid.robot.robot import Robot
@@ -18,6 +19,7 @@ MATCH = 5e-3  # positions of one pose, moving and stopped, agree to this [rad or
 FROZEN_TIME = 0.5  # an encoder standing longer than this [s] while the joint moves is frozen
 _DEGREE = 180.0 / np.pi
 _NEAR = 1.2  # factor within which a scale is recognised
+_FEW = 2  # frozen encoders more than this are told in one line
 _WINDOW = 5  # samples before and after a place over which a speed is taken
 
 
@@ -53,7 +55,7 @@ def check_trajectory(table: Table, robot: Robot, resolution: float | None) -> li
     for j in range(robot.n):
         warnings += _velocity(table, robot, j)
         warnings += _jumps(table, robot, j)
-        warnings += _encoder(table, robot, j, stalled, resolution)
+    warnings += _encoders(table, robot, stalled, resolution)
     for name, values in table.channels():
         warnings += _clipped(table, name, values)
     return warnings
@@ -209,14 +211,51 @@ def _stalls(table: Table, stalled: np.ndarray) -> list[str]:
     ]
 
 
-def _encoder(table: Table, robot: Robot, j: int, stalled: np.ndarray, resolution: float | None) -> list[str]:
-    """Find times in which a joint's reading stands still but the joint, it seems, does not."""
-    t, q = table.times, table.positions[:, j]
-    place = f"{table.source}: column q{j + 1}: {robot.joint_names[j]}"
+def _encoders(table: Table, robot: Robot, stalled: np.ndarray, resolution: float | None) -> list[str]:
+    """Find joints that do not move, and times in which a reading stands still but the joint, it seems, does not.
+
+    A robot of many joints is often moved a few at a time: then one line lists those that stand.
+    """
+    held = [j for j in range(robot.n) if _is_held(table.positions[:, j], resolution)]
+    moving = [j for j in range(robot.n) if j not in held]
+    frozen = {j: where for j in moving if (where := _frozen(table, j, stalled, resolution))}
+    warnings = []
+    if held:
+        named = listed([f"q{j + 1}" for j in held]), listed([robot.joint_names[j] for j in held])
+        verb, them = ("never moves; lock it", "it") if len(held) == 1 else ("never move; lock them", "them")
+        columns = "column" if len(held) == 1 else "columns"
+        warnings.append(
+            f"{table.source}: {columns} {named[0]}: {named[1]} {verb} ([robot] locked) or expect nothing about {them}"
+        )
+    if len(frozen) > _FEW:
+        columns, names = listed([f"q{j + 1}" for j in frozen]), listed([robot.joint_names[j] for j in frozen])
+        first = next(iter(frozen))
+        warnings.append(
+            f"{table.source}: columns {columns}: {names} stand still for a time while they seem to move, q{first + 1} at "
+            f"{frozen[first]}; were they held, or are encoders frozen?"
+        )
+    elif frozen:
+        warnings += [
+            f"{table.source}: column q{j + 1}: {robot.joint_names[j]} stands at {where} as if frozen; check that encoder"
+            for j, where in frozen.items()
+        ]
+    return warnings
+
+
+def _is_held(q: np.ndarray, resolution: float | None) -> bool:
+    """Whether a joint does not move: two encoder counts are the flicker of a joint at rest."""
     steps = np.abs(np.diff(q))
-    # Two encoder counts are the flicker of a joint at rest.
-    if np.ptp(q) <= 2.0 * (resolution or 0.0):
-        return [f"{place} never moves; lock it ([robot] locked) or expect nothing about it"]
+    if not steps.any():
+        return True
+    # Unknown counts show as the smallest step, where readings mostly do not change at all.
+    count = resolution if resolution else float(steps[steps > 0.0].min()) if np.mean(steps == 0.0) > 0.5 else 0.0
+    return bool(np.ptp(q) <= 2.0 * count * (1.0 + 1e-6))
+
+
+def _frozen(table: Table, j: int, stalled: np.ndarray, resolution: float | None) -> str:
+    """Where and when a joint's reading stands still although the joint moves; empty where it does not."""
+    t, q = table.times, table.positions[:, j]
+    steps = np.abs(np.diff(q))
     starts, stops = _runs(steps == 0.0)
     long = np.flatnonzero(t[stops] - t[starts] > FROZEN_TIME)
     speed = _speeds(t, q)
@@ -230,12 +269,12 @@ def _encoder(table: Table, robot: Robot, j: int, stalled: np.ndarray, resolution
             frozen = abs(np.trapezoid(v, t[a : b + 1])) > max(20.0 * count, MATCH) and np.abs(v).mean() > 0.05 * top
         else:
             jumps = b < len(steps) and steps[b] > 5.0 * usual
-            arrives = a > 0 and _mean_speed(t, q, a - _WINDOW, a) > 0.2 * top
-            leaves = b == len(steps) or jumps or _mean_speed(t, q, b, b + _WINDOW) > 0.2 * top
+            arrives = top > 0.0 and a > 0 and _mean_speed(t, q, a - _WINDOW, a) > 0.2 * top
+            leaves = b == len(steps) or jumps or (top > 0.0 and _mean_speed(t, q, b, b + _WINDOW) > 0.2 * top)
             frozen = leaves and arrives or (a == 0 and jumps)
         if frozen:
-            return [f"{place} stands at {q[a]:.6g} from {t[a]:.6g} to {t[b]:.6g} s as if frozen; check that encoder"]
-    return []
+            return f"{q[a]:.6g} from {t[a]:.6g} to {t[b]:.6g} s"
+    return ""
 
 
 def _mean_speed(t: np.ndarray, q: np.ndarray, a: int, b: int) -> float:

@@ -148,9 +148,7 @@ def _read_parquet(path: Path, source: str, joints: int, wrench: bool) -> tuple[T
     return _assemble(arrays, groups, source, lambda row: f"row {row}"), warned
 
 
-def _assemble(
-    arrays: dict[str, np.ndarray], groups: dict[str, list[str]], source: str, place: Callable[[int], str]
-) -> Table:
+def _assemble(arrays: dict[str, np.ndarray], groups: dict[str, list[str]], source: str, place: Callable[[int], str]) -> Table:
     for group, array in arrays.items():
         largest = _LARGEST_TIME if group == "t" else LARGEST
         # By extremes: no array of the table's length is made.
@@ -200,7 +198,8 @@ def _groups(header: list[str], source: str, joints: int, wrench: bool) -> tuple[
             there = [column for column in columns if column in header]
             raise InputError(
                 f"{source}: column {missing[0]} is missing although {', '.join(there)} "
-                f"{'is' if len(there) == 1 else 'are'} there; write all of {columns[0]} ... {columns[-1]} or none"
+                f"{'is' if len(there) == 1 else 'are'} there; {_meant(missing[0], header)}write all of {columns[0]} ... "
+                f"{columns[-1]} or none"
             )
         elif group in ("t", "positions"):
             others = [name for name in header if name and name not in sum(groups.values(), [])]
@@ -215,6 +214,13 @@ def _groups(header: list[str], source: str, joints: int, wrench: bool) -> tuple[
     if not wrench and groups.pop("wrench", None):
         warned.append(f"{source}: columns fx ... mz are not used: experiment.toml has no [sensor]; add it, or remove the columns")
     return groups, warned
+
+
+def _meant(column: str, header: list[str]) -> str:
+    """The header's name for a missing column, where it differs by capitals or separators only."""
+    plain = lambda name: re.sub(r"[^a-z0-9]", "", name.lower())  # noqa: E731
+    near = [name for name in header if plain(name) == column]
+    return f'did you mean "{cut(near[0])}"? ' if near else ""
 
 
 def _count_lines(path: Path, source: str, width: int) -> int:

@@ -124,6 +124,8 @@ def _bandwidth(check: Inspection) -> str:
     if np.isfinite(check.position_std).all() and check.position_std.any():
         scatter = ", ".join(number(s, 2) for s in check.position_std)
         text += f" Positions scatter around it by {scatter} rad (or m), joint by joint."
+    if any("v" in m.columns for m in check.motions):
+        text += " Velocities are those of the smoothed positions; columns v are only compared with them."
     return text
 
 

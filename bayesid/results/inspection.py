@@ -183,6 +183,8 @@ class Inspection(Result):
                 lines.append("    noise at rest: " + ", ".join(f"{c} {s:.3g}" for c, s in m.noise_at_rest.items()))
         if self.bandwidth is not None:
             lines.append(f"  bandwidth of the motion {self.bandwidth:.3g} Hz ({self.bandwidth_reason})")
+        if any("v" in m.columns for m in self.motions):
+            lines.append("  velocities are those of the smoothed positions; columns v are only compared with them")
         lines += [f"  rank {s.base.rank} from {s.name}{'' if s.available else ' (not recorded)'}" for s in self.sensor_sets]
         return "\n".join(lines)
 

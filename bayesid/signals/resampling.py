@@ -36,12 +36,16 @@ def resample_evenly(times: np.ndarray, values: np.ndarray, bandwidth: float) -> 
     Notes
     -----
     With the least-squares spline s of `smooth`, ``y(t) = y_k + s(t) - s(t_k)`` at the sample k that is nearest. What the
-    spline does not follow, noise above all, is moved as it is: interpolation would average neighbours and so make it less.
+    spline does not follow, noise above all, is moved as it is: interpolation would average neighbours and so make it less. Where
+    a sample was dropped, one of the others' deviations from the spline stands in, drawn with a fixed seed: a neighbour's would
+    be there twice, and white noise no longer white.
     """
     step = float(np.median(np.diff(times)))
     even = np.linspace(times[0], times[-1], max(round((times[-1] - times[0]) / step), 1) + 1)
     right = np.clip(np.searchsorted(times, even), 1, len(times) - 1)
     nearest = np.where(even - times[right - 1] < times[right] - even, right - 1, right)
+    again = np.append(False, np.diff(nearest) == 0)
+    nearest[again] = np.random.default_rng(0).integers(len(times), size=int(again.sum()))
     centre = values.mean(axis=0)
     course = smooth(times, values - centre, bandwidth, at=np.concatenate([even, times]))[0]
     return even, values[nearest] + course[: len(even)] - course[len(even) + nearest]

@@ -94,7 +94,7 @@ def of_joints(names: Sequence[str], torques: bool) -> list[Candidate]:
     for j, k in itertools.combinations(range(n), 2):
         one, other, swap = f"q{j + 1}", f"q{k + 1}", _swap(n, j, k)
         where, pair = f"{one},{other}", f"{names[j]} and {names[k]}"
-        says, remedy = f"the positions of {pair} seem to be exchanged", f"exchange columns {one} and {other}"
+        says, remedy = f"the positions of {pair} seem to be exchanged", f"exchange {one} and {other}, or [robot] joints"
         out.append(Candidate("position_order", where, says, remedy, joints=swap, touched=(j, k)))
         if torques:
             says, remedy = f"{pair} seem to be exchanged, in position and torque", "exchange them in [robot] joints"

@@ -71,7 +71,8 @@ def _in_channel(experiment: Experiment, channel: str) -> list[Mistake]:
         tried.append((score - now, candidate, fit))
     tried.sort(key=lambda t: -t[0])
     if not tried or tried[0][0] < max(NEEDED, worth * _QUARTER):
-        return implausible_size(explainer)
+        # Of readings that no robot explains at all, not even the size means anything.
+        return implausible_size(explainer) if np.median(null.errors) < 0.5 else []
     best, candidate, fit = tried[0]
     alike = [c for evidence, c, _ in tried[1:] if evidence > max(best - _ALIKE, NEEDED)]
     names, units = explainer.channels.names, explainer.channels.units
