@@ -85,12 +85,12 @@ def _steps(table: Table) -> list[str]:
             *uneven,
             f"{start}{len(lost)} steps lack a sample, the first at {table.times[lost[0]]:.6g} s ({usual}); check the logger",
         ]
-    listed = ", ".join(f"{table.times[k]:.6g} to {table.times[k + 1]:.6g} s" for k in gaps[:3])
+    holes = ", ".join(f"{table.times[k]:.6g} to {table.times[k + 1]:.6g} s" for k in gaps[:3])
     more = f" and {len(gaps) - 3} more" if len(gaps) > 3 else ""
     short = f", and {len(lost) - len(gaps)} steps lack a sample" if len(lost) > len(gaps) else ""
     return [
         *uneven,
-        f"{start}gap at {listed}{more}{short} ({usual}); the pieces between gaps are treated apart, check the logger",
+        f"{start}gap at {holes}{more}{short} ({usual}); the pieces between gaps are treated apart, check the logger",
     ]
 
 
