@@ -29,7 +29,7 @@ from bayesid.validation.noise_floor import noise_floor
 from bayesid.validation.prediction import Prediction, predict
 from bayesid.workflows.progress import Clock, Progress, quiet
 from bayesid.workflows.urdf_links import urdf_links
-from bayesid.workflows.warnings import incomplete, listed, repeated_motion, unpredicted
+from bayesid.workflows.warnings import incomplete, listed, repeated_motion, unpredicted, wrong_signs
 
 
 def identify(
@@ -188,7 +188,7 @@ def _warnings(
     unexcited: Sequence[str],
 ) -> tuple[str, ...]:
     """What the user should know, most important first."""
-    out = []
+    out = wrong_signs(problem, estimate)
     for p in validation:
         if p.repeats:
             out.append(repeated_motion(p))

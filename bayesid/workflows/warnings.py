@@ -4,8 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+import numpy as np
+
+from bayesid.estimators import Estimate
+from bayesid.regression.problem import Problem
 from bayesid.validation.headline import judged
 from bayesid.validation.prediction import BAND, Prediction, band_error
+
+_CERTAIN = 3.0  # standard deviations below zero
 
 
 def repeated_motion(prediction: Prediction) -> str:
@@ -34,6 +40,36 @@ def incomplete(dispersion: float | None) -> str:
         f"than noise explains. Intervals count the scatter{wider}; for motions unlike the fitted ones they do not hold. "
         "`bayesid diagnose` looks for the missing effect."
     )
+
+
+def wrong_signs(problem: Problem, estimate: Estimate) -> list[str]:
+    """That masses or friction have a sign that nothing has, and which mistake in the data would explain it.
+
+    The search for mistakes takes a second; it is made where a sign is wrong, and where the URDF has no masses to compare with.
+    """
+    base, rank = estimate.base, estimate.base.rank
+    negative = estimate.solution < -_CERTAIN * estimate.full_std
+    alone = [
+        name.endswith(".m") and np.count_nonzero(np.abs(row) > 1e-9) == 1
+        for name, row in zip(base.names, base.matrix, strict=True)
+    ]
+    never = np.array([*alone, *problem.regression.knowledge.effect_non_negative], dtype=bool) & negative
+    names = [*base.names, *estimate.effect_names]
+    units = [*base.units, *estimate.effect_units]
+    shown = [f"{names[k]} = {estimate.solution[k]:.3g} +- {estimate.full_std[k]:.2g} {units[k]}" for k in np.flatnonzero(never)]
+    masses = problem.experiment.robot.nominal[:, 0]
+    if not shown and masses.any():
+        return []
+    from bayesid.validation.mistakes.search import find_mistakes
+
+    out = [found.text for found in find_mistakes(problem.experiment)]
+    if shown:
+        kind = "Mass" if never[:rank].any() else "Friction"
+        out.append(
+            f"{kind} that cannot be negative is: {listed(shown, 4)}. Check signs, joint order and units of the readings"
+            f"{'; the line above says which' if out else ''}, or whether the motions show it at all."
+        )
+    return out
 
 
 def listed(names: Iterable[str], shown: int) -> str:

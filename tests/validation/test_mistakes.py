@@ -159,3 +159,14 @@ def test_changes_of_units_alone_are_no_evidence(tmp_path: Path) -> None:
     assert there.log_likelihood == pytest.approx(here.log_likelihood, abs=0.05)
     every = candidates(whole, "torque", np.abs(samples.positions).max(axis=0))
     assert len({(c.name, c.where) for c in every}) == len(every)
+
+
+def test_identify_warns_of_masses_and_friction_with_a_sign_that_nothing_has(tmp_path: Path) -> None:
+    whole = arm(tmp_path)
+    effects = ["viscous_friction", "coulomb_friction", "rotor_inertia"]
+    right = bayesid.identify(whole, method="ols", effects=effects)
+    assert not any("cannot be negative" in line or "opposite sign" in line for line in right.warnings)
+    negated = changed(whole, times(np.diag([1.0, 1, -1, 1, 1, 1]), "torques"))
+    wrong = bayesid.identify(negated, method="ols", effects=effects)
+    assert "change the sign of tau3" in wrong.warnings[0]
+    assert "Friction that cannot be negative" in wrong.warnings[1] and "coulomb_friction@joint3" in wrong.warnings[1]
