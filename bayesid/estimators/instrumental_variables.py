@@ -121,6 +121,10 @@ class InstrumentalVariables:
         # Rows of [X Z] that the estimate sums up: Z, or the mean of X and Z where each is the other's instrument.
         alone, mean = np.vstack([np.zeros((p, p)), np.eye(p)]), 0.5 * np.vstack([np.eye(p), np.eye(p)])
         meat = alone.T @ one @ alone + mean.T @ both @ mean + extra
+        # Residuals also hold what the model lacks: its colour is that of the motion, which no smooth curve of a sensor's
+        # noise follows. So the noise as `wls` takes it, encoders' part included, is a lower bound in every direction.
+        plain_one, plain_both = _spreads(start, start.weights.noise, read())
+        meat = _at_least(meat, alone.T @ plain_one @ alone + mean.T @ plain_both @ mean)
         covariance = start.weights.dispersion * start.root @ inverse @ meat @ inverse.T @ start.root.T
         first = np.vstack([np.eye(p), np.zeros((p, p))])
         ordinary = first.T @ one @ first + mean.T @ both @ mean
@@ -211,6 +215,17 @@ def _spreads(start: Start, noise: dict[str, NoiseModel], pairs: Iterator[Pair]) 
         coloured = noise[pair.regressors.group].colour_transposed(start.back(pair.regressors, flat)).reshape(-1, 2 * p)
         totals[int(pair.symmetric)] += coloured.T @ coloured
     return totals[0], totals[1]
+
+
+def _at_least(matrix: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """The matrix, larger where the other one is: both and the positive part of their difference, in units of their sum."""
+    values, vectors = np.linalg.eigh(matrix + other)
+    keep = values > 1e-12 * values[-1]
+    root = vectors[:, keep] * np.sqrt(values[keep])
+    whiten = vectors[:, keep] / np.sqrt(values[keep])
+    excess, directions = np.linalg.eigh(whiten.T @ (other - matrix) @ whiten)
+    turned = root @ directions
+    return matrix + (turned * np.maximum(excess, 0.0)) @ turned.T
 
 
 def _pinv(matrix: np.ndarray) -> np.ndarray:
