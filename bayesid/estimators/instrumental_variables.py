@@ -10,7 +10,8 @@ Where the splines through even and odd samples are the instruments of each other
 ``(Z'WX + X'WZ) b = Z'Wy + X'Wy``.
 
 The covariance is ``A^-1 M A^-T``, ``A = Z'WX``, with M the covariance of ``Z'W (e - U b)``: the sensor's noise, colour
-included, and the encoders', simulated; where their law is not known, that of the residuals.
+included, and the encoders', simulated; where their law is not known, that of the residuals. What the model lacks is in neither,
+so M is in no direction smaller than with the noise that `wls` takes from residuals.
 
 The Durbin-Wu-Hausman test ([Hausman1978]_, [Janot2016]_) compares both estimates. Their difference is linear in the rows'
 noise, ``d = Q'e`` with ``Q = W Z A^-T - W X (X'WX)^-1``, so its covariance is ``Q' Sigma Q``. That is the textbook's

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesid.estimators.factor import Factor, gram_rows
-from bayesid.estimators.robust.segments import Residuals, weighted
+from bayesid.estimators.robust.segments import Residuals
 from bayesid.regression.blocks import Block
 from bayesid.regression.linalg import column_lengths, or_one, standard_deviations
 from bayesid.regression.regression import Regression
@@ -65,21 +65,42 @@ class Directions:
         return share, self.basis @ vt[-1]
 
 
-def share_left(
+def informative(
     read: Callable[[], Iterable[Block]], residual: Residuals, accepted_rows: np.ndarray, noise: dict[str, NoiseModel]
-) -> float:
-    """Smallest share of the information on any direction that the accepted rows of the blocks hold."""
+) -> np.ndarray:
+    """Accepted rows (N,), with those rejected windows that hold nearly all that is known of some direction.
+
+    One window after the other is restored, the one that tells most of the least known direction for how unusual it is, until
+    what is accepted leaves `SMALLEST_SHARE` of the information on every direction.
+    """
 
     def scaled(block: Block) -> np.ndarray:
         return block.matrix / noise[block.group].std[:, None]
 
     whole = gram_rows(read(), scaled)
-    part = gram_rows(weighted(read(), residual, accepted_rows.astype(float)), scaled)
     length = or_one(standard_deviations(whole), 0.0)
     values, vectors = np.linalg.eigh(whole / np.outer(length, length))
     keep = values > _DETERMINED * values[-1]
     whiten = vectors[:, keep] / np.sqrt(values[keep]) / length[:, None]
-    return float(np.linalg.eigvalsh(whiten.T @ part @ whiten)[0])
+    begins = ~accepted_rows & np.append(True, accepted_rows[:-1] | (residual.run[1:] != residual.run[:-1]))
+    window = np.where(accepted_rows, -1, np.cumsum(begins) - 1)
+    grams, power = np.zeros((int(begins.sum()), whiten.shape[1], whiten.shape[1])), np.zeros(int(begins.sum()))
+    for block, own, rest in zip(read(), residual.split(window), residual.split(residual.values), strict=True):
+        for k in np.unique(own[own >= 0]):
+            rows = (scaled(block)[own == k] @ whiten).reshape(-1, whiten.shape[1])
+            grams[k] += rows.T @ rows
+            power[k] += np.sum((rest[own == k] / noise[block.group].std) ** 2)
+    power /= np.bincount(window[window >= 0], minlength=len(power))
+    left, restored = np.eye(whiten.shape[1]) - grams.sum(axis=0), np.zeros(len(power), bool)
+    while not restored.all():
+        shares, directions = np.linalg.eigh(left)
+        if shares[0] >= SMALLEST_SHARE:
+            break
+        told = np.einsum("i,kij,j->k", directions[:, 0], grams, directions[:, 0]) / power
+        best = int(np.argmax(np.where(restored, -np.inf, told)))
+        restored[best] = True
+        left = left + grams[best]
+    return accepted_rows | np.append(restored, False)[window]
 
 
 @dataclass(frozen=True)

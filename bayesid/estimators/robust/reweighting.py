@@ -25,7 +25,7 @@ from scipy.stats import chi2
 from bayesid.estimators.estimator import Estimate
 from bayesid.estimators.factor import Factor, gram_rows, reduce_rows, whitened
 from bayesid.estimators.least_squares import completeness, make_estimate, nominal_start, target_from_nominal
-from bayesid.estimators.robust.divergence import SMALLEST_SHARE, Directions, Fitted, reasons, share_left
+from bayesid.estimators.robust.divergence import Directions, Fitted, informative, reasons
 from bayesid.estimators.robust.losses import WHOLE, Loss
 from bayesid.estimators.robust.segments import (
     Residuals,
@@ -196,7 +196,7 @@ class RobustFit:
                 f"{name} diverged: {'; '.join(self.divergence)}. Do not use its numbers: take wls, cut the disturbed part out of "
                 "the table, or record more motion of these links outside of it.",
             )
-        out = [f"{name} rejected no rows although much is unusual: {self.note}; compare wls."] if self.note else []
+        out = [f"{name} did not reject all unusual rows: {self.note}; compare wls."] if self.note else []
         if self.passes == _PASSES:
             out.append(f"{name} did not settle in {_PASSES} rounds, so it is less sure than its intervals say: compare wls.")
         return tuple(out)
@@ -299,10 +299,10 @@ def _judge(
         return loss, accepted_rows, ""
     every = np.ones(len(accepted_rows), bool)
     if any(accepted_rows[mask].mean() < SMALLEST_ACCEPTED for mask in residual.groups().values()):
-        return loss, every, "more than half of the rows are, so that the model is to blame, not a disturbance"
-    if share_left(read, residual, accepted_rows, noise) < SMALLEST_SHARE:
-        return loss, every, "these rows are the only ones that show some of the parameters"
-    return loss, accepted_rows, ""
+        return loss, every, "they are more than half of all rows, so that the model is to blame, not a disturbance"
+    kept = informative(read, residual, accepted_rows, noise)
+    note = "" if kept.sum() == accepted_rows.sum() else "they are the only ones that show some of the parameters"
+    return loss, kept, note
 
 
 def _pieces(blocks: Sequence[Block], residual: Residuals, accepted_rows: np.ndarray) -> list[Block]:
