@@ -10,6 +10,7 @@ from bayesid.regression.problem import prepare
 from bayesid.regression.regression import Regression
 from bayesid.robot.robot import load_robot
 from bayesid.signals.filters import LowPass
+from bayesid.validation.noise_floor import noise_floor
 from bayesid.validation.prediction import predict
 from tests.robots import panda, prismatic_arm, tree, ur5, write
 from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
@@ -34,7 +35,7 @@ def test_noise_free_puma_predicts_another_motion(l, d, tmp_path):  # noqa: E741
     robot = puma2(tmp_path)
     problem = prepare(noise_free(robot), FitOptions(low_pass=LowPass(l, d)))
     estimate = fit(problem.regression, "ols")
-    prediction = predict(problem, estimate, problem.experiment.validation[0])
+    prediction = predict(problem, estimate, problem.experiment.validation[0], noise_floor(problem))
     assert prediction.nrmse.max() < 2e-4 and prediction.nrmse_raw.max() < 2e-4
 
 
@@ -47,7 +48,7 @@ def test_noise_free_rows_give_the_true_parameters(text, channel, filters, tmp_pa
     base = problem.row_model.base
     truth = base.matrix @ robot.nominal.ravel()
     estimate = fit(problem.regression, "ols")
-    prediction = predict(problem, estimate, problem.experiment.validation[0])
+    prediction = predict(problem, estimate, problem.experiment.validation[0], noise_floor(problem))
     assert prediction.nrmse_raw.max() < 2e-3
     size = problem.regression.nominal_scale
     assert np.abs((estimate.values - truth) / size).max() < 5e-3
