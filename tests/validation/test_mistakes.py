@@ -13,6 +13,7 @@ import bayesid
 from bayesid.dynamics.channels import torque_channels
 from bayesid.recordings.checks import check_channels
 from bayesid.recordings.experiment import Experiment
+from bayesid.recordings.table import Table
 from bayesid.robot import inertia
 from bayesid.robot.robot import load_robot
 from bayesid.validation.mistakes.candidates import candidates, of_wrench
@@ -159,6 +160,20 @@ def test_changes_of_units_alone_are_no_evidence(tmp_path: Path) -> None:
     assert there.log_likelihood == pytest.approx(here.log_likelihood, abs=0.05)
     every = candidates(whole, "torque", np.abs(samples.positions).max(axis=0))
     assert len({(c.name, c.where) for c in every}) == len(every)
+
+
+@pytest.mark.parametrize("kept", [1, 30, 150])
+def test_little_data_and_absurd_numbers_do_no_harm(kept: int, tmp_path: Path) -> None:
+    def short(t: Table) -> Table:
+        assert t.torques is not None
+        return Table(t.times[:kept], t.positions[:kept], torques=t.torques[:kept])
+
+    whole = arm(tmp_path)
+    assert find_mistakes(changed(whole, short)) == ()
+    for factor in (0.0, 1e6):
+        find_mistakes(changed(whole, times(factor * np.eye(6), "positions")))
+        find_mistakes(changed(whole, times(factor**2 * np.eye(6), "torques")))
+    find_mistakes(replace(whole, robot=replace(whole.robot, gravity=np.zeros(3))))
 
 
 def test_identify_warns_of_masses_and_friction_with_a_sign_that_nothing_has(tmp_path: Path) -> None:

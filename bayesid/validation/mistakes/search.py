@@ -45,9 +45,11 @@ def find_mistakes(experiment: Experiment) -> tuple[Mistake, ...]:
             if channel == "wrench" and experiment.sensor is None:
                 continue
             try:
-                found += _in_channel(experiment, channel)
-            except InputError:
-                continue  # too short or too uneven to be smoothed, which others say better
+                with np.errstate(over="ignore", invalid="ignore"):
+                    found += _in_channel(experiment, channel)
+            except (InputError, np.linalg.LinAlgError, ValueError, RuntimeError):
+                # Too short or too uneven to be smoothed, or numbers of a size that no robot has: others say that better.
+                continue
     found.sort(key=lambda m: -m.evidence)
     return tuple({(m.name, m.where): m for m in reversed(found)}.values())[::-1]
 
