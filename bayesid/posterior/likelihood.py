@@ -26,14 +26,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular
 
-from bayesid.estimators.factor import stack, whitened
-from bayesid.estimators.least_squares import sandwich_middle, weighted_factor
+from bayesid.estimators.factor import Factor, reduce_rows, stack, whitened
+from bayesid.estimators.least_squares import sandwich_middle
 from bayesid.estimators.weights import Weights, learn_weights
-from bayesid.regression.linalg import column_lengths
+from bayesid.regression.linalg import column_lengths, solve
 from bayesid.regression.regression import Regression
 from bayesid.signals.noise import NoiseModel
 
-_PANEL = 4096
+_PANEL, _PASSES = 4096, 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +92,7 @@ class Likelihood:
         rows: dict[str, list[np.ndarray]] = {}
         noise, adjust = weights.noise, np.eye(columns)
         if not weights.complete:
-            noise, adjust = {g: m.uncoloured() for g, m in noise.items()}, _adjusted(regression, weights)
+            noise, adjust = _adjusted(regression, weights)
         for block, plain in whitened(regression.blocks(), noise):
             white = plain if weights.complete else plain @ adjust
             own = factors.setdefault(block.group, [np.zeros((columns, columns))] * channels)
@@ -116,9 +116,30 @@ class Likelihood:
         )
 
 
-def _adjusted(regression: Regression, weights: Weights) -> np.ndarray:
-    """Matrix that rows [X y] weighted by channel are multiplied by from the right for a curvature of V^-1 (p + 1, p + 1)."""
-    factor, scale = weighted_factor(regression, weights, "channel")
+def _white(regression: Regression, group: str, solution: np.ndarray) -> NoiseModel:
+    """White noise with the power of a fit's residuals."""
+    residual = np.concatenate([b.target - b.matrix @ solution for b in regression.pilot() if b.group == group])
+    power = np.mean(residual**2, axis=0)
+    return NoiseModel(np.ones((len(power), 1)), np.diag(np.maximum(power, 1e-20 * max(float(power.max()), 1e-200))))
+
+
+def _adjusted(regression: Regression, weights: Weights) -> tuple[dict[str, NoiseModel], np.ndarray]:
+    """White noise as large as the residuals, and what rows over it are multiplied by for a curvature of V^-1 (p + 1, p + 1).
+
+    Scales must be those of the fit's own residuals: where a channel's scale is not one, its posterior moves the fit away from
+    least squares, and by as much more as the curvature is smaller.
+    """
+    solution = weights.solution
+
+    def fitted(at: np.ndarray) -> tuple[dict[str, NoiseModel], dict[str, np.ndarray], Factor]:
+        noise = {group: _white(regression, group, at) for group in weights.noise}
+        scale = {g: 1.0 / m.std for g, m in noise.items()}
+        return noise, scale, reduce_rows(regression.blocks(), lambda b: b.rows * scale[b.group][:, None])
+
+    for _ in range(_PASSES):
+        factor = fitted(solution)[2]
+        solution = solve(factor.matrix, factor.target)
+    noise, scale, factor = fitted(solution)
     middle = sandwich_middle(regression, weights, scale)
     length = column_lengths(factor.matrix)
     u, s, vt = np.linalg.svd(factor.matrix / length)
@@ -131,4 +152,4 @@ def _adjusted(regression: Regression, weights: Weights) -> np.ndarray:
     out = np.eye(len(length) + 1)
     out[:-1, :-1] += change
     out[:-1, -1] = change @ back @ (u.T[keep] @ factor.target)
-    return out
+    return noise, out

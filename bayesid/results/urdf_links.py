@@ -88,12 +88,12 @@ class UrdfLinks:
         inside = moved is None or moved.inside
         if moved is not None and not moved.inside:
             labels = [f"{label} ({sigma:.3g} sigma)" for label, sigma in moved.conflicts]
+            edge = f"; at the edge of what can exist: {_first(moved.on_boundary)}" if moved.on_boundary else ""
             furthest = f"; moved furthest: {_first(labels)}" if labels else ""
             out.append(
                 "No bodies that can exist have base parameters inside the estimate's uncertainty: those of identified.urdf "
-                f"are {moved.distance:.3g} sigma away, jointly ({_radius(moved)}). At the edge of what can exist: "
-                f"{_first(moved.on_boundary)}{furthest}. Something is missing in the model, such as friction or rotor inertia: "
-                "`bayesid diagnose` looks for it."
+                f"are {moved.distance:.3g} sigma away, jointly ({_radius(moved)}){edge}{furthest}. Something is missing in the "
+                "model, such as friction or rotor inertia: `bayesid diagnose` looks for it."
             )
         for motion, (estimate, links) in self.errors.items():
             if links > (1.0 + LARGEST_GROWTH) * estimate:

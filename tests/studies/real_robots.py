@@ -230,26 +230,28 @@ means that intervals are too short for what a real robot does beyond any model. 
 ## {{ name }}
 
 {{ found.channel }}, rank {{ found.rank }}, bandwidth {{ "%.3g" | format(found.bandwidth) }} Hz: {{ found.chosen }}.
-{%- if found.thirty_lines %} Thirty lines: {{ "%.2f" | format(100 * found.thirty_lines) }} %.{% endif %}
+{%- if 'thirty_lines' in found %} Thirty lines: {{ "%.2f" | format(100 * found.thirty_lines) }} %.{% endif %}
 
 
 | method | unseen | times the noise | mass | links possible | halves | motions | dispersion |
 | --- | ---: | ---: | ---: | --- | ---: | ---: | ---: |
 {% for method, f in found.methods.items() %}
-{% if f.error %}
+{% if 'error' in f %}
 | {{ method }} | {{ f.error }} | | | | | | |
 {% else %}
-| {{ method }} | {{ cell(f.unseen, "%.2f %%", 100) }} | {{ cell(f.over_noise, "%.3g") }} | {{ cell(f.mass, "%.3g kg") }} |
-{{- " " + possible(f.physical) }} | {{ cell(f.halves, "%.2f") }} | {{ cell(f.motions, "%.2f") }} |
-{{- " " + cell(f.dispersion, "%.2f") }} |
+| {{ method }} | {{ cell(f, "unseen", "%.2f %%", 100) }} | {{ cell(f, "over_noise", "%.3g") }} |
+{{- " " + cell(f, "mass", "%.3g kg") }} |
+{{- " " + possible(f) }} | {{ cell(f, "halves", "%.2f") }} | {{ cell(f, "motions", "%.2f") }} |
+{{- " " + cell(f, "dispersion", "%.2f") }} |
 {% endif %}
 {% endfor %}
 {% endfor %}
 """
 
 
-def cell(value: Any, shape: str, times: float = 1.0) -> str:
+def cell(figures: dict[str, Any], name: str, shape: str, times: float = 1.0) -> str:
     """A figure, or nothing where there is none."""
+    value = figures.get(name)
     first = value[0] if isinstance(value, list) else value
     return "" if not isinstance(first, float) else shape % (times * first)
 
@@ -274,7 +276,7 @@ def main() -> None:
     if options.write:
         (DOCS / "real-robots.json").write_text(json.dumps(out, indent=1) + "\n", encoding="utf-8")
         words = {True: "yes", False: "no"}
-        write_page(PAGE, DOCS / "real-robots.md", cases=out, cell=cell, possible=lambda x: words.get(x, ""))
+        write_page(PAGE, DOCS / "real-robots.md", cases=out, cell=cell, possible=lambda f: words.get(f.get("physical"), ""))
 
 
 if __name__ == "__main__":
