@@ -323,8 +323,8 @@ def _chosen(smoother: Smoother, choice: BandwidthChoice | None) -> Smoother:
     if choice.chosen == 0:
         return replace(smoother, reason=f"{smoother.reason}; lower ones predict no better")
     reason = (
-        f"the largest that predicts stretches left out as well as the best, from {choice.bandwidths[-1]:.2g} Hz up to the "
-        f"{choice.bandwidths[0]:.3g} Hz of the positions' own cross-validation"
+        f"of those from {choice.bandwidths[-1]:.2g} Hz up to the {choice.bandwidths[0]:.3g} Hz of the positions' own "
+        "cross-validation, chosen by how well stretches left out are predicted"
     )
     return replace(smoother, bandwidth=float(choice.bandwidths[choice.chosen]), reason=reason)
 

@@ -42,6 +42,12 @@ def test_bandwidths_that_spoil_predictions_are_left():
     assert higher is not None and higher.bandwidths[higher.chosen] >= 14.0
 
 
+def test_low_bandwidths_are_preferred_where_the_positions_chose_the_end_of_their_range():
+    choice = choose_bandwidth(lambda b: rows_at(b, blurred_below=8.0), 20.0, at_end=True)
+    assert choice is not None and choice.error[choice.chosen] <= 1.021 * choice.error.min()
+    assert (choice.error[choice.chosen + 1 :] > 1.02 * choice.error.min()).all()
+
+
 def test_nothing_is_chosen_of_a_slow_motion_or_a_short_one():
     assert choose_bandwidth(rows_at, 6.0) is None
     assert choose_bandwidth(lambda b: tuple(Block(x.rows[:20], x.times[:20], 0, True) for x in rows_at(b)), 20.0) is None
