@@ -89,7 +89,7 @@ def test_fixed_values_are_kept(setup, motions):
         replace(problem.experiment, effects=("payload@joint6",), effect_values=starts), channel="torque"
     )  # fmt: skip
     (entry,) = result.to_dict()["effects"]
-    assert entry["parameters"]["m"] == {"value": 1.5, "std": None, "unit": "kg"}
+    assert entry["parameters"]["m"] == {"value": 1.5, "std": None, "low": None, "high": None, "unit": "kg"}
     assert result.fitted[0].whitened_rms == pytest.approx(1.0, abs=0.1)
 
 

@@ -32,7 +32,8 @@ def test_wrist_says_what_is_not_excited_and_that_poses_and_motion_disagree(wrist
     text = " ".join(wrist.warnings)
     assert "Not excited" in text and "do not average" in text and "baseline" in text
     apart = {a.first: a for a in wrist.agreements}
-    assert apart["motion baseline"].contradiction and apart["motion vibrations"].contradiction
+    # Intervals of both motions count their own scatter, that of the one with hammer taps more.
+    assert apart["motion baseline"].contradiction and apart["motion vibrations"].rms > 1.5
 
 
 def test_repeats_of_a_wrist_motion_agree_within_their_intervals(shared):
@@ -51,7 +52,7 @@ def test_joint_torques_are_predicted_as_well_as_published(shared, name, publishe
     assert relative_error(result.fitted[0]) < published_fit
     assert relative_error(result.validation[0]) < published_validation
     # The published validations are no proof that the model is complete, and neither is this one.
-    assert any("not predicted to the noise" in w for w in result.warnings)
+    assert any("is predicted with an error of" in w for w in result.warnings)
     assert not result.estimate.details.model_complete
 
 

@@ -3,7 +3,7 @@
 A body's ten parameters are a sum, with factors that are not negative, of a few generators: a mass at each corner of a box
 around the link, and spread along thirteen directions. The sum holds every body whose centre of mass is in that box and whose
 spread about it the directions can make up (a little more and a little less than the physically consistent ones,
-[Wensing2017]_): masses, rotational inertias and centres of mass have their signs, which is all that is asked here, and least
+[Wensing2018]_): masses, rotational inertias and centres of mass have their signs, which is all that is asked here, and least
 squares with factors that are not negative takes milliseconds.
 """
 
