@@ -7,6 +7,7 @@ a method of its family (`bayesid.effects.families`). Everything else asks the cl
 
 from __future__ import annotations
 
+from abc import ABC
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -55,7 +56,7 @@ class Parameter:
 
 
 @dataclass(frozen=True)
-class Effect:
+class Effect(ABC):
     """An effect at its place. To add one, derive a class from one of `bayesid.effects.families` and register it.
 
     Attributes

@@ -14,6 +14,7 @@ does not say them.
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -118,9 +119,9 @@ class EncoderEffect(Effect):
 
     at = "joint"
 
+    @abstractmethod
     def shift(self, values: Sequence[float]) -> float:
         """What the encoder reads beyond the true position [rad or m]."""
-        raise NotImplementedError
 
 
 class FlexibleJointEffect(Effect):
@@ -129,9 +130,9 @@ class FlexibleJointEffect(Effect):
     at = "joint"
     amplifies_encoder_errors = True
 
+    @abstractmethod
     def compliance(self, values: Sequence[float]) -> float:
         """How far the link gives under the joint's torque [rad/(N m) or m/N]."""
-        raise NotImplementedError
 
 
 class MountEffect(Effect):
@@ -140,9 +141,9 @@ class MountEffect(Effect):
     at = "base"
     amplifies_encoder_errors = True
 
+    @abstractmethod
     def resonance(self, values: Sequence[float]) -> tuple[float, float]:
         """Frequency [Hz] and damping ratio."""
-        raise NotImplementedError
 
 
 # -- bodies and what acts on them
@@ -169,9 +170,9 @@ class GravityEffect(Effect):
 
     at = "base"
 
+    @abstractmethod
     def turned(self, gravity: np.ndarray, values: Sequence[float]) -> np.ndarray:
         """Gravity in the base frame (3,) [m/s^2]."""
-        raise NotImplementedError
 
 
 class LoadEffect(Effect):
@@ -179,6 +180,7 @@ class LoadEffect(Effect):
 
     at = "joint"
 
+    @abstractmethod
     def loads(self, robot: Robot, segment: MotionSegment, states: np.ndarray, values: Sequence[float]) -> Loads:
         """Wrenches on bodies about the base origin.
 
@@ -191,7 +193,6 @@ class LoadEffect(Effect):
         values
             Of the parameters (k,).
         """
-        raise NotImplementedError
 
 
 class RotorEffect(Effect):
@@ -220,9 +221,9 @@ class JointTorqueEffect(InstrumentEffect):
     #: Whether it depends on the torque that moves and carries the links.
     uses_load: ClassVar[bool] = False
 
+    @abstractmethod
     def torque(self, motion: JointMotion, values: Sequence[float]) -> np.ndarray:
         """What it adds (N,) [N m or N]."""
-        raise NotImplementedError
 
     def per_load(self, motion: JointMotion, values: Sequence[float]) -> np.ndarray:
         """Derivative of `torque` with respect to the load (N,), for effects that use it."""
@@ -264,9 +265,9 @@ class SensorEffect(InstrumentEffect):
     channels = ("wrench",)
     at = "sensor"
 
+    @abstractmethod
     def applied(self, chain: SensorChain, values: Sequence[float]) -> SensorChain:
         """The chain with this effect."""
-        raise NotImplementedError
 
     def columns(self, chain: SensorChain, segment: MotionSegment, true: np.ndarray, values: Sequence[float]) -> np.ndarray:
         """Derivative of the reading (N, 6, k) at its values; ``chain`` is without it, ``true`` the wrench (N, 6)."""
@@ -276,9 +277,9 @@ class SensorEffect(InstrumentEffect):
 class ReadingEffect(InstrumentEffect):
     """Something that comes on top of any channels' readings."""
 
+    @abstractmethod
     def added(self, readout: Readout, values: Sequence[float]) -> np.ndarray:
         """What is read beside the truth (N, c)."""
-        raise NotImplementedError
 
     def tangent(self, readout: Readout, values: Sequence[float], change: np.ndarray) -> np.ndarray | None:
         """Change of `added` with a change of the true readings (N, c, k); None: it does not depend on them."""

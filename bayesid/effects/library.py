@@ -223,6 +223,8 @@ def _check(c: type[Effect], source: str) -> None:
         raise InputError(f"{who}: name = {c.name!r}; write a name of letters, digits and underscores")
     if c.at not in _PLACES:
         raise InputError(f"{who}: at = {c.at!r}; write one of {', '.join(_PLACES)}")
+    if missing := _missing(c):
+        raise InputError(f"{who}: has no method {', '.join(missing)}; write it, as the docstring of its base class says")
     if not c.channels or not set(c.channels) <= {"wrench", "torque"}:
         raise InputError(f"{who}: channels = {c.channels!r}; write ('wrench',), ('torque',) or both")
     if not c.quantities or len(set(c.parameters)) < len(c.parameters):
@@ -232,6 +234,18 @@ def _check(c: type[Effect], source: str) -> None:
             raise InputError(f"{who}: a parameter is called {p.name!r}; write an identifier, and not 'fixed'")
         if not p.lower <= p.start <= p.upper:
             raise InputError(f"{who}: {p.name} starts at {p.start:g}, outside {p.lower:g} ... {p.upper:g}; give a start inside")
+
+
+def _missing(c: type[Effect]) -> list[str]:
+    """Methods that a class must have and has not: its family's, and those that what it says of itself asks for."""
+    from bayesid.effects.effect import Effect
+
+    out = sorted(c.__abstractmethods__)
+    if c.harmonics and c.from_harmonic is Effect.from_harmonic:
+        out.append("from_harmonic")
+    if c.from_motion_alone is not Effect.from_motion_alone and c.motion_columns is Effect.motion_columns:
+        out.append("motion_columns")
+    return out
 
 
 def _where_else(c: type[Effect], where: str, joints: int) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from bayesid.dynamics.channels import WRENCH_NAMES
 from bayesid.effects.effect import Parameter
 from bayesid.effects.families import SensorEffect
+from bayesid.effects.segment import MotionSegment
 
 _LOADS = ("N",) * 3 + ("N m",) * 3
 # A strain-gauge platform under an arm: tens of newtons [N, N m]; drift per second is a thousandth.
@@ -24,9 +26,9 @@ class _OnTop(SensorEffect):
     def from_motion_alone(self):
         return True
 
-    def course(self, segment):
+    @abstractmethod
+    def course(self, segment: MotionSegment) -> np.ndarray:
         """What one unit adds (N,)."""
-        raise NotImplementedError
 
     def columns(self, chain, segment, true, values):
         return self.course(segment)[:, None, None] * np.eye(6)

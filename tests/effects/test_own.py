@@ -7,7 +7,7 @@ import pytest
 
 import bayesid
 from bayesid.cli import main
-from bayesid.effects import EffectLibrary, library
+from bayesid.effects import EffectLibrary, InstrumentEffect, JointTorqueEffect, Parameter, library
 from bayesid.effects.friction import ViscousFriction
 from bayesid.errors import InputError
 from bayesid.simulation.trajectories import new_trajectories
@@ -112,3 +112,19 @@ def test_a_package_registers_its_effect(monkeypatch):
             _ = EffectLibrary().classes
     finally:
         library._installed.cache_clear()
+
+
+@pytest.mark.parametrize(
+    "said, missing",
+    [
+        ({"base": JointTorqueEffect}, "torque"),
+        ({"base": JointTorqueEffect, "torque": lambda self, motion, values: motion.q, "harmonics": (1.0,)}, "from_harmonic"),
+        ({"base": InstrumentEffect, "from_motion_alone": property(lambda self: True), "at": "base"}, "motion_columns"),
+    ],
+)
+def test_a_class_without_a_method_that_it_needs_is_refused_by_name(said, missing):
+    """At once and in one line, not when the method is first called."""
+    base = said.pop("base")
+    lacking = type("Lacking", (base,), {"name": "lacking", "quantities": (Parameter("c", "N m"),), **said})
+    with pytest.raises(InputError, match=f"mine.py: effect 'lacking': has no method {missing}"):
+        EffectLibrary().with_classes([lacking], "mine.py")
