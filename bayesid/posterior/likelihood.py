@@ -24,12 +24,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
 
+from bayesid.estimators.conic.data import compressed
 from bayesid.estimators.factor import Factor, reduce_rows, stack, whitened
 from bayesid.estimators.least_squares import sandwich_middle
 from bayesid.estimators.weights import Weights, learn_weights
-from bayesid.regression.linalg import column_lengths, solve
+from bayesid.regression.linalg import pseudo_inverse, solve
 from bayesid.regression.regression import Regression
 from bayesid.signals.noise import NoiseModel
 
@@ -141,15 +141,12 @@ def _adjusted(regression: Regression, weights: Weights) -> tuple[dict[str, Noise
         solution = solve(factor.matrix, factor.target)
     noise, scale, factor = fitted(solution)
     middle = sandwich_middle(regression, weights, scale)
-    length = column_lengths(factor.matrix)
-    u, s, vt = np.linalg.svd(factor.matrix / length)
-    keep = s > 1e-11 * s[0]
-    # Coordinates z = S V' D b, in which X has orthonormal columns, and the way back.
-    there, back = s[keep][:, None] * vt[keep] * length, (vt[keep] / s[keep][:, None] / length).T
-    covariance = back.T @ middle @ back
-    lower = cholesky(0.5 * (covariance + covariance.T), lower=True)
-    change = back @ (solve_triangular(lower, there, lower=True) - there)  # C - 1
-    out = np.eye(len(length) + 1)
+    # R b with R'R = X'X, and S b with S'S = V^-1, so that S = R C.
+    plain, rotated = compressed(factor.matrix, factor.target, None)
+    wanted, _ = compressed(factor.matrix, factor.target, middle)
+    back = pseudo_inverse(plain)
+    change = back @ (wanted - plain)  # C - 1
+    out = np.eye(len(solution) + 1)
     out[:-1, :-1] += change
-    out[:-1, -1] = change @ back @ (u.T[keep] @ factor.target)
+    out[:-1, -1] = change @ back @ rotated
     return noise, out

@@ -117,8 +117,9 @@ def _verdict(result: Identification) -> str:
     unseen = "the motion" if len(result.validation) == 1 else f"the worst of {len(result.validation)} motions"
     text = (
         f"{count} On {unseen} not used for the fit (‘{worst.motion}’), the {channel_text(problem.channel)} "
-        f"{'are' if problem.channel != 'wrench' else 'is'} predicted to {percent(band_error(worst), 2)} of the signal below "
-        f"{number(BAND, 2)} Hz ({_sizes(worst)}; {percent(relative_error(worst), 2)} on raw samples); {judged(worst).text}."
+        f"{'are' if problem.channel != 'wrench' else 'is'} predicted with an error of {percent(band_error(worst), 2)} of "
+        f"the signal below {number(BAND, 2)} Hz ({_sizes(worst)}; {percent(relative_error(worst), 2)} on raw samples); "
+        f"{judged(worst).text}."
     )
     if worst.repeats:
         text += f" That motion repeats the fitted ‘{worst.repeats}’, however."
@@ -134,7 +135,7 @@ def _cards(result: Identification) -> list[dict[str, str]]:
         left = "what the fit left (sensor noise unknown)" if p.noise_source == RESIDUALS else "the sensor's noise"
         cards += [
             {"value": percent(band_error(p)), "mood": mood, "text": f"error of the signal on ‘{p.motion}’, below {BAND:.2g} Hz"},
-            {"value": f"{number(p.whitened_rms, 3)} ×", "mood": mood, "text": f"{left} is the residual on ‘{p.motion}’"},
+            {"value": f"{number(p.whitened_rms, 3)} ×", "mood": mood, "text": f"{left}: the residual on ‘{p.motion}’"},
         ]
     moved = result.urdf.moved
     if moved is not None and moved.distance is not None:
