@@ -153,11 +153,11 @@ class Pilot:
 
     def weighted(self, scale: np.ndarray) -> Factor:
         """Factor of rows over the scale of every channel (c,)."""
-        return self._reduced([b.rows / scale[:, None] for b in self.orthonormal])
+        return self.factor_of([b.rows / scale[:, None] for b in self.orthonormal])
 
     def whitened(self, noise: dict[str, NoiseModel]) -> Factor:
         """Factor of whitened rows."""
-        return self._reduced([white for _, white in whitened(self.orthonormal, noise)])
+        return self.factor_of([white for _, white in whitened(self.orthonormal, noise)])
 
     def stretches(self, parts: Sequence[np.ndarray]) -> list[np.ndarray]:
         """``[X y]'[X y]`` of stretches, equally long, of weighted rows of ``orthonormal`` (k, channels, p + 1)."""
@@ -171,7 +171,8 @@ class Pilot:
         inner = gram_rows(self.orthonormal, lambda b: transform(b, b.matrix))
         return inner if self.root is None else self.root[:-1, :-1].T @ inner @ self.root[:-1, :-1]
 
-    def _reduced(self, parts: list[np.ndarray]) -> Factor:
+    def factor_of(self, parts: Sequence[np.ndarray]) -> Factor:
+        """Factor of weighted rows of ``orthonormal`` (k, channels, p + 1)."""
         flat = [rows.reshape(-1, rows.shape[-1]) for rows in parts]
         count = sum(map(len, flat))
         if self.root is not None:

@@ -24,7 +24,7 @@ from bayesid.estimators.estimator import Estimate, largest_autocorrelation
 from bayesid.estimators.factor import Factor, gram_rows, reduce_whitened, whitened
 from bayesid.estimators.reduction import reduce_in_coordinates
 from bayesid.estimators.weights import Weights, learn_weights, pilot_of
-from bayesid.regression.blocks import Block
+from bayesid.regression.blocks import Block, residual_of
 from bayesid.regression.linalg import (
     column_lengths,
     condition_number,
@@ -194,10 +194,11 @@ def sandwich_middle(regression: Regression, weights: Weights, scale: dict[str, n
     """
 
     def colour(block: Block) -> np.ndarray:
-        weighted = block.matrix * scale[block.group][:, None] ** 2
+        weighted = block.rows * scale[block.group][:, None] ** 2
         return weights.noise[block.group].colour_transposed(weighted)
 
-    return weights.dispersion * gram_rows(regression.blocks(), colour)
+    # With the target, which is left out at the end: whole rows need no copy.
+    return weights.dispersion * gram_rows(regression.blocks(), colour)[:-1, :-1]
 
 
 def _shrink(regression, factor: Factor, given, inverse, *, continuous: bool) -> tuple[np.ndarray, float]:
@@ -269,7 +270,7 @@ def make_estimate(
     hidden
         Parameters that the rows say nothing about (p,).
     """
-    white = [rows[:, :, -1] - rows[:, :, :-1] @ solution for _, rows in whitened(regression.pilot(), weights.noise)]
+    white = [residual_of(rows, solution) for _, rows in whitened(regression.pilot(), weights.noise)]
     count = sum(w.size for w in white)
     rms = float(np.sqrt(sum(np.sum(w**2) for w in white) / max(count - len(solution), 1)))
     weak = np.zeros(len(solution), bool)

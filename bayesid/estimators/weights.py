@@ -81,7 +81,7 @@ def _learned(regression: Regression) -> Weights:
     for _ in range(2):
         factor = pilot.weighted(scale)
         plain = solve(factor.matrix, factor.target)
-        residual = [b.target - b.matrix @ plain for b in blocks]
+        residual = [b.residual(plain) for b in blocks]
         power = np.sum([np.sum(r**2, axis=0) for r in residual], axis=0) / sum(len(r) for r in residual)
         scale = np.sqrt(np.maximum(power, 1e-20 * max(power.max(), 1e-200)))
     known = stated_noise(regression)
@@ -93,17 +93,20 @@ def _learned(regression: Regression) -> Weights:
         factor = pilot.whitened(noise)
         efficient = solve(factor.matrix, factor.target)
         noise = noise_of_residuals(regression, blocks, efficient, factor)
-    agreement = _agreement(pilot, noise, plain, efficient, scale)
-    power = [sum(np.sum(((b.target - b.matrix @ x) / scale) ** 2) for b in blocks) for x in (plain, efficient)]
+    white = [rows for _, rows in whitened(pilot.orthonormal, noise)]
+    middle = _middle(pilot, noise, scale)
+    agreement = _agreement(pilot.factor_of(white), pilot.weighted(scale), middle, plain - efficient)
+    power = [sum(np.sum((b.residual(x) / scale) ** 2) for b in blocks) for x in (plain, efficient)]
     complete = bool(agreement > SMALLEST_AGREEMENT or power[1] <= LARGEST_LOSS * power[0])
-    found, degrees = dispersion(pilot.stretches([white for _, white in whitened(pilot.orthonormal, noise)]), efficient)
+    found, degrees = dispersion(pilot.stretches(white), efficient)
     if not complete:
         noise = first
         for _ in range(_PASSES):
             noise = noise_of_residuals(regression, blocks, plain, pilot.whitened(noise))
+        middle = _middle(pilot, noise, scale)
     complete = complete and not beyond_chance(found, degrees, SMALLEST_STRETCHES)
     grams = pilot.stretches([b.rows / scale[:, None] for b in pilot.orthonormal])
-    return Weights(noise, agreement, complete, plain, *dispersion(grams, plain, _middle(pilot, noise, scale)))
+    return Weights(noise, agreement, complete, plain, *dispersion(grams, plain, middle))
 
 
 def pilot_of(regression: Regression) -> Pilot:
@@ -133,7 +136,7 @@ def noise_of_residuals(
     for group in dict.fromkeys(b.group for b in blocks):
         own = [b for b in blocks if b.group == group]
         noise[group] = estimate_noise(
-            [b.target - b.matrix @ values for b in own],
+            [b.residual(values) for b in own],
             parameters=round(sum(len(b.rows) for b in own) / total * len(values)),
             known_poles=regression.known_poles if group == "trajectory" else None,
             highest_order=0 if group == "poses" else 24,
@@ -142,20 +145,27 @@ def noise_of_residuals(
     return noise
 
 
-def _agreement(pilot: Pilot, noise: dict[str, NoiseModel], plain: np.ndarray, efficient: np.ndarray, scale: np.ndarray) -> float:
+def _agreement(efficient: Factor, plain: Factor, middle: np.ndarray, difference: np.ndarray) -> float:
     """Probability of a difference between the two fits as large as this one.
 
     Under a complete model ``d = b_wls - b_gls`` has covariance ``V_wls - V_gls``.
+
+    Parameters
+    ----------
+    efficient, plain
+        Of whitened rows, and of rows weighted by channel.
+    middle
+        Of the sandwich around the channel-weighted fit's covariance (p, p).
+    difference
+        Channel-weighted fit less efficient one (p,).
     """
-    whole = pilot.whitened(noise).matrix
-    bread = pilot.weighted(scale).matrix
-    middle = _middle(pilot, noise, scale)
+    whole, bread = efficient.matrix, plain.matrix
     outer = np.linalg.pinv(bread.T @ bread, rcond=1e-12, hermitian=True)
     covariance = outer @ middle @ outer
     size = standard_deviations(covariance, 1e-300)
     gap = covariance - np.linalg.pinv(whole.T @ whole, rcond=1e-12, hermitian=True)
     # Where the two fits are almost equally sure, the tiny difference is one of estimated weights, not of fits.
-    return hausman(plain - efficient, gap, size, 0.05).probability
+    return hausman(difference, gap, size, 0.05).probability
 
 
 def _middle(pilot: Pilot, noise: dict[str, NoiseModel], scale: np.ndarray) -> np.ndarray:

@@ -43,6 +43,15 @@ class Block:
         """Measured (k, channels)."""
         return self.rows[:, :, -1]
 
+    def residual(self, solution: np.ndarray) -> np.ndarray:
+        """What parameters (p,) leave of what was measured (k, channels)."""
+        return residual_of(self.rows, solution)
+
+
+def residual_of(rows: np.ndarray, solution: np.ndarray) -> np.ndarray:
+    """Target less prediction (k, channels) of regressor columns and target (k, channels, p + 1), as one product."""
+    return (rows.reshape(-1, rows.shape[-1]) @ np.append(-solution, 1.0)).reshape(rows.shape[:-1])
+
 
 @dataclass(frozen=True)
 class Pair:

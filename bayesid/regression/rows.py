@@ -205,7 +205,8 @@ class RowModel:
         rigid = self.kernel.readings(
             state.positions, state.velocities, state.accelerations, links, gravity=segment.gravity
         )
-        return rigid + self.effect_columns(segment, state) @ solution[rank:]
+        effects = self.effect_columns(segment, state)
+        return rigid + np.tensordot(effects, solution[rank:], 1)
 
 
 def make_blocks(row_model: RowModel, segments: Sequence[Segment]) -> Iterator[Block]:

@@ -106,11 +106,29 @@ def _add_lagged_products(z, out):
     rows, channels, width = z.shape
     for c in range(channels):
         for t in range(rows):
-            for lag in range(min(t + 1, out.shape[1])):
+            here, lags = z[t, c], min(t + 1, out.shape[1])
+            lag = 0
+            while lag + 4 < lags:  # a few lags at once: their sums do not wait for each other
+                z0, z1, z2, z3, z4 = z[t - lag, c], z[t - lag - 1, c], z[t - lag - 2, c], z[t - lag - 3, c], z[t - lag - 4, c]
+                s0 = s1 = s2 = s3 = s4 = 0.0
+                for j in range(width):
+                    x = here[j]
+                    s0 += x * z0[j]
+                    s1 += x * z1[j]
+                    s2 += x * z2[j]
+                    s3 += x * z3[j]
+                    s4 += x * z4[j]
+                out[c, lag] += s0
+                out[c, lag + 1] += s1
+                out[c, lag + 2] += s2
+                out[c, lag + 3] += s3
+                out[c, lag + 4] += s4
+                lag += 5
+            for rest in range(lag, lags):
                 total = 0.0
                 for j in range(width):
-                    total += z[t, c, j] * z[t - lag, c, j]
-                out[c, lag] += total
+                    total += here[j] * z[t - rest, c, j]
+                out[c, rest] += total
 
 
 def autocovariance(polynomial: np.ndarray, lags: int) -> np.ndarray:
@@ -128,6 +146,8 @@ def autocovariance(polynomial: np.ndarray, lags: int) -> np.ndarray:
 
 def moving_average(polynomial: np.ndarray, rows: np.ndarray) -> np.ndarray:
     """Moving average along the first axis, from the zero state."""
+    if len(polynomial) == 1 and polynomial[0] == 1.0:
+        return rows
     out = polynomial[0] * rows
     for k in range(1, len(polynomial)):
         out[k:] += polynomial[k] * rows[:-k]
@@ -143,7 +163,7 @@ def channel_products(rows: np.ndarray) -> np.ndarray:
 def mix(matrix: np.ndarray, rows: np.ndarray) -> np.ndarray:
     """Apply a channels x channels matrix to rows (k, channels, ...)."""
     flat = np.ascontiguousarray(rows, float).reshape(*rows.shape[:2], -1)
-    out = np.zeros(flat.shape)
+    out = np.empty(flat.shape)
     _mix(np.ascontiguousarray(matrix, float), flat, out)
     return out.reshape(rows.shape)
 
@@ -152,7 +172,10 @@ def mix(matrix: np.ndarray, rows: np.ndarray) -> np.ndarray:
 def _mix(matrix, rows, out):
     for t in range(len(rows)):
         for c in range(len(matrix)):
-            for d in range(len(matrix)):
+            factor = matrix[c, 0]
+            for j in range(rows.shape[2]):
+                out[t, c, j] = factor * rows[t, 0, j]
+            for d in range(1, len(matrix)):
                 if matrix[c, d] != 0.0:  # triangular ones are half empty
                     factor = matrix[c, d]
                     for j in range(rows.shape[2]):

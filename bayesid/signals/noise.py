@@ -83,10 +83,11 @@ class NoiseModel:
         if before is not None and len(before) < self.order:  # the start is still within reach
             return self.whiten(np.concatenate([before, rows]))[len(before) :]
         lower = cholesky(self.innovation, lower=True)
-        white = self._recursion(rows, before)
+        white = self.innovations(rows, before)
         return mix(np.linalg.inv(lower), white)
 
-    def _recursion(self, rows, before):
+    def innovations(self, rows: np.ndarray, before: np.ndarray | None = None) -> np.ndarray:
+        """The rows' innovations, channel by channel, with covariance S where `whiten` gives the identity."""
         p = self.order
         if p == 0:
             return np.asarray(rows, float)
@@ -171,12 +172,12 @@ def estimate_noise(
     p = orders[int(np.argmin(scores))]
     coefficients = np.array([np.convolve(known, polynomials[c, p, : p + 1]) for c in range(channels)])
     shaped = NoiseModel(coefficients, np.eye(channels), from_zero=known_poles is not None)
-    white = np.concatenate([shaped.whiten(r) for r in residuals])
+    white = np.concatenate([shaped.innovations(r) for r in residuals])
     innovation = white.T @ white / len(white)
     if spread is None:
         innovation /= max(1.0 - parameters / white.size, 0.05)
     else:
-        innovation += sum(channel_products(shaped.whiten(z)) for z in spread) / len(white)
+        innovation += sum(channel_products(shaped.innovations(z)) for z in spread) / len(white)
     # A channel without any noise (noise-free simulations) must not make the covariance singular.
     scale = np.diag(innovation)
     innovation = innovation + np.diag(1e-10 * scale + 1e-20 * max(scale.max(), 1e-200))

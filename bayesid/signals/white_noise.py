@@ -13,6 +13,9 @@ WINDOW, QUIET = 64, 0.1
 FILTERED_RATIO = 8.0
 #: The mean over all windows is taken, being more exact, where it exceeds what the quiet ones say by less than this.
 _STEADY = 1.3
+#: Frequencies above the motion's, and those that tell filtered readings, as shares of the sampling rate.
+_ABOVE = (0.3, 0.48)
+_COMPARED = ((0.15, 0.25), (0.4, 0.48))
 
 
 def quiet_noise(readings: Sequence[np.ndarray], window: int = WINDOW, quantile: float = QUIET) -> np.ndarray:
@@ -29,14 +32,14 @@ def quiet_noise(readings: Sequence[np.ndarray], window: int = WINDOW, quantile: 
     window, quantile
         Samples of a window, and which quantile of the windows counts.
     """
-    powers, bins = _powers(readings, 0.3, 0.48, window)
-    return np.sqrt(np.quantile(powers, quantile, axis=0) / (chi2.ppf(quantile, 2 * bins) / (2 * bins)))
+    (powers,), bins = _powers(readings, [_ABOVE], window)
+    return _quiet(powers, bins, quantile)
 
 
 def steady_noise(readings: Sequence[np.ndarray]) -> np.ndarray:
     """As `quiet_noise` (c,), but from all windows where the noise is as strong in all of them."""
-    quiet = quiet_noise(readings)
-    mean = np.sqrt(_powers(readings, 0.3, 0.48, WINDOW)[0].mean(axis=0))
+    (powers,), bins = _powers(readings, [_ABOVE], WINDOW)
+    quiet, mean = _quiet(powers, bins, QUIET), np.sqrt(powers.mean(axis=0))
     return np.where(mean < _STEADY * quiet, mean, quiet)
 
 
@@ -44,28 +47,35 @@ def low_passed(
     readings: Sequence[np.ndarray], ratio: float = FILTERED_RATIO, window: int = WINDOW, quantile: float = QUIET
 ) -> bool:
     """Whether readings were filtered before they were recorded, so that noise above the band tells nothing of it below."""
-    lower, upper = (
-        np.quantile(_powers(readings, *band, window)[0], quantile, axis=0) for band in ((0.15, 0.25), (0.4, 0.48))
-    )
+    lower, upper = (np.quantile(p, quantile, axis=0) for p in _powers(readings, _COMPARED, window)[0])
     return bool(np.max(lower / np.maximum(upper, 1e-300)) > ratio)
 
 
-def _powers(readings: Sequence[np.ndarray], low: float, high: float, window: int) -> tuple[np.ndarray, int]:
-    """Power per sample between two frequencies (shares of the sampling rate) of every window (w, c), and how many bins.
+def _quiet(powers: np.ndarray, bins: int, quantile: float) -> np.ndarray:
+    """Standard deviation of noise whose windows have these powers at their quietest (c,)."""
+    return np.sqrt(np.quantile(powers, quantile, axis=0) / (chi2.ppf(quantile, 2 * bins) / (2 * bins)))
+
+
+def _powers(readings: Sequence[np.ndarray], bands: Sequence[tuple[float, float]], window: int) -> tuple[list[np.ndarray], int]:
+    """Power per sample in bands (shares of the sampling rate) of every window, each (w, c), and how many bins the last one has.
 
     Second differences first, so that a slow, large motion does not leak upwards; their gain is (2 sin(pi f h))^4.
     """
-    powers, bins = [], 1
+    powers, bins = [[] for _ in bands], 1
     for values in readings:
         length = min(window, len(values) // 2)
         pieces = len(values) // length
-        cut = np.diff(values[: pieces * length].reshape(pieces, length, -1), n=2, axis=1)
-        count = cut.shape[1]
-        frequency = np.fft.rfftfreq(count)
-        shape = np.hanning(count + 2)[1:-1]
-        power = np.abs(np.fft.rfft(cut * shape[:, None], axis=1)) ** 2 / np.sum(shape**2)
-        inside = (frequency > low) & (frequency < high)
-        # A Hann window spreads each frequency over about three bins' worth, 1.5 of them independent.
-        bins = max(int(np.count_nonzero(inside) / 1.5), 1)
-        powers.append(np.mean(power[:, inside] / ((2.0 * np.sin(np.pi * frequency[inside])) ** 4)[:, None], axis=1))
-    return np.concatenate(powers), bins
+        cut = values[: pieces * length].reshape(pieces, length, -1)
+        difference = np.diff(np.eye(length), n=2, axis=0)
+        frequency = np.fft.rfftfreq(length - 2)
+        shape = np.hanning(length)[1:-1]
+        for k, (low, high) in enumerate(bands):
+            inside = frequency[(frequency > low) & (frequency < high)]
+            # A Hann window spreads each frequency over about three bins' worth, 1.5 of them independent.
+            bins = max(int(len(inside) / 1.5), 1)
+            gain = np.sqrt(len(inside) * np.sum(shape**2)) * (2.0 * np.sin(np.pi * inside)) ** 2
+            # Of the few frequencies of a band, differences, window and transform are one product.
+            angle = 2.0 * np.pi * inside[:, None] * np.arange(length - 2)
+            turn = np.concatenate([np.cos(angle), np.sin(angle)]) * shape / np.tile(gain, 2)[:, None]
+            powers[k].append(np.sum((turn @ difference @ cut) ** 2, axis=1))
+    return [np.concatenate(p) for p in powers], bins

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -11,8 +12,8 @@ from scipy.signal import butter, correlate, sosfiltfilt, welch
 from bayesid.estimators import Estimate
 from bayesid.estimators.factor import whitened
 from bayesid.recordings.experiment import Experiment, Motion
-from bayesid.regression.blocks import Block
-from bayesid.regression.parallel import in_order
+from bayesid.regression.blocks import Block, residual_of
+from bayesid.regression.parallel import both, in_order
 from bayesid.regression.problem import Problem
 from bayesid.regression.rows import Segment, make_blocks
 from bayesid.signals.noise import NoiseModel
@@ -162,10 +163,12 @@ def predict(problem: Problem, estimate: Estimate, motion: Motion, floor: NoiseFl
     moving = [r for r in segments if not r.poses and np.ptp(r.inner(margin))] or [r for r in segments if r.poses]
     error, raw, times, measured, predicted = [], [], [], [], []
     for segment in moving:
-        one = _one(problem, estimate, segment)
-        t, y, prediction = one
+        a, b = segment.inner(0.0 if segment.poses else margin)  # where the smoothed trajectory is sound
+        t, y = segment.times[a:b], segment.measured(a, b)
+        in_band = partial(_band, t, poses=segment.poses)
+        prediction, smooth_y = both(partial(_predicted, problem, estimate, segment, a, b), partial(in_band, y))
         raw.append(prediction - y)
-        smooth_y, smooth_p = _band(t, y, segment.poses), _band(t, prediction, segment.poses)
+        smooth_p = in_band(prediction)
         error.append(smooth_p - smooth_y)
         times.append(t)
         measured.append(smooth_y)
@@ -201,15 +204,13 @@ def predict(problem: Problem, estimate: Estimate, motion: Motion, floor: NoiseFl
     )
 
 
-def _one(problem: Problem, estimate: Estimate, segment: Segment):
-    """Times, measured and predicted raw samples; where the smoothed trajectory is sound."""
-    times = segment.times
-    a, b = segment.inner(0.0 if segment.poses else problem.row_model.margin)
+def _predicted(problem: Problem, estimate: Estimate, segment: Segment, a: int, b: int) -> np.ndarray:
+    """Predicted raw samples a ... b - 1 (b - a, c)."""
 
     def predicted(first: int) -> np.ndarray:
         return problem.row_model.predicted(segment, first, min(first + _CHUNK, b), estimate.solution)
 
-    return times[a:b], segment.measured(a, b), np.concatenate(list(in_order(predicted, range(a, b, _CHUNK))))
+    return np.concatenate(list(in_order(predicted, range(a, b, _CHUNK))))
 
 
 def _band(times: np.ndarray, values: np.ndarray, poses: bool) -> np.ndarray:
@@ -236,16 +237,18 @@ def _whitened(
             noise[group] = next(iter(estimate.noise.values())).uncoloured()
     group = "poses" if all(s.poses for s in segments) else "trajectory"
     blocks = (block for block in problem.rows.blocks([motion]) if block.group == group)
+    # Zero for the target: whole rows need no copy.
+    covariance = None if estimate.full_covariance is None else np.pad(estimate.full_covariance, (0, 1))
 
     def judged(pair: tuple[Block, np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Residuals of a block as they are and whitened, and squared standard deviations of the whitened predictions (k, c)."""
         block, white = pair
-        x = white.reshape(-1, white.shape[2])[:, :-1]
-        residual = white[:, :, -1] - (x @ estimate.solution).reshape(white.shape[:2])
+        residual = residual_of(white, estimate.solution)
         variance = np.zeros(residual.shape)
-        if estimate.full_covariance is not None:
-            variance = np.einsum("np,np->n", x @ estimate.full_covariance, x).reshape(residual.shape)
-        return block.target - block.matrix @ estimate.solution, residual, variance
+        if covariance is not None:
+            x = white.reshape(-1, white.shape[2])
+            variance = np.einsum("np,np->n", x @ covariance, x).reshape(residual.shape)
+        return block.residual(estimate.solution), residual, variance
 
     parts = list(in_order(judged, whitened(blocks, noise)))
     raw, residual, variance = ([part[k] for part in parts] for k in range(3))
@@ -256,7 +259,7 @@ def _whitened(
         unfiltered = raw
         if problem.row_model.filters is not None:  # the floor is that of rows without them
             plain = make_blocks(replace(problem.row_model, filters=None), segments)
-            unfiltered = [b.target - b.matrix @ estimate.solution for b in plain]
+            unfiltered = [b.residual(estimate.solution) for b in plain]
         channels = floor.ratio(unfiltered, problem.row_model.step, BAND)
     inside = np.abs(residual) <= 1.959964 * np.sqrt(1.0 + variance)
     spectrum = None

@@ -25,7 +25,7 @@ from bayesid.results.urdf_links import UrdfLinks
 from bayesid.robot.urdf import write_urdf
 from bayesid.signals.filters import LowPass
 from bayesid.validation.cross_checks import Agreement, fits_alone, motions_apart, static_both_ways, wrench_against_torque
-from bayesid.validation.noise_floor import noise_floor
+from bayesid.validation.noise_floor import NoiseFloor, noise_floor
 from bayesid.validation.prediction import Prediction, predict
 from bayesid.workflows.progress import Clock, Progress, quiet
 from bayesid.workflows.urdf_links import urdf_links
@@ -90,21 +90,20 @@ def identify(
         clock("estimate")
         # Where nothing is linearised at the estimate, motions can be fitted alone beside it, on another core.
         early = () if problem.row_model.point else [name for name in problem.segments if name not in problem.fitted]
-        (problem, estimate), alone = both(partial(solve, problem, method), partial(fits_alone, problem, method, early))
+        (problem, estimate, floor), alone = both(
+            partial(_solved, problem, method), partial(fits_alone, problem, method, early)
+        )
         clock("prediction")
         readable = [m for m in experiment.motions if m.name in problem.segments]
-        floor = noise_floor(problem)
-        # Fits of single motions need none of the predictions: both at once, on as many cores as there are.
-        fits = partial(motions_apart, problem, estimate, method, alone)
-        jobs = [fits, *(partial(predict, problem, estimate, motion, floor) for motion in readable)]
-        agreements, *predictions = in_order(lambda job: job(), jobs)
+        # Fits of single motions and links need none of the predictions: all at once, on as many cores as there are.
+        fits, possible = partial(motions_apart, problem, estimate, method, alone), partial(urdf_links, problem, estimate)
+        jobs = [fits, possible, *(partial(predict, problem, estimate, motion, floor) for motion in readable)]
+        agreements, links, *predictions = in_order(lambda job: job(), jobs)
         clock("consistency")
         alternative = static_both_ways(problem, method)
         if problem.channel == "both":
             across = wrench_against_torque(problem, method)
             agreements += [across] if across is not None else []
-        clock("links")
-        links = urdf_links(problem, estimate)
         unexcited = _unexcited(problem, estimate)
     validation = tuple(p for p in predictions if p.motion not in problem.fitted and p.role == "validation")
     return Identification(
@@ -145,6 +144,12 @@ def _(result: Identification) -> Files:
     expressions = result.problem.experiment.library.expressions
     others["model.toml"] = lambda path: write_model(effects, values, path, expressions)
     return Files({"estimate.json": result.to_dict()}, others, identification_report(result))
+
+
+def _solved(problem: Problem, method: Estimator) -> tuple[Problem, Estimate, NoiseFloor | None]:
+    """The problem at its solution, the estimate, and the noise that is left to any."""
+    problem, estimate = solve(problem, method)
+    return problem, estimate, noise_floor(problem)
 
 
 def _unexcited(problem: Problem, estimate: Estimate) -> tuple[str, ...]:

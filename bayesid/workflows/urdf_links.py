@@ -64,7 +64,7 @@ def _errors(problem: Problem, *solutions: np.ndarray) -> dict[str, tuple[float, 
     for name in unfitted or problem.fitted:
         power, size = np.zeros(len(solutions)), 0.0
         for block in problem.rows.blocks([name]):
-            power += [np.sum((block.target - block.matrix @ s) ** 2) for s in solutions]
+            power += [np.sum(block.residual(s) ** 2) for s in solutions]
             size += float(np.sum(block.target**2))
         first, second = np.sqrt(power / max(size, 1e-300))
         out[name] = (float(first), float(second))

@@ -182,7 +182,7 @@ def _prediction_root(regression: Regression, estimate: Estimate) -> np.ndarray:
     """W with ``||W (x - x_hat)||^2`` the power of the change of predictions relative to the residuals', mean over channels."""
     grams, powers, sizes = [], [], []
     for block in regression.blocks():
-        residual = block.target - block.matrix @ estimate.solution
+        residual = block.residual(estimate.solution)
         powers.append(np.sum(residual**2, axis=0))
         sizes.append(np.sum(block.target**2, axis=0))
         grams.append(np.einsum("tcp,tcq->cpq", block.matrix, block.matrix, optimize=True))
