@@ -18,6 +18,7 @@ from bayesid.cli.options import (
     show_progress,
 )
 from bayesid.errors import EstimationError
+from bayesid.estimators.prior_check import conflicts
 from bayesid.results.files import check_output
 from bayesid.workflows.sample import checkpoint_of
 
@@ -55,6 +56,6 @@ def sample(experiment, filter_l, filter_d, model, effects_from, out, resume, **o
         raise EstimationError(f"interrupted; add --resume to go on from {kept}" if kept.exists() else "interrupted") from None
     kept.unlink(missing_ok=True)
     click.echo(str(result))
-    for warning in result.warnings:
+    for warning in [w for w in result.warnings if w not in conflicts(result.prior_check)]:  # those stand above
         click.echo(f"  warning: {warning}")
     click.echo(f"report: {report}")

@@ -11,6 +11,7 @@ import numpy as np
 
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.estimators.estimator import LEVEL, parameter_table
+from bayesid.estimators.prior_check import PriorCheck, conflicts
 from bayesid.posterior import density
 from bayesid.posterior.convert import Groups, to_arviz
 from bayesid.posterior.diagnostics import Convergence
@@ -39,12 +40,15 @@ class Posterior:
         Of the run.
     extra
         Further groups for ArviZ, such as the posterior predictive.
+    prior_check
+        How far the data are from the prior; None with a flat one.
     """
 
     model: PosteriorModel
     chains: Chains
     seed: int = 0
     extra: Groups = field(default_factory=Groups, repr=False)
+    prior_check: PriorCheck | None = None
 
     # ---- draws ------------------------------------------------------------------------------------------------
 
@@ -235,6 +239,7 @@ class Posterior:
         links = self.link_draws
         d = self.diagnosis
         return {
+            "prior_against_data": None if self.prior_check is None else self.prior_check.to_dict(),
             "prior": self._attributes()["prior"],
             "noise": model.noise,
             "model_complete": model.likelihood.complete,
@@ -278,7 +283,8 @@ class Posterior:
         """Table of the base and effect parameters."""
         d = self.diagnosis
         shape = self.chains.draws.shape
-        lines = [
+        lines = [f"warning: {text}" for text in conflicts(self.prior_check)]
+        lines += [
             f"posterior: {self.base.rank} base parameters, {shape[0]} chains of {shape[1]} draws ({self.chains.engine}), "
             f"largest R-hat {d.r_hat.max():.4f}, smallest ESS {d.ess.min():.0f}"
         ]
@@ -295,7 +301,8 @@ class Posterior:
             for n, v, s, lo, hi, u, note in self._table()
         )
         head = "<tr><th>posterior</th><th>mean</th><th>std</th><th>95 %</th><th>unit</th><th></th></tr>"
-        return f"<table>{head}{rows}</table>"
+        told = "".join(f"<p>{escape(text)}</p>" for text in conflicts(self.prior_check))
+        return f"{told}<table>{head}{rows}</table>"
 
     def _table(self):
         e = self.effect_draws

@@ -337,4 +337,6 @@ def _how(result: Identification) -> list[tuple[str, str]]:
         ("Condition number", f"{number(estimate.condition_number, 3)}, with columns of unit length"),
         ("Intervals", estimate.interval if not estimate.interval_reason else f"{estimate.interval}: {estimate.interval_reason}"),
     ]  # fmt: skip
+    if result.prior_check is not None:
+        how.append(("Prior against data", result.prior_check.brief()))
     return [*how, *described(estimate.details.to_dict()), run_times(result.seconds), versions("numpy", "scipy", "pin")]

@@ -193,6 +193,7 @@ def _how(result: ExperimentPosterior) -> list[tuple[str, str]]:
     }[model.noise]
     return [
         ("Prior", prior),
+        *([] if result.prior_check is None else [("Prior against data", result.prior_check.brief())]),
         ("Noise", f"{noise}; autoregressive in time as learned from residuals, correlated between channels"),
         ("Model complete", "yes" if model.likelihood.complete else "no: intervals count how far stretches scatter"),
         ("Rows", f"{int(model.likelihood.counts.sum())} numbers, {number(1.0 / problem.row_model.step, 3)} rows a second"),

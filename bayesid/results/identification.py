@@ -11,6 +11,7 @@ from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.effects import Term
 from bayesid.estimators import Estimate
 from bayesid.estimators.estimator import parameter_table
+from bayesid.estimators.prior_check import PriorCheck, conflicts
 from bayesid.recordings.schema import EffectParameters
 from bayesid.regression.problem import Problem
 from bayesid.results.bodies import impossible_bodies
@@ -56,6 +57,8 @@ class Identification(PlotsPredictions, Result):
         What the user should know, most important first.
     seconds
         Run time by stage.
+    prior_check
+        How far the data are from the nominal links, where their trust is stated or the estimator takes it from the data.
     unconstrained_urdf
         Whether ``identified-unconstrained.urdf`` is written, too.
     """
@@ -71,6 +74,7 @@ class Identification(PlotsPredictions, Result):
     unexcited: tuple[str, ...]
     warnings: tuple[str, ...]
     seconds: dict[str, float]
+    prior_check: PriorCheck | None = None
     unconstrained_urdf: bool = False
 
     @property
@@ -169,6 +173,7 @@ class Identification(PlotsPredictions, Result):
         return {
             "schema": SCHEMA,
             "experiment": self.problem.experiment.name,
+            "prior_against_data": None if self.prior_check is None else self.prior_check.to_dict(),
             "channel": self.problem.channel,
             "motions": list(self.problem.fitted),
             "static": self.problem.static,
@@ -248,8 +253,9 @@ def _known(value: float) -> float | None:
 
 def summary(result: Identification) -> str:
     """A few lines for the terminal."""
-    e, p = result.estimate, result.problem
+    e, p, first = result.estimate, result.problem, conflicts(result.prior_check)
     lines = [
+        *(f"warning: {text}" for text in first),
         f"{p.experiment.name}: {e.base.rank} base parameters from the {p.channel} of {', '.join(p.fitted)} ({e.method})",
         f"  bandwidth of the motion {p.smoother.bandwidth:.3g} Hz ({p.smoother.reason})",
     ]
@@ -258,5 +264,5 @@ def summary(result: Identification) -> str:
             f"  {prediction.role} '{prediction.motion}': error {100 * band_error(prediction):.3g} % of the signal below "
             f"{BAND:.2g} Hz ({100 * relative_error(prediction):.3g} % raw), residual {over_noise(prediction)}"
         )
-    lines += [f"  warning: {w}" for w in result.warnings]
+    lines += [f"  warning: {w}" for w in result.warnings if w not in first]
     return "\n".join(lines)

@@ -60,15 +60,16 @@ class ExperimentPosterior(PlotsPredictions, Posterior, Result):
 
     def to_dict(self) -> dict[str, Any]:
         """``posterior.json``."""
-        filters = self.problem.row_model.filters
+        filters, own = self.problem.row_model.filters, super().to_dict()
         return {
             "schema": SCHEMA,
             "experiment": self.problem.experiment.name,
+            "prior_against_data": own["prior_against_data"],
             "channel": self.problem.channel,
             "motions": list(self.problem.fitted),
             "filter": {"l": None if filters is None else filters.l, "d": None if filters is None else filters.d},
             "inertia_rel_std": self.trust,
-            **super().to_dict(),
+            **own,
             "fit": [p.to_dict() for p in self.fitted],
             "validation": [p.to_dict() for p in self.validation],
             "warnings": list(self.warnings),

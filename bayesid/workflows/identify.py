@@ -13,6 +13,7 @@ from threadpoolctl import threadpool_limits
 from bayesid.dynamics.base_parameters import structural_base
 from bayesid.estimators import DEFAULT_METHOD, Estimate, Estimator, estimator
 from bayesid.estimators.nonlinear import solve
+from bayesid.estimators.prior_check import PriorCheck, against_nominal, conflicts
 from bayesid.recordings.experiment import Experiment, load_experiment
 from bayesid.recordings.schema import write_model
 from bayesid.regression.options import FitOptions
@@ -105,6 +106,7 @@ def identify(
             across = wrench_against_torque(problem, method)
             agreements += [across] if across is not None else []
         unexcited = _unexcited(problem, estimate)
+        check = against_nominal(problem.regression, estimate)
     validation = tuple(p for p in predictions if p.motion not in problem.fitted and p.role == "validation")
     return Identification(
         problem=problem,
@@ -116,8 +118,9 @@ def identify(
         static_alternative=alternative,
         offset=_offset(problem, estimate, links.unconstrained),
         unexcited=unexcited,
-        warnings=_warnings(problem, estimate, links, validation, agreements, unexcited),
+        warnings=_warnings(problem, estimate, check, links, validation, agreements, unexcited),
         seconds=clock.stop(),
+        prior_check=check,
         unconstrained_urdf=unconstrained_urdf,
     )
 
@@ -187,13 +190,14 @@ def _offset(problem: Problem, estimate: Estimate, links: np.ndarray) -> tuple[np
 def _warnings(
     problem: Problem,
     estimate: Estimate,
+    check: PriorCheck | None,
     links: UrdfLinks,
     validation: Sequence[Prediction],
     agreements: Sequence[Agreement],
     unexcited: Sequence[str],
 ) -> tuple[str, ...]:
     """What the user should know, most important first."""
-    out = wrong_signs(problem, estimate)
+    out = [*conflicts(check), *wrong_signs(problem, estimate)]
     for p in validation:
         if p.repeats:
             out.append(repeated_motion(p))

@@ -16,6 +16,7 @@ from bayesid.estimators import Estimate
 from bayesid.estimators.estimator import largest_autocorrelation
 from bayesid.estimators.factor import Factor, stack
 from bayesid.estimators.nonlinear import settled
+from bayesid.estimators.prior_check import PriorCheck, against_prior, conflicts
 from bayesid.posterior.convert import write_netcdf
 from bayesid.posterior.diagnostics import ConvergenceError
 from bayesid.posterior.model import PosteriorModel
@@ -157,13 +158,14 @@ def sample(
         chosen, trust = _prior(regression, prior, prior_std)
         clock("noise")
         model = PosteriorModel.of(regression, chosen, noise)
+        check = None if chosen is None else against_prior(regression, chosen, trust)
         clock("sampling")
         result = run(
             model, choose_engine(model, engine, moves), draws=draws, chains=chains, seed=seed, longest=longest,
             checkpoint=None if checkpoint is None else Path(checkpoint), resume=resume, bar=bar, tell=progress,
         )  # fmt: skip
         clock("prediction")
-        posterior = _with_predictions(model, result, seed, regression, problem, trust, clock)
+        posterior = _with_predictions(model, result, seed, check, regression, problem, trust, clock)
     if not result.diagnosis.passed and not keep_going:
         error = ConvergenceError(
             f"the chains did not converge in {longest} times the usual length: {result.diagnosis.complaint()}; "
@@ -215,13 +217,14 @@ def _prior(regression: Regression, prior: str | Prior | None, std: float | None)
 
 
 def _with_predictions(
-    model: PosteriorModel, result: Chains, seed: int, regression: Regression, problem: Problem | None, trust, clock: Clock
+    model: PosteriorModel, result: Chains, seed: int, check: PriorCheck | None, regression: Regression, problem: Problem | None,
+    trust: float | None, clock: Clock,
 ) -> Posterior:
-    posterior = Posterior(model, result, seed)
+    posterior = Posterior(model, result, seed, prior_check=check)
     if problem is None:
         extra = predictive_groups(posterior, regression.pilot(), (), regression.channel_names)
         clock.stop()
-        return Posterior(model, result, seed, extra)
+        return Posterior(model, result, seed, extra, check)
     others = [m for m in problem.experiment.motions if m.name in problem.segments and m.name not in problem.fitted]
     judges = [m for m in others if m.role == "validation"]
     blocks = _blocks(problem, [m.name for m in judges])
@@ -232,7 +235,7 @@ def _with_predictions(
     validation = tuple(predict(problem, estimate, m, floor) for m in judges)
     clock.stop()
     return ExperimentPosterior(
-        model, result, seed, extra, problem=problem, fitted=fitted, validation=validation, trust=trust,
+        model, result, seed, extra, check, problem=problem, fitted=fitted, validation=validation, trust=trust,
         warnings=_warnings(posterior, problem, validation), seconds=clock.seconds,
     )  # fmt: skip
 
@@ -276,7 +279,7 @@ def as_estimate(posterior: Posterior, regression: Regression) -> Estimate:
 
 
 def _warnings(posterior: Posterior, problem: Problem, validation: Sequence[Prediction]) -> tuple[str, ...]:
-    out = []
+    out = conflicts(posterior.prior_check)
     if not posterior.diagnosis.passed:
         out.append(f"The chains did not converge: {posterior.diagnosis.complaint()}. Do not use these draws as a posterior; "
                    "draw longer (--longest), or take --engine hmc.")
