@@ -14,7 +14,6 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
-from scipy.linalg import solve_toeplitz
 
 from bayesid.errors import InputError
 
@@ -229,5 +228,6 @@ def row_noise_poles(filters: LowPass, sample_step: float, row_step: float) -> np
     turn = np.exp(2j * np.pi * cycles)
     density *= np.prod(np.abs(1.0 - poles[:, None] / turn) ** 2, axis=0)
     covariance = np.real(np.fft.ifft(np.fft.ifftshift(density)))
-    rest = solve_toeplitz(covariance[:_THINNING_ORDER], -covariance[1 : _THINNING_ORDER + 1])
+    lag = np.arange(_THINNING_ORDER)
+    rest = np.linalg.solve(covariance[np.abs(lag[:, None] - lag)], -covariance[1 : _THINNING_ORDER + 1])
     return np.concatenate([poles, np.roots(np.append(1.0, rest))])
