@@ -22,10 +22,10 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.stats import norm, t
 
 from bayesid.errors import InputError
 from bayesid.estimators.details import OPTIONAL, Details
+from bayesid.estimators.encoder_errors import SPECTRA, covariance_of_sums
 from bayesid.estimators.estimator import Estimate
 from bayesid.estimators.factor import Factor, reduce_whitened
 from bayesid.estimators.least_squares import completeness, make_estimate, nominal_start, target_from_nominal, weighted_factor
@@ -40,8 +40,6 @@ from bayesid.signals.noise import NoiseModel
 LARGEST_SHIFT = 0.5
 #: Of what a direction shows, noise may be up to this share for `tls` to take it away.
 LARGEST_SHARE = 0.9
-#: Draws that the spectrum of encoder noise is averaged over.
-_SPECTRA = 16
 
 
 @dataclass(frozen=True)
@@ -232,7 +230,7 @@ def split_noise(
                 total += start.project(z, error)
             rows.append((block.group, error))
         sums.append(total)
-        if k < _SPECTRA:
+        if k < SPECTRA:
             added.append(rows)
     blocks = regression.pilot()
     taken = pseudo_inverse(reduce_whitened(blocks, start.weights.noise).matrix)
@@ -246,9 +244,7 @@ def split_noise(
             regression.known_poles if group == "trajectory" else None,
             coloured=group != "poses",
         )
-    # A variance from few draws: Student's quantile stands for the normal one.
-    wider = (t.ppf(0.975, len(sums) - 1) / norm.ppf(0.975)) ** 2 if len(sums) > 1 else 1.0
-    return noise, wider * np.cov(np.array(sums).T, ddof=min(len(sums) - 1, 1)).reshape(p, p)
+    return noise, covariance_of_sums(np.array(sums))
 
 
 def noise_of_fit(regression: Regression, start: Start, solution: np.ndarray) -> dict[str, NoiseModel]:

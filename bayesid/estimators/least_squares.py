@@ -5,8 +5,9 @@ All minimise ``||W (y - X b)||`` for rows y = X b + e with cov e = Sigma:
 * ``ols``: W = 1. Covariance from the noise as it is, ``(X'X)^-1 X' Sigma X (X'X)^-1``: the sandwich, which
   allows for the colour that filters give.
 * ``wls``: W = 1 / the standard deviation of each channel. The same sandwich.
-* ``gls``: W'W = Sigma^-1, the efficient one; covariance ``(X' Sigma^-1 X)^-1``. It trusts whatever is quiet, so where
-  the model lacks something it goes astray: then W is that of ``wls``.
+* ``gls``: W'W = Sigma^-1, the efficient one; covariance ``(X' Sigma^-1 X)^-1``, or more where encoder errors matter
+  (`bayesid.estimators.encoder_errors`). It trusts whatever is quiet, so where the model lacks something it goes astray: then W
+  is that of ``wls``.
 * ``ridge``, ``tsvd``: biased towards the nominal model, or zero without one; no interval is honest for them.
 """
 
@@ -20,6 +21,7 @@ from scipy.optimize import fminbound
 
 from bayesid.errors import InputError
 from bayesid.estimators.details import Details
+from bayesid.estimators.encoder_errors import efficient_middle
 from bayesid.estimators.estimator import Estimate, largest_autocorrelation
 from bayesid.estimators.factor import Factor, gram_rows, reduce_whitened, whitened
 from bayesid.estimators.reduction import reduce_in_coordinates
@@ -55,7 +57,8 @@ class LeastSquares:
         hidden = undetermined(factor.matrix)
         inverse = determined_inverse(factor.matrix, hidden)
         bread = inverse @ inverse.T
-        covariance = bread if kind == "noise" else bread @ sandwich_middle(regression, weights, scale) @ bread
+        middle = covariance_middle(regression, weights, kind, scale)
+        covariance = bread if middle is None else bread @ middle @ bread
         return make_estimate(self.name, regression, weights, factor, solution, covariance, hidden)
 
 
@@ -185,6 +188,21 @@ def nominal_start(regression: Regression, p: int) -> np.ndarray:
 def target_from_nominal(regression: Regression, factor: Factor) -> np.ndarray:
     """Rotated target (p,) relative to the nominal parameters, of which `nominal_start` is the other part."""
     return factor.target - factor.matrix @ nominal_start(regression, factor.matrix.shape[1])
+
+
+def covariance_middle(
+    regression: Regression, weights: Weights, kind: str, scale: dict[str, np.ndarray]
+) -> np.ndarray | None:
+    """Covariance of the weighted equations' right side (p, p); None where it is the equations' matrix.
+
+    Parameters
+    ----------
+    regression, weights
+        The rows, and their noise.
+    kind, scale
+        As given to and by `weighted_factor`.
+    """
+    return efficient_middle(regression, weights) if kind == "noise" else sandwich_middle(regression, weights, scale)
 
 
 def sandwich_middle(regression: Regression, weights: Weights, scale: dict[str, np.ndarray]) -> np.ndarray:

@@ -11,7 +11,8 @@ say about (beta, s) is in the factors R_c of [X_c y_c] and their numbers of rows
 
 Where the model lacks something (`Weights.complete`), whitening would trust whatever is quiet. Rows are then weighted by channel
 alone, ``X_c / std_c``, and linearly transformed about their least-squares fit b so that the curvature of the likelihood is
-the inverse of its sandwich covariance V, the scatter between stretches of the recording included [Ribatet2012]_,
+the inverse of its sandwich covariance V, the scatter between stretches of the recording included [Ribatet2012]_. So are
+whitened rows where encoder errors matter (`bayesid.estimators.encoder_errors`):
 
     y + X (C - 1) b = X C beta + s u,   C' (X'X) C = V^-1.
 
@@ -26,7 +27,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesid.estimators.conic.data import compressed
-from bayesid.estimators.factor import Factor, reduce_rows, stack, whitened
+from bayesid.estimators.encoder_errors import efficient_middle
+from bayesid.estimators.factor import Factor, reduce_rows, reduce_whitened, stack, whitened
 from bayesid.estimators.least_squares import sandwich_middle
 from bayesid.estimators.weights import Weights, learn_weights
 from bayesid.regression.linalg import pseudo_inverse, solve
@@ -90,11 +92,9 @@ class Likelihood:
         factors: dict[str, list[np.ndarray]] = {}
         counts: dict[str, int] = {}
         rows: dict[str, list[np.ndarray]] = {}
-        noise, adjust = weights.noise, np.eye(columns)
-        if not weights.complete:
-            noise, adjust = _adjusted(regression, weights)
+        noise, adjust = _adjusted(regression, weights)
         for block, plain in whitened(regression.blocks(), noise):
-            white = plain if weights.complete else plain @ adjust
+            white = plain @ adjust
             own = factors.setdefault(block.group, [np.zeros((columns, columns))] * channels)
             for a in range(0, len(white), _PANEL):
                 own = [stack(r, white[a : a + _PANEL, c]) for c, r in enumerate(own)]
@@ -124,7 +124,27 @@ def _white(regression: Regression, group: str, solution: np.ndarray) -> NoiseMod
 
 
 def _adjusted(regression: Regression, weights: Weights) -> tuple[dict[str, NoiseModel], np.ndarray]:
-    """White noise as large as the residuals, and what rows over it are multiplied by for a curvature of V^-1 (p + 1, p + 1).
+    """Noise that rows are whitened with, and what they are then multiplied by for a curvature of V^-1 (p + 1, p + 1)."""
+    if weights.complete:
+        middle = efficient_middle(regression, weights)
+        if middle is None:
+            return weights.noise, np.eye(len(regression.column_names) + 1)
+        noise, factor = weights.noise, reduce_whitened(regression.blocks(), weights.noise)
+    else:
+        noise, factor, middle = _by_channel(regression, weights)
+    # R b with R'R = X'X, and S b with S'S = V^-1, so that S = R C.
+    plain, rotated = compressed(factor.matrix, factor.target, None)
+    wanted, _ = compressed(factor.matrix, factor.target, middle)
+    back = pseudo_inverse(plain)
+    change = back @ (wanted - plain)  # C - 1
+    out = np.eye(len(regression.column_names) + 1)
+    out[:-1, :-1] += change
+    out[:-1, -1] = change @ back @ rotated
+    return noise, out
+
+
+def _by_channel(regression: Regression, weights: Weights) -> tuple[dict[str, NoiseModel], Factor, np.ndarray]:
+    """White noise as large as the residuals, the factor of rows over it, and the covariance of their sums (p, p).
 
     Scales must be those of the fit's own residuals: where a channel's scale is not one, its posterior moves the fit away from
     least squares, and by as much more as the curvature is smaller.
@@ -140,13 +160,4 @@ def _adjusted(regression: Regression, weights: Weights) -> tuple[dict[str, Noise
         factor = fitted(solution)[2]
         solution = solve(factor.matrix, factor.target)
     noise, scale, factor = fitted(solution)
-    middle = sandwich_middle(regression, weights, scale)
-    # R b with R'R = X'X, and S b with S'S = V^-1, so that S = R C.
-    plain, rotated = compressed(factor.matrix, factor.target, None)
-    wanted, _ = compressed(factor.matrix, factor.target, middle)
-    back = pseudo_inverse(plain)
-    change = back @ (wanted - plain)  # C - 1
-    out = np.eye(len(solution) + 1)
-    out[:-1, :-1] += change
-    out[:-1, -1] = change @ back @ rotated
-    return noise, out
+    return noise, factor, sandwich_middle(regression, weights, scale)

@@ -134,4 +134,5 @@ def noise_of(blocks: list[Block], errors: np.ndarray) -> RegressorNoise:
     def simulated(draw: int | None) -> Iterable[Block]:
         return blocks if draw is None else perturbed(draw, 1.0)
 
-    return RegressorNoise(perturbed, simulated, lambda: bool(errors.any()), lambda: {"regressor_noise": "as given"}, len(errors))
+    described = {"regressor_noise": "as given"}
+    return RegressorNoise(perturbed, simulated, simulated, lambda: bool(errors.any()), lambda: described, len(errors))

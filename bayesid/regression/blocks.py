@@ -99,6 +99,8 @@ class RegressorNoise:
         From the number of a draw and a sign: all blocks with that error, times the sign, added.
     simulated
         Blocks of a motion near the recorded one: without errors (None), or with those of a draw.
+    pieces
+        The same of a few thousand samples at most: evenly spread pieces of long recordings.
     present
         Whether there is any.
     describe
@@ -109,6 +111,7 @@ class RegressorNoise:
 
     perturbed: Callable[[int, float], Iterable[Block]]
     simulated: Callable[[int | None], Iterable[Block]]
+    pieces: Callable[[int | None], Iterable[Block]]
     present: Callable[[], bool]
     describe: Callable[[], dict[str, Any]]
     draws: int | None = None

@@ -20,6 +20,8 @@ from bayesid.signals.smoothing import DEGREE, Smoother, smooth
 
 #: Neighbouring errors are taken for independent up to this correlation of the residuals.
 LARGEST_CORRELATION = 0.3
+#: Samples that errors are simulated on where a part of long recordings will do, in so many pieces.
+_SAMPLES, _PIECES = 4000, 8
 #: Knots that periods must be apart at least: the influence of a sample falls to 0.43**12 = 4e-5.
 _APART = 12
 _ENTROPY = 1998  # of simulated noise, the same at every call
@@ -89,6 +91,7 @@ def errors_of(row_model: RowModel, segments: Sequence[Segment], smoother: Smooth
     """
     known: list[EncoderNoise] = []
     smoothed: list[Segment] = []
+    parts: list[Segment] = []
     kinds = [_kind(row_model, r) for r in segments]
 
     def noise() -> EncoderNoise:
@@ -96,13 +99,20 @@ def errors_of(row_model: RowModel, segments: Sequence[Segment], smoother: Smooth
             known.append(measure(segments, row_model.bandwidth, smoother.position_std))
         return known[0]
 
-    def quiet() -> Sequence[Segment]:
-        """The segments as they might truly have been: as smooth as the data allow."""
+    def as_smooth(r: Segment) -> Segment:
+        """A segment as it might truly have been: as smooth as the data allow."""
         bandwidth = min(smoother.automatic or row_model.bandwidth, row_model.bandwidth)
+        return r if r.poses else replace(r, positions=smooth(r.times, r.positions, bandwidth)[0])
+
+    def quiet() -> Sequence[Segment]:
         if not smoothed:
-            for r in segments:
-                smoothed.append(r if r.poses else replace(r, positions=smooth(r.times, r.positions, bandwidth)[0]))
+            smoothed.extend(as_smooth(r) for r in segments)
         return smoothed
+
+    def quiet_pieces() -> Sequence[Segment]:
+        if not parts:
+            parts.extend(as_smooth(r) for r in _pieces(row_model, segments))
+        return parts
 
     def again(taken: Sequence[Segment], draw: int, sign: float = 1.0) -> list[Segment]:
         """Recordings with fresh noise on top of the positions."""
@@ -132,10 +142,27 @@ def errors_of(row_model: RowModel, segments: Sequence[Segment], smoother: Smooth
     def simulated(draw: int | None) -> Iterator[Block]:
         return make_blocks(row_model, quiet() if draw is None else again(quiet(), draw))
 
+    def pieces(draw: int | None) -> Iterator[Block]:
+        return make_blocks(row_model, quiet_pieces() if draw is None else again(quiet_pieces(), draw))
+
     law = RegressorNoise(
-        lambda draw, sign: make_blocks(row_model, again(segments, draw, sign)), simulated, present, noise_described
+        lambda draw, sign: make_blocks(row_model, again(segments, draw, sign)), simulated, pieces, present, noise_described
     )
     return law, Instruments(pairs, instruments_described, lambda draw: pairs(again(quiet(), draw)))
+
+
+def _pieces(row_model: RowModel, segments: Sequence[Segment]) -> Sequence[Segment]:
+    """The segments, or evenly spread pieces of long ones."""
+    moving = [r for r in segments if not r.poses]
+    total = sum(len(r.times) for r in moving)
+    if total <= _SAMPLES:
+        return segments
+    out = [r for r in segments if r.poses]
+    for r in moving:
+        count = max(round(_PIECES * len(r.times) / total), 1)
+        length = min(max(_SAMPLES // _PIECES, int(4 * row_model.margin * len(r.times) / np.ptp(r.times))), len(r.times))
+        out += [r.part(a, a + length) for a in np.linspace(0, len(r.times) - length, count).astype(int)]
+    return out
 
 
 def _both(row_model: RowModel, r: Segment, kind: str) -> tuple[Segment, Segment]:

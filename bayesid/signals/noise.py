@@ -107,6 +107,29 @@ class NoiseModel:
         """Cholesky factors of each channel's first rows, in units of its innovation."""
         return [cholesky(toeplitz(autocovariance(a, first - 1)), lower=True) for a in self.coefficients]
 
+    def whiten_transposed(self, white: np.ndarray) -> np.ndarray:
+        """The transpose of `whiten` for one whole recording: ``sum(whiten_transposed(z) * x) = sum(z * whiten(x))``.
+
+        Parameters
+        ----------
+        white
+            Consecutive whitened rows (k, channels, ...).
+        """
+        out = mix(np.linalg.inv(cholesky(self.innovation, lower=True)).T, white)
+        p = self.order
+        if p == 0:
+            return out
+        recursion, first = out.copy(), 0 if self.from_zero else min(p, len(out))
+        # The first rows of a stationary start were not made by the recursion.
+        recursion[:first] = 0.0
+        for c, factor in enumerate(self._start(first) if first else ()):
+            head = out[:first, c].reshape(first, -1)
+            out[:first, c] = solve_triangular(factor, head, lower=True, trans=1).reshape(out[:first, c].shape)
+        tail = (slice(None),) + (None,) * (out.ndim - 2)
+        for k in range(1, p + 1):
+            out[: len(out) - k] += self.coefficients[:, k][tail] * recursion[k:]
+        return out
+
     def colour_transposed(self, rows: np.ndarray) -> np.ndarray:
         """Rows Z with ``Z'Z = X' Sigma X`` for one whole recording X (k, channels, ...)."""
         z = mix(cholesky(self.innovation, lower=True).T, np.asarray(rows, float)) if self.order == 0 else None

@@ -43,6 +43,14 @@ def test_coloured_rows_give_the_covariance_of_sums(from_zero):
 
 
 @pytest.mark.parametrize("from_zero", [True, False])
+@pytest.mark.parametrize("rows", [1, 2, 40])
+def test_whitening_transposed_is_the_transpose(rows, from_zero):
+    model = NoiseModel(COEFFICIENTS, INNOVATION, from_zero)
+    x, z = np.random.default_rng(3).normal(size=(2, rows, 2))
+    assert np.isclose(np.sum(model.whiten_transposed(z) * x), np.sum(z * model.whiten(x)), rtol=1e-10)
+
+
+@pytest.mark.parametrize("from_zero", [True, False])
 @pytest.mark.parametrize("cut", [1, 2, 17, 39])
 def test_whitening_runs_on_over_blocks(cut, from_zero):
     """Also where the first block is shorter than the order of the recursion."""

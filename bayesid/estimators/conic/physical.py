@@ -32,7 +32,7 @@ from bayesid.estimators.conic.region import closest_within, conic, misfit
 from bayesid.estimators.conic.solver import Infeasible, solve_conic
 from bayesid.estimators.details import OPTIONAL, Details
 from bayesid.estimators.estimator import Estimate
-from bayesid.estimators.least_squares import completeness, likelihood_weights, make_estimate, sandwich_middle, weighted_factor
+from bayesid.estimators.least_squares import completeness, covariance_middle, likelihood_weights, make_estimate, weighted_factor
 from bayesid.estimators.weights import learn_weights
 from bayesid.regression.linalg import determined_inverse, undetermined
 from bayesid.regression.regression import Regression
@@ -94,7 +94,7 @@ class Physical:
         kind = self.weights if self.weights != "auto" else likelihood_weights(learned)
         factor, scale = weighted_factor(regression, learned, kind)
         hidden = undetermined(factor.matrix)
-        middle = None if kind == "noise" else sandwich_middle(regression, learned, scale)
+        middle = covariance_middle(regression, learned, kind, scale)
         matrix, target = compressed(factor.matrix, factor.target, middle)
         data = LinkData.of(regression, matrix, target, self.prior)
         prior = link_prior(regression, data, self.prior, self.metric, self.rel_std)

@@ -1,0 +1,100 @@
+"""Encoder errors in the covariance of efficient fits, against repeated recordings and plain formulas."""
+
+import numpy as np
+import pytest
+
+from bayesid.estimators import fit
+from bayesid.estimators.encoder_errors import efficient_middle
+from bayesid.estimators.weights import learn_weights
+from bayesid.posterior import Likelihood
+from bayesid.regression.problem import prepare
+from bayesid.regression.regression import Regression
+from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
+
+TRUTH = np.array([1.0, -2.0, 0.5])
+SAMPLES, DRAWS = 200, 40
+
+
+#: Residuals hold the regressor's errors, too, and so exceed noise that is stated without them.
+exceeds = pytest.mark.filterwarnings("ignore:gls. residuals are:bayesid.errors.BayesidWarning")
+
+
+@pytest.fixture(scope="module")
+def motion():
+    """A regressor (samples, channels, p), and errors that come and go with it."""
+    rng = np.random.default_rng(0)
+    exact = rng.normal(size=(SAMPLES, 2, 3)).cumsum(axis=0) / 10
+    bursts = (np.sin(np.arange(SAMPLES) / 20) > 0.7) * 0.05
+
+    def errors(rng, count):
+        # One error of the motion a sample, which all columns share.
+        return bursts[None, :, None, None] * rng.normal(size=(count, SAMPLES, 1, 1)) * exact
+
+    return exact, errors
+
+
+@exceeds
+def test_the_covariance_is_that_of_repeated_recordings(motion):
+    """Regressors with fresh errors, readings with fresh noise of known size: the scatter of estimates is the judge."""
+    exact, errors = motion
+    rng = np.random.default_rng(1)
+    std, estimates, stated, ignored = np.array([0.05, 0.1]), [], [], []
+    for _ in range(160):
+        matrix = exact + errors(rng, 1)[0]
+        target = exact @ TRUTH + std * rng.normal(size=(SAMPLES, 2))
+        plain = Regression.from_arrays(matrix, target, noise_std=std)
+        known = Regression.from_arrays(matrix, target, noise_std=std, regressor_noise=errors(rng, DRAWS))
+        estimate = fit(known, "gls")
+        estimates.append(estimate.values)
+        stated.append(estimate.covariance)
+        ignored.append(fit(plain, "gls").covariance)
+    scatter = np.cov(np.array(estimates).T)
+    # A variance of 160 estimates is known to 11 %; Student's factor of 40 draws widens the errors' part by 7 %.
+    ratio = np.diag(np.mean(stated, axis=0)) / np.diag(scatter)
+    assert np.all((ratio > 0.7) & (ratio < 1.5)), ratio
+    assert np.all(np.diag(np.mean(ignored, axis=0)) < 0.6 * np.diag(scatter)), "the errors matter here"
+
+
+@exceeds
+def test_with_stated_noise_it_is_the_plain_formula(motion):
+    exact, errors = motion
+    rng = np.random.default_rng(2)
+    std = np.array([0.05, 0.1])
+    draws = errors(rng, DRAWS)
+    matrix = exact + errors(rng, 1)[0]
+    regression = Regression.from_arrays(
+        matrix, exact @ TRUTH + std * rng.normal(size=(SAMPLES, 2)), noise_std=std, regressor_noise=draws
+    )
+    estimate = fit(regression, "gls")
+    white = (matrix / std[:, None]).reshape(-1, 3)
+    bread = np.linalg.inv(white.T @ white)
+    sums = [white.T @ (d @ estimate.values / std).ravel() for d in draws]
+    added = bread @ np.cov(np.array(sums).T) @ bread
+    beyond = estimate.covariance - bread
+    np.testing.assert_allclose(beyond / added, (beyond / added)[0, 0] * np.ones((3, 3)), rtol=1e-6)
+    assert 1.0 < (beyond / added)[0, 0] < 1.1, "Student's quantile for the normal one"
+
+
+def test_the_likelihood_has_the_same_covariance_and_the_same_maximum(motion):
+    exact, errors = motion
+    rng = np.random.default_rng(3)
+    target = exact @ TRUTH + np.array([0.05, 0.1]) * rng.normal(size=(SAMPLES, 2))
+    regression = Regression.from_arrays(exact + errors(rng, 1)[0], target, regressor_noise=errors(rng, DRAWS))
+    weights = learn_weights(regression)
+    assert weights.complete and efficient_middle(regression, weights) is not None
+    likelihood = Likelihood.of(regression)
+    gram = np.einsum("kij,kil->jl", likelihood.factors, likelihood.factors)
+    estimate = fit(regression, "gls")
+    np.testing.assert_allclose(np.linalg.inv(gram[:3, :3]), estimate.covariance, rtol=1e-6)
+    np.testing.assert_allclose(np.linalg.solve(gram[:3, :3], gram[:3, 3]), estimate.values, rtol=1e-6)
+
+
+def test_counts_of_a_good_encoder_change_nothing(tmp_path):
+    robot, sensor = puma2(tmp_path), Sensor(translation=np.array([0.0, 0.0, -0.1]))
+    motion = fourier(robot, 3, duration=8.0)
+    table = recording(robot, sensor, motion, seed=4, force_std=0.5, torque_std=0.05)
+    table = type(table)(table.times, 1e-6 * np.round(motion[1] / 1e-6), wrench=table.wrench)
+    arm = experiment(robot, [Motion("m", "identification", table)], sensor, position_resolution=1e-6)
+    regression = prepare(arm).regression
+    assert regression.regressor_noise is not None and regression.regressor_noise.present()
+    assert efficient_middle(regression, learn_weights(regression)) is None
