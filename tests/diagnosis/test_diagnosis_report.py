@@ -350,5 +350,6 @@ def test_shares_of_look_alikes_are_those_of_least_squares(named):
 
 
 def test_the_same_seed_gives_the_same(named, robot):
+    """Everything random comes from the seed."""
     again, first = bayesid.diagnose(made(robot, GAIN)).to_dict(), named.to_dict()
     assert {**again, "runtime_s": 0.0} == {**first, "runtime_s": 0.0}

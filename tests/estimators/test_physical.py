@@ -116,8 +116,8 @@ def certify(panda, seed, count):
     return several
 
 
-def test_a_thousand_random_problems_are_all_certified(panda):
-    assert certify(panda, 77, 1000) > 400
+def test_hundreds_of_random_problems_are_all_certified(panda):
+    assert certify(panda, 77, 400) > 160
 
 
 @pytest.mark.slow

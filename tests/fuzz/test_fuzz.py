@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, Phase, given, settings
 from tests.fuzz.arena import Worker, complaints, fresh, write_arm
 from tests.fuzz.cases import Case, cases
 
-FEW, MANY = 150, 10_000
+FEW, MANY = 75, 10_000
 
 
 @pytest.fixture(scope="module")
