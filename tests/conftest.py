@@ -17,13 +17,14 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
-#: Modules that take longest. `make test` gives modules to two processes one by one; begun first, these leave none of them alone
+#: Modules that take longest, by their processor time. `make test` gives modules to two processes one by one; begun first, these leave none of them alone
 #: with a long one at the end.
 LONGEST = (
-    "test_fuzz.py", "test_robust.py", "test_regression.py", "test_diagnosis_study.py", "test_physical.py", "test_readme.py",
-    "test_residual_floor.py", "test_diagnosis.py", "test_posterior_sampling.py", "test_posterior_calibration.py",
-    "test_errors_in_variables.py", "test_report.py", "test_compare.py", "test_mistakes.py", "test_diagnosis_report.py",
-    "test_experiment.py", "test_identify.py",
+    "test_diagnosis.py", "test_diagnosis_report.py", "test_diagnosis_study.py", "test_readme.py", "test_mistakes.py",
+    "test_fuzz.py", "test_robust.py", "test_diagnosis_input.py", "test_residual_floor.py", "test_report.py", "test_coverage.py",
+    "test_figures.py", "test_regression.py", "test_consistent_links.py", "test_physical.py", "test_errors_in_variables.py",
+    "test_posterior_sampling.py", "test_posterior.py", "test_newcomers.py", "test_printed_estimate.py", "test_expressions.py",
+    "test_liu1998.py", "test_outputs.py", "test_identify.py",
 )  # fmt: skip
 
 

@@ -23,7 +23,8 @@ def draw(rng, rows, from_zero=True):
 
 def test_covariance_is_that_of_the_recursion():
     rng = np.random.default_rng(0)
-    draws = np.stack([draw(rng, 12).ravel() for _ in range(40_000)])
+    u = rng.multivariate_normal(np.zeros(2), INNOVATION, size=(40_000, 12))
+    draws = np.stack([lfilter([1.0], COEFFICIENTS[c], u[:, :, c]) for c in range(2)], axis=2).reshape(len(u), -1)
     np.testing.assert_allclose(dense(NoiseModel(COEFFICIENTS, INNOVATION, True), 12), np.cov(draws.T), atol=0.15)
 
 
