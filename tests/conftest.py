@@ -17,8 +17,8 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
-#: Modules that take longest, by their processor time. `make test` gives modules to two processes one by one; begun first, these leave none of them alone
-#: with a long one at the end.
+#: Modules that take longest, by their processor time. `make test` gives modules to two processes one by one; begun first, these
+#: leave none of them alone with a long one at the end.
 LONGEST = (
     "test_diagnosis.py", "test_diagnosis_report.py", "test_diagnosis_study.py", "test_readme.py", "test_mistakes.py",
     "test_fuzz.py", "test_robust.py", "test_diagnosis_input.py", "test_residual_floor.py", "test_report.py", "test_coverage.py",
