@@ -103,7 +103,7 @@ class RowCache:
         if self.source.count <= 2 * PILOT_ROWS:
             return self.blocks()
         if self.source.fits_in_memory or self.source.pilot is None:
-            return _spread(self.blocks(), self.source.count)
+            return spread(self.blocks(), self.source.count)
         return self.source.pilot()
 
     def derived(self, name: str, make: Callable[[], Any]) -> Any:
@@ -119,7 +119,7 @@ class RowCache:
         return RowCache(self.source, pilot=pilot)
 
 
-def _spread(blocks: Iterable[Block], rows: int) -> Iterator[Block]:
+def spread(blocks: Iterable[Block], rows: int) -> Iterator[Block]:
     """Evenly spread segments of blocks that are in memory anyway."""
     segment, spacing = PILOT_ROWS // PILOT_SEGMENTS, rows / PILOT_SEGMENTS
     seen, due = 0, 0.0

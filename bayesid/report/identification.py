@@ -20,7 +20,7 @@ from bayesid.report.prediction_figures import measured_against_predicted, residu
 from bayesid.results.identification import Identification
 from bayesid.results.text import DASH, HALF, chance, channel_text, ends, number, percent, with_half, with_interval
 from bayesid.robot import inertia
-from bayesid.validation.headline import judged
+from bayesid.validation.headline import judged, still_predictable
 from bayesid.validation.noise_floor import RESIDUALS
 from bayesid.validation.prediction import BAND, TOLERATED, Prediction, band_error, relative_error
 
@@ -119,8 +119,8 @@ def _verdict(result: Identification) -> str:
         f"{count} On {unseen} not used for the fit (‘{worst.motion}’), the {channel_text(problem.channel)} "
         f"{'are' if problem.channel != 'wrench' else 'is'} predicted with an error of {percent(band_error(worst), 2)} of "
         f"the signal below {number(BAND, 2)} Hz ({_sizes(worst)}; {percent(relative_error(worst), 2)} on raw samples); "
-        f"{judged(worst).text}."
-    )
+        f"{judged(worst).text}. {still_predictable(worst)}"
+    ).rstrip()
     if worst.repeats:
         text += f" That motion repeats the fitted ‘{worst.repeats}’, however."
     return text
@@ -198,8 +198,9 @@ def _motion(prediction: Prediction, role: str, index: int) -> dict[str, Any]:
     what = "poses, numbered" if prediction.poses else f"motion of {number(prediction.times[-1] - prediction.times[0], 3)} s"
     text = (
         f"Error {percent(band_error(prediction), 3)} of the signal below {number(BAND, 2)} Hz, {_sizes(prediction)} "
-        f"({percent(relative_error(prediction), 3)} on raw samples); {judged(prediction).text}."
-    )
+        f"({percent(relative_error(prediction), 3)} on raw samples); {judged(prediction).text}. "
+        f"{still_predictable(prediction)}"
+    ).rstrip()
     if prediction.repeats:
         text += f" It repeats the fitted motion ‘{prediction.repeats}’ and so says little about other motions."
     lines = ("circles", "crosses") if prediction.poses else ("broad, pale", "thin, red")

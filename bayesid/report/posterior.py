@@ -13,7 +13,7 @@ from bayesid.report.posterior_figures import marginals, narrowing, ranks
 from bayesid.report.prediction_figures import measured_against_predicted, residuals
 from bayesid.results.posterior import ExperimentPosterior
 from bayesid.results.text import DASH, channel_text, number, percent, with_half
-from bayesid.validation.headline import judged
+from bayesid.validation.headline import judged, still_predictable
 from bayesid.validation.prediction import BAND, Prediction, band_error, relative_error
 
 _SHOWN_MOTIONS = 3
@@ -86,7 +86,8 @@ def _lead(result: ExperimentPosterior) -> str:
         worst = max(result.validation, key=lambda p: p.whitened_rms)
         text += (
             f"‘{worst.motion}’, which was not fitted, is predicted to {percent(band_error(worst))} of the signal; "
-            f"{judged(worst).text}. {percent(worst.coverage)} of the readings lie within their 95 % predictive intervals."
+            f"{judged(worst).text}. {still_predictable(worst)} {percent(worst.coverage)} of the readings lie within their 95 % "
+            "predictive intervals."
         )
     return text
 

@@ -21,7 +21,7 @@ from bayesid.results.fitted_model import fitted_model
 from bayesid.results.text import HALF
 from bayesid.results.urdf_links import UrdfLinks
 from bayesid.validation.cross_checks import Agreement
-from bayesid.validation.headline import over_noise
+from bayesid.validation.headline import over_noise, still_predictable
 from bayesid.validation.predicted_readings import PredictedReadings, predict_readings
 from bayesid.validation.prediction import BAND, Prediction, band_error, relative_error
 
@@ -264,5 +264,7 @@ def summary(result: Identification) -> str:
             f"  {prediction.role} '{prediction.motion}': error {100 * band_error(prediction):.3g} % of the signal below "
             f"{BAND:.2g} Hz ({100 * relative_error(prediction):.3g} % raw), residual {over_noise(prediction)}"
         )
+        if prediction.flexible is not None:
+            lines.append(f"    {still_predictable(prediction)}")
     lines += [f"  warning: {w}" for w in result.warnings if w not in first]
     return "\n".join(lines)

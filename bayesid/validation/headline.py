@@ -15,6 +15,8 @@ from bayesid.validation.prediction import TOLERATED, Prediction, band_error
 
 #: Relative errors below which a prediction is close, and above which it predicts little.
 CLOSE, POOR = 0.1, 0.3
+#: A share of the error that a flexible model removes is worth looking for above this.
+WORTH = 0.05
 #: A channel that is wrong by more than this share of its signal is named.
 _NAMED = 0.5
 
@@ -58,6 +60,21 @@ def judged(prediction: Prediction) -> Judgement:
     if error <= POOR:
         return Judgement("fair" if not wrong else "bad", f"what is left is {times}: something is missing in the model{wrong}")
     return Judgement("bad", f"what is left is {times}: the model predicts this motion poorly{wrong}")
+
+
+def still_predictable(prediction: Prediction) -> str:
+    """What a flexible model of the joints' motion would still remove of the error, a sentence; empty where nothing tells."""
+    gap = prediction.flexible
+    if gap is None:
+        return ""
+    if not gap.certain and gap.removed > WORTH:
+        share = f"{100 * gap.removed:.2g} +- {100 * gap.std:.1g} % of this error"
+        return f"A flexible model of position, speed and acceleration would remove {share}, which is within chance."
+    if not gap.certain:
+        return "A flexible model of position, speed and acceleration finds nothing more that depends smoothly on them."
+    lack = "something predictable is missing (see `bayesid diagnose`)" if gap.removed > WORTH else "little predictable is missing"
+    share = f"{100 * gap.removed:.2g} % of this error"
+    return f"A flexible model of position, speed and acceleration would still remove {share}: {lack}."
 
 
 def over_noise(prediction: Prediction) -> str:

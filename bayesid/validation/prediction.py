@@ -17,10 +17,9 @@ from bayesid.regression.parallel import both, in_order
 from bayesid.regression.problem import Problem
 from bayesid.regression.rows import Segment, make_blocks
 from bayesid.signals.noise import NoiseModel
+from bayesid.validation.flexible import BAND, FlexibleGap
 from bayesid.validation.noise_floor import RESIDUALS, NoiseFloor
 
-#: Band in which predictions are compared, the same whatever filter or method was used [Hz].
-BAND = 10.0
 #: Whitened residuals on a motion that was not fitted above this say that something is missing in the model.
 TOLERATED = 1.15
 _CHUNK = 8192
@@ -84,6 +83,8 @@ class Prediction:
         Whether the samples are poses at rest, one by one, rather than a motion.
     spectrum
         Residual and noise by frequency; None for poses and segments too short to tell frequencies apart.
+    flexible
+        What a flexible model would take from the error of a motion that was not fitted; None where nothing tells.
     """
 
     motion: str
@@ -105,6 +106,7 @@ class Prediction:
     repeats: str | None = None
     poses: bool = False
     spectrum: Spectrum | None = None
+    flexible: FlexibleGap | None = None
 
     def __repr__(self) -> str:
         return f"<Prediction of {self.motion}: {len(self.channel_names)} channels, error {100 * relative_error(self):.3g} %>"
@@ -128,6 +130,7 @@ class Prediction:
             "expected_rms": float(self.expected_rms),
             "noise_source": self.noise_source,
             "interval_coverage": float(self.coverage),
+            "flexible_model": None if self.flexible is None else self.flexible.to_dict(),
             "repeats": self.repeats,
         }
 

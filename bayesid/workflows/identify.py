@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,7 @@ from bayesid.results.urdf_links import UrdfLinks
 from bayesid.robot.urdf import write_urdf
 from bayesid.signals.filters import LowPass
 from bayesid.validation.cross_checks import Agreement, fits_alone, motions_apart, static_both_ways, wrench_against_torque
+from bayesid.validation.flexible import flexible_gaps
 from bayesid.validation.noise_floor import NoiseFloor, noise_floor
 from bayesid.validation.prediction import Prediction, predict
 from bayesid.workflows.progress import Clock, Progress, quiet
@@ -96,10 +98,12 @@ def identify(
         )
         clock("prediction")
         readable = [m for m in experiment.motions if m.name in problem.segments]
+        unfitted = [m.name for m in readable if m.name not in problem.fitted and m.role == "validation"]
         # Fits of single motions and links need none of the predictions: all at once, on as many cores as there are.
+        flexible = partial(flexible_gaps, problem, estimate.solution, unfitted)
         fits, possible = partial(motions_apart, problem, estimate, method, alone), partial(urdf_links, problem, estimate)
-        jobs = [fits, possible, *(partial(predict, problem, estimate, motion, floor) for motion in readable)]
-        agreements, links, *predictions = in_order(lambda job: job(), jobs)
+        jobs = [fits, possible, flexible, *(partial(predict, problem, estimate, motion, floor) for motion in readable)]
+        agreements, links, gaps, *predictions = in_order(lambda job: job(), jobs)
         clock("consistency")
         alternative = static_both_ways(problem, method)
         if problem.channel == "both":
@@ -107,7 +111,7 @@ def identify(
             agreements += [across] if across is not None else []
         unexcited = _unexcited(problem, estimate)
         check = against_nominal(problem.regression, estimate)
-    validation = tuple(p for p in predictions if p.motion not in problem.fitted and p.role == "validation")
+    validation = tuple(replace(p, flexible=gaps.get(p.motion)) for p in predictions if p.motion in unfitted)
     return Identification(
         problem=problem,
         estimate=estimate,

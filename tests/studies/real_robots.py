@@ -195,6 +195,8 @@ def told(result: bayesid.Identification) -> dict[str, Any]:
     }
     if unseen:
         out |= {"unseen": band_error(unseen[0]), "over_noise": unseen[0].whitened_rms}
+        if unseen[0].flexible is not None:
+            out |= {"predictable": [unseen[0].flexible.removed, unseen[0].flexible.std]}
     return out
 
 
@@ -211,7 +213,8 @@ def lines(name: str, found: dict[str, Any]) -> list[str]:
         unseen = f" unseen {100 * f['unseen']:6.2f} %, {f['over_noise']:6.3g} x noise" if "unseen" in f else " " * 34
         mass = f" {f['mass']:8.3g} kg {'possible  ' if f['physical'] else 'impossible'}" if "mass" in f else " " * 22
         both = [f"{k} {f[k][0]:5.2f} (max {f[k][1]:4.1f})" for k in ("halves", "motions") if f.get(k)]
-        wider = f" dispersion {f['dispersion']:.2f}" if f.get("dispersion") else ""
+        more = f" predictable {100 * f['predictable'][0]:5.1f} +- {100 * f['predictable'][1]:.1f} %" if "predictable" in f else ""
+        wider = more + (f" dispersion {f['dispersion']:.2f}" if f.get("dispersion") else "")
         out.append(f"  {method:<13}{unseen}{mass} {'  '.join(both)}{wider}")
     return out
 
@@ -221,9 +224,10 @@ PAGE = """\
 
 What bayesid says of real recordings at its defaults, beside least squares in thirty lines of Pinocchio (positions
 low-passed at 10 Hz, differences, regressor, channel weights). *Unseen* is the error norm over the signal norm of all channels
-below 10 Hz on a motion that was not fitted. *Halves* and *motions* say how far estimates of the two halves of the fitted
-motion, and of two motions, lie apart in their own standard deviations (root mean square over all parameters); 1 is right, more
-means that intervals are too short for what a real robot does beyond any model. Made by
+below 10 Hz on a motion that was not fitted; *predictable* the share of it that a flexible model of position, speed and
+acceleration would still remove, with its standard error. *Halves* and *motions* say how far estimates of the two halves of the
+fitted motion, and of two motions, lie apart in their own standard deviations (root mean square over all parameters); 1 is right,
+more means that intervals are too short for what a real robot does beyond any model. Made by
 `python -m tests.studies.real_robots --write`.
 {% for name, found in cases.items() %}
 
@@ -233,13 +237,13 @@ means that intervals are too short for what a real robot does beyond any model. 
 {%- if 'thirty_lines' in found %} Thirty lines: {{ "%.2f" | format(100 * found.thirty_lines) }} %.{% endif %}
 
 
-| method | unseen | times the noise | mass | links possible | halves | motions | dispersion |
-| --- | ---: | ---: | ---: | --- | ---: | ---: | ---: |
+| method | unseen | predictable | times the noise | mass | links possible | halves | motions | dispersion |
+| --- | ---: | ---: | ---: | ---: | --- | ---: | ---: | ---: |
 {% for method, f in found.methods.items() %}
 {% if 'error' in f %}
-| {{ method }} | {{ f.error }} | | | | | | |
+| {{ method }} | {{ f.error }} | | | | | | | |
 {% else %}
-| {{ method }} | {{ cell(f, "unseen", "%.2f %%", 100) }} | {{ cell(f, "over_noise", "%.3g") }} |
+| {{ method }} | {{ cell(f, "unseen", "%.2f %%", 100) }} | {{ gap(f) }} | {{ cell(f, "over_noise", "%.3g") }} |
 {{- " " + cell(f, "mass", "%.3g kg") }} |
 {{- " " + possible(f) }} | {{ cell(f, "halves", "%.2f") }} | {{ cell(f, "motions", "%.2f") }} |
 {{- " " + cell(f, "dispersion", "%.2f") }} |
@@ -254,6 +258,12 @@ def cell(figures: dict[str, Any], name: str, shape: str, times: float = 1.0) -> 
     value = figures.get(name)
     first = value[0] if isinstance(value, list) else value
     return "" if not isinstance(first, float) else shape % (times * first)
+
+
+def gap(figures: dict[str, Any]) -> str:
+    """What a flexible model would still remove, with its standard error."""
+    share, std = figures.get("predictable", (None, None))
+    return "" if share is None or std is None else f"{100 * share:.1f} ± {100 * std:.1f} %"
 
 
 def main() -> None:
@@ -276,7 +286,8 @@ def main() -> None:
     if options.write:
         (DOCS / "real-robots.json").write_text(json.dumps(out, indent=1) + "\n", encoding="utf-8")
         words = {True: "yes", False: "no"}
-        write_page(PAGE, DOCS / "real-robots.md", cases=out, cell=cell, possible=lambda f: words.get(f.get("physical"), ""))
+        possible = {"possible": lambda f: words.get(f.get("physical"), "")}
+        write_page(PAGE, DOCS / "real-robots.md", cases=out, cell=cell, gap=gap, **possible)
 
 
 if __name__ == "__main__":
