@@ -46,3 +46,9 @@ def shared():
         return path
 
     return find
+
+
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Figures of reports are laid out but not drawn, which takes most of a page's time: where nothing looks at them."""
+    monkeypatch.setattr("bayesid.report.figures.to_svg", lambda figure, name: f"<svg><text>{name}</text></svg>")

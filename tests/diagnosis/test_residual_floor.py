@@ -200,7 +200,7 @@ def test_neither_repeats_nor_rests_leave_the_floor_unknown(robot):
     for motion in (swept(robot, 5, 20.0), parked(robot, 6, 1.5)):
         found = made(setting(robot, motion, FILTERED))
         assert (found.floor_known, found.floor_source, found.spectrum) == (False, "richest model", None)
-    diagnosis = diagnose(setting(robot, swept(robot, 5, 8.0), FILTERED, swept(robot, 4, 8.0)))
+    diagnosis = diagnose(setting(robot, swept(robot, 5, 6.0), FILTERED, swept(robot, 4, 6.0)))
     assert diagnosis.verdict in ("unknown", "nothing_missing")
     assert any("Noise floor unknown" in r for r in diagnosis.remarks)
     stated = setting(robot, swept(robot, 5, 20.0), FILTERED)

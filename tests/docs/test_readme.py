@@ -91,9 +91,11 @@ def _own_effect_was_found(scope: dict, written: Path) -> None:
 
 
 @pytest.mark.parametrize("name", pages_with("console"))
-def test_command_lines_run(name, my_arm, monkeypatch, capsys):
-    """Each page's calls of bayesid end well."""
+def test_command_lines_run(name, my_arm, monkeypatch, capsys, request):
+    """Each page's calls of bayesid end well; those of the README, which are of all verbs, with their figures."""
     monkeypatch.chdir(my_arm)
+    if name != README.name:
+        request.getfixturevalue("undrawn")
     lines = [line for code in snippets(BY_NAME[name], "console") for line in code.splitlines()]
     for line in lines:
         words = shlex.split(line.removeprefix("$ "))
@@ -103,7 +105,7 @@ def test_command_lines_run(name, my_arm, monkeypatch, capsys):
             assert words[0] == "make" and f"\n{words[1]}:" in (ROOT / "Makefile").read_text(encoding="utf-8")
 
 
-def test_readme_shows_what_the_demo_prints(tmp_path, monkeypatch, capsys):
+def test_readme_shows_what_the_demo_prints(tmp_path, monkeypatch, capsys, undrawn):
     """The output in the README is the demo's; last digits may differ from machine to machine."""
     monkeypatch.chdir(tmp_path)
     assert main(["demo"]) == 0

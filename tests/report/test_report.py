@@ -36,12 +36,6 @@ def puma(tmp_path_factory):
     return experiment(robot, motions(robot, SENSOR, offset=np.full(6, 3.0), **NOISE), SENSOR, inertia_rel_std=0.1)
 
 
-@pytest.fixture
-def words_only(monkeypatch):
-    """Figures are made but not drawn, which takes most of a page's time: for tests of what a page says."""
-    monkeypatch.setattr("bayesid.report.figures.to_svg", lambda figure, name: f"<svg><text>{name}</text></svg>")
-
-
 @pytest.fixture(scope="module")
 def result(puma):
     return bayesid.identify(puma)
@@ -67,7 +61,7 @@ def test_report_says_what_was_found_and_how_well_it_holds(page, result):
         assert channel in text
 
 
-def test_report_puts_warnings_first(result, words_only):
+def test_report_puts_warnings_first(result, undrawn):
     loud = replace(result, warnings=("Look <here> first & foremost.",))
     html = identification_report(loud)
     assert "Look &lt;here&gt; first &amp; foremost." in html
@@ -88,7 +82,7 @@ class Doubtful:
         return replace(estimate, details=details)
 
 
-def test_what_an_estimator_warns_of_stands_on_top_once(puma, words_only):
+def test_what_an_estimator_warns_of_stands_on_top_once(puma, undrawn):
     found = bayesid.identify(puma, method=Doubtful())
     assert found.warnings.count("Weak <somewhere>.") == 1
     html = identification_report(found)
@@ -135,7 +129,7 @@ def test_methods_without_intervals_say_why(puma):
     assert "No intervals:" in text and "biased" in text and "no honest interval" in text
 
 
-def test_without_validation_the_report_shows_the_fit_and_says_that_it_proves_little(puma, words_only):
+def test_without_validation_the_report_shows_the_fit_and_says_that_it_proves_little(puma, undrawn):
     lonely = experiment(puma.robot, puma.motions[:1], puma.sensor)
     html = identification_report(bayesid.identify(lonely, low_pass=bayesid.LowPass(2.0, 50.0)))
     text = " ".join(read(html).text.split())
@@ -143,7 +137,7 @@ def test_without_validation_the_report_shows_the_fit_and_says_that_it_proves_lit
     assert "behind the low-pass filters" in text and "l = 2.00 and d = 50.0" in text
 
 
-def test_static_run_stands_both_ways(tmp_path, words_only):
+def test_static_run_stands_both_ways(tmp_path, undrawn):
     robot = puma2(tmp_path)
     made = motions(robot, SENSOR, offset=np.full(6, 3.0), **NOISE)
     # At rest at the same positions: the readings of infinitely slow motion.
