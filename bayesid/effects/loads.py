@@ -26,17 +26,26 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
 
 def _at(state: np.ndarray, row: int, point) -> np.ndarray:
     """A point of a link in the base frame (N, 3)."""
+    return state[:, row, P : P + 3] + _along(state, row, point)
+
+
+def _along(state: np.ndarray, row: int, direction) -> np.ndarray:
+    """A vector fixed in a link in base axes (N, 3)."""
     x = state[:, row]
-    return x[:, P : P + 3] + sum(float(c) * x[:, R + k : R + 9 : 3] for k, c in enumerate(point))
+    return sum((float(c) * x[:, R + k : R + 9 : 3] for k, c in enumerate(direction)), np.zeros(()))
+
+
+def _cross(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Row by row (N, 3); `np.cross` takes several times as long."""
+    out = np.empty((len(one), 3))
+    for k, (i, j) in enumerate(((1, 2), (2, 0), (0, 1))):
+        out[:, k] = one[:, i] * other[:, j] - one[:, j] * other[:, i]
+    return out
 
 
 def _wrench(points: np.ndarray, force: np.ndarray) -> np.ndarray:
-    """A force (N, 3) at points (N, 3) as a wrench about the origin (N, 6); `np.cross` takes several times as long."""
-    out = np.empty((len(force), 6))
-    out[:, :3] = force
-    for k, (i, j) in enumerate(((1, 2), (2, 0), (0, 1))):
-        out[:, 3 + k] = points[:, i] * force[:, j] - points[:, j] * force[:, i]
-    return out
+    """A force (N, 3) at points (N, 3) as a wrench about the origin (N, 6)."""
+    return np.concatenate([force, _cross(points, force)], axis=1)
 
 
 class Tether(LoadEffect):
@@ -154,10 +163,17 @@ class FluidDrag(LoadEffect):
             if length < 1e-9:
                 continue
             x, body = states[:, joint], body_of(robot, int(joint))
+            start, along = _at(states, joint, ends[0]), _along(states, joint, rod)
+            spin, force, later = x[:, W : W + 3], np.zeros_like(start), np.zeros_like(start)
+            velocity, change = x[:, V : V + 3] + _cross(spin, start - x[:, P : P + 3]), _cross(spin, along)
             for node, weight in zip(_NODES, _WEIGHTS, strict=True):
-                points = _at(states, joint, ends[0] + 0.5 * (1.0 + node) * rod)
-                speed = x[:, V : V + 3] + np.cross(x[:, W : W + 3], points - x[:, P : P + 3])
-                size = linear + quadratic * np.linalg.norm(speed, axis=1, keepdims=True)
-                wrench = _wrench(points, -0.5 * weight * length * size * speed)
-                out[body] = out[body] + wrench if body in out else wrench
+                share = 0.5 * (1.0 + node)  # of the way along the rod
+                speed = velocity + share * change
+                size = linear + quadratic * np.sqrt(np.sum(speed * speed, axis=1, keepdims=True))
+                pull = -0.5 * weight * length * size * speed
+                force += pull
+                later += share * pull
+            wrench = _wrench(start, force)
+            wrench[:, 3:] += _cross(along, later)
+            out[body] = out[body] + wrench if body in out else wrench
         return list(out.items())

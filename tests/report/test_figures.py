@@ -102,10 +102,14 @@ def test_weak_parameters_do_not_press_the_others_to_zero():
     assert figure.axes[0].get_xlim()[1] < 0.05
 
 
+_SEVEN, _BOTH = tuple(f"tau{k}" for k in range(1, 8)), WRENCH + ("tau1", "tau2", "tau3")
+
+
 @pytest.mark.parametrize(
-    "channels", [WRENCH, ("tau1",), tuple(f"tau{k}" for k in range(1, 8)), WRENCH + ("tau1", "tau2", "tau3")]
+    ("channels", "scale"),
+    [(WRENCH, 1e-4), (WRENCH, 3e4), (("tau1",), 1e-4), (("tau1",), 1.0), (_SEVEN, 3e4), (_BOTH, 1e-4), (_BOTH, 1.0)],
+    ids=lambda x: str(x) if isinstance(x, float) else f"{len(x)} channels",
 )
-@pytest.mark.parametrize("scale", [1e-4, 1.0, 3e4])
 def test_predictions_and_residuals_are_readable(channels, scale):
     for figure in (
         measured_against_predicted(prediction(channels, scale=scale)),
