@@ -24,7 +24,7 @@ from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.estimators.conic.data import compressed
 from bayesid.estimators.conic.physical import PhysicalDetails
 from bayesid.estimators.estimator import Estimate
-from bayesid.estimators.least_squares import likelihood_weights, sandwich_middle, weighted_factor
+from bayesid.estimators.least_squares import covariance_middle, likelihood_weights, weighted_factor
 from bayesid.estimators.weights import learn_weights
 from bayesid.regression.linalg import determined_inverse, or_one, standard_deviations, undetermined
 from bayesid.regression.regression import Regression
@@ -190,7 +190,7 @@ def of_data(regression: Regression) -> Evidence:
     rank, learned = regression.base.rank, learn_weights(regression)
     kind = likelihood_weights(learned)
     factor, scale = weighted_factor(regression, learned, kind)
-    middle = None if kind == "noise" else sandwich_middle(regression, learned, scale)
+    middle = covariance_middle(regression, learned, kind, scale)
     hidden = undetermined(factor.matrix)
     matrix, target = compressed(factor.matrix, factor.target, middle)
     inverse = determined_inverse(matrix, hidden)
