@@ -13,6 +13,7 @@ from math import comb, factorial
 
 import numba
 import numpy as np
+from scipy.linalg import LinAlgError, solveh_banded
 
 from bayesid.errors import InputError
 
@@ -109,9 +110,11 @@ def _fitted(times: np.ndarray, positions: np.ndarray, bandwidth: float) -> tuple
     band, right = _normal_equations(times, np.ascontiguousarray(positions), first, spacing, count, _POLYNOMIALS)
     # A whisper of ridge keeps the outermost functions, of which only a tail lies in the data, determined.
     band[-1] += 1e-14 * band[-1].max()
-    if not _solve_banded(band, right):
-        raise too_few
-    return right, float(first)
+    try:
+        coefficients = solveh_banded(band, right, check_finite=False)
+    except LinAlgError:
+        raise too_few from None
+    return coefficients, float(first)
 
 
 def choose_smoother(
@@ -191,37 +194,6 @@ def _normal_equations(times, positions, first, spacing, count, polynomials):
             for joint in range(n):
                 right[k + i, joint] += values[i] * positions[sample, joint]
     return band, right
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy")
-def _solve_banded(band, right):
-    """Solve ``A x = b`` in place of A's upper band (6, count) and of b (count, n); False where A is not positive definite."""
-    width, count, n = band.shape[0], band.shape[1], right.shape[1]
-    top = width - 1
-    for j in range(count):  # A = U'U, column by column; then U'y = b
-        for i in range(max(j - top, 0), j):
-            total = band[top + i - j, j]
-            for k in range(max(j - top, 0), i):
-                total -= band[top + k - i, i] * band[top + k - j, j]
-            band[top + i - j, j] = total / band[top, i]
-        square = band[top, j]
-        for k in range(max(j - top, 0), j):
-            square -= band[top + k - j, j] ** 2
-        if not square > 0.0:
-            return False
-        band[top, j] = np.sqrt(square)
-        for k in range(max(j - top, 0), j):
-            for m in range(n):
-                right[j, m] -= band[top + k - j, j] * right[k, m]
-        for m in range(n):
-            right[j, m] /= band[top, j]
-    for j in range(count - 1, -1, -1):  # U x = y
-        for m in range(n):
-            right[j, m] /= band[top, j]
-        for k in range(max(j - top, 0), j):
-            for m in range(n):
-                right[k, m] -= band[top + k - j, j] * right[j, m]
-    return True
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

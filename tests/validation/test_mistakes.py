@@ -18,7 +18,6 @@ from bayesid.robot import inertia
 from bayesid.robot.robot import load_robot
 from bayesid.validation.mistakes.candidates import candidates, of_wrench
 from bayesid.validation.mistakes.evidence import Explainer
-from bayesid.validation.mistakes.non_negative import non_negative_least_squares
 from bayesid.validation.mistakes.plausible import body_generators
 from bayesid.validation.mistakes.samples import low_passed
 from bayesid.validation.mistakes.search import find_mistakes
@@ -186,16 +185,3 @@ def test_identify_warns_of_masses_and_friction_with_a_sign_that_nothing_has(tmp_
     wrong = bayesid.identify(negated, method="ols", effects=effects)
     assert "change the sign of tau3" in wrong.warnings[0]
     assert "Friction that cannot be negative" in wrong.warnings[1] and "coulomb_friction@joint3" in wrong.warnings[1]
-
-
-@pytest.mark.parametrize("columns", [1, 4, 30, 120])
-def test_non_negative_factors_are_those_of_scipy(columns):
-    rng = np.random.default_rng(columns)
-    for rows in (columns // 2 + 1, 2 * columns):
-        matrix, target = rng.normal(size=(rows, columns)), rng.normal(size=rows)
-        whole = np.concatenate([matrix, 1e-2 * np.eye(columns)])  # with fewer rows than columns, too, one answer
-        expected, _ = nnls(whole, np.append(target, np.zeros(columns)))
-        found = non_negative_least_squares(whole.T @ whole, matrix.T @ target)
-        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9 * max(expected.max(), 1.0))
-        assert np.array_equal(found > 0.0, expected > 0.0)
-    assert not non_negative_least_squares(whole.T @ whole, -np.abs(matrix.T @ target)).any()

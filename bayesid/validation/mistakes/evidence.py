@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import block_diag, cholesky, solve_triangular
+from scipy.optimize import nnls
 
 from bayesid.dynamics.channels import Channels
 from bayesid.dynamics.regressors import Kernel
 from bayesid.robot.robot import Robot
-from bayesid.validation.mistakes.non_negative import non_negative_least_squares
 from bayesid.validation.mistakes.plausible import body_generators, friction_columns, offset_columns
 from bayesid.validation.mistakes.samples import Samples
 
@@ -69,8 +69,8 @@ class Explainer:
         others = np.eye((5 if self.torque else 2 * len(np.unique(samples.motion))) * len(channels))
         families = [body_generators(robot)]
         if robot.nominal[:, 0].sum() > 0.0:  # each nominal body times a factor: far fewer numbers, where the URDF is good
-            families.append(_side_by_side(list(robot.nominal[:, :, None])))
-        self._families = [_side_by_side([bodies, others]) for bodies in families]
+            families.append(np.asarray(block_diag(*robot.nominal[:, :, None])))
+        self._families = [np.asarray(block_diag(bodies, others)) for bodies in families]
         variation = np.sqrt(np.mean((samples.readings - samples.readings.mean(axis=0)) ** 2, axis=0))
         if not self.torque:  # forces share a scale and moments another, so that a turned frame changes neither
             variation = np.repeat(np.sqrt(np.mean(variation.reshape(2, 3) ** 2, axis=1)), 3)
@@ -174,15 +174,7 @@ def _non_negative(squares: np.ndarray, products: np.ndarray) -> np.ndarray:
     size = np.sqrt(np.diag(squares))
     seen = size > 1e-9 * size.max()
     scaled = squares[np.ix_(seen, seen)] / np.outer(size[seen], size[seen])
+    root = cholesky(scaled + _RIDGE * np.eye(len(scaled)))
     out = np.zeros(len(size))
-    out[seen] = non_negative_least_squares(scaled + _RIDGE * np.eye(len(scaled)), products[seen] / size[seen]) / size[seen]
-    return out
-
-
-def _side_by_side(blocks: Sequence[np.ndarray]) -> np.ndarray:
-    """Matrices along the diagonal of a larger one."""
-    ends = np.cumsum([b.shape for b in blocks], axis=0)
-    out = np.zeros(ends[-1])
-    for block, (row, column) in zip(blocks, ends, strict=True):
-        out[row - block.shape[0] : row, column - block.shape[1] : column] = block
+    out[seen] = nnls(root, solve_triangular(root, products[seen] / size[seen], trans=1))[0] / size[seen]
     return out
