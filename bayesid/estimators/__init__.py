@@ -71,8 +71,11 @@ def fit(regression: Regression, method: str | Estimator = DEFAULT_METHOD, prior:
     Raises
     ------
     InputError
-        No estimator has this name, or it takes no prior.
+        No estimator has this name, it takes no prior, or the regression is none.
     """
+    if not isinstance(regression, Regression):
+        given = type(regression).__name__
+        raise InputError(f"fit: a {given} is given for the regression; for an experiment or its folder take bayesid.identify")
     chosen = estimator(method)
     if prior is not None:
         if not (is_dataclass(chosen) and "prior" in (f.name for f in fields(chosen))):

@@ -205,6 +205,29 @@ def load_experiment(folder: str | Path, library: EffectLibrary | None = None) ->
     return replace(setup, motions=tuple(motions), warnings=tuple(warnings))
 
 
+def as_experiment(given: object, also: str = "") -> Experiment:
+    """What a verb is given, as an experiment: itself, or read from its folder.
+
+    Parameters
+    ----------
+    given
+        An experiment, or the path of its folder.
+    also
+        What else the verb takes, for the message.
+
+    Raises
+    ------
+    InputError
+        It is neither; or as `load_experiment`.
+    """
+    if isinstance(given, Experiment):
+        return given
+    if isinstance(given, (str, Path)):
+        return load_experiment(given)
+    takes = f"the folder of an experiment, an Experiment{f' or {also}' if also else ''}"
+    raise InputError(f"a {type(given).__name__} is given for the experiment: pass {takes}")
+
+
 def load_setup(folder: str | Path, library: EffectLibrary | None = None) -> Experiment:
     """Read and check the robot and sensor of an experiment folder, whose tables need not exist yet: no motions.
 

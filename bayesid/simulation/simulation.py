@@ -26,7 +26,7 @@ from bayesid.dynamics.channels import torque_channels, wrench_channels
 from bayesid.effects import REST_SPEED, MotionSegment, Term, middle_of
 from bayesid.effects.sizes import ANY_EFFORT
 from bayesid.errors import InputError
-from bayesid.recordings.experiment import Experiment, Motion, Sensor
+from bayesid.recordings.experiment import Experiment, Motion, Sensor, as_experiment
 from bayesid.recordings.schema import LARGEST
 from bayesid.recordings.table import Table
 from bayesid.recordings.writer import write_experiment
@@ -162,7 +162,7 @@ def perturbed_links(robot: Robot, rel_std: float, seed: int = 0) -> np.ndarray:
 
 
 def simulate(
-    setup: Experiment | Robot,
+    setup: Experiment | Robot | str | Path,
     trajectories: Sequence[Trajectory] | None = None,
     *,
     effects: Mapping[str, Values | None] | Sequence[str] = (),
@@ -176,7 +176,7 @@ def simulate(
     Parameters
     ----------
     setup
-        The robot, its sensor and what is known of both; a bare robot gets a sensor under its base.
+        The robot, its sensor and what is known of both, an experiment or its folder; a bare robot gets a sensor under its base.
     trajectories
         True motions; default the experiment's own, or new ones.
     effects
@@ -203,6 +203,7 @@ def simulate(
     """
     if isinstance(setup, Robot):
         setup = Experiment(setup.name, setup, (), Sensor())
+    setup = as_experiment(setup, "a Robot")
     robot = setup.robot
     streams = [int(s.generate_state(1)[0]) for s in np.random.SeedSequence(seed).spawn(3)]
     if trajectories is None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from bayesid.dynamics.base_parameters import structural_base
 from bayesid.errors import InputError
-from bayesid.recordings.experiment import Experiment, Motion
+from bayesid.recordings.experiment import Experiment, Motion, as_experiment
 from bayesid.recordings.table import GAP, WRENCH_COLUMNS, Table
 from bayesid.recordings.timing import Timing
 from bayesid.regression.options import FitOptions
@@ -24,21 +26,23 @@ _GROUPS = {"positions": "q", "velocities": "v", "commanded": "qr", "torques": "t
 _SMOOTHED = 50_000
 
 
-def check(experiment: Experiment, progress: Progress = quiet) -> Inspection:
+def check(experiment: Experiment | str | Path, progress: Progress = quiet) -> Inspection:
     """Say what an experiment contains: robot, motions, noise, and what each set of readings could show.
 
     Parameters
     ----------
     experiment
-        Loaded, and so already validated.
+        Loaded, or its folder.
     progress
         Called with the name of every stage.
 
     Raises
     ------
     InputError
-        ``[model] effects`` names an effect or a place that does not exist.
+        The folder cannot be read, or ``[model] effects`` names an effect or a place that does not exist.
     """
+    progress("reading")
+    experiment = as_experiment(experiment)
     progress("motions")
     warnings: list[str] = []
     channel = default_channel(experiment)

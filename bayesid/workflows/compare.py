@@ -17,7 +17,7 @@ from bayesid.errors import BayesidError, EstimationError, InputError
 from bayesid.estimators import DEFAULT_METHOD, METHODS, Estimator, LeastSquares, estimator, fit
 from bayesid.estimators.nonlinear import settled
 from bayesid.estimators.weights import Weights, learn_weights
-from bayesid.recordings.experiment import Experiment, load_experiment
+from bayesid.recordings.experiment import Experiment, as_experiment
 from bayesid.regression.options import NOT_FOR_REGRESSIONS, FitOptions
 from bayesid.regression.problem import Problem, prepare
 from bayesid.regression.regression import Regression
@@ -84,8 +84,7 @@ def compare(
             problem, regression = None, experiment
         else:
             progress("reading")
-            if not isinstance(experiment, Experiment):
-                experiment = load_experiment(experiment)
+            experiment = as_experiment(experiment, "a Regression")
             progress("regressor")
             problem = prepare(experiment, options)
             problem = settled(problem)

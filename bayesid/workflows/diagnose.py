@@ -20,7 +20,7 @@ from bayesid.diagnosis.shifts import base_shifts
 from bayesid.diagnosis.stability import stability
 from bayesid.diagnosis.validation import residual_spectra, validate
 from bayesid.diagnosis.verdict import evidence_of, verdict
-from bayesid.recordings.experiment import Experiment, load_experiment
+from bayesid.recordings.experiment import Experiment, as_experiment
 from bayesid.recordings.schema import write_model
 from bayesid.regression.readings import default_channel
 from bayesid.results.diagnosis import Diagnosis
@@ -68,8 +68,7 @@ def diagnose(
     """
     since = time.perf_counter()
     with threadpool_limits(1, user_api="blas"):
-        if not isinstance(experiment, Experiment):
-            experiment = load_experiment(experiment)
+        experiment = as_experiment(experiment)
         if effects is not None:
             experiment = replace(experiment, effects=tuple(effects))
         progress("noise of sensors and encoders")

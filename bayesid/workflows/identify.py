@@ -15,7 +15,7 @@ from bayesid.dynamics.base_parameters import structural_base
 from bayesid.estimators import DEFAULT_METHOD, Estimate, Estimator, estimator
 from bayesid.estimators.nonlinear import solve
 from bayesid.estimators.prior_check import PriorCheck, against_nominal, conflicts
-from bayesid.recordings.experiment import Experiment, load_experiment
+from bayesid.recordings.experiment import Experiment, as_experiment
 from bayesid.recordings.schema import write_model
 from bayesid.regression.options import FitOptions
 from bayesid.regression.parallel import both, in_order
@@ -84,8 +84,7 @@ def identify(
     # The matrices are small: threads inside the linear algebra cost more than they gain here.
     with threadpool_limits(1, user_api="blas"):
         clock("reading")
-        if not isinstance(experiment, Experiment):
-            experiment = load_experiment(experiment)
+        experiment = as_experiment(experiment)
         clock("regressor")
         problem = prepare(experiment, options)
         for _ in problem.regression.blocks():

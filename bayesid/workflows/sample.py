@@ -24,7 +24,7 @@ from bayesid.posterior.model import PosteriorModel
 from bayesid.posterior.predictive import predictive_groups
 from bayesid.posterior.result import PRIOR_DRIVEN, Posterior
 from bayesid.posterior.run import Chains, choose_engine, run
-from bayesid.recordings.experiment import Experiment, load_experiment
+from bayesid.recordings.experiment import Experiment, as_experiment
 from bayesid.regression.blocks import Block
 from bayesid.regression.linalg import condition_number
 from bayesid.regression.options import NOT_FOR_REGRESSIONS, FitOptions
@@ -145,14 +145,13 @@ def sample(
     # The matrices are small: threads inside the linear algebra cost more than they gain here.
     with threadpool_limits(1, user_api="blas"):
         clock("reading")
-        if isinstance(experiment, (str, Path)):
-            experiment = load_experiment(experiment)
         problem = None
         if isinstance(experiment, Regression):
             if options != FitOptions():
                 raise InputError(NOT_FOR_REGRESSIONS.format("sample"))
             regression = experiment
         else:
+            experiment = as_experiment(experiment, "a Regression")
             clock("regressor")
             problem = prepare(experiment, options)
             problem = settled(problem)
