@@ -165,15 +165,15 @@ def against_nominal(regression: Regression, estimate: Estimate) -> PriorCheck | 
     covariance = estimate.covariance
     own = None if covariance is None else (estimate.values, covariance, estimate.undetermined)
     details, known = estimate.details, regression.knowledge
+    if not known.states_masses:
+        return None
     if isinstance(details, PhysicalDetails):
-        if known.nominal_links is None or not known.nominal_links.any():
-            return None
         used = details.prior
         # The estimate is part data, part prior: the check takes what the data alone say.
         evidence, covariance = of_data(regression), _covariance(used.root.T @ used.root)
         found = compared(regression.base, *evidence, used.mean, covariance, used.rel_std, stated=used.stated)
         return _or_warps(found, evidence, regression, used.mean)
-    if known.nominal_links is None or not known.nominal_links.any() or not known.inertia_rel_std:
+    if known.nominal_links is None or not known.inertia_rel_std:
         return None
     # Nothing is weighed by it here: it is how nominal models err, not the metric that estimates are pulled by.
     prior = Prior.warped(known.nominal_links, known.inertia_rel_std)

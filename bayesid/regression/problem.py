@@ -21,6 +21,7 @@ from bayesid.regression.readings import default_channel, has_readings, make_chan
 from bayesid.regression.regression import PriorKnowledge, Regression
 from bayesid.regression.row_cache import PILOT_ROWS, PILOT_SEGMENTS, RowCache, RowSource
 from bayesid.regression.rows import RowModel, Segment, make_blocks
+from bayesid.robot.typical import states_masses, typical_links
 from bayesid.signals.filters import LowPass, row_noise_poles
 from bayesid.signals.smoothing import Smoother, choose_smoother
 
@@ -245,6 +246,7 @@ def _regression(
         ),
         knowledge=PriorKnowledge(
             nominal_links=robot.nominal.ravel(),
+            guessed_links=None if states_masses(robot) else typical_links(robot).ravel(),
             inertia_rel_std=inertia_rel_std,
             bodies=tuple(tuple(range(10 * k, 10 * k + 10)) for k in range(len(robot.body_names))),
             effect_non_negative=_free(row_model, (sign for e in row_model.effects for sign in e.non_negative)),

@@ -32,6 +32,8 @@ class PriorKnowledge:
         Link parameters of the nominal model, in the order of ``base.parameter_names`` (P,), if there is one.
     inertia_rel_std
         Their prior relative standard deviation, see `bayesid.robot.prior.Prior.nominal`; 0: exact, None: not known.
+    guessed_links
+        Where that model states no masses: about what links of these lengths weigh (P,), see `bayesid.robot.typical`.
     bodies
         Columns of ``base.parameter_names`` that are a body's ten parameters.
     effect_non_negative
@@ -42,6 +44,12 @@ class PriorKnowledge:
     inertia_rel_std: float | None = None
     bodies: tuple[tuple[int, ...], ...] = ()
     effect_non_negative: tuple[bool, ...] = ()
+    guessed_links: np.ndarray | None = None
+
+    @property
+    def states_masses(self) -> bool:
+        """Whether there is a nominal model that says anything of the bodies."""
+        return self.nominal_links is not None and self.guessed_links is None
 
 
 @dataclass(frozen=True)

@@ -92,7 +92,7 @@ def _row(result: Comparison, entry: Entry) -> dict[str, Any]:
             {"error": percent(band_error(p)), "white": number(p.whitened_rms, 3), "mood": judged(p).mood}
             for p in entry.proof[:TEXT_MOTIONS]
         ],
-        "links_mood": "" if entry.impossible is None else "bad" if entry.impossible else "good",
+        "links_mood": "" if entry.impossible is None else "bad" if entry.impossible or entry.conflicting else "good",
         "test_mood": "bad" if test is not None and test.contradiction else "",
     }
 
@@ -161,9 +161,9 @@ def _cards(result: Comparison) -> list[dict[str, str]]:
                       "text": f"rms between {pair}, in standard deviations of {result.reference}"})  # fmt: skip
     known = [e for e in done if e.impossible is not None]
     if known:
-        fine = sum(not e.impossible for e in known)
+        fine = sum(not e.impossible and not e.conflicting for e in known)
         cards.append({"value": f"{fine} of {len(known)}", "mood": "good" if fine == len(known) else "",
-                      "text": "estimators give links that can all exist"})  # fmt: skip
+                      "text": "estimators allow links that can all exist"})  # fmt: skip
     return cards
 
 

@@ -237,7 +237,7 @@ def comparison_text(result: Comparison, *, html: bool = False) -> str:
     if result.tests:
         legend.append("  Hausman: chance of so large a difference if the model is complete")
     if known:
-        legend.append("  links: whether all can exist")
+        legend.append("  links: whether those that identify writes can exist, and how far off they are")
     return "\n".join([title, *text_table(head, rows), *legend, *(f"  {n}" for n in notes), "",
                       *text_table(["value ± 95 %", *names, "unit"], values)])  # fmt: skip
 
@@ -265,6 +265,8 @@ def overview(result: Comparison, entry: Entry) -> dict[str, str]:
             width = f"{number(float(np.median(own.std[both] / std[both])), 3)} ×" if both.any() else DASH
             width += " *" * (own.interval == "credible")
     links = DASH if entry.impossible is None else f"{len(entry.impossible)} impossible" if entry.impossible else "possible"
+    if entry.conflicting and entry.urdf is not None and entry.urdf.moved is not None:
+        links += f", {number(entry.urdf.moved.distance, 2)} σ away"
     return {
         "links": links,
         "width": width,

@@ -9,6 +9,7 @@ import numpy as np
 
 from bayesid.estimators import Estimate
 from bayesid.results.files import strict
+from bayesid.results.urdf_links import UrdfLinks
 from bayesid.validation.prediction import Prediction
 
 
@@ -29,9 +30,11 @@ class Entry:
     seconds
         Time of the fit alone; rows and noise are made once for all.
     links
-        Link parameters (P,): the estimator's own, or the nearest to the nominal ones; None without a robot.
+        Link parameters (P,), those that `identify` writes: physically consistent; None without a robot.
     impossible
         Names of the bodies that cannot exist; None without ``links``.
+    urdf
+        How far these links are from the estimate; None where that is not known.
     fitted, validation
         Predictions of the fitted motions and of the others.
     """
@@ -43,6 +46,7 @@ class Entry:
     seconds: float = 0.0
     links: np.ndarray | None = None
     impossible: tuple[str, ...] | None = None
+    urdf: UrdfLinks | None = None
     fitted: tuple[Prediction, ...] = ()
     validation: tuple[Prediction, ...] = ()
 
@@ -53,6 +57,11 @@ class Entry:
     def physically_consistent(self) -> bool | None:
         """Whether every link can exist; None where that is not known."""
         return None if self.impossible is None else not self.impossible
+
+    @property
+    def conflicting(self) -> bool:
+        """Whether no links that can exist are within the estimate's uncertainty."""
+        return self.urdf is not None and self.urdf.moved is not None and not self.urdf.moved.inside
 
     @property
     def proof(self) -> tuple[Prediction, ...]:
@@ -77,6 +86,7 @@ class Entry:
             "link_parameters": None if self.links is None else self.links.tolist(),
             "physically_consistent": self.physically_consistent,
             "impossible_bodies": None if self.impossible is None else list(self.impossible),
+            "identified_urdf": None if self.urdf is None else self.urdf.to_dict(),
             **self.proof_to_dict(),
         }
         known = {k: v for k, v in proof.items() if v is not None}

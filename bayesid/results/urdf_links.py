@@ -73,7 +73,7 @@ class UrdfLinks:
         """One or two sentences on how far the links are from the estimate."""
         moved = self.moved
         if moved is None:
-            return "The links are the estimator's own; their base parameters are the estimate."
+            return f"The links are the estimator's own, near to {self.nominal}; their base parameters are the estimate."
         text = f"Links are near to {self.nominal}"
         if moved.distance is None or moved.largest is None:
             return f"{text}; the estimate has no covariance, so predictions of the fitted motions alone hold them."

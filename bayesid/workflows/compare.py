@@ -32,6 +32,7 @@ from bayesid.validation.baselines import nominal_estimates
 from bayesid.validation.noise_floor import NoiseFloor, noise_floor
 from bayesid.validation.prediction import band_error, predict
 from bayesid.workflows.progress import Progress, quiet
+from bayesid.workflows.urdf_links import urdf_links
 from bayesid.workflows.warnings import incomplete, repeated_motion
 
 #: What is compared when nothing is asked for, as far as it is there: plain, default and efficient least squares,
@@ -110,7 +111,8 @@ def compare(
             floor = noise_floor(problem)
             entries = [_predicted(e, problem, weights, floor) for e in entries]
             baselines = [
-                _predicted(Entry(e.method, text, e), problem, weights, floor) for text, e in nominal_estimates(problem, weights)
+                _predicted(Entry(e.method, text, e), problem, weights, floor, baseline=True)
+                for text, e in nominal_estimates(problem, weights)
             ]
         seconds["prediction"] = time.perf_counter() - started - sum(seconds.values())
     reference = _reference(entries)
@@ -194,20 +196,20 @@ def _attempt(name: str, method: Estimator, regression: Regression) -> Entry:
     return Entry(name, description, estimate, seconds=time.perf_counter() - started)
 
 
-def _predicted(entry: Entry, problem: Problem, weights: Weights, floor: NoiseFloor | None) -> Entry:
+def _predicted(entry: Entry, problem: Problem, weights: Weights, floor: NoiseFloor | None, *, baseline: bool = False) -> Entry:
     """Add links and predictions of all motions; residuals are counted in one and the same noise for all."""
     estimate, row_model = entry.estimate, problem.row_model
     if estimate is None:
         return entry
-    links = estimate.links
-    if links is None:
-        kept = ~estimate.undetermined[: row_model.base.rank]
-        links = nearest_links(problem.experiment.robot, row_model.base, estimate.values, kept)
+    urdf = None if baseline else urdf_links(problem, estimate)
+    kept = ~estimate.undetermined[: row_model.base.rank]
+    links = nearest_links(problem.experiment.robot, row_model.base, estimate.values, kept) if urdf is None else urdf.links
     same = replace(estimate, noise=weights.noise)
     predictions = [predict(problem, same, m, floor) for m in problem.experiment.motions if m.name in problem.segments]
     return replace(
         entry,
         links=links,
+        urdf=urdf,
         impossible=impossible_bodies(links.reshape(-1, 10), problem.experiment.robot.body_names),
         fitted=tuple(p for p in predictions if p.motion in problem.fitted),
         validation=tuple(p for p in predictions if p.motion not in problem.fitted and p.role == "validation"),

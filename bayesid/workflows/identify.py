@@ -236,6 +236,11 @@ def _warnings(
             "on the nominal model there."
         )
     out += links.warnings()
+    if estimate.links is not None and not problem.regression.knowledge.states_masses:
+        out.append(
+            f"The URDF states no masses: {estimate.method} takes links near to cylinders between the joints, within a factor of "
+            "ten, where the data say nothing. Write the masses of a data sheet into the URDF, or bound them (--bounds FILE)."
+        )
     if problem.row_model.base.absorbed is not None:
         out.append(
             "No static run removes the sensor's offset, so it is estimated along: what looks like an offset, "

@@ -202,7 +202,7 @@ def _prior(regression: Regression, prior: str | Prior | None, std: float | None)
     if std is not None and not (np.isfinite(std) and std > 0):
         raise InputError(f"--prior-std {std}: give a positive number, such as 0.3")
     if prior is None:
-        prior = "nominal" if regression.knowledge.nominal_links is not None and (std or stated) else "flat"
+        prior = "nominal" if regression.knowledge.states_masses and (std or stated) else "flat"
     if prior not in PRIORS:
         raise InputError(f"--prior {prior}: choose one of {', '.join(PRIORS)}")
     if prior == "flat":
@@ -211,6 +211,8 @@ def _prior(regression: Regression, prior: str | Prior | None, std: float | None)
         return None, None
     if regression.knowledge.nominal_links is None:
         raise InputError("--prior nominal: there are no nominal links; pass a Prior of your own")
+    if not regression.knowledge.states_masses:
+        raise InputError("--prior nominal: the URDF states no masses; write them there, or take --prior flat")
     trust = std or stated
     if not trust:
         raise InputError("--prior nominal: the experiment states no inertia_rel_std; add --prior-std 0.3")

@@ -15,12 +15,12 @@ from bayesid.robot.typical import states_masses, typical_links
 def urdf_links(problem: Problem, estimate: Estimate) -> UrdfLinks:
     """Links that can exist, nearest to the nominal ones within the estimate's uncertainty; the estimator's own if it has some."""
     robot, rank = problem.experiment.robot, problem.row_model.base.rank
+    stated = states_masses(robot)
+    near = "the nominal links" if stated else "cylinders between the joints, as the URDF states no masses"
     if estimate.links is not None:
         links = unconstrained = estimate.links
-        moved, solution, near = None, estimate.solution, "the nominal links, by the estimator"
+        moved, solution, near = None, estimate.solution, near
     else:
-        stated = states_masses(robot)
-        near = "the nominal links" if stated else "cylinders between the joints, as the URDF states no masses"
         nominal = robot.nominal if stated else typical_links(robot)
         moved = consistent_links(problem.regression, estimate, nominal, scaled=not stated)
         links, solution = moved.links, moved.solution

@@ -14,6 +14,7 @@ from bayesid.dynamics.channels import torque_channels
 from bayesid.recordings.checks import check_channels
 from bayesid.recordings.experiment import Experiment
 from bayesid.recordings.table import Table
+from bayesid.regression.readings import make_channels
 from bayesid.robot import inertia
 from bayesid.robot.robot import load_robot
 from bayesid.validation.mistakes.candidates import candidates, of_wrench
@@ -185,3 +186,23 @@ def test_identify_warns_of_masses_and_friction_with_a_sign_that_nothing_has(tmp_
     wrong = bayesid.identify(negated, method="ols", effects=effects)
     assert "change the sign of tau3" in wrong.warnings[0]
     assert "Friction that cannot be negative" in wrong.warnings[1] and "coulomb_friction@joint3" in wrong.warnings[1]
+
+
+@pytest.mark.parametrize("centre", [0.0, 0.8, 1.5])
+@pytest.mark.parametrize("amplitude", [0.02, 0.1, 0.3])
+def test_a_small_motion_without_noise_keeps_its_unit(tmp_path, centre, amplitude):
+    """One slow sine a joint hardly tells weight from offset, stiffness and friction; its size must come out all the same."""
+    robot = puma2(tmp_path)
+    clock = np.arange(0.0, 20.0, 0.008)
+    w, phase = 2 * np.pi * 0.2, np.array([0.0, 0.7])
+    angle = w * clock[:, None] + phase
+    q, v, a = (amplitude * x for x in (np.sin(angle), w * np.cos(angle), -(w**2) * np.sin(angle)))
+    table = recording(robot, None, (clock, q + [0.0, centre], v, a))
+    whole = experiment(robot, [Motion("slow", "identification", table)])
+    assert find_mistakes(whole) == ()
+    samples = low_passed(whole, "torque")
+    assert samples is not None
+    explainer = Explainer(robot, make_channels(whole, "torque"), samples)
+    assert explainer.size_beside(robot.nominal) == pytest.approx(1.0, abs=0.01)
+    assert explainer.size_beside(2.0 * robot.nominal) == pytest.approx(0.5, abs=0.01)
+    assert explainer.gained_by_size(robot.nominal, 1.0) < 0.01

@@ -85,7 +85,7 @@ def test_each_is_what_it_would_be_alone(compared, heavier):
     assert (compared["gls"].values == alone.values).all() and (compared["gls"].std == alone.std).all()
     entry = next(e for e in compared.entries if e.name == "gls")
     assert entry.validation[0].whitened_rms == alone.validation[0].whitened_rms
-    np.testing.assert_array_equal(entry.links, alone.urdf.unconstrained)
+    np.testing.assert_array_equal(entry.links, alone.urdf.links)
     assert entry.physically_consistent == alone.physically_consistent
     assert list(compared.estimates) == ["ols", "wls", "gls", "halved", "ridge", "ridge 2"]
     assert compared.names == alone.names

@@ -100,6 +100,7 @@ def link_prior(regression: Regression, data: LinkData, prior: Prior | None, metr
         raise InputError(f"sdp metric '{metric}': choose one of {', '.join(METRICS)}")
     if rel_std is not None and not (np.isfinite(rel_std) and rel_std > 0):
         raise InputError(f"sdp rel_std = {rel_std}: give a number above 0, such as 0.3")
+    known = regression.knowledge
     if prior is not None:
         if len(prior.mean) != data.size:
             raise InputError(f"the prior is for {len(prior.mean)} link parameters, the regression has {data.size}")
@@ -109,8 +110,12 @@ def link_prior(regression: Regression, data: LinkData, prior: Prior | None, metr
             root = _root(prior.precision)
             probability = _probability(data, mean, root, 1.0)
             return LinkPrior(mean, root, references, metric, None, True, "the prior's precision", probability)
-    elif regression.knowledge.nominal_links is not None:
-        mean = regression.knowledge.nominal_links
+    elif known.states_masses:
+        mean = known.nominal_links
+        assert mean is not None
+        references = _references(mean, data.bodies)
+    elif known.guessed_links is not None:
+        mean, rel_std = known.guessed_links, _TYPICAL_STD if rel_std is None else rel_std
         references = _references(mean, data.bodies)
     else:
         mean = np.zeros(data.size)
@@ -119,7 +124,7 @@ def link_prior(regression: Regression, data: LinkData, prior: Prior | None, metr
         references = _references(mean, data.bodies)
         rel_std = _TYPICAL_STD if rel_std is None else rel_std
     unit = _unit_root(mean, data.bodies, metric)
-    stated = regression.knowledge.inertia_rel_std if rel_std is None and prior is None else rel_std
+    stated = known.inertia_rel_std if rel_std is None and prior is None else rel_std
     # Exactly known links leave nothing to estimate: whoever asks for an estimate does not take them for exact.
     found = stated is None or stated == 0
     if found:
@@ -132,8 +137,10 @@ def link_prior(regression: Regression, data: LinkData, prior: Prior | None, metr
     else:
         assert stated is not None
         std, rule, end = float(stated), "as stated", None
-    if prior is None and regression.knowledge.nominal_links is None:
-        rule = "no nominal model: bodies of about 1 kg and 0.1 m, within a factor of ten"
+    if prior is None and not known.states_masses:
+        guess = "bodies of about 1 kg and 0.1 m" if known.guessed_links is None else "cylinders of water between the joints"
+        why = "no nominal model" if known.guessed_links is None else "the URDF states no masses"
+        rule = f"{why}: {guess}, within a factor of ten"
     return LinkPrior(mean, unit / std, references, metric, std, not found, rule, _probability(data, mean, unit, std), end)
 
 

@@ -19,7 +19,9 @@ EXPLAINED = 0.02
 #: Nor is any reading trusted beyond this share of the largest of its kind: sensors and drives of one robot are alike, and where
 #: a wrist's torques are this small beside the shoulder's, friction and crosstalk are as large.
 TRUSTED = 0.01
-_RIDGE = 1e-5  # of the generators' scaled normal equations: they are many more than the data show
+#: Ridge of the generators' scaled normal equations, which are many more than the data show, and of those of a few whole bodies,
+#: whose sizes it must not shrink where a small motion hardly tells their weight from friction and offsets.
+_RIDGE, _HARDLY_ANY = 1e-5, 1e-10
 _ROUNDS = 2  # of weighting channels by what they leave
 
 
@@ -106,7 +108,8 @@ class Explainer:
             for _ in range(_ROUNDS):
                 weights = np.maximum(left, floor) ** -2
                 whole = np.tensordot(weights, squares, 1)
-                factors = _non_negative(expand.T @ whole @ expand, expand.T @ (weights @ products))
+                ridge = _RIDGE if k == 0 else _HARDLY_ANY
+                factors = _non_negative(expand.T @ whole @ expand, expand.T @ (weights @ products), ridge)
                 residual = target - design @ (expand @ factors)
                 left = np.sqrt(np.mean(residual**2, axis=0))
             # The density is that of the readings as recorded: a change that shrinks them explains nothing by that.
@@ -124,15 +127,30 @@ class Explainer:
 
     def size_beside(self, bodies: np.ndarray) -> float | None:
         """How many times the readings are those of given bodies (b, 10) with any friction; None where those say nothing."""
+        factors = self._sized(bodies, None)[0]
+        return float(factors[0]) if factors[0] > 0.0 else None
+
+    def gained_by_size(self, bodies: np.ndarray, factor: float) -> float:
+        """Log likelihood of a sample that bodies of any size gain over this many times the given ones, friction beside both."""
+        left = [self._sized(bodies, fixed)[1] for fixed in (None, factor)]
+        floor = self.floor(self.variation)
+        return float(np.sum(np.log(np.maximum(left[1], floor)) - np.log(np.maximum(left[0], floor))))
+
+    def _sized(self, bodies: np.ndarray, fixed: float | None) -> tuple[np.ndarray, np.ndarray]:
+        """Factors of the bodies (fixed, or None) and of everything beside them, and what they leave of each channel (c,)."""
         design, squares = self._design(None, None)
         count = bodies.size
         expand = np.zeros((design.shape[2], 1 + design.shape[2] - count))
         expand[:count, 0] = bodies.ravel()
         expand[count:, 1:] = np.eye(design.shape[2] - count)
-        weights = self.floor(self.variation) ** -2
-        products = weights @ np.einsum("ncm,nc->cm", design, self.samples.readings, optimize=True)
-        factor = _non_negative(expand.T @ np.tensordot(weights, squares, 1) @ expand, expand.T @ products)[0]
-        return float(factor) if factor > 0.0 else None
+        weights, target = self.floor(self.variation) ** -2, self.samples.readings
+        if fixed is not None:
+            target = target - design @ (fixed * expand[:, 0])
+        products = weights @ np.einsum("ncm,nc->cm", design, target, optimize=True)
+        free = expand if fixed is None else expand[:, 1:]
+        factors = _non_negative(free.T @ np.tensordot(weights, squares, 1) @ free, free.T @ products, _HARDLY_ANY)
+        left = np.sqrt(np.mean((target - design @ (free @ factors)) ** 2, axis=0))
+        return (factors if fixed is None else np.append(fixed, factors)), left
 
     def _design(self, joints: np.ndarray | None, gravity: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
         """Columns of all parameters (N, c, p), and the products of columns by channel (c, p, p)."""
@@ -169,12 +187,12 @@ class Explainer:
         return float(np.median(counts))
 
 
-def _non_negative(squares: np.ndarray, products: np.ndarray) -> np.ndarray:
+def _non_negative(squares: np.ndarray, products: np.ndarray, ridge: float) -> np.ndarray:
     """Least squares with factors that are not negative, from its normal equations."""
     size = np.sqrt(np.diag(squares))
     seen = size > 1e-9 * size.max()
     scaled = squares[np.ix_(seen, seen)] / np.outer(size[seen], size[seen])
-    root = cholesky(scaled + _RIDGE * np.eye(len(scaled)))
+    root = cholesky(scaled + ridge * np.eye(len(scaled)))
     out = np.zeros(len(size))
     out[seen] = nnls(root, solve_triangular(root, products[seen] / size[seen], trans=1))[0] / size[seen]
     return out

@@ -14,6 +14,9 @@ _NOMINAL = 4.0
 _GUESSED = 30.0
 _KNOWN = {1e3: "N mm instead of N m", 1.0 / 9.80665: "kgf m instead of N m", 1e-3: "kN m instead of N m"}
 _KNOWN_FORCE = {1.0 / 9.80665: "kgf and kgf m instead of N and N m", 1e-3: "kN and kN m instead of N and N m"}
+#: By how much one explanation must be worse than another, however many samples there are: a residual a third larger, of one
+#: channel or of all together [nats a sample].
+WORSE = float(np.log(4.0 / 3.0))
 _NEAR = 2.5  # factor within which a unit is recognised
 
 
@@ -34,6 +37,10 @@ def implausible_size(explainer: Explainer) -> list[Mistake]:
         if np.sign(np.log(guessed)) != np.sign(np.log(stated)) or abs(np.log(guessed)) < np.log(_NOMINAL):
             return []
     if 1.0 / allowed < factor < allowed:
+        return []
+    # A small motion hardly tells weight from friction and offsets: bodies of a size that can be must explain the readings worse.
+    bodies = usual if stated is None else nominal
+    if explainer.gained_by_size(bodies, float(np.clip(factor, 1.0 / allowed, allowed))) < WORSE:
         return []
     beside = "the URDF's masses need" if stated is not None else "links of these lengths usually need"
     units = _KNOWN if explainer.torque else _KNOWN_FORCE

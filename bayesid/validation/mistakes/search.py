@@ -14,12 +14,10 @@ from bayesid.validation.mistakes.candidates import Candidate, candidates
 from bayesid.validation.mistakes.evidence import EXPLAINED, Explainer, Fit
 from bayesid.validation.mistakes.mistake import Mistake
 from bayesid.validation.mistakes.samples import low_passed
-from bayesid.validation.mistakes.scale import implausible_size
+from bayesid.validation.mistakes.scale import WORSE, implausible_size
 
 #: A mistake is as rare as one in a thousand, and must be a thousand times as probable as none: log(1e6) [nats].
 NEEDED = 13.8
-#: The residual of a channel, or of all together, must fall by a quarter at least, however many samples there are [nats a sample].
-_QUARTER = float(np.log(4.0 / 3.0))
 #: Candidates whose evidence is this close cannot be told apart: odds of 150 [nats].
 _ALIKE = 5.0
 #: A channel explained better than this share of its variation gives no cause to doubt its joint.
@@ -72,7 +70,7 @@ def _in_channel(experiment: Experiment, channel: str) -> list[Mistake]:
         score, fit = best_of(explainer.fit(candidate.readings, candidate.joints, candidate.gravity))
         tried.append((score - now, candidate, fit))
     tried.sort(key=lambda t: -t[0])
-    if not tried or tried[0][0] < max(NEEDED, worth * _QUARTER):
+    if not tried or tried[0][0] < max(NEEDED, worth * WORSE):
         # Of readings that no robot explains at all, not even the size means anything.
         return implausible_size(explainer) if np.median(null.errors) < 0.5 else []
     best, candidate, fit = tried[0]
