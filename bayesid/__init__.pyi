@@ -16,6 +16,7 @@ from .recordings.experiment import Experiment, Motion, Sensor, load_experiment
 from .recordings.table import Table
 from .recordings.writer import write_experiment
 from .regression.regression import Regression
+from .results.changes import Changes
 from .results.comparison import Comparison
 from .results.diagnosis import Diagnosis
 from .results.identification import Identification, summary
@@ -40,6 +41,7 @@ __all__ = [
     "BayesidError",
     "BayesidWarning",
     "Bounds",
+    "Changes",
     "Comparison",
     "ConvergenceError",
     "Diagnosis",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import click
 
 import bayesid
@@ -11,6 +13,7 @@ from bayesid.results.files import check_output
 
 @click.command()
 @EXPERIMENT
+@click.option("--reference", type=click.Path(path_type=Path), help="The robot in its known state: a folder; names what changed.")
 @click.option("--channel", type=click.Choice(["wrench", "torque", "both"]), help="Which readings to compare.")
 @click.option("--motions", callback=names, help="Motions to fit, separated by commas.")
 @click.option("--effects", callback=names, help="Effects that the model already has, separated by commas.")
@@ -18,13 +21,16 @@ from bayesid.results.files import check_output
 @EFFECTS_FROM
 @OUT
 @SEED
-def diagnose(experiment, channel, motions, effects, model, effects_from, out, seed) -> None:
+def diagnose(experiment, reference, channel, motions, effects, model, effects_from, out, seed) -> None:
     """Where model and data disagree, which effect is missing, and validation on motions that were not fitted."""
     check_output(out or OUTPUTS, "diagnose")
     with show_progress() as progress:
         progress("reading")
         loaded = load(experiment, model, effects_from)
-        result = bayesid.diagnose(loaded, channel, motions=motions, effects=effects, seed=seed, progress=progress)
+        known = None if reference is None else load(reference, model, effects_from)
+        result = bayesid.diagnose(
+            loaded, channel, reference=known, motions=motions, effects=effects, seed=seed, progress=progress
+        )
         progress("report")
         report = result.write(output_folder(out, loaded.name, "diagnose"))
     click.echo(str(result))

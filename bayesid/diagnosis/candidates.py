@@ -19,9 +19,8 @@ from bayesid.diagnosis.fit import Fit
 from bayesid.diagnosis.projector import NuisanceProjector
 from bayesid.diagnosis.ripples import RippleScan
 from bayesid.diagnosis.rows import model_rows, residual_rows, term_rows
-from bayesid.dynamics.channels import torque_channels
-from bayesid.dynamics.kinematics import P, link_states
-from bayesid.effects import Effect, Linearisation, MotionSegment, Surroundings, Term, readings
+from bayesid.diagnosis.surroundings import joint_inertia, mean_places
+from bayesid.effects import Effect, Linearisation, Surroundings, Term
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,37 +200,13 @@ def surroundings(data: DiagnosisData) -> Surroundings:
     sensor = data.experiment.sensor
     return Surroundings(
         robot=data.robot,
-        mean_places=_mean_places(data),
-        joint_inertia=_inertia(data),
+        mean_places=mean_places(data.robot, [s.scene for s in data.segments]),
+        joint_inertia=joint_inertia(data.robot, data.segments[0].scene, data.links),
         links_known=data.experiment.inertia_rel_std is not None,
         both_channels=data.channel == "both",
         static_run=data.offset_free,
         base_sensor=data.channel != "torque" and sensor is not None and sensor.joint is None,
     )
-
-
-def _mean_places(data: DiagnosisData) -> np.ndarray:
-    """Mean position of each link's frame over the fitted motions, in the base frame (n, 3)."""
-    means = []
-    for s in data.segments:
-        states = link_states(data.robot, s.scene.positions, s.scene.velocities, s.scene.accelerations)
-        means.append(states[:, : data.robot.n, P : P + 3].mean(axis=0))
-    return np.mean(means, axis=0)
-
-
-def _inertia(data: DiagnosisData) -> np.ndarray:
-    """Mean inertia that each joint feels over the first fitted motion (n,) [kg m^2 or kg]."""
-    scene, n = data.segments[0].scene, data.robot.n
-    poses = np.repeat(scene.positions[:: max(len(scene.positions) // 20, 1)], n, axis=0)
-    rates = np.tile(np.eye(n), (len(poses) // n, 1))
-    channels = torque_channels(data.robot)
-    torque = [
-        readings(
-            data.robot, channels, MotionSegment(np.arange(len(poses), dtype=float), poses, 0.0 * poses, a), data.links, ()
-        )
-        for a in (rates, 0.0 * rates)
-    ]
-    return np.einsum("knn->n", (torque[0] - torque[1]).reshape(-1, n, n)) / (len(poses) // n)
 
 
 def _inside(effect: Effect, values: np.ndarray) -> tuple[float, ...]:

@@ -6,6 +6,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import overload
 
 from threadpoolctl import threadpool_limits
 
@@ -23,21 +24,52 @@ from bayesid.diagnosis.verdict import evidence_of, verdict
 from bayesid.recordings.experiment import Experiment, as_experiment
 from bayesid.recordings.schema import write_model
 from bayesid.regression.readings import default_channel
+from bayesid.results.changes import Changes
 from bayesid.results.diagnosis import Diagnosis
 from bayesid.results.files import Files, files_of, strict
+from bayesid.workflows.changes import changes
 from bayesid.workflows.progress import Progress, quiet
+
+
+@overload
+def diagnose(
+    experiment: Experiment | str | Path,
+    channel: str | None = None,
+    *,
+    reference: None = None,
+    motions: Sequence[str] | None = None,
+    effects: Sequence[str] | None = None,
+    seed: int = 0,
+    settings: Settings = DEFAULT,
+    progress: Progress = quiet,
+) -> Diagnosis: ...
+
+
+@overload
+def diagnose(
+    experiment: Experiment | str | Path,
+    channel: str | None = None,
+    *,
+    reference: Experiment | str | Path,
+    motions: Sequence[str] | None = None,
+    effects: Sequence[str] | None = None,
+    seed: int = 0,
+    settings: Settings = DEFAULT,
+    progress: Progress = quiet,
+) -> Changes: ...
 
 
 def diagnose(
     experiment: Experiment | str | Path,
     channel: str | None = None,
     *,
+    reference: Experiment | str | Path | None = None,
     motions: Sequence[str] | None = None,
     effects: Sequence[str] | None = None,
     seed: int = 0,
     settings: Settings = DEFAULT,
     progress: Progress = quiet,
-) -> Diagnosis:
+) -> Diagnosis | Changes:
     """Find where model and data disagree, name the missing effect, add it and show on held-out motions that the gap shrank.
 
     The phases: noise of sensors and encoders; forward selection of effects; refit under the noise as the new model passes it on;
@@ -49,6 +81,9 @@ def diagnose(
         Loaded, or its folder.
     channel
         ``wrench``, ``torque`` or ``both``; default as for `bayesid.identify`.
+    reference
+        The same robot in its known state. Then its posterior is the prior, its ``[model]`` the model, and what is named is what
+        changed since; of the URDF only the geometry counts.
     motions
         Which to fit; default those with role ``identification``.
     effects
@@ -66,6 +101,8 @@ def diagnose(
     InputError
         Bad input; the message says what to do.
     """
+    if reference is not None:
+        return changes(experiment, reference, channel, motions, effects, seed, settings, progress)
     since = time.perf_counter()
     with threadpool_limits(1, user_api="blas"):
         experiment = as_experiment(experiment)

@@ -1,0 +1,228 @@
+"""Everything that a comparison with a reference found, as plain data."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayesid.diagnosis.changes.hidden import Hidden, smallest
+from bayesid.diagnosis.changes.hypotheses import Hypothesis
+from bayesid.diagnosis.changes.posterior import Amplitudes, amplitudes
+from bayesid.diagnosis.changes.proof import Place, Proof, prove
+from bayesid.diagnosis.changes.recording import Recording, chosen_bandwidth, read_recording
+from bayesid.diagnosis.changes.reference import Reference, learn_reference
+from bayesid.diagnosis.changes.selection import Accepted, Scores, Selection, select
+from bayesid.diagnosis.changes.verdict import Verdict, proven, verdict
+from bayesid.diagnosis.settings import DEFAULT, Settings
+from bayesid.effects import Term
+from bayesid.recordings.experiment import Experiment
+
+
+@dataclass(frozen=True, eq=False)
+class Value:
+    """A parameter of a change.
+
+    Attributes
+    ----------
+    name, unit
+        Of the parameter, with the joint in front where all joints share the change.
+    value, std
+        The change since the reference, and its standard deviation; nan where it is a shape that was held.
+    before
+        What it was in the reference; zero for what was not there.
+    """
+
+    name: str
+    unit: str
+    value: float
+    std: float
+    before: float
+
+
+@dataclass(frozen=True, eq=False)
+class Change:
+    """A change that is named.
+
+    Attributes
+    ----------
+    found
+        What the data say of it.
+    values
+        Its parameters.
+    share, share_low
+        Of the gap between reference and recording that it closes on stretches that took no part; lower end of its one-sided 95 %
+        interval.
+    """
+
+    found: Accepted
+    values: tuple[Value, ...]
+    share: float
+    share_low: float
+
+    @property
+    def change(self) -> Hypothesis:
+        """What changed."""
+        return self.found.change
+
+    @property
+    def probability(self) -> float:
+        """Against the rivals alone, all equally likely beforehand."""
+        return float(1.0 / (1.0 + sum(np.exp(-lack) for _, lack in self.found.rivals)))
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """What a comparison with a reference found.
+
+    Attributes
+    ----------
+    reference, recording
+        Before and after.
+    selection, proof
+        Changes that the data demand, and how they do on held-out stretches.
+    verdict
+        As in ``diagnosis.json``.
+    changes
+        Those that are named.
+    hidden
+        How large every other change had to be to be named.
+    terms
+        Effects of the later recording: the reference's at their new values, then those that came.
+    """
+
+    reference: Reference
+    recording: Recording
+    selection: Selection
+    proof: Proof
+    verdict: Verdict
+    changes: tuple[Change, ...]
+    hidden: tuple[Hidden, ...]
+    terms: tuple[Term, ...]
+
+    @property
+    def scores(self) -> Scores:
+        """Log evidence of every change on its own, one for each kind and place, best first."""
+        best: dict[str, tuple[Hypothesis, float]] = {}
+        for h, e in self.selection.scores:
+            best.setdefault(h.spec, (h, e))
+        return tuple(best.values())
+
+    @property
+    def described_by(self) -> str | None:
+        """What the remainder goes with, in words; None where nothing stands out."""
+        s = self.selection
+        denied = [a.change.spec for a in s.accepted if a.change not in {c.change for c in self.changes}]
+        if denied:
+            return f"{', '.join(denied)}, which held-out stretches deny"
+        if s.factor > 1.0:
+            return f"friction of all joints, {s.factor:g} times as far from the reference as it usually wanders"
+        return None
+
+    @property
+    def places(self) -> tuple[Place, ...]:
+        """Where recording and reference disagree most."""
+        return self.proof.places
+
+
+def compare_with_reference(
+    before: Experiment,
+    after: Experiment,
+    channel: str | None = None,
+    *,
+    effects: Sequence[str] | None = None,
+    motions: Sequence[str] | None = None,
+    seed: int = 0,
+    settings: Settings = DEFAULT,
+) -> Comparison:
+    """Find what changed between two recordings of a robot.
+
+    Parameters
+    ----------
+    before, after
+        In its known state, and later.
+    channel, effects
+        What is compared, and the model; default those of ``before``.
+    motions
+        Of the later recording; default those with role ``identification``.
+    seed
+        Of the bootstrap.
+    settings
+        The thresholds.
+
+    Raises
+    ------
+    InputError
+        They are not of the same robot, or cannot be fitted.
+
+    Notes
+    -----
+    Both are smoothed to the lower of the bandwidths that each of them would choose: where one of them shows no motion, what its
+    regressor holds there is encoder noise.
+    """
+    reference = learn_reference(before, channel, effects)
+    lower = chosen_bandwidth(reference, after, motions)
+    if lower < reference.problem.smoother.bandwidth:
+        reference = learn_reference(before, channel, effects, lower)
+    recording = read_recording(reference, after, motions)
+    selection = select(reference, recording, settings)
+    proof = prove(selection, recording, settings, seed)
+    decided = verdict(selection, proof, settings)
+    named = proven(selection, proof, settings)
+    fitted = amplitudes(selection.marginal())
+    changes = tuple(
+        Change(a, _values(reference, a.change, fitted, own), share, low)
+        for a, own, share, low in zip(selection.accepted, selection.directions, proof.shares, proof.shares_low, strict=True)
+        if a in named
+    )
+    return Comparison(
+        reference, recording, selection, proof, decided, changes, smallest(selection, settings),
+        (*_known_terms(reference, fitted), *_new_terms(changes)),
+    )  # fmt: skip
+
+
+def _values(reference: Reference, change: Hypothesis, fitted: Amplitudes, own: slice) -> tuple[Value, ...]:
+    """Parameters of a change."""
+    mean = fitted.part(own)[change.columns]
+    std = np.sqrt(np.sum(fitted.part_root(own)[change.columns] ** 2, axis=1))
+    before = reference.solution[change.columns] if change.known else np.zeros(len(mean))
+    proposal = change.proposal
+    if proposal is None:
+        each = zip(change.parameters, mean, std, before, strict=True)
+        return tuple(Value(n, u, float(v), float(s), float(b)) for (n, u), v, s, b in each)
+    amplitude = np.zeros(len(proposal.active))
+    spread = np.full(len(proposal.active), np.nan)
+    amplitude[proposal.active], spread[proposal.active] = mean, std
+    values = np.atleast_2d(proposal.about.to_values(amplitude))[0]
+    plain = np.isclose(values, amplitude)  # an amplitude that is the value itself, so that its spread is the value's, too
+    spread[~plain] = np.nan
+    names, units = change.effects[0].parameters, change.effects[0].units
+    return tuple(Value(n, u, float(v), float(s), 0.0) for n, u, v, s in zip(names, units, values, spread, strict=True))
+
+
+def _known_terms(reference: Reference, fitted: Amplitudes) -> tuple[Term, ...]:
+    """The model's effects at their values in the later recording."""
+    model = reference.problem.row_model
+    values = reference.point.values.copy()
+    first, count = model.base.rank, len(reference.solution)
+    values[model.free] += fitted.all[first:count]
+    out, start = [], 0
+    for effect in model.effects:
+        out.append(Term(effect, tuple(values[start : start + len(effect.parameters)])))
+        start += len(effect.parameters)
+    return tuple(out)
+
+
+def _new_terms(changes: Sequence[Change]) -> tuple[Term, ...]:
+    """Effects that came, one at every joint where all share a change."""
+    out = []
+    for c in changes:
+        if c.change.known:
+            continue
+        values = [v.value for v in c.values]
+        each = len(c.change.effects[0].parameters)
+        for k, effect in enumerate(c.change.effects):
+            own = values[k * each : (k + 1) * each]
+            out.append(Term(effect, (*own, *[0.0] * (each - len(own)))))
+    return tuple(out)

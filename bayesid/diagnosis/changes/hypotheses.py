@@ -1,0 +1,163 @@
+"""What may have changed: each hypothesis a few columns with a prior of their amplitudes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayesid.diagnosis.changes.proposals import Proposal, sizes_of
+from bayesid.diagnosis.changes.reference import Reference
+from bayesid.diagnosis.changes.scales import FRICTION_SHARE, SIZES, WANDERING, body_sizes
+from bayesid.effects import Effect, JointGainEffect
+from bayesid.effects.bodies import Payload, body_of
+
+#: Where a change is that all joints share.
+EVERYWHERE = "every joint"
+
+
+@dataclass(frozen=True, eq=False)
+class StandingAmplitudes:
+    """Amplitudes that are in both recordings.
+
+    Attributes
+    ----------
+    columns
+        Columns of `Recording.rows` less what the reference's estimate takes of them (k,).
+    mean, root
+        As the reference has them (k,), and a root of their covariance (k, k).
+    wander
+        Standard deviations from one recording to another with nothing changed (k,).
+    """
+
+    columns: np.ndarray
+    mean: np.ndarray
+    root: np.ndarray
+    wander: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Hypothesis:
+    """A change that competes with others.
+
+    Attributes
+    ----------
+    name, where
+        As in the experiment format, or `EVERYWHERE`.
+    effects
+        What changed: one effect, or one at every joint.
+    columns
+        Columns of `Recording.rows` (k,).
+    sizes
+        Typical amplitudes (k,).
+    standing
+        What the reference says of the amplitudes of an effect that its model does not have; None: it has them.
+    proposal
+        How amplitudes become values, of an effect that the reference's model does not have.
+    known
+        Whether it has it, with other values.
+    """
+
+    name: str
+    where: str
+    effects: tuple[Effect, ...]
+    columns: np.ndarray
+    sizes: np.ndarray
+    standing: StandingAmplitudes | None = None
+    proposal: Proposal | None = None
+    known: bool = False
+
+    @property
+    def spec(self) -> str:
+        """``name@where``."""
+        return f"{self.name}@{self.where}"
+
+    @property
+    def is_friction(self) -> bool:
+        """Whether it is a change of what wanders from one recording to another."""
+        return all(isinstance(e, WANDERING) for e in self.effects)
+
+    @property
+    def parameters(self) -> tuple[tuple[str, str], ...]:
+        """Name and unit of each amplitude (k,)."""
+        several = len(self.effects) > 1
+        each = [(f"{e.where}.{n}" if several else n, u) for e in self.effects for n, u in zip(e.parameters, e.units, strict=True)]
+        if self.proposal is not None:
+            each = [each[k] for k in np.flatnonzero(self.proposal.active)]
+        return tuple(each[: len(self.columns)])
+
+
+def hypotheses(reference: Reference) -> tuple[Hypothesis, ...]:
+    """Everything that may have changed."""
+    return (*_bodies(reference), *_known(reference), *_new(reference))
+
+
+def gain_columns(reference: Reference) -> np.ndarray:
+    """Columns of drive gains that the model does not have: they are never known to better than a few per cent."""
+    return np.array([k for p, k in _placed(reference) if isinstance(p.effect, JointGainEffect)], int).ravel()
+
+
+def _bodies(reference: Reference) -> Iterator[Hypothesis]:
+    """Something attached to a link or taken away: mass and first moments, or all ten parameters."""
+    robot, first, sizes = reference.robot, len(reference.solution), body_sizes(reference.robot)
+    for joint in range(robot.n):
+        effect = Payload(f"joint{joint + 1}", joint)
+        columns = first + 10 * body_of(robot, joint) + np.arange(10)
+        for count in (4, 10):
+            yield Hypothesis(effect.name, effect.where, (effect,), columns[:count], sizes[:count])
+
+
+def _known(reference: Reference) -> Iterator[Hypothesis]:
+    """Other values of the model's own effects, one by one; friction of all joints at once wanders."""
+    model = reference.problem.row_model
+    column = np.cumsum(model.free) - 1 + model.base.rank
+    start = 0
+    for effect in model.effects:
+        own = np.arange(start, start + len(effect.parameters))
+        start += len(own)
+        sizes = np.abs(np.asarray(effect.typical(reference.robot), float))
+        if not model.free[own].all() or sizes.min() == 0.0:
+            continue
+        yield Hypothesis(effect.name, effect.where, (effect,), column[own], sizes, known=True)
+
+
+def _new(reference: Reference) -> Iterator[Hypothesis]:
+    """Effects that the reference's model does not have; drive gains at every joint at once, too."""
+    gains: list[Hypothesis] = []
+    for proposal, columns in _placed(reference):
+        effect = proposal.effect
+        sizes = sizes_of(effect, proposal.about, reference.robot)[proposal.active]
+        both = _standing(reference, [effect], columns, sizes)
+        one = Hypothesis(effect.name, effect.where, (effect,), columns, sizes, both, proposal)
+        yield one
+        if isinstance(effect, JointGainEffect):
+            gains.append(one)
+    if len(gains) > 1:
+        effects, columns, sizes = _together(gains)
+        yield Hypothesis(effects[0].name, EVERYWHERE, effects, columns, sizes, _standing(reference, effects, columns, sizes))
+
+
+def _standing(reference: Reference, effects: Sequence[Effect], columns: np.ndarray, sizes: np.ndarray) -> StandingAmplitudes:
+    mean, root = reference.standing.amplitudes(columns - _first(reference), max(SIZES) * sizes)
+    share = FRICTION_SHARE if all(isinstance(e, WANDERING) for e in effects) else 0.0
+    return StandingAmplitudes(columns + reference.standing.carried.shape[1], mean, root, share * np.abs(mean))
+
+
+def _first(reference: Reference) -> int:
+    """First column of the proposals."""
+    return len(reference.solution) + len(reference.problem.row_model.base.parameter_names)
+
+
+def _placed(reference: Reference) -> Iterator[tuple[Proposal, np.ndarray]]:
+    """Proposals and their columns."""
+    start = _first(reference)
+    for proposal in reference.proposals:
+        count = int(proposal.active.sum())
+        yield proposal, np.arange(start, start + count)
+        start += count
+
+
+def _together(members: list[Hypothesis]) -> tuple[tuple[Effect, ...], np.ndarray, np.ndarray]:
+    columns, sizes = (np.concatenate([getattr(m, k) for m in members]) for k in ("columns", "sizes"))
+    return tuple(m.effects[0] for m in members), columns, sizes

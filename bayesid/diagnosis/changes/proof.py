@@ -1,0 +1,191 @@
+"""Proof on stretches that took no part: how much of the gap between reference and later recording each change closes.
+
+Every stretch is predicted from what the others say: from the reference alone; from the reference with one change after the other
+and nothing else; and with links, friction and gains fitted within their tolerance beside. What the recording's own fit of the
+same model leaves is the floor, and what the tolerance alone would do stands beside.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayesid.diagnosis.changes.posterior import amplitudes
+from bayesid.diagnosis.changes.recording import Recording
+from bayesid.diagnosis.changes.selection import Selection
+from bayesid.diagnosis.settings import Settings
+from bayesid.estimators.dispersion import STRETCHES
+
+#: From so many motions on each is left out as a whole; fewer are cut into stretches.
+_ENOUGH_MOTIONS = 4
+#: Lower end of one-sided 95 % intervals.
+_LOW = 0.05
+
+
+@dataclass(frozen=True)
+class Place:
+    """A channel and a time in which the reference's prediction is off.
+
+    Attributes
+    ----------
+    channel, motion
+        Indices.
+    start, end
+        When [s].
+    before, after
+        Root mean square of the residual there, of the reference and with all changes and tolerances.
+    """
+
+    channel: int
+    motion: int
+    start: float
+    end: float
+    before: float
+    after: float
+
+
+@dataclass(frozen=True)
+class Proof:
+    """Mean squares of residuals on stretches held out in turn; one is what the recording's own fit leaves.
+
+    Attributes
+    ----------
+    reference
+        Of the reference as it is.
+    changes
+        With one change more each, and nothing else (m,).
+    after
+        With all changes, and all else fitted within its tolerance.
+    tolerance
+        Without any change, all else fitted within its tolerance.
+    floor
+        What the recording's own fit of the same model leaves; no more than the least of the others.
+    shares, shares_low
+        Share of the gap from ``reference`` to ``floor`` that each change closes (m,), and the lower ends of their one-sided 95 %
+        intervals, by bootstrap over blocks of time; nan where there is no gap.
+    closed, closed_low
+        Share that is closed in all, tolerance included.
+    by_channel
+        Root mean square by channel: reference, with the changes, after, floor (c, 4).
+    places
+        Channels and blocks of time where the reference's prediction is furthest off.
+    stretches
+        How many were left out in turn.
+    """
+
+    reference: float
+    changes: tuple[float, ...]
+    after: float
+    tolerance: float
+    floor: float
+    shares: tuple[float, ...]
+    shares_low: tuple[float, ...]
+    closed: float
+    closed_low: float
+    by_channel: np.ndarray
+    places: tuple[Place, ...]
+    stretches: int
+
+    @property
+    def remainder(self) -> float:
+        """Share of the gap that stays."""
+        return max(1.0 - self.closed, 0.0) if np.isfinite(self.closed) else 0.0
+
+
+def prove(selection: Selection, recording: Recording, settings: Settings, seed: int) -> Proof:
+    """Leave stretches out in turn.
+
+    Parameters
+    ----------
+    selection
+        The changes.
+    recording
+        The rows.
+    settings
+        ``room_ratio``, ``bootstrap_block`` and ``bootstrap_draws`` count here.
+    seed
+        Of the bootstrap.
+    """
+    squares = _residuals(selection, recording) ** 2
+    blocks = _blocks(recording, settings)
+    sums = np.array([squares[part].sum(axis=0) for part in blocks])
+    rng = np.random.default_rng(seed)
+    draws = sums[rng.integers(len(sums), size=(settings.bootstrap_draws, len(sums)))].sum(axis=1)
+    means = squares.mean(axis=0)
+    floor = float(means.min())
+    shares, low = _shares(means), np.quantile(_shares(draws), _LOW, axis=0)
+    if means[0] <= settings.room_ratio**2 * floor:
+        shares, low = np.full((2, len(shares)), np.nan)
+    last = -4  # the reference with all changes and nothing else
+    return Proof(
+        reference=float(means[0]), changes=tuple(means[1:-3].tolist()), after=float(means[-3]), tolerance=float(means[-2]),
+        floor=floor, shares=tuple(shares[1:].tolist()), shares_low=tuple(low[1:].tolist()), closed=float(shares[0]),
+        closed_low=float(low[0]),
+        by_channel=np.sqrt(
+            [squares[recording.channel == c][:, [0, last, -3, -1]].mean(axis=0) for c in range(len(recording.scale))]
+        ),
+        places=_places(recording, squares, blocks, settings),
+        stretches=int(_groups(recording).max()) + 1,
+    )  # fmt: skip
+
+
+def _residuals(selection: Selection, recording: Recording) -> np.ndarray:
+    """Of held-out rows (N, m + 4): reference, with each change more, after, tolerance alone; and those of the own fit."""
+    groups = _groups(recording)
+    rows, left = recording.rows, recording.left
+    parts = [groups == g for g in range(groups.max() + 1)]
+    grams = [rows[part].T @ rows[part] / recording.correlation for part in parts]
+    targets = [rows[part].T @ left[part] / recording.correlation for part in parts]
+    with_changes, without = selection.marginal(), selection.marginal(())
+    out = np.empty((len(left), len(selection.accepted) + 4))
+    out[:, 0], out[:, -1] = left, recording.own
+    for g, part in enumerate(parts):
+        gram, target = (np.sum([x[k] for k in range(len(parts)) if k != g], axis=0) for x in (grams, targets))
+        fitted = amplitudes(with_changes, gram, target)
+        alone = amplitudes(without, gram, target)
+        for k, own in enumerate(selection.directions):
+            out[part, k + 1] = out[part, k] - rows[part] @ fitted.part(own)
+        out[part, -3] = left[part] - rows[part] @ fitted.all
+        out[part, -2] = left[part] - rows[part] @ alone.all
+    return out
+
+
+def _shares(means: np.ndarray) -> np.ndarray:
+    """Of the gap: closed in all, and by each change (..., 1 + m); from mean squares as `_residuals` orders them."""
+    floor = means.min(axis=-1, keepdims=True)
+    gap = np.maximum(means[..., :1] - floor, 1e-3 * floor)
+    closed = means[..., :1] - means[..., -3:-2]
+    return np.concatenate([closed, means[..., :-4] - means[..., 1:-3]], axis=-1) / gap
+
+
+def _groups(recording: Recording) -> np.ndarray:
+    """Which rows are left out together (N,)."""
+    motions = list(dict.fromkeys(recording.motions.tolist()))
+    if len(motions) >= _ENOUGH_MOTIONS:
+        return np.searchsorted(np.sort(motions), recording.motions)
+    return np.arange(len(recording.left)) * STRETCHES // len(recording.left)
+
+
+def _blocks(recording: Recording, settings: Settings) -> list[np.ndarray]:
+    """Rows of every block of time."""
+    out = []
+    for motion in dict.fromkeys(recording.motions.tolist()):
+        mine = np.flatnonzero(recording.motions == motion)
+        times = recording.times[mine]
+        count = max(int((times[-1] - times[0]) / settings.bootstrap_block), 1)
+        out += np.array_split(mine, min(count, len(mine)))
+    return out
+
+
+def _places(recording: Recording, squares: np.ndarray, blocks: list[np.ndarray], settings: Settings) -> tuple[Place, ...]:
+    """The worst blocks and channels, worst first."""
+    found = []
+    for part in blocks:
+        for c in range(len(recording.scale)):
+            mine = part[recording.channel[part] == c]
+            before, after = np.sqrt(squares[mine][:, [0, -3]].mean(axis=0)) if len(mine) else (0.0, 0.0)
+            if before**2 > settings.unexplained:
+                start, end = recording.times[mine[[0, -1]]]
+                found.append(Place(c, int(recording.motions[mine[0]]), float(start), float(end), float(before), float(after)))
+    return tuple(sorted(found, key=lambda p: -p.before)[: settings.listed])

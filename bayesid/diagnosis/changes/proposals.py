@@ -1,0 +1,140 @@
+"""Effects that the model does not have, as columns beside its own."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+
+from bayesid.diagnosis.changes.scales import LASTING
+from bayesid.diagnosis.surroundings import joint_inertia, mean_places
+from bayesid.effects import BodyEffect, Effect, Linearisation, MotionSegment, Point, Surroundings, Term, columns, linearised
+from bayesid.regression.problem import Problem
+from bayesid.regression.rows import RowModel, Segment
+from bayesid.robot.robot import Robot
+
+
+@dataclass(frozen=True, eq=False)
+class Proposal:
+    """An effect that may have come, with its derivatives at some values as columns.
+
+    Attributes
+    ----------
+    effect, about
+        The effect, and what amplitudes of its columns mean.
+    active
+        Which of its columns stand for it (k,); the others are of a shape that is held.
+    """
+
+    effect: Effect
+    about: Linearisation
+    active: np.ndarray
+
+    @property
+    def term(self) -> Term:
+        """The effect at the values where derivatives are taken."""
+        return Term(self.effect, tuple(self.about.at))
+
+
+@dataclass(frozen=True, repr=False)
+class ProposalRows(RowModel):
+    """Rows about a point with further columns, of effects that the model does not have.
+
+    Attributes
+    ----------
+    proposals
+        These effects.
+    """
+
+    proposals: tuple[Proposal, ...] = ()
+
+    @property
+    def extra_columns(self) -> int:
+        """Effect parameters that are estimated, and all columns of the proposals."""
+        return super().extra_columns + sum(int(p.active.sum()) for p in self.proposals)
+
+    def about_point(self, segment: Segment, first: int, last: int) -> np.ndarray:
+        """Rows of samples about the point: regressor, effects, proposals, shifted target (N, channels, p + 1)."""
+        assert self.point is not None
+        a, b = first, last
+        if not segment.poses:
+            times = segment.times
+            terms = [*self.point.terms(self.effects), *(p.term for p in self.proposals)]
+            step = float(np.median(np.diff(times[:1000])))
+            reach = max((t.effect.reach(t.values, self.bandwidth, step) for t in terms), default=0.0)
+            a = int(np.searchsorted(times, times[first] - reach))
+            b = int(np.searchsorted(times, times[last - 1] + reach, side="right"))
+        scene = replace(self.state(segment, a, b), still=segment.poses, bandwidth=self.bandwidth, middle=self.point.middle)
+        read = segment.readings[a:b] if segment.gravity else segment.measured(a, b)
+        robot, channels, point = self.robot, self.channels, self.point
+        own = linearised(robot, channels, scene, self.effects, point, self.base.independent, read, gravity=segment.gravity)
+        parts, terms = [*own[:2]], point.terms(self.effects)
+        for p in self.proposals:
+            found = columns(
+                robot, channels, scene, point.links, terms, p.effect, tuple(p.about.at), gravity=segment.gravity
+            )[:, :, p.active]  # fmt: skip
+            if p.effect.removed_by_static_run and not segment.offset:
+                found = np.zeros_like(found)
+            parts.append(found)
+        part = slice(first - a, last - a)
+        return np.concatenate([*(x[part] for x in parts), own[2][part, :, None]], axis=2)
+
+
+def with_proposals(model: RowModel, point: Point, proposals: tuple[Proposal, ...]) -> ProposalRows:
+    """A row model about a point, with the columns of proposals."""
+    given: dict[str, Any] = {f.name: getattr(model, f.name) for f in fields(RowModel)}
+    return ProposalRows(**{**given, "point": point}, proposals=proposals)
+
+
+def _scenes(model: RowModel, segments: Sequence[Segment]) -> list[MotionSegment]:
+    """A few hundred samples of every motion, for what effects want to know of it."""
+    out = []
+    for s in segments:
+        state = model.state(s, 0, len(s.times))
+        every = slice(None, None, max(len(s.times) // 200, 1))
+        out.append(MotionSegment(*(getattr(state, k)[every] for k in ("times", "positions", "velocities", "accelerations"))))
+    return out
+
+
+def make_proposals(problem: Problem, links: np.ndarray) -> tuple[Proposal, ...]:
+    """Every effect that may have come, gone or changed and that a model does not have; bodies are combinations of its columns.
+
+    Parameters
+    ----------
+    problem
+        The model, and the motions that effects are asked about.
+    links
+        Ten parameters a body (10 b,).
+    """
+    model, experiment = problem.row_model, problem.experiment
+    robot = experiment.robot
+    scenes = _scenes(model, [s for name in problem.fitted for s in problem.segments[name]])
+    around = Surroundings(
+        robot=robot,
+        mean_places=mean_places(robot, scenes),
+        joint_inertia=joint_inertia(robot, scenes[0], links),
+        links_known=True,
+        both_channels=problem.channel == "both",
+        static_run=problem.static != "none",
+        base_sensor=problem.channel != "torque" and experiment.sensor is not None and experiment.sensor.joint is None,
+    )
+    known = {e.spec for e in model.effects}
+    out = []
+    for name, kind in experiment.library.classes.items():
+        if issubclass(kind, (BodyEffect, *LASTING)) or kind.once:
+            continue
+        for effect in experiment.library.places(name, robot.joint_names, model.channels.names, experiment.gear_ratio):
+            if effect.spec in known or not effect.sought(around):
+                continue
+            for about in effect.linearisations(around):
+                active = sizes_of(effect, about, robot) > 0.0
+                if active.any():
+                    out.append(Proposal(effect, about, active))
+    return tuple(out)
+
+
+def sizes_of(effect: Effect, about: Linearisation, robot: Robot) -> np.ndarray:
+    """Typical amplitudes of an effect's columns (k,); zero for those of a shape that is held."""
+    return np.abs(about.to_amplitudes(np.asarray(effect.typical(robot), float)))

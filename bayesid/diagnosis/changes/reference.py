@@ -1,0 +1,150 @@
+"""What the reference recording says: links, friction and other effects, with the covariance that they are known to."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from bayesid.diagnosis.changes.proposals import Proposal, make_proposals
+from bayesid.diagnosis.changes.scales import WANDERING, wander
+from bayesid.diagnosis.changes.standing import Standing
+from bayesid.dynamics.nearest_links import nearest_links
+from bayesid.effects import Effect, Point, middle_of
+from bayesid.estimators import Estimate
+from bayesid.estimators.least_squares import weighted_factor
+from bayesid.estimators.nonlinear import solve
+from bayesid.estimators.weights import learn_weights
+from bayesid.recordings.experiment import Experiment
+from bayesid.regression.linalg import pseudo_inverse
+from bayesid.regression.options import FitOptions
+from bayesid.regression.problem import Problem, absorbed_offset, prepare
+from bayesid.robot.prior import Prior
+from bayesid.robot.robot import Robot
+from bayesid.robot.typical import states_masses, typical_links
+
+#: Friction that every joint has, fitted along whether the model states it or not.
+_FRICTION = ("viscous_friction", "coulomb_friction", "torque_offset")
+
+
+@dataclass(frozen=True)
+class Reference:
+    """A robot in its known state.
+
+    Attributes
+    ----------
+    problem, estimate
+        The fit to the reference recording.
+    """
+
+    problem: Problem
+    estimate: Estimate
+
+    @property
+    def robot(self) -> Robot:
+        """With typical bodies where the URDF states no masses."""
+        return self.problem.experiment.robot
+
+    @property
+    def effects(self) -> tuple[Effect, ...]:
+        """Of the model, friction of every joint included."""
+        return self.problem.row_model.effects
+
+    @property
+    def solution(self) -> np.ndarray:
+        """Base parameters, then effect parameters (p,)."""
+        return self.estimate.solution
+
+    @cached_property
+    def point(self) -> Point:
+        """Links and effects of the reference, where readings of the later recording are linearised."""
+        model = self.problem.row_model
+        rank = model.base.rank
+        links = nearest_links(self.robot, model.base, self.solution[:rank], ~self.estimate.undetermined[:rank])
+        count = sum(len(e.parameters) for e in model.effects)
+        values = np.zeros(count) if model.point is None else model.point.values.copy()
+        values[model.free] = self.solution[rank:]
+        if model.point is not None:
+            middle = model.point.middle
+        else:
+            middle = next((middle_of(s.positions) for ss in self.problem.segments.values() for s in ss if not s.poses), None)
+        return Point(links.reshape(-1, 10), self.solution[:rank], values, model.free, absorbed_offset(model.base, links), middle)
+
+    @cached_property
+    def proposals(self) -> tuple[Proposal, ...]:
+        """Effects that the model does not have."""
+        return make_proposals(self.problem, self.point.links.ravel())
+
+    @cached_property
+    def standing(self) -> Standing:
+        """What the reference says of these."""
+        return Standing.of(self.problem, self.point, self.solution, self.proposals)
+
+    @cached_property
+    def covariance(self) -> np.ndarray:
+        """Of `solution` (p, p): as estimated, dispersion included; as vague as bodies and effects are where it says nothing."""
+        covariance, hidden = self.estimate.full_covariance, self.estimate.undetermined
+        assert covariance is not None
+        if not hidden.any():
+            return covariance
+        weights = learn_weights(self.problem.regression)
+        factor = weighted_factor(self.problem.regression, weights, "channel")[0].matrix
+        # What was estimated beside a hidden parameter goes with it: X_o d_o = -X_h d_h.
+        carried = np.zeros((len(hidden), int(hidden.sum())))
+        carried[hidden] = np.eye(carried.shape[1])
+        carried[~hidden] = -pseudo_inverse(factor[:, ~hidden]) @ factor[:, hidden]
+        return covariance + carried * self._vague[hidden] ** 2 @ carried.T
+
+    @property
+    def _vague(self) -> np.ndarray:
+        """Size of each parameter (p,)."""
+        model = self.problem.row_model
+        links = Prior.nominal(self.robot.nominal, 2.0**0.5).covariance
+        base = np.sqrt(np.einsum("ij,jk,ik->i", model.base.matrix, links, model.base.matrix))
+        typical = np.array([abs(t) for e in model.effects for t in e.typical(self.robot)])
+        return np.concatenate([base, typical[model.free]])
+
+    def wanders(self, friction: bool) -> np.ndarray:
+        """Standard deviation of each parameter from one recording to another (p,): of friction, or of drive gains."""
+        model, out, start = self.problem.row_model, [], 0
+        for effect in model.effects:
+            values = self.point.values[start : start + len(effect.parameters)]
+            size = wander(effect, values, self.robot)
+            out.append(size if isinstance(effect, WANDERING) == friction else 0.0 * size)
+            start += len(values)
+        return np.concatenate([np.zeros(model.base.rank), np.concatenate([np.zeros(0), *out])[model.free]])
+
+
+def with_bodies(experiment: Experiment) -> Experiment:
+    """The experiment with typical bodies where its URDF states no masses: scales need some, results do not hang on them."""
+    robot = experiment.robot
+    return experiment if states_masses(robot) else replace(experiment, robot=replace(robot, nominal=typical_links(robot)))
+
+
+def learn_reference(
+    experiment: Experiment, channel: str | None = None, effects: Sequence[str] | None = None, bandwidth: float | None = None
+) -> Reference:
+    """Fit links, friction of every joint and the model's own effects to the reference.
+
+    Parameters
+    ----------
+    experiment
+        The robot in its known state.
+    channel
+        ``wrench``, ``torque`` or ``both``; None: as for `bayesid.identify`.
+    effects
+        Replaces ``[model] effects``; friction of every joint comes along for torques.
+    bandwidth
+        Of the joint motion [Hz]; None: chosen from the recording.
+
+    Raises
+    ------
+    InputError
+        It cannot be fitted.
+    """
+    experiment = with_bodies(experiment)
+    own = list(experiment.effects if effects is None else effects)
+    problem = prepare(experiment, FitOptions(channel, effects=[*own, *_FRICTION], bandwidth=bandwidth))
+    return Reference(*solve(problem, "wls"))

@@ -1,0 +1,167 @@
+"""Which changes the data demand: the best one, then what else, beside rivals that do as well."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bayesid.diagnosis.changes.evidence import Marginal, Reduced, best_size, gain
+from bayesid.diagnosis.changes.hypotheses import Hypothesis, gain_columns, hypotheses
+from bayesid.diagnosis.changes.recording import Recording
+from bayesid.diagnosis.changes.reference import Reference
+from bayesid.diagnosis.changes.scales import GAIN_SHARE, WANDER_FACTORS
+from bayesid.diagnosis.settings import Settings
+
+#: Changes with their log evidence, best first.
+Scores = tuple[tuple[Hypothesis, float], ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Accepted:
+    """A change that the data demand.
+
+    Attributes
+    ----------
+    change
+        What changed.
+    size
+        Of its prior, in typical sizes.
+    evidence
+        Log evidence that it adds to what is known and to the other changes.
+    rivals
+        Other changes that would do as well in its place, and by how much log evidence they are behind.
+    lead
+        Log evidence by which the best change of another kind or place is behind, and that change.
+    """
+
+    change: Hypothesis
+    size: float
+    evidence: float
+    rivals: Scores = ()
+    lead: tuple[Hypothesis, float] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Selection:
+    """The changes found.
+
+    Attributes
+    ----------
+    data
+        The rows.
+    every
+        All changes that competed.
+    tolerance
+        What is known: combinations of columns of unit variance (q, k), by the factor by which friction wanders.
+    accepted
+        Changes, in the order found.
+    factor
+        By which friction wanders beside them.
+    scores
+        Log evidence of every change on its own.
+    beyond
+        What others add to those accepted.
+    """
+
+    data: Reduced
+    every: tuple[Hypothesis, ...]
+    tolerance: dict[float, np.ndarray]
+    accepted: tuple[Accepted, ...] = ()
+    factor: float = 1.0
+    scores: Scores = ()
+    beyond: Scores = ()
+
+    def marginal(self, accepted: Iterable[Accepted] | None = None, factor: float | None = None) -> Marginal:
+        """The data with some of the changes (default all) and friction that wanders so far integrated out."""
+        factor = self.factor if factor is None else factor
+        parts = [self.tolerance[factor]]
+        count = len(parts[0])
+        mean = np.zeros(count)
+        for a in self.accepted if accepted is None else accepted:
+            parts.append(_at(count, a.change.columns, np.diag(a.size * a.change.sizes)))
+            if (both := a.change.standing) is not None:
+                parts.append(_at(count, a.change.columns, factor * np.diag(both.wander)))
+                parts.append(_at(count, both.columns, both.root))
+                mean[both.columns] = both.mean
+        return Marginal(self.data, np.hstack(parts), mean, factor, WANDER_FACTORS[factor])
+
+    @property
+    def directions(self) -> tuple[slice, ...]:
+        """Which of the directions of `marginal` are each change's."""
+        start, out = self.tolerance[self.factor].shape[1], []
+        for a in self.accepted:
+            count = len(a.change.columns)
+            out.append(slice(start, start + count))
+            start += count if a.change.standing is None else 3 * count
+        return tuple(out)
+
+    def ranked(self, accepted: Sequence[Accepted]) -> Scores:
+        """What every other change adds, best first; friction wanders by the best of the factors, with and without it."""
+        marginals = [self.marginal(accepted, f) for f in WANDER_FACTORS]
+        taken = {a.change.spec for a in accepted}
+        found = ((h, gain(marginals, h)) for h in self.every if h.spec not in taken)
+        return tuple(sorted(found, key=lambda x: -x[1]))
+
+
+def select(reference: Reference, recording: Recording, settings: Settings) -> Selection:
+    """Add changes as long as the data demand them.
+
+    Parameters
+    ----------
+    reference, recording
+        Before and after.
+    settings
+        ``accept``, ``rival`` and ``most_families`` count here.
+    """
+    tolerance = {f: _tolerance(reference, recording, f) for f in WANDER_FACTORS}
+    s = Selection(Reduced.of(recording.rows, recording.left, recording.correlation), hypotheses(reference), tolerance)
+    scores = further = s.ranked(())
+    s = replace(s, scores=scores, factor=_factor(s, ()))
+    while further and further[0][1] >= settings.accept and len(s.accepted) < settings.most_families:
+        change, evidence = further[0]
+        accepted = (*s.accepted, Accepted(change, best_size(s.marginal(), change), evidence))
+        s = replace(s, accepted=accepted, factor=_factor(s, accepted))
+        further = s.ranked(accepted)
+    return replace(s, accepted=tuple(_judged(s, a, settings) for a in s.accepted), beyond=further)
+
+
+def _factor(s: Selection, accepted: Sequence[Accepted]) -> float:
+    """How much friction wanders beside some changes."""
+    return max(WANDER_FACTORS, key=lambda f: s.marginal(accepted, f).null)
+
+
+def _judged(s: Selection, one: Accepted, settings: Settings) -> Accepted:
+    """A change beside the others that were accepted, with what else would do in its place."""
+    others = [a for a in s.accepted if a is not one]
+    scores = s.ranked(others)
+    taken = {a.change.spec for a in s.accepted}
+    own = next(e for h, e in scores if h is one.change)
+    first: dict[str, tuple[Hypothesis, float]] = {}
+    for h, e in scores:
+        if h.spec not in taken:
+            first.setdefault(h.spec, (h, own - e))
+    behind = sorted(first.values(), key=lambda x: x[1])
+    return replace(
+        one, evidence=own, rivals=tuple(x for x in behind if x[1] < settings.rival), lead=behind[0] if behind else None
+    )
+
+
+def _tolerance(reference: Reference, recording: Recording, factor: float) -> np.ndarray:
+    """Root of the reference's covariance and of what differs from one recording to another, as combinations of columns (q, k)."""
+    p, q = len(reference.solution), recording.rows.shape[1]
+    friction, gains = factor * reference.wanders(friction=True), reference.wanders(friction=False)
+    covariance = reference.covariance + np.diag(friction**2 + gains**2)
+    length = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    values, vectors = np.linalg.eigh(covariance / np.outer(length, length))
+    root = length[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+    columns = gain_columns(reference)
+    return np.hstack([_at(q, np.arange(p), root), _at(q, columns, GAIN_SHARE * np.eye(len(columns)))])
+
+
+def _at(count: int, columns: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Values (k, m) in some of the rows of zeros (count, m)."""
+    out = np.zeros((count, values.shape[1]))
+    out[columns] = values
+    return out

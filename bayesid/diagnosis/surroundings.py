@@ -1,0 +1,42 @@
+"""What effects may want to know of the recordings that they are sought in: where links are, and what joints feel."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from bayesid.dynamics.channels import torque_channels
+from bayesid.dynamics.kinematics import P, link_states
+from bayesid.effects import MotionSegment, readings
+from bayesid.robot.robot import Robot
+
+
+def mean_places(robot: Robot, scenes: Sequence[MotionSegment]) -> np.ndarray:
+    """Mean position of each link's frame over motions, in the base frame (n, 3) [m]."""
+    means = []
+    for scene in scenes:
+        states = link_states(robot, scene.positions, scene.velocities, scene.accelerations)
+        means.append(states[:, : robot.n, P : P + 3].mean(axis=0))
+    return np.mean(means, axis=0)
+
+
+def joint_inertia(robot: Robot, scene: MotionSegment, links: np.ndarray) -> np.ndarray:
+    """Mean inertia that each joint feels over a motion (n,) [kg m^2 or kg].
+
+    Parameters
+    ----------
+    robot, scene
+        What moves, and how.
+    links
+        Ten parameters a body (10 b,).
+    """
+    n = robot.n
+    poses = np.repeat(scene.positions[:: max(len(scene.positions) // 20, 1)], n, axis=0)
+    rates = np.tile(np.eye(n), (len(poses) // n, 1))
+    channels = torque_channels(robot)
+    times = np.arange(len(poses), dtype=float)
+    torque = [
+        readings(robot, channels, MotionSegment(times, poses, 0.0 * poses, a), links, ()) for a in (rates, 0.0 * rates)
+    ]
+    return np.einsum("knn->n", (torque[0] - torque[1]).reshape(-1, n, n)) / (len(poses) // n)

@@ -1,0 +1,51 @@
+"""The verb ``diagnose`` with a reference: what changed since a recording of the robot in its known state."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+from threadpoolctl import threadpool_limits
+
+from bayesid.diagnosis.changes.findings import compare_with_reference
+from bayesid.diagnosis.settings import Settings
+from bayesid.recordings.experiment import Experiment, load_experiment
+from bayesid.recordings.schema import write_model
+from bayesid.results.changes import Changes
+from bayesid.results.files import Files, files_of, strict
+from bayesid.workflows.progress import Progress
+
+
+def changes(
+    after: Experiment | str | Path,
+    before: Experiment | str | Path,
+    channel: str | None,
+    motions: Sequence[str] | None,
+    effects: Sequence[str] | None,
+    seed: int,
+    settings: Settings,
+    progress: Progress,
+) -> Changes:
+    """What changed; parameters and errors as in `bayesid.diagnose`."""
+    since = time.perf_counter()
+    with threadpool_limits(1, user_api="blas"):
+        progress("reading")
+        after = after if isinstance(after, Experiment) else load_experiment(after)
+        before = before if isinstance(before, Experiment) else load_experiment(before, after.library)
+        progress("what changed since the reference")
+        found = compare_with_reference(
+            before, after, channel, effects=effects, motions=motions, seed=seed, settings=settings
+        )
+    return Changes(found, time.perf_counter() - since)
+
+
+@files_of.register
+def _(result: Changes) -> Files:
+    """``diagnosis.json``, ``model.toml`` and the report."""
+    from bayesid.report.changes import changes_report
+
+    effects, values = result.model
+    expressions = result.experiment.library.expressions
+    others = {"model.toml": lambda path: write_model(effects, values, path, expressions)}
+    return Files({"diagnosis.json": strict(result.to_dict())}, others, changes_report(result))

@@ -1,0 +1,158 @@
+"""What changed since a reference: evidence against dense algebra, simulated pairs of recordings, and a real arm."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+import bayesid
+from bayesid.diagnosis.changes.evidence import Marginal, Reduced, gain
+from bayesid.diagnosis.changes.hypotheses import Hypothesis, StandingAmplitudes
+from bayesid.diagnosis.changes.posterior import amplitudes
+from bayesid.diagnosis.changes.scales import DISPERSIONS, SIZES
+from bayesid.effects.friction import CoulombFriction
+from bayesid.recordings.experiment import Motion
+from bayesid.recordings.table import Table
+from bayesid.robot.robot import load_robot
+from tests.robots import puma560, write
+from tests.simulated import experiment, fourier, recording
+
+
+def _dense(rows, left, known, mean, spread):
+    """Best log density over dispersions of a Gaussian with these directions, and of each size of further ones."""
+    out = []
+    for size in SIZES:
+        directions = np.hstack([known, size * spread])
+        covariance = rows @ directions @ directions.T @ rows.T
+        out.append([multivariate_normal.logpdf(left - rows @ mean, cov=covariance + k * np.eye(len(left))) for k in DISPERSIONS])
+    return np.log(np.mean(np.exp(np.array(out) - np.max(out)), axis=0)).max() + np.max(out)
+
+
+@pytest.mark.parametrize("standing", [False, True])
+def test_evidence_is_that_of_the_dense_gaussian(standing):
+    rng = np.random.default_rng(3)
+    rows, known = rng.normal(size=(40, 7)), rng.normal(size=(7, 3)) * 0.5
+    left = rows @ rng.normal(size=7) + rng.normal(size=40)
+    both = None
+    always, mean = np.zeros((7, 0)), np.zeros(7)
+    if standing:
+        root, wander = np.array([[0.4, 0.0], [0.1, 0.2]]), np.array([0.1, 0.3])
+        both = StandingAmplitudes(np.array([5, 6]), np.array([0.3, -0.2]), root, wander)
+        always = np.zeros((7, 4))
+        always[[5, 6], 2:], always[3, 0], always[4, 1] = both.root, 0.1, 0.3
+        mean[[5, 6]] = both.mean
+    change = Hypothesis("x", "y", (CoulombFriction("joint1", 0),), np.array([3, 4]), np.array([0.5, 2.0]), both)
+    spread = np.zeros((7, 2))
+    spread[3, 0], spread[4, 1] = 0.5, 2.0
+    marginal = Marginal(Reduced.of(rows, left), known, np.zeros(7))
+    with_it = _dense(rows, left, np.hstack([known, always]), mean, spread)
+    without = _dense(rows, left, np.hstack([known, always]), mean, np.zeros((7, 0)))
+    assert gain([marginal], change) == pytest.approx(with_it - without, abs=1e-8)
+
+
+def test_posterior_is_that_of_bayes_rule():
+    rng = np.random.default_rng(4)
+    rows, known = rng.normal(size=(30, 5)), rng.normal(size=(5, 4))
+    left = rows @ rng.normal(size=5) + 0.5 * rng.normal(size=30)
+    marginal = Marginal(Reduced.of(rows, left, correlation=2.0), known, np.full(5, 0.1))
+    found = amplitudes(marginal)
+    noise = 2.0 * marginal.dispersion * np.eye(30)
+    prior = known @ known.T
+    kalman = prior @ rows.T @ np.linalg.inv(rows @ prior @ rows.T + noise)
+    assert found.all == pytest.approx(0.1 + kalman @ (left - rows @ np.full(5, 0.1)), abs=1e-9)
+    spread = found.part_root(slice(None))
+    assert spread @ spread.T == pytest.approx(prior - kalman @ rows @ prior, abs=1e-9)
+
+
+COULOMB, VISCOUS = np.array([6.0, 8.0, 4.0, 1.5, 1.2, 1.0]), np.array([5.0, 7.0, 3.0, 1.0, 0.8, 0.6])
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory):
+    return load_robot(write(tmp_path_factory.mktemp("arm"), puma560()))
+
+
+def _recorded(robot, seed, *, body=None, link=5, coulomb=COULOMB, viscous=VISCOUS, masses=True):
+    """A recording of the arm with friction, and with a body on a link."""
+    motion = fourier(robot, seed, duration=15.0, rate=100.0)
+    phi = robot.nominal.copy()
+    if body is not None:
+        phi[link] += body
+    table = recording(robot, None, motion, seed=seed, torque_std=0.3, resolution=1e-5, phi=phi.ravel())
+    torques = table.torques + viscous * motion[2] + coulomb * np.tanh(motion[2] / 1e-3)
+    table = Table(times=table.times, positions=table.positions, torques=torques)
+    known = robot if masses else replace(robot, nominal=np.zeros_like(robot.nominal))
+    return experiment(known, [Motion("run", "identification", table)])
+
+
+BODY = np.array([1.5, 0.06, 0.03, 0.15, 0.01, 0.0, 0.012, 0.0, 0.0, 0.006])
+
+
+@pytest.mark.parametrize("masses", [True, False])
+def test_a_payload_is_named_with_its_mass(arm, masses):
+    before, after = _recorded(arm, 1, masses=masses), _recorded(arm, 2, body=BODY, masses=masses)
+    found = bayesid.diagnose(after, reference=before)
+    assert found.verdict == "named"
+    assert [c.change.spec for c in found.comparison.changes] == ["payload@joint6"]
+    mass = found.comparison.changes[0].values[0]
+    assert abs(mass.value - 1.5) < 2.5 * mass.std and mass.std < 0.15
+    assert found.comparison.changes[0].share_low > 0.9
+
+
+def test_friction_of_one_joint_is_named(arm):
+    more = COULOMB * np.where(np.arange(6) == 1, 2.0, 1.0)
+    found = bayesid.diagnose(_recorded(arm, 2, coulomb=more), reference=_recorded(arm, 1))
+    assert [c.change.spec for c in found.comparison.changes] == ["coulomb_friction@joint2"]
+    level = found.comparison.changes[0].values[0]
+    assert level.before == pytest.approx(8.0, abs=0.8)
+    assert abs(level.value - 8.0) < 3.0 * level.std + 0.8
+
+
+def test_nothing_is_named_where_friction_wanders_by_a_twentieth(arm):
+    rng = np.random.default_rng(0)
+    coulomb, viscous = (x * (1.0 + 0.05 * rng.normal(size=6)) for x in (COULOMB, VISCOUS))
+    found = bayesid.diagnose(_recorded(arm, 2, coulomb=coulomb, viscous=viscous), reference=_recorded(arm, 1))
+    assert found.verdict == "nothing_missing"
+    assert found.comparison.scores[0][1] < 5.0
+    hidden = {h.change.spec: h.value for h in found.comparison.hidden}
+    assert 0.01 < hidden["payload@joint6"] < 1.5
+    assert 0.8 < hidden["coulomb_friction@joint2"] < 8.0
+    assert "could hide" in str(found)
+
+
+def test_another_robot_is_refused(arm, tmp_path):
+    from tests.robots import ur5
+
+    other = load_robot(write(tmp_path, ur5()))
+    with pytest.raises(bayesid.InputError, match="same robot"):
+        bayesid.diagnose(_recorded(arm, 1), reference=_recorded(other, 1))
+    moved = replace(arm, translation=arm.translation + 0.01)
+    with pytest.raises(bayesid.InputError, match="joint frames are not as in"):
+        bayesid.diagnose(_recorded(arm, 1), reference=_recorded(moved, 1))
+
+
+UNLOADED = ("before", "feb05-20s-12h", "feb05-20s-8h", "feb06-20s-10h", "feb06-20s-5h")
+
+
+@pytest.mark.parametrize("reference", UNLOADED)
+def test_a_real_payload_is_named_against_every_reference(shared, reference, tmp_path):
+    found = bayesid.diagnose(shared("data/ur10e/after-load"), reference=shared(f"data/ur10e/{reference}"))
+    found.write(tmp_path / "out")
+    told = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
+    assert told["verdict"] in ("named", "named_in_part")
+    assert [(e["name"], e["where"]) for e in told["effects"]] == [("payload", "joint6")]
+    mass = told["effects"][0]["parameters"]["m"]
+    assert abs(mass["value"] - 2.805) < min(0.15, 1.96 * mass["std"])
+    assert told["effects"][0]["share_low"] > 0.5
+    assert told["gap"]["after"] < 0.5 * told["gap"]["before"]
+
+
+@pytest.mark.parametrize("reference", UNLOADED)
+def test_nothing_is_named_between_unloaded_recordings(shared, reference):
+    for other in UNLOADED:
+        if other != reference:
+            found = bayesid.diagnose(shared(f"data/ur10e/{other}"), reference=shared(f"data/ur10e/{reference}"))
+            assert found.verdict == "nothing_missing"
+            assert not found.comparison.changes
