@@ -98,7 +98,7 @@ class Changes(Result):
             ],
             "identification": {
                 "rows": len(c.recording.left), "rows_that_count_as_one": c.recording.correlation,
-                "dispersion": c.selection.marginal().dispersion, "friction_wanders": c.selection.factor,
+                "dispersion": c.selection.marginal().dispersion, "tolerance_factor": c.selection.factor,
                 "bandwidth_hz": c.recording.problem.smoother.bandwidth,
             },
             "next_experiment": "",

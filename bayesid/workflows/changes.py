@@ -10,7 +10,7 @@ from threadpoolctl import threadpool_limits
 
 from bayesid.diagnosis.changes.findings import compare_with_reference
 from bayesid.diagnosis.settings import Settings
-from bayesid.recordings.experiment import Experiment, load_experiment
+from bayesid.recordings.experiment import Experiment, as_experiment
 from bayesid.recordings.schema import write_model
 from bayesid.results.changes import Changes
 from bayesid.results.files import Files, files_of, strict
@@ -31,8 +31,7 @@ def changes(
     since = time.perf_counter()
     with threadpool_limits(1, user_api="blas"):
         progress("reading")
-        after = after if isinstance(after, Experiment) else load_experiment(after)
-        before = before if isinstance(before, Experiment) else load_experiment(before, after.library)
+        after, before = as_experiment(after), as_experiment(before)
         progress("what changed since the reference")
         found = compare_with_reference(
             before, after, channel, effects=effects, motions=motions, seed=seed, settings=settings

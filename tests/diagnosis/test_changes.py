@@ -8,16 +8,17 @@ import pytest
 from scipy.stats import multivariate_normal
 
 import bayesid
+from bayesid.cli import main
 from bayesid.diagnosis.changes.evidence import Marginal, Reduced, gain
 from bayesid.diagnosis.changes.hypotheses import Hypothesis, StandingAmplitudes
 from bayesid.diagnosis.changes.posterior import amplitudes
 from bayesid.diagnosis.changes.scales import DISPERSIONS, SIZES
 from bayesid.effects.friction import CoulombFriction
-from bayesid.recordings.experiment import Motion
+from bayesid.recordings.experiment import Motion, Sensor
 from bayesid.recordings.table import Table
 from bayesid.robot.robot import load_robot
 from tests.robots import puma560, write
-from tests.simulated import experiment, fourier, recording
+from tests.simulated import experiment, fourier, puma2, recording
 
 
 def _dense(rows, left, known, mean, spread):
@@ -101,6 +102,47 @@ def test_a_payload_is_named_with_its_mass(arm, masses):
     assert found.comparison.changes[0].share_low > 0.9
 
 
+def test_the_model_with_the_change_leaves_links_as_they_were(arm, tmp_path):
+    before, after = _recorded(arm, 1), _recorded(arm, 2, body=BODY)
+    bayesid.diagnose(after, reference=before).write(tmp_path / "out")
+    with_change = bayesid.identify(after.with_model(tmp_path / "out" / "model.toml")).estimate
+    without = bayesid.identify(after, effects=("viscous_friction", "coulomb_friction", "torque_offset")).estimate
+    known = bayesid.identify(before, effects=("viscous_friction", "coulomb_friction", "torque_offset")).estimate
+    spread = np.hypot(known.std, without.std)
+    off = [float(np.sqrt(np.mean(((e.values - known.values) / spread) ** 2))) for e in (with_change, without)]
+    assert off[0] < 3.0 and off[1] > 5.0 * off[0]
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "payload at joint6" in page and page.count("<svg") >= 2
+
+
+def test_what_the_model_lacks_before_and_after_is_no_change(arm):
+    """Friction in proportion to the speed's cube: unknown to the model, in both recordings, and large beside the noise."""
+
+    def recorded(seed, **changed):
+        made = _recorded(arm, seed, **changed)
+        (motion,) = made.motions
+        table = motion.table
+        speed = np.gradient(table.positions, table.times, axis=0)
+        table = replace(table, torques=table.torques + 3.0 * speed**3)
+        return replace(made, motions=(replace(motion, table=table),))
+
+    assert not bayesid.diagnose(recorded(2), reference=recorded(1)).comparison.changes
+    found = bayesid.diagnose(recorded(2, body=2.0 * BODY), reference=recorded(1))
+    assert found.comparison.changes[0].change.spec == "payload@joint6"
+
+
+def test_a_turned_sensor_is_named(tmp_path):
+    robot = puma2(tmp_path)
+    arm = experiment(robot, [], Sensor(translation=[0.0, 0.0, -0.1]), position_resolution=1e-5)
+    path = [bayesid.fourier_trajectory(robot, duration=12.0, seed=1)]
+    before = bayesid.simulate(arm, path, seed=3)
+    turned = bayesid.simulate(arm, path, effects={"sensor_rotation": {"rx": 0.02, "ry": 0.0, "rz": 0.0}}, seed=4)
+    (change,) = bayesid.diagnose(turned, reference=before).comparison.changes
+    assert change.change.spec == "sensor_rotation@sensor"
+    assert [v.value for v in change.values] == pytest.approx([0.02, 0.0, 0.0], abs=2e-3)
+    assert bayesid.diagnose(bayesid.simulate(arm, path, seed=5), reference=before).verdict == "nothing_missing"
+
+
 def test_friction_of_one_joint_is_named(arm):
     more = COULOMB * np.where(np.arange(6) == 1, 2.0, 1.0)
     found = bayesid.diagnose(_recorded(arm, 2, coulomb=more), reference=_recorded(arm, 1))
@@ -131,6 +173,21 @@ def test_another_robot_is_refused(arm, tmp_path):
     moved = replace(arm, translation=arm.translation + 0.01)
     with pytest.raises(bayesid.InputError, match="joint frames are not as in"):
         bayesid.diagnose(_recorded(arm, 1), reference=_recorded(moved, 1))
+
+
+def test_the_command_line_takes_a_reference_and_tells_bad_ones_in_one_line(arm, tmp_path, capsys):
+    for name, made in (("before", _recorded(arm, 1)), ("after", _recorded(arm, 2, body=BODY))):
+        bayesid.write_experiment(made, tmp_path / name)
+    out = str(tmp_path / "out")
+    assert main(["diagnose", str(tmp_path / "after"), "--reference", str(tmp_path / "before"), "--out", out]) == 0
+    assert "payload at joint6" in capsys.readouterr().out
+    told = json.loads((tmp_path / "out" / "diagnosis.json").read_text())
+    assert told["reference"] == str(tmp_path / "before")
+    assert told["effects"][0]["share_low"] > 0.9 and told["remainder"]["share"] < 0.1
+    assert main(["diagnose", str(tmp_path / "after"), "--reference", str(tmp_path / "none"), "--out", out]) == 2
+    assert len(capsys.readouterr().err.strip().splitlines()) == 1
+    assert main(["diagnose", str(tmp_path / "after"), "--reference", str(tmp_path / "before"), "--channel", "wrench"]) == 2
+    assert len(capsys.readouterr().err.strip().splitlines()) == 1
 
 
 UNLOADED = ("before", "feb05-20s-12h", "feb05-20s-8h", "feb06-20s-10h", "feb06-20s-5h")

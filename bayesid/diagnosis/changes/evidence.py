@@ -77,7 +77,7 @@ class Marginal:
     mean
         Amplitudes of all columns that are expected (q,): of what is in both recordings.
     factor
-        By which friction wanders more than usual; `known` holds it but for effects that are in no change yet.
+        By which the tolerance is wider than usual; `known` holds it but for effects that are in no change yet.
     prior
         Log probability of that factor beforehand.
     """

@@ -117,7 +117,7 @@ class Comparison:
         if denied:
             return f"{', '.join(denied)}, which held-out stretches deny"
         if s.factor > 1.0:
-            return f"friction of all joints, {s.factor:g} times as far from the reference as it usually wanders"
+            return f"links and friction of all joints, {s.factor:g} times as far from the reference as is usual"
         return None
 
     @property

@@ -9,7 +9,7 @@ import numpy as np
 
 from bayesid.diagnosis.changes.proposals import Proposal, sizes_of
 from bayesid.diagnosis.changes.reference import Reference
-from bayesid.diagnosis.changes.scales import FRICTION_SHARE, SIZES, WANDERING, body_sizes
+from bayesid.diagnosis.changes.scales import FRICTION_SHARE, LASTING, SIZES, WANDERING, body_sizes
 from bayesid.effects import Effect, JointGainEffect
 from bayesid.effects.bodies import Payload, body_of
 
@@ -117,7 +117,7 @@ def _known(reference: Reference) -> Iterator[Hypothesis]:
         own = np.arange(start, start + len(effect.parameters))
         start += len(own)
         sizes = np.abs(np.asarray(effect.typical(reference.robot), float))
-        if not model.free[own].all() or sizes.min() == 0.0:
+        if not model.free[own].all() or sizes.min() == 0.0 or isinstance(effect, LASTING):
             continue
         yield Hypothesis(effect.name, effect.where, (effect,), column[own], sizes, known=True)
 

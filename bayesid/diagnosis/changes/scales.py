@@ -25,8 +25,8 @@ LASTING = (RotorInertia, RotorMomentum)
 FRICTION_SHARE, FRICTION_FLOOR = 0.1, 1e-3
 #: Drive gains differ from those of the reference by this share.
 GAIN_SHARE = 0.02
-#: Friction of all joints may wander this many times as much, on a cold day or under a load, each doubling at odds of 1 to 20
-#: beforehand: what one joint does must stand out of what all do.
+#: Friction of all joints may wander this many times as much, on a cold day or under a load, and the reference's intervals may be
+#: that much too short for another motion; each doubling at odds of 1 to 20 beforehand. What changed must stand out of that.
 WANDER_FACTORS = {1.0: 0.0, 2.0: -3.0, 4.0: -6.0}
 #: Dispersion: factors on the variance of AFTER's own noise that every hypothesis may choose from.
 DISPERSIONS = np.geomspace(0.5, 8.0, 41)

@@ -54,11 +54,11 @@ class Selection:
     every
         All changes that competed.
     tolerance
-        What is known: combinations of columns of unit variance (q, k), by the factor by which friction wanders.
+        What is known: combinations of columns of unit variance (q, k), by the factor by which it is wider than usual.
     accepted
         Changes, in the order found.
     factor
-        By which friction wanders beside them.
+        By which links and friction are further from the reference than they usually are, beside them.
     scores
         Log evidence of every change on its own.
     beyond
@@ -74,7 +74,7 @@ class Selection:
     beyond: Scores = ()
 
     def marginal(self, accepted: Iterable[Accepted] | None = None, factor: float | None = None) -> Marginal:
-        """The data with some of the changes (default all) and friction that wanders so far integrated out."""
+        """The data with some of the changes (default all) and a tolerance so many times as wide integrated out."""
         factor = self.factor if factor is None else factor
         parts = [self.tolerance[factor]]
         count = len(parts[0])
@@ -98,7 +98,7 @@ class Selection:
         return tuple(out)
 
     def ranked(self, accepted: Sequence[Accepted]) -> Scores:
-        """What every other change adds, best first; friction wanders by the best of the factors, with and without it."""
+        """What every other change adds, best first; the tolerance is wider by the best of the factors, with and without it."""
         marginals = [self.marginal(accepted, f) for f in WANDER_FACTORS]
         taken = {a.change.spec for a in accepted}
         found = ((h, gain(marginals, h)) for h in self.every if h.spec not in taken)
@@ -128,7 +128,7 @@ def select(reference: Reference, recording: Recording, settings: Settings) -> Se
 
 
 def _factor(s: Selection, accepted: Sequence[Accepted]) -> float:
-    """How much friction wanders beside some changes."""
+    """How much wider than usual the tolerance is beside some changes."""
     return max(WANDER_FACTORS, key=lambda f: s.marginal(accepted, f).null)
 
 
@@ -152,7 +152,7 @@ def _tolerance(reference: Reference, recording: Recording, factor: float) -> np.
     """Root of the reference's covariance and of what differs from one recording to another, as combinations of columns (q, k)."""
     p, q = len(reference.solution), recording.rows.shape[1]
     friction, gains = factor * reference.wanders(friction=True), reference.wanders(friction=False)
-    covariance = reference.covariance + np.diag(friction**2 + gains**2)
+    covariance = factor**2 * reference.covariance + np.diag(friction**2 + gains**2)
     length = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
     values, vectors = np.linalg.eigh(covariance / np.outer(length, length))
     root = length[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
