@@ -1,19 +1,19 @@
-"""What encoder errors add to the covariance of an efficient fit.
+"""What encoder errors add to the covariance of a fit.
 
 Errors u of the positions make rows ``y = X b + e - U b``: they enter through the dynamics, so they come and go with the motion.
-The weights of generalised least squares know noise by its mean spectrum alone, and they trust most what that calls quiet. So
-with rows whitened by W, ``W'W = S^-1`` for the mean S of all noise, the fit ``A^-1 X' S^-1 y``, ``A = X' S^-1 X``, has not the
-covariance A^-1 but
+The noise that is learned from residuals knows their mean spectrum alone. With rows weighted by W, ``A = X' W'W X``, the fit
+``A^-1 X' W'W y`` has the covariance
 
-    A^-1 (X' S^-1 Sigma S^-1 X + cov(X' S^-1 U b)) A^-1,
+    A^-1 (X' W'W Sigma W'W X + cov(X' W'W U b)) A^-1,
 
 Sigma the sensor's part of the noise (`bayesid.estimators.sensor_noise`) and U b simulated: the smooth motion once more with fresh
-encoder noise. Fits weighted by channel do not trust quiet frequencies, and their intervals hold without this.
+encoder errors, rounded to counts where their size is known. Where that changes no variance by more than a tenth, the covariance
+of noise alone stands.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,8 +23,9 @@ from bayesid.estimators.factor import gram_rows, on_columns, reduce_whitened
 from bayesid.estimators.sensor_noise import sensor_noise
 from bayesid.estimators.weights import Weights
 from bayesid.regression.blocks import Block, RegressorNoise
-from bayesid.regression.linalg import pseudo_inverse, solve, standard_deviations
+from bayesid.regression.linalg import pseudo_inverse
 from bayesid.regression.regression import Regression
+from bayesid.signals.noise import NoiseModel
 
 #: Draws that tell whether encoder errors matter, and draws that their covariance is taken from.
 _FEW, _MANY = 4, 40
@@ -32,6 +33,10 @@ _FEW, _MANY = 4, 40
 SPECTRA = 16
 #: Share of a parameter's variance that is left out. Of few draws, the largest share of many parameters is overstated.
 _NEGLIGIBLE = 0.1
+
+
+#: Rows of a block (k, channels, ...), weighted.
+Weighted = Callable[[Block, np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True)
@@ -46,8 +51,9 @@ class _Draws:
     share: Sequence[float]
 
     @classmethod
-    def of(cls, regression: Regression, law: RegressorNoise, values: np.ndarray, count: int) -> _Draws:
-        """Simulate ``(X - X*) b``."""
+    def of(cls, regression: Regression, law: RegressorNoise, values: np.ndarray, most: int) -> _Draws:
+        """Simulate ``(X - X*) b`` so many times, or as often as there are draws."""
+        count = min(most, law.draws or most)
         blocks = list(law.pieces(None))
         errors = [[(b.matrix - p.matrix) @ values for b, p in zip(blocks, law.pieces(d), strict=True)] for d in range(count)]
         moving = sum(len(b.rows) for b in blocks if b.group != "poses")
@@ -55,14 +61,14 @@ class _Draws:
         more = (regression.row_count - poses) / max(moving, 1)
         return cls(blocks, errors, [1.0 if b.group == "poses" else more for b in blocks])
 
-    def covariance(self, weights: Weights) -> np.ndarray:
-        """Covariance of ``X' S^-1 U b`` (p, p)."""
+    def covariance(self, weighted: Weighted) -> np.ndarray:
+        """Covariance of ``X' W'W U b`` (p, p)."""
         sums = 0.0
         for k, block in enumerate(self.blocks):
             p = block.matrix.shape[2]
             both = np.concatenate([block.matrix, np.stack([e[k] for e in self.errors], axis=2)], axis=2)
-            white = weights.noise[block.group].whiten(both).reshape(-1, both.shape[2])
-            sums = sums + np.sqrt(self.share[k]) * (white[:, p:].T @ white[:, :p])
+            rows = weighted(block, both).reshape(-1, both.shape[2])
+            sums = sums + np.sqrt(self.share[k]) * (rows[:, p:].T @ rows[:, :p])
         return covariance_of_sums(np.asarray(sums))
 
 
@@ -76,28 +82,57 @@ def covariance_of_sums(sums: np.ndarray) -> np.ndarray:
     return wider * np.cov(sums.T, ddof=min(count - 1, 1)).reshape(p, p)
 
 
-def efficient_middle(regression: Regression, weights: Weights) -> np.ndarray | None:
-    """``X' S^-1 (Sigma + cov(U b)) S^-1 X`` of rows whitened by their noise (p, p); None where it is ``X' S^-1 X``.
+def encoder_correction(
+    regression: Regression, weights: Weights, scale: dict[str, np.ndarray] | None, matrix: np.ndarray, middle: np.ndarray
+) -> np.ndarray | None:
+    """What encoder errors add to ``X' W'W S W'W X``, the covariance of the weighted equations' right side (p, p).
 
-    None also where nothing is known of the regressor's errors, or where they add next to nothing.
+    Parameters
+    ----------
+    regression, weights
+        The rows, and the mean S of all their noise.
+    scale
+        What each channel (c,) of a group of rows was weighted with; None: rows were whitened.
+    matrix
+        Factor of the weighted rows (p, p).
+    middle
+        The covariance without encoder errors (p, p).
+
+    Returns
+    -------
+    correction
+        None where it is next to nothing, or nothing is known of the regressor's errors.
     """
-    return regression.once("efficient_middle", lambda: _middle(regression, weights))
-
-
-def _middle(regression: Regression, weights: Weights) -> np.ndarray | None:
     law = regression.regressor_noise
     if law is None or not law.present():
         return None
-    pilot = regression.pilot()
-    factor = reduce_whitened(pilot, weights.noise)
-    values = solve(factor.matrix, factor.target)
-    taken = pseudo_inverse(factor.matrix)
-    few = _Draws.of(regression, law, values, min(_FEW, law.draws or _FEW))
-    inverse = taken @ taken.T / (regression.row_count / max(sum(len(b.rows) for b in pilot), 1))  # A^-1 of all rows
-    added = standard_deviations(inverse @ few.covariance(weights) @ inverse)
-    if np.all(added**2 <= _NEGLIGIBLE * np.diag(inverse)):
+
+    def weighted(block: Block, rows: np.ndarray) -> np.ndarray:
+        return weights.noise[block.group].whiten(rows) if scale is None else rows * scale[block.group].reshape(-1, 1)
+
+    few = regression.once("few_encoder_errors", lambda: _Draws.of(regression, law, weights.solution, _FEW))
+    root = pseudo_inverse(matrix)
+    inverse = root @ root.T
+    own, added = (np.diag(inverse @ m @ inverse) for m in (middle, few.covariance(weighted)))
+    if np.all(added <= _NEGLIGIBLE * own):
         return None
-    draws = _Draws.of(regression, law, values, min(_MANY, law.draws or _MANY))
+    draws, sensor = regression.once("encoder_errors", lambda: _split(regression, weights, law))
+
+    def coloured(block: Block, noise: dict[str, NoiseModel]) -> np.ndarray:
+        model, rows = weights.noise[block.group], weighted(block, block.matrix)
+        # W' of weighted rows: the transpose of whitening, or the same factors again.
+        back = model.whiten_transposed(rows) if scale is None else rows * scale[block.group].reshape(-1, 1)
+        return noise[block.group].colour_transposed(back)
+
+    by_sensor, by_all = (gram_rows(regression.blocks(), lambda b, n=noise: coloured(b, n)) for noise in (sensor, weights.noise))
+    return by_sensor - by_all + draws.covariance(weighted)
+
+
+def _split(regression: Regression, weights: Weights, law: RegressorNoise) -> tuple[_Draws, dict[str, NoiseModel]]:
+    """Many draws, and the noise of the sensor alone."""
+    pilot, values = regression.pilot(), weights.solution
+    taken = pseudo_inverse(reduce_whitened(pilot, weights.noise).matrix)
+    draws = _Draws.of(regression, law, values, _MANY)
     sensor = {}
     for group, noise in weights.noise.items():
         own = [b for b in pilot if b.group == group]
@@ -112,9 +147,4 @@ def _middle(regression: Regression, weights: Weights) -> np.ndarray | None:
             regression.known_poles if group == "trajectory" else None,
             coloured=group != "poses",
         )
-
-    def coloured(block: Block) -> np.ndarray:
-        noise = weights.noise[block.group]
-        return sensor[block.group].colour_transposed(noise.whiten_transposed(noise.whiten(block.matrix)))
-
-    return gram_rows(regression.blocks(), coloured) + draws.covariance(weights)
+    return draws, sensor

@@ -72,6 +72,7 @@ def begin(regression: Regression) -> Start:
     """Fit channel-weighted least squares, as `wls` does."""
     weights = learn_weights(regression)
     factor, scale = weighted_factor(regression, weights, "channel")
+    assert scale is not None
     solution = solve(factor.matrix, target_from_nominal(regression, factor))
     solution = solution + nominal_start(regression, len(solution))
     hidden = undetermined(factor.matrix)

@@ -3,11 +3,10 @@
 All minimise ``||W (y - X b)||`` for rows y = X b + e with cov e = Sigma:
 
 * ``ols``: W = 1. Covariance from the noise as it is, ``(X'X)^-1 X' Sigma X (X'X)^-1``: the sandwich, which
-  allows for the colour that filters give.
+  allows for the colour that filters give, and for encoder errors where they matter (`bayesid.estimators.encoder_errors`).
 * ``wls``: W = 1 / the standard deviation of each channel. The same sandwich.
-* ``gls``: W'W = Sigma^-1, the efficient one; covariance ``(X' Sigma^-1 X)^-1``, or more where encoder errors matter
-  (`bayesid.estimators.encoder_errors`). It trusts whatever is quiet, so where the model lacks something it goes astray: then W
-  is that of ``wls``.
+* ``gls``: W'W = Sigma^-1, the efficient one; covariance ``(X' Sigma^-1 X)^-1``. It trusts whatever is quiet, so where
+  the model lacks something it goes astray: then W is that of ``wls``.
 * ``ridge``, ``tsvd``: biased towards the nominal model, or zero without one; no interval is honest for them.
 """
 
@@ -21,7 +20,7 @@ from scipy.optimize import fminbound
 
 from bayesid.errors import InputError
 from bayesid.estimators.details import Details
-from bayesid.estimators.encoder_errors import efficient_middle
+from bayesid.estimators.encoder_errors import encoder_correction
 from bayesid.estimators.estimator import Estimate, largest_autocorrelation
 from bayesid.estimators.factor import Factor, gram_rows, reduce_whitened, whitened
 from bayesid.estimators.reduction import reduce_in_coordinates
@@ -57,7 +56,7 @@ class LeastSquares:
         hidden = undetermined(factor.matrix)
         inverse = determined_inverse(factor.matrix, hidden)
         bread = inverse @ inverse.T
-        middle = covariance_middle(regression, weights, kind, scale)
+        middle = covariance_middle(regression, weights, scale, factor)
         covariance = bread if middle is None else bread @ middle @ bread
         return make_estimate(self.name, regression, weights, factor, solution, covariance, hidden)
 
@@ -152,15 +151,17 @@ def likelihood_weights(weights: Weights) -> str:
     return "noise" if weights.complete else "channel"
 
 
-def weighted_factor(regression: Regression, weights: Weights, kind: str) -> tuple[Factor, dict[str, np.ndarray]]:
-    """Factor of weighted rows, and the factor that each channel (c,) of a group of rows was weighted with.
+def weighted_factor(
+    regression: Regression, weights: Weights, kind: str
+) -> tuple[Factor, dict[str, np.ndarray] | None]:
+    """Factor of weighted rows, and what each channel (c,) of a group of rows was weighted with; None: rows were whitened.
 
     Parameters
     ----------
     regression, weights
         The rows, and their noise.
     kind
-        ``none``, ``channel`` or ``noise``, as in `LeastSquares`; with ``noise`` rows are whitened instead.
+        ``none``, ``channel`` or ``noise``, as in `LeastSquares`.
 
     Raises
     ------
@@ -169,10 +170,10 @@ def weighted_factor(regression: Regression, weights: Weights, kind: str) -> tupl
     """
     if kind not in _WEIGHTS:
         raise InputError(f"weights '{kind}': choose one of {', '.join(_WEIGHTS)}")
+    if kind == "noise":
+        return reduce_whitened(regression.blocks(), weights.noise), None
     channels = len(regression.channel_names)
     scale = {g: (1.0 / m.std if kind == "channel" else np.ones(channels)) for g, m in weights.noise.items()}
-    if kind == "noise":
-        return reduce_whitened(regression.blocks(), weights.noise), scale
     root = pilot_of(regression).root
     return reduce_in_coordinates(root, regression.blocks, lambda b: b.rows * scale[b.group][:, None]), scale
 
@@ -191,7 +192,7 @@ def target_from_nominal(regression: Regression, factor: Factor) -> np.ndarray:
 
 
 def covariance_middle(
-    regression: Regression, weights: Weights, kind: str, scale: dict[str, np.ndarray]
+    regression: Regression, weights: Weights, scale: dict[str, np.ndarray] | None, factor: Factor
 ) -> np.ndarray | None:
     """Covariance of the weighted equations' right side (p, p); None where it is the equations' matrix.
 
@@ -199,24 +200,29 @@ def covariance_middle(
     ----------
     regression, weights
         The rows, and their noise.
-    kind, scale
-        As given to and by `weighted_factor`.
+    scale
+        What each channel (c,) of a group of rows was weighted with; None: rows were whitened.
+    factor
+        Of the weighted rows.
     """
-    return efficient_middle(regression, weights) if kind == "noise" else sandwich_middle(regression, weights, scale)
+    middle = factor.matrix.T @ factor.matrix if scale is None else _sandwich_middle(regression, weights, scale)
+    correction = encoder_correction(regression, weights, scale, factor.matrix, middle)
+    if scale is None:
+        return None if correction is None else middle + correction
+    return weights.dispersion * (middle if correction is None else middle + correction)
 
 
-def sandwich_middle(regression: Regression, weights: Weights, scale: dict[str, np.ndarray]) -> np.ndarray:
-    """Sum of ``X' W' Sigma W X`` over all blocks (p, p), Sigma the noise's covariance times `Weights.dispersion`.
+def _sandwich_middle(regression: Regression, weights: Weights, scale: dict[str, np.ndarray]) -> np.ndarray:
+    """Sum of ``X' W' Sigma W X`` over all blocks (p, p), Sigma the noise's covariance.
 
     Blocks are long against the noise's memory; its correlation across their borders is left out.
     """
 
     def colour(block: Block) -> np.ndarray:
-        weighted = block.rows * scale[block.group][:, None] ** 2
+        weighted = block.matrix * scale[block.group][:, None] ** 2
         return weights.noise[block.group].colour_transposed(weighted)
 
-    # With the target, which is left out at the end: whole rows need no copy.
-    return weights.dispersion * gram_rows(regression.blocks(), colour)[:-1, :-1]
+    return gram_rows(regression.blocks(), colour)
 
 
 def _shrink(regression, factor: Factor, given, inverse, *, continuous: bool) -> tuple[np.ndarray, float]:

@@ -190,7 +190,7 @@ def of_data(regression: Regression) -> Evidence:
     rank, learned = regression.base.rank, learn_weights(regression)
     kind = likelihood_weights(learned)
     factor, scale = weighted_factor(regression, learned, kind)
-    middle = covariance_middle(regression, learned, kind, scale)
+    middle = covariance_middle(regression, learned, scale, factor)
     hidden = undetermined(factor.matrix)
     matrix, target = compressed(factor.matrix, factor.target, middle)
     inverse = determined_inverse(matrix, hidden)

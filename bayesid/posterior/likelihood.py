@@ -27,9 +27,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesid.estimators.conic.data import compressed
-from bayesid.estimators.encoder_errors import efficient_middle
 from bayesid.estimators.factor import Factor, reduce_rows, reduce_whitened, stack, whitened
-from bayesid.estimators.least_squares import sandwich_middle
+from bayesid.estimators.least_squares import covariance_middle
 from bayesid.estimators.weights import Weights, learn_weights
 from bayesid.regression.linalg import pseudo_inverse, solve
 from bayesid.regression.regression import Regression
@@ -126,12 +125,12 @@ def _white(regression: Regression, group: str, solution: np.ndarray) -> NoiseMod
 def _adjusted(regression: Regression, weights: Weights) -> tuple[dict[str, NoiseModel], np.ndarray]:
     """Noise that rows are whitened with, and what they are then multiplied by for a curvature of V^-1 (p + 1, p + 1)."""
     if weights.complete:
-        middle = efficient_middle(regression, weights)
-        if middle is None:
-            return weights.noise, np.eye(len(regression.column_names) + 1)
-        noise, factor = weights.noise, reduce_whitened(regression.blocks(), weights.noise)
+        noise, scale, factor = weights.noise, None, reduce_whitened(regression.blocks(), weights.noise)
     else:
-        noise, factor, middle = _by_channel(regression, weights)
+        noise, scale, factor = _by_channel(regression, weights)
+    middle = covariance_middle(regression, weights, scale, factor)
+    if middle is None:
+        return noise, np.eye(len(regression.column_names) + 1)
     # R b with R'R = X'X, and S b with S'S = V^-1, so that S = R C.
     plain, rotated = compressed(factor.matrix, factor.target, None)
     wanted, _ = compressed(factor.matrix, factor.target, middle)
@@ -143,8 +142,10 @@ def _adjusted(regression: Regression, weights: Weights) -> tuple[dict[str, Noise
     return noise, out
 
 
-def _by_channel(regression: Regression, weights: Weights) -> tuple[dict[str, NoiseModel], Factor, np.ndarray]:
-    """White noise as large as the residuals, the factor of rows over it, and the covariance of their sums (p, p).
+def _by_channel(
+    regression: Regression, weights: Weights
+) -> tuple[dict[str, NoiseModel], dict[str, np.ndarray], Factor]:
+    """White noise as large as the residuals, what channels (c,) are weighted with, and the factor of the weighted rows.
 
     Scales must be those of the fit's own residuals: where a channel's scale is not one, its posterior moves the fit away from
     least squares, and by as much more as the curvature is smaller.
@@ -159,5 +160,4 @@ def _by_channel(regression: Regression, weights: Weights) -> tuple[dict[str, Noi
     for _ in range(_PASSES):
         factor = fitted(solution)[2]
         solution = solve(factor.matrix, factor.target)
-    noise, scale, factor = fitted(solution)
-    return noise, factor, sandwich_middle(regression, weights, scale)
+    return fitted(solution)

@@ -91,7 +91,7 @@ def errors_of(row_model: RowModel, segments: Sequence[Segment], smoother: Smooth
     """
     known: list[EncoderNoise] = []
     smoothed: list[Segment] = []
-    parts: list[Segment] = []
+    thinned: list[Segment] = []
     kinds = [_kind(row_model, r) for r in segments]
 
     def noise() -> EncoderNoise:
@@ -110,15 +110,17 @@ def errors_of(row_model: RowModel, segments: Sequence[Segment], smoother: Smooth
         return smoothed
 
     def quiet_pieces() -> Sequence[Segment]:
-        if not parts:
-            parts.extend(as_smooth(r) for r in _pieces(row_model, segments))
-        return parts
+        if not thinned:
+            thinned.extend(as_smooth(r) for r in _pieces(row_model, segments))
+        return thinned
 
-    def again(taken: Sequence[Segment], draw: int, sign: float = 1.0) -> list[Segment]:
-        """Recordings with fresh noise on top of the positions."""
+    def again(taken: Sequence[Segment], true: Sequence[Segment], draw: int, sign: float = 1.0) -> list[Segment]:
+        """Recordings with fresh noise on top of the positions, as the encoders make it of the true ones."""
         rng = np.random.default_rng(np.random.SeedSequence(entropy=_ENTROPY, spawn_key=(draw,)))
-        std = sign * noise().std
-        return [replace(r, positions=r.positions + std * rng.normal(size=r.positions.shape)) for r in taken]
+        return [
+            replace(r, positions=r.positions + sign * _errors(s.positions, noise().std, smoother.resolution, rng))
+            for r, s in zip(taken, true, strict=True)
+        ]
 
     def pairs(taken: Sequence[Segment] = segments) -> Iterator[Pair]:
         for r, kind in zip(taken, kinds, strict=True):
@@ -131,7 +133,9 @@ def errors_of(row_model: RowModel, segments: Sequence[Segment], smoother: Smooth
         return {"warnings": [_not_white(worst)]} if worst > LARGEST_CORRELATION else {}
 
     def noise_described() -> dict[str, Any]:
-        return {"encoder_std": noise().std.tolist(), "encoder_correlation": noise().correlation.tolist(), **doubt()}
+        sizes = {"encoder_std": noise().std.tolist(), "encoder_correlation": noise().correlation.tolist()}
+        # Errors of known counts are simulated with the correlation that they have.
+        return sizes | ({} if smoother.resolution else doubt())
 
     def instruments_described() -> dict[str, Any]:
         return {"instruments": [_SOURCES[k] for k in dict.fromkeys(kinds)], **(doubt() if "halves" in kinds else {})}
@@ -140,15 +144,30 @@ def errors_of(row_model: RowModel, segments: Sequence[Segment], smoother: Smooth
         return bool((noise().std > 0).any())
 
     def simulated(draw: int | None) -> Iterator[Block]:
-        return make_blocks(row_model, quiet() if draw is None else again(quiet(), draw))
+        return make_blocks(row_model, quiet() if draw is None else again(quiet(), quiet(), draw))
 
     def pieces(draw: int | None) -> Iterator[Block]:
-        return make_blocks(row_model, quiet_pieces() if draw is None else again(quiet_pieces(), draw))
+        parts = quiet_pieces()
+        return make_blocks(row_model, parts if draw is None else again(parts, parts, draw))
 
-    law = RegressorNoise(
-        lambda draw, sign: make_blocks(row_model, again(segments, draw, sign)), simulated, pieces, present, noise_described
-    )
-    return law, Instruments(pairs, instruments_described, lambda draw: pairs(again(quiet(), draw)))
+    def perturbed(draw: int, sign: float) -> Iterator[Block]:
+        return make_blocks(row_model, again(segments, quiet(), draw, sign))
+
+    law = RegressorNoise(perturbed, simulated, pieces, present, noise_described)
+    return law, Instruments(pairs, instruments_described, lambda draw: pairs(again(quiet(), quiet(), draw)))
+
+
+def _errors(positions: np.ndarray, std: np.ndarray, resolution: float, rng: np.random.Generator) -> np.ndarray:
+    """Errors of encoders that read positions (N, n): white noise, of which counts of a known size are a part.
+
+    Rounding is no white noise where a joint moves by less than a count from sample to sample. How counts lie to the motion is
+    random.
+    """
+    white = np.sqrt(np.maximum(std**2 - resolution**2 / 12.0, 0.0)) * rng.normal(size=positions.shape)
+    if not resolution:
+        return white
+    exact = (positions + white) / resolution + rng.uniform(-0.5, 0.5, positions.shape[1])
+    return white + resolution * (np.round(exact) - exact)
 
 
 def _pieces(row_model: RowModel, segments: Sequence[Segment]) -> Sequence[Segment]:

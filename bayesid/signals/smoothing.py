@@ -56,6 +56,8 @@ class Smoother:
         The bandwidth that cross-validation chooses [Hz]; 0: there was nothing to choose from.
     at_end
         Whether that is the end of the range searched, so that it is no choice.
+    resolution
+        Encoder count [rad or m]; 0 where it is not known.
     """
 
     bandwidth: float
@@ -63,6 +65,7 @@ class Smoother:
     reason: str
     automatic: float = 0.0
     at_end: bool = False
+    resolution: float = 0.0
 
     @property
     def spacing(self) -> float:
@@ -170,7 +173,8 @@ def choose_smoother(
         if moving.any()
         else "no joint moves; the lowest bandwidth searched"
     )
-    return Smoother(bandwidth, np.maximum(errors[chosen], np.sqrt(floor)), reason, bandwidth, bandwidth >= 0.999 * highest)
+    error, at_end = np.maximum(errors[chosen], np.sqrt(floor)), bandwidth >= 0.999 * highest
+    return Smoother(bandwidth, error, reason, bandwidth, at_end, resolution or 0.0)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 
 from bayesid.estimators import fit
-from bayesid.estimators.encoder_errors import efficient_middle
+from bayesid.estimators.encoder_errors import encoder_correction
+from bayesid.estimators.least_squares import _sandwich_middle, weighted_factor
 from bayesid.estimators.weights import learn_weights
 from bayesid.posterior import Likelihood
+from bayesid.regression.encoder_noise import _errors
 from bayesid.regression.problem import prepare
 from bayesid.regression.regression import Regression
 from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
@@ -31,6 +33,14 @@ def motion():
         return bursts[None, :, None, None] * rng.normal(size=(count, SAMPLES, 1, 1)) * exact
 
     return exact, errors
+
+
+def corrected(regression, kind):
+    """The correction for weighted or whitened rows; None where encoder errors do not matter."""
+    weights = learn_weights(regression)
+    factor, scale = weighted_factor(regression, weights, kind)
+    middle = factor.matrix.T @ factor.matrix if scale is None else _sandwich_middle(regression, weights, scale)
+    return encoder_correction(regression, weights, scale, factor.matrix, middle)
 
 
 @exceeds
@@ -68,7 +78,7 @@ def test_with_stated_noise_it_is_the_plain_formula(motion):
     estimate = fit(regression, "gls")
     white = (matrix / std[:, None]).reshape(-1, 3)
     bread = np.linalg.inv(white.T @ white)
-    sums = [white.T @ (d @ estimate.values / std).ravel() for d in draws]
+    sums = [white.T @ (d @ learn_weights(regression).solution / std).ravel() for d in draws]
     added = bread @ np.cov(np.array(sums).T) @ bread
     beyond = estimate.covariance - bread
     np.testing.assert_allclose(beyond / added, (beyond / added)[0, 0] * np.ones((3, 3)), rtol=1e-6)
@@ -81,7 +91,7 @@ def test_the_likelihood_has_the_same_covariance_and_the_same_maximum(motion):
     target = exact @ TRUTH + np.array([0.05, 0.1]) * rng.normal(size=(SAMPLES, 2))
     regression = Regression.from_arrays(exact + errors(rng, 1)[0], target, regressor_noise=errors(rng, DRAWS))
     weights = learn_weights(regression)
-    assert weights.complete and efficient_middle(regression, weights) is not None
+    assert weights.complete and corrected(regression, "noise") is not None
     likelihood = Likelihood.of(regression)
     gram = np.einsum("kij,kil->jl", likelihood.factors, likelihood.factors)
     estimate = fit(regression, "gls")
@@ -97,4 +107,15 @@ def test_counts_of_a_good_encoder_change_nothing(tmp_path):
     arm = experiment(robot, [Motion("m", "identification", table)], sensor, position_resolution=1e-6)
     regression = prepare(arm).regression
     assert regression.regressor_noise is not None and regression.regressor_noise.present()
-    assert efficient_middle(regression, learn_weights(regression)) is None
+    assert corrected(regression, "noise") is None and corrected(regression, "channel") is None
+
+
+def test_counts_of_a_slow_joint_are_not_taken_for_white_noise(tmp_path):
+    """Drawn errors are those of rounding: within half a count, and the same from sample to sample where a joint hardly moves."""
+    resolution = 1e-3
+    positions = np.column_stack([np.linspace(0.0, 1e-2, 2000), 30.0 * np.linspace(0.0, 1.0, 2000) ** 1.37])
+    error = _errors(positions, np.zeros(2), resolution, np.random.default_rng(0))
+    assert np.abs(error).max() <= 0.5 * resolution + 1e-12
+    np.testing.assert_allclose(error.std(axis=0), resolution / 12**0.5, rtol=0.05)
+    slow, fast = (np.corrcoef(e[1:], e[:-1])[0, 1] for e in error.T)
+    assert slow > 0.95 and fast < 0.3

@@ -192,7 +192,7 @@ def test_the_bias_of_least_squares_goes(robot, method, options):
         stds.append([e.std for e in both])
     z = np.mean(errors, axis=0) / np.sqrt(np.mean(np.square(stds), axis=0) / 4)
     plain, corrected = np.linalg.norm(np.mean(errors, axis=0) / np.mean(stds, axis=0)[1], axis=1)
-    assert np.mean(z[0] ** 2) > 10.0  # least squares is off by far more than its intervals say
+    assert np.mean(z[0] ** 2) > 2.5  # a bias that is beyond chance, with the scatter by encoder errors counted
     assert np.mean(z[1] ** 2) < 2.5
     assert corrected < 0.35 * plain
 

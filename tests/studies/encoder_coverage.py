@@ -83,15 +83,17 @@ def record(name: str, rng: np.random.Generator) -> Experiment:
     times = np.arange(round(RATE * DURATION)) / RATE
     q, v, a = case.trajectory(FASTER * (times + rng.uniform(0.0, 1.0 / RATE)))
     q, a = case.centre + (q - case.centre) / FASTER, FASTER * a
+    count = std * 12**0.5
+    if kind == "counts":
+        q = q + count * rng.uniform(-0.5, 0.5, case.robot.n)  # the same motion would be rounded in the same way every time
     constant = OFFSET * rng.uniform(-1.0, 1.0, 6)
     moving, still = (wrench(arm, q, k * v, k * a) + constant + NOISE * rng.normal(size=(len(q), 6)) for k in (1, 0))
-    count = std * 12**0.5
     if kind == "white":
         bare = Experiment(arm, case.robot, (), Sensor(), position_std=std or None)
         q = q + std * rng.normal(size=q.shape)
     else:
         bare = Experiment(arm, case.robot, (), Sensor(), position_resolution=count)
-        q = count * np.round(q / count + rng.uniform(-0.5, 0.5, case.robot.n))
+        q = count * np.round(q / count)
     static = Table(times, q, wrench=still) if case.arm.static else None
     return replace(bare, motions=(Motion("fourier", "identification", Table(times, q, wrench=moving), static=static),))
 

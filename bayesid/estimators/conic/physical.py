@@ -94,7 +94,7 @@ class Physical:
         kind = self.weights if self.weights != "auto" else likelihood_weights(learned)
         factor, scale = weighted_factor(regression, learned, kind)
         hidden = undetermined(factor.matrix)
-        middle = covariance_middle(regression, learned, kind, scale)
+        middle = covariance_middle(regression, learned, scale, factor)
         matrix, target = compressed(factor.matrix, factor.target, middle)
         data = LinkData.of(regression, matrix, target, self.prior)
         prior = link_prior(regression, data, self.prior, self.metric, self.rel_std)
