@@ -89,12 +89,15 @@ def notes(comparison: Comparison) -> list[str]:
     for x in c.changes:
         if x.change.name == "payload" and x.values[0].value < 0.0:
             out.append(f"A negative mass at {x.change.where}: something was taken away since the reference.")
-        lead = x.found.lead
-        if lead is not None and not x.found.rivals:
-            out.append(f"Next best in place of {x.change.spec}: {lead[0].spec}, {number(lead[1], 3)} behind in log evidence.")
     if c.described_by is not None:
         out.append(f"What stays goes with {c.described_by}.")
     return out
+
+
+def runners_up(comparison: Comparison) -> list[str]:
+    """What would do next best in each change's place, where nothing does as well."""
+    leads = [(x.change.spec, x.found.lead) for x in comparison.changes if x.found.lead is not None and not x.found.rivals]
+    return [f"Next best in place of {spec}: {h.spec}, {number(lack, 3)} behind in log evidence." for spec, (h, lack) in leads]
 
 
 def summary(comparison: Comparison) -> str:
@@ -116,7 +119,7 @@ def summary(comparison: Comparison) -> str:
     lines.append(f"  {gap_sentence(c)}")
     if not c.changes:
         lines += [f"  could hide: {text}" for text in hidden_sentences(c)]
-    lines += [f"  note: {text}" for text in notes(c)]
+    lines += [f"  note: {text}" for text in (*notes(c), *runners_up(c))]
     return "\n".join(lines)
 
 
@@ -127,6 +130,6 @@ def notebook(comparison: Comparison) -> str:
     if c.changes:
         rows = [[x.change.spec, *value_text(v)] for x in c.changes for v in x.values]
         out.append(html_table(["change", "parameter", "value", "± 95 %", "interval", "unit"], rows))
-    sentences = [*(s for x in c.changes if (s := shares_sentence(x, c))), *notes(c)]
+    sentences = [*(s for x in c.changes if (s := shares_sentence(x, c))), *notes(c), *runners_up(c)]
     sentences += [f"Could hide: {s}" for s in hidden_sentences(c)] if not c.changes else []
     return "".join([*out, *(f"<p>{escape(s)}</p>" for s in sentences)])
