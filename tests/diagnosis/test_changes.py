@@ -122,6 +122,7 @@ def test_what_the_model_lacks_before_and_after_is_no_change(arm):
         made = _recorded(arm, seed, **changed)
         (motion,) = made.motions
         table = motion.table
+        assert table.torques is not None
         speed = np.gradient(table.positions, table.times, axis=0)
         table = replace(table, torques=table.torques + 3.0 * speed**3)
         return replace(made, motions=(replace(motion, table=table),))
@@ -133,7 +134,7 @@ def test_what_the_model_lacks_before_and_after_is_no_change(arm):
 
 def test_a_turned_sensor_is_named(tmp_path):
     robot = puma2(tmp_path)
-    arm = experiment(robot, [], Sensor(translation=[0.0, 0.0, -0.1]), position_resolution=1e-5)
+    arm = experiment(robot, [], Sensor(translation=np.array([0.0, 0.0, -0.1])), position_resolution=1e-5)
     path = [bayesid.fourier_trajectory(robot, duration=12.0, seed=1)]
     before = bayesid.simulate(arm, path, seed=3)
     turned = bayesid.simulate(arm, path, effects={"sensor_rotation": {"rx": 0.02, "ry": 0.0, "rz": 0.0}}, seed=4)
@@ -213,3 +214,12 @@ def test_nothing_is_named_between_unloaded_recordings(shared, reference):
             found = bayesid.diagnose(shared(f"data/ur10e/{other}"), reference=shared(f"data/ur10e/{reference}"))
             assert found.verdict == "nothing_missing"
             assert not found.comparison.changes
+
+
+@pytest.mark.parametrize("folder", ["kuka-lwr4", "tx40", "ur10"])
+def test_nothing_is_named_between_motions_of_one_session(shared, folder):
+    """Other robots, other motions before and after, up to six times the own fit's residual from what their models lack."""
+    whole = bayesid.load_experiment(shared(f"data/{folder}"))
+    one, other = (replace(whole, motions=(replace(m, role="identification"),)) for m in whole.motions)
+    for before, after in ((one, other), (other, one)):
+        assert not bayesid.diagnose(after, reference=before).comparison.changes
