@@ -192,9 +192,11 @@ def test_the_command_line_takes_a_reference_and_tells_bad_ones_in_one_line(arm, 
 
 
 UNLOADED = ("before", "feb05-20s-12h", "feb05-20s-8h", "feb06-20s-10h", "feb06-20s-5h")
+#: One reference in every run, all of them in `make test-slow`: a pair takes four seconds.
+REFERENCES = [UNLOADED[0], *(pytest.param(name, marks=pytest.mark.slow) for name in UNLOADED[1:])]
 
 
-@pytest.mark.parametrize("reference", UNLOADED)
+@pytest.mark.parametrize("reference", REFERENCES)
 def test_a_real_payload_is_named_against_every_reference(shared, reference, tmp_path):
     found = bayesid.diagnose(shared("data/ur10e/after-load"), reference=shared(f"data/ur10e/{reference}"))
     found.write(tmp_path / "out")
@@ -207,7 +209,7 @@ def test_a_real_payload_is_named_against_every_reference(shared, reference, tmp_
     assert told["gap"]["after"] < 0.5 * told["gap"]["before"]
 
 
-@pytest.mark.parametrize("reference", UNLOADED)
+@pytest.mark.parametrize("reference", REFERENCES)
 def test_nothing_is_named_between_unloaded_recordings(shared, reference):
     for other in UNLOADED:
         if other != reference:
@@ -216,7 +218,7 @@ def test_nothing_is_named_between_unloaded_recordings(shared, reference):
             assert not found.comparison.changes
 
 
-@pytest.mark.parametrize("folder", ["kuka-lwr4", "tx40", "ur10"])
+@pytest.mark.parametrize("folder", ["tx40", *(pytest.param(name, marks=pytest.mark.slow) for name in ("kuka-lwr4", "ur10"))])
 def test_nothing_is_named_between_motions_of_one_session(shared, folder):
     """Other robots, other motions before and after, up to six times the own fit's residual from what their models lack."""
     whole = bayesid.load_experiment(shared(f"data/{folder}"))
