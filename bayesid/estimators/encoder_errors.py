@@ -82,8 +82,20 @@ def covariance_of_sums(sums: np.ndarray) -> np.ndarray:
     return wider * np.cov(sums.T, ddof=min(count - 1, 1)).reshape(p, p)
 
 
+def sandwich_middle(regression: Regression, weights: Weights, scale: dict[str, np.ndarray]) -> np.ndarray:
+    """Sum of ``X' W'W S W'W X`` over all blocks (p, p), S the mean covariance of all noise.
+
+    Blocks are long against the noise's memory; its correlation across their borders is left out.
+    """
+
+    def colour(block: Block) -> np.ndarray:
+        return weights.noise[block.group].colour_transposed(block.matrix * scale[block.group].reshape(-1, 1) ** 2)
+
+    return gram_rows(regression.blocks(), colour)
+
+
 def encoder_correction(
-    regression: Regression, weights: Weights, scale: dict[str, np.ndarray] | None, matrix: np.ndarray, middle: np.ndarray
+    regression: Regression, weights: Weights, scale: dict[str, np.ndarray] | None, inverse: np.ndarray, middle: np.ndarray
 ) -> np.ndarray | None:
     """What encoder errors add to ``X' W'W S W'W X``, the covariance of the weighted equations' right side (p, p).
 
@@ -93,8 +105,8 @@ def encoder_correction(
         The rows, and the mean S of all their noise.
     scale
         What each channel (c,) of a group of rows was weighted with; None: rows were whitened.
-    matrix
-        Factor of the weighted rows (p, p).
+    inverse
+        Of a factor of the weighted rows, zero in columns that these do not determine (p, p).
     middle
         The covariance without encoder errors (p, p).
 
@@ -111,9 +123,8 @@ def encoder_correction(
         return weights.noise[block.group].whiten(rows) if scale is None else rows * scale[block.group].reshape(-1, 1)
 
     few = regression.once("few_encoder_errors", lambda: _Draws.of(regression, law, weights.solution, _FEW))
-    root = pseudo_inverse(matrix)
-    inverse = root @ root.T
-    own, added = (np.diag(inverse @ m @ inverse) for m in (middle, few.covariance(weighted)))
+    bread = inverse @ inverse.T
+    own, added = (np.diag(bread @ m @ bread) for m in (middle, few.covariance(weighted)))
     if np.all(added <= _NEGLIGIBLE * own):
         return None
     draws, sensor = regression.once("encoder_errors", lambda: _split(regression, weights, law))
@@ -126,6 +137,25 @@ def encoder_correction(
 
     by_sensor, by_all = (gram_rows(regression.blocks(), lambda b, n=noise: coloured(b, n)) for noise in (sensor, weights.noise))
     return by_sensor - by_all + draws.covariance(weighted)
+
+
+def encoder_growth(regression: Regression, weights: Weights, scale: dict[str, np.ndarray], inverse: np.ndarray) -> np.ndarray:
+    """By what encoder errors multiply the variances of a fit weighted by channel (p,), for fits with other weights still.
+
+    Parameters
+    ----------
+    regression, weights, scale
+        As for `encoder_correction`.
+    inverse
+        Of a factor of the weighted rows, zero in columns that these do not determine (p, p).
+    """
+    middle = sandwich_middle(regression, weights, scale)
+    correction = encoder_correction(regression, weights, scale, inverse, middle)
+    if correction is None:
+        return np.ones(len(inverse))
+    bread = inverse @ inverse.T
+    without, beside = (np.diag(bread @ m @ bread) for m in (middle, middle + correction))
+    return np.where(without > 0.0, beside / np.where(without > 0.0, without, 1.0), 1.0)
 
 
 def _split(regression: Regression, weights: Weights, law: RegressorNoise) -> tuple[_Draws, dict[str, NoiseModel]]:

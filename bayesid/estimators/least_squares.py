@@ -20,12 +20,12 @@ from scipy.optimize import fminbound
 
 from bayesid.errors import InputError
 from bayesid.estimators.details import Details
-from bayesid.estimators.encoder_errors import encoder_correction
+from bayesid.estimators.encoder_errors import encoder_correction, sandwich_middle
 from bayesid.estimators.estimator import Estimate, largest_autocorrelation
-from bayesid.estimators.factor import Factor, gram_rows, reduce_whitened, whitened
+from bayesid.estimators.factor import Factor, reduce_whitened, whitened
 from bayesid.estimators.reduction import reduce_in_coordinates
 from bayesid.estimators.weights import Weights, learn_weights, pilot_of
-from bayesid.regression.blocks import Block, residual_of
+from bayesid.regression.blocks import residual_of
 from bayesid.regression.linalg import (
     column_lengths,
     condition_number,
@@ -205,24 +205,12 @@ def covariance_middle(
     factor
         Of the weighted rows.
     """
-    middle = factor.matrix.T @ factor.matrix if scale is None else _sandwich_middle(regression, weights, scale)
-    correction = encoder_correction(regression, weights, scale, factor.matrix, middle)
+    middle = factor.matrix.T @ factor.matrix if scale is None else sandwich_middle(regression, weights, scale)
+    inverse = determined_inverse(factor.matrix, undetermined(factor.matrix))
+    correction = encoder_correction(regression, weights, scale, inverse, middle)
     if scale is None:
         return None if correction is None else middle + correction
     return weights.dispersion * (middle if correction is None else middle + correction)
-
-
-def _sandwich_middle(regression: Regression, weights: Weights, scale: dict[str, np.ndarray]) -> np.ndarray:
-    """Sum of ``X' W' Sigma W X`` over all blocks (p, p), Sigma the noise's covariance.
-
-    Blocks are long against the noise's memory; its correlation across their borders is left out.
-    """
-
-    def colour(block: Block) -> np.ndarray:
-        weighted = block.matrix * scale[block.group][:, None] ** 2
-        return weights.noise[block.group].colour_transposed(weighted)
-
-    return gram_rows(regression.blocks(), colour)
 
 
 def _shrink(regression, factor: Factor, given, inverse, *, continuous: bool) -> tuple[np.ndarray, float]:

@@ -70,9 +70,11 @@ def compare_estimates(first: str, one: Estimate, second: str, other: Estimate) -
                   one.solution[a][seen], other.solution[b][seen])  # fmt: skip
 
 
-def _judge(first, second, difference, covariance, labels, left, right) -> Agreement:
+def _judge(first, second, difference, covariance, labels, left, right) -> Agreement | None:
     size = np.sqrt(np.diag(covariance))
     test = hausman(difference, covariance, size, 1e-9)
+    if not test.degrees:
+        return None
     worst = int(np.argmax(np.abs(difference / size)))
     return Agreement(
         first=first,

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from bayesid.estimators import fit
-from bayesid.estimators.encoder_errors import encoder_correction
-from bayesid.estimators.least_squares import _sandwich_middle, weighted_factor
+from bayesid.estimators.encoder_errors import encoder_correction, sandwich_middle
+from bayesid.estimators.least_squares import weighted_factor
 from bayesid.estimators.weights import learn_weights
 from bayesid.posterior import Likelihood
 from bayesid.regression.encoder_noise import _errors
@@ -39,8 +39,8 @@ def corrected(regression, kind):
     """The correction for weighted or whitened rows; None where encoder errors do not matter."""
     weights = learn_weights(regression)
     factor, scale = weighted_factor(regression, weights, kind)
-    middle = factor.matrix.T @ factor.matrix if scale is None else _sandwich_middle(regression, weights, scale)
-    return encoder_correction(regression, weights, scale, factor.matrix, middle)
+    middle = factor.matrix.T @ factor.matrix if scale is None else sandwich_middle(regression, weights, scale)
+    return encoder_correction(regression, weights, scale, np.linalg.pinv(factor.matrix), middle)
 
 
 @exceeds

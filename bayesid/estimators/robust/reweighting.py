@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
-from bayesid.estimators.encoder_errors import encoder_correction
+from bayesid.estimators.encoder_errors import encoder_growth
 from bayesid.estimators.estimator import Estimate
 from bayesid.estimators.factor import Factor, gram_rows, reduce_rows, whitened
 from bayesid.estimators.least_squares import completeness, make_estimate, nominal_start, target_from_nominal
@@ -138,12 +138,13 @@ class RobustFit:
             weighted(self.plain.blocks(), self.residual, self.accepted_rows.astype(float)),
             lambda b: noise[b.group].colour_transposed(b.matrix * scale[b.group][:, None] ** 2),
         )
-        if self.regression.known_poles is None:  # what encoder errors make of rows is known as the filters leave it
-            correction = encoder_correction(self.clean, self.learned, scale, self.factor.matrix, middle)
-            middle = middle if correction is None else middle + correction
         inverse = determined_inverse(self.factor.matrix, hidden)
         bread = inverse @ inverse.T / self._slope(inverse)
-        return self.learned.dispersion * bread @ middle @ bread
+        covariance = self.learned.dispersion * bread @ middle @ bread
+        if self.regression.known_poles is None:  # what encoder errors make of rows is known as the filters leave it
+            growth = np.sqrt(encoder_growth(self.clean, self.learned, scale, inverse))
+            covariance *= np.outer(growth, growth)
+        return covariance
 
     def _slope(self, inverse: np.ndarray) -> float:
         """How much slower the equations change with the parameters than with fixed weights, mean over all directions.
