@@ -113,10 +113,11 @@ def encoder_correction(
     Returns
     -------
     correction
-        None where it is next to nothing, or nothing is known of the regressor's errors.
+        None where it is next to nothing, or nothing is known of the regressor's errors; also where the model lacks something:
+        what residuals hold beside encoder errors is then no sensor's noise, and the scatter between stretches counts it all.
     """
     law = regression.regressor_noise
-    if law is None or not law.present():
+    if law is None or not law.present() or not weights.complete:
         return None
 
     def weighted(block: Block, rows: np.ndarray) -> np.ndarray:
