@@ -94,10 +94,10 @@ def sandwich_middle(regression: Regression, weights: Weights, scale: dict[str, n
     return gram_rows(regression.blocks(), colour)
 
 
-def encoder_correction(
+def with_encoder_errors(
     regression: Regression, weights: Weights, scale: dict[str, np.ndarray] | None, inverse: np.ndarray, middle: np.ndarray
 ) -> np.ndarray | None:
-    """What encoder errors add to ``X' W'W S W'W X``, the covariance of the weighted equations' right side (p, p).
+    """Covariance of the weighted equations' right side, ``X' W'W Sigma W'W X + cov(X' W'W U b)`` (p, p).
 
     Parameters
     ----------
@@ -108,13 +108,14 @@ def encoder_correction(
     inverse
         Of a factor of the weighted rows, zero in columns that these do not determine (p, p).
     middle
-        The covariance without encoder errors (p, p).
+        ``X' W'W S W'W X``, which is the same without encoder errors (p, p).
 
     Returns
     -------
-    correction
-        None where it is next to nothing, or nothing is known of the regressor's errors; also where the model lacks something:
-        what residuals hold beside encoder errors is then no sensor's noise, and the scatter between stretches counts it all.
+    middle
+        None where encoder errors add next to nothing, or nothing is known of the regressor's errors; also where the model lacks
+        something: what residuals hold beside encoder errors is then no sensor's noise, and the scatter between stretches
+        counts it all.
     """
     law = regression.regressor_noise
     if law is None or not law.present() or not weights.complete:
@@ -130,14 +131,13 @@ def encoder_correction(
         return None
     draws, sensor = regression.once("encoder_errors", lambda: _split(regression, weights, law))
 
-    def coloured(block: Block, noise: dict[str, NoiseModel]) -> np.ndarray:
+    def coloured(block: Block) -> np.ndarray:
         model, rows = weights.noise[block.group], weighted(block, block.matrix)
         # W' of weighted rows: the transpose of whitening, or the same factors again.
         back = model.whiten_transposed(rows) if scale is None else rows * scale[block.group].reshape(-1, 1)
-        return noise[block.group].colour_transposed(back)
+        return sensor[block.group].colour_transposed(back)
 
-    by_sensor, by_all = (gram_rows(regression.blocks(), lambda b, n=noise: coloured(b, n)) for noise in (sensor, weights.noise))
-    return by_sensor - by_all + draws.covariance(weighted)
+    return gram_rows(regression.blocks(), coloured) + draws.covariance(weighted)
 
 
 def encoder_growth(regression: Regression, weights: Weights, scale: dict[str, np.ndarray], inverse: np.ndarray) -> np.ndarray:
@@ -146,16 +146,16 @@ def encoder_growth(regression: Regression, weights: Weights, scale: dict[str, np
     Parameters
     ----------
     regression, weights, scale
-        As for `encoder_correction`.
+        As for `with_encoder_errors`.
     inverse
         Of a factor of the weighted rows, zero in columns that these do not determine (p, p).
     """
     middle = sandwich_middle(regression, weights, scale)
-    correction = encoder_correction(regression, weights, scale, inverse, middle)
-    if correction is None:
+    corrected = with_encoder_errors(regression, weights, scale, inverse, middle)
+    if corrected is None:
         return np.ones(len(inverse))
     bread = inverse @ inverse.T
-    without, beside = (np.diag(bread @ m @ bread) for m in (middle, middle + correction))
+    without, beside = (np.diag(bread @ m @ bread) for m in (middle, corrected))
     return np.where(without > 0.0, beside / np.where(without > 0.0, without, 1.0), 1.0)
 
 

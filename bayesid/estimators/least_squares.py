@@ -20,7 +20,7 @@ from scipy.optimize import fminbound
 
 from bayesid.errors import InputError
 from bayesid.estimators.details import Details
-from bayesid.estimators.encoder_errors import encoder_correction, sandwich_middle
+from bayesid.estimators.encoder_errors import sandwich_middle, with_encoder_errors
 from bayesid.estimators.estimator import Estimate, largest_autocorrelation
 from bayesid.estimators.factor import Factor, reduce_whitened, whitened
 from bayesid.estimators.reduction import reduce_in_coordinates
@@ -207,10 +207,10 @@ def covariance_middle(
     """
     middle = factor.matrix.T @ factor.matrix if scale is None else sandwich_middle(regression, weights, scale)
     inverse = determined_inverse(factor.matrix, undetermined(factor.matrix))
-    correction = encoder_correction(regression, weights, scale, inverse, middle)
+    corrected = with_encoder_errors(regression, weights, scale, inverse, middle)
     if scale is None:
-        return None if correction is None else middle + correction
-    return weights.dispersion * (middle if correction is None else middle + correction)
+        return corrected
+    return weights.dispersion * (middle if corrected is None else corrected)
 
 
 def _shrink(regression, factor: Factor, given, inverse, *, continuous: bool) -> tuple[np.ndarray, float]:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bayesid.estimators import fit
-from bayesid.estimators.encoder_errors import encoder_correction, sandwich_middle
+from bayesid.estimators.encoder_errors import sandwich_middle, with_encoder_errors
 from bayesid.estimators.least_squares import weighted_factor
 from bayesid.estimators.weights import learn_weights
 from bayesid.posterior import Likelihood
@@ -36,11 +36,11 @@ def motion():
 
 
 def corrected(regression, kind):
-    """The correction for weighted or whitened rows; None where encoder errors do not matter."""
+    """The covariance of the equations, rows weighted or whitened; None where encoder errors do not matter."""
     weights = learn_weights(regression)
     factor, scale = weighted_factor(regression, weights, kind)
     middle = factor.matrix.T @ factor.matrix if scale is None else sandwich_middle(regression, weights, scale)
-    return encoder_correction(regression, weights, scale, np.linalg.pinv(factor.matrix), middle)
+    return with_encoder_errors(regression, weights, scale, np.linalg.pinv(factor.matrix), middle)
 
 
 @exceeds
