@@ -20,8 +20,10 @@ from present import figure, fill, plain, tables
 
 import bayesid
 from bayesid.estimators.conic.physical import Physical
+from bayesid.results.bodies import impossible_bodies
 from bayesid.results.entry import Entry
 from bayesid.robot.prior import Prior
+from bayesid.robot.robot import Robot
 
 HERE = Path(__file__).parent
 DATA = Path(os.environ.get("BAYESID_DATA", HERE.parents[2] / "shared"))
@@ -130,6 +132,13 @@ def entries(experiment: bayesid.Experiment, effects: tuple[str, ...], chosen: li
     return {entry.name: entry for entry in (*compared.baselines, *compared.entries)}
 
 
+def impossible(entry: Entry, robot: Robot) -> tuple[str, ...]:
+    """Bodies that cannot exist, of an estimate's own links; those that `compare` shows are the nearest that can."""
+    if entry.urdf is None or (entry.estimate is not None and entry.estimate.links is not None):
+        return entry.impossible or ()
+    return impossible_bodies(entry.urdf.unconstrained.reshape(-1, 10), robot.body_names)
+
+
 def judge(experiment: bayesid.Experiment, effects: tuple[str, ...], folds: int) -> dict:
     """Errors of everything on the validation motion, with intervals of their differences to CAD."""
     found = entries(experiment, effects, methods())
@@ -148,8 +157,8 @@ def judge(experiment: bayesid.Experiment, effects: tuple[str, ...], folds: int) 
         row = {
             "fit": float(relative(np.sum((fit.predicted - fit.measured) ** 2, axis=1), np.sum(fit.measured**2, axis=1))),
             "error": float(relative(*squares(entry)[:2])),
-            "consistent": entry.physically_consistent,
-            "impossible": list(entry.impossible or ()),
+            "consistent": not impossible(entry, experiment.robot),
+            "impossible": list(impossible(entry, experiment.robot)),
         }
         values = np.array(again[name])
         # Delete-a-block jackknife: how much the error depends on which part of the motion was fitted.
