@@ -21,7 +21,7 @@ from scipy.stats import norm, t
 
 from bayesid.estimators.factor import gram_rows, on_columns, reduce_whitened
 from bayesid.estimators.sensor_noise import sensor_noise
-from bayesid.estimators.weights import Weights
+from bayesid.estimators.weights import Weights, stated_noise
 from bayesid.regression.blocks import Block, RegressorNoise
 from bayesid.regression.linalg import pseudo_inverse
 from bayesid.regression.regression import Regression
@@ -33,7 +33,6 @@ _FEW, _MANY = 4, 40
 SPECTRA = 16
 #: Share of a parameter's variance that is left out. Of few draws, the largest share of many parameters is overstated.
 _NEGLIGIBLE = 0.1
-
 
 #: Rows of a block (k, channels, ...), weighted.
 Weighted = Callable[[Block, np.ndarray], np.ndarray]
@@ -159,23 +158,40 @@ def encoder_growth(regression: Regression, weights: Weights, scale: dict[str, np
     return np.where(without > 0.0, beside / np.where(without > 0.0, without, 1.0), 1.0)
 
 
-def _split(regression: Regression, weights: Weights, law: RegressorNoise) -> tuple[_Draws, dict[str, NoiseModel]]:
-    """Many draws, and the noise of the sensor alone."""
-    pilot, values = regression.pilot(), weights.solution
+def sensor_alone(
+    regression: Regression, weights: Weights, values: np.ndarray, drawn: Sequence[Sequence[tuple[str, np.ndarray]]]
+) -> dict[str, NoiseModel]:
+    """Noise of each group of rows without what encoder errors add to it.
+
+    Parameters
+    ----------
+    regression, weights
+        The rows, and all their noise.
+    values
+        The estimate that leaves the residuals (p,).
+    drawn
+        Of each draw, the groups of blocks and what errors add to their rows (k, channels).
+    """
+    known = stated_noise(regression)
+    if known is not None:
+        return known
+    pilot = regression.pilot()
     taken = pseudo_inverse(reduce_whitened(pilot, weights.noise).matrix)
-    draws = _Draws.of(regression, law, values, _MANY)
-    sensor = {}
-    for group, noise in weights.noise.items():
+    noise = {}
+    for group in weights.noise:
         own = [b for b in pilot if b.group == group]
-        at = [k for k, b in enumerate(draws.blocks) if b.group == group]
-        if regression.noise_std is not None or not own or not at:
-            sensor[group] = noise
-            continue
-        sensor[group] = sensor_noise(
+        noise[group] = sensor_noise(
             [b.target - b.matrix @ values for b in own],
-            [[errors[k] for k in at] for errors in draws.errors[:SPECTRA]],
+            [[error for g, error in rows if g == group] for rows in drawn[:SPECTRA]],
             [on_columns(b.matrix, taken) for b in own],
             regression.known_poles if group == "trajectory" else None,
             coloured=group != "poses",
         )
-    return draws, sensor
+    return noise
+
+
+def _split(regression: Regression, weights: Weights, law: RegressorNoise) -> tuple[_Draws, dict[str, NoiseModel]]:
+    """Many draws, and the noise of the sensor alone."""
+    draws = _Draws.of(regression, law, weights.solution, _MANY)
+    drawn = [[(b.group, e) for b, e in zip(draws.blocks, errors, strict=True)] for errors in draws.errors]
+    return draws, sensor_alone(regression, weights, weights.solution, drawn)

@@ -25,14 +25,13 @@ import numpy as np
 
 from bayesid.errors import InputError
 from bayesid.estimators.details import OPTIONAL, Details
-from bayesid.estimators.encoder_errors import SPECTRA, covariance_of_sums
+from bayesid.estimators.encoder_errors import SPECTRA, covariance_of_sums, sensor_alone
 from bayesid.estimators.estimator import Estimate
 from bayesid.estimators.factor import Factor, reduce_whitened
 from bayesid.estimators.least_squares import completeness, make_estimate, nominal_start, target_from_nominal, weighted_factor
-from bayesid.estimators.sensor_noise import sensor_noise
-from bayesid.estimators.weights import Weights, learn_weights, noise_of_residuals, stated_noise
+from bayesid.estimators.weights import Weights, learn_weights, noise_of_residuals
 from bayesid.regression.blocks import Block, Pair, RegressorNoise
-from bayesid.regression.linalg import determined_inverse, pseudo_inverse, solve, standard_deviations, undetermined
+from bayesid.regression.linalg import determined_inverse, solve, standard_deviations, undetermined
 from bayesid.regression.regression import Regression
 from bayesid.signals.noise import NoiseModel
 
@@ -233,19 +232,7 @@ def split_noise(
         sums.append(total)
         if k < SPECTRA:
             added.append(rows)
-    blocks = regression.pilot()
-    taken = pseudo_inverse(reduce_whitened(blocks, start.weights.noise).matrix)
-    noise = stated_noise(regression) or {}
-    for group in start.weights.noise if not noise else ():
-        own = [b for b in blocks if b.group == group]
-        noise[group] = sensor_noise(
-            [b.target - b.matrix @ solution for b in own],
-            [[error for g, error in rows if g == group] for rows in added],
-            [b.matrix @ taken for b in own],
-            regression.known_poles if group == "trajectory" else None,
-            coloured=group != "poses",
-        )
-    return noise, covariance_of_sums(np.array(sums))
+    return sensor_alone(regression, start.weights, solution, added), covariance_of_sums(np.array(sums))
 
 
 def noise_of_fit(regression: Regression, start: Start, solution: np.ndarray) -> dict[str, NoiseModel]:

@@ -30,6 +30,7 @@ from scipy.special import logsumexp
 
 from bayesid.diagnosis.changes.hypotheses import Hypothesis, StandingAmplitudes
 from bayesid.diagnosis.changes.scales import DISPERSIONS, SIZES
+from bayesid.estimators.factor import stack
 
 _PANEL = 2048
 
@@ -57,8 +58,7 @@ class Reduced:
         """Reduce rows (N, q) and what the reference leaves of them (N,), so many of which count as one."""
         r = np.zeros((0, rows.shape[1] + 1))
         for a in range(0, len(rows), _PANEL):
-            part = np.column_stack([rows[a : a + _PANEL], left[a : a + _PANEL]])
-            r = np.linalg.qr(np.vstack([r, part]), mode="r")
+            r = stack(r, np.column_stack([rows[a : a + _PANEL], left[a : a + _PANEL]]))
         r /= np.sqrt(correlation)
         return cls(r[:, :-1], r[:, -1], len(rows) / correlation)
 
