@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 
 import bayesid
-from bayesid.cli.bounds import bounded
+from bayesid.cli.known_bounds import bounded
 from bayesid.cli.options import (
     BOUNDS,
     EXPERIMENT,

@@ -1,4 +1,4 @@
-"""Estimators with the bounds of a file."""
+"""Estimators with what is known of the links beforehand: the option ``--bounds FILE``."""
 
 from __future__ import annotations
 
