@@ -16,7 +16,8 @@ from bayesid.effects import Point, moved
 from bayesid.errors import InputError
 from bayesid.estimators import DEFAULT_METHOD, Estimate, Estimator, fit
 from bayesid.regression.gauss_newton import Linearised, StepControl, minimise
-from bayesid.regression.problem import Problem, absorbed_offset, relinearised
+from bayesid.regression.problem import Problem, relinearised
+from bayesid.regression.structure import absorbed_offset
 
 #: The effects' parameters have settled when a step is this small against their standard deviations.
 SETTLED = 0.05

@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 
 from bayesid.regression.blocks import Block, Instruments, Pair, RegressorNoise
-from bayesid.regression.rows import RowModel, Segment, make_blocks
+from bayesid.regression.rows import RowModel, make_blocks
+from bayesid.regression.segment import Segment
 from bayesid.signals.smoothing import DEGREE, Smoother, smooth
 
 #: Neighbouring errors are taken for independent up to this correlation of the residuals.

@@ -7,9 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bayesid.dynamics.base_parameters import BaseParameters, structural_base
-from bayesid.dynamics.channels import Channels
-from bayesid.effects import Effect, EffectLibrary, Point, middle_of, starting_point
+from bayesid.effects import Point
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, Motion
 from bayesid.recordings.table import usual_step
@@ -20,7 +18,9 @@ from bayesid.regression.options import FitOptions
 from bayesid.regression.readings import default_channel, has_readings, make_channels, motion_segments, require_readings
 from bayesid.regression.regression import PriorKnowledge, Regression
 from bayesid.regression.row_cache import PILOT_ROWS, PILOT_SEGMENTS, RowCache, RowSource
-from bayesid.regression.rows import RowModel, Segment, make_blocks
+from bayesid.regression.rows import RowModel, make_blocks
+from bayesid.regression.segment import Segment
+from bayesid.regression.structure import model_structure
 from bayesid.robot.typical import states_masses, typical_links
 from bayesid.signals.filters import LowPass, row_noise_poles
 from bayesid.signals.smoothing import Smoother, choose_smoother
@@ -100,37 +100,26 @@ def prepare(experiment: Experiment, options: FitOptions | None = None) -> Proble
     for motion in chosen:
         require_readings(motion, channel)
     subtract = channel == "wrench" and options.static == "motion"
-    specs = list(experiment.effects if options.effects is None else options.effects)
+    specs = experiment.effects if options.effects is None else options.effects
     # Validation motions are read, too: the same rows are made from them later.
     readable = [m for m in experiment.motions if m in chosen or has_readings(m, channel)]
     segments = {m.name: motion_segments(experiment, channels, m, k, channel, subtract) for k, m in enumerate(readable)}
     fitted = [r for m in chosen for r in segments[m.name]]
-    if any(r.offset for r in fitted):
-        specs = [*_unstated(experiment.library, channels, specs), *specs]
-    try:
-        parsed = experiment.library.parse(specs, experiment.robot.joint_names, channels.names, experiment.gear_ratio)
-    except InputError as error:
-        place = "experiment.toml: [model] effects" if options.effects is None else "--effects"
-        raise type(error)(f"{place}: {error}") from None
-    base = structural_base(
-        experiment.robot,
-        channels,
-        gravity=any(r.gravity for r in fitted),
-        offset=any(r.offset for r in fitted) and channel != "torque",
-        at_rest=all(r.poses for r in fitted),
+    structure = model_structure(
+        experiment, channels, specs, fitted, "experiment.toml: [model] effects" if options.effects is None else "--effects"
     )
+    base = structure.base
     if not base.rank:
         raise InputError(
             f"{', '.join(m.table.source for m in chosen)}: these readings show no parameter of the robot; at rest its static "
             'readings take all away: remove [[motion]] static, or write kind = "trajectory"'
         )
-    smoother = _smoother(experiment, [r for rs in segments.values() for r in rs if not r.poses], options.bandwidth)
+    smoother = smoother_of(experiment, [r for rs in segments.values() for r in rs if not r.poses], options.bandwidth)
     fastest = min((1.0 / usual_step(r.times) for rs in segments.values() for r in rs if not r.poses), default=np.inf)
-    point = _point(experiment, base, parsed, fitted)
 
     def rows_at(bandwidth: float, filters: LowPass | None) -> RowModel:
-        rate = min(max(ROWS_PER_BANDWIDTH * bandwidth, LOWEST_ROW_RATE), fastest)
-        return RowModel(experiment.robot, channels, base, parsed, bandwidth, 1.0 / rate, filters, point)
+        step = row_step(bandwidth, fastest)
+        return RowModel(experiment.robot, channels, base, structure.effects, bandwidth, step, filters, structure.point)
 
     choice = None
     if options.bandwidth is None and any(not r.poses for r in fitted):
@@ -152,8 +141,13 @@ def prepare(experiment: Experiment, options: FitOptions | None = None) -> Proble
         rows=rows,
         fitted=names,
         static="none" if all(m.static is None for m in chosen) or channel == "torque" else ("motion" if subtract else "joint"),
-        effects=tuple(specs),
+        effects=structure.specs,
     )
+
+
+def row_step(bandwidth: float, fastest: float = np.inf) -> float:
+    """Distance of rows [s] for a bandwidth of the joint motion [Hz], at most so many rows a second as samples."""
+    return 1.0 / min(max(ROWS_PER_BANDWIDTH * bandwidth, LOWEST_ROW_RATE), fastest)
 
 
 def restrict(problem: Problem, motions: Sequence[str]) -> Problem:
@@ -176,45 +170,6 @@ def weight_columns(row_model: RowModel) -> list[int]:
     """Which of the estimated effect parameters hold, beside their own, weight that looks like them."""
     absorbs = _free(row_model, (e.absorbs_weight for e in row_model.effects for _ in e.parameters))
     return [k for k, holds in enumerate(absorbs) if holds]
-
-
-def _unstated(library: EffectLibrary, channels: Channels, specs: Sequence[str]) -> list[str]:
-    """Effects that every model of readings has from which no static run is subtracted, where the user names them or not."""
-    stated = {spec.partition("@")[0] for spec in specs}
-    classes = [c for c in library.classes.values() if c.estimated_without_static_run and c.name not in stated]
-    return [c.name for c in classes if any(c.acts_on(name) for name in channels.names)]
-
-
-def absorbed_offset(base: BaseParameters, links: np.ndarray) -> np.ndarray:
-    """What of a sensor's estimated offset is weight (6,)."""
-    return np.zeros(6) if base.absorbed is None else base.absorbed[:6] @ np.ravel(links)
-
-
-def _point(
-    experiment: Experiment, base: BaseParameters, effects: tuple[Effect, ...], fitted: list[Segment]
-) -> Point | None:
-    """Where to start from, for effects that are more than columns beside the rigid ones."""
-    try:
-        values, free = starting_point(effects, experiment.effect_values, experiment.robot.joint_names)
-    except InputError as error:
-        raise InputError(f"experiment.toml: {error}") from None
-    if all(e.from_motion_alone for e in effects) and free.all():
-        return None
-    links = experiment.robot.nominal
-    absorbed = absorbed_offset(base, links)
-    start = 0
-    for effect in effects:
-        count = len(effect.parameters)
-        if effect.absorbs_weight:
-            values[start : start + count] += absorbed
-        start += count
-    return Point(links, base.matrix @ links.ravel(), values, free, absorbed, _middle(fitted))
-
-
-def _middle(fitted: list[Segment]) -> np.ndarray | None:
-    """Joint positions at the middle of the first fitted motion."""
-    moving = [r for r in fitted if not r.poses]
-    return middle_of(moving[0].positions) if moving else None
 
 
 def _free(row_model: RowModel, values) -> tuple:
@@ -331,7 +286,8 @@ def _chosen(smoother: Smoother, choice: BandwidthChoice | None) -> Smoother:
     return replace(smoother, bandwidth=float(choice.bandwidths[choice.chosen]), reason=reason)
 
 
-def _smoother(experiment: Experiment, segments: list[Segment], bandwidth: float | None) -> Smoother:
+def smoother_of(experiment: Experiment, segments: Sequence[Segment], bandwidth: float | None = None) -> Smoother:
+    """How the positions of moving segments are smoothed: at the bandwidth given [Hz], else by cross-validation."""
     if bandwidth is not None and not (np.isfinite(bandwidth) and bandwidth > 0):
         raise InputError(f"--bandwidth {bandwidth}: give a positive frequency in Hz")
     pieces = []
@@ -347,4 +303,3 @@ def _smoother(experiment: Experiment, segments: list[Segment], bandwidth: float 
     if bandwidth is not None:
         chosen = replace(chosen, bandwidth=bandwidth, reason="as given")
     return chosen
-

@@ -8,7 +8,7 @@ import pinocchio as pin
 from bayesid.dynamics.channels import Channels, stack_channels, torque_channels, wrench_channels
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, Motion
-from bayesid.regression.rows import Segment
+from bayesid.regression.segment import Segment
 
 CHANNELS = ("wrench", "torque", "both")
 

@@ -20,6 +20,7 @@ from bayesid.effects import Effect, MotionSegment, Point, linearised
 from bayesid.errors import InputError
 from bayesid.regression.blocks import Block
 from bayesid.regression.parallel import in_order
+from bayesid.regression.segment import Segment
 from bayesid.robot.robot import Robot
 from bayesid.signals.filters import HALF_WIDTH, LowPass, low_pass, project
 from bayesid.signals.smoothing import OVERLAP, smooth
@@ -27,63 +28,6 @@ from bayesid.signals.smoothing import OVERLAP, smooth
 _CHUNK = 4096  # samples handled at once
 _PANEL = 512  # samples whose rows stay in the processor's cache
 _BLOCK_ROWS = 4096  # rows handed on at once
-
-
-@dataclass(frozen=True)
-class Segment:
-    """One gap-free segment of a recording, ready to be turned into rows.
-
-    Attributes
-    ----------
-    times, positions
-        (N,) [s] and encoder positions (N, n) [rad or m].
-    readings
-        What the channels read (N, channels).
-    known
-        What of it is known, a static run's readings (N, channels) or a constant (channels,).
-    motion
-        Index of the recording.
-    gravity
-        False for a motion wrench, from which gravity has been subtracted.
-    offset
-        Whether a sensor's constant offset is in it.
-    poses
-        Whether every sample is a pose at rest of its own.
-    commanded
-        Commanded positions (N, n), if they were recorded.
-    period
-        The motion repeats with it [s], if it does.
-    """
-
-    times: np.ndarray
-    positions: np.ndarray
-    readings: np.ndarray
-    known: np.ndarray
-    motion: int
-    gravity: bool = True
-    offset: bool = True
-    poses: bool = False
-    commanded: np.ndarray | None = None
-    period: float | None = None
-
-    def measured(self, first: int, last: int) -> np.ndarray:
-        """Readings of samples first ... last - 1 less what is known (k, channels)."""
-        return self.readings[first:last] - (self.known if self.known.ndim == 1 else self.known[first:last])
-
-    def inner(self, margin: float) -> tuple[int, int]:
-        """First and last sample (exclusive) that are a time [s] from both ends; the same where none is."""
-        first = int(np.searchsorted(self.times, self.times[0] + margin))
-        last = int(np.searchsorted(self.times, self.times[-1] - margin, side="right"))
-        return first, max(first, last)
-
-    def part(self, first: int, last: int) -> Segment:
-        """Samples first ... last - 1 as a segment of their own."""
-        span = slice(first, last)
-        known = self.known if self.known.ndim == 1 else self.known[span]
-        return replace(
-            self, times=self.times[span], positions=self.positions[span], readings=self.readings[span], known=known,
-            commanded=None if self.commanded is None else self.commanded[span],
-        )  # fmt: skip
 
 
 @dataclass(frozen=True, repr=False)
@@ -140,6 +84,8 @@ class RowModel:
         if segment.poses:
             still = np.zeros_like(segment.positions[first:last])
             return MotionSegment(times, segment.positions[first:last], still, still)
+        if segment.rates is not None:
+            return MotionSegment(times, segment.positions[first:last], *segment.rates[:, first:last])
         reach = OVERLAP * 0.5 / self.bandwidth
         a = int(np.searchsorted(segment.times, times[0] - reach))
         b = int(np.searchsorted(segment.times, times[-1] + reach, side="right"))

@@ -18,7 +18,7 @@ from scipy.signal import detrend
 from bayesid.estimators.weights import learn_weights
 from bayesid.regression.encoder_noise import errors_of
 from bayesid.regression.problem import Problem
-from bayesid.regression.rows import Segment
+from bayesid.regression.segment import Segment
 from bayesid.signals.white_noise import low_passed, steady_noise
 
 #: Where a floor comes from, for reports.

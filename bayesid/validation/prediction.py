@@ -15,7 +15,8 @@ from bayesid.recordings.experiment import Experiment, Motion
 from bayesid.regression.blocks import Block, residual_of
 from bayesid.regression.parallel import both, in_order
 from bayesid.regression.problem import Problem
-from bayesid.regression.rows import Segment, make_blocks
+from bayesid.regression.rows import make_blocks
+from bayesid.regression.segment import Segment
 from bayesid.signals.noise import NoiseModel
 from bayesid.validation.flexible import BAND, FlexibleGap
 from bayesid.validation.noise_floor import RESIDUALS, NoiseFloor

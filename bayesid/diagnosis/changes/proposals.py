@@ -12,7 +12,8 @@ from bayesid.diagnosis.changes.scales import LASTING
 from bayesid.diagnosis.surroundings import joint_inertia, mean_places
 from bayesid.effects import BodyEffect, Effect, Linearisation, MotionSegment, Point, Surroundings, Term, columns, linearised
 from bayesid.regression.problem import Problem
-from bayesid.regression.rows import RowModel, Segment
+from bayesid.regression.rows import RowModel
+from bayesid.regression.segment import Segment
 from bayesid.robot.robot import Robot
 
 

@@ -1,0 +1,68 @@
+"""One gap-free segment of a recording, or of a planned motion, ready to be turned into rows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Segment:
+    """One gap-free segment of a recording, ready to be turned into rows.
+
+    Attributes
+    ----------
+    times, positions
+        (N,) [s] and encoder positions (N, n) [rad or m].
+    readings
+        What the channels read (N, channels).
+    known
+        What of it is known, a static run's readings (N, channels) or a constant (channels,).
+    motion
+        Index of the recording.
+    gravity
+        False for a motion wrench, from which gravity has been subtracted.
+    offset
+        Whether a sensor's constant offset is in it.
+    poses
+        Whether every sample is a pose at rest of its own.
+    commanded
+        Commanded positions (N, n), if they were recorded.
+    period
+        The motion repeats with it [s], if it does.
+    rates
+        Velocities and accelerations of a planned motion (2, N, n) [rad/s or m/s, and per second]; None: positions are smoothed.
+    """
+
+    times: np.ndarray
+    positions: np.ndarray
+    readings: np.ndarray
+    known: np.ndarray
+    motion: int
+    gravity: bool = True
+    offset: bool = True
+    poses: bool = False
+    commanded: np.ndarray | None = None
+    period: float | None = None
+    rates: np.ndarray | None = None
+
+    def measured(self, first: int, last: int) -> np.ndarray:
+        """Readings of samples first ... last - 1 less what is known (k, channels)."""
+        return self.readings[first:last] - (self.known if self.known.ndim == 1 else self.known[first:last])
+
+    def inner(self, margin: float) -> tuple[int, int]:
+        """First and last sample (exclusive) that are a time [s] from both ends; the same where none is."""
+        first = int(np.searchsorted(self.times, self.times[0] + margin))
+        last = int(np.searchsorted(self.times, self.times[-1] - margin, side="right"))
+        return first, max(first, last)
+
+    def part(self, first: int, last: int) -> Segment:
+        """Samples first ... last - 1 as a segment of their own."""
+        span = slice(first, last)
+        known = self.known if self.known.ndim == 1 else self.known[span]
+        return replace(
+            self, times=self.times[span], positions=self.positions[span], readings=self.readings[span], known=known,
+            commanded=None if self.commanded is None else self.commanded[span],
+            rates=None if self.rates is None else self.rates[:, span],
+        )  # fmt: skip
