@@ -1,0 +1,282 @@
+"""What motions would tell of the parameters, recorded or only planned, before any reading counts.
+
+With the rows ``y = X b + e``, ``cov e = Sigma``, an estimate will have the covariance ``(X' Sigma^-1 X)^-1``, whatever
+is read: X follows from the motion alone. Rows are those that a fit would use (`bayesid.regression.rows`), reduced block by
+block to the triangular factor R of ``Sigma^(-1/2) X``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from bayesid.design.reading_noise import ReadingNoise
+from bayesid.design.sensor_sets import SensorSet
+from bayesid.dynamics.base_parameters import BaseParameters
+from bayesid.estimators.factor import gram_rows, reduce_rows, reduce_whitened
+from bayesid.recordings.experiment import Experiment, Motion
+from bayesid.recordings.table import usual_step
+from bayesid.regression.blocks import Block
+from bayesid.regression.linalg import column_lengths, condition_number, determined_inverse, undetermined
+from bayesid.regression.problem import row_step, smoother_of
+from bayesid.regression.readings import make_channels
+from bayesid.regression.rows import RowModel, make_blocks
+from bayesid.regression.segment import Segment
+from bayesid.regression.structure import model_structure
+from bayesid.signals.noise import NoiseModel
+from bayesid.simulation.trajectories import Trajectory
+
+_PANEL = 2048  # samples predicted at once
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class Expected:
+    """What an estimate of base and effect parameters would know.
+
+    Attributes
+    ----------
+    base
+        Base parameters of the richest motion: the first ``base.rank`` columns.
+    effect_names, effect_units
+        The remaining columns.
+    factor
+        R (p, p), upper triangular: ``R'R`` is the information of all columns.
+    row_model
+        How samples become rows; None where the rows were given.
+    segments
+        The motions that count.
+    """
+
+    base: BaseParameters
+    effect_names: tuple[str, ...]
+    effect_units: tuple[str, ...]
+    factor: np.ndarray
+    row_model: RowModel | None = None
+    segments: tuple[Segment, ...] = ()
+
+    def __repr__(self) -> str:
+        return f"<Expected: {self.base.rank} base and {len(self.effect_names)} effect parameters>"
+
+    @cached_property
+    def hidden(self) -> np.ndarray:
+        """Columns that these motions do not determine (p,)."""
+        return undetermined(self.factor)
+
+    @cached_property
+    def inverse(self) -> np.ndarray:
+        """L (p, p) with covariance ``L L'``; zero in hidden columns."""
+        return determined_inverse(self.factor, self.hidden)
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """Of base and effect parameters (p, p); zero in hidden columns, of which ``std`` is infinite."""
+        return self.inverse @ self.inverse.T
+
+    @property
+    def std(self) -> np.ndarray:
+        """Standard deviations (p,); infinite in hidden columns."""
+        return np.where(self.hidden, np.inf, np.linalg.norm(self.inverse, axis=1))
+
+    @property
+    def condition_number(self) -> float:
+        """Of the whitened regressor with columns of unit length; infinite where columns depend on each other."""
+        return condition_number(self.factor)
+
+    @cached_property
+    def base_factor(self) -> np.ndarray:
+        """Factor of the base parameters alone, effects projected out (r, r)."""
+        r, p = self.base.rank, self.factor.shape[1]
+        swapped = np.concatenate([self.factor[:, r:], self.factor[:, :r]], axis=1)
+        effects = swapped[:, : p - r]
+        known = np.linalg.norm(effects, axis=0) > 1e-13 * np.linalg.norm(swapped, axis=0).max(initial=0.0)
+        q = np.linalg.qr(effects[:, known] / column_lengths(effects[:, known]))[0] if known.any() else np.zeros((p, 0))
+        rest = swapped[:, p - r :]
+        for _ in range(2):  # twice is enough for orthogonality to rounding
+            rest = rest - q @ (q.T @ rest)
+        return np.asarray(np.linalg.qr(rest, mode="r"))
+
+    def prediction_std(self, trajectory: Trajectory) -> np.ndarray:
+        """Standard deviation of what would be predicted for another motion (N, c), from the parameters' alone.
+
+        Parameters
+        ----------
+        trajectory
+            Its states; directions that these motions do not determine count as known, see ``hidden``.
+        """
+        assert self.row_model is not None
+        gravity = any(s.gravity for s in self.segments)
+        segment = planned_segment(trajectory, len(self.row_model.channels), 0, gravity=gravity, offset=self._offset)
+        parts = []
+        for a in range(0, len(trajectory.times), _PANEL):
+            rows = self.row_model.samples(segment, a, min(a + _PANEL, len(trajectory.times)))
+            parts.append(np.linalg.norm(rows[:, :, :-1] @ self.inverse, axis=2))
+        return np.concatenate(parts)
+
+    @property
+    def _offset(self) -> bool:
+        return any(s.offset for s in self.segments)
+
+
+def expect(
+    experiment: Experiment,
+    sensor_set: SensorSet,
+    noise: ReadingNoise,
+    motions: Sequence[Motion | Trajectory],
+    *,
+    effects: Sequence[str] | None = None,
+    bandwidth: float | None = None,
+) -> Expected:
+    """What motions would tell if they were read by a sensor set.
+
+    Parameters
+    ----------
+    experiment
+        Robot, sensor and model; its motions need not be those that are asked about, and no readings are looked at.
+    sensor_set
+        What is read. Static readings count where a motion has them, and a static run of the motion's own positions is taken
+        for granted where one is subtracted.
+    noise
+        Of single readings.
+    motions
+        Recorded (positions are smoothed as for a fit), or planned with exact states.
+    effects
+        In the model; default the experiment's.
+    bandwidth
+        Of recorded joint motion [Hz]; default by cross-validation of the positions.
+
+    Raises
+    ------
+    InputError
+        There is no sensor that the set needs, or an effect does not exist.
+    """
+    model, segments = rows_of(experiment, sensor_set, motions, effects=effects, bandwidth=bandwidth)
+    names = tuple(n for e in model.effects for n in e.column_names)
+    units = tuple(u for e in model.effects for u in e.units)
+    free = np.flatnonzero(model.free).tolist()
+    factor = np.zeros((model.base.rank + len(free),) * 2)
+    if segments:
+        factor = expected_factor(lambda: make_blocks(model, segments), noise.of(sensor_set), noise.dispersion_of(sensor_set))
+    return Expected(
+        model.base, tuple(names[k] for k in free), tuple(units[k] for k in free), factor, model, tuple(segments)
+    )  # fmt: skip
+
+
+def rows_of(
+    experiment: Experiment,
+    sensor_set: SensorSet,
+    motions: Sequence[Motion | Trajectory],
+    *,
+    effects: Sequence[str] | None = None,
+    bandwidth: float | None = None,
+) -> tuple[RowModel, list[Segment]]:
+    """How samples would become rows, and the segments that count; parameters as in `expect`."""
+    channels = make_channels(experiment, sensor_set.channel)
+    segments = [s for k, m in enumerate(motions) for s in _segments(m, sensor_set, len(channels), k)]
+    moving = [s for s in segments if not s.poses]
+    specs = list(experiment.effects if effects is None else effects)
+    if sensor_set.offset != "fitted":  # nothing is left of what a static run removes, or of a known offset
+        gone = {n for n, c in experiment.library.classes.items() if c.removed_by_static_run}
+        specs = [s for s in specs if s.partition("@")[0] not in gone]
+    # Poses less their readings at rest leave nothing: such a set of segments still has the structure of a motion.
+    structure = model_structure(experiment, channels, specs, segments or [_nothing(experiment.robot.n)], "effects")
+    chosen = smoother_of(experiment, moving, bandwidth).bandwidth
+    step = row_step(chosen, min((1.0 / usual_step(s.times) for s in moving), default=np.inf))
+    model = RowModel(experiment.robot, channels, structure.base, structure.effects, chosen, step, None, structure.point)
+    # Stretches that are too short for the smoothed trajectory to settle say nothing.
+    return model, [s for s in segments if s.poses or np.ptp(s.inner(model.margin)) >= 2]
+
+
+def _nothing(n: int) -> Segment:
+    """Stands for a motion of n joints whose readings are all taken away."""
+    return Segment(np.zeros(1), np.zeros((1, n)), np.zeros((1, 0)), np.zeros(0), 0, gravity=False, offset=False)
+
+
+def planned_segment(
+    trajectory: Trajectory, channels: int, index: int = 0, *, gravity: bool = True, offset: bool = True
+) -> Segment:
+    """A planned motion as a segment that has not been read yet.
+
+    Parameters
+    ----------
+    trajectory
+        Its states.
+    channels
+        How many there are.
+    index
+        Number of the motion.
+    gravity, offset
+        What is in the readings, as in `Segment`.
+    """
+    rates = np.stack([trajectory.velocities, trajectory.accelerations])
+    return Segment(
+        trajectory.times, trajectory.positions, _unread(len(trajectory.times), channels), np.zeros(channels), index, gravity,
+        offset, trajectory.kind == "poses", rates=rates,
+    )  # fmt: skip
+
+
+def _unread(samples: int, channels: int) -> np.ndarray:
+    """Readings that nobody looks at (N, c), without memory of their own."""
+    return np.broadcast_to(0.0, (samples, channels))
+
+
+def _segments(motion: Motion | Trajectory, sensor_set: SensorSet, channels: int, index: int) -> list[Segment]:
+    """Segments of a motion, and poses at rest that are read beside it."""
+    gravity, offset = sensor_set.gravity, sensor_set.offset == "fitted"
+    if isinstance(motion, Trajectory):
+        moving = [planned_segment(motion, channels, index, gravity=gravity, offset=offset)]
+        rest = motion.static_positions
+    else:
+        table, poses = motion.table, motion.kind == "poses"
+        whole = Segment(
+            table.times, table.positions, _unread(len(table), channels), np.zeros(channels), index, gravity, offset, poses,
+            period=motion.period,
+        )  # fmt: skip
+        moving = [whole] if poses else [whole.part(p.start, p.stop) for p in table.segments()]
+        rest = None if motion.static is None else motion.static.positions
+    if not gravity:
+        return [s for s in moving if not s.poses]  # poses less their readings at rest leave nothing
+    if rest is None or sensor_set.channel != "wrench":  # torques are not read at rest, see `prepare`
+        return moving
+    times = np.arange(float(len(rest)))
+    still = Segment(times, rest, _unread(len(rest), channels), np.zeros(channels), index, True, offset, poses=True)
+    return [*moving, still]
+
+
+def expected_factor(
+    blocks: Callable[[], Iterable[Block]], noise: Mapping[str, NoiseModel], dispersion: float = 1.0
+) -> np.ndarray:
+    """Triangular factor R (p, p) of the information that a fit takes from rows.
+
+    For white noise ``R'R = X' Sigma^-1 X``. With coloured noise rows keep the weights of ``wls``, the default method, and
+    ``R'R`` is the inverse of its covariance ``(X'WX)^-1 (X'W Sigma WX) (X'WX)^-1``.
+
+    Parameters
+    ----------
+    blocks
+        Makes the rows anew, block by block.
+    noise
+        Of each group of rows.
+    dispersion
+        Factor of the covariance beyond the noise.
+    """
+    if all(m.order == 0 for m in noise.values()):
+        return _triangular(reduce_whitened(blocks(), dict(noise)).matrix, dispersion)
+    weight = {group: 1.0 / m.std[:, None] for group, m in noise.items()}
+    r = reduce_rows(blocks(), lambda b: b.rows * weight[b.group]).matrix
+    middle = gram_rows(blocks(), lambda b: noise[b.group].colour_transposed(b.matrix * weight[b.group] ** 2))
+    # With M the middle, R'R M^-1 R'R has the factor M^(-1/2) R'R; columns at unit length, for these are squares.
+    length = np.linalg.norm(r, axis=0)
+    seen = length > 1e-13 * length.max(initial=0.0)
+    scaled = r[:, seen] / length[seen]
+    values, vectors = np.linalg.eigh(middle[np.ix_(seen, seen)] / np.outer(length[seen], length[seen]))
+    some = values > 1e-13 * values.max(initial=0.0)
+    whole = np.zeros_like(r)
+    whole[: some.sum(), seen] = (vectors[:, some] / np.sqrt(values[some])).T @ scaled.T @ scaled * length[seen]
+    return _triangular(whole, dispersion)
+
+
+def _triangular(matrix: np.ndarray, dispersion: float) -> np.ndarray:
+    return np.asarray(np.linalg.qr(matrix, mode="r")) / np.sqrt(dispersion)

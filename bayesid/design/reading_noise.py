@@ -1,0 +1,161 @@
+"""The noise of single readings: as given, as a data sheet says, as recordings show, or assumed."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from bayesid.design.sensor_sets import SensorSet
+from bayesid.dynamics.channels import WRENCH_NAMES
+from bayesid.errors import InputError
+from bayesid.estimators.nonlinear import settled
+from bayesid.estimators.weights import learn_weights
+from bayesid.recordings.experiment import Experiment
+from bayesid.regression.options import FitOptions
+from bayesid.regression.problem import Problem, prepare
+from bayesid.regression.readings import has_readings
+from bayesid.robot.robot import Robot
+from bayesid.signals.noise import NoiseModel
+
+#: White noise of one sample of a good base force/torque sensor, where nothing else is known [N], [N m]; assumed.
+ASSUMED_FORCE, ASSUMED_MOMENT = 0.5, 0.05
+#: The same of a drive's torque, as a share of its effort limit, and where the URDF states no limit [N m or N]; assumed.
+_DRIVE_SHARE, _DRIVE_NOISE = 0.005, 0.5
+_KINDS = ("force", "moment", "torque")
+
+
+@dataclass(frozen=True)
+class ReadingNoise:
+    """Noise of single readings, by group of rows (``trajectory``, ``poses``).
+
+    Attributes
+    ----------
+    wrench, torque
+        Noise models of six and of n channels, by group; a missing group has the other's size without its colour.
+    sources
+        Where each comes from, by ``wrench`` and ``torque``: ``given``, ``data sheet``, ``readings`` or ``assumed``.
+    dispersion
+        Factor of the covariance of a fit beyond that noise, by ``wrench`` and ``torque``: what a model that lacks something
+        scatters more than its noise says; 1 where nothing is known of it.
+    """
+
+    wrench: Mapping[str, NoiseModel]
+    torque: Mapping[str, NoiseModel]
+    sources: Mapping[str, str]
+    dispersion: Mapping[str, float]
+
+    def of(self, sensor_set: SensorSet) -> dict[str, NoiseModel]:
+        """Noise of the rows of a sensor set: the difference of two readings where a static run is subtracted."""
+        parts = {"wrench": [self.wrench], "torque": [self.torque], "both": [self.wrench, self.torque]}[sensor_set.channel]
+        readings = 2.0 if sensor_set.offset == "static run" else 1.0
+        return {group: _stacked([_group(p, group) for p in parts], readings) for group in ("trajectory", "poses")}
+
+    def dispersion_of(self, sensor_set: SensorSet) -> float:
+        """Factor of the covariance for a sensor set."""
+        kinds = ("wrench", "torque") if sensor_set.channel == "both" else (sensor_set.channel,)
+        return max(self.dispersion.get(kind, 1.0) for kind in kinds)
+
+
+def white_noise(
+    robot: Robot,
+    given: Mapping[str, float] | None = None,
+    *,
+    force_std: float | None = None,
+    torque_std: float | None = None,
+) -> ReadingNoise:
+    """White noise of one sample of every channel: as given, else of the sensor's data sheet, else an assumed one.
+
+    Parameters
+    ----------
+    robot
+        Says how many drives there are, and their effort limits.
+    given
+        Standard deviations, by ``force`` [N], ``moment`` [N m], ``torque`` [N m or N] for a kind, or by the channel's name,
+        ``fx`` ... ``mz``, ``tau1`` ...
+    force_std, torque_std
+        Of the sensor's data sheet [N], [N m].
+
+    Raises
+    ------
+    InputError
+        A name is no channel's, or a number is not above zero.
+    """
+    given = dict(given or {})
+    drives = tuple(f"tau{k + 1}" for k in range(robot.n))
+    for name, std in given.items():
+        if name not in (*_KINDS, *WRENCH_NAMES, *drives):
+            raise InputError(f"noise '{name}': no such readings; write force, moment, torque, or a channel such as fx or tau1")
+        if not (np.isfinite(std) and std > 0):
+            raise InputError(f"noise {name} = {std}: give a standard deviation above zero, in the channel's unit")
+    effort = np.where(np.isfinite(robot.effort_limit) & (robot.effort_limit > 0), _DRIVE_SHARE * robot.effort_limit, _DRIVE_NOISE)
+    forces = force_std or ASSUMED_FORCE, torque_std or ASSUMED_MOMENT
+    wrench = [given.get(n, given.get(_KINDS[k // 3], forces[k // 3])) for k, n in enumerate(WRENCH_NAMES)]
+    torque = [given.get(n, given.get("torque", float(e))) for n, e in zip(drives, effort, strict=True)]
+    stated = all(any(k in given for k in (n, _KINDS[i // 3])) for i, n in enumerate(WRENCH_NAMES))
+    sources = {
+        "wrench": "given" if stated else "data sheet" if force_std and torque_std else "assumed",
+        "torque": "given" if "torque" in given or all(n in given for n in drives) else "assumed",
+    }
+    return ReadingNoise(_white(wrench), _white(torque), sources, {})
+
+
+def recorded_noise(
+    experiment: Experiment, otherwise: ReadingNoise, options: FitOptions | None = None
+) -> tuple[ReadingNoise, dict[str, Problem]]:
+    """Noise as a fit leaves it of the readings that there are; other channels keep theirs.
+
+    That is what `identify` bases its intervals on: colour included, and whatever the model lacks.
+
+    Parameters
+    ----------
+    experiment
+        With recordings.
+    otherwise
+        Noise of channels without readings, and of those that are ``given``.
+    options
+        Which motions are fitted, with which effects and bandwidth; its channel does not matter.
+
+    Returns
+    -------
+    noise
+        Of single readings.
+    problems
+        What was fitted, by ``wrench`` and ``torque``.
+    """
+    options = options or FitOptions()
+    motions = [m for m in experiment.motions if m.name in options.motions] if options.motions else experiment.identification
+    models, sources = {"wrench": otherwise.wrench, "torque": otherwise.torque}, dict(otherwise.sources)
+    dispersion, problems = dict(otherwise.dispersion), {}
+    for kind in models:
+        if (kind == "wrench" and experiment.sensor is None) or not motions or not all(has_readings(m, kind) for m in motions):
+            continue
+        problem = problems[kind] = settled(prepare(experiment, replace(options, channel=kind)))
+        if sources[kind] == "given":
+            continue
+        weights = learn_weights(problem.regression)
+        readings = 2.0 if problem.static == "motion" else 1.0
+        models[kind] = {
+            g: NoiseModel(m.coefficients, m.innovation / (readings if g == "trajectory" else 1.0))
+            for g, m in weights.noise.items()
+        }
+        sources[kind], dispersion[kind] = "readings", weights.dispersion
+    return ReadingNoise(models["wrench"], models["torque"], sources, dispersion), problems
+
+
+def _white(std) -> dict[str, NoiseModel]:
+    model = NoiseModel.stated(np.asarray(std, float))
+    return {"trajectory": model, "poses": model}
+
+
+def _group(models: Mapping[str, NoiseModel], group: str) -> NoiseModel:
+    return models[group] if group in models else next(iter(models.values())).uncoloured()
+
+
+def _stacked(parts: list[NoiseModel], readings: float) -> NoiseModel:
+    """Independent channels side by side, each the sum of so many readings."""
+    order = max(p.order for p in parts)
+    coefficients = np.vstack([np.pad(p.coefficients, ((0, 0), (0, order - p.order))) for p in parts])
+    return NoiseModel(coefficients, readings * np.asarray(block_diag(*(p.innovation for p in parts))))
