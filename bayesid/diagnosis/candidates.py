@@ -8,7 +8,7 @@ here.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -74,6 +74,8 @@ class Library:
         The user's model.
     around
         What effects may want to know of the recordings.
+    effects
+        Those effects, each at its place.
     blocks
         Columns by effect and shape.
     ripples
@@ -83,6 +85,7 @@ class Library:
     projector: NuisanceProjector
     base: Fit
     around: Surroundings
+    effects: tuple[Effect, ...]
     blocks: tuple[_Block, ...] = ()
     ripples: tuple[RippleScan, ...] = ()
 
@@ -149,7 +152,7 @@ class Library:
         prior = -projector.prior_residual(fit.coordinates)
         now = np.sum(projector.project_out(np.concatenate([fit.residual, prior])) ** 2)
         unexplained = dispersion is not None and dispersion >= data.settings.unexplained
-        for effect in _everywhere(data):
+        for effect in self.effects:
             if effect.spec in taken or (effect.last_resort and not unexplained) or not effect.sought(self.around):
                 continue
             trials = effect.trials(self.around)
@@ -171,23 +174,26 @@ class Library:
             yield Term(effect, effect.from_harmonic(order, *map(float, amplitudes))), gain
 
 
-def make_library(projector: NuisanceProjector, base: Fit, found: Fit | None = None) -> Library:
+def make_library(
+    projector: NuisanceProjector, base: Fit, found: Fit | None = None, effects: Sequence[Effect] | None = None
+) -> Library:
     """Columns of every effect that acts on the channels compared and is not in the user's model.
 
     Derivatives are taken at the user's model, or beside the effects of ``found``: beside a turned sensor, say, a wrong zero
-    of the first joint is more than a turn of the sensor.
+    of the first joint is more than a turn of the sensor. Of ``effects`` alone, where they are given.
     """
     data, at = projector.data, found or base
     around = surroundings(data)
+    effects = _everywhere(data) if effects is None else tuple(effects)
     blocks = []
-    for effect in _everywhere(data):
+    for effect in effects:
         for about in effect.linearisations(around) if effect.sought(around) else ():
             beside = tuple(t for t in at.terms if t.effect != effect)
             rows = term_rows(data, data.segments, at.links, beside, Term(effect, tuple(about.at)))
             if np.isfinite(rows).all():  # a formula of the user's need not mean something everywhere
                 blocks.append(_Block(effect, projector.columns(rows), about))
-    ripples = RippleScan.of(data, [e for e in _everywhere(data) if e.harmonics])
-    return Library(projector, base, around, tuple(blocks), ripples)
+    ripples = RippleScan.of(data, [e for e in effects if e.harmonics])
+    return Library(projector, base, around, effects, tuple(blocks), ripples)
 
 
 def _everywhere(data: DiagnosisData) -> tuple[Effect, ...]:

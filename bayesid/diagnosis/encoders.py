@@ -50,12 +50,12 @@ def with_noise(
             read = other_readings(smoothed_positions, shift, resolution, position_std, rng)
             error = segment.spectrum(predict(resmooth(segment, read)) - exact)
             scatter += error[:, :, None] * error[:, None, :] / settings.roundings
-        scatter = _pooled(scatter, settings.pooled_frequencies)
+        scatter = pooled(scatter, settings.pooled_frequencies)
     weight = segment.weight(segment.times)
     share = weight.T @ weight / len(weight) + np.diag(~segment.alive)  # a channel that says nothing has any noise
     floor = (np.diag(sensor**2) if sensor.ndim == 1 else sensor) * share
     rough = np.zeros_like(scatter)
-    power = _pooled(signal[:, :, None] ** 2, settings.pooled_frequencies)[:, :, 0]
+    power = pooled(signal[:, :, None] ** 2, settings.pooled_frequencies)[:, :, 0]
     rough[:, np.arange(channels), np.arange(channels)] = settings.accuracy**2 * power
     return replace(segment, covariance=floor + scatter + rough)
 
@@ -70,7 +70,7 @@ def other_readings(
     return np.where(resolution > 0, np.round(read / count) * count, read) - shift
 
 
-def _pooled(values: np.ndarray, most: int) -> np.ndarray:
+def pooled(values: np.ndarray, most: int) -> np.ndarray:
     """Mean over neighbouring frequencies, fewer at the ends."""
     total = np.cumsum(np.concatenate([np.zeros((1, *values.shape[1:])), values]), axis=0)
     index = np.arange(len(values))

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bayesid.diagnosis.data import DiagnosisData
 from bayesid.diagnosis.projector import NuisanceProjector
 from bayesid.diagnosis.rows import model_rows, residual_rows
 from bayesid.effects import Term
@@ -180,7 +181,8 @@ def finish(now: Iterate) -> Fit:
     values, vectors = _eigen(kept / safe)
     covariance = (vectors / values) @ vectors.T / np.outer(safe, safe)
     covariance = _widened(projector, covariance, kept, rows)
-    score = -0.5 * chi2 - 0.5 * projector.volume - _price(projector, terms, free, kept) if possible else -np.inf
+    cost = price(data, projector.rows, terms, free, kept)
+    score = -0.5 * chi2 - 0.5 * projector.volume - cost if possible else -np.inf
     return Fit(projector, terms, links, offset, chi2, len(values), score, covariance, free, now.coordinates, rows)
 
 
@@ -226,20 +228,31 @@ def _widened(projector: NuisanceProjector, covariance: np.ndarray, kept: np.ndar
     return covariance * np.outer(factor, factor)
 
 
-def _price(projector: NuisanceProjector, terms: Sequence[Term], free: Sequence[tuple[int, int]], kept: np.ndarray) -> float:
+def price(data: DiagnosisData, rows: int, terms: Sequence[Term], free: Sequence[tuple[int, int]], kept: np.ndarray) -> float:
     """What the free parameters cost: ``k / 2 log n``; for a changed link what its prior takes away from the evidence.
 
     The change is ``w R y`` with y ~ N(0, 1), R R' a prior as wide as the link itself and the width w that suits the estimate
     best. In the eigenvectors of ``R' Z' Z R``, eigenvalues l and Z the columns, estimates x = R y of least squares cost
 
         sum of [l y^2 / (1 + w^2 l) + log(1 + w^2 l)] / 2,  and the logarithm of the number of widths tried.
+
+    Parameters
+    ----------
+    data
+        The nominal links.
+    rows
+        How many rows are data.
+    terms, free
+        The effects, and (term, parameter) of what is fitted.
+    kept
+        What links and offset leave of its columns, whitened, or a triangular factor of that (rows, k).
     """
     total = 0.0
     for i, t in enumerate(terms):
         mine = kept[:, [column for column, (term, _) in enumerate(free) if term == i]]
         if t.effect.changes_link and mine.shape[1]:
             joint = t.effect.joint or 0
-            body = projector.data.links[10 * joint : 10 * joint + 10]
+            body = data.links[10 * joint : 10 * joint + 10]
             prior = Prior.warped(body, 1.0).covariance
             size = np.sqrt(np.diag(prior))
             root = size[:, None] * np.linalg.cholesky(prior / np.outer(size, size) + 1e-12 * np.eye(10))
@@ -249,7 +262,7 @@ def _price(projector: NuisanceProjector, terms: Sequence[Term], free: Sequence[t
             total += 0.5 * float(np.min(np.sum(energy * y**2 / spread + np.log(spread), axis=1))) + np.log(len(WIDTHS))
         elif mine.shape[1]:
             length = np.linalg.norm(mine, axis=0)
-            total += 0.5 * len(_eigen(mine / np.where(length > 0, length, 1.0))[0]) * np.log(projector.rows)
+            total += 0.5 * len(_eigen(mine / np.where(length > 0, length, 1.0))[0]) * np.log(rows)
     return total
 
 

@@ -139,7 +139,7 @@ def _segments(
                 times, both = resample_evenly(times, both, bandwidth)
                 positions, read = both[:, : positions.shape[1]], both[:, positions.shape[1] :]
             rate = settings.friction_rate if channel != "wrench" else settings.smooth_rate
-            grid = _grid(times, rate)
+            grid = even_grid(times, rate)
             scene = smoothed(times, positions, grid, bandwidth, still, middle, clear, float(grid[1] - grid[0]))
             torques = tuple((read.shape[1] - scene.positions.shape[1] + j, j) for j in range(scene.positions.shape[1]))
             torques = () if channel == "wrench" else torques
@@ -149,7 +149,7 @@ def _segments(
     return out
 
 
-def _grid(times: np.ndarray, rate: float) -> np.ndarray:
+def even_grid(times: np.ndarray, rate: float) -> np.ndarray:
     """Even times at about this rate, the middles of equal parts of a recording's time."""
     step = (times[-1] - times[0]) / (len(times) - 1)
     count = min(int(np.ceil(len(times) * step * rate)), len(times))

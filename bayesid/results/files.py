@@ -23,7 +23,7 @@ REPORT = "report.html"
 WRITTEN = {
     "check": ("check.json",),
     "compare": ("comparison.json",),
-    "diagnose": ("diagnosis.json", "model.toml"),
+    "diagnose": ("diagnosis.json", "model.toml", "next_motion.csv"),
     "identify": ("estimate.json", "identified.urdf", "identified-unconstrained.urdf", "model.toml"),
     "sample": ("posterior.json", "posterior.nc"),
 }

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from bayesid.design.tell.choose import Telling
 from bayesid.diagnosis.candidates import Proposal
 from bayesid.diagnosis.data import DiagnosisData
 from bayesid.diagnosis.locate import Disagreement
@@ -16,6 +17,7 @@ from bayesid.diagnosis.validation import Gap
 from bayesid.effects import Term
 from bayesid.recordings.schema import EffectParameters
 from bayesid.results.fitted_model import fitted_model
+from bayesid.results.telling import NEXT_MOTION, telling_dict
 
 SCHEMA = 1
 
@@ -49,6 +51,8 @@ class Findings:
         Run time.
     stability
         Each effect named without each part of the recordings; None where that says nothing.
+    telling
+        The motion that settles an ambiguous verdict; None for any other.
     """
 
     data: DiagnosisData
@@ -62,6 +66,7 @@ class Findings:
     next_experiment: str
     seconds: float = 0.0
     stability: tuple[Stability | None, ...] = ()
+    telling: Telling | None = None
 
     @property
     def terms(self) -> tuple[Term, ...]:
@@ -120,6 +125,7 @@ class Findings:
             ],
             "remarks": list(self.remarks),
             "next_experiment": self.next_experiment,
+            "next_motion": None if self.telling is None else telling_dict(self.telling, NEXT_MOTION),
             "runtime_s": self.seconds,
         }  # fmt: skip
 

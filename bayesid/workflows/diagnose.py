@@ -10,6 +10,7 @@ from typing import overload
 
 from threadpoolctl import threadpool_limits
 
+from bayesid.design.tell.choose import tell_search
 from bayesid.diagnosis.data import DiagnosisData
 from bayesid.diagnosis.locate import locate
 from bayesid.diagnosis.prepare import known_terms, prepare_data
@@ -27,6 +28,7 @@ from bayesid.regression.readings import default_channel
 from bayesid.results.changes import Changes
 from bayesid.results.diagnosis import Diagnosis
 from bayesid.results.files import Files, files_of, strict
+from bayesid.results.telling import NEXT_MOTION, telling_sentence, write_motion
 from bayesid.workflows.changes import changes
 from bayesid.workflows.progress import Progress, quiet
 
@@ -73,7 +75,7 @@ def diagnose(
     """Find where model and data disagree, name the missing effect, add it and show on held-out motions that the gap shrank.
 
     The phases: noise of sensors and encoders; forward selection of effects; refit under the noise as the new model passes it on;
-    pruning; rivals; held-out validation; verdict; remarks.
+    pruning; rivals; held-out validation; verdict; remarks; where it is ambiguous, the motion that would settle it.
 
     Parameters
     ----------
@@ -114,7 +116,7 @@ def diagnose(
         data = prepare_data(experiment, channel, terms, motions, seed, held, settings)
         found = search(make_projector(data, data.terms), data.terms, seed, progress)
         progress("validation on unseen motions")
-        result = _concluded(found, seed)
+        result = _with_next_motion(_concluded(found, seed), seed, progress)
     return replace(result, seconds=time.perf_counter() - since)
 
 
@@ -143,12 +145,25 @@ def _concluded(s: Search, seed: int) -> Diagnosis:
     )
 
 
+def _with_next_motion(result: Diagnosis, seed: int, progress: Progress) -> Diagnosis:
+    """The diagnosis with the motion that would settle it, where it is ambiguous."""
+    if result.verdict != "ambiguous":
+        return result
+    progress("the motion that tells them apart")
+    telling = tell_search(result.search, seed=seed)
+    if telling is None:
+        return result
+    return replace(result, telling=telling, next_experiment=telling_sentence(telling, NEXT_MOTION))
+
+
 @files_of.register
 def _(result: Diagnosis) -> Files:
-    """``diagnosis.json``, ``model.toml`` and the report."""
+    """``diagnosis.json``, ``model.toml``, ``next_motion.csv`` where a motion would settle it, and the report."""
     from bayesid.report.diagnosis import diagnosis_report
 
     effects, values = result.model
     expressions = result.data.experiment.library.expressions
     others = {"model.toml": lambda path: write_model(effects, values, path, expressions)}
+    if (telling := result.telling) is not None:
+        others[NEXT_MOTION] = lambda path: write_motion(telling, path)
     return Files({"diagnosis.json": strict(result.to_dict())}, others, diagnosis_report(result))

@@ -1,0 +1,209 @@
+"""The motion that best tells rivals apart: the best of many within limits, then improved step by step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayesid.design.tell.evidence import Contest
+from bayesid.design.tell.motions import Planned, pool, varied
+from bayesid.design.tell.planned_rows import NAME, Bench, contest
+from bayesid.design.tell.rivals import Case, from_effects, from_search, parse_effects
+from bayesid.diagnosis.data import DiagnosisData
+from bayesid.diagnosis.search import Search
+from bayesid.simulation.trajectories import Trajectory
+
+#: Below this probability no motion is said to decide.
+HOPELESS = 0.05
+#: Motions tried and improvements for a diagnosis, which waits for them, and for a design.
+QUICK, THOROUGH = (32, 16), (200, 200)
+#: Lengths of motions [s] that are proposed: that of the longest recording, within these.
+_SHORTEST, _LONGEST = 8.0, 20.0
+#: Change of the first improvement, of the last, in relative size.
+_FIRST, _LAST = 0.4, 0.05
+
+
+@dataclass(frozen=True)
+class Pair:
+    """How likely a motion tells one rival from another.
+
+    Attributes
+    ----------
+    true, other
+        Their names; the first is the true one.
+    noncentrality
+        What the best fit of the other leaves of the motion, in squared standard deviations.
+    gain, std
+        Log evidence of the true one over the other afterwards: expected, and its standard deviation.
+    probability
+        That the other is ruled out.
+    """
+
+    true: str
+    other: str
+    noncentrality: float
+    gain: float
+    std: float
+    probability: float
+
+
+@dataclass(frozen=True, eq=False)
+class Telling:
+    """A motion to tell rivals apart.
+
+    Attributes
+    ----------
+    rivals
+        Their names, the most probable first.
+    weights
+        Probability of each to be true before the motion; equal where the recordings show none of them.
+    estimated
+        Whether the recordings show the rivals, so that their sizes are estimates; otherwise usual sizes are supposed.
+    trajectory
+        The motion.
+    label
+        What it is, in words.
+    probability
+        That the true one alone is left after it.
+    wrong
+        That a wrong one is.
+    pairs
+        Each rival as the true one against each other.
+    tried
+        How many motions were looked at.
+    """
+
+    rivals: tuple[str, ...]
+    weights: tuple[float, ...]
+    estimated: bool
+    trajectory: Trajectory
+    label: str
+    probability: float
+    wrong: float
+    pairs: tuple[Pair, ...]
+    tried: int
+
+    @property
+    def hopeless(self) -> tuple[Pair, ...]:
+        """Pairs that not even this motion tells apart."""
+        return tuple(p for p in self.pairs if p.probability < HOPELESS)
+
+
+def tell_search(
+    search: Search, *, effort: tuple[int, int] = QUICK, seed: int = 0, duration: float | None = None
+) -> Telling | None:
+    """The motion that settles an ambiguous diagnosis; None where nothing is ambiguous or no motion is within the limits.
+
+    Parameters
+    ----------
+    search
+        What the diagnosis found.
+    effort
+        Motions tried at random, and improvements of the best.
+    seed
+        Of both.
+    duration
+        Length of the motion [s]; default that of the longest recording, at least 8 and at most 20.
+    """
+    case = from_search(search)
+    return None if case is None else tell((case,), effort=effort, seed=seed, duration=duration)
+
+
+def tell_effects(
+    data: DiagnosisData, specs: Sequence[str], *, effort: tuple[int, int] = THOROUGH, seed: int = 0, duration: float | None = None
+) -> Telling | None:
+    """The motion that best tells effects apart, given by their names.
+
+    Parameters
+    ----------
+    data
+        The recordings so far.
+    specs
+        ``name@where``, or ``name`` where there is one place.
+    effort, seed, duration
+        As in `tell_search`.
+
+    Raises
+    ------
+    InputError
+        As `bayesid.design.tell.rivals.parse_effects`.
+    """
+    return tell(from_effects(data, parse_effects(data, specs)), effort=effort, seed=seed, duration=duration)
+
+
+def tell(cases: Sequence[Case], *, effort: tuple[int, int], seed: int = 0, duration: float | None = None) -> Telling | None:
+    """The motion with the largest `Contest.merit`: of a pool, then of ever smaller changes of the best.
+
+    Parameters
+    ----------
+    cases
+        The rivals; cases count alike.
+    effort, seed, duration
+        As in `tell_search`.
+    """
+    benches = [Bench.of(case.rivals[0].fit) for case in cases]
+    robot = benches[0].data.robot
+    length = duration or float(np.clip(benches[0].like.times[-1] - benches[0].like.times[0], _SHORTEST, _LONGEST))
+
+    def contests(motion: Planned) -> list[Contest]:
+        return [contest(case, bench, motion) for case, bench in zip(cases, benches, strict=True)]
+
+    def merit(motion: Planned) -> float:
+        return float(sum(c.merit(case.weights) for c, case in zip(contests(motion), cases, strict=True)))
+
+    tried, improvements = effort
+    scored = [(merit(m), m) for m in pool(robot, length, tried, seed)]
+    if not scored:
+        return None
+    best = max(scored, key=lambda x: x[0])
+    count, best = improved(best, merit, lambda m, size, rng: varied(m, robot, size, rng), improvements, seed)
+    return _told(cases, contests(best[1]), best[1], benches[0].rate, len(scored) + count, seed)
+
+
+def improved(
+    start: tuple[float, Planned],
+    merit: Callable[[Planned], float],
+    vary: Callable[[Planned, float, np.random.Generator], Planned | None],
+    steps: int,
+    seed: int,
+) -> tuple[int, tuple[float, Planned]]:
+    """A motion changed at random again and again, by less and less; each change that is for the better stays.
+
+    Returns how many were looked at, and the merit and the motion in the end.
+    """
+    rng = np.random.default_rng([seed, 1])
+    best, count = start, 0
+    for size in np.geomspace(_FIRST, _LAST, steps):
+        changed = vary(best[1], float(size), rng)
+        if changed is None:
+            continue
+        count += 1
+        value = merit(changed)
+        if value > best[0]:
+            best = (value, changed)
+    return count, best
+
+
+def _told(cases: Sequence[Case], contests: Sequence[Contest], motion: Planned, rate: float, tried: int, seed: int) -> Telling:
+    """What is known of the chosen motion."""
+    names = [r.name for r in cases[0].rivals]
+    weights = np.mean([case.weights for case in cases], axis=0)
+    chances = np.mean([c.decided(case.weights, seed) for c, case in zip(contests, cases, strict=True)], axis=0)
+    pairs = []
+    for c, case in zip(contests, cases, strict=True):
+        mean, std = c.moments
+        for i in np.flatnonzero(case.weights > 0):
+            for j in range(len(names)):
+                if i != j:
+                    pairs.append(
+                        Pair(
+                            names[i], names[j], float(c.noncentrality[i, j]), float(mean[i, j]), float(std[i, j]),
+                            float(c.pairs[i, j]),
+                        )
+                    )  # fmt: skip
+    return Telling(
+        tuple(names), tuple(map(float, weights)), len(cases) == 1, motion.trajectory(NAME, rate), motion.label,
+        float(chances[0]), float(chances[1]), tuple(pairs), tried,
+    )  # fmt: skip

@@ -1,0 +1,215 @@
+"""How a motion that nobody has made yet would change the evidence between rivals, in closed form.
+
+Rival i has, from the recordings so far, an estimate of everything that is free in it (links, offset, its effects) with covariance
+``C_i = (R_i' R_i)^-1``. For a planned motion it predicts whitened readings m_i with derivatives J_i, so that under it
+
+    y ~ N(m_i, V_i),    V_i = 1 + J_i C_i J_i'.
+
+What the old recordings know counts through C_i and through the log evidence that they gave. The new motion adds to the log
+evidence of i over j
+
+    Delta_ij = [(y - m_j)' V_j^-1 (y - m_j) - (y - m_i)' V_i^-1 (y - m_i)] / 2 - (what the free parameters cost more),
+
+the first part being the same as that of a joint fit of old and new recordings, for ``(y - m)' V^-1 (y - m)`` is by how much the
+new rows raise the smallest chi2. If i is true, with d = m_i - m_j, S S' = V_i, and A = S' V_j^-1 S - 1,
+
+    mean = [tr A + d' V_j^-1 d] / 2,    variance = tr(A^2) / 2 + |S' V_j^-1 d|^2.
+
+``lambda_ij = d' V_j^-1 d`` is the noncentrality: what the best fit of j and of all else leaves of i's prediction. Where the
+old recordings have settled all but d this is N(lambda / 2, lambda), the expectation of [BoxHill1967]_ and the criterion of
+[AtkinsonFedorov1975]_. The motion decides for i against j where Delta_ij and the old evidence together exceed the difference from
+which a diagnosis no longer lists j as a rival.
+
+All columns are reduced once to a triangular factor, so that a motion costs the same however long it lasts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import solve_triangular
+from scipy.special import log_ndtr, ndtr
+
+from bayesid.diagnosis.data import DiagnosisData
+from bayesid.diagnosis.fit import Fit, price
+
+#: Joint draws of the new evidence of all rivals, reduced to a few numbers each: probabilities to 1 %.
+_DRAWN = 4000
+
+
+@dataclass(frozen=True, eq=False)
+class Rival:
+    """A model that explains the recordings so far.
+
+    Attributes
+    ----------
+    name
+        Of the effects that tell it from the others.
+    fit
+        Its fit.
+    evidence
+        Log evidence from the recordings so far, over the dispersion factor, but for a constant that all rivals share.
+    factor
+        R, triangular factor of the information on links, offset and its free parameters, in units of the dispersed noise
+        (s + k, s + k).
+    dispersion
+        Dispersion factor, by which the noise's power is larger than measured.
+    """
+
+    name: str
+    fit: Fit
+    evidence: float
+    factor: np.ndarray
+    dispersion: float
+
+    def cost(self, factor: np.ndarray, rows: int) -> float:
+        """What its free parameters cost of the log evidence, over the dispersion factor, with so much information."""
+        data: DiagnosisData = self.fit.projector.data
+        common = self.fit.projector.size
+        kept = np.sqrt(self.dispersion) * factor[common:, common:]
+        return price(data, rows, self.fit.terms, self.fit.free, kept) / self.dispersion
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """What rivals predict of a motion, in units of the dispersed noise and reduced to a few rows.
+
+    Attributes
+    ----------
+    readings
+        m_i, the first rival's subtracted (rivals, t).
+    columns
+        J_i of each rival (t, s + k_i).
+    count
+        Rows that are data.
+    """
+
+    readings: np.ndarray
+    columns: tuple[np.ndarray, ...]
+    count: int
+
+    @classmethod
+    def of(cls, common: np.ndarray, own: Sequence[np.ndarray], readings: Sequence[np.ndarray], count: int) -> Rows:
+        """Reduce columns in every rival (N, s), each rival's own (N, k_i), and predicted readings (N,)."""
+        away = np.column_stack([m - readings[0] for m in readings])
+        r = np.asarray(np.linalg.qr(np.hstack([common, *own, away]), mode="r"))
+        widths = [common.shape[1], *(z.shape[1] for z in own), len(readings)]
+        shared, *apart, means = np.split(r, np.cumsum(widths)[:-1], axis=1)
+        return cls(means.T, tuple(np.hstack([shared, z]) for z in apart), count)
+
+
+@dataclass(frozen=True, eq=False)
+class Contest:
+    """What a motion would do to the evidence between rivals.
+
+    Attributes
+    ----------
+    rivals
+        The models.
+    rows
+        What they predict of it.
+    needed
+        Difference of log evidence from which one rules the other out.
+    """
+
+    rivals: tuple[Rival, ...]
+    rows: Rows
+    needed: float
+
+    @cached_property
+    def _spreads(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """A root S of each V and the inverse of V (t, t)."""
+        out = []
+        for rival, j in zip(self.rivals, self.rows.columns, strict=True):
+            b = solve_triangular(rival.factor.T, j.T, lower=True).T
+            v = np.eye(len(b)) + b @ b.T
+            out.append((np.linalg.cholesky(v), np.linalg.inv(v)))
+        return out
+
+    @cached_property
+    def constant(self) -> np.ndarray:
+        """Log evidence of each rival so far, less what its free parameters will cost more (rivals,)."""
+        out = []
+        for rival, j in zip(self.rivals, self.rows.columns, strict=True):
+            before = rival.fit.projector.rows
+            after = np.asarray(np.linalg.qr(np.vstack([rival.factor, j]), mode="r"))
+            more = rival.cost(after, before + self.rows.count) - rival.cost(rival.factor, before)
+            out.append(rival.evidence - more)
+        return np.array(out)
+
+    @cached_property
+    def noncentrality(self) -> np.ndarray:
+        """lambda: what the best fit of the column's rival leaves where the row's is true (rivals, rivals)."""
+        count = len(self.rivals)
+        out = np.zeros((count, count))
+        for i in range(count):
+            for j in range(count):
+                d = self.rows.readings[i] - self.rows.readings[j]
+                out[i, j] = d @ self._spreads[j][1] @ d
+        return out
+
+    @cached_property
+    def moments(self) -> tuple[np.ndarray, np.ndarray]:
+        """Mean and standard deviation of the log evidence of the row's rival, which is true, over the column's, old and new."""
+        count = len(self.rivals)
+        mean, std = np.zeros((2, count, count))
+        for i in range(count):
+            root = self._spreads[i][0]
+            for j in range(count):
+                if i == j:
+                    continue
+                inverse = self._spreads[j][1]
+                along = root.T @ (inverse @ (self.rows.readings[i] - self.rows.readings[j]))
+                a = root.T @ inverse @ root - np.eye(len(root))
+                mean[i, j] = 0.5 * (np.trace(a) + self.noncentrality[i, j]) + self.constant[i] - self.constant[j]
+                std[i, j] = np.sqrt(0.5 * np.sum(a**2) + along @ along)
+        return mean, std
+
+    @property
+    def _distance(self) -> np.ndarray:
+        """By how many standard deviations the mean exceeds what is needed (rivals, rivals); infinite on the diagonal."""
+        mean, std = self.moments
+        out = (mean - self.needed) / np.maximum(std, 1e-9)
+        np.fill_diagonal(out, np.inf)
+        return out
+
+    @property
+    def pairs(self) -> np.ndarray:
+        """Probability that the row's rival, if it is true, rules out the column's: of a normal Delta (rivals, rivals)."""
+        return ndtr(self._distance)
+
+    def merit(self, weights: np.ndarray) -> float:
+        """What is maximised: the log probabilities of `pairs`, summed; the pair that is hardest to tell counts most.
+
+        Parameters
+        ----------
+        weights
+            Probability of each rival to be true (rivals,).
+        """
+        return float(weights @ log_ndtr(self._distance).sum(axis=1))
+
+    def decided(self, weights: np.ndarray, seed: int = 0) -> tuple[float, float]:
+        """Probabilities that the true rival alone is left, and that a wrong one is: from joint draws of y.
+
+        Parameters
+        ----------
+        weights
+            Probability of each rival to be true (rivals,).
+        seed
+            Of the draws.
+        """
+        z = np.random.default_rng(seed).normal(size=(_DRAWN, self.rows.readings.shape[1]))
+        right, wrong = 0.0, 0.0
+        for i in np.flatnonzero(weights > 0):
+            y = self.rows.readings[i] + z @ self._spreads[i][0].T
+            left = [(y - m, inverse) for m, (_, inverse) in zip(self.rows.readings, self._spreads, strict=True)]
+            score = self.constant - 0.5 * np.column_stack([np.sum((e @ inverse) * e, axis=1) for e, inverse in left])
+            order = np.argsort(score, axis=1)
+            clear = np.take_along_axis(score, order[:, -1:], 1) - np.take_along_axis(score, order[:, -2:-1], 1) > self.needed
+            first = order[:, -1] == i
+            right += weights[i] * float(np.mean(clear[:, 0] & first))
+            wrong += weights[i] * float(np.mean(clear[:, 0] & ~first))
+        return right, wrong

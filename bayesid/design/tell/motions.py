@@ -1,0 +1,214 @@
+"""Motions that are tried: periodic paths run through in different ways, each within the robot's limits, at rest at both ends.
+
+A path is a Fourier series ``p(s) = centre + sum_k a_k sin(2 pi k f s + phase_k)`` in a parameter s, and a pace says how s
+goes with time: at once, in steps of speed, forth and back, with stops. So ``v = p' s'`` and ``a = p'' s'^2 + p' s''`` are exact,
+and speeds stay within the path's while ``|s'| <= 1``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bayesid.dynamics.channels import torque_channels
+from bayesid.effects import MotionSegment, readings
+from bayesid.robot.limits import motion_limits
+from bayesid.robot.robot import Robot
+from bayesid.simulation.trajectories import Trajectory
+
+#: Share of the position range, of the speed limits and of the effort limits that is used at most.
+_RANGE, _SPEED, _EFFORT = 0.9, 0.9, 0.8
+#: Points in time at which limits are checked, a second.
+_CHECKED = 50.0
+#: How often a motion that takes too much torque is slowed down before it is given up.
+_SLOWER = 8
+
+
+@dataclass(frozen=True)
+class Pace:
+    """How the path's parameter goes with time: speeds from given times on, each reached within a ramp.
+
+    Attributes
+    ----------
+    starts
+        Times at which a ramp to the next speed begins (k,) [s].
+    speeds
+        Speeds reached (k,), the last zero; before the first, zero.
+    ramp
+        Time that a change of speed takes [s].
+    label
+        What it is called.
+    """
+
+    starts: tuple[float, ...]
+    speeds: tuple[float, ...]
+    ramp: float
+    label: str
+
+    def at(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The parameter and its first two derivatives (N,) each; the third is continuous, too.
+
+        A change of speed is ``6 x^5 - 15 x^4 + 10 x^3`` of the share x of its ramp.
+        """
+        steps = np.diff(np.concatenate([[0.0], self.speeds]))
+        late = (times[:, None] - np.array(self.starts)) / self.ramp
+        x = np.clip(late, 0.0, 1.0)
+        s = self.ramp * (x**6 - 3.0 * x**5 + 2.5 * x**4 + np.maximum(late - 1.0, 0.0)) @ steps
+        return s, (6.0 * x**5 - 15.0 * x**4 + 10.0 * x**3) @ steps, (30.0 * x**4 - 60.0 * x**3 + 30.0 * x**2) @ steps / self.ramp
+
+
+def paces(duration: float) -> tuple[Pace, ...]:
+    """Ways to run through a path in a time [s]."""
+    ramp = min(1.0, duration / 12.0)
+    end, third, half = duration - ramp, duration / 3.0, 0.5 * duration - 0.5 * ramp
+    stops = np.arange(0.0, end - 2.0 * ramp, 4.0 * ramp)
+    pulses = tuple(float(x) for t in stops for x in (t, t + 2.0 * ramp))
+    return (
+        Pace((0.0, end), (1.0, 0.0), ramp, "at one speed"),
+        Pace((0.0, third, 2.0 * third, end), (0.25, 0.5, 1.0, 0.0), ramp, "at a quarter, half and full speed"),
+        Pace((0.0, half, end), (1.0, -1.0, 0.0), ramp, "forth and back"),
+        Pace(pulses, (1.0, 0.0) * len(stops), ramp, "with stops"),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Planned:
+    """A motion that could be made.
+
+    Attributes
+    ----------
+    centre
+        (n,) [rad or m].
+    amplitudes, phases
+        Of the path (h, n).
+    fundamental
+        f [Hz].
+    pace
+        How it is run through.
+    duration
+        [s].
+    """
+
+    centre: np.ndarray
+    amplitudes: np.ndarray
+    phases: np.ndarray
+    fundamental: float
+    pace: Pace
+    duration: float
+
+    @property
+    def label(self) -> str:
+        """In words."""
+        moved = np.flatnonzero(self.amplitudes.any(axis=0))
+        who = "all joints" if len(moved) == self.amplitudes.shape[1] else ", ".join(f"joint {j + 1}" for j in moved)
+        return f"{who} {self.pace.label}"
+
+    def _path(self, s: np.ndarray, derivative: int) -> np.ndarray:
+        """The path less its centre, or a derivative, at parameters (N,) -> (N, n)."""
+        omega = 2.0 * np.pi * self.fundamental * np.arange(1, len(self.amplitudes) + 1)
+        angle = s[:, None, None] * omega[:, None] + self.phases + derivative * np.pi / 2
+        return np.sum(omega[:, None] ** derivative * self.amplitudes * np.sin(angle), axis=1)
+
+    def at(self, times: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Positions, velocities and accelerations (N, n) each."""
+        s, rate, change = (x[:, None] for x in self.pace.at(times))
+        first, second = self._path(s[:, 0], 1), self._path(s[:, 0], 2)
+        return self.centre + self._path(s[:, 0], 0), first * rate, second * rate**2 + first * change
+
+    def trajectory(self, name: str, rate: float) -> Trajectory:
+        """As samples, so many a second."""
+        times = np.arange(int(round(self.duration * rate)) + 1) / rate
+        return Trajectory(name, "identification", times, *self.at(times))
+
+
+def within_limits(motion: Planned, robot: Robot, share: float = 1.0) -> Planned | None:
+    """The motion made to fit the robot's limits of position, speed and effort; None where no speed does.
+
+    Parameters
+    ----------
+    motion
+        Any.
+    robot
+        Its limits; those of a small arm where it states none. The torque is that of the nominal links.
+    share
+        Of the speed limits that is used.
+    """
+    lower, upper, fastest = motion_limits(robot)
+    channels = torque_channels(robot)
+    times = np.linspace(0.0, motion.duration, int(_CHECKED * motion.duration) + 1)
+    for _ in range(_SLOWER):
+        q, v, _ = replace(motion, centre=np.zeros(robot.n)).at(times)
+        span, peak = np.ptp(q, axis=0), np.abs(v).max(axis=0)
+        scale = np.minimum(_RANGE * (upper - lower) / np.maximum(span, 1e-9), _SPEED * share * fastest / np.maximum(peak, 1e-9))
+        motion = replace(motion, amplitudes=motion.amplitudes * np.minimum(scale, 1.0))
+        q = q * np.minimum(scale, 1.0)
+        edge = 0.5 * (1.0 - _RANGE) * (upper - lower)
+        motion = replace(motion, centre=np.clip(motion.centre, lower + edge - q.min(axis=0), upper - edge - q.max(axis=0)))
+        scene = MotionSegment(times, *motion.at(times))
+        torque = np.abs(readings(robot, channels, scene, robot.nominal)).max(axis=0)
+        limited = np.isfinite(robot.effort_limit) & (robot.effort_limit > 0)
+        excess = float(np.max(torque[limited] / (_EFFORT * robot.effort_limit[limited]), initial=0.0))
+        if excess <= 1.0:
+            return motion
+        motion = replace(motion, fundamental=0.8 * motion.fundamental)
+    return None
+
+
+def pool(robot: Robot, duration: float, count: int, seed: int) -> Iterator[Planned]:
+    """Motions within limits: random series of different speed and size at different paces, and of single joints.
+
+    Parameters
+    ----------
+    robot
+        Its limits.
+    duration
+        Of each [s].
+    count
+        About how many.
+    seed
+        Of the random ones.
+    """
+    rng = np.random.default_rng(seed)
+    lower, upper, _ = motion_limits(robot)
+    ways = paces(duration)
+    for k in range(count):
+        harmonics = 5
+        amplitudes = rng.normal(1.0, 0.4, (harmonics, robot.n)) / np.arange(1, harmonics + 1)[:, None] * (upper - lower)
+        amplitudes = amplitudes * rng.uniform(0.1, 0.5, robot.n)
+        # One motion in four of one joint alone; of many joints each may rest.
+        if k % 4 == 3:
+            amplitudes = amplitudes * (np.arange(robot.n) == (k // 4) % robot.n)
+        pace = ways[0] if k % 4 < 2 else ways[1 + (k // 4) % (len(ways) - 1)]
+        frequency = float(np.exp(rng.uniform(np.log(1.0 / duration), np.log(0.5))))
+        motion = Planned(
+            rng.uniform(lower, upper), amplitudes, rng.uniform(0, 2 * np.pi, (harmonics, robot.n)), frequency, pace, duration
+        )
+        share = 1.0 if k % 2 == 0 else float(rng.uniform(0.2, 1.0))
+        if (fitted := within_limits(motion, robot, share)) is not None:
+            yield fitted
+
+
+def varied(motion: Planned, robot: Robot, size: float, rng: np.random.Generator) -> Planned | None:
+    """A motion near another one, within limits; None where there is none.
+
+    Parameters
+    ----------
+    motion, robot
+        The motion and whose it is.
+    size
+        Relative change of amplitudes and frequency; phases and the centre in proportion.
+    rng
+        Of the change.
+    """
+    lower, upper, _ = motion_limits(robot)
+    shape = motion.amplitudes.shape
+    changed = replace(
+        motion,
+        amplitudes=motion.amplitudes * np.exp(size * rng.normal(size=shape)) * np.exp(size * rng.normal(size=shape[1])),
+        phases=motion.phases + size * rng.normal(size=shape),
+        centre=motion.centre + 0.3 * size * (upper - lower) * rng.normal(size=shape[1]),
+        fundamental=motion.fundamental * float(np.exp(0.5 * size * rng.normal())),
+    )
+    return within_limits(changed, robot)

@@ -1,0 +1,174 @@
+"""Rivals: models that explain the recordings so far about as well, with what these know of everything free in them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bayesid.design.tell.evidence import Rival
+from bayesid.diagnosis.candidates import Library, make_library
+from bayesid.diagnosis.data import DiagnosisData
+from bayesid.diagnosis.fit import Fit, fit
+from bayesid.diagnosis.noise import smoothed
+from bayesid.diagnosis.projector import NuisanceProjector, make_projector
+from bayesid.diagnosis.rows import model_rows
+from bayesid.diagnosis.search import Search
+from bayesid.effects import Effect, Term
+from bayesid.errors import InputError
+
+#: Of parameters that recordings say nothing of, prior standard deviations in sizes of the parameter: so wide that it says little.
+_WIDE = 10.0
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """Rivals, and how probable each is to be the true one.
+
+    Attributes
+    ----------
+    rivals
+        At least two.
+    weights
+        Probabilities (rivals,); zero for one that is only looked at as what imitates another.
+    """
+
+    rivals: tuple[Rival, ...]
+    weights: np.ndarray
+
+
+def known(fitted: Fit, name: str, evidence: float, dispersion: float) -> Rival:
+    """A fit as a rival: the information of its recordings, in units of the dispersed noise."""
+    projector, data = fitted.projector, fitted.projector.data
+    own = model_rows(data, data.segments, fitted.links, fitted.terms)
+    rows = np.zeros((len(projector.q), projector.size + own.shape[1]))
+    rows[:, : projector.size] = projector.q @ projector.r
+    rows[: projector.length, projector.size :] = own
+    prior = np.zeros((own.shape[1], rows.shape[1]))
+    sizes = np.array([_size(fitted.terms[i], k, data) for i, k in fitted.free])
+    prior[:, projector.size :] = np.diag(1.0 / (_WIDE * sizes))
+    r = np.linalg.qr(np.vstack([rows, prior]), mode="r")
+    return Rival(name, fitted, evidence, r / np.sqrt(dispersion), dispersion)
+
+
+def _size(term: Term, parameter: int, data: DiagnosisData) -> float:
+    """A size of a parameter: its value's or a usual one, whichever is larger."""
+    usual = abs(float(term.effect.typical(data.robot)[parameter]))
+    return max(usual, abs(term.values[parameter]), 1e-9)
+
+
+def from_search(search: Search) -> Case | None:
+    """The best model of a diagnosis and those with a rival in the place of one of its effects; None where there is no rival."""
+    best, first = search.best, len(search.base.terms)
+    rivals = [known(best, ", ".join(f.term.effect.spec for f in search.found), 0.0, search.dispersion)]
+    for k, found in enumerate(search.found):
+        for term, lack in found.rivals:
+            terms = (*best.terms[: first + k], term, *best.terms[first + k + 1 :])
+            fitted = fit(best.projector, terms, best)
+            if np.isfinite(fitted.score):
+                names = (*(f.term.effect.spec for f in search.found[:k]), term.effect.spec,
+                         *(f.term.effect.spec for f in search.found[k + 1 :]))  # fmt: skip
+                rivals.append(known(fitted, ", ".join(names), -lack, search.dispersion))
+    if len(rivals) < 2:
+        return None
+    return Case(tuple(rivals), _weights(rivals))
+
+
+def _weights(rivals: Sequence[Rival]) -> np.ndarray:
+    """Probabilities of rivals from their log evidence (rivals,)."""
+    evidence = np.array([r.evidence for r in rivals])
+    odds = np.exp(evidence - evidence.max())
+    return odds / odds.sum()
+
+
+def parse_effects(data: DiagnosisData, specs: Sequence[str]) -> tuple[Effect, ...]:
+    """Effects to be told apart from their names.
+
+    Parameters
+    ----------
+    data
+        The robot, its channels and the user's model.
+    specs
+        ``name@where``, or ``name`` alone where there is one place; at least two.
+
+    Raises
+    ------
+    InputError
+        Fewer than two, an unknown name or place, several places, or an effect that is in the model or acts on no reading.
+    """
+    experiment = data.experiment
+    out: list[Effect] = []
+    for spec in specs:
+        found = experiment.library.parse([spec], experiment.robot.joint_names, data.channels.names, experiment.gear_ratio)
+        if not found:
+            raise InputError(f"--tell {spec}: acts on no reading of --channel {data.channel}; name another or choose its channel")
+        if len(found) > 1:
+            places = ", ".join([e.spec for e in found][:3])
+            raise InputError(f"--tell {spec}: could be at {len(found)} places; name one, as in {places}")
+        effect = next(iter(found))
+        if any(t.effect == effect for t in data.terms):
+            raise InputError(f"--tell {spec}: is in the model already; take it out of [model] effects to tell it from others")
+        if effect not in out:
+            out.append(effect)
+    if len(out) < 2:
+        raise InputError(f"--tell {','.join(specs)}: give at least two different effects, as in --tell sensor_delay,base_tilt")
+    return tuple(out)
+
+
+def from_effects(data: DiagnosisData, effects: Sequence[Effect]) -> tuple[Case, ...]:
+    """Rivals by their names: at their estimates where the recordings demand each of them, otherwise at usual sizes.
+
+    At usual sizes there is a case for each effect as the true one. Then the recordings' motions count with the readings that this
+    effect would have caused in them, and the others at what imitates it best there.
+
+    Parameters
+    ----------
+    data
+        The recordings.
+    effects
+        The rivals.
+    """
+    projector = make_projector(data, data.terms)
+    base = fit(projector, data.terms)
+    library = make_library(projector, base, effects=effects)
+    fits = _fitted(library, base, effects)
+    dispersion = library.dispersion(base)
+    needed = data.settings.accept * dispersion
+    if len(fits) == len(effects) and all(f.score - base.score > needed for f in fits):
+        best = max(f.score for f in fits)
+        rivals = tuple(known(f, e.spec, (f.score - best) / dispersion, dispersion) for f, e in zip(fits, effects, strict=True))
+        return (Case(rivals, _weights(rivals)),)
+    return tuple(_supposed(data, effects, true) for true in range(len(effects)))
+
+
+def _supposed(data: DiagnosisData, effects: Sequence[Effect], true: int) -> Case:
+    """The case in which one of the effects is there at a usual size, its readings in place of the recorded ones."""
+    term = Term(effects[true], tuple(map(float, effects[true].typical(data.robot))))
+    segments = []
+    for s in data.segments:
+        old = s.scene
+        scene = smoothed(s.times, s.encoders, s.times, old.bandwidth, s.still, old.middle_positions, old.clear)
+        there = replace(s, scene=scene, instant=True)
+        segments.append(replace(there, readings=data.predict(there, data.links, (*data.terms, term))))
+    supposed = replace(data, segments=tuple(segments))
+    projector: NuisanceProjector = make_projector(supposed, data.terms)
+    base = fit(projector, data.terms)
+    others = [e for k, e in enumerate(effects) if k != true]
+    fits = _fitted(make_library(projector, base, effects=others), base, others)
+    fits.insert(true, fit(projector, (*data.terms, term)))
+    best = fits[true].score
+    rivals = tuple(known(f, e.spec, f.score - best, 1.0) for f, e in zip(fits, effects, strict=True))
+    return Case(rivals, np.eye(len(effects))[true])
+
+
+def _fitted(library: Library, base: Fit, effects: Sequence[Effect]) -> list[Fit]:
+    """Each effect fitted alone beside the user's model, in order; at its start where the recordings propose no values."""
+    proposals = {p.term.effect: p for p in library.propose(base)}
+    out = []
+    for effect in effects:
+        p = proposals.get(effect)
+        starts = [Term(effect, effect.starts)] if p is None else [p.term, *p.others]
+        fits = [fit(library.projector, (*base.terms, start), base) for start in starts]
+        out.append(max(fits, key=lambda f: f.score))
+    return out

@@ -1,0 +1,278 @@
+"""Motions that tell rivals apart: the closed form against least squares and exact fits, the motions against their limits."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bayesid.design.tell.choose import tell, tell_effects, tell_search
+from bayesid.design.tell.evidence import Contest, Rows
+from bayesid.design.tell.motions import Planned, paces, pool, varied, within_limits
+from bayesid.design.tell.planned_rows import Bench, contest
+from bayesid.design.tell.rivals import Case, from_effects, from_search, parse_effects
+from bayesid.diagnosis.fit import fit
+from bayesid.diagnosis.prepare import prepare_data
+from bayesid.diagnosis.projector import make_projector
+from bayesid.dynamics.channels import torque_channels
+from bayesid.effects import MotionSegment, readings
+from bayesid.errors import InputError
+from bayesid.recordings.experiment import Experiment, Sensor
+from bayesid.robot.limits import motion_limits
+from bayesid.simulation.simulation import simulate
+from bayesid.simulation.trajectories import fourier_trajectory
+from bayesid.workflows.diagnose import diagnose
+from tests.simulated import puma2
+
+
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory):
+    return puma2(tmp_path_factory.mktemp("robot"))
+
+
+@pytest.fixture(scope="module")
+def recorded(robot):
+    """Small, slow motions with a weak hose at the second joint, which the first could hold as well."""
+    setup = Experiment("arm", robot, (), Sensor(), inertia_rel_std=0.05, position_resolution=1e-4)
+    options = {"duration": 8.0, "fundamental": 0.125, "harmonics": 2, "rate": 100.0, "share": 0.15}
+    motions = [
+        fourier_trajectory(robot, seed=13, **options),
+        fourier_trajectory(robot, "validation", "validation", seed=1003, **options),
+    ]
+    hose = {
+        "stiffness": 2.75, "rest_length": 0.073, "anchor_x": 0.0974, "anchor_y": -0.1218, "anchor_z": 0.3652,
+        "point_x": 0.05, "point_y": 0.03, "point_z": 0.08,
+    }  # fmt: skip
+    return simulate(setup, motions, effects={"tether@joint2": hose}, perturb=0.05, seed=3)
+
+
+@pytest.fixture(scope="module")
+def diagnosis(recorded):
+    found = diagnose(recorded)
+    assert found.verdict == "ambiguous"
+    return found
+
+
+@pytest.fixture(scope="module")
+def case(diagnosis):
+    return from_search(diagnosis.search)
+
+
+@pytest.fixture(scope="module")
+def bench(case):
+    return Bench.of(case.rivals[0].fit)
+
+
+@pytest.fixture(scope="module")
+def planned(robot):
+    return next(iter(pool(robot, 8.0, 1, seed=4)))
+
+
+# ---- the closed form -------------------------------------------------------------------------------------------------
+
+
+def test_the_new_evidence_is_that_of_a_joint_least_squares_fit(case, bench, planned):
+    """Draws of old knowledge and new readings; each rival fitted to both at once by least squares."""
+    c = contest(case, bench, planned)
+    rng = np.random.default_rng(0)
+    true, other = c.rivals[0], c.rivals[1]
+    draws = 3000
+    estimates = np.linalg.solve(true.factor, rng.normal(size=(len(true.factor), draws)))
+    y = c.rows.readings[0][:, None] + c.rows.columns[0] @ estimates + rng.normal(size=(c.rows.readings.shape[1], draws))
+    chi2 = []
+    for rival, j, m in zip(c.rivals, c.rows.columns, c.rows.readings, strict=True):
+        matrix = np.vstack([rival.factor, j])
+        target = np.vstack([np.zeros((len(rival.factor), draws)), y - m[:, None]])
+        chi2.append(np.sum((target - matrix @ np.linalg.lstsq(matrix, target, rcond=None)[0]) ** 2, axis=0))
+    gain = 0.5 * (chi2[1] - chi2[0]) + c.constant[0] - c.constant[1]
+    mean, std = c.moments
+    assert abs(gain.mean() - mean[0, 1]) < 4 * std[0, 1] / np.sqrt(draws)
+    assert gain.std() == pytest.approx(std[0, 1], rel=0.08)
+    # And the joint draws of the reduced problem know how often that is enough.
+    right, wrong = c.decided(np.array([1.0, 0.0]))
+    assert right == pytest.approx(np.mean(gain > c.needed), abs=0.03)
+    assert wrong == pytest.approx(np.mean(gain < -c.needed), abs=0.03)
+    assert other.evidence < true.evidence
+
+
+def test_the_noncentrality_is_what_the_best_fit_of_the_other_leaves(case, bench, planned):
+    """By least squares on the rows of the motion over what is known, not reduced."""
+    c = contest(case, bench, planned)
+    for i, j in ((0, 1), (1, 0)):
+        matrix = np.vstack([c.rivals[j].factor, c.rows.columns[j]])
+        target = np.concatenate([np.zeros(len(c.rivals[j].factor)), c.rows.readings[i] - c.rows.readings[j]])
+        left = target - matrix @ np.linalg.lstsq(matrix, target, rcond=None)[0]
+        assert c.noncentrality[i, j] == pytest.approx(left @ left, rel=1e-6)
+
+
+def test_settled_knowledge_leaves_the_textbook_law(case, bench, planned):
+    """With all parameters known the log evidence is N(lambda / 2, lambda), lambda the squared distance of the readings."""
+    known = tuple(replace(r, factor=1e9 * np.eye(len(r.factor)), evidence=0.0) for r in case.rivals)
+    c = contest(replace(case, rivals=known), bench, planned)
+    distance = float(np.sum((c.rows.readings[0] - c.rows.readings[1]) ** 2))
+    mean, std = c.moments
+    assert mean[0, 1] - (c.constant[0] - c.constant[1]) == pytest.approx(0.5 * distance, rel=1e-6)
+    assert std[0, 1] == pytest.approx(np.sqrt(distance), rel=1e-6)
+
+
+def test_rows_are_reduced_without_loss():
+    rng = np.random.default_rng(2)
+    common, own, means = rng.normal(size=(50, 3)), [rng.normal(size=(50, k)) for k in (1, 2)], rng.normal(size=(2, 50))
+    rows = Rows.of(common, own, list(means), 50)
+    for z, j in zip(own, rows.columns, strict=True):
+        whole = np.hstack([common, z])
+        assert np.allclose(j.T @ j, whole.T @ whole)
+        assert np.allclose(j.T @ rows.readings[1], whole.T @ (means[1] - means[0]))
+    assert np.sum(rows.readings[1] ** 2) == pytest.approx(np.sum((means[1] - means[0]) ** 2))
+
+
+def test_what_is_the_same_is_never_told_apart(case, bench, planned):
+    twins = Case((case.rivals[0], case.rivals[0]), np.array([0.5, 0.5]))
+    c = contest(twins, bench, planned)
+    assert c.noncentrality[0, 1] == pytest.approx(0.0, abs=1e-9)
+    assert c.decided(twins.weights) == (0.0, 0.0)
+    told = tell([twins], effort=(4, 2))
+    assert told is not None and told.probability < 0.01 and len(told.hopeless) == 2
+
+
+# ---- motions ---------------------------------------------------------------------------------------------------------
+
+
+def torque_of(robot, motion, *, still=False):
+    rates = (0.0 * motion.velocities,) * 2 if still else (motion.velocities, motion.accelerations)
+    scene = MotionSegment(motion.times, motion.positions, *rates)
+    return np.abs(readings(robot, torque_channels(robot), scene, robot.nominal))
+
+
+def test_motions_stay_within_the_limits_at_a_finer_sampling_and_rest_at_both_ends(robot):
+    lower, upper, fastest = motion_limits(robot)
+    rng = np.random.default_rng(0)
+    motions = list(pool(robot, 9.0, 16, seed=1))
+    motions += [m for m in (varied(m, robot, 0.4, rng) for m in motions[:6]) if m is not None]
+    assert len(motions) > 12 and len({m.pace.label for m in motions}) == 4
+    for m in motions:
+        t = m.trajectory("x", 500.0)
+        assert (t.positions >= lower).all() and (t.positions <= upper).all()
+        assert (np.abs(t.velocities) <= fastest).all()
+        assert (torque_of(robot, t) <= robot.effort_limit).all()
+        assert np.allclose(t.velocities[[0, -1]], 0.0, atol=1e-9) and np.allclose(t.accelerations[[0, -1]], 0.0, atol=1e-9)
+        for low, high in ((t.positions, t.velocities), (t.velocities, t.accelerations)):
+            slope = np.gradient(low, t.times, axis=0)[2:-2]
+            assert np.abs(slope - high[2:-2]).max() < 2e-3 * max(np.abs(high).max(), 1.0)
+
+
+def test_a_motion_that_takes_too_much_torque_is_slowed_down(robot):
+    motion = Planned(np.zeros(2), np.full((1, 2), 0.3), np.zeros((1, 2)), 0.8, paces(10.0)[0], 10.0)
+    strong = within_limits(motion, robot)
+    assert strong is not None
+    at = strong.trajectory("x", 100.0)
+    full, held = (torque_of(robot, at, still=still).max(axis=0) for still in (False, True))
+    weak = replace(robot, effort_limit=1.4 * held + 0.3 * full)
+    assert (torque_of(robot, at).max(axis=0) > weak.effort_limit).any()
+    slowed = within_limits(motion, weak)
+    assert slowed is not None
+    assert strong.fundamental == 0.8 and slowed.fundamental < 0.8
+    assert (torque_of(robot, slowed.trajectory("x", 100.0)) <= weak.effort_limit).all()
+    assert within_limits(motion, replace(robot, effort_limit=np.full(2, 1e-3))) is None
+
+
+# ---- the choice ------------------------------------------------------------------------------------------------------
+
+
+def test_the_chosen_motion_is_the_best_of_all_tried_and_settles_the_case(robot, recorded, diagnosis, case, bench):
+    told = tell_search(diagnosis.search, effort=(12, 8), seed=1)
+    assert told is not None and told.probability > 0.9
+    assert {p.true for p in told.pairs} == set(told.rivals) == {"tether@joint1", "tether@joint2"}
+    tried = [contest(case, bench, m).decided(case.weights)[0] for m in pool(robot, 8.0, 12, seed=1)]
+    assert told.probability >= max(tried) - 0.01
+    more = simulate(recorded, [told.trajectory], effects=recorded.truth.effects, links=recorded.truth.links, seed=9)
+    after = diagnose(replace(recorded, motions=(*recorded.motions, *more.motions)))
+    assert after.verdict == "named" and [f.term.effect.spec for f in after.found] == ["tether@joint2"]
+
+
+def test_effects_by_name_at_usual_sizes(robot):
+    """A recording that shows neither: the case of each effect, and the noncentrality by an exact fit of the other."""
+    setup = Experiment("arm", robot, (), Sensor(), inertia_rel_std=0.05, position_resolution=1e-4)
+    slow = fourier_trajectory(robot, duration=8.0, fundamental=0.125, harmonics=2, rate=100.0, share=0.15, seed=3)
+    data = prepare_data(simulate(setup, [slow], seed=1), "wrench", (), None, 0)
+    told = tell_effects(data, ["base_tilt", "sensor_rotation"], effort=(6, 2))
+    assert told is not None and not told.estimated and told.weights == (0.5, 0.5)
+    assert len(told.pairs) == 2 and all(p.noncentrality > 0 for p in told.pairs)
+    assert told.probability > 0.9
+
+
+@pytest.mark.parametrize(
+    ("specs", "complaint"),
+    [
+        (["base_tilt"], "at least two different effects"),
+        (["base_tilt", "base_tilt@base"], "at least two different effects"),
+        (["base_tilt", "tether"], "could be at 2 places; name one, as in tether@joint1"),
+        (["base_tilt", "coulomb_friction@joint1"], "acts on no reading of --channel wrench"),
+        (["base_tilt", "tether@joint9"], "joint9"),
+    ],
+)
+def test_names_that_will_not_do(diagnosis, specs, complaint):
+    with pytest.raises(InputError, match=complaint):
+        parse_effects(diagnosis.data, specs)
+
+
+def test_a_named_diagnosis_asks_for_no_motion(diagnosis):
+    settled = replace(diagnosis.search, found=tuple(replace(f, rivals=()) for f in diagnosis.search.found))
+    assert from_search(settled) is None and tell_search(settled) is None
+
+
+# ---- files -----------------------------------------------------------------------------------------------------------
+
+
+def test_an_ambiguous_diagnosis_comes_with_a_motion_that_is_ready_to_run(diagnosis, robot, tmp_path):
+    from bayesid.recordings.reader import read_table
+
+    report = diagnosis.write(tmp_path / "out")
+    table, _ = read_table(report.parent / "next_motion.csv", "next_motion.csv", robot.n, False)
+    assert np.array_equal(table.positions, diagnosis.telling.trajectory.positions)
+    d = diagnosis.to_dict()
+    assert "next_motion.csv" in d["next_experiment"] and "next_motion.csv" in report.read_text(encoding="utf-8")
+    assert d["next_motion"]["probability"] == diagnosis.telling.probability > 0.5
+    assert {p["true"] for p in d["next_motion"]["pairs"]} == {"tether@joint1", "tether@joint2"}
+
+
+@pytest.mark.slow
+def test_predicted_evidence_against_exact_fits_of_simulated_recordings(robot):
+    """Old and new recordings fitted together, exactly, at draws of all that the old ones leave open."""
+    setup = Experiment("arm", robot, (), Sensor(), inertia_rel_std=0.05, position_resolution=1e-4)
+    slow = fourier_trajectory(robot, duration=8.0, fundamental=0.125, harmonics=2, rate=100.0, share=0.15, seed=3)
+    recorded = simulate(setup, [slow], effects={"sensor_crosstalk@fz->my": {"coefficient": 0.002}}, perturb=0.05, seed=1)
+    data = prepare_data(recorded, "wrench", (), None, 0)
+    (case,) = from_effects(data, parse_effects(data, ["sensor_crosstalk@fz->my", "base_tilt"]))
+    planned = next(iter(pool(robot, 8.0, 1, seed=4)))
+    c = contest(case, Bench.of(case.rivals[0].fit), planned)
+    first = case.rivals[0].fit
+    empty = Bench.of(first).segment(planned, first)
+    times, scene = empty.times, empty.scene
+    at_samples = MotionSegment(
+        times, *planned.at(times), still=False, bandwidth=scene.bandwidth, middle=scene.middle, clear=scene.clear
+    )
+    there = replace(empty, scene=at_samples, instant=True)
+    root, size = np.linalg.cholesky(empty.covariance), first.projector.size
+    rng = np.random.default_rng(3)
+    gains = []
+    for _ in range(40):
+        estimate = np.linalg.solve(case.rivals[0].factor, rng.normal(size=len(case.rivals[0].factor)))
+        (term,) = first.terms
+        true = replace(term, values=tuple(np.array(term.values) + estimate[size:]))
+        exact = data.predict(there, first.links + first.projector.root @ estimate[:size], [true])
+        noise = there.samples(np.einsum("kab,kb->ka", root, rng.normal(size=empty.shape)))
+        both = replace(data, segments=(*data.segments, replace(there, readings=exact + noise)))
+        projector = make_projector(both, first.terms)
+        scores = [fit(projector, r.fit.terms).score for r in case.rivals]
+        gains.append((scores[0] - scores[1]) / case.rivals[0].dispersion)
+    mean, std = c.moments
+    assert np.mean(gains) == pytest.approx(mean[0, 1], abs=3 * std[0, 1] / np.sqrt(40) + 0.02 * mean[0, 1])
+    assert np.std(gains) == pytest.approx(std[0, 1], rel=0.35)
+
+
+def test_contests_are_frozen(case, bench, planned):
+    c = contest(case, bench, planned)
+    assert isinstance(c, Contest) and c.pairs.shape == (2, 2) and np.allclose(np.diag(c.pairs), 1.0)
+    assert c.merit(case.weights) < 0
