@@ -50,8 +50,12 @@ def determined_inverse(matrix: np.ndarray, hidden: np.ndarray) -> np.ndarray:
     return out
 
 
-def undetermined(matrix: np.ndarray, tolerance: float = 1e-10) -> np.ndarray:
-    """Columns of a (weighted) factor with a part that the rows do not determine (p,)."""
+def undetermined(matrix: np.ndarray, tolerance: float = 1e-8) -> np.ndarray:
+    """Columns of a (weighted) factor with a part that the rows do not determine (p,).
+
+    The default tolerance is the root of the machine's precision: covariances are products of the factor with itself, in which
+    nothing but rounding is left below it.
+    """
     length = np.linalg.norm(matrix, axis=0)
     nothing = length <= 1e-13 * length.max(initial=0.0)
     if nothing.all():

@@ -32,7 +32,7 @@ from bayesid.validation.noise_floor import NoiseFloor, noise_floor
 from bayesid.validation.prediction import Prediction, predict
 from bayesid.workflows.progress import Clock, Progress, quiet
 from bayesid.workflows.urdf_links import urdf_links
-from bayesid.workflows.warnings import incomplete, listed, repeated_motion, unpredicted, wrong_signs
+from bayesid.workflows.warnings import incomplete, listed, not_settled, repeated_motion, unpredicted, wrong_signs
 
 
 def identify(
@@ -200,7 +200,7 @@ def _warnings(
     unexcited: Sequence[str],
 ) -> tuple[str, ...]:
     """What the user should know, most important first."""
-    out = [*conflicts(check), *wrong_signs(problem, estimate)]
+    out = [*conflicts(check), *not_settled(problem, estimate), *wrong_signs(problem, estimate)]
     for p in validation:
         if p.repeats:
             out.append(repeated_motion(p))

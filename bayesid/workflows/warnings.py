@@ -72,6 +72,37 @@ def wrong_signs(problem: Problem, estimate: Estimate) -> list[str]:
     return out
 
 
+def not_settled(problem: Problem, estimate: Estimate) -> list[str]:
+    """Which effects ended at values that are not plausible, or where they are not linearised.
+
+    What readings are not linear in is estimated in steps that stay within what is plausible. An estimate that points far out of
+    it still has run away along what these motions do not tell from other parameters, so those are not to be relied on, either.
+    """
+    point = problem.row_model.point
+    if point is None:
+        return []
+    values, stds = point.values.copy(), np.full(len(point.values), np.inf)
+    values[point.free], stds[point.free] = estimate.solution[estimate.base.rank :], estimate.full_std[estimate.base.rank :]
+    out, first = [], 0
+    for effect in problem.row_model.effects:
+        part = slice(first, first := first + len(effect.parameters))
+        if not effect.shape or not point.free[part].any():
+            continue
+        away = np.abs(values[part] - point.values[part])
+        low, high = np.array(effect.lower), np.array(effect.upper)
+        known = np.isfinite(stds[part])
+        outside = np.maximum(low - values[part], values[part] - high) > _CERTAIN * np.where(known, stds[part], 0.0)
+        if not (outside | (known & (away > stds[part]))).any():
+            continue
+        shown = [f"{key} = {v:.3g} {unit}" for key, v, unit in zip(effect.parameters, values[part], effect.units, strict=True)]
+        out.append(
+            f"{effect.spec} did not settle: {listed(shown, 3)}. These motions do not tell it from other parameters, which "
+            "are then not to be relied on, either. State what is known of it in [model.values], leave it out, or add motions "
+            "that show it."
+        )
+    return out
+
+
 def listed(names: Iterable[str], shown: int) -> str:
     """The first of some names, and how many more there are."""
     every = list(names)

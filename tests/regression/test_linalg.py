@@ -67,3 +67,16 @@ def test_condition_number_does_not_know_units():
 def test_lengths_and_standard_deviations_of_next_to_nothing():
     assert_allclose(column_lengths(np.diag([3.0, 0.0, 1e-20])), [3.0, 1.0, 1.0])
     assert_allclose(standard_deviations(np.diag([4.0, -1e-20]), 1e-300), [2.0, 1e-150])
+
+
+def test_columns_that_rounding_alone_keeps_apart_are_undetermined():
+    """Derivatives of a shape that is far off differ by what differencing rounds; a product of factors has no digits for it."""
+    rng = np.random.default_rng(4)
+    matrix = rng.normal(size=(200, 4))
+    matrix[:, 3] = matrix[:, 1] - matrix[:, 2] + 5e-10 * rng.normal(size=200)
+    factor = np.linalg.qr(matrix, mode="r")
+    hidden = undetermined(factor)
+    assert list(hidden) == [False, True, True, True]
+    inverse = determined_inverse(factor, hidden)
+    bread = inverse @ inverse.T
+    assert np.linalg.eigvalsh(bread @ (factor.T @ factor) @ bread).min() > -1e-15

@@ -152,3 +152,12 @@ def test_command_line_writes_all_or_nothing(arm, tmp_path, capsys, undrawn):
     assert main(["identify", str(folder), "--out", str(tmp_path / "no"), "--filter-d", "50"]) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1 and "--filter-l" in error and not (tmp_path / "no").exists()
+
+
+def test_an_effect_that_ran_away_is_told(arm):
+    """There is no tether: stiffness and length of one run off together, and base parameters with them."""
+    found = bayesid.identify(arm, channel="torque", effects=["tether@joint2"])
+    told = [w for w in found.warnings if "tether@joint2 did not settle" in w]
+    assert len(told) == 1 and "[model.values]" in told[0]
+    plain = bayesid.identify(arm, channel="torque", effects=["spring@joint2"])
+    assert not [w for w in plain.warnings if "settle" in w]

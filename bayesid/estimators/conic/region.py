@@ -32,7 +32,8 @@ def conic(data: LinkData, prior: LinkPrior, bounds: tuple[Linear, ...] = (), str
     rows[len(data.target) :, : data.size] = root
     rows[len(data.target) :, -1] = root @ prior.mean
     length = np.linalg.norm(rows[:, :n], axis=0)
-    nothing = undetermined(rows[:, :n])
+    # A prior may be far weaker than the data, and is used in the rows as it stands.
+    nothing = undetermined(rows[:, :n], 1e-10)
     if nothing.any():
         # Columns that neither side knows, such as an effect that never acts: held at zero by next to nothing.
         hold = np.zeros((int(nothing.sum()), n + 1))
