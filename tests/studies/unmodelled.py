@@ -62,9 +62,9 @@ can hold that ([limits](limits.md)). {{ counts }}
 
 def recordings(work: Path, count: int) -> list[dict[str, Any]]:
     """The answers of the set; it is made unless it is there."""
-    from make import make, plans
-
     if len(list((work / "answers").glob("*.json"))) < 0.9 * count:
+        from make import make, plans
+
         names = tuple(n for n in dict.fromkeys(n for p in plans(500, SEED, ("single",)) for n in p.names) if n not in OF_LINKS)
         make(work, count, SEED, ("single",), names)
     return [json.loads(path.read_text(encoding="utf-8")) for path in sorted((work / "answers").glob("*.json"))]
