@@ -15,11 +15,16 @@ from bayesid.results.files import check_output
 from bayesid.simulation.plant import complete_effects
 from bayesid.simulation.simulation import Recorder, write_simulation
 from bayesid.simulation.trajectories import make_trajectories
+from bayesid.simulation.trajectory_file import planned_trajectories
 
 
 @click.command()
 @EXPERIMENT
 @click.option("--new", is_flag=True, help="New random motions; default: those of the experiment's tables again.")
+@click.option(
+    "--trajectory", type=click.Path(path_type=Path), multiple=True,
+    help="A planned motion (columns t, q1 ..., v1 ..., a1 ...), as excite writes it; several: the last is for validation.",
+)
 @click.option("--duration", type=float, help="Length of a new motion [s]; default 20.")
 @click.option("--rate", type=float, help="Samples a second of a new motion; default 125.")
 @click.option("--static/--no-static", default=None, help="Whether stop-and-go runs are made; default: as recorded, or none.")
@@ -33,10 +38,14 @@ from bayesid.simulation.trajectories import make_trajectories
 @EFFECTS_FROM
 @OUT
 @SEED
-def simulate(experiment, new, duration, rate, static, effects, model, effects_from, perturb, out, seed, **instruments) -> None:
+def simulate(
+    experiment, new, trajectory, duration, rate, static, effects, model, effects_from, perturb, out, seed, **instruments
+) -> None:
     """Simulate a recording with known truth (truth.json); [model] stays the experiment's, whatever the plant has."""
     if not new and (duration is not None or rate is not None):
         raise InputError(f"--{'rate' if duration is None else 'duration'} is for new motions; add --new")
+    if trajectory and new:
+        raise InputError("--trajectory is given with --new; name the motions, or let new ones be made")
     if not 0 <= perturb <= 10:
         raise InputError(f"--perturb {perturb}: give a share from 0 to 10, such as 0.1")
     check_output(out or OUTPUTS)
@@ -44,11 +53,11 @@ def simulate(experiment, new, duration, rate, static, effects, model, effects_fr
     with show_progress() as progress:
         progress("simulating")
         library = own_effects(effects_from)
-        setup = load_setup(experiment, library) if new else bayesid.load_experiment(experiment, library)
+        setup = load_setup(experiment, library) if new or trajectory else bayesid.load_experiment(experiment, library)
         given = setup if model is None else setup.with_model(model)
         setup = replace(setup, library=given.library)
         plant = complete_effects(setup.robot, given.effects if effects is None else effects, given.effect_values, setup.library)
-        made = make_trajectories(
+        made = planned_trajectories(setup.robot, trajectory, bool(static)) if trajectory else make_trajectories(
             setup, new=new, duration=20.0 if duration is None else duration, rate=125.0 if rate is None else rate,
             static=static, seed=seed,
         )  # fmt: skip
