@@ -19,6 +19,7 @@ from .regression.regression import Regression
 from .results.changes import Changes
 from .results.comparison import Comparison
 from .results.diagnosis import Diagnosis
+from .results.excitation import Excitation
 from .results.identification import Identification, summary
 from .results.inspection import Inspection
 from .results.posterior import ExperimentPosterior
@@ -27,9 +28,11 @@ from .robot.robot import Robot, load_robot
 from .signals.filters import LowPass
 from .simulation.simulation import Recorder, Simulation, simulate, write_simulation
 from .simulation.trajectories import Trajectory, fourier_trajectory
+from .simulation.trajectory_file import read_trajectory, write_trajectory
 from .workflows.check import check
 from .workflows.compare import compare
 from .workflows.diagnose import diagnose
+from .workflows.excite import excite
 from .workflows.identify import identify
 from .workflows.sample import sample
 
@@ -49,6 +52,7 @@ __all__ = [
     "Estimate",
     "EstimationError",
     "Estimator",
+    "Excitation",
     "Experiment",
     "ExperimentPosterior",
     "Huber",
@@ -78,6 +82,7 @@ __all__ = [
     "compare",
     "diagnose",
     "estimator",
+    "excite",
     "fit",
     "fourier_trajectory",
     "identify",
@@ -85,9 +90,11 @@ __all__ = [
     "load_effects",
     "load_experiment",
     "load_robot",
+    "read_trajectory",
     "sample",
     "simulate",
     "summary",
     "write_experiment",
     "write_simulation",
+    "write_trajectory",
 ]

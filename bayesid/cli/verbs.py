@@ -21,6 +21,7 @@ VERBS = {
     "compare": "Several estimators on the same data, side by side.",
     "demo": "The main job on an embedded example, in under a minute.",
     "diagnose": "Where model and data disagree, and which effect is missing.",
+    "excite": "An exciting trajectory within limits.",
     "identify": "Base parameters with honest uncertainty, and link parameters.",
     "sample": "Draws from the posterior, with convergence checks.",
     "simulate": "A recording from the model, with known truth.",

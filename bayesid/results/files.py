@@ -24,6 +24,7 @@ WRITTEN = {
     "check": ("check.json",),
     "compare": ("comparison.json",),
     "diagnose": ("diagnosis.json", "model.toml", "next_motion.csv"),
+    "excite": ("excitation.json", "trajectory.csv"),
     "identify": ("estimate.json", "identified.urdf", "identified-unconstrained.urdf", "model.toml"),
     "sample": ("posterior.json", "posterior.nc"),
 }

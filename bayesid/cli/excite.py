@@ -1,0 +1,95 @@
+"""The verb ``excite``."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from pathlib import Path
+
+import click
+
+import bayesid
+from bayesid.cli.options import (
+    EFFECTS_FROM,
+    EXPERIMENT,
+    MODEL,
+    OUT,
+    OUTPUTS,
+    SEED,
+    names,
+    output_folder,
+    own_effects,
+    show_progress,
+)
+from bayesid.design.excitation.options import ExcitationOptions
+from bayesid.errors import InputError
+from bayesid.recordings.experiment import load_setup
+from bayesid.results.files import check_output
+
+_DEFAULT = {item.name: item.default for item in fields(ExcitationOptions)}
+
+
+def _numbers(_context, parameter, value: str | None) -> tuple[float, ...] | None:
+    """Numbers that commas separate."""
+    try:
+        return None if value is None else tuple(float(part) for part in value.split(","))
+    except ValueError:
+        raise InputError(f"{parameter.opts[0]} {value}: give numbers, separated by commas") from None
+
+
+def _number(option: str, text: str, **more):
+    name = option[2:].replace("-", "_")
+    return click.option(option, type=type(_DEFAULT[name]), default=_DEFAULT[name], show_default=True, help=text, **more)
+
+
+_OPTIONS = [
+    click.option("--channel", type=click.Choice(["wrench", "torque", "both"]), help="Readings; default: wrench with a [sensor]."),
+    click.option("--static", is_flag=True, help="A stop-and-go run will be subtracted, as in the paper."),
+    click.option("--criterion", default="d", show_default=True, help="d, a, e or condition."),
+    click.option("--kind", default="fourier", show_default=True, help="fourier; liu1998: one pass and a stop-and-go run."),
+    _number("--duration", "Length of the motion [s]."),
+    click.option("--period", type=float, help="After which it repeats [s]; default: half the length."),
+    _number("--harmonics", "Multiples of the fundamental frequency."),
+    _number("--rate", "Samples a second."),
+    click.option("--joints", callback=names, help="Joints that move, by commas; default: all."),
+    _number("--share", "How much of the joints' limits is used at most."),
+    _number("--torque-share", "How much of the effort limits is used at most."),
+    click.option("--acceleration", callback=_numbers, help="Largest joint accelerations [rad/s^2 or m/s^2], one or one a joint."),
+    click.option("--sensor-range", callback=_numbers, help="Largest readings: force,moment or six numbers [N, N m]."),
+    _number("--sensor-share", "How much of the sensor's range is used at most, the robot's weight included."),
+    click.option("--mount-frequency", type=float, help="Resonance of the sensor's mount [Hz]: the motion stays below a fifth."),
+    click.option("--collisions/--no-collisions", default=True, help="Whether bodies of the URDF are kept apart."),
+    _number("--margin", "Least distance of bodies [m]."),
+    click.option("--ground", type=float, help="Height of a ground that is kept clear [m], in the base frame."),
+    click.option("--warm-start", type=click.Path(path_type=Path), help="A table t, q1 ... of a motion to start from."),
+    _number("--starts", "How many motions are improved."),
+    _number("--randoms", "How many random motions they are chosen from."),
+    _number("--seconds", "No other improvement is begun after so long [s]."),
+]
+
+
+def _options(command):
+    for option in reversed(_OPTIONS):
+        command = option(command)
+    return command
+
+
+@click.command()
+@EXPERIMENT
+@_options
+@MODEL
+@EFFECTS_FROM
+@OUT
+@SEED
+def excite(experiment, model, effects_from, out, joints, **options) -> None:
+    """An exciting trajectory within limits: trajectory.csv; needs experiment.toml and the URDF only."""
+    check_output(out or OUTPUTS, "excite")
+    setup = load_setup(experiment, own_effects(effects_from))
+    setup = setup if model is None else setup.with_model(model)
+    folder = output_folder(out, setup.name, "excite")
+    with show_progress() as progress:
+        result = bayesid.excite(setup, joints=None if joints is None else tuple(joints), progress=progress, **options)
+        progress("report")
+        report = result.write(folder)
+    click.echo(str(result))
+    click.echo(f"trajectory: {folder / 'trajectory.csv'}")
+    click.echo(f"report: {report}")

@@ -1,0 +1,202 @@
+"""The information of a planned motion about the base parameters, and its derivatives along the motion.
+
+With the regressor X of the base parameters and the columns O of what is estimated beside (sensor offset, effects of the model),
+rows divided by the standard deviation of a sample, N recorded samples carry
+
+    A = N / n  (X - O B)' (X - O B),   B = (O' O + e)^-1 O' X
+
+about the base parameters alone (n planned samples stand for the N; e is a vague prior of the effects). By the envelope theorem,
+``dA = dX' (X - O B) + its transpose - ...``: a function of A with gradient G has the gradient ``2 (X - O B) G`` with respect to X
+and ``-2 (X - O B) G B'`` with respect to O, which `bayesid.dynamics.regressor_gradient` carries on to the joint motion.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayesid.design.excitation.criteria import Criterion
+from bayesid.design.reading_noise import ReadingNoise
+from bayesid.design.sensor_sets import SensorSet
+from bayesid.dynamics.base_parameters import BaseParameters, structural_base
+from bayesid.dynamics.channels import Channels
+from bayesid.dynamics.regressor_gradient import regressor_gradient
+from bayesid.dynamics.regressors import Kernel
+from bayesid.effects import Effect, MotionSegment
+from bayesid.effects.families import JointTorqueEffect
+from bayesid.effects.sizes import reach
+from bayesid.recordings.experiment import Experiment
+from bayesid.regression.readings import make_channels
+from bayesid.robot.robot import Robot
+from bayesid.robot.typical import states_masses, typical_links
+
+Motion = tuple[np.ndarray, np.ndarray, np.ndarray]
+#: Prior standard deviation of an effect's parameter, as a multiple of its typical size: hardly any knowledge.
+_VAGUE = 100.0
+#: Least mass and length of a body as shares of the robot's, for the typical size of its parameters.
+_LEAST_MASS, _LEAST_LENGTH = 0.01, 0.05
+_STEP = 1e-5
+
+
+@dataclass(frozen=True, eq=False)
+class Information:
+    """What is measured and estimated: from a motion to its information matrix.
+
+    Attributes
+    ----------
+    robot, channels, sensor_set
+        What moves and what is measured.
+    base
+        Base parameters of these readings.
+    scale
+        L (r, r): base parameters are L times numbers of about size one.
+    std
+        Standard deviation of one sample of each channel (c,).
+    effects
+        What is estimated beside, as far as its columns follow from the joint motion alone.
+    left_out
+        The model's effects that this is not so for.
+    kernel
+        The regressor's.
+    """
+
+    robot: Robot
+    channels: Channels
+    sensor_set: SensorSet
+    base: BaseParameters
+    scale: np.ndarray
+    std: np.ndarray
+    effects: tuple[Effect, ...]
+    left_out: tuple[str, ...]
+    kernel: Kernel
+
+    @classmethod
+    def of(cls, experiment: Experiment, sensor_set: SensorSet, noise: ReadingNoise) -> Information:
+        """Information of an experiment's readings.
+
+        Parameters
+        ----------
+        experiment
+            Its robot, sensor and model; its motions do not count.
+        sensor_set
+            What is read. Where a static run is subtracted (equation 21 of [Liu1998]_), offset and weight are gone.
+        noise
+            Of single readings; its colour does not count.
+
+        Raises
+        ------
+        InputError
+            The wrench is asked for and there is no sensor, or an effect of the model does not exist.
+        """
+        robot, channels = experiment.robot, make_channels(experiment, sensor_set.channel)
+        offset, specs = sensor_set.offset == "fitted", list(experiment.effects)
+        if offset and not any(s.partition("@")[0] == "sensor_offset" for s in specs):
+            specs.append("sensor_offset")
+        parsed = experiment.library.parse(specs, robot.joint_names, channels.names, experiment.gear_ratio)
+        effects = tuple(e for e in parsed if e.from_motion_alone and (offset or not e.removed_by_static_run))
+        left_out = tuple(e.spec for e in parsed if not e.from_motion_alone)
+        base = structural_base(robot, channels, gravity=sensor_set.gravity, offset=offset)
+        spread = base.matrix * typical_sizes(robot) * (experiment.inertia_rel_std or 1.0)
+        scale = np.linalg.cholesky(spread @ spread.T)
+        std = noise.of(sensor_set)["trajectory"].std
+        kernel = Kernel.of(robot, channels, base.independent)
+        return cls(robot, channels, sensor_set, base, scale, std, effects, left_out, kernel)
+
+    def matrix(self, motion: Motion, samples: float, step: float) -> np.ndarray:
+        """Scaled information matrix A (r, r) of a motion, with what is known beforehand.
+
+        Parameters
+        ----------
+        motion
+            Positions, velocities and accelerations at even times of one period (n, joints).
+        samples
+            How many samples are recorded.
+        step
+            Time between the planned samples [s].
+        """
+        rest = self._rest(motion, step)[0]
+        return samples / len(motion[0]) * rest.T @ rest + np.eye(rest.shape[1])
+
+    def judged(self, motion: Motion, samples: float, step: float, criterion: Criterion) -> tuple[float, Motion]:
+        """Value of a criterion and its derivatives with respect to positions, velocities and accelerations (n, joints)."""
+        rest, explained, others = self._rest(motion, step)
+        weight = samples / len(motion[0])
+        value, gradient = criterion(weight * rest.T @ rest + np.eye(rest.shape[1]))
+        inner = 2.0 * weight * rest @ gradient
+        shape = (len(motion[0]), len(self.std), -1)
+        weights = (inner @ self.scale.T).reshape(shape) / self.std[None, :, None]
+        q, v, a = regressor_gradient(self.kernel, *motion, weights, gravity=self.sensor_set.gravity)
+        if others.size:
+            beside = -(inner @ explained.T).reshape(shape)
+            for total, part in zip((q, v, a), self._effects_gradient(motion, step, beside), strict=True):
+                total += part
+        return value, (q, v, a)
+
+    def deviations(self, matrix: np.ndarray) -> np.ndarray:
+        """Expected standard deviations of the base parameters (r,), with a scaled information matrix A."""
+        return np.sqrt(np.diag(self.covariance(matrix)))
+
+    def covariance(self, matrix: np.ndarray) -> np.ndarray:
+        """Expected covariance of the base parameters (r, r), with a scaled information matrix A."""
+        root = np.linalg.solve(np.linalg.cholesky(matrix), self.scale.T)
+        return root.T @ root
+
+    def _rest(self, motion: Motion, step: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Scaled columns X - O B (n c, r), B (o, r) and the columns O (n c, o)."""
+        regressor = self.kernel.dynamics(*motion, gravity=self.sensor_set.gravity)
+        regressor /= self.std[None, :, None]
+        x = regressor.reshape(-1, regressor.shape[2]) @ self.scale
+        others = self._effect_columns(motion, step).reshape(len(x), -1)
+        if not others.size:
+            return x, np.zeros((0, x.shape[1])), others
+        explained = np.linalg.solve(others.T @ others + np.eye(others.shape[1]) / _VAGUE**2, others.T @ x)
+        return x - others @ explained, explained, others
+
+    def _effect_columns(self, motion: Motion, step: float) -> np.ndarray:
+        """Columns of the effects at their typical sizes, in standard deviations (n, c, o)."""
+        times = step * np.arange(len(motion[0]))
+        segment = MotionSegment(times, *motion, middle=motion[0].mean(axis=0), cell=step)
+        parts = [np.zeros((len(times), len(self.std), 0))]
+        for effect in self.effects:
+            columns = effect.motion_columns(segment, self.channels.names)
+            if not self.sensor_set.gravity and effect.in_static_run:
+                columns = columns - effect.motion_columns(segment.at_rest, self.channels.names)
+            parts.append(columns * np.array(effect.typical(self.robot), float))
+        return np.concatenate(parts, axis=2) / self.std[None, :, None]
+
+    def _effects_gradient(self, motion: Motion, step: float, weights: np.ndarray) -> list[np.ndarray]:
+        """Derivatives of ``sum(weights * O)``: the columns of a sample depend on that sample's motion alone."""
+        out = [np.zeros_like(part) for part in motion]
+        joints = list(range(motion[0].shape[1]))
+        place = np.array([e.joint if isinstance(e, JointTorqueEffect) else -1 for e in self.effects for _ in e.parameters])
+        own, moving = place >= 0, np.array([not e.absorbs_weight for e in self.effects for _ in e.parameters])
+        for k in range(3):
+            if own.any():  # columns of one joint's motion each: all joints are moved at once
+                rate = np.sum(weights * self._differences(motion, step, k, joints), axis=1)
+                for j in joints:
+                    out[k][:, j] += rate[:, place == j].sum(axis=1)
+            if (moving & ~own).any():
+                for j in joints:
+                    rate = np.sum(weights * self._differences(motion, step, k, [j]), axis=1)
+                    out[k][:, j] += rate[:, moving & ~own].sum(axis=1)
+        return out
+
+    def _differences(self, motion: Motion, step: float, part: int, joints: list[int]) -> np.ndarray:
+        """Central differences of O along some joints' positions (part 0), velocities (1) or accelerations (2), (n, c, o)."""
+        both = []
+        for sign in (1.0, -1.0):
+            there = [x.copy() for x in motion]
+            there[part][:, joints] += sign * _STEP
+            both.append(self._effect_columns((there[0], there[1], there[2]), step))
+        return (both[0] - both[1]) / (2 * _STEP)
+
+
+def typical_sizes(robot: Robot) -> np.ndarray:
+    """About how large each link parameter is (10 b,): mass, mass times length, mass times length squared of each body."""
+    links = robot.nominal if states_masses(robot) else typical_links(robot)
+    mass = np.maximum(links[:, 0], _LEAST_MASS * links[:, 0].sum())
+    turning = np.maximum(links[:, 4] + links[:, 6] + links[:, 9], 0.0)
+    length = np.maximum(np.sqrt(0.5 * turning / mass), _LEAST_LENGTH * reach(robot))
+    power = np.array([0, 1, 1, 1, 2, 2, 2, 2, 2, 2])
+    return (mass[:, None] * length[:, None] ** power).ravel()

@@ -1,0 +1,207 @@
+"""The best motion within limits: many random starts, the best of them improved by an augmented Lagrangian.
+
+Minimise f(x) subject to g_i(x) <= 0, the ratios of `bayesid.design.excitation.limits` less one at N samples of a period, by
+minimising
+
+    f(x) + 1/N sum_i [ max(0, l_i + r g_i(x))^2 - l_i^2 ] / (2 r)
+
+over x with L-BFGS and raising ``l_i <- max(0, l_i + r g_i)`` in turn ([Nocedal2006]_, chapter 17). Both f and the sum have
+analytic gradients that cost a few regressors, whatever the number of limits. Every round's motion is then scaled to fit all
+limits on fine samples, and the best of those is kept: whatever the optimiser does, what comes out is feasible.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.optimize import minimize
+
+from bayesid.design.excitation.criteria import Criterion
+from bayesid.design.excitation.fit import random_feasible, scaled_to_fit
+from bayesid.design.excitation.information import Information
+from bayesid.design.excitation.limits import Limits
+from bayesid.design.excitation.series import Coordinates, FourierSeries
+
+_ROUNDS, _ITERATIONS, _STEEPNESS, _STEEPER = 8, 100, 10.0, 3.0
+#: Limits may be exceeded by so much at the optimiser's samples: scaling to fit takes it away.
+_VIOLATION, _GAIN = 2e-3, 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """What is optimised.
+
+    Attributes
+    ----------
+    information, criterion, limits
+        What a motion tells, how that is judged, and what it must keep to.
+    coordinates
+        The motions that are searched.
+    recorded
+        Samples that will be recorded in all.
+    fine
+        Even samples of a period on which limits are tested.
+    """
+
+    information: Information
+    criterion: Criterion
+    limits: Limits
+    coordinates: Coordinates
+    recorded: float
+    fine: int
+
+    @property
+    def step(self) -> float:
+        """Time between the optimiser's samples [s]."""
+        return self.coordinates.period / len(self.coordinates.times)
+
+    def judged(self, series: FourierSeries) -> float:
+        """Value of the criterion; smaller is better."""
+        return self.criterion(self.matrix(series))[0]
+
+    def matrix(self, series: FourierSeries) -> np.ndarray:
+        """Scaled information matrix (r, r)."""
+        return self.information.matrix(series.at(self.coordinates.times), self.recorded, self.step)
+
+
+@dataclass
+class Search:
+    """The best motion so far, and how it came about; kept while the search runs, so that it can be stopped at any time.
+
+    Attributes
+    ----------
+    best, value
+        The best feasible motion, and its criterion.
+    random
+        Criterion of every random feasible motion.
+    history
+        (seconds, criterion of the best so far).
+    interrupted
+        Whether somebody stopped the search.
+    """
+
+    best: FourierSeries | None = None
+    value: float = np.inf
+    random: list[float] = field(default_factory=list)
+    history: list[tuple[float, float]] = field(default_factory=list)
+    interrupted: bool = False
+    _since: float = field(default_factory=time.perf_counter)
+
+    def offer(self, series: FourierSeries, value: float) -> None:
+        """Take a feasible motion if it is better."""
+        if value < self.value:
+            self.best, self.value = series, value
+            self.history.append((self.seconds, value))
+
+    @property
+    def seconds(self) -> float:
+        """Since the search began."""
+        return time.perf_counter() - self._since
+
+
+def search(
+    task: Task,
+    *,
+    warm: FourierSeries | None = None,
+    randoms: int = 40,
+    starts: int = 3,
+    seconds: float = 90.0,
+    seed: int = 0,
+    tell: Callable[[str], None] = lambda _: None,
+) -> Search:
+    """Find the best motion.
+
+    Parameters
+    ----------
+    task
+        What is optimised.
+    warm
+        A motion to start from as well.
+    randoms, starts
+        How many random feasible motions are judged, and how many of the best are improved.
+    seconds
+        No further improvement begins after so long.
+    seed
+        Of the random motions.
+    tell
+        Called with how far it is.
+
+    Returns
+    -------
+    search
+        Its ``best`` is None where no feasible motion was found; an interrupt (Ctrl-C) ends the search, not the program.
+    """
+    found, rng = Search(), np.random.default_rng(seed)
+    pool: list[tuple[float, FourierSeries]] = []
+    try:
+        if warm is not None:
+            fitted = scaled_to_fit(warm, task.limits, task.fine, largest=1.0)
+            if fitted is not None:
+                found.offer(fitted, task.judged(fitted))
+                pool.append((-np.inf, fitted))
+        for k in range(randoms):
+            tell(f"random motions {k + 1} of {randoms}")
+            series = random_feasible(task.coordinates, task.limits, rng, len(task.coordinates.times))
+            if series is None:
+                break
+            value = task.judged(series)
+            found.random.append(value)
+            pool.append((value, series))
+        pool.sort(key=lambda pair: pair[0])
+        for k, (_, start) in enumerate(pool[: starts + (warm is not None)]):
+            if found.seconds > seconds and found.best is not None:
+                break
+            improve(task, start, found, seconds, lambda text, k=k: tell(f"start {k + 1} of {min(starts, len(pool))}, {text}"))
+    except KeyboardInterrupt:
+        found.interrupted = True
+    return found
+
+
+def improve(task: Task, start: FourierSeries, found: Search, seconds: float, tell: Callable[[str], None]) -> None:
+    """Improve a motion, and offer what fits of every round."""
+    x = task.coordinates.numbers(start)
+    multipliers: list[np.ndarray] | None = None
+    steepness, before, gap_before = _STEEPNESS, np.inf, np.inf
+    for number in range(_ROUNDS):
+        ratios = task.limits.ratios(task.coordinates.motion(x))
+        if multipliers is None:
+            multipliers = [np.zeros_like(part) for part in ratios]
+        penalty = _Penalty(task, multipliers, steepness)
+        done = minimize(penalty, x, jac=True, method="L-BFGS-B", options={"maxiter": _ITERATIONS, "maxcor": 20})
+        x = done.x
+        series = task.coordinates.series(x)
+        ratios = task.limits.ratios(task.coordinates.motion(x))
+        gap = max(float(np.abs(part).max(initial=0.0)) for part in ratios) - 1.0
+        fitted = scaled_to_fit(series, task.limits, task.fine, largest=1.0)
+        if fitted is not None:
+            found.offer(fitted, task.judged(fitted))
+        tell(f"round {number + 1}: criterion {-found.value:.4g}")
+        settled = abs(before - done.fun) < _GAIN and gap < _VIOLATION
+        if settled or (found.seconds > seconds and found.best is not None):
+            return
+        multipliers = [np.maximum(m + steepness * (np.abs(part) - 1.0), 0.0) for m, part in zip(multipliers, ratios, strict=True)]
+        steepness *= _STEEPER if gap > 0.5 * gap_before else 1.0
+        before, gap_before = done.fun, gap
+
+
+class _Penalty:
+    """The augmented Lagrangian and its gradient."""
+
+    def __init__(self, task: Task, multipliers: list[np.ndarray], steepness: float):
+        self.task, self.multipliers, self.steepness = task, multipliers, steepness
+
+    def __call__(self, x: np.ndarray) -> tuple[float, np.ndarray]:
+        task, motion = self.task, self.task.coordinates.motion(x)
+        value, gradient = task.information.judged(motion, task.recorded, task.step, task.criterion)
+        ratios = task.limits.ratios(motion)
+        share = 1.0 / len(motion[0])
+        weights = []
+        for part, multiplier in zip(ratios, self.multipliers, strict=True):
+            push = np.maximum(multiplier + self.steepness * (np.abs(part) - 1.0), 0.0)
+            value += share * float(np.sum(push**2 - multiplier**2)) / (2.0 * self.steepness)
+            weights.append(share * push * np.sign(part))
+        pushed = task.limits.gradient(motion, weights)
+        return value, task.coordinates.gradient(*(a + b for a, b in zip(gradient, pushed, strict=True)))

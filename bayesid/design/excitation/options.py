@@ -1,0 +1,180 @@
+"""What a user may choose of an exciting trajectory, checked."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from bayesid.errors import InputError
+from bayesid.robot.limits import motion_limits
+from bayesid.robot.robot import Robot
+
+_POSITIVE = ("duration", "period", "rate", "share", "torque_share", "sensor_share", "mount_frequency", "seconds")
+_SHARES = ("share", "torque_share", "sensor_share")
+_MOST_SAMPLES, _MOST_HARMONICS = 2_000_000, 50
+#: Acceleration limit where none is given: full speed in this time [s]; assumed.
+_TO_FULL_SPEED = 0.25
+#: A motion's highest frequency stays below the mount's resonance by this factor (4 % of quasi-static amplification).
+BELOW_RESONANCE = 5.0
+
+
+@dataclass(frozen=True)
+class ExcitationOptions:
+    """What is asked for.
+
+    Attributes
+    ----------
+    channel
+        ``wrench``, ``torque`` or ``both``; None: the wrench where there is a sensor.
+    static
+        Whether a stop-and-go run will follow and be subtracted, as in the paper.
+    criterion, quantity
+        What counts, see `bayesid.design.excitation.criteria`; for ``quantity`` which, see `bayesid.design.excitation.quantities`.
+    kind
+        ``fourier``, or ``liu1998`` for the paper's set-up.
+    duration, period, harmonics, rate
+        Length of the motion [s], after which it repeats [s] (None: half the length), multiples of the fundamental frequency,
+        samples a second.
+    joints
+        Names of the joints that move; None: all.
+    share, torque_share, sensor_share
+        How much of the limits of joint motion, of effort, and of the sensor's range is used.
+    acceleration
+        Largest joint accelerations, one number or one a joint [rad/s^2 or m/s^2].
+    sensor_range
+        Largest readings of the sensor: force and moment, or six numbers [N], [N m]; None: no limit.
+    mount_frequency
+        Resonance of the sensor's mount [Hz].
+    collisions, margin, ground
+        Whether bodies are kept apart, by how much [m], and the height of the ground in the base frame [m].
+    starts, randoms, seconds
+        Motions that are improved, random ones to choose them from, and time after which no other is begun [s].
+    """
+
+    channel: str | None = None
+    static: bool = False
+    criterion: str = "d"
+    quantity: str | None = None
+    kind: str = "fourier"
+    duration: float = 20.0
+    period: float | None = None
+    harmonics: int = 5
+    rate: float = 125.0
+    joints: tuple[str, ...] | None = None
+    share: float = 0.9
+    torque_share: float = 0.7
+    sensor_share: float = 0.8
+    acceleration: tuple[float, ...] | None = None
+    sensor_range: tuple[float, ...] | None = None
+    mount_frequency: float | None = None
+    collisions: bool = True
+    margin: float = 0.02
+    ground: float | None = None
+    starts: int = 3
+    randoms: int = 40
+    seconds: float = 60.0
+
+    def __post_init__(self) -> None:
+        """Check every number by itself and against the others.
+
+        Raises
+        ------
+        InputError
+            Which option, which value, and what to do.
+        """
+        for name in _POSITIVE:
+            value = getattr(self, name)
+            if value is not None and not (np.isfinite(value) and value > 0):
+                raise InputError(f"{_option(name)} {value}: give a number above 0")
+        for name in _SHARES:
+            if getattr(self, name) > 1.0:
+                raise InputError(f"{_option(name)} {getattr(self, name)}: give a share of the limits, up to 1")
+        if self.kind not in ("fourier", "liu1998"):
+            raise InputError(f"--kind {self.kind}: choose fourier or liu1998")
+        if not 2 <= self.harmonics <= _MOST_HARMONICS:
+            raise InputError(f"--harmonics {self.harmonics}: give 2 to {_MOST_HARMONICS}; one alone does not start at rest")
+        if self.starts < 1 or self.randoms < 1:
+            raise InputError(f"--starts {self.starts} and --randoms {self.randoms}: give at least 1 of each")
+        if not (np.isfinite(self.margin) and self.margin >= 0):
+            raise InputError(f"--margin {self.margin}: give a distance in metres, 0 or more")
+        if self.periods < 1 or abs(self.periods * self.repeats_after - self.duration) > 1e-6 * self.duration:
+            raise InputError(
+                f"--period {self.repeats_after:g}: --duration {self.duration:g} is no multiple of it; "
+                f"give --duration {max(self.periods, 1) * self.repeats_after:g}"
+            )
+        if self.duration * self.rate > _MOST_SAMPLES:
+            raise InputError(f"--duration {self.duration:g} at --rate {self.rate:g}: give at most {_MOST_SAMPLES:,} samples")
+        lowest = 10.0 * self.harmonics / self.repeats_after
+        if self.rate < lowest:
+            raise InputError(f"--rate {self.rate:g}: give at least {lowest:g}, ten samples in a period of the highest harmonic")
+        highest = self.harmonics / self.repeats_after
+        if self.mount_frequency is not None and highest > self.mount_frequency / BELOW_RESONANCE * (1 + 1e-9):
+            raise InputError(
+                f"--mount-frequency {self.mount_frequency:g}: harmonics reach {highest:g} Hz, above a fifth of it; "
+                f"give --period {BELOW_RESONANCE * self.harmonics / self.mount_frequency:g} or longer, or fewer --harmonics"
+            )
+
+    @property
+    def repeats_after(self) -> float:
+        """The period [s]."""
+        if self.period is not None:
+            return self.period
+        return self.duration if self.kind == "liu1998" else 0.5 * self.duration
+
+    @property
+    def periods(self) -> int:
+        """How often the motion is run through."""
+        return round(self.duration / self.repeats_after)
+
+    def to_dict(self) -> dict[str, object]:
+        """Plain values by name."""
+        return {item.name: getattr(self, item.name) for item in fields(self)}
+
+
+def _option(name: str) -> str:
+    return "--" + name.replace("_", "-")
+
+
+def largest_accelerations(robot: Robot, given: Sequence[float] | None) -> np.ndarray:
+    """Acceleration limit of every joint (n,) [per second squared]: as given, else full speed in a quarter of a second.
+
+    Raises
+    ------
+    InputError
+        Neither one number nor one a joint, or one that is not above 0.
+    """
+    if given is None:
+        return motion_limits(robot)[2] / _TO_FULL_SPEED
+    return numbers("--acceleration", given, robot.n)
+
+
+def sensor_ranges(given: Sequence[float] | None) -> np.ndarray:
+    """Largest readings (6,) [N, N m]: of six numbers, or of one for forces and one for moments; infinite without.
+
+    Raises
+    ------
+    InputError
+        Neither two nor six numbers, or one that is not above 0.
+    """
+    if given is None:
+        return np.full(6, np.inf)
+    if len(given) == 2:
+        given = [given[0]] * 3 + [given[1]] * 3
+    return numbers("--sensor-range", given, 6, "two numbers, force and moment, or six")
+
+
+def numbers(option: str, given: Sequence[float], count: int, several: str = "") -> np.ndarray:
+    """So many numbers above 0; one stands for all.
+
+    Raises
+    ------
+    InputError
+        There are others.
+    """
+    values = np.array(given, float)
+    if values.shape not in ((1,), (count,)) or not (np.isfinite(values) & (values > 0)).all():
+        wanted = several or f"one number or {count}"
+        raise InputError(f"{option} {','.join(f'{v:g}' for v in values.ravel())}: give {wanted}, each above 0")
+    return np.broadcast_to(values, (count,)).copy()

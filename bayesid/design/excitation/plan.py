@@ -1,0 +1,238 @@
+"""From an experiment and options to an exciting trajectory."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bayesid.design.excitation.collision import clearance
+from bayesid.design.excitation.criteria import Criterion
+from bayesid.design.excitation.information import Information
+from bayesid.design.excitation.limits import Limits, Load
+from bayesid.design.excitation.optimise import Search, Task, search
+from bayesid.design.excitation.options import ExcitationOptions, largest_accelerations, sensor_ranges
+from bayesid.design.excitation.series import Coordinates, FourierSeries, fitted_series
+from bayesid.design.reading_noise import white_noise
+from bayesid.design.sensor_sets import SENSOR_SETS, SensorSet
+from bayesid.dynamics.channels import torque_channels
+from bayesid.dynamics.regressors import Kernel
+from bayesid.errors import EstimationError, InputError
+from bayesid.recordings.experiment import Experiment
+from bayesid.regression.readings import default_channel, make_channels
+from bayesid.robot.limits import motion_limits
+from bayesid.robot.typical import states_masses
+from bayesid.simulation.trajectories import Trajectory
+
+#: Samples of a period that the optimiser looks at, at least and per harmonic; limits are tested at ten times the rate recorded.
+_SAMPLES, _PER_HARMONIC, FINER = 120, 16, 10
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """An exciting trajectory, and all that says why.
+
+    Attributes
+    ----------
+    experiment, options
+        What was asked.
+    task, search
+        What was optimised, and how that went.
+    series
+        The motion.
+    trajectory
+        The same, sampled as it will be recorded.
+    worst
+        Largest ratios to the limits, by kind, at ten times the rate.
+    notes
+        What was assumed or left out, one line each.
+    """
+
+    experiment: Experiment
+    options: ExcitationOptions
+    task: Task
+    search: Search
+    series: FourierSeries
+    trajectory: Trajectory
+    worst: dict[str, np.ndarray]
+    notes: tuple[str, ...]
+
+
+def sensor_set_of(experiment: Experiment, options: ExcitationOptions) -> SensorSet:
+    """What is read: the channel asked for, or the wrench where there is a sensor."""
+    channel = options.channel or default_channel(replace(experiment, motions=()))
+    if channel not in ("wrench", "torque", "both"):
+        raise InputError(f"--channel {channel}: choose one of wrench, torque, both")
+    if channel == "wrench":
+        return SENSOR_SETS["wrench-static" if options.static or options.kind == "liu1998" else "wrench-offset"]
+    if options.static:
+        raise InputError(f"--static goes with the wrench: leave it out with --channel {channel}")
+    return SENSOR_SETS["torque" if channel == "torque" else "both-offset"]
+
+
+def make_task(experiment: Experiment, options: ExcitationOptions, seed: int = 0) -> tuple[Task, tuple[str, ...]]:
+    """What is to be optimised, and notes of what was assumed.
+
+    Raises
+    ------
+    InputError
+        A joint is unknown, or an option does not fit the robot.
+    """
+    robot, notes = experiment.robot, []
+    moving = _moving(experiment, options)
+    sensor_set = sensor_set_of(experiment, options)
+    stated = experiment.sensor
+    noise = white_noise(
+        robot, force_std=None if stated is None else stated.force_std, torque_std=None if stated is None else stated.torque_std
+    )
+    kinds = ("wrench", "torque") if sensor_set.channel == "both" else (sensor_set.channel,)
+    notes += [f"The noise of the {k} is assumed, as experiment.toml states none." for k in kinds if noise.sources[k] == "assumed"]
+    information = Information.of(experiment, sensor_set, noise)
+    if information.left_out:
+        left_out = ", ".join(information.left_out)
+        notes.append(f"Effects of the model that need more than the joint motion do not count for the plan: {left_out}.")
+    lower, upper, fastest = motion_limits(robot)
+    for name, found in (("position", robot.lower), ("speed", robot.velocity_limit)):
+        unlimited = [robot.joint_names[j] for j in moving if not np.isfinite(found[j])]
+        if unlimited:
+            notes.append(f"The URDF states no {name} limit of {', '.join(unlimited)}: those of a small arm are taken.")
+    if options.acceleration is None:
+        notes.append("Acceleration limits are assumed: full speed in 0.25 s; --acceleration gives others.")
+    middle, half = 0.5 * (lower + upper), 0.5 * options.share * (upper - lower)
+    bodies, told = clearance(robot, experiment.locked, options.margin, options.ground, seed) if options.collisions else (None, ())
+    loads, more = _loads(experiment, options)
+    limits = Limits(
+        middle - half, middle + half, options.share * fastest,
+        options.share * largest_accelerations(robot, options.acceleration), loads, bodies, moving,
+    )  # fmt: skip
+    if bodies is None:
+        why = "the URDF has no collision geometry of bodies that could meet" if options.collisions else "--no-collisions"
+        notes.append(f"No collision is checked: {why}.")
+    period = options.repeats_after
+    samples = max(_SAMPLES, _PER_HARMONIC * options.harmonics)
+    coordinates = Coordinates(period, options.harmonics, moving, middle, half, limits.speed, samples)
+    fine = int(np.ceil(FINER * options.rate * period))
+    task = Task(information, Criterion(options.criterion), limits, coordinates, options.rate * options.duration, fine)
+    return task, tuple([*notes, *more, *told])
+
+
+def make_plan(
+    experiment: Experiment,
+    options: ExcitationOptions,
+    warm: Trajectory | None = None,
+    seed: int = 0,
+    tell: Callable[[str], None] = lambda _: None,
+) -> Plan:
+    """Search an exciting trajectory.
+
+    Parameters
+    ----------
+    experiment
+        Its robot, sensor, noise and model.
+    options
+        What is asked for.
+    warm
+        A motion to start from.
+    seed
+        Of the random motions.
+    tell
+        Called with how far it is.
+
+    Raises
+    ------
+    InputError
+        An option does not fit the robot, or the limits leave no room.
+    EstimationError
+        It was interrupted before any motion was found.
+    """
+    task, notes = make_task(experiment, options, seed)
+    start = None if warm is None else fitted_series(warm.times, warm.positions, task.coordinates.period, options.harmonics)
+    if start is not None:
+        start = task.coordinates.series(task.coordinates.numbers(start))
+    found = search(
+        task, warm=start, randoms=options.randoms, starts=options.starts, seconds=options.seconds, seed=seed, tell=tell
+    )
+    if found.best is None:
+        if found.interrupted:
+            raise EstimationError("interrupted before any motion within all limits was found; let it run longer")
+        _explain(task, seed)
+    assert found.best is not None
+    series = found.best
+    name = "trajectory"
+    times = np.arange(int(round(options.duration * options.rate)) + 1) / options.rate
+    q, v, a = series.at(times)
+    static = q if task.information.sensor_set.offset == "static run" else None
+    trajectory = Trajectory(
+        name, "identification", times, q, v, a, static_positions=static,
+        period=series.period if options.periods > 1 else None,
+    )  # fmt: skip
+    return Plan(experiment, options, task, found, series, trajectory, task.limits.worst(series, task.fine), notes)
+
+
+def _moving(experiment: Experiment, options: ExcitationOptions) -> np.ndarray:
+    names = experiment.robot.joint_names
+    if options.joints is None:
+        return np.arange(len(names))
+    if not options.joints:
+        raise InputError(f"--joints names none; write some of {', '.join(names)}")
+    known = {name: k for k, name in enumerate(names)} | {f"joint{k + 1}": k for k in range(len(names))}
+    for name in options.joints:
+        if name not in known:
+            raise InputError(f"--joints {name}: no such joint; write some of {', '.join(names)}")
+    return np.array(sorted({known[name] for name in options.joints}))
+
+
+def _loads(experiment: Experiment, options: ExcitationOptions) -> tuple[tuple[Load, ...], list[str]]:
+    """Torque and sensor limits, with nominal links."""
+    robot, loads, notes = experiment.robot, [], []
+    ranges = sensor_ranges(options.sensor_range)
+    if np.isfinite(ranges).any() and experiment.sensor is None:
+        raise InputError("--sensor-range: experiment.toml has no [sensor]; add it, or leave the option out")
+    if not states_masses(robot):
+        if np.isfinite(ranges).any():
+            raise InputError("--sensor-range: the URDF states no masses, so that nobody knows the load; write them there")
+        return (), ["The URDF states no masses: neither joint torques nor the sensor's load are limited."]
+    if np.isfinite(robot.effort_limit).any():
+        channels, most = torque_channels(robot), options.torque_share * robot.effort_limit
+        loads.append(Load("torque", channels, most, robot.nominal, Kernel.of(robot, channels)))
+    else:
+        notes.append("The URDF states no effort limits: joint torques are not limited.")
+    if np.isfinite(ranges).any():
+        channels, most = make_channels(experiment, "wrench"), options.sensor_share * ranges
+        loads.append(Load("wrench", channels, most, robot.nominal, Kernel.of(robot, channels)))
+    elif experiment.sensor is not None:
+        notes.append("No --sensor-range is given: what the sensor reads is not limited.")
+    return tuple(loads), notes
+
+
+def _explain(task: Task, seed: int) -> None:
+    """Say which limit leaves no room: the one that random poses at rest break most often.
+
+    Raises
+    ------
+    InputError
+        Always.
+    """
+    limits, rng = task.limits, np.random.default_rng(seed)
+    q = rng.uniform(limits.lower, limits.upper, (500, len(limits.lower)))
+    q[:, np.setdiff1d(np.arange(q.shape[1]), limits.moving)] = limits.middle[np.setdiff1d(np.arange(q.shape[1]), limits.moving)]
+    rest = np.zeros_like(q)
+    broken = {}
+    for load in limits.loads:
+        worst = np.abs(load.ratios((q, rest, rest)))
+        c = int(np.argmax(worst.min(axis=0)))
+        broken[f"{load.kind} {load.channels.names[c]}"] = float(np.mean(worst.max(axis=1) > 1.0))
+        if worst[:, c].min() > 1.0:
+            raise InputError(
+                f"no pose keeps the {load.kind} within its limit: {load.channels.names[c]} reads at least "
+                f"{worst[:, c].min() * load.most[c]:.4g} at rest and may read {load.most[c]:.4g}; raise "
+                + ("--sensor-range or --sensor-share" if load.kind == "wrench" else "--torque-share or the URDF's effort limit")
+            )
+    if limits.clearance is not None:
+        broken["collisions"] = float(np.mean(limits.clearance.ratios(q).max(axis=1) > 1.0))
+    most = max(broken, key=lambda k: broken[k], default="joint limits")
+    raise InputError(
+        f"no motion within all limits was found; most poses break the limit of {most} "
+        f"({100 * broken.get(most, 0.0):.0f} % of random ones): widen it, or start from a motion that fits (--warm-start)"
+    )

@@ -1,0 +1,104 @@
+"""The report of ``excite``: turns an `Excitation` into what its template shows."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from bayesid.report.excitation_figures import beside_random, limit_shares, motion
+from bayesid.report.page import render, run_times, versions
+from bayesid.results.excitation import Excitation
+from bayesid.results.text import DASH, number, percent
+
+_TITLES = {
+    "position": "position of", "velocity": "speed of", "acceleration": "acceleration of", "torque": "torque of",
+    "wrench": "sensor", "collision": "distance of",
+}  # fmt: skip
+
+
+def excitation_report(result: Excitation) -> str:
+    """The report of ``excite``: an HTML page with all figures inside."""
+    t = result.trajectory
+    unit = "m" if result.prismatic.all() else "rad" if not result.prismatic.any() else "rad or m"
+    parts = [("joint positions", unit, t.positions), ("joint velocities", f"({unit})/s", t.velocities),
+             ("joint accelerations", f"({unit})/s²", t.accelerations)]  # fmt: skip
+    shares = [(_TITLES[u.kind], u.where, u.ratio) for u in result.limits if u.kind != "collision"]
+    axis = {"d": "mean logarithm of the eigenvalues of the information, larger is better"}.get(
+        result.criterion, "logarithm of the criterion, larger is better"
+    )
+    return render(
+        "excitation.html",
+        name=result.name,
+        warning_list=_warnings(result),
+        lead=_lead(result),
+        card_list=_cards(result),
+        motion=motion(t.times, parts, result.loads),
+        shares=limit_shares(shares),
+        random=beside_random(result.value, result.random, axis) if len(result.random) else None,
+        limits=[
+            {"kind": _TITLES[u.kind], "where": u.where, "reached": number(u.reached, 4), "limit": number(u.limit, 4),
+             "unit": u.unit, "share": percent(u.ratio) if u.kind != "collision" else DASH, "kept": u.kept}
+            for u in result.limits
+        ],
+        parameters=[
+            {"label": label, "unit": unit, "std": number(std, 3) if np.isfinite(std) else "not determined"}
+            for label, unit, std in zip(result.base.labels, result.base.units, result.std, strict=True)
+        ],
+        joints=[
+            {"name": name, "centre": number(float(result.series.centre[j]), 5),
+             "sine": [number(float(x), 4) for x in result.series.sine[:, j]],
+             "cosine": [number(float(x), 4) for x in result.series.cosine[:, j]]}
+            for j, name in enumerate(result.joint_names)
+        ],
+        period=number(result.series.period, 4),
+        harmonics=range(1, result.series.harmonics + 1),
+        notes=result.notes,
+        details=[*_options(result), run_times(result.seconds), versions("numpy", "scipy", "pin")],
+    )  # fmt: skip
+
+
+def _warnings(result: Excitation) -> list[str]:
+    out = [f"The limit of {_TITLES[u.kind]} {u.where} is not kept." for u in result.limits if not u.kept]
+    if result.interrupted:
+        out.append("The search was interrupted: this is the best motion that it had found.")
+    hidden = int((~np.isfinite(result.std)).sum())
+    if hidden:
+        out.append(f"{hidden} of {result.base.rank} base parameters are not determined by this motion: let more joints move.")
+    return out
+
+
+def _lead(result: Excitation) -> str:
+    t = result.trajectory
+    repeats = f", which repeats every {number(result.series.period, 3)} s" if t.period else ""
+    text = f"A motion of {number(float(t.times[-1]), 4)} s{repeats} for {result.readings}. {result.criterion_text}."
+    return text + " It starts and ends at rest, and keeps all limits." if result.within_limits else text
+
+
+def _cards(result: Excitation) -> list[dict[str, Any]]:
+    seen = int(np.isfinite(result.std).sum())
+    cards = [
+        {"value": f"{seen} of {result.base.rank}", "mood": "good" if seen == result.base.rank else "bad",
+         "text": "base parameters determined"},
+        {"value": number(result.condition_number, 3), "mood": "", "text": "condition number, whitened, columns of unit length"},
+        {"value": "yes" if result.within_limits else "no", "mood": "good" if result.within_limits else "bad",
+         "text": "within all limits, at ten times the recorded rate"},
+    ]  # fmt: skip
+    if len(result.random):
+        what = "condition number" if result.criterion == "condition" else "typical standard deviation"
+        cards.append({"value": f"{number(result.gain, 2)} ×", "mood": "good" if result.gain > 1 else "fair",
+                      "text": f"smaller {what} than the best of {len(result.random)} random motions"})  # fmt: skip
+    return cards
+
+
+def _options(result: Excitation) -> list[tuple[str, str]]:
+    given = {k: v for k, v in result.options.items() if v is not None}
+    return [("Options", ", ".join(f"{k.replace('_', '-')} {_plain(v)}" for k, v in given.items()))]
+
+
+def _plain(value: Any) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, (list, tuple)):
+        return " ".join(_plain(v) for v in value)
+    return f"{value:g}" if isinstance(value, float) else str(value)

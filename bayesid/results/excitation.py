@@ -1,0 +1,205 @@
+"""The exciting trajectory that `excite` found."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from bayesid.design.excitation.series import FourierSeries
+from bayesid.dynamics.base_parameters import BaseParameters
+from bayesid.results.files import Result, strict
+from bayesid.results.text import number, percent, text_table
+from bayesid.simulation.trajectories import Trajectory
+
+SCHEMA = 1
+_KINDS = {
+    "position": "position", "velocity": "speed", "acceleration": "acceleration", "torque": "torque", "wrench": "sensor",
+    "collision": "distance",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class LimitUse:
+    """How near a motion comes to one limit.
+
+    Attributes
+    ----------
+    kind
+        ``position``, ``velocity``, ``acceleration``, ``torque``, ``wrench`` or ``collision``.
+    where
+        Joint, channel or pair of bodies.
+    reached, limit
+        Largest value of the motion and what is allowed, the share of the limits taken off; of a position, the far end; of a
+        collision, the smallest distance and the margin.
+    unit
+        Of both.
+    ratio
+        At most one: the limit is kept.
+    """
+
+    kind: str
+    where: str
+    reached: float
+    limit: float
+    unit: str
+    ratio: float
+
+    @property
+    def kept(self) -> bool:
+        """Whether the limit is kept."""
+        return self.ratio <= 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class Excitation(Result):
+    """An exciting trajectory within limits.
+
+    Attributes
+    ----------
+    name
+        The experiment's name.
+    joint_names, prismatic
+        Of the robot.
+    readings
+        What will be read, in words.
+    criterion, criterion_text
+        What was optimised.
+    value
+        Its value, larger is better: for ``d`` the mean logarithm of the information's eigenvalues.
+    random
+        The same of random feasible motions.
+    history
+        (seconds, value) whenever a better motion was found.
+    interrupted
+        Whether the search was stopped by hand.
+    options
+        As asked.
+    series, trajectory
+        The motion.
+    limits
+        How near it comes to every limit, at ten times the recorded rate.
+    loads
+        By ``torque`` and ``wrench``: names and values (N, c) of what nominal links take along the motion [N, N m].
+    base
+        The base parameters that it determines.
+    std
+        Their expected standard deviations (r,); infinite where it does not.
+    condition_number
+        Of the whitened regressor with columns of unit length.
+    notes
+        What was assumed or left out.
+    seconds
+        Run time of every stage.
+    """
+
+    name: str
+    joint_names: tuple[str, ...]
+    prismatic: np.ndarray
+    readings: str
+    criterion: str
+    criterion_text: str
+    value: float
+    random: np.ndarray
+    history: tuple[tuple[float, float], ...]
+    interrupted: bool
+    options: Mapping[str, Any]
+    series: FourierSeries
+    trajectory: Trajectory
+    limits: tuple[LimitUse, ...]
+    loads: Mapping[str, tuple[tuple[str, ...], np.ndarray]]
+    base: BaseParameters
+    std: np.ndarray
+    condition_number: float
+    notes: tuple[str, ...]
+    seconds: Mapping[str, float]
+
+    @property
+    def within_limits(self) -> bool:
+        """Whether all limits are kept."""
+        return all(use.kept for use in self.limits)
+
+    @property
+    def gain(self) -> float:
+        """How many times smaller typical standard deviations are than those of the best random motion; nan without any."""
+        if not len(self.random):
+            return float("nan")
+        return float(np.exp(0.5 * (self.value - self.random.max()))) if self.criterion != "condition" else self.condition_gain
+
+    @property
+    def condition_gain(self) -> float:
+        """How many times smaller the condition number is than that of the best random motion."""
+        return float(np.exp(self.value - self.random.max()))
+
+    def nearest(self, kind: str) -> LimitUse:
+        """The limit of a kind that the motion comes nearest to."""
+        return max((use for use in self.limits if use.kind == kind), key=lambda use: use.ratio)
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """The kinds of limits that there are."""
+        return tuple(dict.fromkeys(use.kind for use in self.limits))
+
+    def to_dict(self) -> dict[str, Any]:
+        """``excitation.json``."""
+        uses = [
+            {"kind": u.kind, "where": u.where, "reached": u.reached, "limit": u.limit, "unit": u.unit, "ratio": u.ratio,
+             "kept": u.kept}
+            for u in self.limits
+        ]  # fmt: skip
+        parameters = [
+            {"name": n, "label": label, "unit": unit, "std": s}
+            for n, label, unit, s in zip(self.base.names, self.base.labels, self.base.units, self.std, strict=True)
+        ]
+        document = {
+            "schema": SCHEMA, "experiment": self.name, "readings": self.readings,
+            "criterion": {
+                "name": self.criterion, "value": self.value, "random": self.random, "history": self.history,
+                "best_random": self.random.max(initial=-np.inf),
+            },
+            "interrupted": self.interrupted, "options": self.options,
+            "series": {
+                "period_s": self.series.period, "centre": self.series.centre, "sine": self.series.sine,
+                "cosine": self.series.cosine,
+            },
+            "trajectory": {
+                "table": "trajectory.csv", "samples": len(self.trajectory.times), "duration_s": float(self.trajectory.times[-1]),
+                "period_s": self.trajectory.period,
+            },
+            "within_limits": self.within_limits, "limits": uses,
+            "rank": self.base.rank, "condition_number": self.condition_number, "base_parameters": parameters,
+            "notes": self.notes, "runtime_s": self.seconds,
+        }  # fmt: skip
+        return strict(document)
+
+    def __repr__(self) -> str:
+        state = "within all limits" if self.within_limits else "outside its limits"
+        return f"<Excitation {self.name}: {len(self.joint_names)} joints, {self.trajectory.times[-1]:g} s, {state}>"
+
+    def __str__(self) -> str:
+        lines = [
+            f"{self.name}: exciting trajectory of {self.trajectory.times[-1]:g} s for {self.readings}",
+            f"  {self.criterion_text}",
+        ]
+        if len(self.random):
+            lines.append(
+                f"  standard deviations about {number(self.gain, 2)} times smaller than with the best of {len(self.random)} "
+                "random motions within the same limits"
+                if self.criterion != "condition" else
+                f"  condition number {number(self.gain, 2)} times smaller than with the best of {len(self.random)} random motions"
+            )  # fmt: skip
+        seen = int(np.isfinite(self.std).sum())
+        condition = number(self.condition_number, 3)
+        lines.append(f"  {seen} of {self.base.rank} base parameters determined, condition number {condition}")
+        rows = []
+        for kind in self.kinds:
+            use = self.nearest(kind)
+            rows.append([_KINDS[kind], use.where, f"{number(use.reached, 3)} {use.unit}", f"{number(use.limit, 3)} {use.unit}",
+                         percent(use.ratio) if kind != "collision" else "kept" if use.kept else "broken"])  # fmt: skip
+        lines += text_table(["nearest to its limit", "where", "reached", "allowed", "share"], rows)
+        if self.interrupted:
+            lines.append("  interrupted: this is the best motion so far")
+        lines += [f"  note: {note}" for note in self.notes]
+        return "\n".join(lines)

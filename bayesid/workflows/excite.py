@@ -1,0 +1,163 @@
+"""The verb ``excite``: an exciting trajectory within limits, before anything is recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from bayesid.design.excitation.criteria import CRITERIA
+from bayesid.design.excitation.options import ExcitationOptions
+from bayesid.design.excitation.plan import Plan, make_plan
+from bayesid.design.expected import expect
+from bayesid.design.reading_noise import white_noise
+from bayesid.dynamics.regressors import Kernel
+from bayesid.errors import InputError
+from bayesid.recordings.experiment import Experiment, Sensor, load_setup
+from bayesid.regression.readings import make_channels
+from bayesid.results.excitation import Excitation, LimitUse
+from bayesid.results.files import Files, files_of
+from bayesid.robot.robot import Robot
+from bayesid.robot.typical import states_masses
+from bayesid.simulation.trajectories import Trajectory
+from bayesid.simulation.trajectory_file import read_trajectory, write_trajectory
+from bayesid.workflows.progress import Clock, Progress, quiet
+
+
+def excite(
+    setup: Experiment | Robot | str | Path,
+    *,
+    warm_start: Trajectory | str | Path | None = None,
+    seed: int = 0,
+    progress: Progress = quiet,
+    **options: Any,
+) -> Excitation:
+    """Find the motion within limits that determines a robot's parameters best.
+
+    Parameters
+    ----------
+    setup
+        An experiment or its folder, whose tables need not exist yet; or a robot, with a sensor under its base.
+    warm_start
+        A motion to start from: a table with columns ``t, q1 ...``, or a trajectory.
+    seed
+        Of everything random.
+    progress
+        Called with the name of every stage.
+    **options
+        Those of `bayesid.design.excitation.options.ExcitationOptions`: ``channel``, ``criterion``, ``duration``, ``period``,
+        ``harmonics``, ``rate``, ``joints``, ``share``, ``torque_share``, ``acceleration``, ``sensor_range``, ...
+
+    Raises
+    ------
+    InputError
+        Bad input, or limits that leave no room; the message says which, and what to do.
+    EstimationError
+        It was interrupted before any motion within all limits was found.
+    """
+    clock = Clock(progress)
+    clock("reading")
+    experiment = as_setup(setup)
+    known = {item.name for item in fields(ExcitationOptions)}
+    for name in options:
+        if name not in known:
+            raise InputError(f"excite has no option '{name}'; it has {', '.join(sorted(known))}")
+    chosen = ExcitationOptions(**options)
+    warm = read_trajectory(warm_start, experiment.robot) if isinstance(warm_start, (str, Path)) else warm_start
+    # The matrices are small: threads inside the linear algebra cost more than they gain here.
+    with threadpool_limits(1, user_api="blas"):
+        clock("searching")
+        plan = make_plan(experiment, chosen, warm, seed, progress)
+        clock("expected deviations")
+        result = _result(plan, clock)
+    return result
+
+
+def as_setup(given: Experiment | Robot | str | Path) -> Experiment:
+    """Robot, sensor and model of what is given: an experiment, its folder, or a robot on a sensor under its base."""
+    if isinstance(given, Robot):
+        return Experiment(given.name, given, (), Sensor())
+    if isinstance(given, Experiment):
+        return given
+    if isinstance(given, (str, Path)):
+        return load_setup(given)
+    raise InputError(f"a {type(given).__name__} is given for the experiment: pass its folder, an Experiment, or a Robot")
+
+
+def _result(plan: Plan, clock: Clock) -> Excitation:
+    experiment, information = plan.experiment, plan.task.information
+    sensor = experiment.sensor or Sensor()
+    noise = white_noise(experiment.robot, force_std=sensor.force_std, torque_std=sensor.torque_std)
+    expected = expect(experiment, information.sensor_set, noise, [plan.trajectory])
+    r = expected.base.rank
+    return Excitation(
+        name=experiment.name, joint_names=experiment.robot.joint_names, prismatic=experiment.robot.prismatic,
+        readings=information.sensor_set.title, criterion=plan.options.criterion, criterion_text=CRITERIA[plan.options.criterion],
+        value=-plan.search.value, random=-np.array(plan.search.random),
+        history=tuple((seconds, -value) for seconds, value in plan.search.history), interrupted=plan.search.interrupted,
+        options=plan.options.to_dict(), series=plan.series, trajectory=plan.trajectory, limits=tuple(limit_uses(plan)),
+        loads=_loads(experiment, plan.trajectory), base=expected.base, std=expected.std[:r],
+        condition_number=expected.condition_number, notes=plan.notes, seconds=dict(clock.stop()),
+    )  # fmt: skip
+
+
+def _loads(experiment: Experiment, trajectory: Trajectory) -> dict[str, tuple[tuple[str, ...], np.ndarray]]:
+    """Joint torques and the sensor's readings of nominal links along the motion: channel names and values (N, c)."""
+    robot = experiment.robot
+    if not states_masses(robot):
+        return {}
+    kinds = ["torque"] + (["wrench"] if experiment.sensor is not None else [])
+    out = {}
+    for kind in kinds:
+        channels = make_channels(experiment, kind)
+        motion = trajectory.positions, trajectory.velocities, trajectory.accelerations
+        values = Kernel.of(robot, channels).readings(*motion, robot.nominal) + channels.static_wrench
+        out[kind] = channels.names, values
+    return out
+
+
+def limit_uses(plan: Plan) -> list[LimitUse]:
+    """How near a motion comes to every limit."""
+    limits, robot = plan.task.limits, plan.experiment.robot
+    names = [robot.joint_names[j] for j in limits.moving]
+    units = ["m" if robot.prismatic[j] else "rad" for j in limits.moving]
+    low, high, speed, acceleration = (part[limits.moving] for part in plan.series.extremes(plan.task.fine))
+    m, worst, out = limits.moving, plan.worst, []
+    above = high - limits.middle[m] >= limits.middle[m] - low
+    ends = np.where(above, high, low), np.where(above, limits.upper[m], limits.lower[m])
+    kinds: list[tuple[str, np.ndarray, np.ndarray, Sequence[str]]] = [
+        ("position", *ends, units),
+        ("velocity", speed, limits.speed[m], [f"{u}/s" for u in units]),
+        ("acceleration", acceleration, limits.acceleration[m], [f"{u}/s²" for u in units]),
+    ]
+    for kind, reached, most, unit in kinds:
+        out += [LimitUse(kind, *row) for row in _rows(names, reached, most, unit, worst[kind])]
+    for load in limits.loads:
+        limited = np.flatnonzero(np.isfinite(load.most)).tolist()
+        where = [robot.joint_names[k] if load.kind == "torque" else load.channels.names[k] for k in limited]
+        ratio = worst[load.kind][limited]
+        unit = [load.channels.units[k] for k in limited]
+        out += [LimitUse(load.kind, *row) for row in _rows(where, ratio * load.most[limited], load.most[limited], unit, ratio)]
+    if limits.clearance is not None:
+        bodies, ratio = limits.clearance, worst["collision"]
+        distance = bodies.margin + (1.0 - ratio) * bodies.scale
+        out += [LimitUse("collision", *row) for row in
+                _rows(bodies.names, distance, np.full(len(ratio), bodies.margin), ["m"] * len(ratio), ratio)]  # fmt: skip
+    return out
+
+
+def _rows(where, reached, limit, unit, ratio) -> list[tuple[str, float, float, str, float]]:
+    return [(w, float(a), float(b), u, float(c)) for w, a, b, u, c in zip(where, reached, limit, unit, ratio, strict=True)]
+
+
+@files_of.register
+def _(result: Excitation) -> Files:
+    """``excitation.json``, ``trajectory.csv`` and the report."""
+    from bayesid.report.excitation import excitation_report
+
+    others = {"trajectory.csv": lambda path: write_trajectory(result.trajectory, path)}
+    return Files({"excitation.json": result.to_dict()}, others, excitation_report(result))

@@ -1,0 +1,248 @@
+"""Exciting trajectories: gradients, limits by independent means, and what comes out of the verb."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import bayesid
+from bayesid.design.excitation.collision import clearance
+from bayesid.design.excitation.criteria import Criterion
+from bayesid.design.excitation.fit import random_feasible, scaled_to_fit
+from bayesid.design.excitation.options import ExcitationOptions
+from bayesid.design.excitation.plan import make_task
+from bayesid.design.excitation.series import Coordinates, fitted_series
+from bayesid.recordings.experiment import Experiment, Sensor
+from bayesid.robot.robot import load_robot
+from tests.robots import ROBOTS, write
+
+QUICK = dict(starts=1, randoms=6, seconds=1.0)
+FRICTION = ("viscous_friction", "coulomb_friction", "torque_offset")
+
+
+def experiment_of(name, folder, **more) -> Experiment:
+    robot = load_robot(write(folder, ROBOTS[name]()))
+    return Experiment(name, robot, (), Sensor(translation=np.array([0.0, 0.0, -0.1])), **more)
+
+
+def slope(function, x, direction, step=1e-6):
+    return (function(x + step * direction) - function(x - step * direction)) / (2 * step)
+
+
+@pytest.mark.parametrize("criterion", ["d", "a", "e", "condition"])
+@pytest.mark.parametrize(("name", "channel", "effects"), [("ur5", "wrench", ()), ("puma560", "torque", FRICTION)])
+def test_gradient_of_criteria_is_that_of_central_differences(criterion, name, channel, effects, tmp_path):
+    """From the numbers that the optimiser changes to the criterion, in random directions."""
+    experiment = experiment_of(name, tmp_path, effects=effects)
+    task, _ = make_task(experiment, ExcitationOptions(channel=channel, criterion=criterion))
+    rng = np.random.default_rng(3)
+    x = 0.3 * rng.normal(size=task.coordinates.count)
+
+    def value(x):
+        return task.information.judged(task.coordinates.motion(x), task.recorded, task.step, task.criterion)
+
+    gradient = task.coordinates.gradient(*value(x)[1])
+    for _ in range(3):
+        direction = rng.normal(size=len(x))
+        expected = slope(lambda x: value(x)[0], x, direction)
+        assert gradient @ direction == pytest.approx(expected, rel=2e-4, abs=1e-4 * np.linalg.norm(gradient))
+
+
+def test_gradient_of_the_variance_of_quantities():
+    """The matrix function alone."""
+    rng = np.random.default_rng(0)
+    root, chosen = rng.normal(size=(9, 6)), rng.normal(size=(6, 2))
+    a, criterion, change = root.T @ root, Criterion("quantity", chosen), rng.normal(size=(6, 6))
+    change = change + change.T
+    value, gradient = criterion(a)
+    assert np.exp(value) == pytest.approx(np.trace(chosen.T @ np.linalg.inv(a) @ chosen))
+    assert np.sum(gradient * change) == pytest.approx(slope(lambda e: criterion(a + e * change)[0], 0.0, 1.0), rel=1e-6)
+
+
+def test_every_choice_of_numbers_starts_and_ends_at_rest():
+    rng = np.random.default_rng(1)
+    coordinates = Coordinates(8.0, 4, np.array([0, 2]), np.array([0.1, 0.2, 0.3]), np.ones(3), np.full(3, 2.0), 100)
+    series = coordinates.series(rng.normal(size=coordinates.count))
+    _, v, a = series.at(np.array([0.0, 8.0, 16.0]))
+    np.testing.assert_allclose(v, 0.0, atol=1e-12)
+    np.testing.assert_allclose(a, 0.0, atol=1e-12)
+    assert np.ptp(series.at(np.linspace(0, 8, 50))[0], axis=0)[1] == 0.0
+    np.testing.assert_allclose(coordinates.numbers(series), coordinates.numbers(coordinates.series(coordinates.numbers(series))))
+    times = np.linspace(0, 12, 700)
+    found = fitted_series(times, series.at(times)[0], 8.0, 4)
+    np.testing.assert_allclose(found.at(times)[0], series.at(times)[0], atol=1e-10)
+
+
+def test_bounds_between_samples_hold():
+    """Bounds from few samples against very many."""
+    rng = np.random.default_rng(2)
+    coordinates = Coordinates(10.0, 5, np.arange(3), np.zeros(3), np.ones(3), np.full(3, 2.0), 40)
+    for _ in range(20):
+        series = coordinates.series(rng.normal(size=coordinates.count))
+        low, high, speed, acceleration = series.extremes(40)
+        q, v, a = series.at(np.linspace(0, 10, 20_001))
+        assert (q.max(axis=0) <= high).all() and (q.min(axis=0) >= low).all()
+        assert (np.abs(v).max(axis=0) <= speed).all() and (np.abs(a).max(axis=0) <= acceleration).all()
+        assert (speed <= 1.1 * np.abs(v).max(axis=0)).all()
+
+
+@pytest.mark.parametrize("name", ["puma560", "panda"])
+def test_motion_keeps_all_limits_by_pinocchio(name, tmp_path):
+    """Joint torques and the base wrench from Pinocchio's own recursion, at ten times the recorded rate."""
+    experiment = experiment_of(name, tmp_path)
+    robot = experiment.robot
+    ranges = np.array([400.0, 400.0, 700.0, 250.0, 250.0, 120.0])
+    result = bayesid.excite(
+        experiment, duration=10.0, period=10.0, sensor_range=tuple(ranges), acceleration=(8.0,), torque_share=0.5, seed=1, **QUICK
+    )
+    assert result.within_limits
+    times = np.arange(12_501) / 1250.0
+    q, v, a = result.series.at(times)
+    span = 0.45 * (robot.upper - robot.lower)
+    middle = 0.5 * (robot.upper + robot.lower)
+    assert (np.abs(q - middle) <= span + 1e-9).all()
+    assert (np.abs(v) <= 0.9 * robot.velocity_limit + 1e-9).all() and (np.abs(a) <= 0.9 * 8.0 + 1e-9).all()
+    model = pin.buildModelFromUrdf(str(robot.urdf))
+    free = pin.buildModelFromUrdf(str(robot.urdf), pin.JointModelFreeFlyer())
+    data, free_data = model.createData(), free.createData()
+    for k in range(0, len(times), 5):
+        torque = pin.rnea(model, data, q[k], v[k], a[k])
+        assert (np.abs(torque) <= 0.5 * robot.effort_limit).all()
+        # The base's own wrench is that of a free root that does not move; the sensor is 0.1 m below it.
+        wrench = pin.rnea(free, free_data, np.r_[np.zeros(6), 1.0, q[k]], np.r_[np.zeros(6), v[k]], np.r_[np.zeros(6), a[k]])[:6]
+        moment = wrench[3:] - np.cross([0.0, 0.0, -0.1], wrench[:3])
+        assert (np.abs(np.r_[wrench[:3], moment]) <= 0.8 * ranges).all()
+
+
+def test_optimised_beats_random_motions_within_the_same_limits(tmp_path):
+    """The determinant of the information; random motions are scaled as large as the limits allow."""
+    experiment = experiment_of("ur5", tmp_path)
+    result = bayesid.excite(experiment, channel="wrench", seed=0, **QUICK | {"seconds": 6.0})
+    task, _ = make_task(experiment, ExcitationOptions(channel="wrench"))
+    rng = np.random.default_rng(99)
+    others = [random_feasible(task.coordinates, task.limits, rng, 240) for _ in range(60)]
+    values = [np.linalg.slogdet(task.matrix(s))[1] for s in others if s is not None]
+    assert len(values) == 60
+    assert np.linalg.slogdet(task.matrix(result.series))[1] > max(values) + 20.0
+    assert result.history[-1][1] == result.value == pytest.approx(np.linalg.slogdet(task.matrix(result.series))[1] / 40)
+
+
+def test_warm_start_is_never_made_worse(tmp_path):
+    experiment = experiment_of("ur5", tmp_path)
+    first = bayesid.excite(experiment, seed=0, **QUICK)
+    bayesid.write_trajectory(first.trajectory, tmp_path / "start.csv")
+    again = bayesid.excite(experiment, seed=5, warm_start=tmp_path / "start.csv", **QUICK | {"randoms": 1})
+    assert again.value >= first.value - 1e-6
+
+
+def test_shrinking_to_fit_ends_at_the_limit(tmp_path):
+    """A motion that is too fast and strong meets one of its limits and breaks none."""
+    task, _ = make_task(experiment_of("puma560", tmp_path), ExcitationOptions(torque_share=0.2))
+    rng = np.random.default_rng(0)
+    for _ in range(5):
+        series = task.coordinates.series(3.0 * rng.normal(size=task.coordinates.count))
+        series.centre[:] = [0.0, -1.57, 1.57, 0.0, 0.0, 0.0]
+        fitted = scaled_to_fit(series, task.limits, 1000)
+        assert fitted is not None
+        most = max(worst.max() for worst in task.limits.worst(fitted, 1000).values())
+        assert 0.99 < most <= 1.0
+
+
+BOXES = """<robot name="two"><link name="base"><collision><geometry><box size="0.3 0.3 0.1"/></geometry></collision></link>
+<link name="upper"><inertial><mass value="2"/><origin xyz="0 0 0.2"/><inertia ixx="0.03" iyy="0.03" izz="0.01" ixy="0" ixz="0"
+iyz="0"/></inertial>
+<collision><origin xyz="0 0 0.2"/><geometry><cylinder radius="0.04" length="0.3"/></geometry></collision></link>
+<link name="fore"><inertial><mass value="1"/><origin xyz="0 0 0.2"/><inertia ixx="0.02" iyy="0.02" izz="0.01" ixy="0" ixz="0"
+iyz="0"/></inertial><collision><origin xyz="0 0 0.25"/><geometry><sphere radius="0.05"/></geometry></collision></link>
+<joint name="shoulder" type="revolute"><parent link="base"/><child link="upper"/><origin xyz="0 0 0.05"/><axis xyz="0 1 0"/>
+<limit lower="-2" upper="2" velocity="3" effort="100"/></joint>
+<joint name="elbow" type="revolute"><parent link="upper"/><child link="fore"/><origin xyz="0 0.1 0.4"/><axis xyz="0 1 0"/>
+<limit lower="-3" upper="3" velocity="3" effort="100"/></joint></robot>"""
+
+
+def test_bodies_are_kept_apart(tmp_path):
+    """The sphere from the box by hand, gradients by differences, and a motion that keeps the margin."""
+    path = tmp_path / "boxes.urdf"
+    path.write_text(BOXES, encoding="utf-8")
+    robot = load_robot(path)
+    bodies, notes = clearance(robot, {}, 0.03, ground=-0.2)
+    assert bodies is not None and not notes
+    assert set(bodies.names) == {"base and fore", "upper and ground", "fore and ground"}
+    q = np.array([[1.2, 1.3], [0.4, 2.4], [1.9, -0.3]])
+    pair = bodies.names.index("base and fore")
+    centre = np.stack([0.4 * np.sin(q[:, 0]) + 0.25 * np.sin(q.sum(axis=1)), np.full(3, 0.1),
+                       0.05 + 0.4 * np.cos(q[:, 0]) + 0.25 * np.cos(q.sum(axis=1))], axis=1)  # fmt: skip
+    outside = np.maximum(np.abs(centre) - np.array([0.15, 0.15, 0.05]), 0.0)
+    np.testing.assert_allclose(bodies.distances(q)[:, pair], np.linalg.norm(outside, axis=1) - 0.05, atol=1e-6)
+    np.testing.assert_allclose(bodies.distances(q)[:, bodies.names.index("fore and ground")], centre[:, 2] + 0.15, atol=1e-6)
+    weights = np.random.default_rng(0).uniform(size=(3, 3)) * (bodies.ratios(q) > 0)
+    gradient = bodies.gradient(q, weights)
+    for j in range(2):
+        step = np.zeros((3, 2))
+        step[:, j] = 1e-6
+        difference = (bodies.ratios(q + step) - bodies.ratios(q - step)) / 2e-6
+        np.testing.assert_allclose(gradient[:, j], np.sum(weights * difference, axis=1), atol=1e-4 * (1 + abs(difference).max()))
+    result = bayesid.excite(robot, margin=0.03, ground=-0.2, rate=50.0, seed=0, **QUICK)
+    q = result.series.at(np.linspace(0, 10, 3000))[0]
+    assert bodies.distances(q).min() >= 0.03
+    free = bayesid.excite(robot, collisions=False, rate=50.0, seed=0, **QUICK)
+    assert bodies.distances(free.series.at(np.linspace(0, 10, 500))[0]).min() < 0.03  # else the limit would mean nothing
+
+
+def test_interrupt_keeps_the_best_motion(tmp_path, monkeypatch):
+    from bayesid.design.excitation import optimise
+
+    calls, whole = [0], optimise.improve
+
+    def stopped(*args):
+        calls[0] += 1
+        if calls[0] == 2:
+            raise KeyboardInterrupt
+        whole(*args)
+
+    monkeypatch.setattr(optimise, "improve", stopped)
+    monkeypatch.setattr(optimise, "_ROUNDS", 1)
+    result = bayesid.excite(experiment_of("ur5", tmp_path), seed=0, **QUICK | {"starts": 3, "seconds": 60.0})
+    assert result.interrupted and result.within_limits
+    report = result.write(tmp_path / "out")
+    assert "interrupted" in report.read_text(encoding="utf-8")
+    written = json.loads((tmp_path / "out" / "excitation.json").read_text(encoding="utf-8"))
+    assert written["interrupted"] and written["within_limits"]
+
+
+def test_trajectory_can_be_simulated_and_identified(tmp_path):
+    """What is written is a motion that can be recorded: the table reads back, and the estimate has every base parameter."""
+    experiment = experiment_of("puma560", tmp_path)
+    result = bayesid.excite(experiment, seed=0, rate=50.0, **QUICK)
+    result.write(tmp_path / "out")
+    back = bayesid.read_trajectory(tmp_path / "out" / "trajectory.csv", experiment.robot)
+    np.testing.assert_allclose(back.accelerations, result.trajectory.accelerations, atol=1e-6)
+    bare = bayesid.Trajectory("x", "identification", back.times, back.positions, back.velocities, back.accelerations)
+    recorded = bayesid.simulate(experiment, [bare], seed=1)
+    estimate = bayesid.identify(recorded, channel="wrench")
+    assert estimate.estimate.base.rank == result.base.rank == int(np.isfinite(result.std).sum())
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (dict(criterion="x"), "--criterion x"),
+        (dict(duration=20.0, period=7.0), "--period 7"),
+        (dict(harmonics=1), "--harmonics 1"),
+        (dict(rate=3.0), "--rate 3"),
+        (dict(joints=("nope",)), "--joints nope"),
+        (dict(share=1.5), "--share 1.5"),
+        (dict(sensor_range=(100.0,)), "--sensor-range"),
+        (dict(sensor_range=(50.0, 500.0)), "fz reads at least"),
+        (dict(mount_frequency=2.0), "--mount-frequency 2"),
+        (dict(acceleration=(1.0, 2.0)), "--acceleration 1,2"),
+        (dict(channel="torque", static=True), "--static"),
+    ],
+)
+def test_bad_options_are_told_in_one_line(options, said, tmp_path):
+    with pytest.raises(bayesid.InputError, match=said.replace("(", "\\(")) as told:
+        bayesid.excite(experiment_of("ur5", tmp_path), **QUICK | {"randoms": 1} | options)
+    assert "\n" not in str(told.value)
