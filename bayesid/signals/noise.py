@@ -70,6 +70,12 @@ class NoiseModel:
         """The same size of noise without its colour, for rows that are not consecutive."""
         return NoiseModel(np.ones((len(self.std), 1)), np.diag(self.std**2))
 
+    def drawn(self, count: int, rng: np.random.Generator) -> np.ndarray:
+        """So many consecutive rows of such noise (count, c)."""
+        settled = 0 if self.from_zero or not self.order else 2000
+        fresh = rng.normal(size=(count + settled, len(self.innovation))) @ cholesky(self.innovation, lower=True).T
+        return np.stack([lfilter([1.0], a, u) for a, u in zip(self.coefficients, fresh.T, strict=True)], axis=1)[settled:]
+
     def whiten(self, rows: np.ndarray, before: np.ndarray | None = None) -> np.ndarray:
         """Turn rows with this noise into rows with white noise of unit variance.
 

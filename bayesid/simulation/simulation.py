@@ -234,6 +234,25 @@ def write_simulation(simulation: Simulation, folder: str | Path) -> None:
     write_experiment(simulation, folder, {"truth.json": truth + "\n"})
 
 
+def encoder_readings(
+    positions: np.ndarray, resolution: float | Sequence[float] | np.ndarray, std: float | np.ndarray, rng: np.random.Generator
+) -> np.ndarray:
+    """``count * round((q + noise) / count)``, what encoders say of true positions (N, n) [rad or m].
+
+    Parameters
+    ----------
+    positions
+        True ones.
+    resolution, std
+        One count, 0 for none, and random noise; one number, or one a joint (n,).
+    rng
+        Of the noise.
+    """
+    q = positions + std * rng.normal(size=positions.shape)
+    count = np.broadcast_to(np.asarray(resolution, float), (positions.shape[1],))
+    return np.where(count > 0, np.round(q / np.where(count > 0, count, 1.0)) * count, q)
+
+
 def _middle(trajectories: Sequence[Trajectory]) -> np.ndarray | None:
     """Middle of the first motion that is fitted: a mount has one stiffness in all of them."""
     moving = [t for t in trajectories if t.kind != "poses"]
@@ -286,9 +305,7 @@ class _Bench:
         rng, recorder = self.rng, self.recorder
         # What the encoders say of the true motion, before noise: they know nothing of a joint that gives.
         segment = replace(segment, positions=segment.positions + self.encoder_offset, middle=self.middle)
-        q = segment.positions + (recorder.position_std or 0.0) * rng.normal(size=segment.positions.shape)
-        count = np.broadcast_to(np.asarray(recorder.resolution or 0.0, float), (self.robot.n,))
-        q = np.where(count > 0, np.round(q / np.where(count > 0, count, 1.0)) * count, q)
+        q = encoder_readings(segment.positions, recorder.resolution or 0.0, recorder.position_std or 0.0, rng)
         velocities = None
         if recorder.velocity_std is not None:
             velocities = segment.velocities + recorder.velocity_std * rng.normal(size=q.shape)

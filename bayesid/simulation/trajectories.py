@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -127,14 +128,60 @@ def new_trajectories(
     ]
 
 
+@dataclass(frozen=True, eq=False)
+class RecordedMotion:
+    """A recorded motion as a function of time: its smoothed positions are taken for the true ones.
+
+    Attributes
+    ----------
+    motion
+        As it was recorded.
+    pieces
+        Times (N,) [s] and encoder positions (N, n) [rad or m] between gaps; none of poses at rest.
+    bandwidth
+        Up to which motion is kept [Hz].
+    """
+
+    motion: Motion
+    pieces: tuple[tuple[np.ndarray, np.ndarray], ...]
+    bandwidth: float
+
+    @classmethod
+    def of(cls, motion: Motion, experiment: Experiment) -> RecordedMotion:
+        """Smooth a motion of an experiment; InputError where it has no stretch of 20 samples without a gap."""
+        table = motion.table
+        if motion.kind == "poses":
+            return cls(motion, (), 0.0)
+        pieces = [(table.times[p], table.positions[p]) for p in table.segments() if p.stop - p.start >= 20]
+        if not pieces:
+            raise InputError(f"{table.source}: no stretch of 20 samples without a gap; simulate new motions instead")
+        chosen = choose_smoother(pieces, experiment.position_resolution, experiment.position_std)
+        return cls(motion, tuple(pieces), chosen.bandwidth)
+
+    def trajectory(self, retimed: Callable[[np.ndarray], np.ndarray] | None = None) -> Trajectory:
+        """The true motion at the times of its samples, or at others.
+
+        Parameters
+        ----------
+        retimed
+            From the times of a piece's samples (N,) to those wanted, which lie within the piece [s]; default the same.
+        """
+        motion = self.motion
+        if self.pieces:
+            at = [times if retimed is None else retimed(times) for times, _ in self.pieces]
+            parts = [smooth(*piece, self.bandwidth, at=t) for piece, t in zip(self.pieces, at, strict=True)]
+            q, v, a = (np.concatenate(part) for part in zip(*parts, strict=True))
+            times = np.concatenate(at)
+        else:
+            times, q = motion.table.times, motion.table.positions
+            v = a = np.zeros_like(q)
+        static = None if motion.static is None else q if motion.stop_and_go else motion.static.positions
+        return Trajectory(motion.name, motion.role, times, q, v, a, motion.kind, static, motion.period, motion.parked)
+
+
 def recorded_trajectories(experiment: Experiment) -> list[Trajectory]:
     """The motions of an experiment again: its smoothed positions are taken for the true ones."""
-    out = []
-    for motion in experiment.motions:
-        times, q, v, a = _true(motion, experiment)
-        static = None if motion.static is None else q if motion.stop_and_go else motion.static.positions
-        out.append(Trajectory(motion.name, motion.role, times, q, v, a, motion.kind, static, motion.period, motion.parked))
-    return out
+    return [RecordedMotion.of(motion, experiment).trajectory() for motion in experiment.motions]
 
 
 def make_trajectories(
@@ -148,16 +195,3 @@ def make_trajectories(
         return new_trajectories(setup.robot, duration, rate, bool(static), seed)
     own = recorded_trajectories(setup)
     return own if static is None else [replace(t, static_positions=t.positions if static else None) for t in own]
-
-
-def _true(motion: Motion, experiment: Experiment) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    table = motion.table
-    if motion.kind == "poses":
-        still = np.zeros_like(table.positions)
-        return table.times, table.positions, still, still
-    pieces = [(table.times[p], table.positions[p]) for p in table.segments() if p.stop - p.start >= 20]
-    if not pieces:
-        raise InputError(f"{table.source}: no stretch of 20 samples without a gap; simulate new motions instead")
-    bandwidth = choose_smoother(pieces, experiment.position_resolution, experiment.position_std).bandwidth
-    q, v, a = (np.concatenate(part) for part in zip(*(smooth(*piece, bandwidth) for piece in pieces), strict=True))
-    return np.concatenate([times for times, _ in pieces]), q, v, a

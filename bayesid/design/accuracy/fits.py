@@ -1,0 +1,168 @@
+"""What fits of twins get wrong: errors of the base parameters and of predictions, setting by setting."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bayesid.design.accuracy.bench import Bench, true_solution
+from bayesid.design.accuracy.differences import differenced
+from bayesid.design.accuracy.twins import Setting, fit_options, twin
+from bayesid.dynamics.base_parameters import BaseParameters
+from bayesid.estimators import Estimate
+from bayesid.estimators.least_squares import LeastSquares
+from bayesid.estimators.nonlinear import solve
+from bayesid.estimators.weights import Weights, learn_weights
+from bayesid.recordings.experiment import Experiment
+from bayesid.regression.problem import Problem, prepare
+
+#: Share of a row of one base that rows of another leave, from which it is not among them.
+_OUTSIDE = 1e-6
+
+
+@dataclass(frozen=True)
+class Learned:
+    """What a fit of one twin learns beside the parameters, so that fits of its like need not learn it again.
+
+    Attributes
+    ----------
+    bandwidth
+        Of the joint motion [Hz].
+    weights
+        Noise of the rows.
+    """
+
+    bandwidth: float
+    weights: Weights
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Errors of fits of twins.
+
+    Attributes
+    ----------
+    columns
+        Estimate less truth of the user's base and effect parameters (runs, p); nan where a fit cannot determine one.
+    prediction
+        Error of the predicted motions as a share of their signal (runs,).
+    rank
+        How many of the columns are base parameters.
+    """
+
+    columns: np.ndarray
+    prediction: np.ndarray
+    rank: int
+
+    @property
+    def runs(self) -> int:
+        """How many twins."""
+        return len(self.columns)
+
+    @property
+    def base(self) -> np.ndarray:
+        """Errors of the base parameters (runs, r)."""
+        return self.columns[:, : self.rank]
+
+    def part(self, rows: np.ndarray) -> Errors:
+        """Those of some runs."""
+        return Errors(self.columns[rows], self.prediction[rows], self.rank)
+
+    @property
+    def bias(self) -> np.ndarray:
+        """Mean error of the base parameters (r,)."""
+        return self.base.mean(axis=0)
+
+    @property
+    def std(self) -> np.ndarray:
+        """Standard deviation of the errors of the base parameters (r,)."""
+        return self.base.std(axis=0, ddof=1)
+
+    @property
+    def rms(self) -> np.ndarray:
+        """Root mean square error of the base parameters (r,)."""
+        return np.sqrt(np.mean(self.base**2, axis=0))
+
+    @property
+    def predicted(self) -> float:
+        """Root mean square error of predictions, a share of the signal."""
+        return float(np.sqrt(np.mean(self.prediction**2)))
+
+
+def fit_twin(bench: Bench, setting: Setting, recorded: Experiment, learned: Learned | None = None) -> tuple[Problem, Estimate]:
+    """Fit a twin as its setting says; with what is learned already, bandwidth and weights are not looked for again."""
+    options = fit_options(setting)
+    if learned is not None:
+        options = replace(options, bandwidth=learned.bandwidth)
+    problem = prepare(recorded, options)
+    if setting.velocity != "smoothed":
+        problem = differenced(problem, setting.velocity)
+    if learned is not None:
+        if isinstance(bench.method, LeastSquares):  # whose estimate, unlike its covariance, needs no law of encoder errors
+            problem = replace(problem, regression=replace(problem.regression, regressor_noise=None))
+        problem.regression.once("weights", lambda: learned.weights)
+    return solve(problem, bench.method)
+
+
+def learn(bench: Bench, setting: Setting, seed: int) -> Learned:
+    """What a fit of one twin of a setting learns beside the parameters."""
+    problem, _ = fit_twin(bench, setting, twin(bench, setting, seed))
+    return Learned(problem.smoother.bandwidth, learn_weights(problem.regression))
+
+
+def error_of(bench: Bench, problem: Problem, estimate: Estimate) -> np.ndarray:
+    """Error of a twin's fit in the columns of the user's solution (p,).
+
+    Another treatment of static readings has other base parameters b' = K'phi; those of the user, b = K phi, are combinations
+    of them where rows of K lie in the row space of K', and are not determined elsewhere (nan).
+    """
+    own, row_model = bench.problem, problem.row_model
+    full = true_solution(bench, problem)
+    error = np.where(estimate.undetermined, np.nan, estimate.solution - full[_columns(problem)])
+    rank = row_model.base.rank
+    found = np.full(len(bench.truth), np.nan)
+    found[: bench.rank] = [_combined(row, error[:rank]) for row in combinations(own.row_model.base, row_model.base)]
+    # What is held at a value is wrong by how far that is from the truth; what the fit has not, its static run took away.
+    names = [n for e in row_model.effects for n in e.column_names]
+    held = np.zeros(len(names)) if row_model.point is None else row_model.point.values - full[rank:]
+    held[row_model.free] = error[rank:]
+    others = dict(zip(names, held, strict=True))
+    found[bench.rank :] = [others.get(n, 0.0) for n in own.regression.effect_names]
+    return found
+
+
+def prediction_error(bench: Bench, error: np.ndarray) -> float:
+    """Error of the predicted motions that an error of the solution (p,) makes, as a share of the signal."""
+    return float(np.sqrt(max(error @ bench.prediction_gram @ error, 0.0)))
+
+
+def _columns(problem: Problem) -> np.ndarray:
+    """Which of base and effect parameters are estimated."""
+    return np.concatenate([np.ones(problem.row_model.base.rank, bool), problem.row_model.free])
+
+
+def _combined(row: np.ndarray, error: np.ndarray) -> float:
+    """Error of a combination of parameters; parts that it does not have may be undetermined."""
+    return float(row[row != 0.0] @ error[row != 0.0]) if np.isfinite(row).all() else np.nan
+
+
+def combinations(wanted: BaseParameters, known: BaseParameters) -> np.ndarray:
+    """Wanted base parameters as combinations of known ones (r, r'); nan in rows that are none."""
+    if wanted.matrix.shape == known.matrix.shape and np.allclose(wanted.matrix, known.matrix, rtol=0.0, atol=1e-9):
+        return np.eye(wanted.rank)
+    rows = np.linalg.lstsq(known.matrix.T, wanted.matrix.T, rcond=None)[0].T
+    rows[np.abs(rows) < 1e-9] = 0.0
+    left = np.linalg.norm(rows @ known.matrix - wanted.matrix, axis=1)
+    rows[left > _OUTSIDE * np.linalg.norm(wanted.matrix, axis=1)] = np.nan
+    return rows
+
+
+def run_twin(bench: Bench, setting: Setting, seed: int, learned: Learned | None) -> np.ndarray:
+    """Make one twin, fit it, and tell its error as `error_of` (p,)."""
+    return error_of(bench, *fit_twin(bench, setting, twin(bench, setting, seed), learned))
+
+
+def errors_of(bench: Bench, columns: np.ndarray) -> Errors:
+    """Errors of several runs (runs, p), with those of predictions."""
+    return Errors(columns, np.array([prediction_error(bench, e) for e in columns]), bench.rank)

@@ -1,0 +1,149 @@
+"""Bias susceptibility [Armstrong1989]_: what effects that are left out of the model do to the estimate, in standard deviations.
+
+With the rows ``y = X b + z + e``, z the exact action of an effect of usual size and X without it, a fit with weights W is off by
+
+    d = (X'W'W X)^-1 X'W'W z,
+
+which is exact for least squares with given weights and of first order for others. It is told in standard deviations of the
+estimate, and by what it does to predictions of a motion that was not fitted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bayesid.design.accuracy.bench import Bench
+from bayesid.design.accuracy.fits import prediction_error
+from bayesid.effects import Effect, MotionSegment, Term, middle_of
+from bayesid.errors import InputError
+from bayesid.estimators.least_squares import LeastSquares, likelihood_weights, weighted_factor
+from bayesid.estimators.weights import Weights, learn_weights
+from bayesid.regression.linalg import solve
+from bayesid.regression.motion_rows import MotionRows
+from bayesid.regression.parallel import in_order
+from bayesid.regression.problem import restrict
+from bayesid.regression.rows import Segment
+from bayesid.simulation.plant import plant_readings
+
+
+@dataclass(frozen=True, eq=False)
+class Susceptibility:
+    """What one effect, left out of the model, does to an estimate.
+
+    Attributes
+    ----------
+    effect
+        Which, and where.
+    values
+        Its size, one number a parameter.
+    bias
+        Estimate with it less estimate without it, of the base parameters (r,).
+    sigmas
+        The same in standard deviations of the estimate (r,); nan where there is none.
+    prediction
+        Error of predictions that this bias makes, as a share of the signal.
+    """
+
+    effect: Effect
+    values: tuple[float, ...]
+    bias: np.ndarray
+    sigmas: np.ndarray
+    prediction: float
+
+    @property
+    def largest(self) -> float:
+        """Largest bias in standard deviations; 0 where nothing is known."""
+        return float(np.nanmax(np.abs(self.sigmas))) if np.isfinite(self.sigmas).any() else 0.0
+
+    @property
+    def most_biased(self) -> int:
+        """Index of the base parameter that it belongs to."""
+        return int(np.nanargmax(np.abs(self.sigmas))) if np.isfinite(self.sigmas).any() else 0
+
+
+def missing_effects(bench: Bench) -> tuple[Term, ...]:
+    """Every effect of the library that acts on the channels and is not in the model, at every place, of usual size."""
+    experiment, row_model = bench.experiment, bench.problem.row_model
+    known = {e.spec for e in row_model.effects}
+    names = row_model.channels.names
+    return tuple(
+        Term(effect, tuple(effect.typical(experiment.robot)))
+        for name in experiment.library.classes
+        for effect in experiment.library.places(name, experiment.robot.joint_names, names, experiment.gear_ratio)
+        if effect.spec not in known
+    )
+
+
+def susceptibility(
+    bench: Bench, std: np.ndarray, terms: tuple[Term, ...] | None = None, tell: Callable[[str], object] = lambda _: None
+) -> tuple[Susceptibility, ...]:
+    """Bias of the user's estimate for each effect, largest first.
+
+    Parameters
+    ----------
+    bench
+        The user's own experiment.
+    std
+        Standard deviations of the base parameters (r,).
+    terms
+        Effects and their sizes; default `missing_effects`.
+    tell
+        Called with what is going on.
+    """
+    terms = missing_effects(bench) if terms is None else terms
+    scenes, weights = _scenes(bench), learn_weights(bench.problem.regression)
+    start = _fitted(bench, [_read(bench, segment, scene, ()) for segment, scene in scenes], weights)
+
+    def off(term: Term) -> np.ndarray | None:
+        try:
+            with np.errstate(all="ignore"):
+                read = [_read(bench, segment, scene, (term,)) for segment, scene in scenes]
+        except InputError:  # of this size there is no such effect, such as a joint too soft to carry its links
+            return None
+        return _fitted(bench, read, weights) - start
+
+    out = []
+    for k, (term, error) in enumerate(zip(terms, in_order(off, terms), strict=True)):
+        tell(f"effects left out: {k + 1} of {len(terms)}")
+        if error is not None:
+            base = error[: bench.rank]
+            sigmas = np.where(np.isfinite(std) & (std > 0), base / np.where(std > 0, std, 1.0), np.nan)
+            out.append(Susceptibility(term.effect, term.values, base, sigmas, prediction_error(bench, error)))
+    return tuple(sorted(out, key=lambda s: -s.largest))
+
+
+def _scenes(bench: Bench) -> list[tuple[Segment, MotionSegment]]:
+    """The fitted segments with their smoothed motion."""
+    problem = bench.problem
+    row_model = problem.row_model
+    moving = next(m for m in bench.motions if m.pieces)
+    middle = middle_of(moving.trajectory().positions)
+    out = []
+    for segment in (s for name in problem.fitted for s in problem.segments[name]):
+        state = row_model.state(segment, 0, len(segment.times))
+        out.append((segment, replace(state, still=segment.poses, bandwidth=row_model.bandwidth, middle=middle)))
+    return out
+
+
+def _read(bench: Bench, segment: Segment, scene: MotionSegment, more: tuple[Term, ...]) -> tuple[str, Segment]:
+    """The segment with exact readings of the plant and further effects, and of its static run where that is subtracted."""
+    robot, channels = bench.experiment.robot, bench.problem.row_model.channels
+    terms = (*bench.terms, *more)
+    readings, known = plant_readings(robot, channels, scene, bench.links, terms), segment.known
+    if not segment.gravity:
+        still = tuple(t for t in terms if t.effect.in_static_run)
+        known = plant_readings(robot, channels, scene.at_rest, bench.links, still)
+    return bench.problem.regression.motion_names[segment.motion], replace(segment, readings=readings, known=known)
+
+
+def _fitted(bench: Bench, read: Sequence[tuple[str, Segment]], weights: Weights) -> np.ndarray:
+    """Least squares with given weights of exact readings (p,)."""
+    segments = {name: [s for n, s in read if n == name] for name in bench.problem.fitted}
+    rows = MotionRows(bench.problem.row_model, segments)
+    regression = restrict(replace(bench.problem, segments=segments, rows=rows), bench.problem.fitted).regression
+    kind = bench.method.weights if isinstance(bench.method, LeastSquares) else "channel"
+    factor, _ = weighted_factor(regression, weights, likelihood_weights(weights) if kind == "noise" else kind)
+    return solve(factor.matrix, factor.target)

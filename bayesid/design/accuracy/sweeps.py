@@ -1,0 +1,309 @@
+"""Sweeps: how errors of base parameters and predictions depend on one factor at a time.
+
+Where the estimator is linear in the readings, the errors of its parameters are, to first order in the noise,
+
+    e = A^-1 X'W n + e_q,     cov e = k^2 V_s + V_e,
+
+n the sensor's noise, k its factor and e_q what encoder errors make of the fit. V_s is the sandwich covariance of the fit to a twin
+with perfect encoders, V_e and the bias come from twins with a perfect sensor. A motion that is repeated m times, with fresh noise,
+leaves ``cov e / m`` and the same bias. All else is simulated: twins with fresh noise are made, fitted as the user's own data are,
+and compared with the truth. All settings use the same seeds, so that differences between them are less uncertain than either.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+
+from bayesid.design.accuracy.bench import Bench
+from bayesid.design.accuracy.factors import Factor, Trial, all_factors, has_formula
+from bayesid.design.accuracy.fits import Errors, Learned, errors_of, fit_twin, learn, prediction_error, run_twin
+from bayesid.design.accuracy.twins import Setting, own_setting, twin
+from bayesid.errors import BayesidError
+from bayesid.regression.parallel import in_order
+
+#: Resamples of the runs that intervals of ratios are taken from.
+_RESAMPLES = 300
+#: Seeds of runs lie this far from those that other parts of the package draw.
+_SEEDS = 1_000_003
+
+
+@dataclass(frozen=True)
+class Level:
+    """What one level of a factor does to the errors.
+
+    Attributes
+    ----------
+    label, value
+        As `bayesid.design.accuracy.factors.Trial`; 1 for the user's own level of a factor with numbers.
+    source
+        ``formula`` or ``simulation``; ``refused``: it cannot be fitted, `reason` says why.
+    bias, std, rms
+        Of the base parameters (r,); nan where they are not determined.
+    bias_error, std_error
+        Standard errors of these of a simulation (r,); zero where a formula gives them.
+    prediction, prediction_error
+        Root mean square error of predictions as a share of the signal, and its standard error.
+    ratio, ratio_low, ratio_high
+        Median over the base parameters of the rms error over that of the user's own setting, with a 95 % interval.
+    lost
+        How many of the user's base parameters are not determined.
+    improvement
+        What an advice would call it.
+    reason
+        Why it was refused.
+    """
+
+    label: str
+    value: float | None
+    source: str
+    bias: np.ndarray
+    std: np.ndarray
+    rms: np.ndarray
+    bias_error: np.ndarray
+    std_error: np.ndarray
+    prediction: float
+    prediction_error: float
+    ratio: float
+    ratio_low: float
+    ratio_high: float
+    lost: int = 0
+    improvement: str = ""
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """One factor.
+
+    Attributes
+    ----------
+    name, title
+        Of the factor.
+    levels
+        With the user's own among them.
+    own
+        Index of the user's own.
+    """
+
+    name: str
+    title: str
+    levels: tuple[Level, ...]
+    own: int
+
+
+@dataclass(frozen=True)
+class Sweeps:
+    """All factors, about one setting.
+
+    Attributes
+    ----------
+    own
+        The user's own setting, simulated.
+    formula
+        The same by formula, where one holds: the standard deviations (r,), else None.
+    sweeps
+        By factor.
+    runs, seed
+        Twins of every simulated level.
+    """
+
+    own: Level
+    formula: np.ndarray | None
+    sweeps: tuple[Sweep, ...]
+    runs: int
+    seed: int
+
+    @property
+    def agreement(self) -> float:
+        """Median ratio of the simulated standard deviations of the user's own setting to those of the formula; nan without."""
+        return float("nan") if self.formula is None else float(np.median(self.own.std / self.formula))
+
+    def improvements(self) -> tuple[tuple[str, Level], ...]:
+        """The best advice of each factor, what lowers the median error most first; only those that lower it beyond chance."""
+        out = []
+        for sweep in self.sweeps:
+            advised = [v for v in sweep.levels if v.improvement and np.isfinite(v.ratio) and v.ratio_high < 1.0 and not v.lost]
+            if advised:
+                out.append((sweep.name, min(advised, key=lambda v: v.ratio)))
+        return tuple(sorted(out, key=lambda pair: pair[1].ratio))
+
+
+def sweep(bench: Bench, runs: int, seed: int, tell: Callable[[str], object]) -> Sweeps:
+    """Vary one factor at a time.
+
+    Parameters
+    ----------
+    bench
+        The user's own experiment.
+    runs
+        Twins of every level that is simulated.
+    seed
+        Of their noise.
+    tell
+        Called with what is going on.
+    """
+    factors = all_factors(bench)
+    own = own_setting(bench)
+    settings: list[Setting] = [own]
+    formula = has_formula(bench)
+    if formula:
+        settings.append(replace(own, noise=0.0))
+    settings += [t.setting for f in factors for t in f.trials if t.setting is not None]
+    found = _simulated(bench, settings, runs, seed, tell)
+    errors = found[repr(own)]
+    if isinstance(errors, str):
+        raise BayesidError(f"a twin of these recordings cannot be fitted as they are: {errors}")
+    own_level = _level(bench, Trial("own", 1.0, own), errors, errors)
+    linear = _Linear.of(bench, found[repr(settings[1])], seed) if formula else None
+    sweeps = tuple(_sweep(bench, f, own_level, errors, found, linear) for f in factors)
+    return Sweeps(own_level, None if linear is None else linear.std(1.0, 1.0), sweeps, runs, seed)
+
+
+def _simulated(
+    bench: Bench, settings: list[Setting], runs: int, seed: int, tell: Callable[[str], object]
+) -> dict[str, Errors | str]:
+    """Errors of all runs of every setting, by its text; a reason where it cannot be fitted."""
+    # Equal settings are simulated once; what is in them need not be hashable.
+    unique = list({repr(s): s for s in settings}.values())
+    seeds = [_SEEDS * (seed + 1) + k for k in range(runs)]
+
+    def learned(setting: Setting) -> Learned | str | None:
+        if setting.noise == 0.0:
+            return None  # what the user's own setting learns stands in: there is no noise to learn
+        try:
+            return learn(bench, setting, seeds[0])
+        except BayesidError as error:
+            return str(error)
+
+    known: list[Learned | str | None] = []
+    for k, each in enumerate(in_order(learned, unique)):
+        known.append(each)
+        tell(f"settings: {k + 1} of {len(unique)}")
+    known = [known[0] if each is None else each for each in known]
+
+    def run(job: tuple[int, int]) -> np.ndarray | str:
+        which, number = job
+        learned = known[which]
+        if isinstance(learned, str):
+            return learned
+        try:
+            return run_twin(bench, unique[which], number, learned)
+        except BayesidError as error:
+            return str(error)
+
+    jobs = list(product(range(len(unique)), seeds))
+    results: list[np.ndarray | str] = []
+    for k, each in enumerate(in_order(run, jobs)):
+        results.append(each)
+        tell(f"simulating: {k + 1} of {len(jobs)} twins")
+    out: dict[str, Errors | str] = {}
+    for k, setting in enumerate(unique):
+        own = results[k * runs : (k + 1) * runs]
+        refused = next((r for r in own if isinstance(r, str)), None)
+        out[repr(setting)] = refused or errors_of(bench, np.array(own))
+    return out
+
+
+@dataclass(frozen=True)
+class _Linear:
+    """Errors of a fit that is linear in the readings: ``cov = k^2 sensor + encoder``."""
+
+    bench: Bench
+    sensor: np.ndarray
+    encoder: np.ndarray
+    bias: np.ndarray
+
+    @classmethod
+    def of(cls, bench: Bench, quiet: Errors | str, seed: int) -> _Linear:
+        own = own_setting(bench)
+        perfect = replace(own, encoder=0.0)
+        _, estimate = fit_twin(bench, perfect, twin(bench, perfect, _SEEDS * (seed + 1)))
+        assert estimate.full_covariance is not None and not isinstance(quiet, str)
+        return cls(bench, estimate.full_covariance, np.cov(quiet.columns.T), quiet.columns.mean(axis=0))
+
+    def covariance(self, noise: float, all_of_it: float) -> np.ndarray:
+        return all_of_it**2 * (noise**2 * self.sensor + self.encoder)
+
+    def std(self, noise: float, all_of_it: float) -> np.ndarray:
+        return np.sqrt(np.diag(self.covariance(noise, all_of_it)))[: self.bench.rank]
+
+    def rms(self, noise: float, all_of_it: float) -> np.ndarray:
+        return np.hypot(self.std(noise, all_of_it), self.bias[: self.bench.rank])
+
+    def predicted(self, noise: float, all_of_it: float) -> float:
+        scatter = np.sum(self.covariance(noise, all_of_it) * self.bench.prediction_gram)
+        return float(np.hypot(np.sqrt(max(scatter, 0.0)), prediction_error(self.bench, self.bias)))
+
+
+def _sweep(
+    bench: Bench, factor: Factor, own: Level, errors: Errors, found: dict[str, Errors | str], linear: _Linear | None
+) -> Sweep:
+    levels = []
+    for trial in factor.trials:
+        if trial.setting is None:
+            levels.append(_by_formula(trial, own, linear))
+        else:
+            result = found[repr(trial.setting)]
+            levels.append(_refused(trial, own, result) if isinstance(result, str) else _level(bench, trial, result, errors))
+    numbered = all(t.value is not None for t in factor.trials)
+    here = replace(own, label=factor.own, value=1.0 if numbered else None)
+    if factor.name == "sensor_resolution":
+        here = replace(here, value=0.0)
+    levels = sorted([here, *levels], key=lambda v: -np.inf if v.value is None else v.value) if numbered else [here, *levels]
+    return Sweep(factor.name, factor.title, tuple(levels), next(i for i, v in enumerate(levels) if v is here))
+
+
+def _level(bench: Bench, trial: Trial, errors: Errors, own: Errors) -> Level:
+    """A level from simulated errors."""
+    n = errors.runs
+    lost = ~np.isfinite(errors.base).all(axis=0)
+    ratios = [_ratio(errors, own)]
+    rng = np.random.default_rng(0)
+    for _ in range(_RESAMPLES if errors is not own else 0):
+        rows = rng.integers(n, size=n)
+        ratios.append(_ratio(errors.part(rows), own.part(rows)))
+    low, high = np.quantile(ratios, [0.025, 0.975])
+    spread = float(np.std(errors.prediction**2, ddof=1) / np.sqrt(n) / (2.0 * max(errors.predicted, 1e-300)))
+    return Level(
+        trial.label, trial.value, "simulation", errors.bias, errors.std, errors.rms, errors.std / np.sqrt(n),
+        errors.std / np.sqrt(2.0 * (n - 1)), errors.predicted, spread, ratios[0], float(low), float(high), int(lost.sum()),
+        trial.improvement,
+    )  # fmt: skip
+
+
+def _ratio(errors: Errors, own: Errors) -> float:
+    """Median ratio of root mean square errors over the base parameters that both determine."""
+    ratio = errors.rms / np.maximum(own.rms, 1e-300)
+    return float(np.median(ratio[np.isfinite(ratio)])) if np.isfinite(ratio).any() else float("nan")
+
+
+def _by_formula(trial: Trial, own: Level, linear: _Linear | None) -> Level:
+    """A level whose covariance follows from that of the user's own setting."""
+    zero = np.zeros(len(own.std))
+    if linear is None:
+        # Repeats alone: the mean of independent errors, whatever the estimator.
+        std = trial.scale[1] * own.std
+        rms = np.hypot(std, own.bias)
+        ratio = float(np.median(rms / np.maximum(own.rms, 1e-300)))
+        share = trial.scale[1] * own.prediction
+        return Level(trial.label, trial.value, "formula", own.bias, std, rms, own.bias_error, trial.scale[1] * own.std_error,
+                     share, trial.scale[1] * own.prediction_error, ratio, ratio, ratio, 0, trial.improvement)  # fmt: skip
+    rms = linear.rms(*trial.scale)
+    ratio = float(np.median(rms / np.maximum(linear.rms(1.0, 1.0), 1e-300)))
+    return Level(
+        trial.label, trial.value, "formula", linear.bias[: len(zero)], linear.std(*trial.scale), rms, zero, zero,
+        linear.predicted(*trial.scale), 0.0, ratio, ratio, ratio, 0, trial.improvement,
+    )  # fmt: skip
+
+
+def _refused(trial: Trial, own: Level, reason: str) -> Level:
+    nothing = np.full(len(own.std), np.nan)
+    nan = float("nan")
+    return Level(
+        trial.label, trial.value, "refused", nothing, nothing, nothing, nothing, nothing, nan, nan, nan, nan, nan,
+        len(nothing), "", reason,
+    )  # fmt: skip
