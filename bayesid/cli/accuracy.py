@@ -1,0 +1,65 @@
+"""The verb ``accuracy``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+import bayesid
+from bayesid.cli.known_links import bounded
+from bayesid.cli.options import (
+    BOUNDS,
+    EXPERIMENT,
+    OUT,
+    OUTPUTS,
+    SEED,
+    STATIC,
+    load,
+    low_pass,
+    model_options,
+    output_folder,
+    show_progress,
+)
+from bayesid.errors import EstimationError, InputError
+from bayesid.results.files import check_output, checkpoint_of
+
+
+@click.command()
+@EXPERIMENT
+@model_options
+@click.option("--method", default=bayesid.DEFAULT_METHOD, show_default=True, help=", ".join(bayesid.METHODS))
+@BOUNDS
+@STATIC
+@click.option("--runs", type=int, default=20, show_default=True, help="Simulated recordings of every level; 0: vary nothing.")
+@click.option("--nominal", is_flag=True, help="Take the nominal links for the true ones, not the estimated.")
+@click.option("--certificate", is_flag=True, help="Count how often the intervals hold the truth, on simulated twins.")
+@click.option("--twins", type=int, default=400, show_default=True, help="Twins of the certificate.")
+@click.option("--resume", is_flag=True, help="Go on with the twins of an interrupted run of the same --out.")
+@OUT
+@SEED
+def accuracy(
+    experiment: Path, filter_l, filter_d, model, effects_from, method, bounds, certificate, twins, out, resume, **options
+) -> None:
+    """What the errors depend on, what effects left out of the model do, and whether the intervals hold the truth."""
+    check_output(out or OUTPUTS, "accuracy")
+    if resume and not certificate:
+        raise InputError("--resume is for --certificate; add that, or leave it out")
+    filters, chosen = low_pass(filter_l, filter_d), bayesid.estimator(method)
+    loaded = load(experiment, model, effects_from)
+    chosen = bounded(chosen, bounds, loaded)
+    folder = output_folder(out, loaded.name, "accuracy")
+    kept = checkpoint_of(folder)
+    try:
+        with show_progress() as progress:
+            result = bayesid.accuracy(
+                loaded, method=chosen, low_pass=filters, certificate=twins if certificate else 0, kept=kept, resume=resume,
+                progress=progress, **options,
+            )  # fmt: skip
+            progress("report")
+            report = result.write(folder)
+    except KeyboardInterrupt:
+        raise EstimationError(f"interrupted; add --resume to go on from {kept}" if kept.exists() else "interrupted") from None
+    kept.unlink(missing_ok=True)
+    click.echo(str(result))
+    click.echo(f"report: {report}")

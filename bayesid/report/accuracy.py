@@ -1,0 +1,158 @@
+"""The report of ``accuracy``: turns an `Accuracy` into what its template shows."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from bayesid.report.accuracy_figures import SHOWN_EFFECTS, susceptibility_figure, sweeps_figure
+from bayesid.report.certificate_figures import certificate_figure
+from bayesid.report.page import render, run_times, svg, versions
+from bayesid.results.accuracy import Accuracy
+from bayesid.results.accuracy_text import NO_BIAS, change, coverage_text, effect_cells, level_cells
+from bayesid.results.text import DASH, channel_text, number, percent
+
+_MOST_EFFECTS = 15
+
+
+def accuracy_report(result: Accuracy) -> str:
+    """The report of ``accuracy``: an HTML page with all figures inside."""
+    bench, sweeps = result.bench, result.sweeps
+    biased = [s for s in result.susceptibility if s.largest >= NO_BIAS]
+    certificate = result.certificate
+    base = bench.problem.row_model.base
+    return render(
+        "accuracy.html",
+        name=bench.experiment.name,
+        kicker=f"Accuracy of {bench.rank} base parameters by {bench.method.name}, from the {channel_text(bench.problem.channel)} of "
+        f"{', '.join(bench.problem.fitted)}",
+        warning_list=result.warnings,
+        lead=_lead(result),
+        card_list=_cards(result),
+        improvements=_improvements(result),
+        sweeps="" if sweeps is None else svg(sweeps_figure(result), "sweeps"),
+        factors=[] if sweeps is None else [
+            {"title": s.title, "rows": [{"cells": level_cells(v, k == s.own, sweeps), "own": k == s.own, "reason": v.reason,
+                                         "source": v.source} for k, v in enumerate(s.levels)]}
+            for s in sweeps.sweeps
+        ],
+        runs=0 if sweeps is None else sweeps.runs,
+        predicted=", ".join(bench.predicted_motions),
+        map="" if not biased else svg(susceptibility_figure(result), "susceptibility"),
+        map_size=min(len(biased), SHOWN_EFFECTS),
+        effects=[effect_cells(s, base.labels) for s in result.susceptibility],
+        shown_effects=_MOST_EFFECTS,
+        unbiased=len(result.susceptibility) - len(biased),
+        certificate=None if certificate is None else {
+            "text": coverage_text(result), "plot": svg(certificate_figure(certificate, base), "certificate"),
+            "rows": _coverage_rows(result), "refused": certificate.refused,
+        },
+        parameters=_parameters(result),
+        simulated=sweeps is not None,
+        formula=sweeps is not None and sweeps.formula is not None,
+        how=_how(result),
+    )  # fmt: skip
+
+
+def _lead(result: Accuracy) -> str:
+    text = ""
+    best = result.improvements
+    if best:
+        first = best[0][1]
+        text = f"What would help most: {first.improvement} ({change(first.ratio)} of the median error of the base parameters)."
+        if len(best) > 1:
+            text += " Then " + ", ".join(f"{v.improvement} ({change(v.ratio)})" for _, v in best[1:3]) + "."
+    elif result.sweeps is not None:
+        text = "None of the changes that were tried lowers the error by more than chance."
+    worst = next((s for s in result.susceptibility if s.largest >= NO_BIAS), None)
+    if worst is not None:
+        text += (
+            f" Of the effects that the model lacks, {worst.effect.spec} of usual size would do most harm: a bias of "
+            f"{number(worst.largest, 2)} standard deviations."
+        )
+    return f"{text} {coverage_text(result)}".strip()
+
+
+def _cards(result: Accuracy) -> list[dict[str, str]]:
+    cards = []
+    if result.sweeps is not None:
+        own = result.sweeps.own
+        cards.append({"value": percent(own.prediction, 2), "mood": "",
+                      "text": f"of the signal of {', '.join(result.bench.predicted_motions)} is what noise makes predictions wrong by"})  # fmt: skip
+        largest = float(np.max(np.abs(own.bias) / np.maximum(own.std, 1e-300)))
+        cards.append({"value": f"{number(largest, 2)} σ", "mood": "good" if largest < 0.5 + 3.0 / np.sqrt(result.sweeps.runs) else "fair",
+                      "text": "largest bias by smoothing and encoders alone"})  # fmt: skip
+    for _, v in result.improvements[:2]:
+        cards.append({"value": change(v.ratio), "mood": "", "text": f"of the median error by {v.improvement}"})
+    if result.certificate is not None:
+        c = result.certificate
+        cards.append({"value": percent(c.overall), "mood": "good" if c.holds else "bad",
+                      "text": f"of 95 % intervals held the truth on {c.twins} twins"})  # fmt: skip
+    return cards
+
+
+def _improvements(result: Accuracy) -> list[list[str]]:
+    if result.sweeps is None:
+        return []
+    own = max(result.sweeps.own.prediction, 1e-300)
+    return [
+        [v.improvement, change(v.ratio),
+         DASH if v.source == "formula" else f"{change(v.ratio_low)} … {change(v.ratio_high)}", change(v.prediction / own), v.source]
+        for _, v in result.improvements
+    ]  # fmt: skip
+
+
+def _parameters(result: Accuracy) -> list[dict[str, Any]]:
+    base, bench, sweeps = result.bench.problem.row_model.base, result.bench, result.sweeps
+    rows = []
+    for k, (label, unit) in enumerate(zip(base.labels, base.units, strict=True)):
+        row = {"index": k + 1, "label": label, "unit": unit, "value": number(bench.truth[k]), "std": number(bench.estimate.std[k], 3)}
+        if sweeps is not None:
+            own = sweeps.own
+            row |= {
+                "bias": f"{number(own.bias[k], 2)} ± {number(own.bias_error[k], 2)}", "sim": f"{number(own.std[k], 3)} ± "
+                f"{number(own.std_error[k], 2)}", "rms": number(own.rms[k], 3),
+                "formula": DASH if sweeps.formula is None else number(sweeps.formula[k], 3),
+            }  # fmt: skip
+        worst = max(result.susceptibility, key=lambda s: np.nan_to_num(abs(s.sigmas[k])), default=None)
+        row["worst"] = DASH
+        if worst is not None and np.isfinite(worst.sigmas[k]) and abs(worst.sigmas[k]) >= NO_BIAS:
+            row["worst"] = f"{worst.effect.spec} ({number(abs(worst.sigmas[k]), 2)} σ)"
+        rows.append(row)
+    return rows
+
+
+def _coverage_rows(result: Accuracy) -> list[dict[str, Any]]:
+    c = result.certificate
+    assert c is not None
+    low, high = c.intervals
+    labels = result.bench.problem.row_model.base.labels
+    return [
+        {
+            "index": k + 1, "label": labels[k], "coverage": percent(c.coverage[k]),
+            "interval": f"{percent(low[k])} … {percent(high[k])}", "bad": bool(c.coverage[k] < c.band[0] - 1e-12),
+            "mean": number(c.mean_z[k], 2), "std": number(c.std_z[k], 3),
+        }
+        for k in range(len(labels))
+    ]  # fmt: skip
+
+
+def _how(result: Accuracy) -> list[tuple[str, str]]:
+    bench = result.bench
+    channels = bench.problem.row_model.channels
+    noise = ", ".join(f"{n} {number(s, 2)} {u}" for n, s, u in zip(channels.names, bench.noise.std, channels.units, strict=True))
+    colour = "white" if bench.noise.order == 0 else f"autoregressive of order {bench.noise.order}"
+    encoder = f"counts of {number(bench.resolution, 2)}" if bench.resolution else "no counts known"
+    if bench.position_std.any():
+        encoder += f"; random errors of {number(float(bench.position_std.max()), 2)} at most"
+    rows = [
+        ("True motion", "the recording's own, its positions smoothed; each twin starts a random part of a sample later"),
+        ("True links", "the nominal ones" if bench.nominal else "those with the estimated base parameters, nearest to the nominal ones"),
+        ("True effects", ", ".join(t.effect.spec for t in bench.terms) or "none"),
+        ("Noise of a reading", f"{noise}; {colour}, from what the fit leaves, model error included"),
+        ("Encoders", encoder),
+    ]
+    if result.sweeps is not None:
+        rows.append(("Twins", f"{result.sweeps.runs} of every simulated level, all from seed {result.sweeps.seed}"))
+    return [*rows, run_times(result.seconds), versions("numpy", "scipy", "pin")]

@@ -1,0 +1,175 @@
+"""Figures of `accuracy`: errors over each factor, and bias by effects left out."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
+
+from bayesid.report.figures import GREY, NOISE, add_legend, make_grid, plain_log, styled
+from bayesid.report.notation import short_names
+from bayesid.results.accuracy_text import NO_BIAS
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from bayesid.design.accuracy.sweeps import Level, Sweep, Sweeps
+    from bayesid.results.accuracy import Accuracy
+
+_BLUE, _RED = "#1d4ed8", "#c2410c"
+_HEAT = "YlOrRd"
+#: Effects that the map shows, and base parameters from which their names are numbers only.
+SHOWN_EFFECTS, _NAMED = 40, 48
+_PANELS = 3
+
+
+@styled
+def sweeps_figure(result: Accuracy) -> Figure:
+    """Error over the user's own by factor: curves where a factor has numbers, dots where it has none."""
+    sweeps = result.sweeps
+    assert sweeps is not None
+    curves = [s for s in sweeps.sweeps if s.levels[s.own].value is not None]
+    others = [s for s in sweeps.sweeps if s.levels[s.own].value is None]
+    rows = [(s, k, v) for s in others for k, v in enumerate(s.levels) if v.source != "refused"]
+    lines = -(-len(curves) // _PANELS)
+    height, dots = 1.75, 0.27 * len(rows) + 0.1
+    top, bottom, space = 0.75, 0.5, 0.85
+    total = top + lines * (height + space) + (dots + 0.35 if rows else 0.0) + bottom
+    figure = Figure(figsize=(10.4, total))
+    left, width, gap = 0.62, 2.75, 0.52
+    for i, s in enumerate(curves):
+        row, column = divmod(i, _PANELS)
+        at = (left + column * (width + gap), total - top - row * (height + space) - height, width, height)
+        ax = figure.add_axes((at[0] / 10.4, at[1] / total, at[2] / 10.4, at[3] / total))
+        _curve(ax, s, sweeps)
+    if rows:
+        names = 4.35
+        ax = figure.add_axes((names / 10.4, bottom / total, (10.2 - names) / 10.4, dots / total))
+        _dots(ax, rows, sweeps)
+    first = figure.axes[0]
+    add_legend(figure, *first.get_legend_handles_labels())
+    return figure
+
+
+def _relative(level: Level, own: Level) -> np.ndarray:
+    """Error of every base parameter over the user's own."""
+    ratio = level.rms / np.maximum(own.rms, 1e-300)
+    return ratio[np.isfinite(ratio)]
+
+
+def _quantiles(level: Level, sweeps: Sweeps) -> tuple[float, float]:
+    """Range of the middle 80 % of the parameters, scaled as the median is."""
+    ratio = _relative(level, sweeps.own)
+    if not len(ratio):
+        return np.nan, np.nan
+    scale = level.ratio / float(np.median(ratio))
+    return float(scale * np.quantile(ratio, 0.1)), float(scale * np.quantile(ratio, 0.9))
+
+
+def _curve(ax: Axes, sweep: Sweep, sweeps: Sweeps) -> None:
+    levels = [v for v in sweep.levels if v.source != "refused"]
+    x = np.arange(len(levels))
+    middle = np.array([v.ratio for v in levels])
+    low, high = np.array([_quantiles(v, sweeps) for v in levels]).T
+    ax.fill_between(x, low, high, color=_BLUE, alpha=0.13, lw=0, label="middle 80 % of the parameters")
+    bars = np.abs(np.array([[v.ratio - v.ratio_low, v.ratio_high - v.ratio] for v in levels]).T)
+    ax.errorbar(x, middle, yerr=bars, color=_BLUE, marker="o", ms=4, lw=1.3, capsize=2.5, label="median error of the base parameters")
+    own = max(sweeps.own.prediction, 1e-300)
+    predicted = np.array([v.prediction for v in levels]) / own
+    spread = 1.96 * np.array([v.prediction_error for v in levels]) / own
+    ax.errorbar(x, predicted, yerr=np.minimum(spread, 0.95 * predicted), color=_RED, marker="s", ms=3.5, lw=1.0, ls="--", capsize=2.5,
+                label="error of predictions")  # fmt: skip
+    formula = [k for k, v in enumerate(levels) if v.source == "formula"]
+    ax.plot(x[formula], middle[formula], "o", ms=8, mfc="none", mec=_BLUE, mew=0.9, label="by formula")
+    at = next(k for k, v in enumerate(levels) if v is sweep.levels[sweep.own])
+    ax.axvline(at, color=NOISE, lw=1.0, zorder=0)
+    ax.axhline(1.0, color=GREY, lw=0.7, zorder=0)
+    ax.set_yscale("log")
+    _limits(ax, np.concatenate([low, high, predicted, middle]))
+    ax.set_xticks(x, ["yours" if k == at else _tick(v.label) for k, v in enumerate(levels)], fontsize=8)
+    ax.margins(x=0.08)
+    ax.set_title(sweep.title)
+    ax.set_xlabel(f"yours: {sweep.levels[sweep.own].label}", fontsize=8)
+    ax.grid(axis="x", visible=False)
+
+
+def _tick(label: str) -> str:
+    short = label.partition(" (")[0].replace("noise std", "std").replace("repeated ", "×").replace(" times", "")
+    return short.replace("first ", "")
+
+
+def _limits(ax: Axes, values: np.ndarray) -> None:
+    values = values[np.isfinite(values) & (values > 0)]
+    low, high = min(values.min(initial=1.0), 0.7), max(values.max(initial=1.0), 1.5)
+    ax.set_ylim(low / 1.25, high * 1.25)
+    plain_log(ax.yaxis)
+
+
+def _dots(ax: Axes, rows: list[tuple[Sweep, int, Level]], sweeps: Sweeps) -> None:
+    y = np.arange(len(rows), dtype=float)
+    own = max(sweeps.own.prediction, 1e-300)
+    reached = [1.0]
+    for k, (_, _, v) in enumerate(rows):
+        low, high = _quantiles(v, sweeps)
+        if np.isfinite(v.ratio):
+            ax.hlines(y[k], low, high, color=_BLUE, lw=6, alpha=0.15)
+            ax.errorbar(v.ratio, y[k], xerr=[[max(v.ratio - v.ratio_low, 0)], [max(v.ratio_high - v.ratio, 0)]], color=_BLUE, marker="o",
+                        ms=4.5, capsize=2.5, lw=1.2)  # fmt: skip
+            reached += [low, high, v.ratio_low, v.ratio_high]
+        if np.isfinite(v.prediction):
+            ax.plot(v.prediction / own, y[k] + 0.18, "s", ms=3.5, color=_RED)
+            reached.append(v.prediction / own)
+    labels, before = [], ""
+    for sweep, index, v in rows:
+        text = v.label + (" (yours)" if index == sweep.own else "")
+        labels.append(text if len(text) <= 62 else text[:60] + " …")
+        if before and before != sweep.name:
+            ax.axhline(len(labels) - 1.5, color="#94a3b8", lw=0.7)
+        before = sweep.name
+    ax.axvline(1.0, color=NOISE, lw=1.0, zorder=0)
+    ax.set_xscale("log")
+    values = np.array([r for r in reached if np.isfinite(r) and r > 0])
+    ax.set_xlim(min(values.min() / 1.25, 0.7), max(values.max() * 1.25, 1.5))
+    plain_log(ax.xaxis)
+    ax.set_yticks(y, labels)
+    ax.set_ylim(len(y) - 0.4, -0.6)
+    ax.tick_params(axis="y", length=0)
+    ax.grid(axis="y", visible=False)
+    ax.set_title("Error over that of your own setting")
+
+
+@styled
+def susceptibility_figure(result: Accuracy) -> Figure:
+    """Bias of each base parameter in standard deviations by each effect left out, largest first."""
+    shown = [s for s in result.susceptibility if s.largest >= NO_BIAS][:SHOWN_EFFECTS]
+    base = result.bench.problem.row_model.base
+    matrix = np.abs(np.array([s.sigmas for s in shown])).reshape(len(shown), base.rank)
+    names = [s.effect.spec for s in shown]
+    margin = 0.35 + 0.068 * max(map(len, names), default=0)
+    short = short_names(base)
+    many = base.rank > _NAMED
+    figure, axes = make_grid(1, 1, 0.19 * max(len(shown), 1), left=margin, right=1.0, top=0.35)
+    size = figure.get_size_inches()
+    below = 0.45 if many else 0.3 + 0.072 * max(map(len, short))
+    figure.set_size_inches(size[0], size[1] - 0.45 + below)
+    total = size[1] - 0.45 + below
+    figure.subplots_adjust(left=margin / 10.4, right=1 - 1.0 / 10.4, top=1 - 0.35 / total, bottom=below / total)
+    ax = axes[0, 0]
+    top = float(np.nanmax(matrix, initial=10.0))
+    values = np.where(matrix >= 0.1, matrix, np.nan)
+    mesh = ax.pcolormesh(np.arange(base.rank + 1) - 0.5, np.arange(len(shown) + 1) - 0.5, values, cmap=_HEAT,
+                         norm=LogNorm(0.1, max(top, 10.0)))  # fmt: skip
+    ax.set_yticks(np.arange(len(shown)), names, fontsize=8)
+    ax.set_ylim(len(shown) - 0.5, -0.5)
+    if many:
+        ax.set_xlabel("base parameter, numbers as in the table")
+    else:
+        ax.set_xticks(np.arange(base.rank), short, rotation=90, fontsize=7.5)
+    ax.grid(visible=False)
+    ax.set_title("Bias by an effect of usual size that the model lacks [standard deviations]")
+    bar = figure.add_axes(((10.4 - 0.75) / 10.4, below / total, 0.14 / 10.4, 1 - (0.35 + below) / total))
+    figure.colorbar(mesh, cax=bar)
+    plain_log(bar.yaxis)
+    return figure

@@ -1,0 +1,111 @@
+"""What ``accuracy`` found as text, for a terminal or a notebook."""
+
+from __future__ import annotations
+
+from html import escape
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from bayesid.design.accuracy.susceptibility import Susceptibility
+from bayesid.results.text import DASH, channel_text, html_table, number, percent, text_table
+
+if TYPE_CHECKING:
+    from bayesid.design.accuracy.sweeps import Level, Sweeps
+    from bayesid.results.accuracy import Accuracy
+
+#: Effects that a summary lists.
+_SHOWN_EFFECTS = 10
+#: A bias of less than this many standard deviations is none.
+NO_BIAS = 0.01
+
+
+def accuracy_text(result: Accuracy, *, html: bool = False) -> str:
+    """Improvements, sweeps, susceptibility and coverage.
+
+    Parameters
+    ----------
+    result
+        What was found.
+    html
+        As HTML tables instead of text.
+    """
+    bench = result.bench
+    title = (
+        f"{bench.experiment.name}: accuracy of {bench.rank} base parameters by {bench.method.name} from the "
+        f"{channel_text(bench.problem.channel)} of {', '.join(bench.problem.fitted)}"
+    )
+    parts: list[tuple[str, list[str], list[list[str]]]] = []
+    if result.sweeps is not None:
+        sweeps = result.sweeps
+        rows = [[v.improvement, change(v.ratio), change(v.prediction / max(sweeps.own.prediction, 1e-300)), v.source]
+                for _, v in result.improvements]  # fmt: skip
+        if rows:
+            parts.append(("What would buy most", ["change", "median error", "prediction", "by"], rows))
+        rows = [[s.title if k == 0 else "", *level_cells(v, k == s.own, sweeps)] for s in sweeps.sweeps for k, v in enumerate(s.levels)]
+        head = ["factor", "level", "median error", "95 %", "prediction", "lost"]
+        parts.append((f"One factor at a time, {sweeps.runs} twins a level", head, rows))
+    if result.susceptibility:
+        rows = [effect_cells(s, result.labels) for s in result.susceptibility[:_SHOWN_EFFECTS]]
+        head = ["effect left out", "size", "largest bias", "of", "prediction"]
+        parts.append(("Bias by effects left out of the model", head, rows))
+    notes = [coverage_text(result), *(f"warning: {w}" for w in result.warnings)]
+    if html:
+        tables = "".join(f"<p><b>{escape(name)}</b></p>{html_table(head, rows)}" for name, head, rows in parts)
+        return f"<p>{escape(title)}</p>{tables}{''.join(f'<p>{escape(n)}</p>' for n in notes if n)}"
+    lines = [title]
+    for name, head, rows in parts:
+        lines += ["", name, *text_table(head, rows)]
+    return "\n".join([*lines, "", *(f"  {n}" for n in notes if n)]).rstrip()
+
+
+def change(ratio: float) -> str:
+    """A ratio as a change in per cent, or as a factor where it is large."""
+    if not np.isfinite(ratio):
+        return DASH
+    if ratio >= 3.0:
+        return f"× {number(ratio, 2)}"
+    return f"{100 * (ratio - 1):+.0f} %".replace("-", "−") if abs(ratio - 1) >= 0.005 else "0 %"
+
+
+def level_cells(level: Level, own: bool, sweeps: Sweeps) -> list[str]:
+    """Label, change of the median error, its interval, prediction error, parameters lost."""
+    if level.source == "refused":
+        return [level.label, "cannot be fitted", "", "", ""]
+    if own:
+        return [f"{level.label} (yours)", "", "", percent(level.prediction), ""]
+    sure = "formula" if level.source == "formula" else f"{change(level.ratio_low)} … {change(level.ratio_high)}"
+    lost = f"{level.lost} of {len(level.std)}" if level.lost else ""
+    return [level.label, change(level.ratio), sure, percent(level.prediction), lost]
+
+
+def effect_cells(s: Susceptibility, labels: tuple[str, ...]) -> list[str]:
+    """Effect and place, size, largest bias in standard deviations, of which parameter, error of predictions."""
+    none = s.largest < NO_BIAS
+    return [s.effect.spec, size_text(s), "none" if none else f"{number(s.largest, 2)} σ", "" if none else _short(labels[s.most_biased]),
+            percent(s.prediction, 2) if s.prediction > 1e-12 else "0 %"]  # fmt: skip
+
+
+def size_text(s: Susceptibility) -> str:
+    """Its first parameters with units."""
+    values = [(p, v, q.unit) for p, v, q in zip(s.effect.parameters, s.values, s.effect.quantities, strict=True)]
+    shown = [f"{p} {number(v, 2)}{'' if u == '1' else ' ' + u}" for p, v, u in values[:2]]
+    return ", ".join(shown) + (" …" if len(values) > 2 else "")
+
+
+def _short(label: str) -> str:
+    first = label.split(" ")
+    return label if len(label) <= 24 else " ".join(first[:2 if first[0][:1] != "I" else 1]) + " …"
+
+
+def coverage_text(result: Accuracy) -> str:
+    """One sentence on the certificate; empty without."""
+    c = result.certificate
+    if c is None:
+        return ""
+    low, high = c.band
+    return (
+        f"Coverage of 95 % intervals on {c.twins} twins: {percent(c.overall)} ± {percent(1.96 * c.overall_error, 2)} overall, "
+        f"{percent(float(np.nanmin(c.coverage)))} to {percent(float(np.nanmax(c.coverage)))} by parameter; exact intervals keep to "
+        f"{percent(low)} … {percent(high)}: " + ("they hold." if c.holds else "some are too short.")
+    )

@@ -1,0 +1,177 @@
+"""The verb ``accuracy``: what errors depend on, what effects left out of the model do, whether intervals hold the truth."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from bayesid.design.accuracy.bench import Bench, make_bench
+from bayesid.design.accuracy.certificate import Certificate, certify
+from bayesid.design.accuracy.susceptibility import susceptibility
+from bayesid.design.accuracy.sweeps import Sweeps, sweep
+from bayesid.errors import InputError
+from bayesid.estimators import DEFAULT_METHOD, METHODS, Estimator, estimator
+from bayesid.recordings.experiment import Experiment, as_experiment
+from bayesid.regression.options import FitOptions
+from bayesid.results.accuracy import Accuracy
+from bayesid.results.figures import figures_of
+from bayesid.results.files import Files, files_of
+from bayesid.results.identification import Identification
+from bayesid.signals.filters import LowPass
+from bayesid.workflows.progress import Clock, Progress, quiet
+from bayesid.workflows.warnings import incomplete
+
+#: Fewest twins of a level that a standard deviation can be taken of.
+_FEWEST_RUNS = 5
+#: Simulation and formula of the user's own setting may differ by this many standard errors.
+_FAR = 4.0
+
+
+def accuracy(
+    experiment: Experiment | Identification | str | Path,
+    channel: str | None = None,
+    method: str | Estimator | None = None,
+    *,
+    runs: int = 20,
+    certificate: int = 0,
+    nominal: bool = False,
+    low_pass: LowPass | None = None,
+    motions: Sequence[str] | None = None,
+    effects: Sequence[str] | None = None,
+    static: str = "motion",
+    bandwidth: float | None = None,
+    seed: int = 0,
+    kept: str | Path | None = None,
+    resume: bool = False,
+    progress: Progress = quiet,
+) -> Accuracy:
+    """How accurate an identification is, and what its accuracy depends on.
+
+    Parameters
+    ----------
+    experiment
+        Loaded, its folder, or what `bayesid.identify` found of it; then the options of the fit are its own.
+    channel, low_pass, motions, effects, static, bandwidth
+        As in `bayesid.identify`.
+    method
+        Name of an estimator, or an object with ``fit(regression)``; default that of the identification, or
+        `bayesid.DEFAULT_METHOD`.
+    runs
+        Twins that are simulated of every level of a factor; 0: no factor is varied.
+    certificate
+        Twins that coverage is counted on; 0: none.
+    nominal
+        Take the nominal links for the true ones, instead of the estimated.
+    seed
+        Of everything random.
+    kept, resume
+        File that keeps the certificate's twins while it runs, and whether to go on from it.
+    progress
+        Called with what is going on.
+
+    Raises
+    ------
+    InputError
+        Bad input; the message says what to do.
+    """
+    if runs and runs < _FEWEST_RUNS:
+        raise InputError(f"--runs {runs}: give at least {_FEWEST_RUNS}, or 0 to vary nothing")
+    if certificate < 0 or runs < 0:
+        raise InputError(f"--{'runs' if runs < 0 else 'twins'} {min(runs, certificate)}: give a positive number, or 0 for none")
+    clock = Clock(progress)
+    # The matrices are small: threads inside the linear algebra cost more than they gain here.
+    with threadpool_limits(1, user_api="blas"):
+        clock("reading")
+        options = FitOptions(channel, low_pass, motions, effects, static, bandwidth)
+        bench = _bench(experiment, method, options, nominal, clock)
+        varied = None
+        if runs:
+            clock("simulating")
+            varied = sweep(bench, runs, seed, progress)
+        std = bench.estimate.std
+        if varied is not None:
+            std = np.where(np.isfinite(std), std, varied.own.std)
+        clock("effects left out")
+        biases = susceptibility(bench, std, tell=progress)
+        found = None
+        if certificate:
+            clock("certificate")
+            found = certify(bench, certificate, seed, progress, None if kept is None else Path(kept), resume)
+    return Accuracy(bench, std, varied, biases, found, _warnings(bench, varied, found), clock.stop())
+
+
+@figures_of.register
+def _(result: Accuracy) -> Mapping[str, Callable[..., Any]]:
+    from bayesid.report import accuracy_figures, certificate_figures
+
+    return {
+        "sweeps": partial(accuracy_figures.sweeps_figure, result),
+        "susceptibility": partial(accuracy_figures.susceptibility_figure, result),
+        "certificate": partial(certificate_figures.certificate_figure, result.certificate, result.bench.problem.row_model.base),
+    }
+
+
+@files_of.register
+def _(result: Accuracy) -> Files:
+    """``accuracy.json`` and the report."""
+    from bayesid.report.accuracy import accuracy_report
+
+    return Files({"accuracy.json": result.to_dict()}, {}, accuracy_report(result))
+
+
+def _bench(
+    given: Experiment | Identification | str | Path, method: str | Estimator | None, options: FitOptions, nominal: bool, clock: Clock
+) -> Bench:
+    """The bench of an experiment that is fitted now, or of one that was."""
+    if not isinstance(given, Identification):
+        experiment = as_experiment(given, "an Identification")
+        clock("estimate")
+        return make_bench(experiment, estimator(method or DEFAULT_METHOD), options, nominal=nominal)
+    if options != FitOptions():
+        raise InputError("accuracy: an identification has its own channel, motions, effects and filter; leave them out")
+    problem, estimate = given.problem, given.estimate
+    if method is None and estimate.method not in METHODS:
+        raise InputError(f"accuracy: the estimator '{estimate.method}' is your own; pass it as method, too")
+    smoother = problem.smoother
+    own = FitOptions(
+        problem.channel, problem.row_model.filters, problem.fitted, problem.effects,
+        "joint" if problem.static == "joint" else "motion", smoother.bandwidth if smoother.reason == "as given" else None,
+    )  # fmt: skip
+    return make_bench(problem.experiment, estimator(method or estimate.method), own, problem, estimate, nominal=nominal)
+
+
+def _warnings(bench: Bench, varied: Sweeps | None, found: Certificate | None) -> tuple[str, ...]:
+    """What the user should know, most important first."""
+    out = []
+    if found is not None and not found.holds:
+        short = [n for n, c in zip(found.names, found.coverage, strict=True) if c < found.band[0]]
+        out.append(
+            f"The intervals of {len(short)} of {len(found.names)} base parameters hold the truth less often than 95 % intervals "
+            f"should ({', '.join(short[:3])}{' …' if len(short) > 3 else ''}): take them for longer than they are printed, or "
+            "choose another --method."
+        )
+    details = bench.estimate.details
+    if details.model_complete is False:
+        out.append(incomplete(details.dispersion))
+        out.append(
+            "What the model misses is in the twins as noise of the same spectrum, without its dependence on the motion: real errors "
+            "may be larger than simulated ones. Look for the missing effect first (`bayesid diagnose`)."
+        )
+    if varied is not None and varied.formula is not None:
+        doubt = _FAR / np.sqrt(2.0 * (varied.runs - 1))
+        if abs(np.log(varied.agreement)) > doubt:
+            out.append(
+                f"Simulated standard deviations are {varied.agreement:.2f} times those of the formula: what the formula says of "
+                "noise and record length holds in proportion only."
+            )
+    if bench.predicted_motions == bench.problem.fitted:
+        out.append(
+            "No validation motion: errors of predictions are those of the fitted motions, which are predicted best. "
+            'Add a motion with role = "validation".'
+        )
+    return tuple(out)
