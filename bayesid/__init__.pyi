@@ -16,6 +16,7 @@ from .recordings.experiment import Experiment, Motion, Sensor, load_experiment
 from .recordings.table import Table
 from .recordings.writer import write_experiment
 from .regression.regression import Regression
+from .results.accuracy import Accuracy
 from .results.changes import Changes
 from .results.comparison import Comparison
 from .results.diagnosis import Diagnosis
@@ -29,6 +30,7 @@ from .signals.filters import LowPass
 from .simulation.simulation import Recorder, Simulation, simulate, write_simulation
 from .simulation.trajectories import Trajectory, fourier_trajectory
 from .simulation.trajectory_file import read_trajectory, write_trajectory
+from .workflows.accuracy import accuracy
 from .workflows.check import check
 from .workflows.compare import compare
 from .workflows.diagnose import diagnose
@@ -41,6 +43,7 @@ __version__: str
 __all__ = [
     "DEFAULT_METHOD",
     "METHODS",
+    "Accuracy",
     "BayesidError",
     "BayesidWarning",
     "Bounds",
@@ -78,6 +81,7 @@ __all__ = [
     "TotalLeastSquares",
     "Trajectory",
     "TruncatedSVD",
+    "accuracy",
     "check",
     "compare",
     "diagnose",

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 import bayesid
-from bayesid.cli.known_links import bounded
+from bayesid.cli.known_bounds import bounded
 from bayesid.cli.options import (
     BOUNDS,
     EXPERIMENT,

@@ -19,8 +19,7 @@ from bayesid.cli.options import (
 )
 from bayesid.errors import EstimationError
 from bayesid.estimators.prior_check import conflicts
-from bayesid.results.files import check_output
-from bayesid.workflows.sample import checkpoint_of
+from bayesid.results.files import check_output, checkpoint_of
 
 
 @click.command()

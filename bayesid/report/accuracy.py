@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
-from bayesid.report.accuracy_figures import SHOWN_EFFECTS, susceptibility_figure, sweeps_figure
-from bayesid.report.certificate_figures import certificate_figure
+from bayesid.report.accuracy_figures import SHOWN_EFFECTS, certificate_figure, susceptibility_figure, sweeps_figure
+from bayesid.report.notation import short_names
 from bayesid.report.page import render, run_times, svg, versions
 from bayesid.results.accuracy import Accuracy
 from bayesid.results.accuracy_text import NO_BIAS, change, coverage_text, effect_cells, level_cells
@@ -25,27 +26,27 @@ def accuracy_report(result: Accuracy) -> str:
     return render(
         "accuracy.html",
         name=bench.experiment.name,
-        kicker=f"Accuracy of {bench.rank} base parameters by {bench.method.name}, from the {channel_text(bench.problem.channel)} of "
-        f"{', '.join(bench.problem.fitted)}",
+        kicker=f"Accuracy of {bench.rank} base parameters by {bench.method.name}, from the "
+        f"{channel_text(bench.problem.channel)} of {', '.join(bench.problem.fitted)}",
         warning_list=result.warnings,
         lead=_lead(result),
         card_list=_cards(result),
         improvements=_improvements(result),
-        sweeps="" if sweeps is None else svg(sweeps_figure(result), "sweeps"),
+        sweeps="" if sweeps is None else svg(sweeps_figure(sweeps), "sweeps"),
         factors=[] if sweeps is None else [
-            {"title": s.title, "rows": [{"cells": level_cells(v, k == s.own, sweeps), "own": k == s.own, "reason": v.reason,
+            {"title": s.title, "rows": [{"cells": level_cells(v, k == s.own), "own": k == s.own, "reason": v.reason,
                                          "source": v.source} for k, v in enumerate(s.levels)]}
             for s in sweeps.sweeps
         ],
         runs=0 if sweeps is None else sweeps.runs,
         predicted=", ".join(bench.predicted_motions),
-        map="" if not biased else svg(susceptibility_figure(result), "susceptibility"),
+        map="" if not biased else svg(bias_map(result), "susceptibility"),
         map_size=min(len(biased), SHOWN_EFFECTS),
         effects=[effect_cells(s, base.labels) for s in result.susceptibility],
         shown_effects=_MOST_EFFECTS,
         unbiased=len(result.susceptibility) - len(biased),
         certificate=None if certificate is None else {
-            "text": coverage_text(result), "plot": svg(certificate_figure(certificate, base), "certificate"),
+            "text": coverage_text(result.certificate), "plot": svg(coverage_figure(result), "certificate"),
             "rows": _coverage_rows(result), "refused": certificate.refused,
         },
         parameters=_parameters(result),
@@ -53,6 +54,20 @@ def accuracy_report(result: Accuracy) -> str:
         formula=sweeps is not None and sweeps.formula is not None,
         how=_how(result),
     )  # fmt: skip
+
+
+def bias_map(result: Accuracy) -> Figure:
+    """Bias of every base parameter by the effects that bias most."""
+    shown = [s for s in result.susceptibility if s.largest >= NO_BIAS][:SHOWN_EFFECTS]
+    base = result.bench.problem.row_model.base
+    matrix = np.array([s.sigmas for s in shown]).reshape(len(shown), base.rank)
+    return susceptibility_figure([s.effect.spec for s in shown], short_names(base), matrix)
+
+
+def coverage_figure(result: Accuracy) -> Figure:
+    """Coverage of every base parameter."""
+    assert result.certificate is not None
+    return certificate_figure(result.certificate, short_names(result.bench.problem.row_model.base))
 
 
 def _lead(result: Accuracy) -> str:
@@ -71,17 +86,19 @@ def _lead(result: Accuracy) -> str:
             f" Of the effects that the model lacks, {worst.effect.spec} of usual size would do most harm: a bias of "
             f"{number(worst.largest, 2)} standard deviations."
         )
-    return f"{text} {coverage_text(result)}".strip()
+    return f"{text} {coverage_text(result.certificate)}".strip()
 
 
 def _cards(result: Accuracy) -> list[dict[str, str]]:
     cards = []
     if result.sweeps is not None:
         own = result.sweeps.own
+        predicted = ", ".join(result.bench.predicted_motions)
         cards.append({"value": percent(own.prediction, 2), "mood": "",
-                      "text": f"of the signal of {', '.join(result.bench.predicted_motions)} is what noise makes predictions wrong by"})  # fmt: skip
+                      "text": f"of the signal of {predicted}: by so much predictions are wrong"})  # fmt: skip
         largest = float(np.max(np.abs(own.bias) / np.maximum(own.std, 1e-300)))
-        cards.append({"value": f"{number(largest, 2)} σ", "mood": "good" if largest < 0.5 + 3.0 / np.sqrt(result.sweeps.runs) else "fair",
+        good = largest < 0.5 + 3.0 / np.sqrt(result.sweeps.runs)
+        cards.append({"value": f"{number(largest, 2)} σ", "mood": "good" if good else "fair",
                       "text": "largest bias by smoothing and encoders alone"})  # fmt: skip
     for _, v in result.improvements[:2]:
         cards.append({"value": change(v.ratio), "mood": "", "text": f"of the median error by {v.improvement}"})
@@ -95,19 +112,19 @@ def _cards(result: Accuracy) -> list[dict[str, str]]:
 def _improvements(result: Accuracy) -> list[list[str]]:
     if result.sweeps is None:
         return []
-    own = max(result.sweeps.own.prediction, 1e-300)
-    return [
-        [v.improvement, change(v.ratio),
-         DASH if v.source == "formula" else f"{change(v.ratio_low)} … {change(v.ratio_high)}", change(v.prediction / own), v.source]
-        for _, v in result.improvements
-    ]  # fmt: skip
+    own, rows = max(result.sweeps.own.prediction, 1e-300), []
+    for _, v in result.improvements:
+        sure = DASH if v.source == "formula" else f"{change(v.ratio_low)} … {change(v.ratio_high)}"
+        rows.append([v.improvement, change(v.ratio), sure, change(v.prediction / own), v.source])
+    return rows
 
 
 def _parameters(result: Accuracy) -> list[dict[str, Any]]:
     base, bench, sweeps = result.bench.problem.row_model.base, result.bench, result.sweeps
     rows = []
     for k, (label, unit) in enumerate(zip(base.labels, base.units, strict=True)):
-        row = {"index": k + 1, "label": label, "unit": unit, "value": number(bench.truth[k]), "std": number(bench.estimate.std[k], 3)}
+        value, std = number(bench.truth[k]), number(bench.estimate.std[k], 3)
+        row = {"index": k + 1, "label": label, "unit": unit, "value": value, "std": std}
         if sweeps is not None:
             own = sweeps.own
             row |= {
@@ -146,9 +163,10 @@ def _how(result: Accuracy) -> list[tuple[str, str]]:
     encoder = f"counts of {number(bench.resolution, 2)}" if bench.resolution else "no counts known"
     if bench.position_std.any():
         encoder += f"; random errors of {number(float(bench.position_std.max()), 2)} at most"
+    links = "the nominal ones" if bench.nominal else "those with the estimated base parameters, nearest to the nominal ones"
     rows = [
         ("True motion", "the recording's own, its positions smoothed; each twin starts a random part of a sample later"),
-        ("True links", "the nominal ones" if bench.nominal else "those with the estimated base parameters, nearest to the nominal ones"),
+        ("True links", links),
         ("True effects", ", ".join(t.effect.spec for t in bench.terms) or "none"),
         ("Noise of a reading", f"{noise}; {colour}, from what the fit leaves, model error included"),
         ("Encoders", encoder),

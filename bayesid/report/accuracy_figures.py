@@ -2,34 +2,31 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
-from bayesid.report.figures import GREY, NOISE, add_legend, make_grid, plain_log, styled
-from bayesid.report.notation import short_names
-from bayesid.results.accuracy_text import NO_BIAS
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-    from bayesid.design.accuracy.sweeps import Level, Sweep, Sweeps
-    from bayesid.results.accuracy import Accuracy
+from bayesid.design.accuracy.certificate import Certificate
+from bayesid.design.accuracy.sweeps import Level, Sweep, Sweeps
+from bayesid.estimators.estimator import LEVEL
+from bayesid.report.figures import GREY, NOISE, PREDICTED, add_legend, make_grid, plain_log, styled
 
 _BLUE, _RED = "#1d4ed8", "#c2410c"
 _HEAT = "YlOrRd"
+#: Smaller biases are white [standard deviations].
+_WHITE = 0.1
+_TOP = 0.35
 #: Effects that the map shows, and base parameters from which their names are numbers only.
 SHOWN_EFFECTS, _NAMED = 40, 48
 _PANELS = 3
 
 
 @styled
-def sweeps_figure(result: Accuracy) -> Figure:
+def sweeps_figure(sweeps: Sweeps) -> Figure:
     """Error over the user's own by factor: curves where a factor has numbers, dots where it has none."""
-    sweeps = result.sweeps
-    assert sweeps is not None
     curves = [s for s in sweeps.sweeps if s.levels[s.own].value is not None]
     others = [s for s in sweeps.sweeps if s.levels[s.own].value is None]
     rows = [(s, k, v) for s in others for k, v in enumerate(s.levels) if v.source != "refused"]
@@ -75,12 +72,13 @@ def _curve(ax: Axes, sweep: Sweep, sweeps: Sweeps) -> None:
     low, high = np.array([_quantiles(v, sweeps) for v in levels]).T
     ax.fill_between(x, low, high, color=_BLUE, alpha=0.13, lw=0, label="middle 80 % of the parameters")
     bars = np.abs(np.array([[v.ratio - v.ratio_low, v.ratio_high - v.ratio] for v in levels]).T)
-    ax.errorbar(x, middle, yerr=bars, color=_BLUE, marker="o", ms=4, lw=1.3, capsize=2.5, label="median error of the base parameters")
+    dots = {"marker": "o", "ms": 4, "lw": 1.3, "capsize": 2.5}
+    ax.errorbar(x, middle, yerr=bars, color=_BLUE, label="median error of the base parameters", **dots)
     own = max(sweeps.own.prediction, 1e-300)
     predicted = np.array([v.prediction for v in levels]) / own
     spread = 1.96 * np.array([v.prediction_error for v in levels]) / own
-    ax.errorbar(x, predicted, yerr=np.minimum(spread, 0.95 * predicted), color=_RED, marker="s", ms=3.5, lw=1.0, ls="--", capsize=2.5,
-                label="error of predictions")  # fmt: skip
+    squares = {"marker": "s", "ms": 3.5, "lw": 1.0, "ls": "--", "capsize": 2.5}
+    ax.errorbar(x, predicted, yerr=np.minimum(spread, 0.95 * predicted), color=_RED, label="error of predictions", **squares)
     formula = [k for k, v in enumerate(levels) if v.source == "formula"]
     ax.plot(x[formula], middle[formula], "o", ms=8, mfc="none", mec=_BLUE, mew=0.9, label="by formula")
     at = next(k for k, v in enumerate(levels) if v is sweep.levels[sweep.own])
@@ -115,8 +113,8 @@ def _dots(ax: Axes, rows: list[tuple[Sweep, int, Level]], sweeps: Sweeps) -> Non
         low, high = _quantiles(v, sweeps)
         if np.isfinite(v.ratio):
             ax.hlines(y[k], low, high, color=_BLUE, lw=6, alpha=0.15)
-            ax.errorbar(v.ratio, y[k], xerr=[[max(v.ratio - v.ratio_low, 0)], [max(v.ratio_high - v.ratio, 0)]], color=_BLUE, marker="o",
-                        ms=4.5, capsize=2.5, lw=1.2)  # fmt: skip
+            sure = [[max(v.ratio - v.ratio_low, 0.0)], [max(v.ratio_high - v.ratio, 0.0)]]
+            ax.errorbar(v.ratio, y[k], xerr=sure, color=_BLUE, marker="o", ms=4.5, capsize=2.5, lw=1.2)
             reached += [low, high, v.ratio_low, v.ratio_high]
         if np.isfinite(v.prediction):
             ax.plot(v.prediction / own, y[k] + 0.18, "s", ms=3.5, color=_RED)
@@ -141,35 +139,68 @@ def _dots(ax: Axes, rows: list[tuple[Sweep, int, Level]], sweeps: Sweeps) -> Non
 
 
 @styled
-def susceptibility_figure(result: Accuracy) -> Figure:
-    """Bias of each base parameter in standard deviations by each effect left out, largest first."""
-    shown = [s for s in result.susceptibility if s.largest >= NO_BIAS][:SHOWN_EFFECTS]
-    base = result.bench.problem.row_model.base
-    matrix = np.abs(np.array([s.sigmas for s in shown])).reshape(len(shown), base.rank)
-    names = [s.effect.spec for s in shown]
-    margin = 0.35 + 0.068 * max(map(len, names), default=0)
-    short = short_names(base)
-    many = base.rank > _NAMED
-    figure, axes = make_grid(1, 1, 0.19 * max(len(shown), 1), left=margin, right=1.0, top=0.35)
-    size = figure.get_size_inches()
-    below = 0.45 if many else 0.3 + 0.072 * max(map(len, short))
-    figure.set_size_inches(size[0], size[1] - 0.45 + below)
-    total = size[1] - 0.45 + below
-    figure.subplots_adjust(left=margin / 10.4, right=1 - 1.0 / 10.4, top=1 - 0.35 / total, bottom=below / total)
-    ax = axes[0, 0]
-    top = float(np.nanmax(matrix, initial=10.0))
-    values = np.where(matrix >= 0.1, matrix, np.nan)
-    mesh = ax.pcolormesh(np.arange(base.rank + 1) - 0.5, np.arange(len(shown) + 1) - 0.5, values, cmap=_HEAT,
-                         norm=LogNorm(0.1, max(top, 10.0)))  # fmt: skip
-    ax.set_yticks(np.arange(len(shown)), names, fontsize=8)
-    ax.set_ylim(len(shown) - 0.5, -0.5)
-    if many:
-        ax.set_xlabel("base parameter, numbers as in the table")
-    else:
-        ax.set_xticks(np.arange(base.rank), short, rotation=90, fontsize=7.5)
+def susceptibility_figure(effects: Sequence[str], parameters: Sequence[str], sigmas: np.ndarray) -> Figure:
+    """Bias of each base parameter by each effect left out, as a map.
+
+    Parameters
+    ----------
+    effects, parameters
+        Their names (e,), (r,).
+    sigmas
+        In standard deviations (e, r).
+    """
+    matrix = np.abs(sigmas)
+    left, right = 0.35 + 0.068 * max(map(len, effects), default=0), 1.0
+    figure, ax, below = _over_parameters(parameters, 0.19 * max(len(effects), 1), left, right)
+    values = np.where(matrix >= _WHITE, matrix, np.nan)
+    top = max(float(np.nanmax(matrix, initial=10.0)), 10.0)
+    edges = np.arange(len(parameters) + 1) - 0.5, np.arange(len(effects) + 1) - 0.5
+    mesh = ax.pcolormesh(*edges, values, cmap=_HEAT, norm=LogNorm(_WHITE, top))
+    ax.set_yticks(np.arange(len(effects)), list(effects), fontsize=8)
+    ax.set_ylim(len(effects) - 0.5, -0.5)
     ax.grid(visible=False)
     ax.set_title("Bias by an effect of usual size that the model lacks [standard deviations]")
-    bar = figure.add_axes(((10.4 - 0.75) / 10.4, below / total, 0.14 / 10.4, 1 - (0.35 + below) / total))
+    width, total = figure.get_size_inches()
+    bar = figure.add_axes(((width - 0.75) / width, below / total, 0.14 / width, 1 - (_TOP + below) / total))
     figure.colorbar(mesh, cax=bar)
     plain_log(bar.yaxis)
     return figure
+
+
+@styled
+def certificate_figure(certificate: Certificate, parameters: Sequence[str]) -> Figure:
+    """Coverage of each base parameter, by their names (r,), with its 95 % interval, beside the band of exact intervals."""
+    figure, ax, _ = _over_parameters(parameters, 2.2, 0.7, 0.2)
+    x = np.arange(len(parameters))
+    low, high = 100 * certificate.intervals
+    share, band = 100 * certificate.coverage, 100 * np.array(certificate.band)
+    ax.axhspan(*band, color=NOISE, alpha=0.14, lw=0)
+    ax.axhline(100 * LEVEL, color=GREY, lw=0.8)
+    known = np.isfinite(share)
+    bad = known & (share < band[0] - 1e-9)
+    for part, colour in ((known & ~bad, _BLUE), (bad, PREDICTED)):
+        ax.vlines(x[part], low[part], high[part], color=colour, lw=1.5, alpha=0.5)
+        ax.plot(x[part], share[part], "o", ms=4, color=colour)
+    shown = np.concatenate([low[known], band])
+    ax.set_ylim(max(float(shown.min(initial=90.0)) - 1.0, 0.0), 100.6)
+    ax.grid(axis="x", visible=False)
+    ax.set_title(f"Intervals that held the truth, of {certificate.twins} twins [%]")
+    return figure
+
+
+def _over_parameters(parameters: Sequence[str], height: float, left: float, right: float) -> tuple[Figure, Axes, float]:
+    """A panel over base parameters, named below it unless they are too many; its margins and the one below in inches."""
+    many = len(parameters) > _NAMED
+    below = 0.45 if many else 0.3 + 0.072 * max(map(len, parameters), default=0)
+    figure, axes = make_grid(1, 1, height, left=left, right=right, top=_TOP)
+    width, total = figure.get_size_inches()[0], _TOP + height + below
+    figure.set_size_inches(width, total)
+    figure.subplots_adjust(left=left / width, right=1 - right / width, top=1 - _TOP / total, bottom=below / total)
+    ax = axes[0, 0]
+    ax.set_xlim(-0.5, len(parameters) - 0.5)
+    if many:
+        ax.set_xlabel("base parameter, numbers as in the table")
+        ax.xaxis.set_major_formatter(lambda value, _: f"{value + 1:g}")
+    else:
+        ax.set_xticks(np.arange(len(parameters)), list(parameters), rotation=90, fontsize=7.5)
+    return figure, ax, below

@@ -60,11 +60,14 @@ class Accuracy(Result):
 
     def __str__(self) -> str:
         """What buys most, what effects left out would do, and coverage."""
-        return accuracy_text(self)
+        return self._text()
 
     def _repr_html_(self) -> str:
         """The same tables for notebooks."""
-        return accuracy_text(self, html=True)
+        return self._text(html=True)
+
+    def _text(self, *, html: bool = False) -> str:
+        return accuracy_text(self.bench, self.sweeps, self.susceptibility, self.certificate, self.warnings, html=html)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -115,7 +118,7 @@ class Accuracy(Result):
         """``accuracy.json``."""
         bench, problem = self.bench, self.bench.problem
         low_pass = problem.row_model.filters
-        base = problem.row_model.base
+        base, truth = problem.row_model.base, bench.truth[: bench.rank]
         document: dict[str, Any] = {
             "schema": SCHEMA,
             "experiment": bench.experiment.name,
@@ -128,7 +131,7 @@ class Accuracy(Result):
             "truth": "nominal" if bench.nominal else "estimate",
             "base_parameters": [
                 {"name": n, "unit": u, "label": label, "value": v, "std": s}
-                for n, u, label, v, s in zip(base.names, base.units, base.labels, bench.truth[: bench.rank], self.std, strict=True)
+                for n, u, label, v, s in zip(base.names, base.units, base.labels, truth, self.std, strict=True)
             ],
             "noise": {
                 "std": dict(zip(problem.row_model.channels.names, bench.noise.std, strict=True)), "order": bench.noise.order,

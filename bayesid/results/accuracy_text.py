@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from html import escape
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from bayesid.design.accuracy.bench import Bench
+from bayesid.design.accuracy.certificate import Certificate
 from bayesid.design.accuracy.susceptibility import Susceptibility
+from bayesid.design.accuracy.sweeps import Level, Sweeps
 from bayesid.results.text import DASH, channel_text, html_table, number, percent, text_table
-
-if TYPE_CHECKING:
-    from bayesid.design.accuracy.sweeps import Level, Sweeps
-    from bayesid.results.accuracy import Accuracy
 
 #: Effects that a summary lists.
 _SHOWN_EFFECTS = 10
@@ -20,36 +19,33 @@ _SHOWN_EFFECTS = 10
 NO_BIAS = 0.01
 
 
-def accuracy_text(result: Accuracy, *, html: bool = False) -> str:
-    """Improvements, sweeps, susceptibility and coverage.
-
-    Parameters
-    ----------
-    result
-        What was found.
-    html
-        As HTML tables instead of text.
-    """
-    bench = result.bench
+def accuracy_text(
+    bench: Bench, sweeps: Sweeps | None, susceptibility: Sequence[Susceptibility], certificate: Certificate | None,
+    warnings: Sequence[str], *, html: bool = False,
+) -> str:  # fmt: skip
+    """Improvements, sweeps, susceptibility and coverage; fields of an `Accuracy`, as text or as HTML tables."""
+    labels = bench.problem.row_model.base.labels
     title = (
         f"{bench.experiment.name}: accuracy of {bench.rank} base parameters by {bench.method.name} from the "
         f"{channel_text(bench.problem.channel)} of {', '.join(bench.problem.fitted)}"
     )
     parts: list[tuple[str, list[str], list[list[str]]]] = []
-    if result.sweeps is not None:
-        sweeps = result.sweeps
+    if sweeps is not None:
         rows = [[v.improvement, change(v.ratio), change(v.prediction / max(sweeps.own.prediction, 1e-300)), v.source]
-                for _, v in result.improvements]  # fmt: skip
+                for _, v in sweeps.improvements()]  # fmt: skip
         if rows:
             parts.append(("What would buy most", ["change", "median error", "prediction", "by"], rows))
-        rows = [[s.title if k == 0 else "", *level_cells(v, k == s.own, sweeps)] for s in sweeps.sweeps for k, v in enumerate(s.levels)]
+    if sweeps is not None and html:  # too long for a terminal
+        rows = [
+            [s.title if k == 0 else "", *level_cells(v, k == s.own)] for s in sweeps.sweeps for k, v in enumerate(s.levels)
+        ]
         head = ["factor", "level", "median error", "95 %", "prediction", "lost"]
         parts.append((f"One factor at a time, {sweeps.runs} twins a level", head, rows))
-    if result.susceptibility:
-        rows = [effect_cells(s, result.labels) for s in result.susceptibility[:_SHOWN_EFFECTS]]
+    if susceptibility:
+        rows = [effect_cells(s, labels) for s in susceptibility[:_SHOWN_EFFECTS]]
         head = ["effect left out", "size", "largest bias", "of", "prediction"]
         parts.append(("Bias by effects left out of the model", head, rows))
-    notes = [coverage_text(result), *(f"warning: {w}" for w in result.warnings)]
+    notes = [coverage_text(certificate), *(f"warning: {w}" for w in warnings)]
     if html:
         tables = "".join(f"<p><b>{escape(name)}</b></p>{html_table(head, rows)}" for name, head, rows in parts)
         return f"<p>{escape(title)}</p>{tables}{''.join(f'<p>{escape(n)}</p>' for n in notes if n)}"
@@ -68,7 +64,7 @@ def change(ratio: float) -> str:
     return f"{100 * (ratio - 1):+.0f} %".replace("-", "−") if abs(ratio - 1) >= 0.005 else "0 %"
 
 
-def level_cells(level: Level, own: bool, sweeps: Sweeps) -> list[str]:
+def level_cells(level: Level, own: bool) -> list[str]:
     """Label, change of the median error, its interval, prediction error, parameters lost."""
     if level.source == "refused":
         return [level.label, "cannot be fitted", "", "", ""]
@@ -82,8 +78,8 @@ def level_cells(level: Level, own: bool, sweeps: Sweeps) -> list[str]:
 def effect_cells(s: Susceptibility, labels: tuple[str, ...]) -> list[str]:
     """Effect and place, size, largest bias in standard deviations, of which parameter, error of predictions."""
     none = s.largest < NO_BIAS
-    return [s.effect.spec, size_text(s), "none" if none else f"{number(s.largest, 2)} σ", "" if none else _short(labels[s.most_biased]),
-            percent(s.prediction, 2) if s.prediction > 1e-12 else "0 %"]  # fmt: skip
+    bias, of = ("none", "") if none else (f"{number(s.largest, 2)} σ", _short(labels[s.most_biased]))
+    return [s.effect.spec, size_text(s), bias, of, percent(s.prediction, 2) if s.prediction > 1e-12 else "0 %"]
 
 
 def size_text(s: Susceptibility) -> str:
@@ -98,14 +94,14 @@ def _short(label: str) -> str:
     return label if len(label) <= 24 else " ".join(first[:2 if first[0][:1] != "I" else 1]) + " …"
 
 
-def coverage_text(result: Accuracy) -> str:
-    """One sentence on the certificate; empty without."""
-    c = result.certificate
+def coverage_text(c: Certificate | None) -> str:
+    """One sentence on a certificate; empty without."""
     if c is None:
         return ""
     low, high = c.band
+    least, most = percent(float(np.nanmin(c.coverage))), percent(float(np.nanmax(c.coverage)))
     return (
         f"Coverage of 95 % intervals on {c.twins} twins: {percent(c.overall)} ± {percent(1.96 * c.overall_error, 2)} overall, "
-        f"{percent(float(np.nanmin(c.coverage)))} to {percent(float(np.nanmax(c.coverage)))} by parameter; exact intervals keep to "
-        f"{percent(low)} … {percent(high)}: " + ("they hold." if c.holds else "some are too short.")
+        f"{least} to {most} by parameter; exact intervals keep to {percent(low)} … {percent(high)}: "
+        + ("they hold." if c.holds else "some are too short.")
     )

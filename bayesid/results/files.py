@@ -21,6 +21,7 @@ from bayesid.recordings.whole import whole_folder
 REPORT = "report.html"
 #: What each verb writes beside the report.
 WRITTEN = {
+    "accuracy": ("accuracy.json",),
     "check": ("check.json",),
     "compare": ("comparison.json",),
     "diagnose": ("diagnosis.json", "model.toml", "next_motion.csv"),
@@ -99,6 +100,12 @@ def check_output(folder: str | Path, verb: str = "") -> Path:
     except OSError as error:
         raise InputError(f"--out {cut(str(folder), 120)}: cannot be written ({error.strerror}); name another folder") from None
     return folder
+
+
+def checkpoint_of(folder: str | Path) -> Path:
+    """Where a run that will be written into a folder keeps its unfinished state: beside it, hidden."""
+    folder = check_output(folder)
+    return folder.parent / f".{folder.name}-checkpoint.npz"
 
 
 def write_results(

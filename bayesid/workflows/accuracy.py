@@ -107,12 +107,14 @@ def accuracy(
 
 @figures_of.register
 def _(result: Accuracy) -> Mapping[str, Callable[..., Any]]:
-    from bayesid.report import accuracy_figures, certificate_figures
+    from bayesid.report.accuracy import bias_map, coverage_figure
+    from bayesid.report.accuracy_figures import sweeps_figure
 
+    varied = {} if result.sweeps is None else {"sweeps": partial(sweeps_figure, result.sweeps)}
     return {
-        "sweeps": partial(accuracy_figures.sweeps_figure, result),
-        "susceptibility": partial(accuracy_figures.susceptibility_figure, result),
-        "certificate": partial(certificate_figures.certificate_figure, result.certificate, result.bench.problem.row_model.base),
+        **varied,
+        "susceptibility": partial(bias_map, result),
+        "certificate": partial(coverage_figure, result),
     }
 
 
@@ -125,8 +127,9 @@ def _(result: Accuracy) -> Files:
 
 
 def _bench(
-    given: Experiment | Identification | str | Path, method: str | Estimator | None, options: FitOptions, nominal: bool, clock: Clock
-) -> Bench:
+    given: Experiment | Identification | str | Path, method: str | Estimator | None, options: FitOptions, nominal: bool,
+    clock: Clock,
+) -> Bench:  # fmt: skip
     """The bench of an experiment that is fitted now, or of one that was."""
     if not isinstance(given, Identification):
         experiment = as_experiment(given, "an Identification")
@@ -159,8 +162,8 @@ def _warnings(bench: Bench, varied: Sweeps | None, found: Certificate | None) ->
     if details.model_complete is False:
         out.append(incomplete(details.dispersion))
         out.append(
-            "What the model misses is in the twins as noise of the same spectrum, without its dependence on the motion: real errors "
-            "may be larger than simulated ones. Look for the missing effect first (`bayesid diagnose`)."
+            "What the model misses is in the twins as noise of the same spectrum, without its dependence on the motion: real "
+            "errors may be larger than simulated ones. Look for the missing effect first (`bayesid diagnose`)."
         )
     if varied is not None and varied.formula is not None:
         doubt = _FAR / np.sqrt(2.0 * (varied.runs - 1))

@@ -32,7 +32,7 @@ from bayesid.regression.problem import Problem, prepare
 from bayesid.regression.regression import Regression
 from bayesid.regression.rows import make_blocks
 from bayesid.results.figures import figures_of
-from bayesid.results.files import Files, check_output, files_of
+from bayesid.results.files import Files, files_of
 from bayesid.results.posterior import ExperimentPosterior
 from bayesid.robot.prior import Prior
 from bayesid.signals.filters import LowPass
@@ -310,9 +310,3 @@ def _warnings(posterior: Posterior, problem: Problem, validation: Sequence[Predi
             "take --prior nominal --prior-std 0.3 for both."
         )
     return tuple([*out, *problem.experiment.warnings])
-
-
-def checkpoint_of(folder: str | Path) -> Path:
-    """Where a run that will be written into a folder keeps its unfinished state: beside it, hidden."""
-    folder = check_output(folder)
-    return folder.parent / f".{folder.name}-checkpoint.npz"

@@ -1,8 +1,8 @@
 """The user's own experiment as a bench: its motion, its estimate taken for the truth, and the noise that was found.
 
-Everything is relative to it. Its smoothed positions are the true motion, the links that have the estimated base parameters (or the
-nominal ones) the true links, the effects of the model with their estimated values the plant, and the residuals of single samples
-the noise: autoregressive in time and correlated between channels, model error included where there is any.
+Everything is relative to it. Its smoothed positions are the true motion, the links that have the estimated base parameters (or
+the nominal ones) the true links, the effects of the model with their estimated values the plant, and the residuals of single
+samples the noise: autoregressive in time and correlated between channels, model error included where there is any.
 """
 
 from __future__ import annotations
@@ -19,8 +19,9 @@ from bayesid.estimators import Estimate, Estimator
 from bayesid.estimators.nonlinear import solve
 from bayesid.recordings.experiment import Experiment
 from bayesid.regression.options import FitOptions
-from bayesid.regression.problem import Problem, absorbed_offset, prepare
-from bayesid.regression.rows import Segment
+from bayesid.regression.problem import Problem, prepare
+from bayesid.regression.segment import Segment
+from bayesid.regression.structure import absorbed_offset
 from bayesid.signals.noise import NoiseModel, estimate_noise
 from bayesid.simulation.trajectories import RecordedMotion
 

@@ -9,7 +9,8 @@ import numpy as np
 from bayesid.effects import MotionSegment
 from bayesid.regression.motion_rows import MotionRows
 from bayesid.regression.problem import Problem, restrict
-from bayesid.regression.rows import RowModel, Segment
+from bayesid.regression.rows import RowModel
+from bayesid.regression.segment import Segment
 
 #: How velocities may be derived.
 VELOCITIES = ("smoothed", "central", "forward")
@@ -22,8 +23,8 @@ class DifferencedRows(RowModel):
     Attributes
     ----------
     kind
-        ``central``: ``v_k = (q_{k+1} - q_{k-1}) / (t_{k+1} - t_{k-1})``; ``forward``: ``v_k = (q_{k+1} - q_k) / (t_{k+1} - t_k)``,
-        which is the velocity half a sample later.
+        ``central``: ``v_k = (q_{k+1} - q_{k-1}) / (t_{k+1} - t_{k-1})``; ``forward``:
+        ``v_k = (q_{k+1} - q_k) / (t_{k+1} - t_k)``, which is the velocity half a sample later.
     """
 
     kind: str = "central"

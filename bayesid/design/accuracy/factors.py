@@ -183,7 +183,8 @@ def _velocity(bench: Bench) -> Factor:
     text = _filter_text(used)
     trials = [] if bench.options.low_pass else [Trial(f"smoothed positions, {text}", None, filtered)]
     trials += [Trial(f"{words}, {text}", None, replace(filtered, velocity=kind)) for kind, words in _VELOCITIES.items()]
-    return Factor("velocity", "Derivation of velocities", f"smoothed positions, {_filter_text(bench.options.low_pass)}", tuple(trials))
+    used_words = f"smoothed positions, {_filter_text(bench.options.low_pass)}"
+    return Factor("velocity", "Derivation of velocities", used_words, tuple(trials))
 
 
 def _offset(bench: Bench) -> Factor:

@@ -25,7 +25,7 @@ from bayesid.regression.linalg import solve
 from bayesid.regression.motion_rows import MotionRows
 from bayesid.regression.parallel import in_order
 from bayesid.regression.problem import restrict
-from bayesid.regression.rows import Segment
+from bayesid.regression.segment import Segment
 from bayesid.simulation.plant import plant_readings
 
 

@@ -4,10 +4,11 @@ Where the estimator is linear in the readings, the errors of its parameters are,
 
     e = A^-1 X'W n + e_q,     cov e = k^2 V_s + V_e,
 
-n the sensor's noise, k its factor and e_q what encoder errors make of the fit. V_s is the sandwich covariance of the fit to a twin
-with perfect encoders, V_e and the bias come from twins with a perfect sensor. A motion that is repeated m times, with fresh noise,
-leaves ``cov e / m`` and the same bias. All else is simulated: twins with fresh noise are made, fitted as the user's own data are,
-and compared with the truth. All settings use the same seeds, so that differences between them are less uncertain than either.
+n the sensor's noise, k its factor and e_q what encoder errors make of the fit. V_s is the sandwich covariance of the fit to a
+twin with perfect encoders, V_e and the bias come from twins with a perfect sensor. A motion that is repeated m times, with fresh
+noise, leaves ``cov e / m`` and the same bias. All else is simulated: twins with fresh noise are made, fitted as the user's own
+data are, and compared with the truth. All settings use the same seeds, so that differences between them are less uncertain than
+either.
 """
 
 from __future__ import annotations
