@@ -24,6 +24,7 @@ from .results.excitation import Excitation
 from .results.identification import Identification, summary
 from .results.inspection import Inspection
 from .results.posterior import ExperimentPosterior
+from .results.watch import Watch
 from .robot.prior import Prior
 from .robot.robot import Robot, load_robot
 from .signals.filters import LowPass
@@ -37,6 +38,7 @@ from .workflows.diagnose import diagnose
 from .workflows.excite import excite
 from .workflows.identify import identify
 from .workflows.sample import sample
+from .workflows.watch import watch
 
 __version__: str
 
@@ -81,6 +83,7 @@ __all__ = [
     "TotalLeastSquares",
     "Trajectory",
     "TruncatedSVD",
+    "Watch",
     "accuracy",
     "check",
     "compare",
@@ -98,6 +101,7 @@ __all__ = [
     "sample",
     "simulate",
     "summary",
+    "watch",
     "write_experiment",
     "write_simulation",
     "write_trajectory",

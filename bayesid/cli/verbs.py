@@ -26,6 +26,7 @@ VERBS = {
     "identify": "Base parameters with honest uncertainty, and link parameters.",
     "sample": "Draws from the posterior, with convergence checks.",
     "simulate": "A recording from the model, with known truth.",
+    "watch": "A series of recordings against one reference: what changed, when.",
 }
 
 

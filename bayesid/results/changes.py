@@ -85,7 +85,7 @@ class Changes(Result):
             "channel": c.recording.problem.channel,
             "verdict": c.verdict,
             "summary": verdict_sentence(c),
-            "effects": [_change(x) for x in c.changes],
+            "effects": [change_dict(x) for x in c.changes],
             "where": [self._place(p) for p in c.proof.places],
             "gap": self._gap(),
             "remainder": self._remainder(),
@@ -133,7 +133,8 @@ class Changes(Result):
         }  # fmt: skip
 
 
-def _change(x: Change) -> dict[str, Any]:
+def change_dict(x: Change) -> dict[str, Any]:
+    """An entry of ``effects`` in ``diagnosis.json``."""
     lead = x.found.lead
     return {
         "name": x.change.name, "where": x.change.where, "probability": x.probability, "log_bayes_factor": x.found.evidence,

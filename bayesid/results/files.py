@@ -28,6 +28,7 @@ WRITTEN = {
     "excite": ("excitation.json", "trajectory.csv"),
     "identify": ("estimate.json", "identified.urdf", "identified-unconstrained.urdf", "model.toml"),
     "sample": ("posterior.json", "posterior.nc"),
+    "watch": ("watch.json",),
 }
 
 

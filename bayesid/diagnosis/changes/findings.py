@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -155,16 +156,37 @@ def compare_with_reference(
     ------
     InputError
         They are not of the same robot, or cannot be fitted.
+    """
+    learn = partial(learn_reference, before, channel, effects)
+    return compare_with_learned(learn, after, motions=motions, seed=seed, settings=settings)
+
+
+def compare_with_learned(
+    learn: Callable[..., Reference],
+    after: Experiment,
+    *,
+    motions: Sequence[str] | None = None,
+    seed: int = 0,
+    settings: Settings = DEFAULT,
+) -> Comparison:
+    """The same for a reference that several recordings are compared with.
+
+    Parameters
+    ----------
+    learn
+        Gives what the reference says, at its own bandwidth or the one given [Hz].
+    after, motions, seed, settings
+        As in `compare_with_reference`.
 
     Notes
     -----
     Both are smoothed to the lower of the bandwidths that each of them would choose: where one of them shows no motion, what its
     regressor holds there is encoder noise.
     """
-    reference = learn_reference(before, channel, effects)
+    reference = learn()
     lower = chosen_bandwidth(reference, after, motions)
     if lower < reference.problem.smoother.bandwidth:
-        reference = learn_reference(before, channel, effects, lower)
+        reference = learn(lower)
     recording = read_recording(reference, after, motions)
     selection = select(reference, recording, settings)
     proof = prove(selection, recording, settings, seed)

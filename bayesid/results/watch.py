@@ -1,0 +1,173 @@
+"""What ``watch`` found in a series of recordings, and how it shows itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from bayesid.diagnosis.changes.findings import Change, Comparison
+from bayesid.results.changes import change_dict
+from bayesid.results.changes_text import value_text
+from bayesid.results.files import Result
+from bayesid.results.text import DASH, html_table, number, text_table
+
+SCHEMA = 1
+_WORDS = {
+    "named": "changed", "named_in_part": "changed, named in part", "ambiguous": "changed, ambiguous",
+    "unknown": "changed, unknown", "nothing_missing": "nothing changed",
+}  # fmt: skip
+HEAD = ["recording", "verdict", "what changed", "times the own fit"]
+
+
+@dataclass(frozen=True, eq=False)
+class Watched:
+    """One recording of the series.
+
+    Attributes
+    ----------
+    name
+        Of the recording.
+    comparison
+        What changed since the reference; None where it could not be compared.
+    complaint
+        Why it could not.
+    """
+
+    name: str
+    comparison: Comparison | None
+    complaint: str = ""
+
+    @property
+    def verdict(self) -> str:
+        """As in ``diagnosis.json``, or ``not_compared``."""
+        return "not_compared" if self.comparison is None else self.comparison.verdict
+
+    @property
+    def changes(self) -> tuple[Change, ...]:
+        """Those that are named."""
+        return () if self.comparison is None else self.comparison.changes
+
+    @property
+    def gap(self) -> float:
+        """What the reference leaves of the recording, in what the recording's own fit leaves; nan where not compared."""
+        proof = None if self.comparison is None else self.comparison.proof
+        return float("nan") if proof is None else float(np.sqrt(proof.reference / proof.floor))
+
+    @property
+    def evidence(self) -> float:
+        """Largest log evidence of a single change; nan where not compared."""
+        return float("nan") if self.comparison is None else max((e for _, e in self.comparison.scores), default=0.0)
+
+    @property
+    def words(self) -> str:
+        """The verdict in a few words."""
+        return _WORDS.get(self.verdict, "not compared")
+
+    @property
+    def line(self) -> list[str]:
+        """Cells of the table: name, verdict, what changed, the gap."""
+        if self.comparison is None:
+            return [self.name, self.words, self.complaint, DASH]
+        return [self.name, self.words, "; ".join(map(_told, self.changes)) or DASH, number(self.gap, 3)]
+
+    def __str__(self) -> str:
+        """One line."""
+        told = self.complaint or "; ".join(map(_told, self.changes))
+        gap = "" if self.comparison is None else f" ({number(self.gap, 3)} times the own fit)"
+        return f"{self.name}: {self.words}{f': {told}' if told else ''}{gap}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """An entry of ``watch.json``."""
+        out: dict[str, Any] = {"name": self.name, "verdict": self.verdict}
+        if self.comparison is None:
+            return {**out, "complaint": self.complaint}
+        p = self.comparison.proof
+        return {
+            **out, "effects": [change_dict(x) for x in self.changes], "gap": self.gap,
+            "gap_left": float(np.sqrt((p.after if self.changes else p.tolerance) / p.floor)),
+            "largest_log_evidence": self.evidence,
+        }  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Watch(Result):
+    """A series of recordings compared with one reference.
+
+    Attributes
+    ----------
+    reference
+        Its name.
+    folder
+        Its folder; None where it was made in memory.
+    recordings
+        In the order given.
+    accept
+        Log evidence that a change had to bring to be named.
+    planned
+        How many recordings the series has; more than there are where it was interrupted.
+    seconds
+        Run time.
+    """
+
+    reference: str
+    folder: str | None
+    recordings: tuple[Watched, ...]
+    accept: float
+    planned: int
+    seconds: float = 0.0
+
+    def __repr__(self) -> str:
+        changed = sum(bool(w.changes) for w in self.recordings)
+        return f"<Watch of {len(self.recordings)} recordings against {self.reference}: {changed} with changes>"
+
+    @property
+    def history(self) -> dict[str, tuple[str, ...]]:
+        """Recordings in which each change is named, by change, in order of the first."""
+        out: dict[str, tuple[str, ...]] = {}
+        for w in self.recordings:
+            for x in w.changes:
+                out[x.change.spec] = (*out.get(x.change.spec, ()), w.name)
+        return out
+
+    def sentences(self) -> list[str]:
+        """When each change came, and whether it stayed."""
+        names = [w.name for w in self.recordings]
+        out = []
+        for spec, where in self.history.items():
+            later = [w for w in self.recordings[names.index(where[0]) :] if w.comparison is not None]
+            part = "all" if len(later) == len(where) else f"{len(where)} of {len(later)}"
+            out.append(f"{spec}: first in {where[0]}" + (f", in {part} recordings from then on" if len(later) > 1 else ""))
+        if not out:
+            out.append("Nothing changed that these recordings could show")
+        if len(names) < self.planned:
+            out.append(f"Interrupted: {len(names)} of {self.planned} recordings were compared")
+        return out
+
+    def __str__(self) -> str:
+        """One line a recording, then when each change came."""
+        lines = text_table(HEAD, [w.line for w in self.recordings])
+        count = len(self.recordings)
+        head = f"{count} recordings since {self.reference}; a change is named from a log evidence of {self.accept:.3g}"
+        return "\n".join([head, *lines, *(f"  {s}." for s in self.sentences())])
+
+    def _repr_html_(self) -> str:
+        """The same for notebooks."""
+        return html_table(HEAD, [w.line for w in self.recordings]) + "".join(f"<p>{s}.</p>" for s in self.sentences())
+
+    def to_dict(self) -> dict[str, Any]:
+        """``watch.json``."""
+        return {
+            "schema": SCHEMA, "experiment": self.reference, "reference": self.folder or self.reference,
+            "log_evidence_needed": self.accept, "planned": self.planned,
+            "recordings": [w.to_dict() for w in self.recordings],
+            "history": {spec: list(where) for spec, where in self.history.items()},
+            "runtime_s": self.seconds,
+        }  # fmt: skip
+
+
+def _told(x: Change) -> str:
+    """``payload@joint6 m 2.78 ± 0.22 kg``."""
+    name, text, half, _, unit = value_text(x.values[0])
+    return f"{x.change.spec} {name} {text}{'' if half == DASH else f' ± {half}'} {unit}".rstrip()

@@ -1,0 +1,109 @@
+"""The verb ``watch``: a series of recordings against one reference."""
+
+from __future__ import annotations
+
+import functools
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from math import log
+from pathlib import Path
+
+from threadpoolctl import threadpool_limits
+
+from bayesid.diagnosis.changes.findings import compare_with_learned
+from bayesid.diagnosis.changes.reference import learn_reference
+from bayesid.diagnosis.settings import DEFAULT, Settings
+from bayesid.errors import BayesidError, InputError
+from bayesid.recordings.experiment import Experiment, as_experiment
+from bayesid.results.files import Files, files_of, strict
+from bayesid.results.watch import Watch, Watched
+from bayesid.workflows.progress import Progress, quiet
+
+
+def watch(
+    reference: Experiment | str | Path,
+    recordings: Sequence[Experiment | str | Path],
+    channel: str | None = None,
+    *,
+    motions: Sequence[str] | None = None,
+    effects: Sequence[str] | None = None,
+    seed: int = 0,
+    settings: Settings = DEFAULT,
+    progress: Progress = quiet,
+    tell: Callable[[Watched], object] = lambda _: None,
+) -> Watch:
+    """Compare recordings of a robot with one of its known state: what changed, and when.
+
+    Parameters
+    ----------
+    reference, recordings
+        Loaded, or their folders; recordings in the order of time.
+    channel, motions, effects, seed, settings, progress
+        As for `bayesid.diagnose` with a reference.
+    tell
+        Called with every recording as soon as it is compared.
+
+    Returns
+    -------
+    watch
+        One entry a recording. One that cannot be compared has the complaint instead; Ctrl-C ends the series with what there is.
+
+    Raises
+    ------
+    InputError
+        There are no recordings, one cannot be read, the reference cannot be fitted, or none could be compared.
+
+    Notes
+    -----
+    A Bayes factor of B is reached with a probability of at most 1 / B where nothing changed. So that the series as a whole names
+    falsely as rarely as a single recording does, each of n recordings has to bring log(n) more in log evidence (Bonferroni).
+    """
+    since = time.perf_counter()
+    progress("reading")
+    before = as_experiment(reference)
+    series = [as_experiment(r) for r in recordings]
+    if not series:
+        raise InputError("watch: there are no recordings; name at least one folder after the reference")
+    accept = settings.accept + log(len(series))
+    done: list[Watched] = []
+    with threadpool_limits(1, user_api="blas"):
+        progress("reference")
+        learn = functools.cache(functools.partial(learn_reference, before, channel, effects))
+        learn()
+        try:
+            for k, (after, name) in enumerate(zip(series, _names(series), strict=True), 1):
+                progress(f"recording {k} of {len(series)}: {name}")
+                try:
+                    found = compare_with_learned(
+                        learn, after, motions=motions, seed=seed, settings=replace(settings, accept=accept)
+                    )
+                    done.append(Watched(name, found))
+                except BayesidError as error:
+                    done.append(Watched(name, None, str(error)))
+                tell(done[-1])
+        except KeyboardInterrupt:
+            if not done:
+                raise
+    if all(w.comparison is None for w in done):
+        raise InputError(f"none of the recordings could be compared; the first, {done[0].name}: {done[0].complaint}")
+    folder = None if before.folder is None else str(before.folder)
+    return Watch(before.name, folder, tuple(done), accept, len(series), time.perf_counter() - since)
+
+
+def _names(series: Sequence[Experiment]) -> list[str]:
+    """Names of recordings; their folders' where they have the same."""
+    names = [e.name for e in series]
+    folders = [e.folder for e in series]
+    return [
+        name if names.count(name) == 1 else f"{name} ({k})" if folder is None else str(folder)
+        for k, (name, folder) in enumerate(zip(names, folders, strict=True), 1)
+    ]
+
+
+@files_of.register
+def _(result: Watch) -> Files:
+    """``watch.json`` and the report."""
+    from bayesid.report.watch import watch_report
+
+    return Files({"watch.json": strict(result.to_dict())}, {}, watch_report(result))

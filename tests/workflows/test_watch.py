@@ -1,0 +1,92 @@
+"""A series of recordings against one reference: what changed and when, told as it is found, and cut short without loss."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import bayesid
+from bayesid.cli import main
+from bayesid.recordings.experiment import Sensor
+from tests.simulated import experiment, puma2
+
+TOOL = {"payload@joint2": {"m": 0.5, "mcx": 0.1, "mcy": 0.02, "mcz": 0.0, "Ixx": 0.001, "Iyy": 0.02, "Izz": 0.02}}
+
+
+@pytest.fixture(scope="module")
+def series(tmp_path_factory):
+    """Reference, two recordings as it was, two with a tool."""
+    robot = puma2(tmp_path_factory.mktemp("arm"))
+    arm = experiment(robot, [], Sensor(translation=np.array([0.0, 0.0, -0.1])), position_resolution=1e-5)
+    path = [bayesid.fourier_trajectory(robot, duration=8.0, seed=1)]
+    made = [bayesid.simulate(arm, path, effects=TOOL if k > 2 else (), seed=k) for k in range(5)]
+    return [replace(m, name=f"day{k}") for k, m in enumerate(made)]
+
+
+@pytest.fixture(scope="module")
+def watched(series):
+    return bayesid.watch(series[0], series[1:])
+
+
+def test_the_first_recording_with_the_tool_is_told(watched, series, tmp_path):
+    assert [w.verdict for w in watched.recordings] == ["nothing_missing", "nothing_missing", "named", "named"]
+    assert watched.history == {"payload@joint2": ("day3", "day4")}
+    assert watched.sentences() == ["payload@joint2: first in day3, in all recordings from then on"]
+    for w in watched.recordings[2:]:
+        mass = w.changes[0].values[0]
+        assert abs(mass.value - 0.5) < 3.0 * mass.std
+    alone = bayesid.diagnose(series[3], reference=series[0]).comparison
+    assert watched.recordings[2].comparison.scores[0][1] == pytest.approx(alone.scores[0][1], rel=1e-12)
+    page = watched.write(tmp_path / "out").read_text(encoding="utf-8")
+    assert page.count("<svg") == 3 and "day4" in page
+    told = json.loads((tmp_path / "out" / "watch.json").read_text(encoding="utf-8"))
+    assert told["history"] == {"payload@joint2": ["day3", "day4"]} and told["planned"] == 4
+    assert repr(watched) == "<Watch of 4 recordings against day0: 2 with changes>"
+    assert "payload@joint2 m" in str(watched) and "<table" in watched._repr_html_()
+
+
+def test_a_longer_series_asks_for_more_evidence(watched):
+    """Bonferroni: the chance of a false name in the whole series is that of one recording."""
+    assert watched.accept == pytest.approx(12.0 + np.log(4.0))
+
+
+def test_what_cannot_be_compared_is_told_in_its_place(series, tmp_path):
+    from tests.robots import ur5, write
+
+    robot = bayesid.load_robot(write(tmp_path, ur5()))
+    other = bayesid.simulate(experiment(robot, [], Sensor()), [bayesid.fourier_trajectory(robot, duration=4.0)], seed=0)
+    found = bayesid.watch(series[0], [replace(other, name="other"), series[1]])
+    assert [w.verdict for w in found.recordings] == ["not_compared", "nothing_missing"]
+    assert "same robot" in str(found.recordings[0]) and found.to_dict()["recordings"][0]["complaint"]
+    found.write(tmp_path / "out")
+    with pytest.raises(bayesid.InputError, match="none of the recordings could be compared"):
+        bayesid.watch(series[0], [other])
+    with pytest.raises(bayesid.InputError, match="no recordings"):
+        bayesid.watch(series[0], [])
+
+
+def test_an_interrupted_series_is_kept(series, tmp_path, capsys, monkeypatch):
+    for made in series[:4]:
+        bayesid.write_experiment(made, tmp_path / made.name)
+    plain, seen = bayesid.watch, []
+
+    def stopped(*args, tell, **options):
+        def stop(recording):
+            tell(recording)
+            seen.append(recording)
+            if len(seen) == 2:
+                raise KeyboardInterrupt
+
+        return plain(*args, tell=stop, **options)
+
+    monkeypatch.setattr(bayesid, "watch", stopped)
+    folders = [str(tmp_path / f"day{k}") for k in range(4)]
+    assert main(["watch", *folders, "--out", str(tmp_path / "out")]) == 1
+    said = capsys.readouterr()
+    assert "interrupted after 2 of 3" in said.err and "day2: nothing changed" in said.out
+    told = json.loads((tmp_path / "out" / "watch.json").read_text(encoding="utf-8"))
+    assert [w["name"] for w in told["recordings"]] == ["day1", "day2"]
+    monkeypatch.undo()
+    assert main(["watch", folders[0], str(tmp_path / "none")]) == 2
+    assert len(capsys.readouterr().err.strip().splitlines()) == 1
