@@ -17,6 +17,7 @@ from .recordings.table import Table
 from .recordings.writer import write_experiment
 from .regression.regression import Regression
 from .results.accuracy import Accuracy
+from .results.bounds import ControllerBounds
 from .results.changes import Changes
 from .results.comparison import Comparison
 from .results.diagnosis import Diagnosis
@@ -32,6 +33,7 @@ from .simulation.simulation import Recorder, Simulation, simulate, write_simulat
 from .simulation.trajectories import Trajectory, fourier_trajectory
 from .simulation.trajectory_file import read_trajectory, write_trajectory
 from .workflows.accuracy import accuracy
+from .workflows.bounds import bounds
 from .workflows.check import check
 from .workflows.compare import compare
 from .workflows.diagnose import diagnose
@@ -51,6 +53,7 @@ __all__ = [
     "Bounds",
     "Changes",
     "Comparison",
+    "ControllerBounds",
     "ConvergenceError",
     "Diagnosis",
     "EffectLibrary",
@@ -85,6 +88,7 @@ __all__ = [
     "TruncatedSVD",
     "Watch",
     "accuracy",
+    "bounds",
     "check",
     "compare",
     "diagnose",

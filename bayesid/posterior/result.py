@@ -243,6 +243,7 @@ class Posterior:
             "prior": self._attributes()["prior"],
             "noise": model.noise,
             "model_complete": model.likelihood.complete,
+            "dispersion": model.likelihood.dispersion,
             "base_parameters": base,
             "interval": "credible",
             "covariance": covariance.tolist(),

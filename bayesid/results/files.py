@@ -22,6 +22,7 @@ REPORT = "report.html"
 #: What each verb writes beside the report.
 WRITTEN = {
     "accuracy": ("accuracy.json",),
+    "bounds": ("bounds.json", "bounds.mat", "identified.urdf"),
     "check": ("check.json",),
     "compare": ("comparison.json",),
     "diagnose": ("diagnosis.json", "model.toml", "next_motion.csv"),

@@ -169,10 +169,10 @@ def predict(problem: Problem, estimate: Estimate, motion: Motion, floor: NoiseFl
     for segment in moving:
         a, b = segment.inner(0.0 if segment.poses else margin)  # where the smoothed trajectory is sound
         t, y = segment.times[a:b], segment.measured(a, b)
-        in_band = partial(_band, t, poses=segment.poses)
-        prediction, smooth_y = both(partial(_predicted, problem, estimate, segment, a, b), partial(in_band, y))
+        slow = partial(in_band, t, poses=segment.poses)
+        prediction, smooth_y = both(partial(_predicted, problem, estimate, segment, a, b), partial(slow, y))
         raw.append(prediction - y)
-        smooth_p = in_band(prediction)
+        smooth_p = slow(prediction)
         error.append(smooth_p - smooth_y)
         times.append(t)
         measured.append(smooth_y)
@@ -217,7 +217,7 @@ def _predicted(problem: Problem, estimate: Estimate, segment: Segment, a: int, b
     return np.concatenate(list(in_order(predicted, range(a, b, _CHUNK))))
 
 
-def _band(times: np.ndarray, values: np.ndarray, poses: bool) -> np.ndarray:
+def in_band(times: np.ndarray, values: np.ndarray, poses: bool) -> np.ndarray:
     """Zero-phase low-pass to the common band; poses and slow recordings are left as they are."""
     if poses or len(times) < 60:
         return values

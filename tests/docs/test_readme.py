@@ -13,7 +13,7 @@ import matplotlib
 import numpy as np
 import pytest
 
-from bayesid import load_bounds, write_experiment
+from bayesid import fourier_trajectory, load_bounds, write_experiment, write_trajectory
 from bayesid.cli import main
 from bayesid.effects import EffectLibrary
 from bayesid.recordings import schema
@@ -58,6 +58,7 @@ def my_arm(tmp_path_factory) -> Path:
             (folder / file[1]).write_text(code, encoding="utf-8")
     motions = [motion("identification", "identification", 1), motion("validation", "validation", 2)]
     write_experiment(experiment(robot, motions, sensor, position_resolution=1e-4), folder / "my-arm")
+    write_trajectory(fourier_trajectory(robot, duration=4.0, fundamental=0.25), folder / "move.csv")
     return folder
 
 

@@ -1,0 +1,80 @@
+"""The verb ``bounds``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+import bayesid
+from bayesid.cli.known_bounds import bounded
+from bayesid.cli.options import (
+    BOUNDS,
+    EXPERIMENT,
+    OUT,
+    OUTPUTS,
+    SEED,
+    load,
+    low_pass,
+    model_options,
+    output_folder,
+    show_progress,
+)
+from bayesid.errors import InputError
+from bayesid.results.files import check_output
+
+_RUN = click.Path(path_type=Path)
+
+
+@click.command()
+@EXPERIMENT
+@model_options
+@click.option("--posterior", type=_RUN, help="Folder that bayesid sample wrote; default: sample now.")
+@click.option("--estimate", type=_RUN, help="Folder that bayesid identify wrote.")
+@click.option("--method", help="Identify with this estimator and do not sample.")
+@BOUNDS
+@click.option(
+    "--static", type=click.Choice(["motion", "joint"]), help="Subtract a stop-and-go run (default), or fit it along."
+)
+@click.option("--trajectory", type=_RUN, help="A planned motion, a table with t, q1 ...: its readings get bands.")
+@click.option("--urdfs", type=click.IntRange(min=0), default=0, show_default=True, help="How many sampled URDFs to write.")
+@click.option("--prior-std", type=float, help="Relative standard deviation of every nominal mass; default: inertia_rel_std.")
+@click.option(
+    "--configurations", type=click.IntRange(min=1), default=512, show_default=True, help="Joint positions of the workspace."
+)
+@OUT
+@SEED
+def bounds(
+    experiment, filter_l, filter_d, model, effects_from, posterior, estimate, method, bounds, out, **options
+) -> None:
+    """What a controller may rely on: bounds of parameters, mass matrix, gravity and torques."""
+    check_output(out or OUTPUTS, "bounds")
+    filters = low_pass(filter_l, filter_d)
+    run = _run(posterior, estimate, method, bounds)
+    chosen = None if method is None else bayesid.estimator(method)
+    with show_progress() as progress:
+        progress("reading")
+        loaded = load(experiment, model, effects_from)
+        if bounds is not None:
+            chosen = bounded(chosen, bounds, loaded)
+        folder = output_folder(out, loaded.name, "bounds")
+        result = bayesid.bounds(loaded, run=run, method=chosen, low_pass=filters, progress=progress, **options)
+        progress("report")
+        report = result.write(folder)
+    click.echo(str(result))
+    click.echo(f"report: {report}")
+
+
+def _run(posterior: Path | None, estimate: Path | None, method: str | None, bounds: Path | None) -> Path | None:
+    """The file of the run that is named; None where none is."""
+    if posterior is not None and estimate is not None:
+        raise InputError("--posterior and --estimate are both given; name one run")
+    named = "--posterior" if posterior is not None else "--estimate"
+    run = posterior if posterior is not None else estimate
+    if run is not None and (method is not None or bounds is not None):
+        raise InputError(f"{named} names a run that was made; leave out {'--method' if method else '--bounds'}")
+    if bounds is not None and method is None:
+        raise InputError("--bounds is for estimators that take it; add --method sdp")
+    if run is None:
+        return None
+    return run / ("posterior.json" if posterior is not None else "estimate.json")

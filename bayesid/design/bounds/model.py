@@ -1,0 +1,210 @@
+"""Readings that are linear in what is known: joint torques for a controller, and the wrench on a sensor.
+
+A controller's torque is ``Y(q, v, a) b + friction and whatever else acts inside the joints``, with b the base parameters of
+the joint torques, whatever the sensor was that they were identified with. Where the data determine all of b, its law is that of
+the identified parameters through ``b = T beta``. Otherwise b comes from links that can exist, which the prior holds where
+the data do not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayesid.design.bounds.knowledge import Known
+from bayesid.design.bounds.region import Region, region_of_draws, region_of_normal
+from bayesid.dynamics.base_parameters import BaseParameters, structural_base
+from bayesid.dynamics.channels import Channels, torque_channels
+from bayesid.dynamics.regressors import Kernel
+from bayesid.effects.families import JointMotion, JointTorqueEffect, differences
+from bayesid.errors import InputError
+from bayesid.robot.robot import Robot
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """An effect inside a joint that was identified, with all its values.
+
+    Attributes
+    ----------
+    effect
+        Which, and at which joint.
+    values
+        Of its parameters (k,).
+    columns
+        Those of ``values`` that were estimated, as indices.
+    """
+
+    effect: JointTorqueEffect
+    values: tuple[float, ...]
+    columns: tuple[int, ...]
+
+    def torque(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Its torque at its values less what its columns make of them (N,), and columns (N, k).
+
+        Parameters
+        ----------
+        q, v, a
+            Of its joint (N,).
+        """
+        motion = JointMotion(np.arange(len(q), dtype=float), q, v, a, None, 0.0)
+        columns = differences(self.effect, self.values, lambda x: self.effect.torque(motion, x))[:, list(self.columns)]
+        return self.effect.torque(motion, self.values) - columns @ np.array(self.values)[list(self.columns)], columns
+
+
+@dataclass(frozen=True, eq=False)
+class ReadingModel:
+    """Channels that are linear in parameters with a region.
+
+    Attributes
+    ----------
+    robot, channels
+        What moves and what is read.
+    base
+        Base parameters of these channels, the first of the region.
+    drives
+        What acts inside the joints, whose estimated values follow.
+    region
+        Of all parameters (k,).
+    draws
+        Base parameters of links that can exist (n, r), and what goes with them (n, k - r).
+    """
+
+    robot: Robot
+    channels: Channels
+    base: BaseParameters
+    drives: tuple[Drive, ...]
+    region: Region
+    draws: np.ndarray
+
+    def columns(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Matrix and constant: readings are ``constant + matrix @ parameters``, (N, c) and (N, c, k).
+
+        Parameters
+        ----------
+        q, v, a
+            Joint positions, velocities and accelerations (N, n).
+        """
+        rigid = self.rigid(q, v, a)
+        return self._with_drives(q, v, a, rigid)
+
+    def rigid(self, q: np.ndarray, v: np.ndarray, a: np.ndarray, *, gravity: bool = True) -> np.ndarray:
+        """Columns of the base parameters alone (N, c, r)."""
+        return Kernel.of(self.robot, self.channels, self.base.independent).dynamics(q, v, a, gravity=gravity)
+
+    def control_columns(
+        self, q: np.ndarray, v: np.ndarray, reference_v: np.ndarray, reference_a: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Constant and matrix of ``M(q) a_r + C(q, v) v_r + g(q)`` and what acts inside the joints, (N, n) and (N, n, k).
+
+        C is that of the Christoffel symbols, so that ``dM/dt - 2 C`` is skew-symmetric, as passivity-based control needs. Its
+        products are quadratic forms h of the velocities, so ``C(q, v) v_r = (h(v + v_r) - h(v - v_r)) / 4``. Inside the joints
+        friction is that of v, and what depends on acceleration that of a_r.
+
+        Parameters
+        ----------
+        q, v
+            Joint positions and velocities (N, n).
+        reference_v, reference_a
+            Reference velocities and accelerations (N, n).
+        """
+        still = np.zeros_like(q)
+        rigid = self.rigid(q, still, reference_a)
+        for sign in (1.0, -1.0):
+            rigid += 0.25 * sign * self.rigid(q, v + sign * reference_v, still, gravity=False)
+        return self._with_drives(q, v, reference_a, rigid)
+
+    def _with_drives(self, q: np.ndarray, v: np.ndarray, a: np.ndarray, rigid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        parts, constant = [rigid], np.zeros(rigid.shape[:2]) + self.channels.static_wrench
+        for drive in self.drives:
+            joint = drive.effect.joint or 0
+            offset, columns = drive.torque(q[:, joint], v[:, joint], a[:, joint])
+            own = np.zeros((len(q), rigid.shape[1], columns.shape[1]))
+            own[:, joint] = columns
+            constant[:, joint] += offset
+            parts.append(own)
+        return constant, np.concatenate(parts, axis=2)
+
+    def drive_inertia(self) -> np.ndarray:
+        """What the parameters beyond the base parameters add to the mass matrix (n, n, k - r)."""
+        n = self.robot.n
+        still, unit = np.zeros((n, n)), np.eye(n)
+        moved, held = (self._with_drives(still, still, a, np.zeros((n, n, 0)))[1] for a in (unit, still))
+        return np.swapaxes(moved - held, 0, 1)
+
+
+def torque_model(known: Known, seed: int = 0) -> ReadingModel:
+    """Joint torques: rigid bodies, and what was identified inside the joints."""
+    robot = known.problem.row_model.robot
+    channels = torque_channels(robot)
+    drives, columns = _drives(known)
+    return _model(known, channels, structural_base(robot, channels), drives, columns, seed)
+
+
+def sensor_model(known: Known, channels: Channels, seed: int = 0) -> ReadingModel:
+    """The wrench of rigid bodies on a sensor, weight included and its offset not."""
+    base = structural_base(known.problem.row_model.robot, channels)
+    return _model(known, channels, base, (), np.zeros(0, int), seed)
+
+
+def _drives(known: Known) -> tuple[tuple[Drive, ...], np.ndarray]:
+    """Effects inside the joints, and which of the estimated effect parameters are theirs."""
+    row_model = known.problem.row_model
+    out, columns, first = [], [], 0
+    place = np.cumsum(row_model.free) - 1  # of a parameter among those that were estimated
+    for effect in row_model.effects:
+        own = np.arange(first, first + len(effect.parameters))
+        first += len(own)
+        if isinstance(effect, JointTorqueEffect) and not effect.uses_load:
+            free = [k for k, at in enumerate(own) if row_model.free[at]]
+            out.append(Drive(effect, tuple(known.effect_values[own]), tuple(free)))
+            columns += [int(place[at]) for at in own if row_model.free[at]]
+    return tuple(out), np.array(columns, int)
+
+
+def left_out_effects(known: Known, model: ReadingModel) -> tuple[str, ...]:
+    """Effects of the identified model on joint torques that bounds of torques do not hold."""
+    held = {drive.effect.spec for drive in model.drives}
+    names = model.channels.names
+    return tuple(e.spec for e in known.effects if e.spec not in held and any(e.acts_on(c) for c in names))
+
+
+def _model(
+    known: Known, channels: Channels, base: BaseParameters, drives: Sequence[Drive], columns: np.ndarray, seed: int
+) -> ReadingModel:
+    rank, robot = known.base.rank, known.problem.row_model.robot
+    effects = [n for drive in drives for n in np.array(drive.effect.column_names)[list(drive.columns)].tolist()]
+    units = [u for drive in drives for u in np.array(drive.effect.units)[list(drive.columns)].tolist()]
+    draws = np.concatenate([known.links.links @ base.matrix.T, known.links.effects[:, columns]], axis=1)
+    transfer, determined = known.transfer(base)
+    driven = np.zeros(base.rank + len(effects), bool)
+    names, labels, units = (*base.names, *effects), (*base.labels, *effects), (*base.units, *units)
+    if determined.all() and known.draws is None:
+        through = np.zeros((base.rank + len(columns), len(known.mean)))
+        through[: base.rank, :rank] = transfer
+        through[base.rank + np.arange(len(columns)), rank + columns] = 1.0
+        covariance = through @ known.covariance @ through.T
+        region = region_of_normal(names, labels, units, through @ known.mean, covariance, driven, seed)
+    else:
+        driven[: base.rank] = known.narrowed(base)
+        region = region_of_draws(names, labels, units, draws, driven)
+    return ReadingModel(robot, channels, base, tuple(drives), region, draws)
+
+
+def checked_states(robot: Robot, *states: np.ndarray) -> list[np.ndarray]:
+    """Positions, velocities and so on as finite arrays (N, n).
+
+    Raises
+    ------
+    InputError
+        Shapes do not fit, or a number is not finite.
+    """
+    out = [np.atleast_2d(np.asarray(x, float)) for x in states]
+    for name, x in zip(("q", "v", "a", "a_r"), out, strict=False):
+        if x.shape != (len(out[0]), robot.n) or not len(x):
+            raise InputError(f"{name} has shape {x.shape}: give (N, {robot.n}), one column a joint, all with the same N")
+        if not np.isfinite(x).all():
+            raise InputError(f"{name} is not finite in row {int(np.argwhere(~np.isfinite(x))[0][0])}; leave that sample out")
+    return out

@@ -1,0 +1,99 @@
+"""Robust control with these bounds: Spong's term, its ellipsoidal form, and what tracking error they leave.
+
+With e = q - q_d, r = v - v_r, v_r = v_d - rate e, and the columns Y of M a_r + C v_r + g, the controller
+
+    tau = Y (b_hat + u) - K r
+
+leaves ``M dr/dt + C r + K r = Y (b_hat - b + u)``. Along ``s = Y' r`` the term u opposes whatever error the set allows
+[Spong1992]_:
+
+    ball        u = -rho s / ||s||,                 where ||s|| > width, else  -rho s / width
+    ellipsoid   u = -rho_V V s / sqrt(s' V s),      where sqrt(s' V s) > width, else  -rho_V V s / width
+
+With ``W = r' M r / 2`` and k the smallest eigenvalue of K, for every b of the set and torques d that no parameter explains,
+
+    dW/dt <= -k ||r||^2 + d ||r|| + rho width / 4 < 0   where   ||r|| > R = (d + sqrt(d^2 + k rho width)) / (2 k),
+
+so from rest on the path ``||r|| <= sqrt(m_max / m_min) R`` for ever, with m the eigenvalues of M, and ``||e||`` is at most that
+over the rate, as ``de/dt = r - rate e``.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def norm_term(sliding: np.ndarray, rho: float, width: float) -> np.ndarray:
+    """Change of the parameters (N, k) that opposes any error in the ball.
+
+    Parameters
+    ----------
+    sliding
+        ``Y' r`` (N, k).
+    rho
+        Radius of the ball.
+    width
+        Of the boundary layer, in units of ``sliding``.
+    """
+    size = np.linalg.norm(sliding, axis=-1, keepdims=True)
+    return -rho * sliding / np.maximum(size, width)
+
+
+def ellipsoid_term(sliding: np.ndarray, covariance: np.ndarray, ellipsoid: float, width: float) -> np.ndarray:
+    """Change of the parameters (N, k) that opposes any error in the ellipsoid.
+
+    Parameters
+    ----------
+    sliding
+        ``Y' r`` (N, k).
+    covariance, ellipsoid
+        V (k, k) and rho_V.
+    width
+        Of the boundary layer, in units of ``sqrt(s' V s)``.
+    """
+    along = sliding @ covariance
+    size = np.sqrt(np.maximum(np.sum(along * sliding, axis=-1, keepdims=True), 0.0))
+    return -ellipsoid * along / np.maximum(size, width)
+
+
+def tracking_bound(
+    rho: float, width: float, gain: float, rate: float, eigenvalues: tuple[float, float], other: float = 0.0
+) -> tuple[float, float]:
+    """Bounds of ||r|| and of the norm of the joints' errors, from rest on the path on.
+
+    Parameters
+    ----------
+    rho, width
+        Of the term in use: radius of its set and width of its boundary layer.
+    gain
+        Smallest eigenvalue k of K [N m s/rad].
+    rate
+        The factor of e in v_r, the same for all joints [1/s].
+    eigenvalues
+        Smallest and largest eigenvalue of the mass matrix.
+    other
+        Largest norm d of the torques that no parameter explains [N m].
+    """
+    radius = (other + np.sqrt(other**2 + gain * rho * width)) / (2.0 * gain)
+    sliding = float(np.sqrt(eigenvalues[1] / eigenvalues[0]) * radius)
+    return sliding, sliding / rate
+
+
+def effort_ratio(columns: np.ndarray, covariance: np.ndarray, ellipsoid: float, rho: float, seed: int = 0) -> float:
+    """Median of ``||Y u||`` of the ball over that of the ellipsoid, outside of their boundary layers.
+
+    Parameters
+    ----------
+    columns
+        Y at states of the workspace (N, n, k).
+    covariance, ellipsoid, rho
+        Of the region.
+    seed
+        Of the directions of r.
+    """
+    rng = np.random.default_rng([seed, 17])
+    sliding = np.einsum("tjk,tj->tk", columns, rng.normal(size=columns.shape[:2]))
+    ball = norm_term(sliding, rho, 1e-300)
+    ellipse = ellipsoid_term(sliding, covariance, ellipsoid, 1e-300)
+    efforts = [np.linalg.norm(np.einsum("tjk,tk->tj", columns, u), axis=1) for u in (ball, ellipse)]
+    return float(np.median(efforts[0] / np.maximum(efforts[1], 1e-300)))

@@ -1,0 +1,231 @@
+"""Bounds on mass matrix, Coriolis terms and gravity over the workspace.
+
+Joint configurations are a Sobol sequence within the joints' limits. At each, of the controller's model (hat) and every draw of
+links that can exist:
+
+    mass       eigenvalues lambda of M_hat x = lambda M x; alpha = max |lambda - 1| = ||1 - M^-1 M_hat|| in the norm of M,
+               the uncertainty of computed torque, which has to be below 1 [Spong1992]_
+    Coriolis   h(q, v) = C(q, v) v = B(q) s(v), with s(v) the products v_j v_k, those of different joints times sqrt 2: then
+               ||s(v)|| = ||v||^2, and ||h|| <= ||B|| ||v||^2 for every v
+    gravity    |g_hat - g|, joint by joint
+
+Each is largest over the configurations first, then its 95 % quantile over the draws is taken: the bound holds at all those
+configurations at once. Between them the largest value can be slightly larger; more of them show by how much.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.stats import qmc
+
+from bayesid.design.bounds.model import ReadingModel
+from bayesid.design.bounds.simultaneous import quantile
+from bayesid.estimators.estimator import LEVEL
+from bayesid.robot.limits import motion_limits
+from bayesid.robot.robot import Robot
+
+#: Draws and configurations unless others are asked for.
+DRAWS, CONFIGURATIONS = 300, 512
+_TOGETHER = 40_000  # pairs of a draw and a configuration that are worked on at once
+
+
+@dataclass(frozen=True, eq=False)
+class Workspace:
+    """What holds over the workspace with probability `LEVEL`, unless it is said to be the controller's model (``nominal``).
+
+    Attributes
+    ----------
+    configurations, draws
+        How many of each.
+    lower, upper
+        Range of the joints (n,) [rad or m].
+    ratio
+        Smallest and largest eigenvalue of M_hat relative to M.
+    alpha
+        Largest distance of those from 1.
+    eigenvalues
+        Smallest and largest eigenvalue of M itself [kg m^2, and kg where joints slide].
+    smallest_drawn
+        Smallest eigenvalue of any draw's M at any configuration: above 0, every draw is positive definite.
+    nominal_eigenvalue
+        Smallest eigenvalue of the controller's M_hat.
+    inertia
+        Smallest and largest diagonal element of M_hat by joint (n, 2).
+    inertia_error
+        Largest error of each diagonal element relative to it (n,).
+    coriolis, coriolis_error
+        ``||B_hat||`` and the bound of ``||B_hat - B||``.
+    gravity, gravity_error
+        Largest ``|g_hat|`` by joint, and the bounds of the error that hold for all joints at once (n,) [N m or N].
+    acceleration_from_gravity, acceleration_from_coriolis
+        Bounds of ``||M^-1 (g_hat - g)||`` and of ``||M^-1 (B_hat - B)||``: what computed torque leaves, besides
+        ``alpha ||a||``, of which the second goes with ``||v||^2``.
+    """
+
+    configurations: int
+    draws: int
+    lower: np.ndarray
+    upper: np.ndarray
+    ratio: tuple[float, float]
+    alpha: float
+    eigenvalues: tuple[float, float]
+    smallest_drawn: float
+    nominal_eigenvalue: float
+    inertia: np.ndarray
+    inertia_error: np.ndarray
+    coriolis: float
+    coriolis_error: float
+    gravity: np.ndarray
+    gravity_error: np.ndarray
+    acceleration_from_gravity: float
+    acceleration_from_coriolis: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values, as in ``bounds.json``."""
+        return {
+            name: list(value) if isinstance(value, tuple) else value.tolist() if isinstance(value, np.ndarray) else value
+            for name, value in vars(self).items()
+        }
+
+
+def sobol_configurations(robot: Robot, count: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Joint positions spread evenly within the limits (count, n), and the range they fill (n,), (n,)."""
+    lower, upper, _ = motion_limits(robot)
+    points = qmc.Sobol(robot.n, scramble=False).random_base2(int(np.ceil(np.log2(max(count, 2)))))
+    shift = np.random.default_rng([seed, 13]).uniform(size=robot.n)
+    return lower + (points[:count] + shift) % 1.0 * (upper - lower), lower, upper
+
+
+@dataclass(frozen=True, eq=False)
+class Terms:
+    """Mass matrix, Coriolis and gravity, linear in the parameters, at some configurations.
+
+    Attributes
+    ----------
+    mass
+        (m, n, n, k).
+    coriolis
+        (m, n, n (n + 1) / 2, k).
+    gravity
+        (m, n, k).
+    """
+
+    mass: np.ndarray
+    coriolis: np.ndarray
+    gravity: np.ndarray
+
+    @classmethod
+    def of(cls, model: ReadingModel, positions: np.ndarray) -> Terms:
+        """Those of the base parameters, and of what goes with acceleration inside the joints.
+
+        Parameters
+        ----------
+        model
+            Of the joint torques.
+        positions
+            (m, n).
+        """
+        n, rank, still = positions.shape[1], model.base.rank, np.zeros_like(positions)
+        size = len(model.region.values)
+
+        def along(vector: np.ndarray, *, moving: bool) -> np.ndarray:
+            rates = np.broadcast_to(vector, positions.shape)
+            return model.rigid(positions, *((rates, still) if moving else (still, rates)), gravity=False)
+
+        mass = np.zeros((len(positions), n, n, size))
+        for j, unit in enumerate(np.eye(n)):
+            mass[:, :, j, :rank] = along(unit, moving=False)
+        mass[..., rank:] = model.drive_inertia()
+        gravity = np.zeros((len(positions), n, size))
+        gravity[..., :rank] = model.rigid(positions, still, still)
+        single = [along(unit, moving=True) for unit in np.eye(n)]
+        parts = []
+        for j in range(n):
+            for k in range(j, n):
+                if j == k:
+                    parts.append(single[j])
+                else:
+                    # Of the quadratic form: h(e_j + e_k) - h(e_j) - h(e_k) = 2 Gamma_jk, and its column holds sqrt 2 Gamma_jk.
+                    both = along(np.eye(n)[j] + np.eye(n)[k], moving=True)
+                    parts.append((both - single[j] - single[k]) / np.sqrt(2.0))
+        coriolis = np.zeros((len(positions), n, len(parts), size))
+        coriolis[..., :rank] = np.stack(parts, axis=2)
+        return cls(mass, coriolis, gravity)
+
+
+def workspace_bounds(
+    model: ReadingModel, draws: int = DRAWS, configurations: int = CONFIGURATIONS, seed: int = 0,
+    progress: Callable[[str], None] = lambda _: None,
+) -> Workspace:
+    """Bounds of the joint torques' model over the workspace.
+
+    Parameters
+    ----------
+    model
+        Of the joint torques.
+    draws, configurations
+        How many of each at most.
+    seed
+        Of the Sobol sequence's shift.
+    progress
+        Told how far it is.
+    """
+    positions, lower, upper = sobol_configurations(model.robot, configurations, seed)
+    terms = Terms.of(model, positions)
+    at = np.linspace(0, len(model.draws) - 1, min(draws, len(model.draws))).astype(int)
+    drawn, hat = model.draws[at], model.region.values
+    mass, coriolis, gravity = terms.mass @ hat, terms.coriolis @ hat, terms.gravity @ hat
+    found: list[list[np.ndarray]] = []
+    step = max(_TOGETHER // len(positions), 1)
+    for first in range(0, len(drawn), step):
+        progress(f"workspace: {100 * first // len(drawn)} %")
+        found += _of_draws(terms, drawn[first : first + step], mass, hat)
+    low, high, smallest, largest, diagonal, bent, weight, pushed, thrown = map(np.array, zip(*found, strict=True))
+    diagonals = np.diagonal(mass, axis1=1, axis2=2)
+    # A factor common to all joints, in units of each joint's own spread, makes their bounds hold at once.
+    spread = np.maximum(np.sqrt(np.mean(weight**2, axis=0)), 1e-12 * max(float(weight.max()), 1e-300))
+    return Workspace(
+        configurations=len(positions), draws=len(drawn), lower=lower, upper=upper,
+        ratio=(-quantile(-low, 0.5 + LEVEL / 2), quantile(high, 0.5 + LEVEL / 2)),
+        alpha=quantile(np.maximum(np.abs(low - 1.0), np.abs(high - 1.0)), LEVEL),
+        eigenvalues=(-quantile(-smallest, 0.5 + LEVEL / 2), quantile(largest, 0.5 + LEVEL / 2)),
+        smallest_drawn=float(smallest.min()),
+        nominal_eigenvalue=float(np.linalg.eigvalsh(0.5 * (mass + np.swapaxes(mass, 1, 2))).min()),
+        inertia=np.stack([diagonals.min(axis=0), diagonals.max(axis=0)], axis=1),
+        inertia_error=np.array([quantile(column, LEVEL) for column in diagonal.T]),
+        coriolis=float(np.linalg.norm(coriolis, 2, axis=(1, 2)).max()),
+        coriolis_error=quantile(bent, LEVEL),
+        gravity=np.abs(gravity).max(axis=0),
+        gravity_error=quantile((weight / spread).max(axis=1), LEVEL) * spread,
+        acceleration_from_gravity=quantile(pushed, LEVEL),
+        acceleration_from_coriolis=quantile(thrown, LEVEL),
+    )  # fmt: skip
+
+
+def _of_draws(terms: Terms, drawn: np.ndarray, mass: np.ndarray, hat: np.ndarray) -> list[list[np.ndarray]]:
+    """Of each draw the extremes over all configurations."""
+    m = np.einsum("mijk,dk->dmij", terms.mass, drawn, optimize=True)
+    m = 0.5 * (m + np.swapaxes(m, 2, 3))
+    values = np.linalg.eigvalsh(m)
+    inverse = np.linalg.inv(np.linalg.cholesky(m))  # L^-1 with L L' = M
+    ratio = np.linalg.eigvalsh(inverse @ mass @ np.swapaxes(inverse, 2, 3))
+    away = hat - drawn
+    bent = np.einsum("mijk,dk->dmij", terms.coriolis, away, optimize=True)
+    weight = np.einsum("mik,dk->dmi", terms.gravity, away, optimize=True)
+    full = np.swapaxes(inverse, 2, 3) @ inverse
+    diagonal = np.abs(np.diagonal(m, axis1=2, axis2=3) / np.diagonal(mass, axis1=1, axis2=2) - 1.0).max(axis=1)
+    columns = (
+        ratio[..., 0].min(axis=1), ratio[..., -1].max(axis=1), values[..., 0].min(axis=1), values[..., -1].max(axis=1),
+        diagonal, _largest_gain(bent), np.abs(weight).max(axis=1),
+        np.linalg.norm(np.squeeze(full @ weight[..., None], -1), axis=2).max(axis=1), _largest_gain(full @ bent),
+    )  # fmt: skip
+    return [list(row) for row in zip(*columns, strict=True)]
+
+
+def _largest_gain(matrices: np.ndarray) -> np.ndarray:
+    """Largest singular value of matrices (d, m, n, p) over all m (d,), by way of the small squares."""
+    return np.sqrt(np.maximum(np.linalg.eigvalsh(matrices @ np.swapaxes(matrices, 2, 3))[..., -1].max(axis=1), 0.0))

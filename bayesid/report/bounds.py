@@ -1,0 +1,159 @@
+"""The report of ``bounds``: turns `ControllerBounds` into what its template shows."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from bayesid.design.bounds.bands import FAR, Band
+from bayesid.report.bounds_figures import band_figure, region_figure, remainder_figure
+from bayesid.report.notation import short_names
+from bayesid.report.page import render, run_times, svg, versions
+from bayesid.results.bounds import ControllerBounds, TrajectoryBands
+from bayesid.results.bounds_text import joints
+from bayesid.results.text import channel_text, ends, number, percent, with_half
+
+
+def bounds_report(result: ControllerBounds) -> str:
+    """The report of ``bounds``: an HTML page with all figures inside."""
+    known, region, w = result.known, result.region, result.workspace
+    robot, rank = known.problem.experiment.robot, result.torque_model.base.rank
+    names = [*short_names(result.torque_model.base), *region.names[rank:]]
+    nominal = np.concatenate([result.torque_model.base.matrix @ robot.nominal.ravel(), np.full(len(names) - rank, np.nan)])
+    left = result.remainder
+    head, rows = joints(w, result.inside)
+    return render(
+        "bounds.html",
+        name=known.problem.experiment.name,
+        robot=robot.name,
+        source=f"{known.source} ({known.method})",
+        channel=channel_text(known.problem.channel),
+        fitted=known.problem.fitted,
+        warning_list=result.warnings,
+        lead=_lead(result),
+        card_list=_cards(result),
+        region=svg(region_figure(names, region, nominal), "region"),
+        parameters=_parameters(result),
+        factor=number(region.factor, 3),
+        bonferroni=number(region.bonferroni, 3),
+        ellipsoid=number(region.ellipsoid, 4),
+        rho=number(region.rho, 3),
+        ratio=number(result.effort_ratio, 2),
+        workspace=_workspace(result),
+        joint_head=head,
+        joint_rows=rows,
+        complete=result.inside.complete,
+        wrench_only=known.problem.channel == "wrench",
+        trajectories=[_trajectory(t, k) for k, t in enumerate(result.trajectories)],
+        far=number(FAR, 2),
+        left=None if left is None else {
+            "figure": svg(remainder_figure(left, robot.joint_names, result.torque_model.channels.units), "left"),
+            "rows": [
+                {"joint": name, "bound": number(b, 3), "share": percent(s, 2)}
+                for name, b, s in zip(robot.joint_names, left.bound, left.share, strict=True)
+            ],
+            "motions": left.motions, "held_out": left.held_out,
+        },
+        assumptions=result.assumptions,
+        urdfs=result.urdfs,
+        how=_how(result),
+        alpha=number(w.alpha, 3),
+    )  # fmt: skip
+
+
+def _lead(result: ControllerBounds) -> str:
+    region, w = result.region, result.workspace
+    driven = int(region.prior_driven.sum())
+    text = (
+        f"With probability 95 % all {len(region.values)} parameters of the joint torques are in one ellipsoid of rho_V = "
+        f"{number(region.ellipsoid, 4)}; the model's mass matrix is {number(w.ratio[0], 4)} to {number(w.ratio[1], 4)} times the "
+        f"true one over the workspace. All {len(result.links)} robots drawn within the uncertainty can exist, and their mass "
+        "matrices are positive definite. "
+    )
+    text += f"{driven} of the parameters are driven by the prior. " if driven else "The data determine all of the parameters. "
+    return text + ("" if result.inside.complete else "What is inside the joints, rotors and friction, is not in these bounds.")
+
+
+def _cards(result: ControllerBounds) -> list[dict[str, str]]:
+    w, region = result.workspace, result.region
+    cards = [
+        {"value": number(region.rho, 3), "mood": "", "text": "rho, radius of the ball (SI units)"},
+        {"value": number(region.ellipsoid, 4), "mood": "", "text": "rho_V, radius of the ellipsoid"},
+        {"value": number(w.alpha, 3), "mood": "good" if w.alpha < 0.5 else "fair" if w.alpha < 1 else "bad",
+         "text": "alpha of computed torque, to be below 1"},
+    ]
+    if result.trajectories:
+        name, t = result.trajectories[0].name, result.trajectories[0].torque
+        widest = float((t.factor * t.std).max() / max(float(np.abs(t.values).max()), 1e-300))
+        cards.append({"value": percent(widest, 2), "mood": "", "text": f"half band of the torques of ‘{name}’, of the largest"})
+    if result.remainder is not None:
+        share = float(result.remainder.share.max())
+        cards.append({"value": percent(share, 2), "mood": "", "text": "of the worst joint’s torque is not explained"})
+    return cards  # fmt: skip
+
+
+def _parameters(result: ControllerBounds) -> list[dict[str, Any]]:
+    region, rows = result.region, []
+    columns = zip(
+        region.labels, region.units, region.values, region.std, region.low, region.high, region.prior_driven, strict=True
+    )
+    for k, (label, unit, value, std, low, high, driven) in enumerate(columns):
+        shown, spread = with_half(value, std)
+        rows.append(
+            {"index": k + 1, "label": label, "unit": unit, "value": shown, "std": spread, "interval": ends(low, high),
+             "kind": "prior" if driven else "data"}
+        )  # fmt: skip
+    return rows
+
+
+def _workspace(result: ControllerBounds) -> list[tuple[str, str, str]]:
+    w = result.workspace
+    return [
+        ("eigenvalues of the model’s mass matrix relative to the true", f"{number(w.ratio[0], 4)} … {number(w.ratio[1], 4)}", ""),
+        ("alpha = ‖1 − M⁻¹ M̂‖ in the norm of M", number(w.alpha, 3), "below 1 for computed torque"),
+        ("eigenvalues of the mass matrix", f"{number(w.eigenvalues[0], 3)} … {number(w.eigenvalues[1], 4)} kg m²",
+         "for the tracking bound"),
+        ("smallest eigenvalue of any draw", f"{number(w.smallest_drawn, 3)} kg m²", "above 0: positive definite"),
+        ("‖C(q, v) v‖ / ‖v‖² of the model", f"{number(w.coriolis, 3)} N m s²", ""),
+        ("its error", f"{number(w.coriolis_error, 2)} N m s²", ""),
+        ("‖M⁻¹ (ĝ − g)‖", f"{number(w.acceleration_from_gravity, 2)} rad/s²", "what computed torque leaves at rest"),
+        ("‖M⁻¹ (Ĉ − C) v‖ / ‖v‖²", number(w.acceleration_from_coriolis, 2), "and in motion"),
+    ]  # fmt: skip
+
+
+def _trajectory(t: TrajectoryBands, index: int) -> dict[str, Any]:
+    shown = [("Joint torques", t.torque)] + ([] if t.wrench is None else [("Wrench on the sensor", t.wrench)])
+    return {
+        "title": t.name,
+        "given": t.given,
+        "channels": [
+            {"title": title, "figure": svg(band_figure(b), f"band-{index}-{k}"), "factor": number(b.factor, 3),
+             "rows": _channels(b)}
+            for k, (title, b) in enumerate(shown)
+        ],
+    }  # fmt: skip
+
+
+def _channels(b: Band) -> list[dict[str, str]]:
+    largest, half = np.abs(b.values).max(axis=0), b.factor * b.std.max(axis=0)
+    return [
+        {"name": n, "unit": u, "largest": number(x, 3), "half": number(h, 2), "extrapolation": number(e, 2),
+         "mood": "bad" if e > FAR else ""}
+        for n, u, x, h, e in zip(b.names, b.units, largest, half, b.extrapolation, strict=True)
+    ]  # fmt: skip
+
+
+def _how(result: ControllerBounds) -> list[tuple[str, str]]:
+    known, w = result.known, result.workspace
+    ranges = ", ".join(f"{number(a, 3)} … {number(b, 3)}" for a, b in zip(w.lower, w.upper, strict=True))
+    return [
+        ("From", f"the {known.source} ({known.method})"),
+        ("Covariance", f"{number(known.dispersion, 3)} times that of noise alone for what the model lacks, and "
+         f"{number(known.inflation, 3)} times that again for motions that were not fitted"),
+        ("Law of the parameters", "normal" if result.region.draws is None else f"{len(result.region.draws)} draws"),
+        ("Workspace", f"{w.configurations} points of a Sobol sequence in joint ranges {ranges} rad (or m); {w.draws} draws; "
+         f"seed {result.seed}"),
+        run_times(result.seconds),
+        versions("numpy", "scipy"),
+    ]  # fmt: skip

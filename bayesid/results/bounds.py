@@ -1,0 +1,324 @@
+"""What ``bounds`` found: what a controller may rely on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from html import escape
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from bayesid.design.bounds.bands import FAR, Band, band
+from bayesid.design.bounds.knowledge import Known
+from bayesid.design.bounds.model import ReadingModel, checked_states
+from bayesid.design.bounds.region import Region
+from bayesid.design.bounds.remainder import InsideJoints, Remainder
+from bayesid.design.bounds.robust import ellipsoid_term, norm_term, tracking_bound
+from bayesid.design.bounds.workspace import Workspace
+from bayesid.errors import InputError
+from bayesid.estimators.estimator import LEVEL
+from bayesid.results.bounds_text import HEAD, facts, joints, trajectories
+from bayesid.results.figures import figures_of
+from bayesid.results.files import Result
+from bayesid.results.text import html_table, text_table
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+SCHEMA = 1
+
+
+@dataclass(frozen=True, eq=False)
+class TrajectoryBands:
+    """Readings of one trajectory with their bands.
+
+    Attributes
+    ----------
+    name
+        Of the motion or the file.
+    given
+        Whether it was asked for; else it is a motion of the experiment.
+    positions
+        Joint positions (N, n) [rad or m].
+    torque, wrench
+        Bands of the joint torques, and of the sensor's wrench without its offset; None without a sensor.
+    """
+
+    name: str
+    given: bool
+    positions: np.ndarray
+    torque: Band
+    wrench: Band | None
+
+    def __repr__(self) -> str:
+        return f"<TrajectoryBands of {self.name}: {self.torque!r}>"
+
+    def to_dict(self) -> dict[str, Any]:
+        """An entry of ``trajectories`` in ``bounds.json``."""
+        return {
+            "name": self.name, "given": self.given, "torque": self.torque.to_dict(),
+            "wrench": None if self.wrench is None else self.wrench.to_dict(), "far_above": FAR,
+        }  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class ControllerBounds(Result):
+    """What a controller may rely on, with probability 95 % for each bound.
+
+    Attributes
+    ----------
+    known
+        What the data leave of the robot.
+    parameters
+        Sets of the identified base parameters.
+    torque_model, wrench_model
+        Joint torques and the sensor's wrench, with the sets of their parameters; the second None without a sensor.
+    trained
+        Largest standard deviation of each torque, and of each part of the wrench, in the motions that were fitted.
+    effort_ratio
+        How many times more torque Spong's term with the ball takes than with the ellipsoid, median over states.
+    workspace
+        Bounds of mass matrix, Coriolis terms and gravity.
+    remainder
+        What torques of motions that were not fitted leave; None where there are none.
+    inside
+        What is inside the joints.
+    trajectories
+        Bands of trajectories.
+    urdfs
+        How many sampled URDFs are written.
+    assumptions
+        What the bounds rest on, a sentence each.
+    warnings
+        What the user should know, most important first.
+    seconds
+        Run time by stage.
+    seed
+        Of everything random.
+    """
+
+    known: Known
+    parameters: Region
+    torque_model: ReadingModel
+    wrench_model: ReadingModel | None
+    trained: tuple[np.ndarray, np.ndarray]
+    effort_ratio: float
+    workspace: Workspace
+    remainder: Remainder | None
+    inside: InsideJoints
+    trajectories: tuple[TrajectoryBands, ...]
+    urdfs: int
+    assumptions: tuple[str, ...]
+    warnings: tuple[str, ...]
+    seconds: dict[str, float] = field(default_factory=dict)
+    seed: int = 0
+
+    # ---- for a controller ---------------------------------------------------------------------------------------
+
+    @property
+    def region(self) -> Region:
+        """Sets of the parameters of the joint torques: base parameters, then those of friction and rotors identified."""
+        return self.torque_model.region
+
+    @property
+    def values(self) -> np.ndarray:
+        """Centre of the parameters of the joint torques (k,)."""
+        return self.region.values
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """Their covariance V (k, k)."""
+        return self.region.covariance
+
+    @property
+    def rho(self) -> float:
+        """Radius of the ball that holds the parameters of the joint torques, for Spong's term; in SI units together."""
+        return self.region.rho
+
+    @property
+    def ellipsoid(self) -> float:
+        """Radius rho_V of the ellipsoid ``(b - b_hat)' V^-1 (b - b_hat) <= rho_V^2`` of the same parameters."""
+        return self.region.ellipsoid
+
+    @property
+    def links(self) -> np.ndarray:
+        """Links that can exist, drawn within the uncertainty (m, 10 b)."""
+        return self.known.links.links
+
+    def torque(self, q: np.ndarray, v: np.ndarray, a: np.ndarray, times: np.ndarray | None = None) -> Band:
+        """Joint torques of a motion with their bands.
+
+        Parameters
+        ----------
+        q, v, a
+            Joint positions, velocities and accelerations (N, n), or (n,) [rad or m, and per second (squared)].
+        times
+            (N,) [s], to be kept with the band.
+
+        Raises
+        ------
+        InputError
+            Shapes do not fit, or values are not finite.
+        """
+        model = self.torque_model
+        q, v, a = checked_states(model.robot, q, v, a)
+        return band(model, q, v, a, times, self.trained[0], self.seed)
+
+    def wrench(self, q: np.ndarray, v: np.ndarray, a: np.ndarray, times: np.ndarray | None = None) -> Band:
+        """Wrench on the sensor, weight included and its offset not; as `torque`.
+
+        Raises
+        ------
+        InputError
+            There is no sensor; or as `torque`.
+        """
+        if self.wrench_model is None:
+            raise InputError("the experiment has no [sensor], so it has no wrench; describe it in experiment.toml")
+        q, v, a = checked_states(self.wrench_model.robot, q, v, a)
+        return band(self.wrench_model, q, v, a, times, self.trained[1], self.seed)
+
+    def control_columns(
+        self, q: np.ndarray, v: np.ndarray, reference_v: np.ndarray, reference_a: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Constant (N, n) and columns Y (N, n, k) of ``M a_r + C(q, v) v_r + g`` for passivity-based control.
+
+        Parameters are as in `bayesid.design.bounds.model.ReadingModel.control_columns`, (N, n) or (n,) each.
+        """
+        q, v, reference_v, reference_a = checked_states(self.torque_model.robot, q, v, reference_v, reference_a)
+        return self.torque_model.control_columns(q, v, reference_v, reference_a)
+
+    def robust_term(self, sliding: np.ndarray, width: float, shape: str = "ellipsoid") -> np.ndarray:
+        """Change u of the parameters that opposes every error the set allows: the controller's torque is ``Y (b_hat + u) - K r``.
+
+        Parameters
+        ----------
+        sliding
+            ``Y' r`` (N, k) or (k,), with r the velocity less the reference's.
+        width
+            Of the boundary layer, in which the term grows linearly.
+        shape
+            ``ellipsoid``, or ``ball`` for Spong's own.
+
+        Raises
+        ------
+        InputError
+            The shape is neither, or the width is not positive.
+        """
+        if not width > 0.0:
+            raise InputError(f"width = {width}: give a positive number, or the term would jump")
+        if shape == "ellipsoid":
+            return ellipsoid_term(np.asarray(sliding, float), self.covariance, self.ellipsoid, width)
+        if shape == "ball":
+            return norm_term(np.asarray(sliding, float), self.rho, width)
+        raise InputError(f"shape '{shape}': choose ellipsoid or ball")
+
+    def tracking_bound(
+        self, gain: float, rate: float, width: float, shape: str = "ellipsoid", other: float = 0.0
+    ) -> tuple[float, float]:
+        """Bounds of ``||r||`` and of the norm of the joints' errors with that term, from rest on the path on.
+
+        Parameters are as in `bayesid.design.bounds.robust.tracking_bound`; the shape as in `robust_term`. The mass matrix's
+        eigenvalues are those of the workspace.
+        """
+        radius = self.ellipsoid if shape == "ellipsoid" else self.rho
+        return tracking_bound(radius, width, gain, rate, self.workspace.eigenvalues, other)
+
+    # ---- as data --------------------------------------------------------------------------------------------------
+
+    def plot_torque(self, trajectory: str | None = None) -> Figure:
+        """Torques of a trajectory with their bands; default the first."""
+        return self._plot("torque", trajectory)
+
+    def plot_wrench(self, trajectory: str | None = None) -> Figure:
+        """Wrench of a trajectory with its bands; default the first."""
+        return self._plot("wrench", trajectory)
+
+    def _plot(self, channel: str, name: str | None) -> Figure:
+        known: Mapping[str, TrajectoryBands] = {t.name: t for t in self.trajectories}
+        if name is not None and name not in known:
+            raise InputError(f"trajectory '{name}' has no bands; choose one of {', '.join(known)}")
+        shown = getattr(known[name] if name is not None else self.trajectories[0], channel)
+        if shown is None:
+            raise InputError("the experiment has no [sensor], so it has no wrench; describe it in experiment.toml")
+        draw: Callable[[Band], Figure] = figures_of(self)["band"]
+        return draw(shown)
+
+    def to_dict(self) -> dict[str, Any]:
+        """``bounds.json``."""
+        k = self.known
+        return {
+            "schema": SCHEMA, "experiment": k.problem.experiment.name, "level": LEVEL, "seed": self.seed,
+            "source": k.source, "method": k.method, "channel": k.problem.channel, "motions": list(k.problem.fitted),
+            "covariance_inflation": k.inflation, "dispersion": k.dispersion,
+            "identified": self.parameters.to_dict(),
+            "joint_torques": {
+                **self.region.to_dict(), "base_map": self.torque_model.base.matrix.tolist(),
+                "link_parameter_names": list(self.torque_model.base.parameter_names),
+                "effort_ball_over_ellipsoid": self.effort_ratio,
+            },
+            "rho": self.rho, "rho_V": self.ellipsoid,
+            "workspace": self.workspace.to_dict(),
+            "other_uncertainty": None if self.remainder is None else self.remainder.to_dict(),
+            "inside_joints": self.inside.to_dict(),
+            "trained_std": {"torque": self.trained[0].tolist(), "wrench": self.trained[1].tolist()},
+            "trajectories": [t.to_dict() for t in self.trajectories],
+            "links_drawn": len(self.links), "sampled_urdfs": self.urdfs,
+            "assumptions": list(self.assumptions), "warnings": list(self.warnings), "runtime_s": self.seconds,
+        }  # fmt: skip
+
+    def to_matlab(self) -> dict[str, Any]:
+        """``bounds.mat``: arrays for MATLAB; indices of columns count from one."""
+        region, w = self.region, self.workspace
+        out: dict[str, Any] = {
+            "names": np.array(region.names, object), "units": np.array(region.units, object), "b_hat": region.values,
+            "V": region.covariance, "std": region.std, "box_low": region.low, "box_high": region.high, "rho": self.rho,
+            "rho_V": self.ellipsoid,
+            "base_map": self.torque_model.base.matrix, "base_columns": self.torque_model.base.independent + 1,
+            "link_parameter_names": np.array(self.torque_model.base.parameter_names, object), "links_hat": self.known.centre,
+            "links": self.links, "alpha": w.alpha, "mass_ratio": np.array(w.ratio), "mass_eigenvalues": np.array(w.eigenvalues),
+            "coriolis": w.coriolis, "coriolis_error": w.coriolis_error, "gravity": w.gravity, "gravity_error": w.gravity_error,
+            "identified": {
+                "names": np.array(self.parameters.names, object), "values": self.parameters.values,
+                "covariance": self.parameters.covariance, "low": self.parameters.low, "high": self.parameters.high,
+            },
+            "trajectories": np.array([_for_matlab(t) for t in self.trajectories], object),
+        }  # fmt: skip
+        if self.remainder is not None:
+            r = self.remainder
+            out["other"] = {"bound": r.bound, "speeds": r.speeds, "by_speed": r.by_speed, "held_out": r.held_out}
+        return out
+
+    def __repr__(self) -> str:
+        return f"<ControllerBounds of {self.known.problem.experiment.name}: rho {self.rho:.3g}, alpha {self.workspace.alpha:.3g}>"
+
+    def __str__(self) -> str:
+        """A summary for the terminal, warnings first."""
+        lines = [self._title(), *(f"  warning: {w}" for w in self.warnings)]
+        lines += [f"  {name}: {text}" for name, text in facts(self.region, self.effort_ratio, self.workspace, self.remainder)]
+        return "\n".join([*lines, *text_table(*joints(self.workspace, self.inside)), *text_table(*trajectories(self._torques()))])
+
+    def _repr_html_(self) -> str:
+        """The same for notebooks."""
+        told = "".join(f"<p>{escape(w)}</p>" for w in self.warnings)
+        plain = [[name, text] for name, text in facts(self.region, self.effort_ratio, self.workspace, self.remainder)]
+        tables = [html_table([self._title(), ""], plain), html_table(*joints(self.workspace, self.inside))]
+        return told + "".join([*tables, html_table(*trajectories(self._torques()))])
+
+    def _title(self) -> str:
+        known = self.known
+        return f"{known.problem.experiment.name}: bounds for controllers from the {known.source} ({known.method}); {HEAD}"
+
+    def _torques(self) -> list[tuple[str, Band]]:
+        return [(t.name, t.torque) for t in self.trajectories]
+
+
+def _for_matlab(t: TrajectoryBands) -> dict[str, Any]:
+    out = {"name": t.name, "t": t.torque.times, "q": t.positions}
+    for channel, shown in (("torque", t.torque), ("wrench", t.wrench)):
+        if shown is not None:
+            out[channel] = {
+                "names": np.array(shown.names, object), "value": shown.values, "std": shown.std, "low": shown.low,
+                "high": shown.high, "factor": shown.factor, "extrapolation": shown.extrapolation,
+            }  # fmt: skip
+    return out

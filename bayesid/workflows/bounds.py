@@ -1,0 +1,275 @@
+"""The verb ``bounds``: what a controller may rely on after a posterior or an identification."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.io import savemat
+from threadpoolctl import threadpool_limits
+
+from bayesid.design.bounds.bands import Band, band, spread
+from bayesid.design.bounds.knowledge import Known, inflation_of, known_from
+from bayesid.design.bounds.model import ReadingModel, left_out_effects, sensor_model, torque_model
+from bayesid.design.bounds.remainder import inside_joints, remainder
+from bayesid.design.bounds.robust import effort_ratio
+from bayesid.design.bounds.workspace import CONFIGURATIONS, sobol_configurations, workspace_bounds
+from bayesid.effects import MotionSegment
+from bayesid.errors import InputError
+from bayesid.estimators import DEFAULT_METHOD, Estimator
+from bayesid.posterior.result import PRIOR_DRIVEN
+from bayesid.recordings.experiment import Experiment, Motion, as_experiment
+from bayesid.regression.problem import Problem
+from bayesid.regression.readings import make_channels
+from bayesid.results.bounds import ControllerBounds, TrajectoryBands
+from bayesid.results.figures import figures_of
+from bayesid.results.files import Files, files_of
+from bayesid.results.identification import Identification
+from bayesid.results.posterior import ExperimentPosterior
+from bayesid.robot.limits import motion_limits
+from bayesid.robot.urdf import write_urdf
+from bayesid.simulation.trajectories import Trajectory
+from bayesid.simulation.trajectory_file import read_trajectory
+from bayesid.workflows.bounds_told import assumptions, warnings
+from bayesid.workflows.identify import identify
+from bayesid.workflows.progress import Clock, Progress, quiet
+from bayesid.workflows.sample import sample
+from bayesid.workflows.saved_run import known_from_run, prior_text
+
+#: Samples of the fitted motions that standard deviations are looked at in, and motions of the experiment that get bands.
+_TRAINED, _SHOWN = 2000, 2
+#: Links that are drawn.
+DRAWS = 2000
+
+
+def bounds(
+    source: ExperimentPosterior | Identification | Experiment | str | Path,
+    *,
+    run: str | Path | None = None,
+    method: str | Estimator | None = None,
+    trajectory: Trajectory | str | Path | None = None,
+    urdfs: int = 0,
+    prior_std: float | None = None,
+    configurations: int = CONFIGURATIONS,
+    seed: int = 0,
+    progress: Progress = quiet,
+    **options: Any,
+) -> ControllerBounds:
+    """Bounds for the design of a controller: of parameters, mass matrix, Coriolis terms, gravity and torques.
+
+    Parameters
+    ----------
+    source
+        A posterior or an identification; or an experiment or its folder, which is sampled, where the experiment says how far
+        its links are trusted, or identified.
+    run
+        Folder in which `bayesid.sample` or `bayesid.identify` wrote their files, of the experiment in ``source``.
+    method
+        Of an experiment: identify it with this estimator and do not sample.
+    trajectory
+        A planned motion whose torques and wrench get bands, or a table of it as `bayesid.read_trajectory` takes it; default the
+        motions that were not fitted.
+    urdfs
+        How many URDFs of links that can exist are written, drawn within the uncertainty.
+    prior_std
+        Relative standard deviation of every nominal mass, where the data do not decide; default what the experiment states,
+        else 1.
+    configurations
+        Joint positions that the workspace is looked at in.
+    seed
+        Of everything random.
+    progress
+        Called with the name of every stage.
+    **options
+        ``channel``, ``low_pass``, ``motions``, ``effects``, ``static`` and ``bandwidth`` of `bayesid.identify`, for experiments.
+
+    Raises
+    ------
+    InputError
+        Bad input; the message says what to do.
+    """
+    clock = Clock(progress)
+    if urdfs < 0 or configurations < 1:
+        raise InputError(f"urdfs = {urdfs}, configurations = {configurations}: give at least 0 and 1")
+    if prior_std is not None and not (np.isfinite(prior_std) and prior_std > 0):
+        raise InputError(f"--prior-std {prior_std}: give a positive number, such as 0.3")
+    done = isinstance(source, (ExperimentPosterior, Identification))
+    chosen = {key: value for key, value in options.items() if value is not None}
+    if done and (run is not None or method is not None or chosen):
+        named = ", ".join(chosen) or ("run" if run is not None else "method")
+        raise InputError(f"{named}: is for experiments; a {type(source).__name__} was fitted already")
+    told: tuple[str, ...] = ()
+    if run is not None:
+        experiment = as_experiment(source, "a posterior or an identification")
+        clock("reading")
+        with threadpool_limits(1, user_api="blas"):
+            known, told = known_from_run(experiment, Path(run), chosen, prior_std, DRAWS, seed)
+    else:
+        if not isinstance(source, (ExperimentPosterior, Identification)):
+            clock("posterior or estimate")
+            source = _fitted(as_experiment(source, "a posterior or an identification"), method, prior_std, seed, clock, options)
+        clock("links that can exist")
+        with threadpool_limits(1, user_api="blas"):
+            known = _known(source, prior_std, seed)
+        told = source.warnings
+    with threadpool_limits(1, user_api="blas"):
+        return _bounded(known, told, trajectory, urdfs, configurations, seed, clock)
+
+
+def _fitted(
+    experiment: Experiment, method: str | Estimator | None, prior_std: float | None, seed: int, clock: Clock, options: Mapping
+) -> ExperimentPosterior | Identification:
+    """The experiment sampled, or identified where a method is named or nothing is said of its links."""
+    trusted = bool(prior_std or experiment.inertia_rel_std) and bool((experiment.robot.nominal[:, 0] > 0.0).any())
+    if method is None and trusted:
+        return sample(experiment, draws=DRAWS, prior_std=prior_std, seed=seed, progress=clock.progress, **options)
+    return identify(experiment, method=method or DEFAULT_METHOD, progress=clock.progress, **options)
+
+
+def _known(source: ExperimentPosterior | Identification, prior_std: float | None, seed: int) -> Known:
+    validation = tuple(p.to_dict() for p in source.validation)
+    if isinstance(source, Identification):
+        e = source.estimate
+        dispersion = e.details.dispersion or 1.0
+        return known_from(
+            source.problem, source="estimate", method=e.method, mean=e.solution, covariance=e.full_covariance,
+            undetermined=e.undetermined, weak=e.weak, centre=source.link_parameters, trust=prior_std,
+            conflict=source.prior_check is not None and source.prior_check.conflict,
+            inflation=inflation_of(validation, dispersion)[0], dispersion=dispersion, count=DRAWS, seed=seed,
+        )  # fmt: skip
+    model, columns = source.model, source.columns.reshape(-1, source.columns.shape[-1])
+    links = source.link_draws
+    weak = np.zeros(columns.shape[1], bool)
+    weak[: source.base.rank] = source.prior_share > PRIOR_DRIVEN
+    prior = model.prior_draws(DRAWS, np.random.default_rng(source.seed))
+    kept = model.physical and links is not None
+    return known_from(
+        source.problem, source="posterior", method=prior_text(model.noise, model.prior is None),
+        mean=columns.mean(axis=0), covariance=np.atleast_2d(np.cov(columns.T)), undetermined=np.zeros_like(weak), weak=weak,
+        draws=columns, link_draws=links.reshape(-1, links.shape[-1]) if kept and links is not None else None,
+        prior_draws=prior if kept else None, trust=prior_std or source.trust,
+        inflation=inflation_of(validation, model.likelihood.dispersion)[0], dispersion=model.likelihood.dispersion,
+        count=DRAWS, seed=seed,
+    )  # fmt: skip
+
+
+def _bounded(
+    known: Known, told: Sequence[str], trajectory: Trajectory | str | Path | None, urdfs: int, configurations: int, seed: int,
+    clock: Clock,
+) -> ControllerBounds:
+    problem, experiment = known.problem, known.problem.experiment
+    if urdfs > len(known.links.links):
+        raise InputError(f"--urdfs {urdfs}: there are {len(known.links.links)} draws; ask for fewer")
+    moves = _trajectories(problem, trajectory)
+    clock("parameters")
+    torque = torque_model(known, seed)
+    wrench = None if experiment.sensor is None else sensor_model(known, make_channels(experiment, "wrench"), seed)
+    states = _trained_states(problem)
+
+    def largest(model: ReadingModel) -> np.ndarray:
+        return spread(model.columns(*states)[1], model.region.covariance).max(axis=0)
+
+    def banded(model: ReadingModel, t: Trajectory, std: np.ndarray) -> Band:
+        return band(model, t.positions, t.velocities, t.accelerations, t.times, std, seed)
+
+    trained = largest(torque), np.zeros(0) if wrench is None else largest(wrench)
+    clock("trajectories")
+    bands = tuple(
+        TrajectoryBands(
+            t.name, trajectory is not None, t.positions, banded(torque, t, trained[0]),
+            None if wrench is None else banded(wrench, t, trained[1]),
+        )
+        for t in moves
+    )  # fmt: skip
+    clock("workspace")
+    workspace = workspace_bounds(torque, configurations=configurations, seed=seed, progress=clock.progress)
+    clock("other uncertainty")
+    left = remainder(problem, torque)
+    inside = inside_joints(torque, workspace)
+    result = ControllerBounds(
+        known=known, parameters=known.parameters(seed), torque_model=torque, wrench_model=wrench, trained=trained,
+        effort_ratio=_effort(torque, seed), workspace=workspace, remainder=left, inside=inside, trajectories=bands, urdfs=urdfs,
+        assumptions=(), warnings=(), seconds=clock.stop(), seed=seed,
+    )  # fmt: skip
+    dropped = left_out_effects(known, torque)
+    return replace(result, assumptions=assumptions(result, dropped), warnings=(*warnings(result, dropped), *told))
+
+
+def _effort(model: ReadingModel, seed: int) -> float:
+    """`effort_ratio` at states of the workspace that move as fast as the joints may."""
+    q, lower, upper = sobol_configurations(model.robot, 256, seed)
+    fastest = motion_limits(model.robot)[2]
+    rng = np.random.default_rng([seed, 19])
+    v, a = (size * rng.uniform(-1.0, 1.0, q.shape) for size in (fastest, 2.0 * fastest))
+    return effort_ratio(model.columns(q, v, a)[1], model.region.covariance, model.region.ellipsoid, model.region.rho, seed)
+
+
+def _trained_states(problem: Problem) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Joint positions, velocities and accelerations of the motions that were fitted, at most `_TRAINED` (N, n)."""
+    every = np.concatenate(
+        [np.stack([s.positions, s.velocities, s.accelerations]) for s in _states(problem, problem.fitted)], axis=1
+    )
+    q, v, a = every[:, np.unique(np.linspace(0, every.shape[1] - 1, _TRAINED).astype(int))]
+    return q, v, a
+
+
+def _trajectories(problem: Problem, given: Trajectory | str | Path | None) -> list[Trajectory]:
+    """The motion that is asked for; else those of the experiment that were not fitted, or one that was."""
+    experiment = problem.experiment
+    if isinstance(given, Trajectory):
+        if given.positions.shape[1] != experiment.robot.n:
+            joints = given.positions.shape[1]
+            raise InputError(f"trajectory {given.name} has {joints} joints, the robot {experiment.robot.n}; give one of its own")
+        return [given]
+    if given is not None:
+        return [read_trajectory(given, experiment.robot)]
+    moving = [m for m in experiment.motions if m.name in problem.segments and m.kind != "poses"]
+    others = [m for m in moving if m.name not in problem.fitted and m.role == "validation"]
+    return [t for motion in others[:_SHOWN] or moving[:1] for t in _smoothed(problem, motion)]
+
+
+def _smoothed(problem: Problem, motion: Motion) -> list[Trajectory]:
+    """A recorded motion as far as its trajectory is sound; none where that is nowhere."""
+    parts = [s for s in _states(problem, [motion.name]) if len(s.times) > 1]
+    if not parts:
+        return []
+    times, q, v, a = (
+        np.concatenate([getattr(s, name) for s in parts]) for name in ("times", "positions", "velocities", "accelerations")
+    )
+    return [Trajectory(motion.name, motion.role, times, q, v, a)]
+
+
+def _states(problem: Problem, motions: Sequence[str]) -> list[MotionSegment]:
+    """Smoothed segments of motions, poses as they are, where their trajectory is sound."""
+    out = []
+    for segment in (s for name in motions for s in problem.segments[name]):
+        first, last = (0, len(segment.times)) if segment.poses else segment.inner(problem.row_model.margin)
+        if last > first:
+            out.append(problem.row_model.state(segment, first, last))
+    return out
+
+
+@figures_of.register
+def _(result: ControllerBounds) -> Mapping[str, Callable[..., Any]]:
+    from bayesid.report.bounds_figures import band_figure
+
+    return {"band": band_figure}
+
+
+@files_of.register
+def _(result: ControllerBounds) -> Files:
+    """``bounds.json``, ``bounds.mat``, ``identified.urdf``, ``sampled-001.urdf`` ... and the report."""
+    from bayesid.report.bounds import bounds_report
+
+    robot = result.known.problem.experiment.robot
+    at = np.linspace(0, len(result.links) - 1, result.urdfs).astype(int)
+    others: dict[str, Callable[[Path], Any]] = {
+        "bounds.mat": lambda path: savemat(path, result.to_matlab(), oned_as="column"),
+        "identified.urdf": lambda path: write_urdf(robot, result.known.centre, path),
+    }
+    for k, draw in enumerate(at):
+        others[f"sampled-{k + 1:03d}.urdf"] = lambda path, draw=draw: write_urdf(robot, result.links[draw], path)
+    return Files({"bounds.json": result.to_dict()}, others, bounds_report(result))
