@@ -22,6 +22,7 @@ from .results.changes import Changes
 from .results.comparison import Comparison
 from .results.diagnosis import Diagnosis
 from .results.excitation import Excitation
+from .results.identifiability import Identifiability
 from .results.identification import Identification, summary
 from .results.inspection import Inspection
 from .results.posterior import ExperimentPosterior
@@ -38,6 +39,7 @@ from .workflows.check import check
 from .workflows.compare import compare
 from .workflows.diagnose import diagnose
 from .workflows.excite import excite
+from .workflows.identifiability import identifiability
 from .workflows.identify import identify
 from .workflows.sample import sample
 from .workflows.watch import watch
@@ -64,6 +66,7 @@ __all__ = [
     "Experiment",
     "ExperimentPosterior",
     "Huber",
+    "Identifiability",
     "Identification",
     "InputError",
     "Inspection",
@@ -96,6 +99,7 @@ __all__ = [
     "excite",
     "fit",
     "fourier_trajectory",
+    "identifiability",
     "identify",
     "load_bounds",
     "load_effects",

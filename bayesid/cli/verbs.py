@@ -24,6 +24,7 @@ VERBS = {
     "demo": "The main job on an embedded example, in under a minute.",
     "diagnose": "Where model and data disagree, and which effect is missing.",
     "excite": "An exciting trajectory within limits.",
+    "identifiability": "What these motions can and cannot determine, per sensor set.",
     "identify": "Base parameters with honest uncertainty, and link parameters.",
     "sample": "Draws from the posterior, with convergence checks.",
     "simulate": "A recording from the model, with known truth.",

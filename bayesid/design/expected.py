@@ -15,12 +15,13 @@ import numpy as np
 
 from bayesid.design.reading_noise import ReadingNoise
 from bayesid.design.sensor_sets import SensorSet
+from bayesid.diagnosis.candidates import orthonormal
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.estimators.factor import gram_rows, reduce_rows, reduce_whitened
 from bayesid.recordings.experiment import Experiment, Motion
 from bayesid.recordings.table import usual_step
 from bayesid.regression.blocks import Block
-from bayesid.regression.linalg import column_lengths, condition_number, determined_inverse, undetermined
+from bayesid.regression.linalg import condition_number, determined_inverse, undetermined
 from bayesid.regression.problem import row_step, smoother_of
 from bayesid.regression.readings import make_channels
 from bayesid.regression.rows import RowModel, make_blocks
@@ -44,6 +45,8 @@ class Expected:
         The remaining columns.
     factor
         R (p, p), upper triangular: ``R'R`` is the information of all columns.
+    weighted
+        Factor of the rows as a fit weights them (p, p): the same for white noise.
     row_model
         How samples become rows; None where the rows were given.
     segments
@@ -54,6 +57,7 @@ class Expected:
     effect_names: tuple[str, ...]
     effect_units: tuple[str, ...]
     factor: np.ndarray
+    weighted: np.ndarray
     row_model: RowModel | None = None
     segments: tuple[Segment, ...] = ()
 
@@ -82,21 +86,22 @@ class Expected:
 
     @property
     def condition_number(self) -> float:
-        """Of the whitened regressor with columns of unit length; infinite where columns depend on each other."""
-        return condition_number(self.factor)
+        """Of the weighted regressor with columns of unit length; infinite where columns depend on each other."""
+        return condition_number(self.weighted)
 
     @cached_property
     def base_factor(self) -> np.ndarray:
         """Factor of the base parameters alone, effects projected out (r, r)."""
-        r, p = self.base.rank, self.factor.shape[1]
-        swapped = np.concatenate([self.factor[:, r:], self.factor[:, :r]], axis=1)
-        effects = swapped[:, : p - r]
-        known = np.linalg.norm(effects, axis=0) > 1e-13 * np.linalg.norm(swapped, axis=0).max(initial=0.0)
-        q = np.linalg.qr(effects[:, known] / column_lengths(effects[:, known]))[0] if known.any() else np.zeros((p, 0))
-        rest = swapped[:, p - r :]
+        rest, q = self.factor[:, : self.base.rank], self.effect_basis()
         for _ in range(2):  # twice is enough for orthogonality to rounding
             rest = rest - q @ (q.T @ rest)
         return np.asarray(np.linalg.qr(rest, mode="r"))
+
+    def effect_basis(self, estimated: np.ndarray | None = None) -> np.ndarray:
+        """Orthonormal basis of what effects take of the rows (p, at most e); ``estimated`` (e,): of which, default all."""
+        effects = self.factor[:, self.base.rank :]
+        there = np.linalg.norm(effects, axis=0) > 1e-13 * np.linalg.norm(self.factor, axis=0).max(initial=0.0)
+        return orthonormal(effects[:, there if estimated is None else there & estimated])
 
     def prediction_std(self, trajectory: Trajectory) -> np.ndarray:
         """Standard deviation of what would be predicted for another motion (N, c), from the parameters' alone.
@@ -156,11 +161,11 @@ def expect(
     names = tuple(n for e in model.effects for n in e.column_names)
     units = tuple(u for e in model.effects for u in e.units)
     free = np.flatnonzero(model.free).tolist()
-    factor = np.zeros((model.base.rank + len(free),) * 2)
+    factor = weighted = np.zeros((model.base.rank + len(free),) * 2)
     if segments:
-        factor = expected_factor(lambda: make_blocks(model, segments), noise.of(sensor_set), noise.dispersion_of(sensor_set))
+        factor, weighted = expected_factors(lambda: make_blocks(model, segments), noise.of(sensor_set))
     return Expected(
-        model.base, tuple(names[k] for k in free), tuple(units[k] for k in free), factor, model, tuple(segments)
+        model.base, tuple(names[k] for k in free), tuple(units[k] for k in free), factor, weighted, model, tuple(segments)
     )  # fmt: skip
 
 
@@ -245,13 +250,11 @@ def _segments(motion: Motion | Trajectory, sensor_set: SensorSet, channels: int,
     return [*moving, still]
 
 
-def expected_factor(
-    blocks: Callable[[], Iterable[Block]], noise: Mapping[str, NoiseModel], dispersion: float = 1.0
-) -> np.ndarray:
-    """Triangular factor R (p, p) of the information that a fit takes from rows.
+def expected_factors(blocks: Callable[[], Iterable[Block]], noise: Mapping[str, NoiseModel]) -> tuple[np.ndarray, np.ndarray]:
+    """Triangular factor R (p, p) of the information that a fit takes from rows, and that of the rows as they are weighted.
 
-    For white noise ``R'R = X' Sigma^-1 X``. With coloured noise rows keep the weights of ``wls``, the default method, and
-    ``R'R`` is the inverse of its covariance ``(X'WX)^-1 (X'W Sigma WX) (X'WX)^-1``.
+    For white noise, independent from channel to channel, ``R'R = X' Sigma^-1 X``. With any other noise rows keep the weights of
+    ``wls``, the default method, and ``R'R`` is the inverse of its covariance ``(X'WX)^-1 (X'W Sigma WX) (X'WX)^-1``.
 
     Parameters
     ----------
@@ -259,11 +262,10 @@ def expected_factor(
         Makes the rows anew, block by block.
     noise
         Of each group of rows.
-    dispersion
-        Factor of the covariance beyond the noise.
     """
-    if all(m.order == 0 for m in noise.values()):
-        return _triangular(reduce_whitened(blocks(), dict(noise)).matrix, dispersion)
+    if all(m.order == 0 and np.count_nonzero(m.innovation) == len(m.innovation) for m in noise.values()):
+        white = _triangular(reduce_whitened(blocks(), dict(noise)).matrix)
+        return white, white
     weight = {group: 1.0 / m.std[:, None] for group, m in noise.items()}
     r = reduce_rows(blocks(), lambda b: b.rows * weight[b.group]).matrix
     middle = gram_rows(blocks(), lambda b: noise[b.group].colour_transposed(b.matrix * weight[b.group] ** 2))
@@ -275,8 +277,8 @@ def expected_factor(
     some = values > 1e-13 * values.max(initial=0.0)
     whole = np.zeros_like(r)
     whole[: some.sum(), seen] = (vectors[:, some] / np.sqrt(values[some])).T @ scaled.T @ scaled * length[seen]
-    return _triangular(whole, dispersion)
+    return _triangular(whole), _triangular(r)
 
 
-def _triangular(matrix: np.ndarray, dispersion: float) -> np.ndarray:
-    return np.asarray(np.linalg.qr(matrix, mode="r")) / np.sqrt(dispersion)
+def _triangular(matrix: np.ndarray) -> np.ndarray:
+    return np.asarray(np.linalg.qr(matrix, mode="r"))

@@ -12,7 +12,7 @@ from bayesid.design.sensor_sets import SensorSet
 from bayesid.dynamics.channels import WRENCH_NAMES
 from bayesid.errors import InputError
 from bayesid.estimators.nonlinear import settled
-from bayesid.estimators.weights import learn_weights
+from bayesid.estimators.weights import Weights, learn_weights
 from bayesid.recordings.experiment import Experiment
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import Problem, prepare
@@ -37,26 +37,17 @@ class ReadingNoise:
         Noise models of six and of n channels, by group; a missing group has the other's size without its colour.
     sources
         Where each comes from, by ``wrench`` and ``torque``: ``given``, ``data sheet``, ``readings`` or ``assumed``.
-    dispersion
-        Factor of the covariance of a fit beyond that noise, by ``wrench`` and ``torque``: what a model that lacks something
-        scatters more than its noise says; 1 where nothing is known of it.
     """
 
     wrench: Mapping[str, NoiseModel]
     torque: Mapping[str, NoiseModel]
     sources: Mapping[str, str]
-    dispersion: Mapping[str, float]
 
     def of(self, sensor_set: SensorSet) -> dict[str, NoiseModel]:
         """Noise of the rows of a sensor set: the difference of two readings where a static run is subtracted."""
         parts = {"wrench": [self.wrench], "torque": [self.torque], "both": [self.wrench, self.torque]}[sensor_set.channel]
         readings = 2.0 if sensor_set.offset == "static run" else 1.0
         return {group: _stacked([_group(p, group) for p in parts], readings) for group in ("trajectory", "poses")}
-
-    def dispersion_of(self, sensor_set: SensorSet) -> float:
-        """Factor of the covariance for a sensor set."""
-        kinds = ("wrench", "torque") if sensor_set.channel == "both" else (sensor_set.channel,)
-        return max(self.dispersion.get(kind, 1.0) for kind in kinds)
 
 
 def white_noise(
@@ -99,7 +90,7 @@ def white_noise(
         "wrench": "given" if stated else "data sheet" if force_std and torque_std else "assumed",
         "torque": "given" if "torque" in given or all(n in given for n in drives) else "assumed",
     }
-    return ReadingNoise(_white(wrench), _white(torque), sources, {})
+    return ReadingNoise(_white(wrench), _white(torque), sources)
 
 
 def recorded_noise(
@@ -107,7 +98,8 @@ def recorded_noise(
 ) -> tuple[ReadingNoise, dict[str, Problem]]:
     """Noise as a fit leaves it of the readings that there are; other channels keep theirs.
 
-    That is what `identify` bases its intervals on: colour included, and whatever the model lacks.
+    That is what `identify` bases its intervals on: colour included, and whatever the model lacks, also by what the fit scatters
+    between stretches of a recording beyond noise.
 
     Parameters
     ----------
@@ -128,7 +120,7 @@ def recorded_noise(
     options = options or FitOptions()
     motions = [m for m in experiment.motions if m.name in options.motions] if options.motions else experiment.identification
     models, sources = {"wrench": otherwise.wrench, "torque": otherwise.torque}, dict(otherwise.sources)
-    dispersion, problems = dict(otherwise.dispersion), {}
+    problems = {}
     for kind in models:
         if (kind == "wrench" and experiment.sensor is None) or not motions or not all(has_readings(m, kind) for m in motions):
             continue
@@ -137,12 +129,19 @@ def recorded_noise(
             continue
         weights = learn_weights(problem.regression)
         readings = 2.0 if problem.static == "motion" else 1.0
-        models[kind] = {
-            g: NoiseModel(m.coefficients, m.innovation / (readings if g == "trajectory" else 1.0))
-            for g, m in weights.noise.items()
-        }
-        sources[kind], dispersion[kind] = "readings", weights.dispersion
-    return ReadingNoise(models["wrench"], models["torque"], sources, dispersion), problems
+        models[kind] = {g: scaled(m, 1.0 / (readings if g == "trajectory" else 1.0)) for g, m in dispersed(weights).items()}
+        sources[kind] = "readings"
+    return ReadingNoise(models["wrench"], models["torque"], sources), problems
+
+
+def dispersed(weights: Weights) -> dict[str, NoiseModel]:
+    """Noise of each group of rows, as large as the scatter of a fit between stretches of the recording says."""
+    return {g: scaled(m, weights.dispersion) for g, m in weights.noise.items()}
+
+
+def scaled(model: NoiseModel, factor: float) -> NoiseModel:
+    """Noise of so many times the variance."""
+    return replace(model, innovation=factor * model.innovation)
 
 
 def _white(std) -> dict[str, NoiseModel]:

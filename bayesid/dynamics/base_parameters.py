@@ -66,8 +66,9 @@ class BaseParameters:
 
 
 def structural_base(
-    robot: Robot, channels: Channels, *, gravity: bool = True, offset: bool = False, at_rest: bool = False, seed: int = 0
-) -> BaseParameters:
+    robot: Robot, channels: Channels, *, gravity: bool = True, offset: bool = False, at_rest: bool = False,
+    held: np.ndarray | None = None, seed: int = 0,
+) -> BaseParameters:  # fmt: skip
     """Base parameters of a robot and its readings, for the richest possible motion.
 
     Parameters
@@ -80,6 +81,8 @@ def structural_base(
         Whether constant offsets of a wrench are estimated beside: what looks like one drops out.
     at_rest
         Only static poses: nothing but gravity acts.
+    held
+        Where joints stand that do not move (n,) [rad or m]; nan for those that do. Default: all move.
     seed
         Of the random states that the rank is taken on; the result does not depend on it.
     """
@@ -89,6 +92,9 @@ def structural_base(
     q = rng.uniform(-np.pi, np.pi, (count, robot.n))
     q[:, robot.prismatic] *= 0.2
     v, a = (np.zeros((2, count, robot.n)) if at_rest else rng.normal(0.0, [[[1.0]], [[4.0]]], (2, count, robot.n)))
+    if held is not None:
+        still = np.isfinite(held)
+        q[:, still], v[:, still], a[:, still] = held[still], 0.0, 0.0
     rows = dynamics_regressor(robot, channels, q, v, a, gravity=gravity)
     wrench = [c for c, name in enumerate(channels.names) if not name.startswith("tau")]
     constants = np.zeros((count, len(channels), len(wrench) if offset else 0))

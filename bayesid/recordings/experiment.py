@@ -180,7 +180,7 @@ class Experiment:
         return replace(self, effects=effects, effect_values=values, library=library)
 
 
-def load_experiment(folder: str | Path, library: EffectLibrary | None = None) -> Experiment:
+def load_experiment(folder: str | Path, library: EffectLibrary | None = None, *, planned: bool = False) -> Experiment:
     """Read and check an experiment folder.
 
     Parameters
@@ -189,6 +189,8 @@ def load_experiment(folder: str | Path, library: EffectLibrary | None = None) ->
         The folder with experiment.toml in it.
     library
         The effects that there are, with the user's own (`bayesid.load_effects`); default those of the package.
+    planned
+        Whether tables may be motions that are only planned, without readings.
 
     Raises
     ------
@@ -198,7 +200,7 @@ def load_experiment(folder: str | Path, library: EffectLibrary | None = None) ->
     setup, file = _read_setup(Path(folder), library)
     motions, warnings = [], list(setup.warnings)
     for index, section in enumerate(file.motion):
-        motion, doubts = _load_motion(Path(folder), file, section, f"[motion.{index}]", setup.robot)
+        motion, doubts = _load_motion(Path(folder), file, section, f"[motion.{index}]", setup.robot, planned)
         motions.append(motion)
         warnings += doubts
     warnings += _check_roles(motions)
@@ -272,10 +274,13 @@ def _read_setup(folder: Path, library: EffectLibrary | None) -> tuple[Experiment
     return experiment, file
 
 
-def _load_motion(folder: Path, file: ExperimentFile, section: MotionSection, key: str, robot: Robot) -> tuple[Motion, list[str]]:
+def _load_motion(
+    folder: Path, file: ExperimentFile, section: MotionSection, key: str, robot: Robot, planned: bool
+) -> tuple[Motion, list[str]]:
     has_sensor, resolution = file.sensor is not None, file.robot.position_resolution
     table, warnings = read_table(folder / section.table, section.table, robot.n, has_sensor)
-    warnings += _check_present(table, has_sensor)
+    if not (planned and table.wrench is None and table.torques is None):
+        warnings += _check_present(table, has_sensor)
     warnings += checks.check_positions(table, robot)
     warnings += checks.check_channels(table)
     if section.kind == "trajectory":

@@ -27,6 +27,7 @@ WRITTEN = {
     "compare": ("comparison.json",),
     "diagnose": ("diagnosis.json", "model.toml", "next_motion.csv"),
     "excite": ("excitation.json", "trajectory.csv"),
+    "identifiability": ("identifiability.json",),
     "identify": ("estimate.json", "identified.urdf", "identified-unconstrained.urdf", "model.toml"),
     "sample": ("posterior.json", "posterior.nc"),
     "watch": ("watch.json",),

@@ -1,13 +1,12 @@
 """Standard deviations expected before any reading, against Monte-Carlo, fits, and dense algebra."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from bayesid import estimators
-from bayesid.design.expected import expect, expected_factor, rows_of
+from bayesid.design.expected import expect, expected_factors, rows_of
 from bayesid.design.reading_noise import recorded_noise, white_noise
 from bayesid.design.sensor_sets import SENSOR_SETS
 from bayesid.dynamics.regressors import dynamics_regressor
@@ -105,7 +104,7 @@ def test_two_readings_where_a_static_run_is_subtracted(tmp_path):
     noise = white_noise(bare.robot, GIVEN)
     double = white_noise(bare.robot, {"force": 0.5 * 2**0.5, "moment": 0.1 * 2**0.5})
     both, model = expect(bare, sensor_set, noise, [motion]), rows_of(bare, sensor_set, [motion])
-    one = expected_factor(lambda: make_blocks(*model), double.of(SENSOR_SETS["wrench"]))
+    one, _ = expected_factors(lambda: make_blocks(*model), double.of(SENSOR_SETS["wrench"]))
     np.testing.assert_allclose(np.abs(both.factor), np.abs(one), rtol=1e-9, atol=1e-9 * np.abs(one).max())
 
 
@@ -127,7 +126,7 @@ def test_a_recordings_own_noise_gives_what_identify_states(tmp_path):
     expected = expect(made, sensor_set, noise, made.motions, bandwidth=bandwidth)
     np.testing.assert_allclose(expected.std, estimate.full_std, rtol=1e-4)
     white = {g: NoiseModel.stated(m.std) for g, m in noise.of(sensor_set).items()}
-    plain = expected_factor(lambda: make_blocks(expected.row_model, expected.segments), white)
+    plain, _ = expected_factors(lambda: make_blocks(expected.row_model, expected.segments), white)
     assert np.median(expected.std / np.sqrt(np.diag(np.linalg.inv(plain.T @ plain)))) > 1.2  # colour matters here
 
 
@@ -169,4 +168,4 @@ def test_noise_that_cannot_be_is_refused(tmp_path):
     assert sheet.sources == {"wrench": "data sheet", "torque": "assumed"}
     np.testing.assert_allclose(sheet.wrench["trajectory"].std, [0.3] * 3 + [0.02] * 3)
     np.testing.assert_allclose(sheet.torque["poses"].std, [0.75] * 3 + [0.14] * 3)  # 0.5 % of the effort limits
-    assert replace(sheet, sources={}).of(SENSOR_SETS["both"])["trajectory"].std.shape == (12,)
+    assert sheet.of(SENSOR_SETS["both"])["trajectory"].std.shape == (12,)

@@ -1,0 +1,238 @@
+"""What motions show of every link parameter: alone, in a combination with others, or not at all.
+
+The rows ``X = X_b K`` see the parameters through the base parameters' matrix K, and these motions through the part of them that
+the rows determine: with the factor R of the rows, effects projected out, the columns of ``R K`` are regrouped once more
+(`bayesid.dynamics.base_parameters.regroup`). A parameter is identified alone where it is the only entry of a row of that map.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayesid.design.expected import Expected
+from bayesid.dynamics.base_parameters import BaseParameters, regroup
+from bayesid.regression.linalg import condition_number, determined_inverse, undetermined
+from bayesid.robot import inertia
+
+ALONE, COMBINATION, WEAK, EFFECT, UNEXCITED, NEVER = "alone", "combination", "weak", "effect", "not_excited", "never_visible"
+#: What a class says of a link parameter.
+WORDS = {
+    ALONE: "identified alone",
+    COMBINATION: "only in a combination",
+    WEAK: "seen, but the expected error is larger than the body itself",
+    EFFECT: "not told from an effect in the model",
+    UNEXCITED: "not excited by this motion",
+    NEVER: "never visible to this sensor",
+}
+#: From what tells most to what tells least, by rank alone.
+_ORDER = (ALONE, COMBINATION, EFFECT, UNEXCITED, NEVER)
+
+
+@dataclass(frozen=True)
+class BaseExpectation:
+    """A combination that these motions show.
+
+    Attributes
+    ----------
+    name, label, unit
+        As of base parameters.
+    std
+        Expected standard deviation.
+    size
+        How large it is when every body's mass distribution is uncertain by its own size; None where nothing is known of that.
+    kind
+        ``alone``, ``combination``, or ``weak`` where the standard deviation exceeds the size.
+    prior_share
+        Posterior over prior standard deviation with the nominal model as far as it is trusted; None without such a prior.
+    """
+
+    name: str
+    label: str
+    unit: str
+    std: float
+    size: float | None
+    kind: str
+    prior_share: float | None = None
+
+
+@dataclass(frozen=True)
+class LinkExpectation:
+    """What these motions show of one link parameter.
+
+    Attributes
+    ----------
+    name
+        Of the link parameter.
+    kind
+        A key of `WORDS`.
+    combinations
+        Which base parameters of the motions it is in, by number; where it tells most comes first.
+    of_any_motion
+        ``alone``, ``combination`` or ``never_visible`` with the richest motion; None where that is not known.
+    joints
+        Joints that stood still, each of which would show more of it by moving.
+    sensor_sets
+        Names of other sensor sets that would show more of it with some motion.
+    """
+
+    name: str
+    kind: str
+    combinations: tuple[int, ...]
+    of_any_motion: str | None
+    joints: tuple[str, ...] = ()
+    sensor_sets: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """The part of the base parameters that motions determine.
+
+    Attributes
+    ----------
+    base
+        Combinations that these motions show.
+    without_effects
+        The same if no effect were in the model but the sensor's offset.
+    factor
+        Of the information about them, all effects projected out (r, r).
+    condition
+        Condition number of the rows, effects that are determined included, with columns of unit length.
+    """
+
+    base: BaseParameters
+    without_effects: BaseParameters
+    factor: np.ndarray
+    condition: float
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """Expected covariance of the combinations (r, r)."""
+        inverse = determined_inverse(self.factor, undetermined(self.factor))
+        return inverse @ inverse.T
+
+    @property
+    def std(self) -> np.ndarray:
+        """Expected standard deviations (r,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+
+def shown(expected: Expected, offset: Sequence[str] = ()) -> Shown:
+    """The combinations that motions determine.
+
+    Parameters
+    ----------
+    expected
+        What they would tell of the base parameters of the richest motion.
+    offset
+        Effect parameters that are part of the sensor set, as a fitted offset is, and not of the user's model.
+    """
+    whole = expected.base
+    own = np.array([n in offset for n in expected.effect_names], bool)
+    base = _regrouped(expected, np.ones(len(own), bool))
+    full = expected.base_factor @ whole.matrix[:, base.independent]
+    effects = expected.weighted[:, whole.rank :][:, ~expected.hidden[whole.rank :]]
+    rows = np.hstack([expected.weighted[:, : whole.rank] @ whole.matrix[:, base.independent], effects])
+    bare = base if own.all() else _regrouped(expected, own)
+    return Shown(base, bare, np.asarray(np.linalg.qr(full, mode="r")), condition_number(rows))
+
+
+def _regrouped(expected: Expected, estimated: np.ndarray) -> BaseParameters:
+    """Combinations that the rows determine beside some effects; those of the richest motion where they determine all of them."""
+    base = expected.base
+    names = base.parameter_names
+    kinds = [n.rpartition(".")[2] for n in names]
+    units = [inertia.UNITS[inertia.PARAMETERS.index(k)] if k in inertia.PARAMETERS else "" for k in kinds]
+    for k, unit in zip(base.independent.tolist(), base.units, strict=True):
+        units[k] = unit
+    rows = expected.factor[:, : base.rank] @ base.matrix
+    found = regroup(rows, names, units, expected.effect_basis(estimated)) if len(rows) else base
+    return base if found.rank == base.rank else found
+
+
+def standing(base: BaseParameters) -> list[str]:
+    """``alone``, ``combination`` or ``never_visible`` for every parameter behind (P,)."""
+    entries = base.matrix != 0.0
+    lonely = entries.sum(axis=1) == 1
+    seen, alone = entries.any(axis=0), entries[lonely].any(axis=0)
+    return [ALONE if a else COMBINATION if s else NEVER for a, s in zip(alone, seen, strict=True)]
+
+
+def base_expectations(found: Shown, size: np.ndarray | None, prior: np.ndarray | None = None) -> tuple[BaseExpectation, ...]:
+    """Expected standard deviations of the combinations, and what they are worth.
+
+    Parameters
+    ----------
+    found
+        The combinations.
+    size
+        Of each (r,), or None.
+    prior
+        Covariance of the link parameters before any reading (P, P), or None.
+    """
+    base, std = found.base, found.std
+    share = None if prior is None else _prior_share(found, prior)
+    out = []
+    for k, row in enumerate(base.matrix):
+        weak = size is not None and std[k] > size[k]
+        kind = WEAK if weak else ALONE if np.count_nonzero(row) == 1 else COMBINATION
+        own = None if size is None else float(size[k])
+        driven = None if share is None else float(share[k])
+        out.append(BaseExpectation(base.names[k], base.labels[k], base.units[k], float(std[k]), own, kind, driven))
+    return tuple(out)
+
+
+def _prior_share(found: Shown, prior: np.ndarray) -> np.ndarray:
+    """Posterior over prior standard deviation (r,): with ``C = L L'`` and ``G = R L``, ``L (1 + G'G)^-1 L'`` over C."""
+    covariance = found.base.matrix @ prior @ found.base.matrix.T
+    if not len(covariance):
+        return np.zeros(0)
+    size = np.sqrt(np.diag(covariance))
+    values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
+    root = size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+    _, s, vt = np.linalg.svd(found.factor @ root)
+    return np.linalg.norm(root @ vt.T / np.sqrt(1.0 + s**2), axis=1) / size
+
+
+def link_expectations(
+    found: Shown, bases: Sequence[BaseExpectation], richest: BaseParameters | None, sizes: np.ndarray | None
+) -> list[LinkExpectation]:
+    """What motions show of every link parameter.
+
+    Parameters
+    ----------
+    found, bases
+        The combinations.
+    richest
+        Base parameters of the richest motion; None where it is not known.
+    sizes
+        Of the link parameters (P,), for how much each has of a combination; None: by the factors alone.
+    """
+    kinds, best = standing(found.base), None if richest is None else standing(richest)
+    bare = standing(found.without_effects)
+    scale = np.ones(len(kinds)) if sizes is None else sizes
+    out = []
+    for k, name in enumerate(found.base.parameter_names):
+        column = np.abs(found.base.matrix[:, k])
+        inside = np.flatnonzero(column)
+        share = column[inside] * scale[k] / np.maximum(np.abs(found.base.matrix[inside]) @ scale, 1e-300)
+        inside = inside[np.argsort(-share, kind="stable")].tolist()
+        if kinds[k] == NEVER:
+            excited = bare[k] != NEVER
+            kind = EFFECT if excited else NEVER if best is not None and best[k] == NEVER else UNEXCITED
+        else:
+            kind = WEAK if all(bases[i].kind == WEAK for i in inside) else kinds[k]
+        out.append(LinkExpectation(name, kind, tuple(inside), None if best is None else best[k]))
+    return out
+
+
+def shows_more(first: str, second: str) -> bool:
+    """Whether a class tells more of a parameter than another one."""
+    return _ORDER.index(first) < _ORDER.index(second)
+
+
+def of_rank(kind: str, link: LinkExpectation) -> str:
+    """A class by rank alone: ``weak`` is what it would be with less noise."""
+    return kind if kind != WEAK else ALONE if link.of_any_motion == ALONE else COMBINATION

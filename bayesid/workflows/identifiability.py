@@ -1,0 +1,262 @@
+"""The verb ``identifiability``: what motions can and cannot determine, per sensor set, before anything is estimated."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from bayesid.design.advice import advise, duration
+from bayesid.design.expected import Expected, expected_factors
+from bayesid.design.identifiability import Plan, SetReport, report_of, set_report, with_differences
+from bayesid.design.reading_noise import ReadingNoise, dispersed, recorded_noise, white_noise
+from bayesid.design.sensor_sets import SENSOR_SETS, SensorSet
+from bayesid.design.visibility import shown
+from bayesid.errors import InputError
+from bayesid.estimators.weights import learn_weights
+from bayesid.recordings.experiment import Experiment, Motion, Sensor, load_experiment, load_setup
+from bayesid.recordings.motion_checks import check_trajectory
+from bayesid.recordings.reader import read_table
+from bayesid.regression.options import NOT_FOR_REGRESSIONS, FitOptions
+from bayesid.regression.readings import default_channel
+from bayesid.regression.regression import Regression
+from bayesid.results.figures import figures_of
+from bayesid.results.files import Files, files_of
+from bayesid.results.identifiability import Identifiability
+from bayesid.robot.robot import Robot
+from bayesid.simulation.trajectories import Trajectory, fourier_trajectory
+from bayesid.workflows.progress import Clock, Progress, quiet
+
+_TAKES = "pass the folder of an experiment, an Experiment, a Robot with trajectories, or a Regression"
+
+
+def identifiability(
+    given: Experiment | Robot | Regression | str | Path,
+    trajectories: str | Path | Trajectory | Sequence[Trajectory] | None = None,
+    *,
+    sensor_sets: Sequence[str] | None = None,
+    noise: Mapping[str, float] | None = None,
+    motions: Sequence[str] | None = None,
+    effects: Sequence[str] | None = None,
+    bandwidth: float | None = None,
+    progress: Progress = quiet,
+) -> Identifiability:
+    """What motions can and cannot determine, for each sensor set side by side, and what would make the difference.
+
+    Parameters
+    ----------
+    given
+        An experiment or its folder, whose tables need no readings; a robot; or rows of one's own.
+    trajectories
+        Planned motions in place of the experiment's: a table with columns ``t`` and ``q1`` ..., or trajectories. A robot without
+        any gets a random motion within its limits.
+    sensor_sets
+        Names of `bayesid.design.sensor_sets.SENSOR_SETS`; default all.
+    noise
+        Standard deviation of one sample, by ``force``, ``moment``, ``torque`` or the channel's name; default what a fit leaves of
+        recorded readings, else the data sheet's, else an assumed one.
+    motions
+        Which motions of the experiment count; default those with role ``identification``.
+    effects
+        Replaces ``[model] effects``.
+    bandwidth
+        Of recorded joint motion [Hz]; default chosen as for a fit.
+    progress
+        Called with the name of every stage.
+
+    Raises
+    ------
+    InputError
+        Bad input; the message says what to do.
+    """
+    clock = Clock(progress)
+    # The matrices are small: threads inside the linear algebra cost more than they gain here.
+    with threadpool_limits(1, user_api="blas"):
+        clock("reading")
+        if isinstance(given, Regression):
+            if trajectories is not None or sensor_sets or noise or motions or effects is not None or bandwidth is not None:
+                raise InputError(NOT_FOR_REGRESSIONS.format("identifiability"))
+            return _of_regression(given, clock)
+        sets = _sets(sensor_sets)
+        experiment, planned = _experiment(given, trajectories)
+        asked = _motions(experiment, planned, motions)
+        if effects is not None:
+            experiment = replace(experiment, effects=tuple(effects))
+        return _of_motions(experiment, asked, sets, noise, bandwidth, clock)
+
+
+@figures_of.register
+def _(result: Identifiability) -> Mapping[str, Callable[..., Any]]:
+    from bayesid.report.identifiability import expected_figure
+    from bayesid.report.identifiability_figures import classes
+
+    return {"classes": partial(classes, result.sensor_sets, result.main), "expected": partial(expected_figure, result.main)}
+
+
+@files_of.register
+def _(result: Identifiability) -> Files:
+    """``identifiability.json`` and the report."""
+    from bayesid.report.identifiability import identifiability_report
+
+    return Files({"identifiability.json": result.to_dict()}, {}, identifiability_report(result))
+
+
+def _sets(names: Sequence[str] | None) -> list[SensorSet]:
+    for name in names or ():
+        if name not in SENSOR_SETS:
+            raise InputError(f"--sensor-sets {name}: choose from {', '.join(SENSOR_SETS)}")
+    return [s for s in SENSOR_SETS.values() if names is None or s.name in names]
+
+
+def _experiment(
+    given: object, trajectories: str | Path | Trajectory | Sequence[Trajectory] | None
+) -> tuple[Experiment, list[Motion | Trajectory] | None]:
+    """The robot and its model, and planned motions where there are any."""
+    planned: list[Motion | Trajectory] | None = None
+    if isinstance(given, Robot):
+        experiment = Experiment(given.name, given, (), Sensor() if given.sensor_parent < 0 else None)
+        if trajectories is None:
+            planned = [fourier_trajectory(given, "random motion")]
+    elif isinstance(given, (str, Path)):
+        experiment = load_setup(given) if trajectories is not None else load_experiment(given, planned=True)
+    elif isinstance(given, Experiment):
+        experiment = given
+    else:
+        raise InputError(f"a {type(given).__name__} is given for the experiment: {_TAKES}")
+    if isinstance(trajectories, (str, Path)):
+        planned = [_table(Path(trajectories), experiment.robot)]
+    elif trajectories is not None:
+        planned = [trajectories] if isinstance(trajectories, Trajectory) else list(trajectories)
+        for t in planned:
+            _check(t, experiment.robot)
+    return experiment, planned
+
+
+def _table(path: Path, robot: Robot) -> Motion:
+    """A planned motion from a table of times and positions."""
+    table, _ = read_table(path, path.name, robot.n, False)
+    check_trajectory(table, robot, None)
+    return Motion(path.stem, "identification", replace(table, torques=None))
+
+
+def _check(trajectory: object, robot: Robot) -> None:
+    if not isinstance(trajectory, Trajectory):
+        raise InputError(f"a {type(trajectory).__name__} is given among the trajectories; pass bayesid.Trajectory objects")
+    if trajectory.positions.shape[1] != robot.n:
+        raise InputError(
+            f"trajectory '{trajectory.name}': {trajectory.positions.shape[1]} joints but the robot has {robot.n}; "
+            "give one column for each joint"
+        )
+
+
+def _motions(
+    experiment: Experiment, planned: list[Motion | Trajectory] | None, names: Sequence[str] | None
+) -> list[Motion | Trajectory]:
+    """The motions that are asked about."""
+    there: list[Motion | Trajectory] = list(experiment.motions) if planned is None else planned
+    if names is not None:
+        known = {m.name: m for m in there}
+        for name in names:
+            if name not in known:
+                raise InputError(f"--motions {name}: no such motion; there are {', '.join(known)}")
+        there = [known[name] for name in dict.fromkeys(names)]
+    elif planned is None:
+        there = list(experiment.identification)
+    if not there:
+        raise InputError('no motion is to be fitted; give one the role "identification", name it with --motions, or plan one')
+    return there
+
+
+def _of_motions(
+    experiment: Experiment, motions: list[Motion | Trajectory], sets: list[SensorSet], given: Mapping[str, float] | None,
+    bandwidth: float | None, clock: Clock,
+) -> Identifiability:  # fmt: skip
+    sensor, robot = experiment.sensor, experiment.robot
+    noise = white_noise(robot, given, force_std=sensor and sensor.force_std, torque_std=sensor and sensor.torque_std)
+    warnings = list(experiment.warnings)
+    clock("noise")
+    if all(isinstance(m, Motion) for m in motions):
+        noise, bandwidth = _recorded(experiment, noise, motions, bandwidth, warnings)
+    if sensor is None:
+        sensor = Sensor()
+        if any(s.channel != "torque" for s in sets):
+            warnings.append("There is no [sensor]: what a wrench would show is told for one under the base, in the base frame.")
+    plan = Plan.of(replace(experiment, sensor=sensor), motions)
+    reports = []
+    for s in sets:
+        clock(s.title)
+        reports.append(report_of(plan, s, noise, bandwidth=bandwidth))
+    clock("what would make a difference")
+    main = _main(experiment, reports)
+    reports = with_differences(plan, reports)
+    main = reports[[r.sensor_set for r in reports].index(main.sensor_set)]
+    assumed = [k for k, source in main.noise.items() if source == "assumed"]
+    if assumed:
+        warnings.insert(0, f"The noise of the {' and '.join(assumed)} is assumed: state it with --noise, for standard deviations "
+                        "that hold; ranks and classes hardly depend on it.")  # fmt: skip
+    advice = advise(plan, reports, main, noise)
+    return Identifiability(
+        name=experiment.name,
+        source="recorded" if main.recorded else "planned",
+        motions={m.name: duration(m) for m in motions},
+        still=tuple(robot.joint_names[j] for j in np.flatnonzero(np.isfinite(plan.still)).tolist()),
+        sensor_sets=tuple(reports),
+        main=main,
+        advice=advice,
+        warnings=tuple(warnings),
+        seconds=clock.stop(),
+    )
+
+
+def _recorded(
+    experiment: Experiment, noise: ReadingNoise, motions: Sequence[Motion | Trajectory], bandwidth: float | None,
+    warnings: list[str],
+) -> tuple[ReadingNoise, float | None]:  # fmt: skip
+    """Noise and bandwidth as a fit of the readings has them, where there are any."""
+    names = [m.name for m in motions]
+    if not set(names) <= {m.name for m in experiment.motions}:
+        return noise, bandwidth
+    try:
+        noise, problems = recorded_noise(experiment, noise, FitOptions(motions=names, bandwidth=bandwidth))
+    except InputError as error:
+        warnings.append(f"identify will refuse these readings, so their noise is not learned from them: {error}")
+        return noise, bandwidth
+    first = next(iter(problems.values()), None)
+    return noise, bandwidth if first is None else first.row_model.bandwidth
+
+
+def _main(experiment: Experiment, reports: Sequence[SetReport]) -> SetReport:
+    """The readings that an estimate would use: those that `identify` takes by default, or would once they are recorded."""
+    channel = default_channel(experiment) if any(r.recorded for r in reports) else "wrench" if experiment.sensor else "torque"
+    preferred = [r for r in reports if r.sensor_set.channel == channel]
+    recorded = [r for r in preferred if r.recorded]
+    stopped = any(m.stop_and_go for m in experiment.identification)
+    if not recorded and channel == "wrench" and not stopped:
+        preferred = [r for r in preferred if r.sensor_set.offset == "fitted"] or preferred
+    return (recorded or preferred or list(reports))[0]
+
+
+def _of_regression(regression: Regression, clock: Clock) -> Identifiability:
+    """Rows of one's own: one sensor set, and no other motion to compare with."""
+    clock("noise")
+    weights = learn_weights(regression)
+    clock("rows")
+    factors = expected_factors(regression.blocks, dispersed(weights))
+    expected = Expected(regression.base, regression.effect_names, regression.effect_units, *factors)
+    found = shown(expected)
+    sizes = np.abs(found.base.matrix @ np.linalg.pinv(regression.base.matrix) @ weights.solution[: regression.base.rank])
+    rows = SensorSet("rows", "these rows", "rows")
+    report = set_report(rows, expected, found, None, None, None, sizes)
+    source = "given" if regression.noise_std is not None else "readings"
+    std = next(iter(weights.noise.values())).std.tolist()
+    report = replace(report, noise={"rows": source}, noise_std=dict(zip(regression.channel_names, std, strict=True)))
+    return Identifiability(
+        name="regression", source="regression", motions=dict.fromkeys(regression.motion_names, 0.0), still=(),
+        sensor_sets=(report,), main=report, seconds=clock.stop(),
+        warnings=("Rows alone do not tell whether another motion would show what these do not: pass a robot and trajectories.",),
+    )  # fmt: skip
