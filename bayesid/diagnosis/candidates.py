@@ -20,7 +20,7 @@ from bayesid.diagnosis.projector import NuisanceProjector
 from bayesid.diagnosis.ripples import RippleScan
 from bayesid.diagnosis.rows import model_rows, residual_rows, term_rows
 from bayesid.diagnosis.surroundings import joint_inertia, mean_places
-from bayesid.effects import Effect, Linearisation, Surroundings, Term
+from bayesid.effects import Effect, ExternalContact, Linearisation, Surroundings, Term
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +120,8 @@ class Library:
                 starts = [Term(block.effect, _inside(block.effect, v)) for v in np.atleast_2d(block.about.to_values(amplitudes))]
                 best[name] = Proposal(starts[0], gain, count, minimum, tuple(starts[1:]))
         shaped = [([t], gain) for t, gain in [*self._tried(fit, taken, dispersion), *self._ripples(fit, left, found)]]
-        for terms, gain in [*shaped, *contact_terms(projector, fit, left[: projector.length])]:
+        contacts = contact_terms(projector, fit, left[: projector.length]) if ExternalContact in map(type, self.effects) else ()
+        for terms, gain in [*shaped, *contacts]:
             name = terms[0].effect.spec
             if name not in taken and (name not in best or gain > best[name].gain):
                 minimum = best[name].minimum if name in best else None

@@ -7,11 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from bayesid.design.tell.choose import tell, tell_effects, tell_search
-from bayesid.design.tell.evidence import Contest, Rows
+from bayesid.design.tell.choose import tell, tell_effects, tell_search, tellable
+from bayesid.design.tell.evidence import Rows
+from bayesid.design.tell.exact import checked
 from bayesid.design.tell.motions import Planned, paces, pool, varied, within_limits
 from bayesid.design.tell.planned_rows import Bench, contest
-from bayesid.design.tell.rivals import Case, from_effects, from_search, parse_effects
+from bayesid.design.tell.rivals import Case, from_effects, from_search, parse_effects, supposed
 from bayesid.diagnosis.fit import fit
 from bayesid.diagnosis.prepare import prepare_data
 from bayesid.diagnosis.projector import make_projector
@@ -20,7 +21,7 @@ from bayesid.effects import MotionSegment, readings
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, Sensor
 from bayesid.robot.limits import motion_limits
-from bayesid.simulation.simulation import simulate
+from bayesid.simulation.simulation import Recorder, simulate
 from bayesid.simulation.trajectories import fourier_trajectory
 from bayesid.workflows.diagnose import diagnose
 from tests.simulated import puma2
@@ -118,10 +119,9 @@ def test_settled_knowledge_leaves_the_textbook_law(case, bench, planned):
 
 def test_rows_are_reduced_without_loss():
     rng = np.random.default_rng(2)
-    common, own, means = rng.normal(size=(50, 3)), [rng.normal(size=(50, k)) for k in (1, 2)], rng.normal(size=(2, 50))
-    rows = Rows.of(common, own, list(means), 50)
-    for z, j in zip(own, rows.columns, strict=True):
-        whole = np.hstack([common, z])
+    own, means = [rng.normal(size=(50, k)) for k in (4, 5)], rng.normal(size=(2, 50))
+    rows = Rows.of(own, list(means), 50)
+    for whole, j in zip(own, rows.columns, strict=True):
         assert np.allclose(j.T @ j, whole.T @ whole)
         assert np.allclose(j.T @ rows.readings[1], whole.T @ (means[1] - means[0]))
     assert np.sum(rows.readings[1] ** 2) == pytest.approx(np.sum((means[1] - means[0]) ** 2))
@@ -132,7 +132,7 @@ def test_what_is_the_same_is_never_told_apart(case, bench, planned):
     c = contest(twins, bench, planned)
     assert c.noncentrality[0, 1] == pytest.approx(0.0, abs=1e-9)
     assert c.decided(twins.weights) == (0.0, 0.0)
-    told = tell([twins], effort=(4, 2))
+    told = tell([twins], effort=(4, 2, 1))
     assert told is not None and told.probability < 0.01 and len(told.hopeless) == 2
 
 
@@ -181,7 +181,7 @@ def test_a_motion_that_takes_too_much_torque_is_slowed_down(robot):
 
 
 def test_the_chosen_motion_is_the_best_of_all_tried_and_settles_the_case(robot, recorded, diagnosis, case, bench):
-    told = tell_search(diagnosis.search, effort=(12, 8), seed=1)
+    told = tell_search(diagnosis.search, effort=(12, 8, 1), seed=1)
     assert told is not None and told.probability > 0.9
     assert {p.true for p in told.pairs} == set(told.rivals) == {"tether@joint1", "tether@joint2"}
     tried = [contest(case, bench, m).decided(case.weights)[0] for m in pool(robot, 8.0, 12, seed=1)]
@@ -196,9 +196,9 @@ def test_effects_by_name_at_usual_sizes(robot):
     setup = Experiment("arm", robot, (), Sensor(), inertia_rel_std=0.05, position_resolution=1e-4)
     slow = fourier_trajectory(robot, duration=8.0, fundamental=0.125, harmonics=2, rate=100.0, share=0.15, seed=3)
     data = prepare_data(simulate(setup, [slow], seed=1), "wrench", (), None, 0)
-    told = tell_effects(data, ["base_tilt", "sensor_rotation"], effort=(6, 2))
+    told = tell_effects(data, ["base_tilt", "sensor_rotation"], effort=(6, 2, 1))
     assert told is not None and not told.estimated and told.weights == (0.5, 0.5)
-    assert len(told.pairs) == 2 and all(p.noncentrality > 0 for p in told.pairs)
+    assert [(p.true, p.other) for p in told.pairs] == [told.rivals, told.rivals[::-1]]
     assert told.probability > 0.9
 
 
@@ -272,7 +272,29 @@ def test_predicted_evidence_against_exact_fits_of_simulated_recordings(robot):
     assert np.std(gains) == pytest.approx(std[0, 1], rel=0.35)
 
 
-def test_contests_are_frozen(case, bench, planned):
+def test_exact_fits_only_ever_lower_the_expectation(case, bench, planned):
+    """What a rival that is free to move far away explains better than the closed form says is taken back."""
     c = contest(case, bench, planned)
-    assert isinstance(c, Contest) and c.pairs.shape == (2, 2) and np.allclose(np.diag(c.pairs), 1.0)
-    assert c.merit(case.weights) < 0
+    exact = checked(c, case, bench, planned)
+    assert (exact.moments[0] <= c.moments[0] + 1e-6).all() and (exact.noncentrality <= c.noncentrality + 1e-6).all()
+    assert exact.decided(case.weights)[0] <= c.decided(case.weights)[0] + 0.02
+    lower = replace(c, shares=np.zeros((2, 2)), lost=np.full((2, 2), 7.0))
+    assert lower.noncentrality[0, 1] == 0.0
+    gone = c.moments[0][0, 1] - lower.moments[0][0, 1]
+    assert gone == pytest.approx(0.5 * c.noncentrality[0, 1] + 7.0)
+    assert c.merit(case.weights) < 0 and np.allclose(np.diag(c.pairs), 1.0)
+
+
+@pytest.mark.slow
+def test_what_given_motions_tell_is_what_a_fit_of_the_other_leaves(robot):
+    """Two motions, whatever they read: the noncentrality against chi2 of exact fits to readings without noise."""
+    setup = Experiment("arm", robot, (), Sensor(), inertia_rel_std=0.05, position_resolution=1e-4)
+    options = {"duration": 8.0, "fundamental": 0.125, "harmonics": 2, "rate": 100.0}
+    motions = [fourier_trajectory(robot, f"m{k}", seed=k, share=s, **options) for k, s in ((3, 0.15), (4, 0.3))]
+    noisy = Recorder(force_std=30.0, torque_std=5.0)
+    data = prepare_data(simulate(setup, motions, recorder=noisy, seed=1), "wrench", (), None, 0)
+    told = tellable(data, ["base_tilt", "sensor_rotation"])
+    for p, case in zip(told.pairs, supposed(data, parse_effects(data, told.effects)), strict=True):
+        (other,) = (r for r in case.rivals if r.name == p.other)
+        assert p.noncentrality == pytest.approx(other.fit.chi2, rel=0.02)
+    assert 0.0 <= told.wrong <= told.probability <= 1.0

@@ -57,6 +57,8 @@ class Rival:
         (s + k, s + k).
     dispersion
         Dispersion factor, by which the noise's power is larger than measured.
+    rows
+        Rows of the recordings that count.
     """
 
     name: str
@@ -64,9 +66,12 @@ class Rival:
     evidence: float
     factor: np.ndarray
     dispersion: float
+    rows: int
 
     def cost(self, factor: np.ndarray, rows: int) -> float:
         """What its free parameters cost of the log evidence, over the dispersion factor, with so much information."""
+        if not rows:
+            return 0.0
         data: DiagnosisData = self.fit.projector.data
         common = self.fit.projector.size
         kept = np.sqrt(self.dispersion) * factor[common:, common:]
@@ -92,13 +97,12 @@ class Rows:
     count: int
 
     @classmethod
-    def of(cls, common: np.ndarray, own: Sequence[np.ndarray], readings: Sequence[np.ndarray], count: int) -> Rows:
-        """Reduce columns in every rival (N, s), each rival's own (N, k_i), and predicted readings (N,)."""
+    def of(cls, columns: Sequence[np.ndarray], readings: Sequence[np.ndarray], count: int) -> Rows:
+        """Reduce each rival's columns (N, s + k_i) and predicted readings (N,)."""
         away = np.column_stack([m - readings[0] for m in readings])
-        r = np.asarray(np.linalg.qr(np.hstack([common, *own, away]), mode="r"))
-        widths = [common.shape[1], *(z.shape[1] for z in own), len(readings)]
-        shared, *apart, means = np.split(r, np.cumsum(widths)[:-1], axis=1)
-        return cls(means.T, tuple(np.hstack([shared, z]) for z in apart), count)
+        r = np.asarray(np.linalg.qr(np.hstack([*columns, away]), mode="r"))
+        *apart, means = np.split(r, np.cumsum([j.shape[1] for j in columns]), axis=1)
+        return cls(means.T, tuple(apart), count)
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,11 +117,25 @@ class Contest:
         What they predict of it.
     needed
         Difference of log evidence from which one rules the other out.
+    shares
+        Of the distance between the row's rival and the column's, what exact fits leave of it (rivals, rivals); None: all.
+    lost
+        Log evidence so far of the row's rival over the column's that exact fits take back (rivals, rivals); None: nothing.
     """
 
     rivals: tuple[Rival, ...]
     rows: Rows
     needed: float
+    shares: np.ndarray | None = None
+    lost: np.ndarray | None = None
+
+    def _lead(self, i: int, j: int) -> float:
+        """Log evidence of rival i over j but for what the motion adds, where i is true."""
+        return float(self.constant[i] - self.constant[j] - (0.0 if self.lost is None else self.lost[i, j]))
+
+    def _away(self, i: int, j: int) -> np.ndarray:
+        """What rival i predicts beyond rival j (t,)."""
+        return (1.0 if self.shares is None else self.shares[i, j]) * (self.rows.readings[i] - self.rows.readings[j])
 
     @cached_property
     def _spreads(self) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -134,9 +152,8 @@ class Contest:
         """Log evidence of each rival so far, less what its free parameters will cost more (rivals,)."""
         out = []
         for rival, j in zip(self.rivals, self.rows.columns, strict=True):
-            before = rival.fit.projector.rows
             after = np.asarray(np.linalg.qr(np.vstack([rival.factor, j]), mode="r"))
-            more = rival.cost(after, before + self.rows.count) - rival.cost(rival.factor, before)
+            more = rival.cost(after, rival.rows + self.rows.count) - rival.cost(rival.factor, rival.rows)
             out.append(rival.evidence - more)
         return np.array(out)
 
@@ -147,7 +164,7 @@ class Contest:
         out = np.zeros((count, count))
         for i in range(count):
             for j in range(count):
-                d = self.rows.readings[i] - self.rows.readings[j]
+                d = self._away(i, j)
                 out[i, j] = d @ self._spreads[j][1] @ d
         return out
 
@@ -162,9 +179,9 @@ class Contest:
                 if i == j:
                     continue
                 inverse = self._spreads[j][1]
-                along = root.T @ (inverse @ (self.rows.readings[i] - self.rows.readings[j]))
+                along = root.T @ (inverse @ self._away(i, j))
                 a = root.T @ inverse @ root - np.eye(len(root))
-                mean[i, j] = 0.5 * (np.trace(a) + self.noncentrality[i, j]) + self.constant[i] - self.constant[j]
+                mean[i, j] = 0.5 * (np.trace(a) + self.noncentrality[i, j]) + self._lead(i, j)
                 std[i, j] = np.sqrt(0.5 * np.sum(a**2) + along @ along)
         return mean, std
 
@@ -203,10 +220,11 @@ class Contest:
         """
         z = np.random.default_rng(seed).normal(size=(_DRAWN, self.rows.readings.shape[1]))
         right, wrong = 0.0, 0.0
-        for i in np.flatnonzero(weights > 0):
-            y = self.rows.readings[i] + z @ self._spreads[i][0].T
-            left = [(y - m, inverse) for m, (_, inverse) in zip(self.rows.readings, self._spreads, strict=True)]
-            score = self.constant - 0.5 * np.column_stack([np.sum((e @ inverse) * e, axis=1) for e, inverse in left])
+        for i in map(int, np.flatnonzero(weights > 0)):
+            y = z @ self._spreads[i][0].T  # about what i predicts
+            left = [(y + self._away(i, j), inverse) for j, (_, inverse) in enumerate(self._spreads)]
+            lead = np.array([self._lead(i, j) for j in range(len(self.rivals))])
+            score = -lead - 0.5 * np.column_stack([np.sum((e @ inverse) * e, axis=1) for e, inverse in left])
             order = np.argsort(score, axis=1)
             clear = np.take_along_axis(score, order[:, -1:], 1) - np.take_along_axis(score, order[:, -2:-1], 1) > self.needed
             first = order[:, -1] == i

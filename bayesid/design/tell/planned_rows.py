@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from bayesid.design.tell.evidence import Contest, Rows
 from bayesid.design.tell.motions import Planned
-from bayesid.design.tell.rivals import Case
+from bayesid.design.tell.rivals import Case, columns
 from bayesid.diagnosis.data import DiagnosisData
 from bayesid.diagnosis.encoders import pooled, with_noise
 from bayesid.diagnosis.fit import Fit
 from bayesid.diagnosis.prepare import even_grid
-from bayesid.diagnosis.projector import NuisanceProjector, offset_columns
-from bayesid.diagnosis.rows import model_rows
 from bayesid.diagnosis.spectra import Segment
 from bayesid.effects import MotionSegment
 
@@ -81,27 +80,20 @@ class Bench:
 
 def contest(case: Case, bench: Bench, motion: Planned) -> Contest:
     """What a motion would do to the evidence between the rivals of a case."""
+    return contest_on(case, [bench.segment(motion, case.rivals[0].fit)])
+
+
+def contest_on(case: Case, segments: Sequence[Segment]) -> Contest:
+    """What segments with known noise, whatever they read, do to the evidence between the rivals of a case."""
     first = case.rivals[0].fit
-    segment = bench.segment(motion, first)
-    data, projector = first.projector.data, first.projector
+    data = first.projector.data
     scale = 1.0 / np.sqrt(case.rivals[0].dispersion)
-    common = scale * _common(projector, segment, first)
-    own, predicted = [], []
+    derivatives, predicted = [], []
     for rival in case.rivals:
         f = rival.fit
-        own.append(scale * model_rows(data, [segment], f.links, f.terms))
+        derivatives.append(scale * columns(f, segments))
         with np.errstate(all="ignore"):
-            exact = segment.spectrum(data.predict(segment, f.links, f.terms)) + segment.measured_ones * f.offset
-        predicted.append(scale * segment.whiten(exact).ravel())
-    return Contest(case.rivals, Rows.of(common, own, predicted, segment.count), data.settings.rival)
-
-
-def _common(projector: NuisanceProjector, segment: Segment, fitted: Fit) -> np.ndarray:
-    """Whitened columns of links and offset of a planned segment, in the projector's coordinates (rows, size)."""
-    parts = [np.zeros((segment.shape[0] * segment.shape[1], 0))]
-    if projector.data.prior is not None:
-        spectrum = segment.whiten(segment.spectrum(projector.data.link_columns(segment, fitted.terms)))
-        parts.append(spectrum.reshape(-1, spectrum.shape[2]) @ projector.root)
-    if projector.offset:
-        parts.append(offset_columns(segment))
-    return np.hstack(parts)
+            exact = [s.spectrum(data.predict(s, f.links, f.terms)) + s.measured_ones * f.offset for s in segments]
+        predicted.append(scale * np.concatenate([s.whiten(e).ravel() for s, e in zip(segments, exact, strict=True)]))
+    rows = Rows.of(derivatives, predicted, sum(s.count for s in segments))
+    return Contest(case.rivals, rows, data.settings.rival)

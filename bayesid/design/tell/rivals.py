@@ -8,13 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayesid.design.tell.evidence import Rival
+from bayesid.design.tell.predicted import predicted
 from bayesid.diagnosis.candidates import Library, make_library
 from bayesid.diagnosis.data import DiagnosisData
 from bayesid.diagnosis.fit import Fit, fit
-from bayesid.diagnosis.noise import smoothed
-from bayesid.diagnosis.projector import NuisanceProjector, make_projector
+from bayesid.diagnosis.projector import make_projector, offset_columns
 from bayesid.diagnosis.rows import model_rows
 from bayesid.diagnosis.search import Search
+from bayesid.diagnosis.spectra import Segment
 from bayesid.effects import Effect, Term
 from bayesid.errors import InputError
 
@@ -40,16 +41,47 @@ class Case:
 
 def known(fitted: Fit, name: str, evidence: float, dispersion: float) -> Rival:
     """A fit as a rival: the information of its recordings, in units of the dispersed noise."""
+    projector = fitted.projector
+    rows = np.vstack([columns(fitted, projector.data.segments), _prior(fitted)])
+    r = np.asarray(np.linalg.qr(rows, mode="r"))
+    return Rival(name, fitted, evidence, r / np.sqrt(dispersion), dispersion, projector.rows)
+
+
+def columns(fitted: Fit, segments: Sequence[Segment]) -> np.ndarray:
+    """Whitened derivatives of a fit's readings with respect to links, offset and its free parameters (rows, s + k).
+
+    Links and offset are in the projector's coordinates; their columns are those beside the fit's own effects.
+    """
     projector, data = fitted.projector, fitted.projector.data
-    own = model_rows(data, data.segments, fitted.links, fitted.terms)
-    rows = np.zeros((len(projector.q), projector.size + own.shape[1]))
-    rows[:, : projector.size] = projector.q @ projector.r
-    rows[: projector.length, projector.size :] = own
-    prior = np.zeros((own.shape[1], rows.shape[1]))
-    sizes = np.array([_size(fitted.terms[i], k, data) for i, k in fitted.free])
-    prior[:, projector.size :] = np.diag(1.0 / (_WIDE * sizes))
-    r = np.linalg.qr(np.vstack([rows, prior]), mode="r")
-    return Rival(name, fitted, evidence, r / np.sqrt(dispersion), dispersion)
+    parts = []
+    for s in segments:
+        mine = [np.zeros((s.shape[0] * s.shape[1], 0))]
+        if data.prior is not None:
+            spectrum = s.whiten(s.spectrum(data.link_columns(s, fitted.terms)))
+            mine.append(spectrum.reshape(-1, spectrum.shape[2]) @ projector.root)
+        if projector.offset:
+            mine.append(offset_columns(s))
+        parts.append(np.hstack(mine))
+    return np.hstack([np.vstack(parts), model_rows(data, segments, fitted.links, fitted.terms)])
+
+
+def unknown(rival: Rival) -> Rival:
+    """The same rival before any recording: nominal links with their prior, and its effects about where they imitate best."""
+    fitted = rival.fit
+    nominal = replace(
+        fitted,
+        links=fitted.projector.data.links,
+        offset=np.zeros_like(fitted.offset),
+        coordinates=np.zeros_like(fitted.coordinates),
+    )
+    return replace(rival, fit=nominal, evidence=0.0, factor=_prior(fitted) / np.sqrt(rival.dispersion), rows=0)
+
+
+def _prior(fitted: Fit) -> np.ndarray:
+    """Rows of the prior of links and offset, and of one of the free parameters that says little (s + k, s + k)."""
+    projector = fitted.projector
+    sizes = np.array([_size(fitted.terms[i], k, projector.data) for i, k in fitted.free])
+    return np.diag(np.concatenate([projector.prior_residual(np.ones(projector.size)), 1.0 / (_WIDE * sizes)]))
 
 
 def _size(term: Term, parameter: int, data: DiagnosisData) -> float:
@@ -139,24 +171,24 @@ def from_effects(data: DiagnosisData, effects: Sequence[Effect]) -> tuple[Case, 
         best = max(f.score for f in fits)
         rivals = tuple(known(f, e.spec, (f.score - best) / dispersion, dispersion) for f, e in zip(fits, effects, strict=True))
         return (Case(rivals, _weights(rivals)),)
+    return supposed(data, effects)
+
+
+def supposed(data: DiagnosisData, effects: Sequence[Effect]) -> tuple[Case, ...]:
+    """A case for each effect in which it is there at a usual size, its readings in place of the recorded ones."""
     return tuple(_supposed(data, effects, true) for true in range(len(effects)))
 
 
 def _supposed(data: DiagnosisData, effects: Sequence[Effect], true: int) -> Case:
-    """The case in which one of the effects is there at a usual size, its readings in place of the recorded ones."""
+    """The case of one of the effects."""
     term = Term(effects[true], tuple(map(float, effects[true].typical(data.robot))))
-    segments = []
-    for s in data.segments:
-        old = s.scene
-        scene = smoothed(s.times, s.encoders, s.times, old.bandwidth, s.still, old.middle_positions, old.clear)
-        there = replace(s, scene=scene, instant=True)
-        segments.append(replace(there, readings=data.predict(there, data.links, (*data.terms, term))))
-    supposed = replace(data, segments=tuple(segments))
-    projector: NuisanceProjector = make_projector(supposed, data.terms)
+    none, terms = np.zeros(len(data.channels)), (*data.terms, term)
+    there = replace(data, segments=tuple(predicted(data, s, data.links, none, terms) for s in data.segments))
+    projector = make_projector(there, data.terms)
     base = fit(projector, data.terms)
     others = [e for k, e in enumerate(effects) if k != true]
     fits = _fitted(make_library(projector, base, effects=others), base, others)
-    fits.insert(true, fit(projector, (*data.terms, term)))
+    fits.insert(true, fit(projector, terms))
     best = fits[true].score
     rivals = tuple(known(f, e.spec, f.score - best, 1.0) for f, e in zip(fits, effects, strict=True))
     return Case(rivals, np.eye(len(effects))[true])
