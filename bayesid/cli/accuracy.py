@@ -23,6 +23,7 @@ from bayesid.cli.options import (
 )
 from bayesid.errors import EstimationError, InputError
 from bayesid.results.files import check_output, checkpoint_of
+from bayesid.workflows.accuracy import add_certificate, check_estimate
 
 
 @click.command()
@@ -35,19 +36,23 @@ from bayesid.results.files import check_output, checkpoint_of
 @click.option("--nominal", is_flag=True, help="Take the nominal links for the true ones, not the estimated.")
 @click.option("--certificate", is_flag=True, help="Count how often the intervals hold the truth, on simulated twins.")
 @click.option("--twins", type=int, default=400, show_default=True, help="Twins of the certificate.")
+@click.option(
+    "--estimate", type=click.Path(path_type=Path), help="An estimate.json to write the certificate into, with its report."
+)
 @click.option("--resume", is_flag=True, help="Go on with the twins of an interrupted run of the same --out.")
 @OUT
 @SEED
 def accuracy(
-    experiment: Path, filter_l, filter_d, model, effects_from, method, bounds, certificate, twins, out, resume, **options
+    experiment, filter_l, filter_d, model, effects_from, method, bounds, certificate, twins, estimate, out, resume, **options
 ) -> None:
     """What the errors depend on, what effects left out of the model do, and whether the intervals hold the truth."""
     check_output(out or OUTPUTS, "accuracy")
-    if resume and not certificate:
-        raise InputError("--resume is for --certificate; add that, or leave it out")
+    if (resume or estimate) and not certificate:
+        raise InputError(f"--{'resume' if resume else 'estimate'} is for --certificate; add that, or leave it out")
     filters, chosen = low_pass(filter_l, filter_d), bayesid.estimator(method)
     loaded = load(experiment, model, effects_from)
     chosen = bounded(chosen, bounds, loaded)
+    written = None if estimate is None else check_estimate(estimate, loaded, chosen)
     folder = output_folder(out, loaded.name, "accuracy")
     kept = checkpoint_of(folder)
     try:
@@ -58,8 +63,11 @@ def accuracy(
             )  # fmt: skip
             progress("report")
             report = result.write(folder)
+            changed = written is None or add_certificate(written, result)
     except KeyboardInterrupt:
         raise EstimationError(f"interrupted; add --resume to go on from {kept}" if kept.exists() else "interrupted") from None
     kept.unlink(missing_ok=True)
     click.echo(str(result))
+    if written is not None:
+        click.echo(f"certificate: {written}" + ("" if changed else ", but not its report.html, which is not as it was written"))
     click.echo(f"report: {report}")

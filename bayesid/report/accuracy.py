@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from bayesid.report.accuracy_figures import SHOWN_EFFECTS, certificate_figure, susceptibility_figure, sweeps_figure
+from bayesid.report.accuracy_figures import SHOWN_EFFECTS, susceptibility_figure, sweeps_figure
+from bayesid.report.certificate import certificate_section
 from bayesid.report.notation import short_names
 from bayesid.report.page import render, run_times, svg, versions
 from bayesid.results.accuracy import Accuracy
@@ -45,10 +46,8 @@ def accuracy_report(result: Accuracy) -> str:
         effects=[effect_cells(s, base.labels) for s in result.susceptibility],
         shown_effects=_MOST_EFFECTS,
         unbiased=len(result.susceptibility) - len(biased),
-        certificate=None if certificate is None else {
-            "text": coverage_text(result.certificate), "plot": svg(coverage_figure(result), "certificate"),
-            "rows": _coverage_rows(result), "refused": certificate.refused,
-        },
+        certificate=certificate_section(certificate, base),
+        certified=certificate is not None,
         parameters=_parameters(result),
         simulated=sweeps is not None,
         formula=sweeps is not None and sweeps.formula is not None,
@@ -62,12 +61,6 @@ def bias_map(result: Accuracy) -> Figure:
     base = result.bench.problem.row_model.base
     matrix = np.array([s.sigmas for s in shown]).reshape(len(shown), base.rank)
     return susceptibility_figure([s.effect.spec for s in shown], short_names(base), matrix)
-
-
-def coverage_figure(result: Accuracy) -> Figure:
-    """Coverage of every base parameter."""
-    assert result.certificate is not None
-    return certificate_figure(result.certificate, short_names(result.bench.problem.row_model.base))
 
 
 def _lead(result: Accuracy) -> str:
@@ -96,7 +89,7 @@ def _cards(result: Accuracy) -> list[dict[str, str]]:
         predicted = ", ".join(result.bench.predicted_motions)
         cards.append({"value": percent(own.prediction, 2), "mood": "",
                       "text": f"of the signal of {predicted}: by so much predictions are wrong"})  # fmt: skip
-        largest = float(np.max(np.abs(own.bias) / np.maximum(own.std, 1e-300)))
+        largest = float(np.nanmax(np.abs(own.bias) / np.maximum(own.std, 1e-300)))
         good = largest < 0.5 + 3.0 / np.sqrt(result.sweeps.runs)
         cards.append({"value": f"{number(largest, 2)} σ", "mood": "good" if good else "fair",
                       "text": "largest bias by smoothing and encoders alone"})  # fmt: skip
@@ -112,10 +105,10 @@ def _cards(result: Accuracy) -> list[dict[str, str]]:
 def _improvements(result: Accuracy) -> list[list[str]]:
     if result.sweeps is None:
         return []
-    own, rows = max(result.sweeps.own.prediction, 1e-300), []
+    rows = []
     for _, v in result.improvements:
         sure = DASH if v.source == "formula" else f"{change(v.ratio_low)} … {change(v.ratio_high)}"
-        rows.append([v.improvement, change(v.ratio), sure, change(v.prediction / own), v.source])
+        rows.append([v.improvement, change(v.ratio), sure, change(v.prediction_ratio), v.source])
     return rows
 
 
@@ -138,21 +131,6 @@ def _parameters(result: Accuracy) -> list[dict[str, Any]]:
             row["worst"] = f"{worst.effect.spec} ({number(abs(worst.sigmas[k]), 2)} σ)"
         rows.append(row)
     return rows
-
-
-def _coverage_rows(result: Accuracy) -> list[dict[str, Any]]:
-    c = result.certificate
-    assert c is not None
-    low, high = c.intervals
-    labels = result.bench.problem.row_model.base.labels
-    return [
-        {
-            "index": k + 1, "label": labels[k], "coverage": percent(c.coverage[k]),
-            "interval": f"{percent(low[k])} … {percent(high[k])}", "bad": bool(c.coverage[k] < c.band[0] - 1e-12),
-            "mean": number(c.mean_z[k], 2), "std": number(c.std_z[k], 3),
-        }
-        for k in range(len(labels))
-    ]  # fmt: skip
 
 
 def _how(result: Accuracy) -> list[tuple[str, str]]:

@@ -74,9 +74,8 @@ def _curve(ax: Axes, sweep: Sweep, sweeps: Sweeps) -> None:
     bars = np.abs(np.array([[v.ratio - v.ratio_low, v.ratio_high - v.ratio] for v in levels]).T)
     dots = {"marker": "o", "ms": 4, "lw": 1.3, "capsize": 2.5}
     ax.errorbar(x, middle, yerr=bars, color=_BLUE, label="median error of the base parameters", **dots)
-    own = max(sweeps.own.prediction, 1e-300)
-    predicted = np.array([v.prediction for v in levels]) / own
-    spread = 1.96 * np.array([v.prediction_error for v in levels]) / own
+    predicted = np.array([v.prediction_ratio for v in levels])
+    spread = 1.96 * np.array([v.prediction_error / max(v.prediction, 1e-300) for v in levels]) * predicted
     squares = {"marker": "s", "ms": 3.5, "lw": 1.0, "ls": "--", "capsize": 2.5}
     ax.errorbar(x, predicted, yerr=np.minimum(spread, 0.95 * predicted), color=_RED, label="error of predictions", **squares)
     formula = [k for k, v in enumerate(levels) if v.source == "formula"]
@@ -107,7 +106,6 @@ def _limits(ax: Axes, values: np.ndarray) -> None:
 
 def _dots(ax: Axes, rows: list[tuple[Sweep, int, Level]], sweeps: Sweeps) -> None:
     y = np.arange(len(rows), dtype=float)
-    own = max(sweeps.own.prediction, 1e-300)
     reached = [1.0]
     for k, (_, _, v) in enumerate(rows):
         low, high = _quantiles(v, sweeps)
@@ -116,9 +114,9 @@ def _dots(ax: Axes, rows: list[tuple[Sweep, int, Level]], sweeps: Sweeps) -> Non
             sure = [[max(v.ratio - v.ratio_low, 0.0)], [max(v.ratio_high - v.ratio, 0.0)]]
             ax.errorbar(v.ratio, y[k], xerr=sure, color=_BLUE, marker="o", ms=4.5, capsize=2.5, lw=1.2)
             reached += [low, high, v.ratio_low, v.ratio_high]
-        if np.isfinite(v.prediction):
-            ax.plot(v.prediction / own, y[k] + 0.18, "s", ms=3.5, color=_RED)
-            reached.append(v.prediction / own)
+        if np.isfinite(v.prediction_ratio):
+            ax.plot(v.prediction_ratio, y[k] + 0.18, "s", ms=3.5, color=_RED)
+            reached.append(v.prediction_ratio)
     labels, before = [], ""
     for sweep, index, v in rows:
         text = v.label + (" (yours)" if index == sweep.own else "")

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.estimators import Estimate
 from bayesid.regression.regression import Regression
+from bayesid.report.certificate import certificate_section
 from bayesid.report.details import described
 from bayesid.report.identification_figures import bandwidth_sensitivity, parameter_intervals
 from bayesid.report.notation import notation, short_names
@@ -72,6 +73,7 @@ def identification_report(result: Identification) -> str:
             {**a.to_dict(), "rms": number(a.rms, 3), "probability": chance(a.probability)} for a in result.agreements
         ],
         static=_both_ways(result),
+        certificate=certificate_section(result.certificate, estimate.base),
         how=_how(result),
     )
 

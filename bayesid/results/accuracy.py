@@ -159,7 +159,7 @@ class Accuracy(Result):
             document["improvements"] = [
                 {
                     "factor": name, "change": v.improvement, "median_rms_ratio": v.ratio, "low": v.ratio_low,
-                    "high": v.ratio_high, "prediction_ratio": v.prediction / max(self.sweeps.own.prediction, 1e-300),
+                    "high": v.ratio_high, "prediction_ratio": v.prediction_ratio,
                 }
                 for name, v in self.improvements
             ]  # fmt: skip

@@ -31,7 +31,7 @@ def accuracy_text(
     )
     parts: list[tuple[str, list[str], list[list[str]]]] = []
     if sweeps is not None:
-        rows = [[v.improvement, change(v.ratio), change(v.prediction / max(sweeps.own.prediction, 1e-300)), v.source]
+        rows = [[v.improvement, change(v.ratio), change(v.prediction_ratio), v.source]
                 for _, v in sweeps.improvements()]  # fmt: skip
         if rows:
             parts.append(("What would buy most", ["change", "median error", "prediction", "by"], rows))

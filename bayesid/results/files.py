@@ -156,6 +156,59 @@ def write_results(
     return folder / REPORT
 
 
+def read_document(path: Path, option: str) -> dict[str, Any]:
+    """A JSON document that an earlier run wrote.
+
+    Parameters
+    ----------
+    path
+        The file.
+    option
+        Where the user named it, for messages.
+
+    Raises
+    ------
+    InputError
+        It is no such document.
+    """
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError(f"{option} {path}: cannot be read as JSON ({error}); name a file that bayesid wrote") from None
+    if not (isinstance(document, dict) and {"schema", "experiment"} <= document.keys()):
+        raise InputError(f"{option} {path}: is no document of bayesid; name the estimate.json of a run of identify")
+    return document
+
+
+def amend(path: Path, added: Mapping[str, Any], report: Callable[[str], str]) -> bool:
+    """Add keys to a document of an earlier run, and change the report that was written with it; both or none.
+
+    Parameters
+    ----------
+    path
+        The document.
+    added
+        Its new keys.
+    report
+        From the text of the report to the new one.
+
+    Returns
+    -------
+    changed
+        Whether the report is still as it was written, and was changed, too.
+    """
+    document = read_document(path, "--estimate")
+    page, hashes = path.parent / REPORT, dict(document.get("files") or {})
+    ours = page.is_file() and hashes.get(REPORT) == _hash(page)
+    with whole_folder(path.parent) as made:
+        if ours:
+            (made / REPORT).write_text(report(page.read_text(encoding="utf-8")), encoding="utf-8")
+            hashes[REPORT] = _hash(made / REPORT)
+        text = json.dumps({**document, **added, "files": hashes}, indent=1, allow_nan=False, ensure_ascii=False)
+        (made / path.name).write_text(text + "\n", encoding="utf-8")
+    return ours
+
+
 def _check_ours(folder: Path, names: Iterable[str]) -> None:
     """Refuse to replace files that no earlier run wrote, or that were changed since."""
     there = [name for name in names if (folder / name).exists()]

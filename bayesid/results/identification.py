@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bayesid.design.accuracy.certificate import Certificate
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.effects import Term
+from bayesid.errors import InputError
 from bayesid.estimators import Estimate
 from bayesid.estimators.estimator import parameter_table
 from bayesid.estimators.prior_check import PriorCheck, conflicts
@@ -61,6 +63,8 @@ class Identification(PlotsPredictions, Result):
         How far the data are from the nominal links, where their trust is stated or the estimator takes it from the data.
     unconstrained_urdf
         Whether ``identified-unconstrained.urdf`` is written, too.
+    certificate
+        Coverage of the intervals on simulated twins, where `bayesid.accuracy` counted it.
     """
 
     problem: Problem
@@ -76,6 +80,7 @@ class Identification(PlotsPredictions, Result):
     seconds: dict[str, float]
     prior_check: PriorCheck | None = None
     unconstrained_urdf: bool = False
+    certificate: Certificate | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -202,7 +207,20 @@ class Identification(PlotsPredictions, Result):
             "agreement": [a.to_dict() for a in self.agreements],
             "warnings": list(self.warnings),
             "runtime_s": self.seconds,
+            **({} if self.certificate is None else {"certificate": self.certificate.to_dict()}),
         }
+
+    def certified(self, certificate: Certificate) -> Identification:
+        """The same with coverage that `bayesid.accuracy` found, to be written into ``estimate.json`` and the report.
+
+        Raises
+        ------
+        InputError
+            It is of other base parameters.
+        """
+        if certificate.names != self.names:
+            raise InputError("the certificate is of other base parameters; make it from this identification")
+        return replace(self, certificate=certificate)
 
     def effects(self) -> list[dict[str, Any]]:
         """Every effect of the model with values, standard deviations and 95 % intervals (None without) and units."""

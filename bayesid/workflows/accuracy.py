@@ -11,7 +11,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from bayesid.design.accuracy.bench import Bench, make_bench
-from bayesid.design.accuracy.certificate import Certificate, certify
+from bayesid.design.accuracy.certificate import Certificate, certify, check_certifiable
 from bayesid.design.accuracy.susceptibility import susceptibility
 from bayesid.design.accuracy.sweeps import Sweeps, sweep
 from bayesid.errors import InputError
@@ -20,7 +20,7 @@ from bayesid.recordings.experiment import Experiment, as_experiment
 from bayesid.regression.options import FitOptions
 from bayesid.results.accuracy import Accuracy
 from bayesid.results.figures import figures_of
-from bayesid.results.files import Files, files_of
+from bayesid.results.files import Files, amend, files_of, read_document
 from bayesid.results.identification import Identification
 from bayesid.signals.filters import LowPass
 from bayesid.workflows.progress import Clock, Progress, quiet
@@ -30,6 +30,8 @@ from bayesid.workflows.warnings import incomplete
 _FEWEST_RUNS = 5
 #: Simulation and formula of the user's own setting may differ by this many standard errors.
 _FAR = 4.0
+#: Estimates are the same up to this share of a standard deviation.
+_SAME = 0.01
 
 
 def accuracy(
@@ -89,6 +91,8 @@ def accuracy(
         clock("reading")
         options = FitOptions(channel, low_pass, motions, effects, static, bandwidth)
         bench = _bench(experiment, method, options, nominal, clock)
+        if certificate:
+            check_certifiable(bench, certificate)
         varied = None
         if runs:
             clock("simulating")
@@ -107,15 +111,16 @@ def accuracy(
 
 @figures_of.register
 def _(result: Accuracy) -> Mapping[str, Callable[..., Any]]:
-    from bayesid.report.accuracy import bias_map, coverage_figure
+    from bayesid.report.accuracy import bias_map
     from bayesid.report.accuracy_figures import sweeps_figure
+    from bayesid.report.certificate import coverage_figure
 
-    varied = {} if result.sweeps is None else {"sweeps": partial(sweeps_figure, result.sweeps)}
-    return {
-        **varied,
-        "susceptibility": partial(bias_map, result),
-        "certificate": partial(coverage_figure, result),
-    }
+    figures: dict[str, Callable[..., Any]] = {"susceptibility": partial(bias_map, result)}
+    if result.sweeps is not None:
+        figures["sweeps"] = partial(sweeps_figure, result.sweeps)
+    if result.certificate is not None:
+        figures["certificate"] = partial(coverage_figure, result.certificate, result.bench.problem.row_model.base)
+    return figures
 
 
 @files_of.register
@@ -124,6 +129,54 @@ def _(result: Accuracy) -> Files:
     from bayesid.report.accuracy import accuracy_report
 
     return Files({"accuracy.json": result.to_dict()}, {}, accuracy_report(result))
+
+
+def check_estimate(path: str | Path, experiment: Experiment, method: Estimator) -> Path:
+    """The ``estimate.json`` of an earlier run of ``identify``, refused early where a certificate cannot be written into it.
+
+    Parameters
+    ----------
+    path
+        The file, or its folder.
+    experiment, method
+        What it must be of.
+
+    Raises
+    ------
+    InputError
+        It is no estimate, or one of another experiment or method.
+    """
+    path = Path(path)
+    path = path / "estimate.json" if path.is_dir() else path
+    document = read_document(path, "--estimate")
+    for key, own in (("experiment", experiment.name), ("method", method.name)):
+        if document.get(key) != own:
+            raise InputError(f"--estimate {path}: its {key} is {document.get(key)!r}, not {own!r}; give the same {key} here")
+    return path
+
+
+def add_certificate(path: Path, result: Accuracy) -> bool:
+    """Write a certificate into an ``estimate.json`` and its report; whether the report was as written, and changed, too.
+
+    Raises
+    ------
+    InputError
+        It is of another estimate than the certificate.
+    """
+    found, base = result.certificate, result.bench.problem.row_model.base
+    assert found is not None
+    listed = read_document(path, "--estimate").get("base_parameters", ())
+    values = {p["name"]: p["value"] for p in listed}
+    own = dict(zip(found.names, result.bench.estimate.values, strict=True))
+    scale = dict(zip(found.names, np.nan_to_num(result.std), strict=True))
+    if values.keys() != own.keys() or any(abs(values[n] - own[n]) > _SAME * scale[n] + 1e-9 * abs(own[n]) for n in own):
+        raise InputError(
+            f"--estimate {path}: is another estimate than that of these recordings and options; give the options that it "
+            "was made with, or run bayesid identify again"
+        )
+    from bayesid.report.certificate import with_certificate
+
+    return amend(path, {"certificate": found.to_dict()}, lambda page: with_certificate(page, found, base))
 
 
 def _bench(
@@ -163,7 +216,8 @@ def _warnings(bench: Bench, varied: Sweeps | None, found: Certificate | None) ->
         out.append(incomplete(details.dispersion))
         out.append(
             "What the model misses is in the twins as noise of the same spectrum, without its dependence on the motion: real "
-            "errors may be larger than simulated ones. Look for the missing effect first (`bayesid diagnose`)."
+            "errors may be larger than simulated ones, and neither repeats nor a better sensor take it away. Look for the "
+            "missing effect first (`bayesid diagnose`)."
         )
     if varied is not None and varied.formula is not None:
         doubt = _FAR / np.sqrt(2.0 * (varied.runs - 1))

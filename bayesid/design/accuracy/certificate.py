@@ -108,6 +108,15 @@ class Certificate:
         }  # fmt: skip
 
 
+def check_certifiable(bench: Bench, count: int) -> None:
+    """Refuse what no certificate can be made of: a method without intervals, or too few twins."""
+    if bench.estimate.full_covariance is None or bench.estimate.interval == "none":
+        reason = bench.estimate.interval_reason or "none is honest"
+        raise InputError(f"--certificate: method {bench.method.name} prints no intervals ({reason}); choose another --method")
+    if count < FEWEST:
+        raise InputError(f"--twins {count}: give at least {FEWEST}; 400 tell coverage to about 1 %")
+
+
 def certify(
     bench: Bench, count: int, seed: int, tell: Callable[[str], object], kept: Path | None = None, resume: bool = False
 ) -> Certificate:
@@ -129,15 +138,11 @@ def certify(
     Raises
     ------
     InputError
-        The method prints no intervals; the file belongs to another run.
+        As `check_certifiable`; the file belongs to another run.
     EstimationError
         Hardly any twin can be fitted.
     """
-    if bench.estimate.full_covariance is None or bench.estimate.interval == "none":
-        reason = bench.estimate.interval_reason or "none is honest"
-        raise InputError(f"--certificate: method {bench.method.name} prints no intervals ({reason}); choose another --method")
-    if count < FEWEST:
-        raise InputError(f"--twins {count}: give at least {FEWEST}; 400 tell coverage to about 1 %")
+    check_certifiable(bench, count)
     setting, mark = own_setting(bench), _mark(bench, seed)
     done: list[np.ndarray] = []
     if kept is not None and resume and (stored := load_checkpoint(kept, mark)) is not None:

@@ -79,10 +79,16 @@ def all_factors(bench: Bench) -> tuple[Factor, ...]:
     return tuple(f for f in factors if f.trials)
 
 
+def _if_complete(bench: Bench, advice: str) -> str:
+    """An advice that helps against noise, not against model error: empty where the model is incomplete."""
+    return "" if bench.estimate.details.model_complete is False else advice
+
+
 def _noise(bench: Bench) -> Factor:
     own, formula = own_setting(bench), has_formula(bench)
+    half = _if_complete(bench, "half the sensor noise")
     trials = tuple(
-        Trial(f"× {k:g}", k, None if formula else replace(own, noise=k), (k, 1.0), "half the sensor noise" if k == 0.5 else "")
+        Trial(f"× {k:g}", k, None if formula else replace(own, noise=k), (k, 1.0), half if k == 0.5 else "")
         for k in (0.25, 0.5, 2.0, 4.0)
     )
     return Factor("sensor_noise", "Noise of the readings", _sizes(bench, 1.0), trials)
@@ -121,12 +127,12 @@ def _rate(bench: Bench) -> Factor:
     own = own_setting(bench)
     rate = min(1.0 / usual_step(m.motion.table.times) for m in bench.motions if m.pieces)
     slowest = max(_SLOWEST_RATE, _RATE_PER_BANDWIDTH * bench.problem.smoother.bandwidth)
+    # Of coloured noise nobody knows what it is between the samples.
+    levels = (0.125, 0.25, 0.5, 2.0, 4.0) if bench.noise.order == 0 else (0.125, 0.25, 0.5)
+    twice = _if_complete(bench, "twice the sampling rate")
     trials = tuple(
-        Trial(
-            f"{rate * k:.3g} Hz", k, replace(own, rate=k),
-            improvement="twice the sampling rate" if k == 2.0 else "",
-        )
-        for k in (0.125, 0.25, 0.5, 2.0, 4.0)
+        Trial(f"{rate * k:.3g} Hz", k, replace(own, rate=k), improvement=twice if k == 2.0 else "")
+        for k in levels
         if rate * k >= slowest
     )
     return Factor("sampling_rate", "Sampling rate", f"{rate:.3g} Hz", trials)
@@ -139,7 +145,7 @@ def _length(bench: Bench) -> Factor:
     longer = [
         Trial(
             f"repeated {k:g} times", k, None, (1.0, k**-0.5),
-            "the motion twice" if k == 2.0 else "",
+            _if_complete(bench, "the motion twice") if k == 2.0 else "",
         )
         for k in (2.0, 4.0)
     ]

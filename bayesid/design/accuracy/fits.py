@@ -133,7 +133,11 @@ def error_of(bench: Bench, problem: Problem, estimate: Estimate) -> np.ndarray:
 
 
 def prediction_error(bench: Bench, error: np.ndarray) -> float:
-    """Error of the predicted motions that an error of the solution (p,) makes, as a share of the signal."""
+    """Error of the predicted motions that an error of the solution (p,) makes, as a share of the signal.
+
+    What the user's own fit does not determine is left out: it stays nominal, and so it is in the truth.
+    """
+    error = np.where(bench.estimate.undetermined, 0.0, error)
     return float(np.sqrt(max(error @ bench.prediction_gram @ error, 0.0)))
 
 

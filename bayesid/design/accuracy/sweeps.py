@@ -48,10 +48,12 @@ class Level:
         Standard errors of these of a simulation (r,); zero where a formula gives them.
     prediction, prediction_error
         Root mean square error of predictions as a share of the signal, and its standard error.
+    prediction_ratio
+        That error over the one of the user's own setting, by formula where a formula says the error.
     ratio, ratio_low, ratio_high
         Median over the base parameters of the rms error over that of the user's own setting, with a 95 % interval.
     lost
-        How many of the user's base parameters are not determined.
+        How many of the base parameters that the user's own setting determines are not determined.
     improvement
         What an advice would call it.
     reason
@@ -68,6 +70,7 @@ class Level:
     std_error: np.ndarray
     prediction: float
     prediction_error: float
+    prediction_ratio: float
     ratio: float
     ratio_low: float
     ratio_high: float
@@ -121,7 +124,7 @@ class Sweeps:
     @property
     def agreement(self) -> float:
         """Median ratio of the simulated standard deviations of the user's own setting to those of the formula; nan without."""
-        return float("nan") if self.formula is None else float(np.median(self.own.std / self.formula))
+        return float("nan") if self.formula is None else median_ratio(self.own.std, self.formula)
 
     def improvements(self) -> tuple[tuple[str, Level], ...]:
         """The best advice of each factor, what lowers the median error most first; only those that lower it beyond chance."""
@@ -131,6 +134,12 @@ class Sweeps:
             if advised:
                 out.append((sweep.name, min(advised, key=lambda v: v.ratio)))
         return tuple(sorted(out, key=lambda pair: pair[1].ratio))
+
+
+def median_ratio(errors: np.ndarray, others: np.ndarray) -> float:
+    """Median of ``errors / others`` (r,) over the parameters that both determine; nan where there is none."""
+    both = np.isfinite(errors) & np.isfinite(others) & (others > 0.0)
+    return float(np.median(errors[both] / others[both])) if both.any() else float("nan")
 
 
 def sweep(bench: Bench, runs: int, seed: int, tell: Callable[[str], object]) -> Sweeps:
@@ -224,13 +233,15 @@ class _Linear:
         perfect = replace(own, encoder=0.0)
         _, estimate = fit_twin(bench, perfect, twin(bench, perfect, _SEEDS * (seed + 1)))
         assert estimate.full_covariance is not None and not isinstance(quiet, str)
-        return cls(bench, estimate.full_covariance, np.cov(quiet.columns.T), quiet.columns.mean(axis=0))
+        columns = np.nan_to_num(quiet.columns)  # what is not determined has no covariance by the formula, either
+        return cls(bench, estimate.full_covariance, np.cov(columns.T), columns.mean(axis=0))
 
     def covariance(self, noise: float, all_of_it: float) -> np.ndarray:
         return all_of_it**2 * (noise**2 * self.sensor + self.encoder)
 
     def std(self, noise: float, all_of_it: float) -> np.ndarray:
-        return np.sqrt(np.diag(self.covariance(noise, all_of_it)))[: self.bench.rank]
+        std = np.sqrt(np.diag(self.covariance(noise, all_of_it)))
+        return np.where(self.bench.estimate.undetermined, np.nan, std)[: self.bench.rank]
 
     def rms(self, noise: float, all_of_it: float) -> np.ndarray:
         return np.hypot(self.std(noise, all_of_it), self.bias[: self.bench.rank])
@@ -261,7 +272,7 @@ def _sweep(
 def _level(bench: Bench, trial: Trial, errors: Errors, own: Errors) -> Level:
     """A level from simulated errors."""
     n = errors.runs
-    lost = ~np.isfinite(errors.base).all(axis=0)
+    lost = ~np.isfinite(errors.base).all(axis=0) & np.isfinite(own.base).all(axis=0)
     ratios = [_ratio(errors, own)]
     rng = np.random.default_rng(0)
     for _ in range(_RESAMPLES if errors is not own else 0):
@@ -269,17 +280,17 @@ def _level(bench: Bench, trial: Trial, errors: Errors, own: Errors) -> Level:
         ratios.append(_ratio(errors.part(rows), own.part(rows)))
     low, high = np.quantile(ratios, [0.025, 0.975])
     spread = float(np.std(errors.prediction**2, ddof=1) / np.sqrt(n) / (2.0 * max(errors.predicted, 1e-300)))
+    over = errors.predicted / max(own.predicted, 1e-300)
     return Level(
         trial.label, trial.value, "simulation", errors.bias, errors.std, errors.rms, errors.std / np.sqrt(n),
-        errors.std / np.sqrt(2.0 * (n - 1)), errors.predicted, spread, ratios[0], float(low), float(high), int(lost.sum()),
-        trial.improvement,
+        errors.std / np.sqrt(2.0 * (n - 1)), errors.predicted, spread, over, ratios[0], float(low), float(high),
+        int(lost.sum()), trial.improvement,
     )  # fmt: skip
 
 
 def _ratio(errors: Errors, own: Errors) -> float:
     """Median ratio of root mean square errors over the base parameters that both determine."""
-    ratio = errors.rms / np.maximum(own.rms, 1e-300)
-    return float(np.median(ratio[np.isfinite(ratio)])) if np.isfinite(ratio).any() else float("nan")
+    return median_ratio(errors.rms, own.rms)
 
 
 def _by_formula(trial: Trial, own: Level, linear: _Linear | None) -> Level:
@@ -289,15 +300,17 @@ def _by_formula(trial: Trial, own: Level, linear: _Linear | None) -> Level:
         # Repeats alone: the mean of independent errors, whatever the estimator.
         std = trial.scale[1] * own.std
         rms = np.hypot(std, own.bias)
-        ratio = float(np.median(rms / np.maximum(own.rms, 1e-300)))
+        ratio = median_ratio(rms, own.rms)
         share = trial.scale[1] * own.prediction
         return Level(trial.label, trial.value, "formula", own.bias, std, rms, own.bias_error, trial.scale[1] * own.std_error,
-                     share, trial.scale[1] * own.prediction_error, ratio, ratio, ratio, 0, trial.improvement)  # fmt: skip
+                     share, trial.scale[1] * own.prediction_error, trial.scale[1], ratio, ratio, ratio, 0,
+                     trial.improvement)  # fmt: skip
     rms = linear.rms(*trial.scale)
-    ratio = float(np.median(rms / np.maximum(linear.rms(1.0, 1.0), 1e-300)))
+    ratio = median_ratio(rms, linear.rms(1.0, 1.0))
+    share = linear.predicted(*trial.scale)
     return Level(
         trial.label, trial.value, "formula", linear.bias[: len(zero)], linear.std(*trial.scale), rms, zero, zero,
-        linear.predicted(*trial.scale), 0.0, ratio, ratio, ratio, 0, trial.improvement,
+        share, 0.0, share / max(linear.predicted(1.0, 1.0), 1e-300), ratio, ratio, ratio, 0, trial.improvement,
     )  # fmt: skip
 
 
@@ -305,6 +318,6 @@ def _refused(trial: Trial, own: Level, reason: str) -> Level:
     nothing = np.full(len(own.std), np.nan)
     nan = float("nan")
     return Level(
-        trial.label, trial.value, "refused", nothing, nothing, nothing, nothing, nothing, nan, nan, nan, nan, nan,
+        trial.label, trial.value, "refused", nothing, nothing, nothing, nothing, nothing, nan, nan, nan, nan, nan, nan,
         len(nothing), "", reason,
     )  # fmt: skip
