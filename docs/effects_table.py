@@ -19,6 +19,7 @@ _PLACES = {
     "axis": "an axis, `fx` … `mz`",
     "axis->axis": "`fx->mz`: source, reading axis",
     "joint": "`jointK`",
+    "joint->joint": "`jointJ->jointK`: driver, joint whose motor it turns",
     "joint|robot": "`jointK`, `robot`",
 }
 _HEAD = """# Effects
@@ -32,9 +33,13 @@ from what the classes say, by `docs/effects_table.py`.
 | --- | --- | --- | --- | --- | --- |
 """
 _FOOT = """
-The steps act in this order: encoder offset and flexible joints; the compliant base; bodies, gravity and what pulls or pushes
-them; inside the joints, then the torque's gain; the sensor's pose, its delay, gains and cross-talk, offset and drift.
+The steps act in this order: encoder offset, coupled transmissions and flexible joints; the compliant base; bodies, gravity and
+what pulls or pushes them; inside the joints, then the torque's gain; the sensor's pose, its delay, gains and cross-talk, offset
+and drift.
 A flexible joint gives way to the torques of a base at rest: with a base that rings as well, what the ringing bends is left out.
+
+`coupled_transmission` is estimated where it is stated; `diagnose` does not seek it. Where the coupling is known from the data
+sheet, state it as `[model.values."coupled_transmission@joint5->joint6"]` with `coupling = 1.0` and `fixed = true`.
 
 Starting values where none are stated are zero, except:
 
@@ -72,7 +77,9 @@ def page() -> str:
 def example_effects() -> Iterator[Effect]:
     """Each class at one place of the example arm."""
     for name, kind in LIBRARY.classes.items():
-        at = {"joint": "joint2", "joint|robot": "joint2", "axis": "mz", "axis->axis": "fx->mz"}.get(kind.at, kind.at)
+        places = {"joint": "joint2", "joint|robot": "joint2", "axis": "mz", "axis->axis": "fx->mz"}
+        places["joint->joint"] = "joint1->joint2"
+        at = places.get(kind.at, kind.at)
         [effect] = LIBRARY.parse([f"{name}@{at}"], ["joint1", "joint2"], (*WRENCH_NAMES, "tau1", "tau2"))
         yield effect
 

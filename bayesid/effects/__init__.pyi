@@ -15,6 +15,7 @@ from .families import (
     Readout,
     RotorEffect,
     SensorEffect,
+    TransmissionEffect,
 )
 from .library import EffectLibrary
 from .linearised import Point, linearised, moved, reach_of, starting_point
@@ -50,6 +51,7 @@ __all__ = [
     "SensorEffect",
     "Surroundings",
     "Term",
+    "TransmissionEffect",
     "columns",
     "linearised",
     "load_effects",

@@ -1,7 +1,7 @@
 """The effects that come with the package. A new one is a class in one of the modules and its name here."""
 
 from bayesid.effects.bodies import InertiaError, Payload, RotorMomentum
-from bayesid.effects.drives import RotorInertia, Spring, TorqueGain, TorqueRipple
+from bayesid.effects.drives import CoupledTransmission, RotorInertia, Spring, TorqueGain, TorqueRipple
 from bayesid.effects.effect import Effect
 from bayesid.effects.friction import CoulombFriction, LoadFriction, StribeckFriction, TorqueOffset, ViscousFriction
 from bayesid.effects.loads import ExternalContact, FluidDrag, Tether
@@ -21,5 +21,5 @@ CLASSES: tuple[type[Effect], ...] = (
     SensorOffset, SensorDrift, SensorGain, SensorCrosstalk, SensorRotation, SensorTranslation, SensorDelay,
     BaseTilt, Payload, InertiaError, Tether, FluidDrag, RotorMomentum, JointFlexibility, EncoderOffset, ExternalContact,
     BaseCompliance, ViscousFriction, CoulombFriction, TorqueOffset, StribeckFriction, LoadFriction, RotorInertia, TorqueGain,
-    TorqueRipple, Spring,
+    TorqueRipple, Spring, CoupledTransmission,
 )  # fmt: skip

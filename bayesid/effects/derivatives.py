@@ -25,6 +25,7 @@ from bayesid.effects.model import Model, split_matrix
 
 def tangent(model: Model, change: np.ndarray) -> np.ndarray:
     """Change of the readings with a change of the true wrench and torques, (N, c, k)."""
+    change = model.at_motors(change)
     sensor = len(model.wrench) and model.of_family(SensorEffect)
     loaded = [(e, v) for e, v in model.of_family(JointTorqueEffect) if e.uses_load and e.joint in model.joints]
     on_top = model.of_family(ReadingEffect)
@@ -37,7 +38,7 @@ def tangent(model: Model, change: np.ndarray) -> np.ndarray:
     for effect, values in loaded:
         assert effect.joint is not None
         k = model.joints[effect.joint]
-        share = effect.per_load(model.readout.joint(effect.joint, model.true[:, k]), values)
+        share = effect.per_load(model.readout.joint(effect.joint, model.at_motors(model.true)[:, k]), values)
         out[:, k] += share[:, None] * change[:, k]
     for effect, values in on_top:
         more = effect.tangent(model.readout, values, change)

@@ -1,4 +1,4 @@
-"""Motors, gears and springs inside a joint, and how its torque is read."""
+"""Motors, gears and springs inside a joint, how two are coupled, and how its torque is read."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from bayesid.effects import sizes
 from bayesid.effects.effect import Parameter
-from bayesid.effects.families import JointGainEffect, JointTorqueEffect
+from bayesid.effects.families import JointGainEffect, JointTorqueEffect, TransmissionEffect
 from bayesid.effects.proposals import Linearisation
 
 #: Periods of a ripple per radian or metre tried; slower ones than a gear's would pass for any error of weight.
@@ -35,6 +35,22 @@ class TorqueGain(JointGainEffect):
     equation = "$(1 + g)\\,\\tau$, friction included"
     quantities = (Parameter("gain", "1", -0.9, 2.0, typical=0.05),)
     confusable_with = ("inertia_error", "payload")
+
+
+class CoupledTransmission(TransmissionEffect):
+    name = "coupled_transmission"
+    summary = "another joint's motion turns the motor, too, as in a coupled wrist or a parallelogram"
+    equation = "motor at $q_k + c\\,q_j$; torque of joint $j$ read as $\\tau_j - c\\,\\tau_k$"
+    source = "virtual work: motors and joints share their power"
+    quantities = (Parameter("coupling", "1", -5.0, 5.0, typical=1.0, linear=False),)
+    confusable_with = ("encoder_offset",)
+
+    def coupling(self, values):
+        return float(values[0])
+
+    def sought(self, around):
+        # Gears have whole teeth: what couples at all couples much, and no column at the uncoupled model stands for it.
+        return False
 
 
 class TorqueRipple(JointTorqueEffect):

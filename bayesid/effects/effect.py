@@ -69,13 +69,16 @@ class Effect(ABC):
         Indices of the wrench axes: the one that reads, or source and reading axis.
     ratio
         Gear ratio of the joint, where it is known and the effect needs it.
+    driver
+        Index of the joint whose motion turns this one's motor, too, where the effect couples two.
 
     name
         As in the experiment format.
     channels
         ``wrench``, ``torque`` or both: what it changes.
     at
-        Where it can be: ``sensor``, ``axis``, ``axis->axis``, ``base``, ``joint``, ``robot`` or ``joint|robot``.
+        Where it can be: ``sensor``, ``axis``, ``axis->axis``, ``base``, ``joint``, ``joint->joint``, ``robot`` or
+        ``joint|robot``.
     quantities
         Its parameters.
     summary
@@ -128,6 +131,7 @@ class Effect(ABC):
     joint: int | None = None
     axes: tuple[int, ...] = ()
     ratio: float | None = None
+    driver: int | None = None
 
     name: ClassVar[str] = ""
     channels: ClassVar[tuple[str, ...]] = ("wrench", "torque")

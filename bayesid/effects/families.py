@@ -2,7 +2,8 @@
 
 In this order (`bayesid.effects.model`):
 
-1. `EncoderEffect`: the true joint position is the encoder's less a shift; `FlexibleJointEffect`: the link lags the motor;
+1. `EncoderEffect`: the true joint position is the encoder's less a shift; `TransmissionEffect`: another joint's motion turns
+   the motor, too; `FlexibleJointEffect`: the link lags the motor;
 2. `MountEffect`: the base turns under the robot;
 3. `BodyEffect`, `GravityEffect`, `LoadEffect`, `RotorEffect`: bodies, their weight, what pulls or pushes them, what spins;
 4. the instruments: `JointTorqueEffect` inside a joint, `SensorEffect` in the force/torque sensor, `ReadingEffect` on top of
@@ -81,7 +82,7 @@ class Readout:
     positions, velocities, accelerations
         Of the motors (N, n).
     true
-        True wrench and joint torques (N, c).
+        True wrench and what the motors give for the joints' torques (N, c).
     """
 
     names: tuple[str, ...]
@@ -122,6 +123,21 @@ class EncoderEffect(Effect):
     @abstractmethod
     def shift(self, values: Sequence[float]) -> float:
         """What the encoder reads beyond the true position [rad or m]."""
+
+
+class TransmissionEffect(Effect):
+    """The motion of one joint, the effect's ``driver``, turns the motor of another joint, too.
+
+    The motor of joint k, where position and torque are measured, is at ``m = q_k + c q_driver`` of its gear's output. No power
+    is lost between motors and joints (``m = (1 + C) q`` and ``tau' dq = tau_m' dm``), so the motors' torques are
+    ``(1 + C)'^-1 tau``: that of the driver lacks c times what joint k takes.
+    """
+
+    at = "joint->joint"
+
+    @abstractmethod
+    def coupling(self, values: Sequence[float]) -> float:
+        """c: how far the motor turns with its driver, in units of its gear's output."""
 
 
 class FlexibleJointEffect(Effect):
@@ -289,5 +305,5 @@ class ReadingEffect(InstrumentEffect):
 __all__ = [
     "BodyEffect", "Effect", "EncoderEffect", "FlexibleJointEffect", "GravityEffect", "InstrumentEffect", "JointGainEffect",
     "JointMotion", "JointTorqueEffect", "LoadEffect", "Loads", "MountEffect", "Parameter", "ReadingEffect", "Readout",
-    "RotorEffect", "SensorEffect", "differences",
+    "RotorEffect", "SensorEffect", "TransmissionEffect", "differences",
 ]  # fmt: skip

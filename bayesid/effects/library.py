@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 #: Other packages register a class of theirs under this group.
 ENTRY_POINTS = "bayesid.effects"
-_PLACES = ("sensor", "axis", "axis->axis", "base", "joint", "robot", "joint|robot")
+_PLACES = ("sensor", "axis", "axis->axis", "base", "joint", "joint->joint", "robot", "joint|robot")
 
 
 @dataclass(frozen=True)
@@ -136,6 +136,10 @@ class EffectLibrary:
         elif c.at == "axis->axis":
             pairs = [(i, k) for i in range(6) for k in range(6) if i != k]
             out = [c(f"{WRENCH_NAMES[i]}->{WRENCH_NAMES[k]}", axes=(i, k)) for i, k in pairs]
+        elif c.at == "joint->joint":
+            # A motor sits nearer to the base than its joint; what moves between the two are joints before it.
+            pairs = [(i, k) for k in range(len(joint_names)) for i in range(k)]
+            out = [c(f"joint{i + 1}->joint{k + 1}", k, driver=i) for i, k in pairs]
         elif c.at.startswith("joint"):
             for i, joint in enumerate(joint_names):
                 if c.channels == ("torque",) and f"tau{i + 1}" not in channels:
@@ -181,7 +185,7 @@ class EffectLibrary:
             c = self.named(name, spec)
             everything = (*WRENCH_NAMES, *(f"tau{i + 1}" for i in range(len(joint_names))))
             everywhere = self.places(name, joint_names, everything, gear_ratio)
-            place = f"joint{list(joint_names).index(where) + 1}" if where in joint_names else where
+            place = "->".join(f"joint{list(joint_names).index(w) + 1}" if w in joint_names else w for w in where.split("->"))
             found = [e for e in everywhere if place in ("", e.where)]
             if not found:
                 raise InputError(f"effect '{spec}': {_where_else(c, where, len(joint_names))}")
@@ -258,6 +262,8 @@ def _where_else(c: type[Effect], where: str, joints: int) -> str:
         "robot": f"'{c.name}' acts on the whole robot; write '{c.name}'",
         "axis": f"no axis '{where}'; write one of {', '.join(WRENCH_NAMES)}",
         "axis->axis": f"no pair of axes '{where}'; write the source and the axis that reads it, as in fx->mz",
+        "joint->joint": f"no pair of joints '{where}'; write the joint that moves and, after it in the chain, that whose motor "
+        "turns with it, as in joint5->joint6",
         "joint": f"no joint '{where}'; write {known}",
         "joint|robot": f"no joint '{where}'; write {known}, or robot",
     }[c.at]

@@ -2,13 +2,15 @@
 
 In this order:
 
-1. the joints: true position = encoder - offset; a flexible joint's link is at that less compliance x torque;
+1. the joints: a motor is at the encoder's reading less its offset, and joints are at (1 + C)^-1 of it where C couples their
+   transmissions; a flexible joint's link is at that less compliance x torque;
 2. the mount: a compliant base turns under the robot (`bayesid.effects.mount`);
 3. the bodies: links, payload and inertia errors under a gravity turned by the base's tilt; what pulls or pushes
    them from outside; rotors. A channel with twist S reads ``S . sum (w_i - f_i)`` over the bodies that it carries,
    w_i what body i's motion and weight take and f_i what acts on it from outside;
 4. the sensor: pose, delay, gains and cross-talk, offset and drift;
-5. inside the joints: friction, springs, rotors; what else comes on top of a reading; then the torque's gain.
+5. the motors: what they give for the joints' torques, (1 + C)'^-1 of these, and for friction, springs and rotors inside the
+   joints; what else comes on top of a reading; then the torque's gain.
 
 What an effect does in its step is a method of its class (`bayesid.effects.families`).
 """
@@ -41,11 +43,13 @@ from bayesid.effects.families import (
     Readout,
     RotorEffect,
     SensorEffect,
+    TransmissionEffect,
 )
 from bayesid.effects.flexible import link_motion, splines
 from bayesid.effects.mount import mount_motion
 from bayesid.effects.segment import MotionSegment
 from bayesid.effects.sensor_chain import SensorChain
+from bayesid.effects.transmission import coupling_matrix, motor_torques
 from bayesid.errors import InputError
 from bayesid.robot.robot import Robot
 
@@ -148,6 +152,12 @@ class Model:
         return segment.positions - shift, segment.velocities, segment.accelerations
 
     @cached_property
+    def transmission(self) -> np.ndarray | None:
+        """From the motors' positions to the joints', (1 + C)^-1 (n, n); None where no transmissions are coupled."""
+        coupled = self.of_family(TransmissionEffect)
+        return np.linalg.inv(coupling_matrix(self.robot, coupled)) if coupled else None
+
+    @cached_property
     def _physical(self) -> tuple[Term, ...]:
         """Effects that change what there is to read, not how it is read."""
         return tuple(t for t in self.terms if not isinstance(t.effect, InstrumentEffect))
@@ -155,7 +165,7 @@ class Model:
     @cached_property
     def _key(self) -> tuple:
         """What the links' motion depends on."""
-        pose = tuple(t for t in self.terms if isinstance(t.effect, EncoderEffect))
+        pose = tuple(t for t in self.terms if isinstance(t.effect, (EncoderEffect, TransmissionEffect)))
         if not any(t.effect.amplifies_encoder_errors for t in self._physical):
             return (self.robot.fingerprint, pose)
         return (self.robot.fingerprint, pose, self.links.tobytes(), self._physical)
@@ -168,6 +178,8 @@ class Model:
     def _states(self) -> np.ndarray:
         robot, segment = self.robot, self.segment
         q, v, a = self.motor
+        if self.transmission is not None:
+            q, v, a = (x @ self.transmission.T for x in (q, v, a))
         if segment.still:
             v = a = np.zeros_like(q)
         if self.of_family(FlexibleJointEffect):
@@ -287,10 +299,16 @@ class Model:
                 chain = effect.applied(chain, values)
         return chain
 
+    def at_motors(self, true: np.ndarray) -> np.ndarray:
+        """True wrench and joint torques, or changes of them (N, c, ...), with what the motors give for the torques instead."""
+        if self.transmission is None or not self.joints:
+            return true
+        return motor_torques(self.transmission, [self.joints[j] for j in range(self.robot.n)], true)
+
     @cached_property
     def readout(self) -> Readout:
         """What the instruments are given to read."""
-        return Readout(self.channels.names, self.segment, *self.motor, self.true)
+        return Readout(self.channels.names, self.segment, *self.motor, self.at_motors(self.true))
 
     @cached_property
     def torque_gain(self) -> np.ndarray:
@@ -304,13 +322,13 @@ class Model:
     def inside(self, effect: JointTorqueEffect, values: Sequence[float]) -> np.ndarray:
         """What something inside a joint adds to its torque (N,)."""
         assert effect.joint is not None
-        load = self.true[:, self.joints[effect.joint]] if effect.uses_load else None
+        load = self.at_motors(self.true)[:, self.joints[effect.joint]] if effect.uses_load else None
         return effect.torque(self.readout.joint(effect.joint, load), values)
 
     @cached_property
     def ungained(self) -> np.ndarray:
         """What the instruments read (N, c) but for the torques' gain."""
-        out = self.true.copy()
+        out = np.array(self.at_motors(self.true))
         if len(self.wrench):
             out[:, self.wrench] = self.chain().reading(self.segment, self.true[:, self.wrench])
         for effect, values in self.of_family(JointTorqueEffect):

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from bayesid.dynamics.channels import WRENCH_NAMES, Channels
-from bayesid.effects import Effect, EffectLibrary, EncoderEffect, MotionSegment, Term, reach_of, readings
+from bayesid.effects import Effect, EffectLibrary, EncoderEffect, MotionSegment, Term, TransmissionEffect, reach_of, readings
+from bayesid.effects.transmission import coupling_matrix
 from bayesid.errors import InputError
 from bayesid.robot.robot import Robot
 
@@ -98,13 +100,25 @@ def plant_terms(
     )
 
 
-def encoder_offsets(robot: Robot, terms: Sequence[Term]) -> np.ndarray:
-    """What the encoders read beyond the truth (n,) [rad or m]."""
-    out = np.zeros(robot.n)
+def at_encoders(robot: Robot, segment: MotionSegment, terms: Sequence[Term]) -> MotionSegment:
+    """What the encoders say of true joint motion, before noise: they know nothing of a joint that gives.
+
+    Parameters
+    ----------
+    robot
+        Its joints.
+    segment
+        True joint positions, velocities and accelerations (N, n).
+    terms
+        The effects: offsets of encoders, coupled transmissions.
+    """
+    coupling = coupling_matrix(robot, [(t.effect, t.values) for t in terms if isinstance(t.effect, TransmissionEffect)])
+    offset = np.zeros(robot.n)
     for term in terms:
         if isinstance(term.effect, EncoderEffect):
-            out[term.effect.joint] += term.effect.shift(term.values)
-    return out
+            offset[term.effect.joint] += term.effect.shift(term.values)
+    q, v, a = (x @ coupling.T for x in (segment.positions, segment.velocities, segment.accelerations))
+    return replace(segment, positions=q + offset, velocities=v, accelerations=a)
 
 
 def plant_readings(

@@ -32,7 +32,7 @@ from bayesid.recordings.table import Table
 from bayesid.recordings.writer import write_experiment
 from bayesid.robot import inertia
 from bayesid.robot.robot import Robot
-from bayesid.simulation.plant import Values, complete_effects, encoder_offsets, plant_readings, plant_terms
+from bayesid.simulation.plant import Values, at_encoders, complete_effects, plant_readings, plant_terms
 from bayesid.simulation.trajectories import Trajectory, new_trajectories, recorded_trajectories
 
 
@@ -280,7 +280,6 @@ class _Bench:
         self.robot, self.links, self.recorder, self.rng = setup.robot, links, recorder, rng
         self.terms = plant_terms(setup.robot, plant, setup.gear_ratio, setup.library)
         self.middle = middle
-        self.encoder_offset = encoder_offsets(setup.robot, self.terms)
         self.torque = torque_channels(self.robot)
         self.wrench = None
         if setup.sensor is not None:
@@ -303,8 +302,7 @@ class _Bench:
 
     def _table(self, segment: MotionSegment, name: str) -> Table:
         rng, recorder = self.rng, self.recorder
-        # What the encoders say of the true motion, before noise: they know nothing of a joint that gives.
-        segment = replace(segment, positions=segment.positions + self.encoder_offset, middle=self.middle)
+        segment = replace(at_encoders(self.robot, segment, self.terms), middle=self.middle)
         q = encoder_readings(segment.positions, recorder.resolution or 0.0, recorder.position_std or 0.0, rng)
         velocities = None
         if recorder.velocity_std is not None:

@@ -42,7 +42,7 @@ def term(robot, spec, *values, gear_ratio=None):
     return Term(effect, values or tuple(effect.typical(robot)))
 
 
-def oracle(robot, segment, sample, *, gravity=None, outside=(), q=None):
+def oracle(robot, segment, sample, *, gravity=None, outside=(), q=None, v=None, a=None):
     """Wrench about the base origin, in base axes, and torques of one sample by Pinocchio's recursion.
 
     ``outside`` holds (joint, point in its frame, force in base axes).
@@ -50,13 +50,15 @@ def oracle(robot, segment, sample, *, gravity=None, outside=(), q=None):
     model = pin.buildModelFromUrdf(str(robot.urdf))
     model.gravity = pin.Motion(np.asarray(robot.gravity if gravity is None else gravity, float), np.zeros(3))
     q = segment.positions[sample] if q is None else q
+    v = segment.velocities[sample] if v is None else v
+    a = segment.accelerations[sample] if a is None else a
     data = model.createData()
     pin.forwardKinematics(model, data, q)
     forces = [pin.Force.Zero() for _ in range(model.njoints)]
     for joint, point, force in outside:
         local = data.oMi[joint + 1].rotation.T @ force
         forces[joint + 1] += pin.Force(local, np.cross(point, local))
-    tau = pin.rnea(model, data, q, segment.velocities[sample], segment.accelerations[sample], forces)
+    tau = pin.rnea(model, data, q, v, a, forces)
     wrench = data.oMi[1].act(data.f[1])
     static = pin.Inertia.FromDynamicParameters(robot.static_nominal) * pin.Motion(-model.gravity.linear, np.zeros(3))
     return np.concatenate([(wrench + static).vector, tau])

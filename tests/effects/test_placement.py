@@ -84,3 +84,23 @@ def test_mount_obeys_its_equation_of_motion(panda):
     stiff = readings(panda, at_base(panda), segment, panda.nominal, [term(panda, "base_compliance", 199.0, 0.5)])
     rigid = readings(panda, at_base(panda), segment, panda.nominal)
     assert np.abs(stiff - rigid).max() < 0.05 * np.abs(model.readings - rigid).max()
+
+
+def test_a_coupled_transmission_shares_power_between_its_motors(panda):
+    """Motor 6 turns with joint 4, too: Pinocchio at the joints' places, and the motors' power is the joints'."""
+    segment, sample, c = moving(panda), 70, 0.7
+    coupled = term(panda, "coupled_transmission@joint4->joint6", c)
+    got = readings(panda, at_base(panda), segment, panda.nominal, [coupled])
+    q, v, a = (np.array(x[sample]) for x in (segment.positions, segment.velocities, segment.accelerations))
+    motors = v.copy()
+    for x in (q, v, a):
+        x[5] -= c * x[3]
+    expected = oracle(panda, segment, sample, q=q, v=v, a=a)
+    power = expected[6:] @ v
+    expected[6 + 3] -= c * expected[6 + 5]
+    np.testing.assert_allclose(got[sample], expected, atol=1e-9)
+    np.testing.assert_allclose(got[sample, 6:] @ motors, power, rtol=1e-9)
+    # Friction is the motor's: it goes with the motor's speed and is read at that motor alone.
+    rough = readings(panda, at_base(panda), segment, panda.nominal, [coupled, term(panda, "viscous_friction@joint6", 2.0)])
+    np.testing.assert_allclose((rough - got)[:, 6 + 5], 2.0 * segment.velocities[:, 5], atol=1e-9)
+    np.testing.assert_allclose(np.delete(rough - got, 6 + 5, axis=1), 0.0, atol=1e-9)

@@ -57,6 +57,7 @@ def fit(setup, motions, effects, channel="both", starts=None, given=None):
     ("spec", "channel"),
     [
         ("sensor_gain@mx", "wrench"), ("sensor_crosstalk@fx->mz", "wrench"), ("sensor_rotation", "wrench"),
+        ("coupled_transmission@joint2->joint3", "torque"),
         ("sensor_delay", "wrench"), ("base_tilt", "both"), ("encoder_offset@joint2", "wrench"),
         ("encoder_offset@joint3", "torque"),
         ("joint_flexibility@joint2", "both"), ("fluid_drag", "both"), ("base_compliance@base", "wrench"),
@@ -97,7 +98,8 @@ def test_fixed_values_are_kept(setup, motions):
 def test_every_effect_can_be_simulated_and_modelled(setup, motions, name):
     """One place of each: the recording differs from that without it, and a model with the true values explains it."""
     kind = EffectLibrary().classes[name]
-    where = {"joint": "@joint2", "joint|robot": "@joint2", "axis": "@fy", "axis->axis": "@mx->fz"}.get(kind.at, "")
+    where = {"joint": "@joint2", "joint|robot": "@joint2", "axis": "@fy", "axis->axis": "@mx->fz",
+             "joint->joint": "@joint1->joint2"}.get(kind.at, "")
     spec = name + where
     plant = complete_effects(setup.robot, [spec], {})
     quiet = bayesid.Recorder(resolution=0.0, force_std=1e-3, torque_std=1e-4, drive_std=1e-5)
