@@ -40,8 +40,8 @@ class Known:
         Base parameters, then the effects that were estimated (p,), (p, p); counted up by ``inflation``.
     draws
         Posterior draws of them (n, p); None: a normal law.
-    determined
-        Which base parameters the data determine better than the size of a body does (r,).
+    seen, determined
+        Which base parameters the data say anything of, and which they determine better than the size of a body does (r,).
     effect_values
         Of all effects of the model, the fixed ones included (q,).
     links
@@ -62,6 +62,7 @@ class Known:
     mean: np.ndarray
     covariance: np.ndarray
     draws: np.ndarray | None
+    seen: np.ndarray
     determined: np.ndarray
     effect_values: np.ndarray
     links: LinkDraws
@@ -82,7 +83,7 @@ class Known:
 
     def parameters(self, seed: int = 0) -> Region:
         """The sets of the identified base parameters."""
-        r, base, driven = self.base.rank, self.base, self.narrowed(self.base)
+        r, base, driven = self.base.rank, self.base, self.prior_driven(self.base)
         if self.draws is not None:
             return region_of_draws(base.names, base.labels, base.units, self.draws[:, :r], driven)
         if self.determined.all():
@@ -92,19 +93,28 @@ class Known:
 
     def transfer(self, base: BaseParameters) -> tuple[np.ndarray, np.ndarray]:
         """T with ``other base = T identified base`` (k, r), and which of the others the data determine so (k,)."""
-        own = self.base.matrix[self.determined]
-        found = np.linalg.lstsq(own.T, base.matrix.T, rcond=None)[0].T
-        outside = np.linalg.norm(found @ own - base.matrix, axis=1)
+        found, inside = self._by(base, self.determined)
         out = np.zeros((base.rank, self.base.rank))
         out[:, self.determined] = found
-        return out, outside <= _OUTSIDE * np.linalg.norm(base.matrix, axis=1)
+        return out, inside
 
-    def narrowed(self, base: BaseParameters) -> np.ndarray:
-        """Which of other base parameters the prior drives: draws are nearly as wide as those of the prior alone (k,)."""
+    def prior_driven(self, base: BaseParameters) -> np.ndarray:
+        """Which of other base parameters the prior drives (k,).
+
+        They are no combination of those that the data say anything of, or draws of them are nearly as wide as the prior's.
+        """
+        driven = ~self._by(base, self.seen)[1]
         if self.links.prior is None:
-            return np.zeros(base.rank, bool)
+            return driven
         spread = (self.links.links @ base.matrix.T).std(axis=0)
-        return spread > PRIOR_DRIVEN * (self.links.prior @ base.matrix.T).std(axis=0)
+        return driven | (spread > PRIOR_DRIVEN * (self.links.prior @ base.matrix.T).std(axis=0))
+
+    def _by(self, base: BaseParameters, kept: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Other base parameters as combinations of some of the identified ones (k, m), and which of them are such (k,)."""
+        own = self.base.matrix[kept]
+        found = np.linalg.lstsq(own.T, base.matrix.T, rcond=None)[0].T
+        outside = np.linalg.norm(found @ own - base.matrix, axis=1)
+        return found, outside <= _OUTSIDE * np.linalg.norm(base.matrix, axis=1)
 
 
 def inflation_of(validation: tuple[Mapping[str, Any], ...], dispersion: float) -> tuple[float, str]:
@@ -208,7 +218,7 @@ def known_from(
         links = LinkDraws(link_draws[even], draws[even, rank:], prior_draws)
     return Known(
         problem=problem, source=source, method=method, mean=mean, covariance=covariance, draws=draws,
-        determined=~(undetermined | weak)[:rank], effect_values=values, links=links,
+        seen=~undetermined[:rank], determined=~(undetermined | weak)[:rank], effect_values=values, links=links,
         centre=links.links.mean(axis=0) if centre is None else centre,
         inflation=inflation, dispersion=dispersion, trust=trust,
     )  # fmt: skip

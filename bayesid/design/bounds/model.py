@@ -188,7 +188,7 @@ def _model(
         covariance = through @ known.covariance @ through.T
         region = region_of_normal(names, labels, units, through @ known.mean, covariance, driven, seed)
     else:
-        driven[: base.rank] = known.narrowed(base)
+        driven[: base.rank] = known.prior_driven(base)
         region = region_of_draws(names, labels, units, draws, driven)
     return ReadingModel(robot, channels, base, tuple(drives), region, draws)
 
