@@ -15,7 +15,7 @@ from bayesid.design.bounds.model import ReadingModel, checked_states
 from bayesid.design.bounds.region import Region
 from bayesid.design.bounds.remainder import InsideJoints, Remainder
 from bayesid.design.bounds.robust import ellipsoid_term, norm_term, tracking_bound
-from bayesid.design.bounds.workspace import Workspace
+from bayesid.design.bounds.workspace import Workspace, mass_eigenvalues
 from bayesid.errors import InputError
 from bayesid.estimators.estimator import LEVEL
 from bayesid.results.bounds_text import HEAD, facts, joints, trajectories
@@ -214,15 +214,33 @@ class ControllerBounds(Result):
         raise InputError(f"shape '{shape}': choose ellipsoid or ball")
 
     def tracking_bound(
-        self, gain: float, rate: float, width: float, shape: str = "ellipsoid", other: float = 0.0
-    ) -> tuple[float, float]:
-        """Bounds of ``||r||`` and of the norm of the joints' errors with that term, from rest on the path on.
+        self, gains: np.ndarray | float, rate: float, width: float, shape: str = "ellipsoid", other: np.ndarray | float = 0.0
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Bounds of ``|r_j|`` and of every joint's error (n,) with that term, from rest on the path on.
 
-        Parameters are as in `bayesid.design.bounds.robust.tracking_bound`; the shape as in `robust_term`. The mass matrix's
-        eigenvalues are those of the workspace.
+        Parameters
+        ----------
+        gains
+            Diagonal of K (n,), or one for all joints; best in proportion to the joints' inertias, ``workspace.inertia``.
+        rate
+            Of e in the reference velocity ``v_d - rate e`` [1/s].
+        width, shape
+            As in `robust_term`.
+        other
+            Torques that no parameter explains, such as ``remainder.bound`` (n,).
+
+        Raises
+        ------
+        InputError
+            Something is not positive.
         """
+        n, w = self.torque_model.robot.n, self.workspace
+        diagonal = np.broadcast_to(np.asarray(gains, float), n)
+        if not (np.all(diagonal > 0.0) and rate > 0.0 and width > 0.0):
+            raise InputError(f"gains = {gains}, rate = {rate}, width = {width}: give positive numbers")
         radius = self.ellipsoid if shape == "ellipsoid" else self.rho
-        return tracking_bound(radius, width, gain, rate, self.workspace.eigenvalues, other)
+        eigenvalues = mass_eigenvalues(self.torque_model, diagonal, w.draws, w.configurations, self.seed)
+        return tracking_bound(radius, width, diagonal, rate, eigenvalues, other)
 
     # ---- as data --------------------------------------------------------------------------------------------------
 

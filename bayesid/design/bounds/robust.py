@@ -10,12 +10,14 @@ leaves ``M dr/dt + C r + K r = Y (b_hat - b + u)``. Along ``s = Y' r`` the term 
     ball        u = -rho s / ||s||,                 where ||s|| > width, else  -rho s / width
     ellipsoid   u = -rho_V V s / sqrt(s' V s),      where sqrt(s' V s) > width, else  -rho_V V s / width
 
-With ``W = r' M r / 2`` and k the smallest eigenvalue of K, for every b of the set and torques d that no parameter explains,
+With a diagonal K, ``x = K^1/2 r`` and ``W = r' M r / 2``, for every b of the set and torques d that no parameter explains,
 
-    dW/dt <= -k ||r||^2 + d ||r|| + rho width / 4 < 0   where   ||r|| > R = (d + sqrt(d^2 + k rho width)) / (2 k),
+    dW/dt <= -||x||^2 + ||K^-1/2 d|| ||x|| + rho width / 4 < 0   where   ||x|| > R,
+    R = (||K^-1/2 d|| + sqrt(||K^-1/2 d||^2 + rho width)) / 2,
 
-so from rest on the path ``||r|| <= sqrt(m_max / m_min) R`` for ever, with m the eigenvalues of M, and ``||e||`` is at most that
-over the rate, as ``de/dt = r - rate e``.
+so from rest on the path ``||x|| <= sqrt(mu_max / mu_min) R`` for ever, with mu the eigenvalues of ``K^-1/2 M K^-1/2``. Then
+``|r_j| <= ||x|| / sqrt(k_j)``, and ``|e_j|`` is at most that over the rate, as ``de/dt = r - rate e``. Gains in proportion to the
+joints' inertias keep the quotient of the eigenvalues small.
 """
 
 from __future__ import annotations
@@ -57,25 +59,27 @@ def ellipsoid_term(sliding: np.ndarray, covariance: np.ndarray, ellipsoid: float
 
 
 def tracking_bound(
-    rho: float, width: float, gain: float, rate: float, eigenvalues: tuple[float, float], other: float = 0.0
-) -> tuple[float, float]:
-    """Bounds of ||r|| and of the norm of the joints' errors, from rest on the path on.
+    rho: float, width: float, gains: np.ndarray, rate: float, eigenvalues: tuple[float, float], other: np.ndarray | float = 0.0
+) -> tuple[np.ndarray, np.ndarray]:
+    """Bounds of every |r_j| and of every joint's error (n,), from rest on the path on.
 
     Parameters
     ----------
     rho, width
         Of the term in use: radius of its set and width of its boundary layer.
-    gain
-        Smallest eigenvalue k of K [N m s/rad].
+    gains
+        Diagonal of K (n,) [N m s/rad].
     rate
         The factor of e in v_r, the same for all joints [1/s].
     eigenvalues
-        Smallest and largest eigenvalue of the mass matrix.
+        Smallest and largest eigenvalue of ``K^-1/2 M K^-1/2`` [s].
     other
-        Largest norm d of the torques that no parameter explains [N m].
+        Largest torques that no parameter explains, by joint (n,) or the same for all [N m].
     """
-    radius = (other + np.sqrt(other**2 + gain * rho * width)) / (2.0 * gain)
-    sliding = float(np.sqrt(eigenvalues[1] / eigenvalues[0]) * radius)
+    root = np.sqrt(gains)
+    force = float(np.linalg.norm(other / root))
+    radius = 0.5 * (force + np.sqrt(force**2 + rho * width))
+    sliding = np.sqrt(eigenvalues[1] / eigenvalues[0]) * radius / root
     return sliding, sliding / rate
 
 

@@ -176,8 +176,7 @@ def workspace_bounds(
     """
     positions, lower, upper = sobol_configurations(model.robot, configurations, seed)
     terms = Terms.of(model, positions)
-    at = np.linspace(0, len(model.draws) - 1, min(draws, len(model.draws))).astype(int)
-    drawn, hat = model.draws[at], model.region.values
+    drawn, hat = model.draws[_evenly(model, draws)], model.region.values
     mass, coriolis, gravity = terms.mass @ hat, terms.coriolis @ hat, terms.gravity @ hat
     found: list[list[np.ndarray]] = []
     step = max(_TOGETHER // len(positions), 1)
@@ -204,6 +203,33 @@ def workspace_bounds(
         acceleration_from_gravity=quantile(pushed, LEVEL),
         acceleration_from_coriolis=quantile(thrown, LEVEL),
     )  # fmt: skip
+
+
+def mass_eigenvalues(model: ReadingModel, scale: np.ndarray, draws: int, configurations: int, seed: int) -> tuple[float, float]:
+    """Bounds of the eigenvalues of ``S^-1/2 M S^-1/2`` over the workspace, with a diagonal S.
+
+    Parameters
+    ----------
+    model
+        Of the joint torques.
+    scale
+        The diagonal of S (n,).
+    draws, configurations, seed
+        As in `workspace_bounds`.
+    """
+    mass = Terms.of(model, sobol_configurations(model.robot, configurations, seed)[0]).mass
+    root = np.sqrt(np.outer(scale, scale))
+    low, high = [], []
+    for drawn in model.draws[_evenly(model, draws)]:
+        values = np.linalg.eigvalsh((mass @ drawn) / root)
+        low.append(values[:, 0].min())
+        high.append(values[:, -1].max())
+    return -quantile(-np.array(low), 0.5 + LEVEL / 2), quantile(np.array(high), 0.5 + LEVEL / 2)
+
+
+def _evenly(model: ReadingModel, draws: int) -> np.ndarray:
+    """Indices of so many draws at most, evenly picked."""
+    return np.linspace(0, len(model.draws) - 1, min(draws, len(model.draws))).astype(int)
 
 
 def _of_draws(terms: Terms, drawn: np.ndarray, mass: np.ndarray, hat: np.ndarray) -> list[list[np.ndarray]]:

@@ -152,7 +152,8 @@ def test_robust_terms_oppose_the_worst_error_of_their_set(width):
 
 def test_tracking_bound_is_where_the_worst_case_comes_to_rest():
     """One mass with a constant force: the bound is attained without a robust term, ``m dr/dt = d - k r``."""
-    sliding, error = tracking_bound(rho=0.0, width=0.1, gain=4.0, rate=5.0, eigenvalues=(2.0, 2.0), other=3.0)
+    one = np.array([4.0])
+    sliding, error = tracking_bound(rho=0.0, width=0.1, gains=one, rate=5.0, eigenvalues=(0.5, 0.5), other=3.0)
     assert sliding == pytest.approx(3.0 / 4.0) and error == pytest.approx(sliding / 5.0)
-    only, _ = tracking_bound(rho=2.0, width=0.1, gain=4.0, rate=5.0, eigenvalues=(1.0, 4.0))
+    only, _ = tracking_bound(rho=2.0, width=0.1, gains=one, rate=5.0, eigenvalues=(1.0, 4.0))
     assert only == pytest.approx(2.0 * np.sqrt(2.0 * 0.1 / (4 * 4.0)))
