@@ -380,9 +380,9 @@ nominal ones as well; the sets of the parameters use the data alone where these 
 ## Tracking
 
 Passivity-based control with the robust term of the ellipsoid, or Spong's of the ball ([method](method.md)): gains {{ gain }} 1/s
-times the joints' smallest inertias, rate {{ rate_of }} 1/s, boundary layers such that the term alone ends at ‖K^½ r‖ = {{ rest }}; from
-rest on the path, {{ time }} s. The bound is that of `bounds.tracking_bound`, for the joint that comes nearest to its own. Robots
-whose parameters are outside of their set are counted, too.
+times the joints' smallest inertias, rate {{ rate_of }} 1/s, boundary layers such that the term alone ends at
+‖K^½ r‖ = {{ rest }}; from rest on the path, {{ time }} s. The bound is that of `bounds.tracking_bound`, for the joint that comes
+nearest to its own. Robots whose parameters are outside of their set are counted, too.
 
 {{ tracked }}
 
