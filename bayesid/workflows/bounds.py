@@ -30,6 +30,7 @@ from bayesid.results.files import Files, files_of
 from bayesid.results.identification import Identification
 from bayesid.results.posterior import ExperimentPosterior
 from bayesid.robot.limits import motion_limits
+from bayesid.robot.robot import Robot
 from bayesid.robot.urdf import write_urdf
 from bayesid.simulation.trajectories import Trajectory
 from bayesid.simulation.trajectory_file import read_trajectory
@@ -101,22 +102,23 @@ def bounds(
     if done and (run is not None or method is not None or chosen):
         named = ", ".join(chosen) or ("run" if run is not None else "method")
         raise InputError(f"{named}: is for experiments; a {type(source).__name__} was fitted already")
-    told: tuple[str, ...] = ()
-    if run is not None:
-        experiment = as_experiment(source, "a posterior or an identification")
-        clock("reading")
+    clock("reading")
+    if not isinstance(source, (ExperimentPosterior, Identification)):
+        source = as_experiment(source, "a posterior or an identification")
+    planned = _planned(trajectory, source.robot if isinstance(source, Experiment) else source.problem.experiment.robot)
+    if run is not None and isinstance(source, Experiment):
         with threadpool_limits(1, user_api="blas"):
-            known, told = known_from_run(experiment, Path(run), chosen, prior_std, DRAWS, seed)
+            known, told = known_from_run(source, Path(run), chosen, prior_std, DRAWS, seed)
     else:
-        if not isinstance(source, (ExperimentPosterior, Identification)):
+        if isinstance(source, Experiment):
             clock("posterior or estimate")
-            source = _fitted(as_experiment(source, "a posterior or an identification"), method, prior_std, seed, clock, options)
+            source = _fitted(source, method, prior_std, seed, clock, chosen)
         clock("links that can exist")
         with threadpool_limits(1, user_api="blas"):
             known = _known(source, prior_std, seed)
         told = source.warnings
     with threadpool_limits(1, user_api="blas"):
-        return _bounded(known, told, trajectory, urdfs, configurations, seed, clock)
+        return _bounded(known, told, planned, urdfs, configurations, seed, clock)
 
 
 def _fitted(
@@ -157,13 +159,12 @@ def _known(source: ExperimentPosterior | Identification, prior_std: float | None
 
 
 def _bounded(
-    known: Known, told: Sequence[str], trajectory: Trajectory | str | Path | None, urdfs: int, configurations: int, seed: int,
-    clock: Clock,
+    known: Known, told: Sequence[str], planned: Trajectory | None, urdfs: int, configurations: int, seed: int, clock: Clock
 ) -> ControllerBounds:
     problem, experiment = known.problem, known.problem.experiment
     if urdfs > len(known.links.links):
         raise InputError(f"--urdfs {urdfs}: there are {len(known.links.links)} draws; ask for fewer")
-    moves = _trajectories(problem, trajectory)
+    moves = [planned] if planned is not None else _recorded(problem)
     clock("parameters")
     torque = torque_model(known, seed)
     wrench = None if experiment.sensor is None else sensor_model(known, make_channels(experiment, "wrench"), seed)
@@ -179,7 +180,7 @@ def _bounded(
     clock("trajectories")
     bands = tuple(
         TrajectoryBands(
-            t.name, trajectory is not None, t.positions, banded(torque, t, trained[0]),
+            t.name, planned is not None, t.positions, banded(torque, t, trained[0]),
             None if wrench is None else banded(wrench, t, trained[1]),
         )
         for t in moves
@@ -216,17 +217,19 @@ def _trained_states(problem: Problem) -> tuple[np.ndarray, np.ndarray, np.ndarra
     return q, v, a
 
 
-def _trajectories(problem: Problem, given: Trajectory | str | Path | None) -> list[Trajectory]:
-    """The motion that is asked for; else those of the experiment that were not fitted, or one that was."""
-    experiment = problem.experiment
-    if isinstance(given, Trajectory):
-        if given.positions.shape[1] != experiment.robot.n:
-            joints = given.positions.shape[1]
-            raise InputError(f"trajectory {given.name} has {joints} joints, the robot {experiment.robot.n}; give one of its own")
-        return [given]
-    if given is not None:
-        return [read_trajectory(given, experiment.robot)]
-    moving = [m for m in experiment.motions if m.name in problem.segments and m.kind != "poses"]
+def _planned(given: Trajectory | str | Path | None, robot: Robot) -> Trajectory | None:
+    """The motion that is asked for; None where none is."""
+    if given is None or not isinstance(given, Trajectory):
+        return None if given is None else read_trajectory(given, robot)
+    joints = given.positions.shape[1]
+    if joints != robot.n:
+        raise InputError(f"trajectory {given.name} has {joints} joints, the robot {robot.n}; give one of its own")
+    return given
+
+
+def _recorded(problem: Problem) -> list[Trajectory]:
+    """Motions of the experiment that were not fitted, or one that was."""
+    moving = [m for m in problem.experiment.motions if m.name in problem.segments and m.kind != "poses"]
     others = [m for m in moving if m.name not in problem.fitted and m.role == "validation"]
     return [t for motion in others[:_SHOWN] or moving[:1] for t in _smoothed(problem, motion)]
 
