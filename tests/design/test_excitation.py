@@ -14,6 +14,7 @@ from bayesid.design.excitation.criteria import Criterion
 from bayesid.design.excitation.fit import random_feasible, scaled_to_fit
 from bayesid.design.excitation.options import ExcitationOptions
 from bayesid.design.excitation.plan import make_task
+from bayesid.design.excitation.restore import restored
 from bayesid.design.excitation.series import Coordinates, fitted_series
 from bayesid.recordings.experiment import Experiment, Sensor
 from bayesid.robot.robot import load_robot
@@ -246,3 +247,16 @@ def test_bad_options_are_told_in_one_line(options, said, tmp_path):
     with pytest.raises(bayesid.InputError, match=said.replace("(", "\\(")) as told:
         bayesid.excite(experiment_of("ur5", tmp_path), **QUICK | {"randoms": 1} | options)
     assert "\n" not in str(told.value)
+
+
+def test_excess_is_taken_back_to_the_nearest_motion_within_limits(tmp_path):
+    """A feasible motion blown up by a tenth is brought back within limits at all samples, and nearer than by shrinking."""
+    task, _ = make_task(experiment_of("puma560", tmp_path), ExcitationOptions(torque_share=0.25))
+    start = random_feasible(task.coordinates, task.limits, np.random.default_rng(4), 240)
+    assert start is not None
+    x = task.coordinates.numbers(start.scaled(1.1))
+    assert max(np.abs(part).max() for part in task.limits.ratios(task.dense.motion(x))) > 1.05
+    back = restored(task.limits, task.dense, x, 0.01)
+    assert back is not None
+    assert max(np.abs(part).max() for part in task.limits.ratios(task.dense.motion(back))) <= 0.995
+    assert np.linalg.norm(back - x) < np.linalg.norm(task.coordinates.numbers(start) - x)

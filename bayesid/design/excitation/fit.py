@@ -10,8 +10,8 @@ from bayesid.design.excitation.series import Coordinates, FourierSeries
 #: What is left of every limit for what lies between samples of torques, wrenches and distances.
 GUARD = 1e-3
 _HALVINGS, _COARSE = 14, 250
-#: Step by which a motion that fits coarse samples is made to fit fine ones.
-_SHRINK = 0.998
+#: Smallest step by which a motion that fits coarse samples is made to fit fine ones.
+_SHRINK = 0.002
 #: A motion that must shrink to less than this share of what its joints could do goes round something: another is better.
 _SMALLEST = 0.02
 
@@ -36,24 +36,25 @@ def scaled_to_fit(series: FourierSeries, limits: Limits, samples: int, largest: 
     room = limits.kinematic_room(series, max(samples, 20 * series.harmonics))
     factor = min(float(room.min(initial=np.inf)) * (1.0 - 1e-9), largest)
 
-    def fits(share: float, at: int) -> bool:
+    def excess(share: float, at: int) -> float:
         found = limits.worst_loads(series.scaled(share * factor), at)
-        return all(worst.max(initial=0.0) <= 1.0 - GUARD for worst in found.values())
+        return max((float(worst.max(initial=0.0)) for worst in found.values()), default=0.0) - (1.0 - GUARD)
 
     coarse = min(samples, max(_COARSE, 20 * series.harmonics))
     share = 1.0
-    if not fits(1.0, coarse):
-        if not fits(_SMALLEST, coarse):
+    if excess(1.0, coarse) > 0.0:
+        if excess(_SMALLEST, coarse) > 0.0:
             return None
         low, high = 0.0, 1.0
         for _ in range(_HALVINGS):
             middle = 0.5 * (low + high)
-            low, high = (middle, high) if fits(middle, coarse) else (low, middle)
+            low, high = (middle, high) if excess(middle, coarse) <= 0.0 else (low, middle)
         share = low
     while share >= _SMALLEST:
-        if fits(share, samples):
+        over = excess(share, samples)
+        if over <= 0.0:
             return series.scaled(share * factor)
-        share *= _SHRINK
+        share *= 1.0 - max(2.0 * over, _SHRINK)
     return None
 
 

@@ -6,8 +6,9 @@ minimising
     f(x) + 1/N sum_i [ max(0, l_i + r g_i(x))^2 - l_i^2 ] / (2 r)
 
 over x with L-BFGS and raising ``l_i <- max(0, l_i + r g_i)`` in turn ([Nocedal2006]_, chapter 17). Both f and the sum have
-analytic gradients that cost a few regressors, whatever the number of limits. Every round's motion is then scaled to fit all
-limits on fine samples, and the best of those is kept: whatever the optimiser does, what comes out is feasible.
+analytic gradients that cost a few regressors, whatever the number of limits. What still exceeds a limit is taken
+back (`bayesid.design.excitation.restore`); every round's motion is then scaled to fit all limits on fine samples, and the best of
+those is kept: whatever the optimiser does, what comes out is feasible.
 """
 
 from __future__ import annotations
@@ -23,11 +24,16 @@ from bayesid.design.excitation.criteria import Criterion
 from bayesid.design.excitation.fit import random_feasible, scaled_to_fit
 from bayesid.design.excitation.information import Information
 from bayesid.design.excitation.limits import Limits
+from bayesid.design.excitation.restore import restored
 from bayesid.design.excitation.series import Coordinates, FourierSeries
 
-_ROUNDS, _ITERATIONS, _STEEPNESS, _STEEPER = 8, 100, 10.0, 3.0
-#: Limits may be exceeded by so much at the optimiser's samples: scaling to fit takes it away.
+_ROUNDS, _ITERATIONS, _STEEPNESS, _STEEPER, _FASTER = 12, 100, 10.0, 3.0, 0.3
+#: Share of amplitudes above which scaling to fit was hardly needed.
+_HARDLY = 0.995
+#: A round that exceeds limits by less, and gains less, is the last.
 _VIOLATION, _GAIN = 2e-3, 1e-4
+#: Margins to limits at the optimiser's samples, one after the other, for what lies between them.
+_MARGINS = (0.003, 0.01, 0.03)
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,8 +44,8 @@ class Task:
     ----------
     information, criterion, limits
         What a motion tells, how that is judged, and what it must keep to.
-    coordinates
-        The motions that are searched.
+    coordinates, dense
+        The motions that are searched, and the same with more samples of a period, for their limits.
     recorded
         Samples that will be recorded in all.
     fine
@@ -50,6 +56,7 @@ class Task:
     criterion: Criterion
     limits: Limits
     coordinates: Coordinates
+    dense: Coordinates
     recorded: float
     fine: int
 
@@ -172,19 +179,30 @@ def improve(task: Task, start: FourierSeries, found: Search, seconds: float, tel
         penalty = _Penalty(task, multipliers, steepness)
         done = minimize(penalty, x, jac=True, method="L-BFGS-B", options={"maxiter": _ITERATIONS, "maxcor": 20})
         x = done.x
-        series = task.coordinates.series(x)
         ratios = task.limits.ratios(task.coordinates.motion(x))
         gap = max(float(np.abs(part).max(initial=0.0)) for part in ratios) - 1.0
-        fitted = scaled_to_fit(series, task.limits, task.fine, largest=1.0)
-        if fitted is not None:
-            found.offer(fitted, task.judged(fitted))
+        _offer_within(task, x, found)
         tell(f"round {number + 1}: criterion {-found.value:.4g}")
         settled = abs(before - done.fun) < _GAIN and gap < _VIOLATION
         if settled or (found.seconds > seconds and found.best is not None):
             return
         multipliers = [np.maximum(m + steepness * (np.abs(part) - 1.0), 0.0) for m, part in zip(multipliers, ratios, strict=True)]
-        steepness *= _STEEPER if gap > 0.5 * gap_before else 1.0
+        steepness *= _STEEPER if gap > _FASTER * gap_before else 1.0
         before, gap_before = done.fun, gap
+
+
+def _offer_within(task: Task, x: np.ndarray, found: Search) -> None:
+    """Offer a motion near to one that exceeds limits a little."""
+    for margin in _MARGINS:
+        inside = restored(task.limits, task.dense, x, margin)
+        near = task.coordinates.series(x if inside is None else inside)
+        fitted = scaled_to_fit(near, task.limits, task.fine, largest=1.0)
+        if fitted is not None:
+            found.offer(fitted, task.judged(fitted))
+            if np.abs(fitted.sine).max() > _HARDLY * np.abs(near.sine).max():
+                return  # a larger margin would gain nothing
+        if inside is None:
+            return
 
 
 class _Penalty:

@@ -25,8 +25,9 @@ from bayesid.robot.limits import motion_limits
 from bayesid.robot.typical import states_masses
 from bayesid.simulation.trajectories import Trajectory
 
-#: Samples of a period that the optimiser looks at, at least and per harmonic; limits are tested at ten times the rate recorded.
-_SAMPLES, _PER_HARMONIC, FINER = 120, 16, 10
+#: Samples of a period that the optimiser looks at, at least and per harmonic; how many times more where limits are restored;
+#: how many times finer than recorded limits are tested.
+_SAMPLES, _PER_HARMONIC, _DENSER, FINER = 120, 16, 3, 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,9 +112,12 @@ def make_task(experiment: Experiment, options: ExcitationOptions, seed: int = 0)
         notes.append(f"No collision is checked: {why}.")
     period = options.repeats_after
     samples = max(_SAMPLES, _PER_HARMONIC * options.harmonics)
-    coordinates = Coordinates(period, options.harmonics, moving, middle, half, limits.speed, samples)
+    coordinates, dense = (
+        Coordinates(period, options.harmonics, moving, middle, half, limits.speed, count)
+        for count in (samples, _DENSER * samples)
+    )
     fine = int(np.ceil(FINER * options.rate * period))
-    task = Task(information, Criterion(options.criterion), limits, coordinates, options.rate * options.duration, fine)
+    task = Task(information, Criterion(options.criterion), limits, coordinates, dense, options.rate * options.duration, fine)
     return task, tuple([*notes, *more, *told])
 
 

@@ -151,6 +151,16 @@ class Coordinates:
         out[1:] = sum(basis.T @ part[:, self.moving] for basis, part in zip(self._bases, (q, v, a), strict=True)) * self._unit
         return out.ravel()
 
+    def jacobian(self, q: np.ndarray, v: np.ndarray, a: np.ndarray, rows: np.ndarray) -> np.ndarray:
+        """Derivatives of each of some samples' numbers, (rows, count), from those with respect to that sample's motion (N, n)."""
+        out = np.empty((len(rows), self._free + 1, len(self.moving)))
+        out[:, 0] = q[np.ix_(rows, self.moving)] * self._reach
+        out[:, 1:] = sum(
+            basis[rows][:, :, None] * part[np.ix_(rows, self.moving)][:, None, :]
+            for basis, part in zip(self._bases, (q, v, a), strict=True)
+        ) * self._unit  # fmt: skip
+        return out.reshape(len(rows), -1)
+
 
 def fitted_series(times: np.ndarray, positions: np.ndarray, period: float, harmonics: int) -> FourierSeries:
     """The series nearest to positions (N, n) at times (N,), by least squares; what is not periodic is averaged."""
