@@ -60,6 +60,10 @@ _OPTIONS = [
     click.option("--collisions/--no-collisions", default=True, help="Whether bodies of the URDF are kept apart."),
     _number("--margin", "Least distance of bodies [m]."),
     click.option("--ground", type=float, help="Height of a ground that is kept clear [m], in the base frame."),
+    click.option("--blocks", callback=names, help="Scripted blocks: parked,poses,reversed,ladder, or all."),
+    click.option("--stops", type=int, help="Stops of a static run; default: every sample, with --static."),
+    _number("--settle", "How long the robot waits at a stop before it is read [s]."),
+    _number("--read", "How long it is read at a stop [s]."),
     click.option("--warm-start", type=click.Path(path_type=Path), help="A table t, q1 ... of a motion to start from."),
     _number("--starts", "How many motions are improved."),
     _number("--randoms", "How many random motions they are chosen from."),
@@ -80,14 +84,15 @@ def _options(command):
 @EFFECTS_FROM
 @OUT
 @SEED
-def excite(experiment, model, effects_from, out, joints, **options) -> None:
+def excite(experiment, model, effects_from, out, joints, blocks, **options) -> None:
     """An exciting trajectory within limits: trajectory.csv; needs experiment.toml and the URDF only."""
     check_output(out or OUTPUTS, "excite")
     setup = load_setup(experiment, own_effects(effects_from))
     setup = setup if model is None else setup.with_model(model)
     folder = output_folder(out, setup.name, "excite")
     with show_progress() as progress:
-        result = bayesid.excite(setup, joints=None if joints is None else tuple(joints), progress=progress, **options)
+        chosen = {"joints": None if joints is None else tuple(joints), "blocks": tuple(blocks or ())}
+        result = bayesid.excite(setup, progress=progress, **chosen, **options)
         progress("report")
         report = result.write(folder)
     click.echo(str(result))

@@ -8,7 +8,7 @@ import numpy as np
 
 from bayesid.report.excitation_figures import beside_random, limit_shares, motion
 from bayesid.report.page import render, run_times, versions
-from bayesid.results.excitation import Excitation
+from bayesid.results.excitation import Excitation, duration_text
 from bayesid.results.text import DASH, number, percent
 
 _TITLES = {
@@ -53,6 +53,12 @@ def excitation_report(result: Excitation) -> str:
         ],
         period=number(result.series.period, 4),
         harmonics=range(1, result.series.harmonics + 1),
+        blocks=[
+            {"name": b.trajectory.name, "shows": b.shows,
+             "length": f"{len(b.trajectory.times)} poses" if b.trajectory.kind == "poses" else duration_text(b.seconds)}
+            for b in result.blocks
+        ],
+        static_run=_static_run(result),
         notes=result.notes,
         details=[*_options(result), run_times(result.seconds), versions("numpy", "scipy", "pin")],
     )  # fmt: skip
@@ -89,6 +95,20 @@ def _cards(result: Excitation) -> list[dict[str, Any]]:
         cards.append({"value": f"{number(result.gain, 2)} ×", "mood": "good" if result.gain > 1 else "fair",
                       "text": f"smaller {what} than the best of {len(result.random)} random motions"})  # fmt: skip
     return cards
+
+
+def _static_run(result: Excitation) -> str | None:
+    run = result.static_run
+    if run is None:
+        return None
+    text = (
+        f"{len(run.rows)} stops of one period take {duration_text(run.seconds)}: at each the robot settles for "
+        f"{number(result.options['settle'], 2)} s and is read for {number(result.options['read'], 2)} s. "
+    )
+    if run.every_sample:
+        repeats = " Readings of one period serve every period." if result.trajectory.period else ""
+        return text + "There is one at every sample of the motion, so that readings can be subtracted row by row." + repeats
+    return text + "They are fewer than the samples: enter their readings as a table of poses at rest."
 
 
 def _options(result: Excitation) -> list[tuple[str, str]]:

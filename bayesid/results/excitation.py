@@ -8,7 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from bayesid.design.excitation.blocks import Block
 from bayesid.design.excitation.series import FourierSeries
+from bayesid.design.excitation.stops import StopAndGo
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.results.files import Result, strict
 from bayesid.results.text import number, percent, text_table
@@ -19,6 +21,16 @@ _KINDS = {
     "position": "position", "velocity": "speed", "acceleration": "acceleration", "torque": "torque", "wrench": "sensor",
     "collision": "distance",
 }  # fmt: skip
+
+
+def duration_text(seconds: float) -> str:
+    """A time in words."""
+    return f"{number(seconds, 3)} s" if seconds < 120.0 else f"{number(seconds / 60.0, 3)} min"
+
+
+def _block_text(block: Block) -> str:
+    poses = block.trajectory.kind == "poses"
+    return f"{block.trajectory.name} ({f'{len(block.trajectory.times)} poses' if poses else duration_text(block.seconds)})"
 
 
 @dataclass(frozen=True)
@@ -79,6 +91,10 @@ class Excitation(Result):
         As asked.
     series, trajectory
         The motion.
+    blocks
+        Scripted blocks that go with it.
+    static_run
+        Schedule of the stop-and-go run, or None.
     limits
         How near it comes to every limit, at ten times the recorded rate.
     loads
@@ -108,6 +124,8 @@ class Excitation(Result):
     options: Mapping[str, Any]
     series: FourierSeries
     trajectory: Trajectory
+    blocks: tuple[Block, ...]
+    static_run: StopAndGo | None
     limits: tuple[LimitUse, ...]
     loads: Mapping[str, tuple[tuple[str, ...], np.ndarray]]
     base: BaseParameters
@@ -168,6 +186,15 @@ class Excitation(Result):
                 "table": "trajectory.csv", "samples": len(self.trajectory.times), "duration_s": float(self.trajectory.times[-1]),
                 "period_s": self.trajectory.period,
             },
+            "blocks": [
+                {"kind": b.kind, "shows": b.shows, "table": f"{b.trajectory.name}.csv", "samples": len(b.trajectory.times),
+                 "duration_s": b.seconds}
+                for b in self.blocks
+            ],
+            "static_run": None if self.static_run is None else {
+                "table": "stop-and-go.csv", "stops": len(self.static_run.rows), "duration_s": self.static_run.seconds,
+                "every_sample": self.static_run.every_sample,
+            },
             "within_limits": self.within_limits, "limits": uses,
             "rank": self.base.rank, "condition_number": self.condition_number, "base_parameters": parameters,
             "notes": self.notes, "runtime_s": self.seconds,
@@ -199,6 +226,10 @@ class Excitation(Result):
             rows.append([_KINDS[kind], use.where, f"{number(use.reached, 3)} {use.unit}", f"{number(use.limit, 3)} {use.unit}",
                          percent(use.ratio) if kind != "collision" else "kept" if use.kept else "broken"])  # fmt: skip
         lines += text_table(["nearest to its limit", "where", "reached", "allowed", "share"], rows)
+        if self.blocks:
+            lines.append("  blocks: " + ", ".join(_block_text(b) for b in self.blocks))
+        if self.static_run is not None:
+            lines.append(f"  static run: {len(self.static_run.rows)} stops, {duration_text(self.static_run.seconds)}")
         if self.interrupted:
             lines.append("  interrupted: this is the best motion so far")
         lines += [f"  note: {note}" for note in self.notes]

@@ -26,7 +26,10 @@ WRITTEN = {
     "check": ("check.json",),
     "compare": ("comparison.json",),
     "diagnose": ("diagnosis.json", "model.toml", "next_motion.csv"),
-    "excite": ("excitation.json", "trajectory.csv"),
+    "excite": (
+        "excitation.json", "trajectory.csv", "motions.toml", "parked.csv", "poses.csv", "reversed.csv", "speed-33.csv",
+        "speed-67.csv", "stop-and-go.csv",
+    ),  # fmt: skip
     "identifiability": ("identifiability.json",),
     "identify": ("estimate.json", "identified.urdf", "identified-unconstrained.urdf", "model.toml"),
     "sample": ("posterior.json", "posterior.nc"),

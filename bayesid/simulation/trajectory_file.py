@@ -34,7 +34,8 @@ def read_trajectory(
 ) -> Trajectory:
     """Read a planned motion; its name is the file's.
 
-    Velocities and accelerations that the table lacks are those of a smooth curve through the positions.
+    Velocities and accelerations that the table lacks are those of a smooth curve through the positions. Where it says that the
+    robot never moves, its rows are poses at rest, or it is parked where they are all the same.
 
     Parameters
     ----------
@@ -61,7 +62,13 @@ def read_trajectory(
         curve = make_interp_spline(table.times, table.positions, k=7)
         rates = [curve(table.times, k + 1) if part is None else part for k, part in enumerate(rates)]
     name = re.sub(r"[^A-Za-z0-9_-]+", "_", path.stem) or "motion"
-    return Trajectory(name, role, np.array(table.times), np.array(table.positions), np.asarray(rates[0]), np.asarray(rates[1]))
+    times, positions, (v, a) = np.array(table.times), np.array(table.positions), map(np.asarray, rates)
+    still = table.velocities is not None and not v.any() and not a.any()
+    parked = still and not np.ptp(positions, axis=0).any()
+    return Trajectory(
+        name, role, times, positions, v, a, kind="poses" if still and not parked else "trajectory",
+        parked=((float(times[0]), float(times[-1])),) if parked else (),
+    )  # fmt: skip
 
 
 def planned_trajectories(robot: Robot, paths: Sequence[str | Path], static: bool = False) -> list[Trajectory]:

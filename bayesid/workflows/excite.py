@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
+import tomli_w
 from threadpoolctl import threadpool_limits
 
+from bayesid.design.excitation.blocks import check_blocks, scripted_blocks
 from bayesid.design.excitation.criteria import CRITERIA
 from bayesid.design.excitation.options import ExcitationOptions
 from bayesid.design.excitation.plan import Plan, make_plan
+from bayesid.design.excitation.stops import StopAndGo, stop_and_go
 from bayesid.design.expected import expect
 from bayesid.design.reading_noise import white_noise
 from bayesid.dynamics.regressors import Kernel
@@ -71,6 +75,7 @@ def excite(
     # The matrices are small: threads inside the linear algebra cost more than they gain here.
     with threadpool_limits(1, user_api="blas"):
         clock("searching")
+        check_blocks(chosen.blocks)
         plan = make_plan(experiment, chosen, warm, seed, progress)
         clock("expected deviations")
         result = _result(plan, clock)
@@ -94,15 +99,25 @@ def _result(plan: Plan, clock: Clock) -> Excitation:
     noise = white_noise(experiment.robot, force_std=sensor.force_std, torque_std=sensor.torque_std)
     expected = expect(experiment, information.sensor_set, noise, [plan.trajectory])
     r = expected.base.rank
+    blocks, left_out = scripted_blocks(plan, plan.options.blocks)
     return Excitation(
         name=experiment.name, joint_names=experiment.robot.joint_names, prismatic=experiment.robot.prismatic,
         readings=information.sensor_set.title, criterion=plan.options.criterion, criterion_text=CRITERIA[plan.options.criterion],
         value=-plan.search.value, random=-np.array(plan.search.random),
         history=tuple((seconds, -value) for seconds, value in plan.search.history), interrupted=plan.search.interrupted,
-        options=plan.options.to_dict(), series=plan.series, trajectory=plan.trajectory, limits=tuple(limit_uses(plan)),
+        options=plan.options.to_dict(), series=plan.series, trajectory=plan.trajectory, blocks=blocks,
+        static_run=_static_run(plan), limits=tuple(limit_uses(plan)),
         loads=_loads(experiment, plan.trajectory), base=expected.base, std=expected.std[:r],
-        condition_number=expected.condition_number, notes=plan.notes, seconds=dict(clock.stop()),
+        condition_number=expected.condition_number, notes=(*plan.notes, *left_out), seconds=dict(clock.stop()),
     )  # fmt: skip
+
+
+def _static_run(plan: Plan) -> StopAndGo | None:
+    """Where a static run is subtracted, or stops are asked for."""
+    o = plan.options
+    if plan.task.information.sensor_set.offset != "static run" and o.stops is None:
+        return None
+    return stop_and_go(plan.series, plan.task.limits, o.rate, stops=o.stops, settle=o.settle, read=o.read)
 
 
 def _loads(experiment: Experiment, trajectory: Trajectory) -> dict[str, tuple[tuple[str, ...], np.ndarray]]:
@@ -159,5 +174,30 @@ def _(result: Excitation) -> Files:
     """``excitation.json``, ``trajectory.csv`` and the report."""
     from bayesid.report.excitation import excitation_report
 
-    others = {"trajectory.csv": lambda path: write_trajectory(result.trajectory, path)}
+    motions = [result.trajectory, *(b.trajectory for b in result.blocks)]
+    others: dict[str, Callable[[Path], Any]] = {
+        f"{motion.name}.csv": lambda path, motion=motion: write_trajectory(motion, path) for motion in motions
+    }
+    others["motions.toml"] = lambda path: path.write_text(tomli_w.dumps({"motion": _sections(motions)}), encoding="utf-8")
+    if (run := result.static_run) is not None:
+        others["stop-and-go.csv"] = lambda path: _write_stops(run, path)
     return Files({"excitation.json": result.to_dict()}, others, excitation_report(result))
+
+
+def _sections(motions: Sequence[Trajectory]) -> list[dict[str, Any]]:
+    """``[[motion]]`` of experiment.toml for recordings of these motions."""
+    out = []
+    for motion in motions:
+        section: dict[str, Any] = {"name": motion.name, "role": motion.role, "kind": motion.kind, "table": f"{motion.name}.csv"}
+        section |= {} if motion.period is None else {"period": float(motion.period)}
+        section |= {"parked": [list(map(float, interval)) for interval in motion.parked]} if motion.parked else {}
+        section |= {} if motion.static_positions is None else {"static": f"{motion.name}_static.csv"}
+        out.append(section)
+    return out
+
+
+def _write_stops(run: StopAndGo, path: Path) -> None:
+    """The schedule as a table: row of the motion, time of arrival and of reading, and the positions."""
+    columns = {"row": run.rows, "arrive": run.arrive, "read_start": run.start, "read_end": run.end}
+    columns |= {f"q{j + 1}": run.positions[:, j] for j in range(run.positions.shape[1])}
+    pd.DataFrame(columns).to_csv(path, index=False, float_format="%.9g")

@@ -3,9 +3,9 @@
 ``python -m tests.studies.excitation`` from the repository runs it and writes ``docs/excitation.json`` and ``docs/excitation.md``.
 
 *Random*: for each arm `bayesid.excite` once with its defaults (20 s), and the best determinant of 1,000 random motions of the
-same series, each scaled as large as the same limits allow. Torques are checked by Pinocchio's own recursion at ten times the
-recorded rate. *Published*: recordings of motions that others optimised. Their extreme positions, largest speeds, accelerations and
-torques of the nominal links become the limits of ours, of the same length, which the search starts from theirs; then both are
+same series, each scaled as large as the same limits allow. Torques are checked by Pinocchio's own recursion at ten times
+the recorded rate. *Published*: recordings of motions that others optimised. Their extreme positions, largest speeds,
+accelerations and torques of the nominal links become the limits of ours, of the same length, which the search starts from theirs; then both are
 judged by the same functions.
 
 ``BAYESID_DATA`` names the folder with ``data/ur10e`` and ``data/kuka-lwr4``; ``--tiago`` one with FIGAROH's
@@ -157,8 +157,8 @@ the same limits? `python -m tests.studies.excitation` made this page and [excita
 
 ## Beside random motions
 
-Base wrench with fitted offsets, 20 s, two periods, five harmonics, the defaults of the verb. {{ count }} random motions of each arm
-belong to the same series, start and end at rest, and are each scaled as large as the same limits allow. *Criterion*: the mean
+Base wrench with fitted offsets, 20 s, two periods, five harmonics, the defaults of the verb. {{ count }} random motions of each
+arm belong to the same series, start and end at rest, and are each scaled as large as the same limits allow. *Criterion*: the mean
 logarithm of the eigenvalues of the information matrix, in units of typical sizes; *ratio*: how many times larger standard
 deviations (their geometric mean) are with the best random motion.
 
@@ -171,8 +171,8 @@ deviations (their geometric mean) are with the best random motion.
 
 Times on one core of a machine that others used as well.
 
-The largest share of the robot's own limits at ten times the recorded rate. Positions and speeds may use 90 %, accelerations 90 % of
-full speed in 0.25 s, torques 70 %. Torques are those of Pinocchio's recursion, not of the code that optimised.
+The largest share of the robot's own limits at ten times the recorded rate. Positions and speeds may use 90 %, accelerations 90 %
+of full speed in 0.25 s, torques 70 %. Torques are those of Pinocchio's recursion, not of the code that optimised.
 
 | arm | position | speed | acceleration | torque |
 | --- | --- | --- | --- | --- |
@@ -183,11 +183,11 @@ full speed in 0.25 s, torques 70 %. Torques are those of Pinocchio's recursion, 
 
 ## Beside published motions
 
-Joint torques. Each joint's extreme positions, largest speed and acceleration, and largest torque of the nominal links along the
-recorded motion are the limits of ours, which has the same length and starts and ends at rest. *Condition*: of the base regressor
-in SI units, which FIGAROH and others minimise; *scaled*: with columns of unit length, which does not depend on units. Both motions
-have the same columns. *Ratio*: standard deviations (geometric mean) with the published motion over those with ours (D-optimal). The
-determinant counts every direction, a condition number only the extreme ones: no motion is best in all.
+Joint torques. Each joint's extreme positions, largest speed and acceleration, and largest torque of the nominal links along
+the recorded motion are the limits of ours, which has the same length and starts and ends at rest. *Condition*: of the base
+regressor in SI units, which FIGAROH and others minimise; *scaled*: with columns of unit length, which does not depend on units.
+Both motions have the same columns. *Ratio*: standard deviations (geometric mean) with the published motion over those with ours
+(D-optimal). The determinant counts every direction, a condition number only the extreme ones: no motion is best in all.
 
 | motion | joints | length | condition, theirs | D-optimal | for condition | scaled, theirs | D-optimal | for condition | ratio |
 | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |

@@ -141,6 +141,8 @@ def clearance(
     clearance, notes
         None without two bodies that can meet; what was left out, one line each.
     """
+    if not robot.urdf.is_file():  # a robot outlives its file
+        return None, (f"{robot.urdf.name} is not there any more, so that nothing is known of the bodies' shapes.",)
     xml, notes = _with_geometry(robot.urdf)
     model = pin.buildModelFromXML(read_urdf(robot.urdf).for_pinocchio())
     geometry = pin.buildGeomFromUrdfString(model, xml, pin.GeometryType.COLLISION)

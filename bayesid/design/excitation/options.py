@@ -49,6 +49,11 @@ class ExcitationOptions:
         Resonance of the sensor's mount [Hz].
     collisions, margin, ground
         Whether bodies are kept apart, by how much [m], and the height of the ground in the base frame [m].
+    blocks
+        Scripted blocks that are added, see `bayesid.design.excitation.blocks`.
+    stops, settle, read
+        Of the static run: how many stops in a period (None: at every sample, where a static run is subtracted), how long the
+        robot waits before each reading, and how long it is read [s].
     starts, randoms, seconds
         Motions that are improved, random ones to choose them from, and time after which no other is begun [s].
     """
@@ -72,6 +77,10 @@ class ExcitationOptions:
     collisions: bool = True
     margin: float = 0.02
     ground: float | None = None
+    blocks: tuple[str, ...] = ()
+    stops: int | None = None
+    settle: float = 0.3
+    read: float = 0.2
     starts: int = 3
     randoms: int = 40
     seconds: float = 60.0

@@ -1,0 +1,142 @@
+"""Scripted blocks that go with an exciting trajectory: what each shows, and a motion for it.
+
+They cost two minutes and show what no optimised motion does: the noise alone (parked), gravity and offset alone (poses), what
+changes its sign with the velocity (reversed), and what grows with speed (ladder).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bayesid.design.excitation.plan import Plan
+from bayesid.dynamics.base_parameters import structural_base
+from bayesid.dynamics.regressors import dynamics_regressor
+from bayesid.errors import InputError
+from bayesid.simulation.trajectories import Trajectory
+
+#: What there is, and what it shows.
+BLOCKS = {
+    "parked": "the robot stands still: the noise of every channel, and its colour",
+    "poses": "separate poses at rest: gravity and offsets, without anything that needs motion",
+    "reversed": "the motion backwards in time: what changes its sign with the velocity, such as friction and delay",
+    "ladder": "the motion at a third and two thirds of its speed: what grows with speed, and what does not",
+}
+PARKED, POSES, LADDER = 25.0, 8, (1 / 3, 2 / 3)
+_CANDIDATES = 400
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """A scripted block.
+
+    Attributes
+    ----------
+    kind, shows
+        One of `BLOCKS`, and what it shows.
+    trajectory
+        Its motion; its name is that of its table.
+    """
+
+    kind: str
+    shows: str
+    trajectory: Trajectory
+
+    @property
+    def seconds(self) -> float:
+        """How long it takes [s]; poses: without the way between them."""
+        return 0.0 if self.trajectory.kind == "poses" else float(self.trajectory.times[-1])
+
+
+def scripted_blocks(plan: Plan, kinds: Sequence[str]) -> tuple[tuple[Block, ...], tuple[str, ...]]:
+    """Motions of the blocks asked for, and notes of what was left out.
+
+    Parameters
+    ----------
+    plan
+        The exciting trajectory.
+    kinds
+        Of `BLOCKS`; ``all`` for all of them.
+    """
+    out, notes = [], []
+    for kind in BLOCKS if "all" in kinds else dict.fromkeys(kinds):
+        for motion in _MAKERS[kind](plan):
+            if _fits(plan, motion):
+                out.append(Block(kind, BLOCKS[kind], motion))
+            else:
+                notes.append(f"Block {motion.name} is left out: at rest or slower, the robot's weight alone breaks a limit.")
+    return tuple(out), tuple(notes)
+
+
+def check_blocks(kinds: Sequence[str]) -> None:
+    """Refuse a block that there is not.
+
+    Raises
+    ------
+    InputError
+        There is no such block.
+    """
+    for kind in kinds:
+        if kind not in (*BLOCKS, "all"):
+            raise InputError(f"--blocks {kind}: choose some of {', '.join(BLOCKS)}, or all")
+
+
+def _fits(plan: Plan, motion: Trajectory) -> bool:
+    """Whether torques and the sensor's load stay within limits; positions are those of the trajectory, rates no larger."""
+    states = motion.positions, motion.velocities, motion.accelerations
+    return all(np.abs(load.ratios(states)).max() <= 1.0 for load in plan.task.limits.loads)
+
+
+def _parked(plan: Plan) -> list[Trajectory]:
+    times = np.arange(int(round(PARKED * plan.options.rate)) + 1) / plan.options.rate
+    q = np.tile(plan.trajectory.positions[0], (len(times), 1))
+    rest = np.zeros_like(q)
+    return [Trajectory("parked", "identification", times, q, rest, rest, parked=((0.0, float(times[-1])),))]
+
+
+def _poses(plan: Plan) -> list[Trajectory]:
+    """Poses of the motion that tell most of gravity together: chosen one by one for the largest determinant."""
+    robot, channels = plan.experiment.robot, plan.task.information.channels
+    candidates = plan.series.at(np.linspace(0.0, plan.series.period, _CANDIDATES, endpoint=False))[0]
+    rest = np.zeros_like(candidates)
+    still = candidates, rest, rest
+    allowed = np.ones(len(candidates), bool)
+    for load in plan.task.limits.loads:
+        allowed &= np.abs(load.ratios(still)).max(axis=1) <= 1.0
+    candidates, rest = candidates[allowed], rest[allowed]
+    if not len(candidates):
+        return []
+    base = structural_base(robot, channels, at_rest=True)
+    rows = dynamics_regressor(robot, channels, candidates, rest, rest, base.independent)
+    rows = rows / np.maximum(np.sqrt(np.mean(rows**2, axis=(0, 1))), 1e-12)
+    information, chosen = 1e-6 * np.eye(base.rank), []
+    for _ in range(min(POSES, len(candidates))):
+        inner = np.eye(rows.shape[1]) + rows @ np.linalg.solve(information, rows.swapaxes(1, 2))
+        gain = np.linalg.slogdet(inner)[1]
+        gain[chosen] = -np.inf
+        chosen.append(int(np.argmax(gain)))
+        information = information + rows[chosen[-1]].T @ rows[chosen[-1]]
+    order = sorted(chosen)  # along the motion: the way between them is known to be free
+    q, times = candidates[order], np.arange(float(len(order)))
+    return [Trajectory("poses", "identification", times, q, rest[: len(order)], rest[: len(order)], kind="poses")]
+
+
+def _reversed(plan: Plan) -> list[Trajectory]:
+    t = plan.trajectory
+    q, v, a = t.positions[::-1], -t.velocities[::-1], t.accelerations[::-1]
+    return [replace(t, name="reversed", positions=q, velocities=v, accelerations=a, static_positions=None)]
+
+
+def _ladder(plan: Plan) -> list[Trajectory]:
+    out = []
+    for share in LADDER:
+        times = np.arange(int(round(plan.series.period / share * plan.options.rate)) + 1) / plan.options.rate
+        q, v, a = plan.series.at(share * times)
+        name = f"speed-{round(100 * share)}"
+        out.append(Trajectory(name, "identification", times, q, share * v, share**2 * a))
+    return out
+
+
+_MAKERS = {"parked": _parked, "poses": _poses, "reversed": _reversed, "ladder": _ladder}

@@ -1,0 +1,91 @@
+"""The static run: where the robot stops, when it is read, and how long that takes.
+
+The paper stops at every sampling position of the motion, for the wrench at rest is to be subtracted sample by sample
+[Liu1998]_. A motion that repeats needs one period of stops only, whose readings serve every period; and a motion's gravity
+wrench is so smooth that fewer stops, fitted along as poses, tell as much. From stop to stop the joints move with a polynomial of
+degree five, ``T = max(1.875 |d| / speed, sqrt(5.774 |d| / acceleration))``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayesid.design.excitation.limits import Limits
+from bayesid.design.excitation.series import FourierSeries
+from bayesid.errors import InputError
+
+#: Peak speed and acceleration of the polynomial of degree five from rest to rest, for a way and time of one.
+_SPEED, _ACCELERATION = 1.875, 10.0 / np.sqrt(3.0)
+
+
+@dataclass(frozen=True, eq=False)
+class StopAndGo:
+    """Stops of a static run.
+
+    Attributes
+    ----------
+    positions
+        Where the robot stops (k, n) [rad or m].
+    arrive, start, end
+        Times at which it arrives, and between which it is read (k,) [s].
+    rows
+        Row of ``trajectory.csv`` that each stop belongs to (k,).
+    every_sample
+        Whether every sample of the motion has its stop, so that readings can be subtracted row by row.
+    """
+
+    positions: np.ndarray
+    arrive: np.ndarray
+    start: np.ndarray
+    end: np.ndarray
+    rows: np.ndarray
+    every_sample: bool
+
+    @property
+    def seconds(self) -> float:
+        """How long the run takes [s]."""
+        return float(self.end[-1])
+
+    def __repr__(self) -> str:
+        return f"<StopAndGo: {len(self.rows)} stops, {self.seconds / 60:.1f} min>"
+
+
+def stop_and_go(
+    series: FourierSeries, limits: Limits, rate: float, *, stops: int | None = None, settle: float = 0.3, read: float = 0.2
+) -> StopAndGo:
+    """Schedule of a static run over one period.
+
+    Parameters
+    ----------
+    series
+        The motion.
+    limits
+        Its joints' speeds and accelerations.
+    rate
+        Samples a second of the motion.
+    stops
+        How many, evenly in time; None: at every sample.
+    settle, read
+        How long the robot waits before a reading [s], and how long it is read [s].
+
+    Raises
+    ------
+    InputError
+        A number that is no such.
+    """
+    samples = int(round(series.period * rate))
+    if stops is not None and not 2 <= stops <= samples:
+        raise InputError(f"--stops {stops}: give 2 to {samples}, the samples of a period")
+    for name, value in (("settle", settle), ("read", read)):
+        if not (np.isfinite(value) and value >= 0):
+            raise InputError(f"--{name} {value}: give a time in seconds, 0 or more")
+    count = samples if stops is None else stops
+    rows = np.round(np.linspace(0, samples, count, endpoint=False)).astype(int)
+    q = series.at(rows / rate)[0]
+    m = limits.moving
+    way = np.abs(np.diff(q, axis=0))[:, m]
+    moves = np.maximum(_SPEED * way / limits.speed[m], np.sqrt(_ACCELERATION * way / limits.acceleration[m])).max(axis=1)
+    arrive = np.concatenate([[0.0], np.cumsum(moves + settle + read)])
+    return StopAndGo(q, arrive, arrive + settle, arrive + settle + read, rows, len(rows) == samples)
