@@ -3,10 +3,10 @@
 ``python -m tests.studies.excitation`` from the repository runs it and writes ``docs/excitation.json`` and ``docs/excitation.md``.
 
 *Random*: for each arm `bayesid.excite` once with its defaults (20 s), and the best determinant of 1,000 random motions of the
-same series, each scaled as large as the same limits allow. Torques are checked by Pinocchio's own recursion at ten times
-the recorded rate. *Published*: recordings of motions that others optimised. Their extreme positions, largest speeds,
-accelerations and torques of the nominal links become the limits of ours, of the same length, which the search starts from theirs; then both are
-judged by the same functions.
+same series, each scaled as large as the same limits allow. Torques are checked by Pinocchio's own recursion at ten times the
+recorded rate. *Published*: recordings of motions that others optimised. Their extreme positions, largest speeds, accelerations
+and torques of the nominal links become the limits of ours, of the same length, which the search starts from theirs; then both
+are judged by the same functions.
 
 ``BAYESID_DATA`` names the folder with ``data/ur10e`` and ``data/kuka-lwr4``; ``--tiago`` one with FIGAROH's
 ``tiago_position.csv`` and ``tiago_48_schunk.urdf`` (examples/tiago of github.com/thanhndv212/figaroh-plus). What is not there
