@@ -26,6 +26,7 @@ from .results.identifiability import Identifiability
 from .results.identification import Identification, summary
 from .results.inspection import Inspection
 from .results.posterior import ExperimentPosterior
+from .results.told import Told
 from .results.watch import Watch
 from .robot.prior import Prior
 from .robot.robot import Robot, load_robot
@@ -42,6 +43,7 @@ from .workflows.excite import excite
 from .workflows.identifiability import identifiability
 from .workflows.identify import identify
 from .workflows.sample import sample
+from .workflows.tell import tell, tellable
 from .workflows.watch import watch
 
 __version__: str
@@ -86,6 +88,7 @@ __all__ = [
     "Simulation",
     "Student",
     "Table",
+    "Told",
     "TotalLeastSquares",
     "Trajectory",
     "TruncatedSVD",
@@ -109,6 +112,8 @@ __all__ = [
     "sample",
     "simulate",
     "summary",
+    "tell",
+    "tellable",
     "watch",
     "write_experiment",
     "write_simulation",

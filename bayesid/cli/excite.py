@@ -22,7 +22,7 @@ from bayesid.cli.options import (
 )
 from bayesid.design.excitation.options import ExcitationOptions
 from bayesid.errors import InputError
-from bayesid.recordings.experiment import load_setup
+from bayesid.recordings.experiment import load_experiment, load_setup
 from bayesid.results.files import check_output
 
 _DEFAULT = {item.name: item.default for item in fields(ExcitationOptions)}
@@ -42,6 +42,7 @@ def _number(option: str, text: str, **more):
 
 
 _OPTIONS = [
+    click.option("--tell", callback=names, help="Effects to be told apart, by commas: the motion that does that best instead."),
     click.option("--channel", type=click.Choice(["wrench", "torque", "both"]), help="Readings; default: wrench with a [sensor]."),
     click.option("--static", is_flag=True, help="A stop-and-go run will be subtracted, as in the paper."),
     click.option("--criterion", default="d", show_default=True, help="d, a, e or condition."),
@@ -84,17 +85,30 @@ def _options(command):
 @EFFECTS_FROM
 @OUT
 @SEED
-def excite(experiment, model, effects_from, out, joints, blocks, **options) -> None:
+def excite(experiment, model, effects_from, out, joints, blocks, tell, **options) -> None:
     """An exciting trajectory within limits: trajectory.csv; needs experiment.toml and the URDF only."""
     check_output(out or OUTPUTS, "excite")
-    setup = load_setup(experiment, own_effects(effects_from))
+    library = own_effects(effects_from)
+    # What recordings tell already counts where effects are to be told apart.
+    setup = load_setup(experiment, library) if tell is None else load_experiment(experiment, library, planned=True)
     setup = setup if model is None else setup.with_model(model)
     folder = output_folder(out, setup.name, "excite")
+    options["joints"] = None if joints is None else tuple(joints)
     with show_progress() as progress:
-        chosen = {"joints": None if joints is None else tuple(joints), "blocks": tuple(blocks or ())}
-        result = bayesid.excite(setup, progress=progress, **chosen, **options)
+        if tell is None:
+            result = bayesid.excite(setup, blocks=tuple(blocks or ()), progress=progress, **options)
+        else:
+            result = _told(setup, tell, blocks, progress, options)
         progress("report")
         report = result.write(folder)
     click.echo(str(result))
     click.echo(f"trajectory: {folder / 'trajectory.csv'}")
     click.echo(f"report: {report}")
+
+
+def _told(setup, effects, blocks, progress, options):
+    """The motion that tells effects apart, by the options that say something of it."""
+    for name, given in (("--warm-start", options.pop("warm_start") is not None), ("--blocks", bool(blocks))):
+        if given:
+            raise InputError(f"{name} is given with --tell; leave one of them out")
+    return bayesid.tell(setup, effects, progress=progress, **options)

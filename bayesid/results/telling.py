@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from bayesid.design.tell.choose import Pair, Telling
-from bayesid.recordings.table import Table, write_table
 from bayesid.results.text import number, percent
+from bayesid.simulation.trajectory_file import write_trajectory
 
 #: The file that it is written into beside a diagnosis.
 NEXT_MOTION = "next_motion.csv"
@@ -18,15 +18,23 @@ _NAMED = 2
 def telling_sentence(telling: Telling, file: str) -> str:
     """What to record and what that will settle, or that no motion does."""
     t = telling
-    names = " and ".join([", ".join(t.rivals[:-1]), t.rivals[-1]])
-    seconds = f"{number(float(t.trajectory.times[-1] - t.trajectory.times[0]), 3)} s"
-    text = f"Record {file} ({seconds}, {t.label}) and fit it together with these motions: "
-    text += f"it decides between {names} with probability {chance(t.probability)}"
+    text = f"Record {file} ({duration(t)}, {t.label}) and fit it together with these motions: "
+    text += f"it decides between {listed_names(t.rivals)} with probability {certainty(t.probability)}"
     text += "" if t.estimated else ", each at its usual size"
     if t.hopeless:
-        never = listed_pairs(t.hopeless)
-        text += f". Of {t.tried} motions within the joints' limits none tells {never}: another sensor or channel may"
-    return f"{text}. Look out for collisions: of limits, only those of position, speed and effort are kept."
+        text += f". Of {t.tried} motions within the limits none tells {listed_pairs(t.hopeless)}: another sensor or channel may"
+    return f"{text}."
+
+
+def duration(telling: Telling) -> str:
+    """How long the motion takes."""
+    return f"{number(float(telling.trajectory.times[-1] - telling.trajectory.times[0]), 3)} s"
+
+
+def listed_names(names: tuple[str, ...]) -> str:
+    """Rivals in a sentence; semicolons where a rival is several effects."""
+    comma = "; " if any(", " in name for name in names) else ", "
+    return f"{comma.join(names[:-1])} and {names[-1]}"
 
 
 def listed_pairs(pairs: tuple[Pair, ...]) -> str:
@@ -35,9 +43,18 @@ def listed_pairs(pairs: tuple[Pair, ...]) -> str:
     return shown + (f" and {len(pairs) - _NAMED} more" if len(pairs) > _NAMED else "")
 
 
-def chance(probability: float) -> str:
+def certainty(probability: float) -> str:
     """A probability from draws as per cent, never quite certain."""
     return "over 99 %" if probability > 0.99 else "under 1 %" if probability < 0.01 else percent(round(probability, 2))
+
+
+def pair_dict(pair: Pair) -> dict[str, Any]:
+    """For the JSON file."""
+    p = pair
+    return {
+        "true": p.true, "other": p.other, "noncentrality": p.noncentrality, "log_bayes_factor": p.gain,
+        "log_bayes_factor_std": p.std, "probability": p.probability,
+    }  # fmt: skip
 
 
 def telling_dict(telling: Telling, file: str) -> dict[str, Any]:
@@ -51,18 +68,12 @@ def telling_dict(telling: Telling, file: str) -> dict[str, Any]:
         "wrong": t.wrong,
         "sizes": "estimated" if t.estimated else "usual",
         "rivals": [{"effects": name, "probability": w} for name, w in zip(t.rivals, t.weights, strict=True)],
-        "pairs": [
-            {
-                "true": p.true, "other": p.other, "noncentrality": p.noncentrality, "log_bayes_factor": p.gain,
-                "log_bayes_factor_std": p.std, "probability": p.probability,
-            }
-            for p in t.pairs
-        ],
+        "pairs": [pair_dict(p) for p in t.pairs],
         "tried": t.tried,
-    }  # fmt: skip
+        "notes": list(t.notes),
+    }
 
 
 def write_motion(telling: Telling, path: Path) -> None:
-    """The motion as a table: times, positions and velocities."""
-    t = telling.trajectory
-    write_table(Table(t.times, t.positions, velocities=t.velocities, source=path.name), path)
+    """The motion as a table: times, positions, velocities and accelerations."""
+    write_trajectory(telling.trajectory, path)

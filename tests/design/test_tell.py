@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from bayesid.design.tell.choose import tell, tell_effects, tell_search, tellable
+from bayesid.cli import main
+from bayesid.design.excitation.options import ExcitationOptions
+from bayesid.design.excitation.plan import make_task
+from bayesid.design.tell.choose import tell, tell_effects, tell_search
+from bayesid.design.tell.choose import tellable as tellable_by
 from bayesid.design.tell.evidence import Rows
 from bayesid.design.tell.exact import checked
 from bayesid.design.tell.motions import Planned, paces, pool, varied, within_limits
@@ -20,10 +25,15 @@ from bayesid.dynamics.channels import torque_channels
 from bayesid.effects import MotionSegment, readings
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, Sensor
+from bayesid.results.telling import telling_sentence
+from bayesid.results.told import Told
 from bayesid.robot.limits import motion_limits
-from bayesid.simulation.simulation import Recorder, simulate
+from bayesid.simulation.simulation import Recorder, simulate, write_simulation
 from bayesid.simulation.trajectories import fourier_trajectory
+from bayesid.simulation.trajectory_file import read_trajectory
 from bayesid.workflows.diagnose import diagnose
+from bayesid.workflows.tell import tell as tell_verb
+from bayesid.workflows.tell import tellable
 from tests.simulated import puma2
 
 
@@ -66,8 +76,13 @@ def bench(case):
 
 
 @pytest.fixture(scope="module")
-def planned(robot):
-    return next(iter(pool(robot, 8.0, 1, seed=4)))
+def limits(robot):
+    return make_task(Experiment("arm", robot, (), Sensor()), ExcitationOptions())[0].limits
+
+
+@pytest.fixture(scope="module")
+def planned(limits):
+    return next(iter(pool(limits, 8.0, 1, seed=4)))
 
 
 # ---- the closed form -------------------------------------------------------------------------------------------------
@@ -145,46 +160,64 @@ def torque_of(robot, motion, *, still=False):
     return np.abs(readings(robot, torque_channels(robot), scene, robot.nominal))
 
 
-def test_motions_stay_within_the_limits_at_a_finer_sampling_and_rest_at_both_ends(robot):
+def test_motions_stay_within_the_limits_at_a_finer_sampling_and_rest_at_both_ends(robot, limits):
     lower, upper, fastest = motion_limits(robot)
     rng = np.random.default_rng(0)
-    motions = list(pool(robot, 9.0, 16, seed=1))
-    motions += [m for m in (varied(m, robot, 0.4, rng) for m in motions[:6]) if m is not None]
+    motions = list(pool(limits, 9.0, 16, seed=1))
+    motions += [m for m in (varied(m, limits, 0.4, rng) for m in motions[:6]) if m is not None]
     assert len(motions) > 12 and len({m.pace.label for m in motions}) == 4
     for m in motions:
         t = m.trajectory("x", 500.0)
         assert (t.positions >= lower).all() and (t.positions <= upper).all()
         assert (np.abs(t.velocities) <= fastest).all()
         assert (torque_of(robot, t) <= robot.effort_limit).all()
+        assert (np.abs(t.accelerations) <= limits.acceleration).all()
         assert np.allclose(t.velocities[[0, -1]], 0.0, atol=1e-9) and np.allclose(t.accelerations[[0, -1]], 0.0, atol=1e-9)
         for low, high in ((t.positions, t.velocities), (t.velocities, t.accelerations)):
             slope = np.gradient(low, t.times, axis=0)[2:-2]
             assert np.abs(slope - high[2:-2]).max() < 2e-3 * max(np.abs(high).max(), 1.0)
 
 
-def test_a_motion_that_takes_too_much_torque_is_slowed_down(robot):
-    motion = Planned(np.zeros(2), np.full((1, 2), 0.3), np.zeros((1, 2)), 0.8, paces(10.0)[0], 10.0)
-    strong = within_limits(motion, robot)
+def test_a_motion_that_takes_too_much_torque_is_slowed_down(robot, limits):
+    motion = Planned(np.zeros(2), np.full((1, 2), 0.3), np.zeros((1, 2)), 0.7, paces(10.0)[0], 10.0)
+    free = replace(limits, loads=(), acceleration=np.full(2, np.inf))
+    strong = within_limits(motion, free)
     assert strong is not None
     at = strong.trajectory("x", 100.0)
     full, held = (torque_of(robot, at, still=still).max(axis=0) for still in (False, True))
-    weak = replace(robot, effort_limit=1.4 * held + 0.3 * full)
-    assert (torque_of(robot, at).max(axis=0) > weak.effort_limit).any()
-    slowed = within_limits(motion, weak)
+    most = 1.4 * held + 0.3 * full
+    assert (full > most).any()
+    slowed = within_limits(motion, replace(free, loads=(replace(limits.loads[0], most=most),)))
     assert slowed is not None
-    assert strong.fundamental == 0.8 and slowed.fundamental < 0.8
-    assert (torque_of(robot, slowed.trajectory("x", 100.0)) <= weak.effort_limit).all()
-    assert within_limits(motion, replace(robot, effort_limit=np.full(2, 1e-3))) is None
+    assert strong.fundamental == 0.7 and slowed.fundamental < 0.7
+    assert (torque_of(robot, slowed.trajectory("x", 500.0)) <= most).all()
+    assert within_limits(motion, replace(free, loads=(replace(limits.loads[0], most=np.full(2, 1e-3)),))) is None
+
+
+def test_bodies_are_kept_apart_and_joints_that_rest_stay(limits):
+    class Wall:
+        """Bodies that meet where joint 1 turns beyond 0.4 rad."""
+
+        def ratios(self, positions):
+            return 2.5 * positions[:, :1]
+
+    narrow = replace(limits, clearance=Wall(), moving=np.array([0]))
+    motions = list(pool(narrow, 8.0, 24, seed=3))
+    assert len(motions) > 3
+    for m in motions:
+        positions = m.trajectory("x", 50.0).positions
+        assert positions[:, 0].max() <= 0.4 and np.ptp(positions[:, 1]) == 0.0
+        assert positions[0, 1] == pytest.approx(limits.middle[1])
 
 
 # ---- the choice ------------------------------------------------------------------------------------------------------
 
 
-def test_the_chosen_motion_is_the_best_of_all_tried_and_settles_the_case(robot, recorded, diagnosis, case, bench):
+def test_the_chosen_motion_is_the_best_of_all_tried_and_settles_the_case(limits, recorded, diagnosis, case, bench):
     told = tell_search(diagnosis.search, effort=(12, 8, 1), seed=1)
     assert told is not None and told.probability > 0.9
     assert {p.true for p in told.pairs} == set(told.rivals) == {"tether@joint1", "tether@joint2"}
-    tried = [contest(case, bench, m).decided(case.weights)[0] for m in pool(robot, 8.0, 12, seed=1)]
+    tried = [contest(case, bench, m).decided(case.weights)[0] for m in pool(limits, 8.0, 12, seed=1)]
     assert told.probability >= max(tried) - 0.01
     more = simulate(recorded, [told.trajectory], effects=recorded.truth.effects, links=recorded.truth.links, seed=9)
     after = diagnose(replace(recorded, motions=(*recorded.motions, *more.motions)))
@@ -230,7 +263,7 @@ def test_an_ambiguous_diagnosis_comes_with_a_motion_that_is_ready_to_run(diagnos
 
     report = diagnosis.write(tmp_path / "out")
     table, _ = read_table(report.parent / "next_motion.csv", "next_motion.csv", robot.n, False)
-    assert np.array_equal(table.positions, diagnosis.telling.trajectory.positions)
+    assert np.allclose(table.positions, diagnosis.telling.trajectory.positions, atol=1e-8)
     d = diagnosis.to_dict()
     assert "next_motion.csv" in d["next_experiment"] and "next_motion.csv" in report.read_text(encoding="utf-8")
     assert d["next_motion"]["probability"] == diagnosis.telling.probability > 0.5
@@ -245,7 +278,8 @@ def test_predicted_evidence_against_exact_fits_of_simulated_recordings(robot):
     recorded = simulate(setup, [slow], effects={"sensor_crosstalk@fz->my": {"coefficient": 0.002}}, perturb=0.05, seed=1)
     data = prepare_data(recorded, "wrench", (), None, 0)
     (case,) = from_effects(data, parse_effects(data, ["sensor_crosstalk@fz->my", "base_tilt"]))
-    planned = next(iter(pool(robot, 8.0, 1, seed=4)))
+    limits = make_task(recorded, ExcitationOptions())[0].limits
+    planned = next(iter(pool(limits, 8.0, 1, seed=4)))
     c = contest(case, Bench.of(case.rivals[0].fit), planned)
     first = case.rivals[0].fit
     empty = Bench.of(first).segment(planned, first)
@@ -293,8 +327,52 @@ def test_what_given_motions_tell_is_what_a_fit_of_the_other_leaves(robot):
     motions = [fourier_trajectory(robot, f"m{k}", seed=k, share=s, **options) for k, s in ((3, 0.15), (4, 0.3))]
     noisy = Recorder(force_std=30.0, torque_std=5.0)
     data = prepare_data(simulate(setup, motions, recorder=noisy, seed=1), "wrench", (), None, 0)
-    told = tellable(data, ["base_tilt", "sensor_rotation"])
+    told = tellable_by(data, ["base_tilt", "sensor_rotation"])
     for p, case in zip(told.pairs, supposed(data, parse_effects(data, told.effects)), strict=True):
         (other,) = (r for r in case.rivals if r.name == p.other)
         assert p.noncentrality == pytest.approx(other.fit.chi2, rel=0.02)
     assert 0.0 <= told.wrong <= told.probability <= 1.0
+
+
+def test_what_excite_tell_says_and_writes(diagnosis, robot, tmp_path):
+    told = Told("arm", "wrench", ("identification",), diagnosis.telling, {"search": 1.0})
+    text = str(told)
+    assert "tells tether@joint1 and tether@joint2 together with identification, as large as estimated" in text
+    assert text.count("tether@joint1") == 3 and "noncentrality" in text and "arm" in repr(told)
+    report = told.write(tmp_path / "out")
+    found = json.loads((report.parent / "excitation.json").read_text(encoding="utf-8"))
+    assert found["tell"]["file"] == "trajectory.csv" and found["tell"]["probability"] == diagnosis.telling.probability
+    again = read_trajectory(report.parent / "trajectory.csv", robot)
+    assert np.allclose(again.accelerations, diagnosis.telling.trajectory.accelerations, atol=1e-6)
+    hopeless = replace(diagnosis.telling, pairs=tuple(replace(p, probability=0.0) for p in diagnosis.telling.pairs))
+    assert "none tells tether@joint1 from tether@joint2" in str(replace(told, telling=hopeless))
+    assert "another sensor or channel may" in telling_sentence(hopeless, "next_motion.csv")
+
+
+@pytest.mark.slow
+def test_the_command_line(recorded, tmp_path):
+    write_simulation(recorded, tmp_path / "arm")
+    out = tmp_path / "out"
+    asked = ["--tell", "base_tilt,sensor_rotation", "--duration", "6"]
+    assert main(["excite", str(tmp_path / "arm"), *asked, "--out", str(out)]) == 0
+    found = json.loads((out / "excitation.json").read_text(encoding="utf-8"))
+    assert found["recordings"] == ["identification"] and found["tell"]["duration"] == pytest.approx(6.0)
+    assert {p["true"] for p in found["tell"]["pairs"]} == {"base_tilt@base", "sensor_rotation@sensor"}
+
+
+def test_nothing_recorded_yet(robot):
+    """Noise as stated, priors of the links, and usual sizes; and how well a planned motion does."""
+    setup = Experiment("arm", robot, (), Sensor(force_std=0.5, torque_std=0.05), inertia_rel_std=0.05, position_resolution=1e-4)
+    motion = fourier_trajectory(robot, duration=6.0, rate=100.0, share=0.5, seed=1)
+    given = tellable(setup, ["sensor_gain@fx", "sensor_gain@fy"], [motion])
+    assert [(p.true, p.other) for p in given.pairs] == [given.effects, given.effects[::-1]]
+    assert 0.0 <= given.probability + given.wrong <= 1.0
+    louder = replace(setup, sensor=Sensor(force_std=5.0, torque_std=0.5))
+    worse = tellable(louder, ["sensor_gain@fx", "sensor_gain@fy"], [motion])
+    assert all(w.noncentrality < g.noncentrality for w, g in zip(worse.pairs, given.pairs, strict=True))
+
+
+@pytest.mark.parametrize("options", [{"duration": -1.0}, {"colour": 3}, {"joints": ("joint7",)}])
+def test_options_that_will_not_do(recorded, options):
+    with pytest.raises(InputError):
+        tell_verb(recorded, ["base_tilt", "sensor_rotation"], **options)

@@ -22,6 +22,8 @@ from typing import Any
 import numpy as np
 
 import bayesid
+from bayesid.design.excitation.options import ExcitationOptions
+from bayesid.design.excitation.plan import make_task
 from bayesid.design.tell.choose import HOPELESS
 from bayesid.design.tell.motions import pool
 from bayesid.design.tell.planned_rows import NAME, Bench, contest
@@ -154,6 +156,7 @@ def after(
 ) -> dict[str, Any]:
     """What the proposed motion and a worse one lead to."""
     case, told = from_search(diagnosis.search), diagnosis.telling
+    assert case is not None
     out = {
         "size": size,
         "rivals": list(told.rivals), "weights": list(told.weights), "motion": told.label,
@@ -162,7 +165,8 @@ def after(
     }  # fmt: skip
     bench, target = Bench.of(case.rivals[0].fit), float(rng.uniform(0.05, 0.95))
     length = float(rng.choice([2.5, 4.0, 8.0]))
-    worse = [(contest(case, bench, m).decided(case.weights)[0], m) for m in pool(robot, length, 16, int(rng.integers(2**31)))]
+    limits = make_task(diagnosis.data.experiment, ExcitationOptions())[0].limits
+    worse = [(contest(case, bench, m).decided(case.weights)[0], m) for m in pool(limits, length, 16, int(rng.integers(2**31)))]
     predicted, motion = min(worse, key=lambda x: abs(x[0] - target))
     out["worse"] = again(setup, robot, spec, size, number, motion.trajectory(NAME, bench.rate)) | {"predicted": predicted}
     return out
@@ -280,7 +284,7 @@ def figure(result: dict[str, Any], path: Path) -> None:
     """Reliability diagram."""
     import matplotlib.pyplot as plt
 
-    with plt.rc_context({**STYLE, "svg.hashsalt": "tell"}):
+    with plt.rc_context(STYLE), plt.rc_context({"svg.hashsalt": "tell"}):
         fig, ax = plt.subplots(figsize=(4.2, 3.6), layout="constrained")
         ax.plot([0, 1], [0, 1], color=GREY, lw=1, ls="--")
         for b in result["bins"]:

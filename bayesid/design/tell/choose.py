@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bayesid.design.excitation.options import ExcitationOptions
+from bayesid.design.excitation.plan import make_task
 from bayesid.design.tell.evidence import Contest
 from bayesid.design.tell.exact import checked
 from bayesid.design.tell.motions import Planned, pool, varied
@@ -14,15 +16,18 @@ from bayesid.design.tell.planned_rows import NAME, Bench, contest, contest_on
 from bayesid.design.tell.rivals import Case, from_effects, from_search, parse_effects, supposed, unknown
 from bayesid.diagnosis.data import DiagnosisData
 from bayesid.diagnosis.search import Search
+from bayesid.effects import Effect
 from bayesid.simulation.trajectories import Trajectory
 
 #: Below this probability no motion is said to decide.
 HOPELESS = 0.05
 #: Motions tried at random, improvements of the best, and motions checked by exact fits: for a diagnosis, which waits for them,
 #: and for a design.
-QUICK, THOROUGH = (24, 12, 1), (200, 150, 4)
+QUICK, THOROUGH = (24, 12, 1), (80, 60, 3)
 #: Lengths of motions [s] that are proposed: that of the longest recording, within these.
 _SHORTEST, _LONGEST = 8.0, 20.0
+#: From this merit on every pair is told apart but for one time in a million, and nothing is left to improve.
+_CERTAIN = -1e-6
 #: A motion that decides with this probability by exact fits is taken, and no other one checked.
 _ENOUGH = 0.95
 #: Change of the first improvement, of the last, in relative size.
@@ -77,6 +82,8 @@ class Telling:
         Each rival as the true one against each other.
     tried
         How many motions were looked at.
+    notes
+        What was assumed of the limits.
     """
 
     rivals: tuple[str, ...]
@@ -88,6 +95,7 @@ class Telling:
     wrong: float
     pairs: tuple[Pair, ...]
     tried: int
+    notes: tuple[str, ...]
 
     @property
     def hopeless(self) -> tuple[Pair, ...]:
@@ -96,7 +104,7 @@ class Telling:
 
 
 def tell_search(
-    search: Search, *, effort: tuple[int, int, int] = QUICK, seed: int = 0, duration: float | None = None
+    search: Search, *, effort: tuple[int, int, int] = QUICK, options: ExcitationOptions | None = None, seed: int = 0
 ) -> Telling | None:
     """The motion that settles an ambiguous diagnosis; None where nothing is ambiguous or no motion is within the limits.
 
@@ -106,22 +114,24 @@ def tell_search(
         What the diagnosis found.
     effort
         Motions tried at random, improvements of the best, and motions checked by exact fits at most.
+    options
+        Limits, joints and length of the motion, as for `excite`; default those of `excite`, and as long as the longest
+        recording, at least 8 s and at most 20 s.
     seed
         Of all of it.
-    duration
-        Length of the motion [s]; default that of the longest recording, at least 8 and at most 20.
     """
     case = from_search(search)
-    return None if case is None else tell((case,), effort=effort, seed=seed, duration=duration)
+    return None if case is None else tell((case,), effort=effort, options=options, seed=seed)
 
 
 def tell_effects(
     data: DiagnosisData,
     specs: Sequence[str],
     *,
+    recorded: bool = True,
     effort: tuple[int, int, int] = THOROUGH,
+    options: ExcitationOptions | None = None,
     seed: int = 0,
-    duration: float | None = None,
 ) -> Telling | None:
     """The motion that best tells effects apart, given by their names.
 
@@ -131,7 +141,9 @@ def tell_effects(
         The recordings so far.
     specs
         ``name@where``, or ``name`` where there is one place.
-    effort, seed, duration
+    recorded
+        Whether the recordings count; otherwise only their noise does.
+    effort, options, seed
         As in `tell_search`.
 
     Raises
@@ -139,7 +151,10 @@ def tell_effects(
     InputError
         As `bayesid.design.tell.rivals.parse_effects`.
     """
-    return tell(from_effects(data, parse_effects(data, specs)), effort=effort, seed=seed, duration=duration)
+    effects = parse_effects(data, specs)
+    if not recorded:
+        return tell(_unrecorded(data, effects), effort=(*effort[:2], 0), options=options, seed=seed)
+    return tell(from_effects(data, effects), effort=effort, options=options, seed=seed)
 
 
 @dataclass(frozen=True)
@@ -182,13 +197,20 @@ def tellable(data: DiagnosisData, specs: Sequence[str], seed: int = 0) -> Tellab
         As `bayesid.design.tell.rivals.parse_effects`.
     """
     effects = parse_effects(data, specs)
-    cases = [replace(c, rivals=tuple(map(unknown, c.rivals))) for c in supposed(data, effects)]
+    cases = _unrecorded(data, effects)
     contests = [contest_on(case, case.rivals[0].fit.projector.data.segments) for case in cases]
     chances = np.mean([c.decided(case.weights, seed) for c, case in zip(contests, cases, strict=True)], axis=0)
     return Tellable(tuple(e.spec for e in effects), float(chances[0]), float(chances[1]), _pairs(cases, contests))
 
 
-def tell(cases: Sequence[Case], *, effort: tuple[int, int, int], seed: int = 0, duration: float | None = None) -> Telling | None:
+def _unrecorded(data: DiagnosisData, effects: Sequence[Effect]) -> list[Case]:
+    """A case for each effect at its usual size, of which no recording tells anything yet."""
+    return [replace(c, rivals=tuple(map(unknown, c.rivals))) for c in supposed(data, effects)]
+
+
+def tell(
+    cases: Sequence[Case], *, effort: tuple[int, int, int], options: ExcitationOptions | None = None, seed: int = 0
+) -> Telling | None:
     """The motion with the largest `Contest.merit`: of a pool, then of ever smaller changes of the best.
 
     Exact fits check it (`bayesid.design.tell.exact`); where they expect it to decide less often, the next best of the pool are
@@ -198,12 +220,14 @@ def tell(cases: Sequence[Case], *, effort: tuple[int, int, int], seed: int = 0, 
     ----------
     cases
         The rivals; cases count alike.
-    effort, seed, duration
+    effort, options, seed
         As in `tell_search`.
     """
     benches = [Bench.of(case.rivals[0].fit) for case in cases]
-    robot = benches[0].data.robot
-    length = duration or float(np.clip(benches[0].like.times[-1] - benches[0].like.times[0], _SHORTEST, _LONGEST))
+    recorded = float(benches[0].like.times[-1] - benches[0].like.times[0])
+    options = options or ExcitationOptions(duration=float(np.clip(recorded, _SHORTEST, _LONGEST)))
+    task, notes = make_task(benches[0].data.experiment, options, seed)
+    limits = task.limits
 
     def contests(motion: Planned) -> list[Contest]:
         return [contest(case, bench, motion) for case, bench in zip(cases, benches, strict=True)]
@@ -212,15 +236,15 @@ def tell(cases: Sequence[Case], *, effort: tuple[int, int, int], seed: int = 0, 
         return float(sum(c.merit(case.weights) for c, case in zip(contests(motion), cases, strict=True)))
 
     tried, improvements, most = effort
-    scored = sorted(((merit(m), m) for m in pool(robot, length, tried, seed)), key=lambda x: -x[0])
+    scored = sorted(((merit(m), m) for m in pool(limits, options.duration, tried, seed)), key=lambda x: -x[0])
     if not scored:
         return None
-    count, best = improved(scored[0], merit, lambda m, size, rng: varied(m, robot, size, rng), improvements, seed)
-    told: Telling | None = None
-    for _, motion in [best, *scored][:most]:
+    count, best = improved(scored[0], merit, lambda m, size, rng: varied(m, limits, size, rng), improvements, seed)
+    told = _told(cases, contests(best[1]), best[1], benches[0].rate, len(scored) + count, notes, seed)
+    for k, (_, motion) in enumerate([best, *scored][:most]):
         exact = [checked(c, case, b, motion) for c, case, b in zip(contests(motion), cases, benches, strict=True)]
-        found = _told(cases, exact, motion, benches[0].rate, len(scored) + count, seed)
-        told = found if told is None or found.probability > told.probability else told
+        found = _told(cases, exact, motion, benches[0].rate, len(scored) + count, notes, seed)
+        told = found if k == 0 or found.probability > told.probability else told
         if told.probability > _ENOUGH:
             break
     return told
@@ -240,6 +264,8 @@ def improved(
     rng = np.random.default_rng([seed, 1])
     best, count = start, 0
     for size in np.geomspace(_FIRST, _LAST, steps):
+        if best[0] > _CERTAIN:
+            break
         changed = vary(best[1], float(size), rng)
         if changed is None:
             continue
@@ -250,13 +276,21 @@ def improved(
     return count, best
 
 
-def _told(cases: Sequence[Case], contests: Sequence[Contest], motion: Planned, rate: float, tried: int, seed: int) -> Telling:
+def _told(
+    cases: Sequence[Case],
+    contests: Sequence[Contest],
+    motion: Planned,
+    rate: float,
+    tried: int,
+    notes: tuple[str, ...],
+    seed: int,
+) -> Telling:
     """What is known of the chosen motion."""
     weights = np.mean([case.weights for case in cases], axis=0)
     chances = np.mean([c.decided(case.weights, seed) for c, case in zip(contests, cases, strict=True)], axis=0)
     return Telling(
         tuple(r.name for r in cases[0].rivals), tuple(map(float, weights)), len(cases) == 1, motion.trajectory(NAME, rate),
-        motion.label, float(chances[0]), float(chances[1]), _pairs(cases, contests), tried,
+        motion.label, float(chances[0]), float(chances[1]), _pairs(cases, contests), tried, notes,
     )  # fmt: skip
 
 

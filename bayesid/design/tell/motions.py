@@ -12,18 +12,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bayesid.dynamics.channels import torque_channels
-from bayesid.effects import MotionSegment, readings
-from bayesid.robot.limits import motion_limits
-from bayesid.robot.robot import Robot
+from bayesid.design.excitation.limits import Limits
 from bayesid.simulation.trajectories import Trajectory
 
-#: Share of the position range, of the speed limits and of the effort limits that is used at most.
-_RANGE, _SPEED, _EFFORT = 0.9, 0.9, 0.8
-#: Points in time at which limits are checked, a second.
-_CHECKED = 50.0
-#: How often a motion that takes too much torque is slowed down before it is given up.
-_SLOWER = 8
+#: Points in time at which limits are checked, a second, and what is kept free for the times between.
+_CHECKED, _GUARD = 50.0, 0.98
+#: Factors on the speed of a motion that takes too much and on the size of one that comes too near, and how often they are tried.
+_SLOWER, _SMALLER, _TRIALS = 0.8, 0.7, 8
 
 
 @dataclass(frozen=True)
@@ -123,46 +118,47 @@ class Planned:
         return Trajectory(name, "identification", times, *self.at(times))
 
 
-def within_limits(motion: Planned, robot: Robot, share: float = 1.0) -> Planned | None:
-    """The motion made to fit the robot's limits of position, speed and effort; None where no speed does.
+def within_limits(motion: Planned, limits: Limits, share: float = 1.0) -> Planned | None:
+    """The motion made to keep the limits: smaller, slower, elsewhere; None where that does not help.
 
     Parameters
     ----------
     motion
         Any.
-    robot
-        Its limits; those of a small arm where it states none. The torque is that of the nominal links.
+    limits
+        Of positions, speeds, accelerations, loads and distances.
     share
         Of the speed limits that is used.
     """
-    lower, upper, fastest = motion_limits(robot)
-    channels = torque_channels(robot)
     times = np.linspace(0.0, motion.duration, int(_CHECKED * motion.duration) + 1)
-    for _ in range(_SLOWER):
-        q, v, _ = replace(motion, centre=np.zeros(robot.n)).at(times)
+    for _ in range(_TRIALS):
+        q, v, _ = replace(motion, centre=np.zeros(len(motion.centre))).at(times)
         span, peak = np.ptp(q, axis=0), np.abs(v).max(axis=0)
-        scale = np.minimum(_RANGE * (upper - lower) / np.maximum(span, 1e-9), _SPEED * share * fastest / np.maximum(peak, 1e-9))
-        motion = replace(motion, amplitudes=motion.amplitudes * np.minimum(scale, 1.0))
-        q = q * np.minimum(scale, 1.0)
-        edge = 0.5 * (1.0 - _RANGE) * (upper - lower)
-        motion = replace(motion, centre=np.clip(motion.centre, lower + edge - q.min(axis=0), upper - edge - q.max(axis=0)))
-        scene = MotionSegment(times, *motion.at(times))
-        torque = np.abs(readings(robot, channels, scene, robot.nominal)).max(axis=0)
-        limited = np.isfinite(robot.effort_limit) & (robot.effort_limit > 0)
-        excess = float(np.max(torque[limited] / (_EFFORT * robot.effort_limit[limited]), initial=0.0))
-        if excess <= 1.0:
+        room = np.minimum(
+            _GUARD * 2.0 * limits.reach / np.maximum(span, 1e-9), _GUARD * share * limits.speed / np.maximum(peak, 1e-9)
+        )
+        scale = np.minimum(room, 1.0)
+        least, most = limits.lower - scale * q.min(axis=0), limits.upper - scale * q.max(axis=0)
+        edge = 0.5 * (1.0 - _GUARD) * np.minimum(scale * span, most - least)
+        motion = replace(motion, amplitudes=scale * motion.amplitudes, centre=np.clip(motion.centre, least + edge, most - edge))
+        _, _, *forced = limits.ratios(motion.at(times))
+        near = forced.pop() if limits.clearance is not None else np.zeros(1)
+        if max(float(np.abs(r).max(initial=0.0)) for r in forced) > _GUARD:
+            motion = replace(motion, fundamental=_SLOWER * motion.fundamental)
+        elif float(near.max(initial=0.0)) > 1.0:
+            motion = replace(motion, amplitudes=_SMALLER * motion.amplitudes)
+        else:
             return motion
-        motion = replace(motion, fundamental=0.8 * motion.fundamental)
     return None
 
 
-def pool(robot: Robot, duration: float, count: int, seed: int) -> Iterator[Planned]:
+def pool(limits: Limits, duration: float, count: int, seed: int) -> Iterator[Planned]:
     """Motions within limits: random series of different speed and size at different paces, and of single joints.
 
     Parameters
     ----------
-    robot
-        Its limits.
+    limits
+        The robot's.
     duration
         Of each [s].
     count
@@ -171,44 +167,42 @@ def pool(robot: Robot, duration: float, count: int, seed: int) -> Iterator[Plann
         Of the random ones.
     """
     rng = np.random.default_rng(seed)
-    lower, upper, _ = motion_limits(robot)
+    n, range_ = len(limits.lower), 2.0 * limits.reach
+    moving = np.isin(np.arange(n), limits.moving)
     ways = paces(duration)
     for k in range(count):
         harmonics = 5
-        amplitudes = rng.normal(1.0, 0.4, (harmonics, robot.n)) / np.arange(1, harmonics + 1)[:, None] * (upper - lower)
-        amplitudes = amplitudes * rng.uniform(0.1, 0.5, robot.n)
-        # One motion in four of one joint alone; of many joints each may rest.
-        if k % 4 == 3:
-            amplitudes = amplitudes * (np.arange(robot.n) == (k // 4) % robot.n)
+        amplitudes = rng.normal(1.0, 0.4, (harmonics, n)) / np.arange(1, harmonics + 1)[:, None] * range_
+        amplitudes = amplitudes * rng.uniform(0.1, 0.5, n) * moving
+        if k % 4 == 3:  # one motion in four is of one joint alone
+            amplitudes = amplitudes * (np.arange(n) == limits.moving[(k // 4) % len(limits.moving)])
         pace = ways[0] if k % 4 < 2 else ways[1 + (k // 4) % (len(ways) - 1)]
         frequency = float(np.exp(rng.uniform(np.log(1.0 / duration), np.log(0.5))))
-        motion = Planned(
-            rng.uniform(lower, upper), amplitudes, rng.uniform(0, 2 * np.pi, (harmonics, robot.n)), frequency, pace, duration
-        )
+        centre = np.where(moving, rng.uniform(limits.lower, limits.upper), limits.middle)
+        motion = Planned(centre, amplitudes, rng.uniform(0, 2 * np.pi, (harmonics, n)), frequency, pace, duration)
         share = 1.0 if k % 2 == 0 else float(rng.uniform(0.2, 1.0))
-        if (fitted := within_limits(motion, robot, share)) is not None:
+        if (fitted := within_limits(motion, limits, share)) is not None:
             yield fitted
 
 
-def varied(motion: Planned, robot: Robot, size: float, rng: np.random.Generator) -> Planned | None:
+def varied(motion: Planned, limits: Limits, size: float, rng: np.random.Generator) -> Planned | None:
     """A motion near another one, within limits; None where there is none.
 
     Parameters
     ----------
-    motion, robot
-        The motion and whose it is.
+    motion, limits
+        The motion, and what it must keep.
     size
         Relative change of amplitudes and frequency; phases and the centre in proportion.
     rng
         Of the change.
     """
-    lower, upper, _ = motion_limits(robot)
     shape = motion.amplitudes.shape
     changed = replace(
         motion,
         amplitudes=motion.amplitudes * np.exp(size * rng.normal(size=shape)) * np.exp(size * rng.normal(size=shape[1])),
         phases=motion.phases + size * rng.normal(size=shape),
-        centre=motion.centre + 0.3 * size * (upper - lower) * rng.normal(size=shape[1]),
+        centre=motion.centre + 0.6 * size * limits.reach * rng.normal(size=shape[1]) * motion.amplitudes.any(axis=0),
         fundamental=motion.fundamental * float(np.exp(0.5 * size * rng.normal())),
     )
-    return within_limits(changed, robot)
+    return within_limits(changed, limits)

@@ -1,0 +1,41 @@
+"""The report of ``excite --tell``: turns a `Told` into what its template shows."""
+
+from __future__ import annotations
+
+from bayesid.report.excitation_figures import motion
+from bayesid.report.page import render, run_times, versions
+from bayesid.results.telling import certainty, duration
+from bayesid.results.text import number, percent
+from bayesid.results.told import TRAJECTORY, Told
+
+
+def told_report(result: Told) -> str:
+    """The report of ``excite --tell``: an HTML page with all figures inside."""
+    t = result.telling
+    move = t.trajectory
+    parts = [("joint positions", "rad or m", move.positions), ("joint velocities", "per s", move.velocities),
+             ("joint accelerations", "per s²", move.accelerations)]  # fmt: skip
+    return render(
+        "told.html",
+        name=result.name,
+        lead=result.lead,
+        file=TRAJECTORY,
+        card_list=[
+            {"value": certainty(t.probability), "mood": "good" if t.probability > 0.8 else "bad",
+             "text": "probability that the true one alone is left"},
+            {"value": certainty(t.wrong), "mood": "", "text": "probability that a wrong one is"},
+            {"value": duration(t), "mood": "", "text": t.label},
+            {"value": str(t.tried), "mood": "", "text": "motions compared"},
+        ],
+        rivals=[{"name": n, "weight": percent(w, 2)} for n, w in zip(t.rivals, t.weights, strict=True)],
+        estimated=t.estimated,
+        recordings=", ".join(result.recordings),
+        pairs=[
+            {"true": p.true, "other": p.other, "noncentrality": number(p.noncentrality, 3), "gain": number(p.gain, 3),
+             "std": number(p.std, 2), "probability": certainty(p.probability)}
+            for p in t.pairs
+        ],
+        motion=motion(move.times, parts, {}),
+        notes=t.notes,
+        details=[run_times(result.seconds), versions("numpy", "scipy", "pin")],
+    )  # fmt: skip

@@ -1,0 +1,74 @@
+"""What ``excite --tell`` found, and how it shows itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from bayesid.design.tell.choose import Telling
+from bayesid.results.files import Result
+from bayesid.results.telling import certainty, duration, listed_names, listed_pairs, telling_dict
+from bayesid.results.text import number, text_table
+
+SCHEMA = 1
+#: The motion's file.
+TRAJECTORY = "trajectory.csv"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Told(Result):
+    """The motion that best tells effects apart.
+
+    Attributes
+    ----------
+    name
+        The experiment's name.
+    channel
+        ``wrench``, ``torque`` or ``both``.
+    recordings
+        Motions that count, in the order of the experiment; none where nothing is recorded yet.
+    telling
+        The motion, and what it will tell.
+    seconds
+        Run time of every stage.
+    """
+
+    name: str
+    channel: str
+    recordings: tuple[str, ...]
+    telling: Telling
+    seconds: dict[str, float]
+
+    def __repr__(self) -> str:
+        t = self.telling
+        return f"<Told of {self.name}: {listed_names(t.rivals)}, {certainty(t.probability)}>"
+
+    @property
+    def lead(self) -> str:
+        """One sentence or two."""
+        t = self.telling
+        together = f" together with {', '.join(self.recordings)}" if self.recordings else ""
+        sizes = "as large as estimated" if t.estimated else "each at its usual size"
+        text = f"A motion of {duration(t)}, {t.label}, tells {listed_names(t.rivals)}{together}, {sizes}, "
+        text += f"with probability {certainty(t.probability)}."
+        if t.hopeless:
+            text += (
+                f" Of {t.tried} motions within the limits none tells {listed_pairs(t.hopeless)}: another sensor or channel may."
+            )
+        return text
+
+    def __str__(self) -> str:
+        """A few lines: what it tells, and every pair."""
+        rows = [
+            [p.true, p.other, number(p.noncentrality, 3), f"{number(p.gain, 3)} ± {number(p.std, 2)}", certainty(p.probability)]
+            for p in self.telling.pairs
+        ]
+        head = ["if true", "rules out", "noncentrality", "log evidence", "probability"]
+        return "\n".join([f"{self.name}: {self.lead}", *(f"  {line}" for line in text_table(head, rows))])
+
+    def to_dict(self) -> dict[str, Any]:
+        """``excitation.json``."""
+        return {
+            "schema": SCHEMA, "experiment": self.name, "channel": self.channel, "recordings": list(self.recordings),
+            "tell": telling_dict(self.telling, TRAJECTORY), "runtime_s": dict(self.seconds),
+        }  # fmt: skip

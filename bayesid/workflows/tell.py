@@ -1,0 +1,141 @@
+"""The verb ``excite`` with ``--tell``: the motion within limits that best tells effects apart."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+from threadpoolctl import threadpool_limits
+
+from bayesid.design.excitation.options import ExcitationOptions
+from bayesid.design.tell.choose import Tellable, tell_effects
+from bayesid.design.tell.choose import tellable as told_by
+from bayesid.diagnosis.data import DiagnosisData
+from bayesid.diagnosis.noise import has_readings
+from bayesid.diagnosis.prepare import known_terms, prepare_data
+from bayesid.diagnosis.settings import DEFAULT
+from bayesid.errors import InputError
+from bayesid.recordings.experiment import Experiment, as_experiment, load_experiment
+from bayesid.regression.readings import default_channel
+from bayesid.results.files import Files, files_of, strict
+from bayesid.results.telling import write_motion
+from bayesid.results.told import TRAJECTORY, Told
+from bayesid.simulation.simulation import simulate
+from bayesid.simulation.trajectories import Trajectory, fourier_trajectory
+from bayesid.workflows.progress import Clock, Progress, quiet
+
+
+def tell(
+    experiment: Experiment | str | Path,
+    effects: Sequence[str],
+    *,
+    motions: Sequence[str] | None = None,
+    seed: int = 0,
+    progress: Progress = quiet,
+    **options: Any,
+) -> Told:
+    """Find the motion within limits that best tells effects apart, and how probably it decides.
+
+    Parameters
+    ----------
+    experiment
+        Loaded, or its folder. What recorded motions tell already counts, and noise is as in them; without any it is as stated.
+    effects
+        Two or more: ``name@where``, or ``name`` where there is one place.
+    motions
+        Which recordings count; default those with role ``identification``.
+    seed
+        Of everything random.
+    progress
+        Called with the name of every stage.
+    **options
+        Limits and length of the motion, as for `excite`: ``channel``, ``duration``, ``joints``, ``share``, ``torque_share``,
+        ``acceleration``, ``sensor_range``, ``collisions``, ...
+
+    Raises
+    ------
+    InputError
+        Bad input, or limits that leave no room; the message says what to do.
+    """
+    clock = Clock(progress)
+    # The matrices are small: threads inside the linear algebra cost more than they gain here.
+    with threadpool_limits(1, user_api="blas"):
+        clock("reading")
+        experiment = (
+            load_experiment(experiment, planned=True) if isinstance(experiment, (str, Path)) else as_experiment(experiment)
+        )
+        known = {item.name for item in fields(ExcitationOptions)}
+        for name in options:
+            if name not in known:
+                raise InputError(f"tell has no option '{name}'; it has {', '.join(sorted(known))}")
+        chosen = ExcitationOptions(**options)
+        channel = chosen.channel or default_channel(experiment)
+        clock("noise of sensors and encoders")
+        recorded = any(m.kind == "trajectory" and has_readings(m.table, channel) for m in experiment.motions)
+        if not recorded:  # for its noise alone
+            experiment = simulate(experiment, [fourier_trajectory(experiment.robot, seed=seed)], effects=(), seed=seed)
+        data = _data(experiment, channel, motions if recorded else None, seed)
+        clock("the motion that tells them apart")
+        asked = replace(chosen, channel=channel)
+        telling = tell_effects(data, effects, recorded=recorded, options=asked, seed=seed)
+    if telling is None:
+        raise InputError("no motion within all limits was found: widen --share, --torque-share or --acceleration")
+    recordings = tuple(dict.fromkeys(s.motion for s in data.segments)) if recorded else ()
+    return Told(experiment.name, channel, recordings, telling, clock.stop())
+
+
+def tellable(
+    experiment: Experiment | str | Path,
+    effects: Sequence[str],
+    trajectories: Sequence[Trajectory] | None = None,
+    *,
+    channel: str | None = None,
+    motions: Sequence[str] | None = None,
+    seed: int = 0,
+) -> Tellable:
+    """How well given motions, recorded or planned, would tell effects apart, one of them being there at its usual size.
+
+    Parameters
+    ----------
+    experiment
+        Loaded, or its folder.
+    effects
+        Two or more: ``name@where``, or ``name`` where there is one place.
+    trajectories
+        Planned motions; default those of the experiment.
+    channel
+        ``wrench``, ``torque`` or ``both``; default as for `bayesid.identify`.
+    motions
+        Which of the experiment's count; default those with role ``identification``.
+    seed
+        Of the draws behind the probability.
+
+    Raises
+    ------
+    InputError
+        Bad input; the message says what to do.
+    """
+    with threadpool_limits(1, user_api="blas"):
+        experiment = as_experiment(experiment)
+        if trajectories is not None:
+            # Simulated with the stated noise: what they read does not matter, but how large its noise is.
+            planned = [replace(t, role="identification") for t in trajectories]
+            experiment = simulate(experiment, planned, effects=(), seed=seed)
+        return told_by(_data(experiment, channel or default_channel(experiment), motions, seed), effects, seed)
+
+
+def _data(experiment: Experiment, channel: str, motions: Sequence[str] | None, seed: int) -> DiagnosisData:
+    """The recordings as a diagnosis looks at them."""
+    terms, held = known_terms(experiment, channel, None)
+    return prepare_data(experiment, channel, terms, motions, seed, held, DEFAULT)
+
+
+@files_of.register
+def _(result: Told) -> Files:
+    """``excitation.json``, ``trajectory.csv`` and the report."""
+    from bayesid.report.told import told_report
+
+    others = {TRAJECTORY: lambda path: write_motion(result.telling, path)}
+    return Files({"excitation.json": strict(result.to_dict())}, others, told_report(result))
