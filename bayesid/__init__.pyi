@@ -43,7 +43,7 @@ from .workflows.excite import excite
 from .workflows.identifiability import identifiability
 from .workflows.identify import identify
 from .workflows.sample import sample
-from .workflows.tell import tell, tellable
+from .workflows.tell import tell
 from .workflows.watch import watch
 
 __version__: str
@@ -113,7 +113,6 @@ __all__ = [
     "simulate",
     "summary",
     "tell",
-    "tellable",
     "watch",
     "write_experiment",
     "write_simulation",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bayesid.report.excitation_figures import motion
 from bayesid.report.page import render, run_times, versions
-from bayesid.results.telling import certainty, duration
+from bayesid.results.telling import chance, duration
 from bayesid.results.text import number, percent
 from bayesid.results.told import TRAJECTORY, Told
 
@@ -21,9 +21,9 @@ def told_report(result: Told) -> str:
         lead=result.lead,
         file=TRAJECTORY,
         card_list=[
-            {"value": certainty(t.probability), "mood": "good" if t.probability > 0.8 else "bad",
+            {"value": chance(t.probability), "mood": "good" if t.probability > 0.8 else "bad",
              "text": "probability that the true one alone is left"},
-            {"value": certainty(t.wrong), "mood": "", "text": "probability that a wrong one is"},
+            {"value": chance(t.wrong), "mood": "", "text": "probability that a wrong one is"},
             {"value": duration(t), "mood": "", "text": t.label},
             {"value": str(t.tried), "mood": "", "text": "motions compared"},
         ],
@@ -32,7 +32,7 @@ def told_report(result: Told) -> str:
         recordings=", ".join(result.recordings),
         pairs=[
             {"true": p.true, "other": p.other, "noncentrality": number(p.noncentrality, 3), "gain": number(p.gain, 3),
-             "std": number(p.std, 2), "probability": certainty(p.probability)}
+             "std": number(p.std, 2), "probability": chance(p.probability)}
             for p in t.pairs
         ],
         motion=motion(move.times, parts, {}),

@@ -19,7 +19,7 @@ def telling_sentence(telling: Telling, file: str) -> str:
     """What to record and what that will settle, or that no motion does."""
     t = telling
     text = f"Record {file} ({duration(t)}, {t.label}) and fit it together with these motions: "
-    text += f"it decides between {listed_names(t.rivals)} with probability {certainty(t.probability)}"
+    text += f"it decides between {listed_names(t.rivals)} with probability {chance(t.probability)}"
     text += "" if t.estimated else ", each at its usual size"
     if t.hopeless:
         text += f". Of {t.tried} motions within the limits none tells {listed_pairs(t.hopeless)}: another sensor or channel may"
@@ -43,7 +43,7 @@ def listed_pairs(pairs: tuple[Pair, ...]) -> str:
     return shown + (f" and {len(pairs) - _NAMED} more" if len(pairs) > _NAMED else "")
 
 
-def certainty(probability: float) -> str:
+def chance(probability: float) -> str:
     """A probability from draws as per cent, never quite certain."""
     return "over 99 %" if probability > 0.99 else "under 1 %" if probability < 0.01 else percent(round(probability, 2))
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from bayesid.design.tell.choose import Telling
 from bayesid.results.files import Result
-from bayesid.results.telling import certainty, duration, listed_names, listed_pairs, telling_dict
+from bayesid.results.telling import chance, duration, listed_names, listed_pairs, telling_dict
 from bayesid.results.text import number, text_table
 
 SCHEMA = 1
@@ -41,7 +41,7 @@ class Told(Result):
 
     def __repr__(self) -> str:
         t = self.telling
-        return f"<Told of {self.name}: {listed_names(t.rivals)}, {certainty(t.probability)}>"
+        return f"<Told of {self.name}: {listed_names(t.rivals)}, {chance(t.probability)}>"
 
     @property
     def lead(self) -> str:
@@ -50,7 +50,7 @@ class Told(Result):
         together = f" together with {', '.join(self.recordings)}" if self.recordings else ""
         sizes = "as large as estimated" if t.estimated else "each at its usual size"
         text = f"A motion of {duration(t)}, {t.label}, tells {listed_names(t.rivals)}{together}, {sizes}, "
-        text += f"with probability {certainty(t.probability)}."
+        text += f"with probability {chance(t.probability)}."
         if t.hopeless:
             text += (
                 f" Of {t.tried} motions within the limits none tells {listed_pairs(t.hopeless)}: another sensor or channel may."
@@ -60,7 +60,7 @@ class Told(Result):
     def __str__(self) -> str:
         """A few lines: what it tells, and every pair."""
         rows = [
-            [p.true, p.other, number(p.noncentrality, 3), f"{number(p.gain, 3)} ± {number(p.std, 2)}", certainty(p.probability)]
+            [p.true, p.other, number(p.noncentrality, 3), f"{number(p.gain, 3)} ± {number(p.std, 2)}", chance(p.probability)]
             for p in self.telling.pairs
         ]
         head = ["if true", "rules out", "noncentrality", "log evidence", "probability"]

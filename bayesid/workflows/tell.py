@@ -10,8 +10,7 @@ from typing import Any
 from threadpoolctl import threadpool_limits
 
 from bayesid.design.excitation.options import ExcitationOptions
-from bayesid.design.tell.choose import Tellable, tell_effects
-from bayesid.design.tell.choose import tellable as told_by
+from bayesid.design.tell.choose import tell_effects
 from bayesid.diagnosis.data import DiagnosisData
 from bayesid.diagnosis.noise import has_readings
 from bayesid.diagnosis.prepare import known_terms, prepare_data
@@ -23,7 +22,7 @@ from bayesid.results.files import Files, files_of, strict
 from bayesid.results.telling import write_motion
 from bayesid.results.told import TRAJECTORY, Told
 from bayesid.simulation.simulation import simulate
-from bayesid.simulation.trajectories import Trajectory, fourier_trajectory
+from bayesid.simulation.trajectories import fourier_trajectory
 from bayesid.workflows.progress import Clock, Progress, quiet
 
 
@@ -84,46 +83,6 @@ def tell(
         raise InputError("no motion within all limits was found: widen --share, --torque-share or --acceleration")
     recordings = tuple(dict.fromkeys(s.motion for s in data.segments)) if recorded else ()
     return Told(experiment.name, channel, recordings, telling, clock.stop())
-
-
-def tellable(
-    experiment: Experiment | str | Path,
-    effects: Sequence[str],
-    trajectories: Sequence[Trajectory] | None = None,
-    *,
-    channel: str | None = None,
-    motions: Sequence[str] | None = None,
-    seed: int = 0,
-) -> Tellable:
-    """How well given motions, recorded or planned, would tell effects apart, one of them being there at its usual size.
-
-    Parameters
-    ----------
-    experiment
-        Loaded, or its folder.
-    effects
-        Two or more: ``name@where``, or ``name`` where there is one place.
-    trajectories
-        Planned motions; default those of the experiment.
-    channel
-        ``wrench``, ``torque`` or ``both``; default as for `bayesid.identify`.
-    motions
-        Which of the experiment's count; default those with role ``identification``.
-    seed
-        Of the draws behind the probability.
-
-    Raises
-    ------
-    InputError
-        Bad input; the message says what to do.
-    """
-    with threadpool_limits(1, user_api="blas"):
-        experiment = as_experiment(experiment)
-        if trajectories is not None:
-            # Simulated with the stated noise: what they read does not matter, but how large its noise is.
-            planned = [replace(t, role="identification") for t in trajectories]
-            experiment = simulate(experiment, planned, effects=(), seed=seed)
-        return told_by(_data(experiment, channel or default_channel(experiment), motions, seed), effects, seed)
 
 
 def _data(experiment: Experiment, channel: str, motions: Sequence[str] | None, seed: int) -> DiagnosisData:

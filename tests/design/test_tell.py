@@ -11,12 +11,11 @@ import pytest
 from bayesid.cli import main
 from bayesid.design.excitation.options import ExcitationOptions
 from bayesid.design.excitation.plan import make_task
-from bayesid.design.tell.choose import tell, tell_effects, tell_search
-from bayesid.design.tell.choose import tellable as tellable_by
+from bayesid.design.tell.choose import tell, tell_effects, tell_search, unrecorded
 from bayesid.design.tell.evidence import Rows
 from bayesid.design.tell.exact import checked
 from bayesid.design.tell.motions import Planned, paces, pool, varied, within_limits
-from bayesid.design.tell.planned_rows import Bench, contest
+from bayesid.design.tell.planned_rows import Bench, contest, contest_on
 from bayesid.design.tell.rivals import Case, from_effects, from_search, parse_effects, supposed
 from bayesid.diagnosis.fit import fit
 from bayesid.diagnosis.prepare import prepare_data
@@ -33,7 +32,6 @@ from bayesid.simulation.trajectories import fourier_trajectory
 from bayesid.simulation.trajectory_file import read_trajectory
 from bayesid.workflows.diagnose import diagnose
 from bayesid.workflows.tell import tell as tell_verb
-from bayesid.workflows.tell import tellable
 from tests.simulated import puma2
 
 
@@ -327,11 +325,10 @@ def test_what_given_motions_tell_is_what_a_fit_of_the_other_leaves(robot):
     motions = [fourier_trajectory(robot, f"m{k}", seed=k, share=s, **options) for k, s in ((3, 0.15), (4, 0.3))]
     noisy = Recorder(force_std=30.0, torque_std=5.0)
     data = prepare_data(simulate(setup, motions, recorder=noisy, seed=1), "wrench", (), None, 0)
-    told = tellable_by(data, ["base_tilt", "sensor_rotation"])
-    for p, case in zip(told.pairs, supposed(data, parse_effects(data, told.effects)), strict=True):
-        (other,) = (r for r in case.rivals if r.name == p.other)
-        assert p.noncentrality == pytest.approx(other.fit.chi2, rel=0.02)
-    assert 0.0 <= told.wrong <= told.probability <= 1.0
+    effects = parse_effects(data, ["base_tilt", "sensor_rotation"])
+    for k, (case, fitted) in enumerate(zip(unrecorded(data, effects), supposed(data, effects), strict=True)):
+        c = contest_on(case, fitted.rivals[0].fit.projector.data.segments)
+        assert c.noncentrality[k, 1 - k] == pytest.approx(fitted.rivals[1 - k].fit.chi2, rel=0.02)
 
 
 def test_what_excite_tell_says_and_writes(diagnosis, robot, tmp_path):
@@ -361,15 +358,19 @@ def test_the_command_line(recorded, tmp_path):
 
 
 def test_nothing_recorded_yet(robot):
-    """Noise as stated, priors of the links, and usual sizes; and how well a planned motion does."""
-    setup = Experiment("arm", robot, (), Sensor(force_std=0.5, torque_std=0.05), inertia_rel_std=0.05, position_resolution=1e-4)
-    motion = fourier_trajectory(robot, duration=6.0, rate=100.0, share=0.5, seed=1)
-    given = tellable(setup, ["sensor_gain@fx", "sensor_gain@fy"], [motion])
-    assert [(p.true, p.other) for p in given.pairs] == [given.effects, given.effects[::-1]]
-    assert 0.0 <= given.probability + given.wrong <= 1.0
-    louder = replace(setup, sensor=Sensor(force_std=5.0, torque_std=0.5))
-    worse = tellable(louder, ["sensor_gain@fx", "sensor_gain@fy"], [motion])
-    assert all(w.noncentrality < g.noncentrality for w, g in zip(worse.pairs, given.pairs, strict=True))
+    """Noise as stated, priors of the links, and usual sizes: a louder sensor tells less."""
+    told = []
+    for factor in (1.0, 10.0):
+        sensor = Sensor(force_std=2.0 * factor, torque_std=0.2 * factor)
+        setup = Experiment("arm", robot, (), sensor, inertia_rel_std=0.05, position_resolution=1e-4)
+        motion = fourier_trajectory(robot, duration=6.0, rate=100.0, share=0.5, seed=1)
+        data = prepare_data(simulate(setup, [motion], seed=0), "wrench", (), None, 0)
+        cases = unrecorded(data, parse_effects(data, ["sensor_gain@fx", "sensor_gain@fy"]))
+        assert all(r.rows == 0 and r.evidence == 0.0 for case in cases for r in case.rivals)
+        found = tell(cases, effort=(3, 0, 0), options=ExcitationOptions(duration=6.0))
+        assert found is not None
+        told.append(found)
+    assert all(w.noncentrality < g.noncentrality for w, g in zip(told[1].pairs, told[0].pairs, strict=True))
 
 
 @pytest.mark.parametrize("options", [{"duration": -1.0}, {"colour": 3}, {"joints": ("joint7",)}])

@@ -12,7 +12,7 @@ from bayesid.design.excitation.plan import make_task
 from bayesid.design.tell.evidence import Contest
 from bayesid.design.tell.exact import checked
 from bayesid.design.tell.motions import Planned, pool, varied
-from bayesid.design.tell.planned_rows import NAME, Bench, contest, contest_on
+from bayesid.design.tell.planned_rows import NAME, Bench, contest
 from bayesid.design.tell.rivals import Case, from_effects, from_search, parse_effects, supposed, unknown
 from bayesid.diagnosis.data import DiagnosisData
 from bayesid.diagnosis.search import Search
@@ -153,57 +153,11 @@ def tell_effects(
     """
     effects = parse_effects(data, specs)
     if not recorded:
-        return tell(_unrecorded(data, effects), effort=(*effort[:2], 0), options=options, seed=seed)
+        return tell(unrecorded(data, effects), effort=(*effort[:2], 0), options=options, seed=seed)
     return tell(from_effects(data, effects), effort=effort, options=options, seed=seed)
 
 
-@dataclass(frozen=True)
-class Tellable:
-    """How well given motions tell effects apart, if one is there at its usual size.
-
-    Attributes
-    ----------
-    effects
-        Their names.
-    probability
-        That the true one alone is left, each being true as often.
-    wrong
-        That a wrong one is.
-    pairs
-        Each as the true one against each other.
-    """
-
-    effects: tuple[str, ...]
-    probability: float
-    wrong: float
-    pairs: tuple[Pair, ...]
-
-
-def tellable(data: DiagnosisData, specs: Sequence[str], seed: int = 0) -> Tellable:
-    """How well the motions of some recordings, or of planned ones that were simulated, tell effects apart; whatever they read.
-
-    Parameters
-    ----------
-    data
-        Motions with their noise.
-    specs
-        ``name@where``, or ``name`` where there is one place.
-    seed
-        Of the draws behind the probability.
-
-    Raises
-    ------
-    InputError
-        As `bayesid.design.tell.rivals.parse_effects`.
-    """
-    effects = parse_effects(data, specs)
-    cases = _unrecorded(data, effects)
-    contests = [contest_on(case, case.rivals[0].fit.projector.data.segments) for case in cases]
-    chances = np.mean([c.decided(case.weights, seed) for c, case in zip(contests, cases, strict=True)], axis=0)
-    return Tellable(tuple(e.spec for e in effects), float(chances[0]), float(chances[1]), _pairs(cases, contests))
-
-
-def _unrecorded(data: DiagnosisData, effects: Sequence[Effect]) -> list[Case]:
+def unrecorded(data: DiagnosisData, effects: Sequence[Effect]) -> list[Case]:
     """A case for each effect at its usual size, of which no recording tells anything yet."""
     return [replace(c, rivals=tuple(map(unknown, c.rivals))) for c in supposed(data, effects)]
 

@@ -1,4 +1,4 @@
-"""Links that can exist, drawn within an estimate's uncertainty."""
+"""Links that can exist, drawn within an estimate's unchance."""
 
 import numpy as np
 import pytest
