@@ -39,6 +39,7 @@ from bayesid.workflows.accuracy import add_certificate, check_estimate
 @click.option(
     "--estimate", type=click.Path(path_type=Path), help="An estimate.json to write the certificate into, with its report."
 )
+@click.option("--sensors", type=click.Path(path_type=Path), help="A sensors.toml of candidates to compare before buying one.")
 @click.option("--resume", is_flag=True, help="Go on with the twins of an interrupted run of the same --out.")
 @OUT
 @SEED

@@ -19,8 +19,8 @@ import numpy as np
 
 from bayesid.errors import InputError
 from bayesid.recordings.complaints import cut, one_line, suggest
-from bayesid.recordings.schema import LARGEST
 from bayesid.recordings.table import JOINT_GROUPS, WRENCH_COLUMNS, Table, check_increasing
+from bayesid.recordings.toml_file import LARGEST
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -6,37 +6,20 @@ Nothing here reads a table or a robot: these models know keys, types and ranges 
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Iterable, Mapping
 from pathlib import Path, PurePosixPath, PureWindowsPath
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal
 
 import tomli_w
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import AfterValidator, ConfigDict, Field
 
 from bayesid.errors import InputError
-from bayesid.recordings.complaints import cut, describe, one_line
+from bayesid.recordings.toml_file import File, Keys, Name, NonNegative, Number, Positive, Section, Vector3, read_toml
 
 Expressions = dict[str, dict[str, Any]]  # "cogging" -> {"tau2": "c * sin(3 * q2)", "parameters": {"c": {"unit": "N m"}}}
 EffectParameters = dict[str, dict[str, float | bool]]  # "tether@joint3" -> {"stiffness": 40.0, "fixed": True}
 
-#: No quantity of a robot in SI units is larger, and no size smaller without being zero: squares of both stay numbers.
-LARGEST, SMALLEST = 1e12, 1e-15
-_LONGEST_NAME, _LONGEST_PATH = 100, 1000
-
-
-def _bearable(value: float) -> float:
-    """Refuse a number that no robot needs: arithmetic with it overflows later, where nothing can be said about it."""
-    if abs(value) > LARGEST:
-        raise ValueError(f"write a number up to {LARGEST:g}, in SI units")
-    return value
-
-
-def _a_size(value: float) -> float:
-    """Refuse a size that is next to nothing, but not zero."""
-    if 0.0 < abs(value) < SMALLEST:
-        raise ValueError(f"write 0, or at least {SMALLEST:g}, in SI units")
-    return value
+_LONGEST_PATH = 1000
 
 
 def _inside(text: str) -> str:
@@ -49,24 +32,8 @@ def _inside(text: str) -> str:
     return text
 
 
-Number = Annotated[float, AfterValidator(_bearable)]
-NonNegative = Annotated[Number, AfterValidator(_a_size), Field(ge=0.0)]
-Positive = Annotated[Number, AfterValidator(_a_size), Field(gt=0.0)]
-Vector3 = Annotated[list[Number], Field(min_length=3, max_length=3)]
 Interval = Annotated[list[float], Field(min_length=2, max_length=2)]
 FilePath = Annotated[str, Field(min_length=1), AfterValidator(_inside)]
-
-
-def _plain_name(text: str) -> str:
-    """Refuse a name that cannot be a folder name or an item of a comma-separated option."""
-    if not text.strip() or text.startswith(".") or any(c in '/\\,"' or not c.isprintable() for c in text):
-        raise ValueError('write a name without / \\ , " and line breaks, not starting with a dot')
-    if len(text.encode("utf-8")) > _LONGEST_NAME:
-        raise ValueError(f"write at most {_LONGEST_NAME} characters")
-    return text
-
-
-Name = Annotated[str, AfterValidator(_plain_name)]
 
 
 def _effect(text: str) -> str:
@@ -80,11 +47,7 @@ def _effect(text: str) -> str:
 EffectName = Annotated[str, AfterValidator(_effect)]
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
-
-
-class RobotSection(_Section):
+class RobotSection(Section):
     """``[robot]``: the kinematics and what is known beforehand; angles in rad, gravity in m/s^2."""
 
     urdf: FilePath
@@ -97,7 +60,7 @@ class RobotSection(_Section):
     gear_ratio: dict[str, Positive] = {}
 
 
-class SensorSection(_Section):
+class SensorSection(Section):
     """``[sensor]``: where the force/torque sensor is (m, rad) and its noise (N, N m)."""
 
     joint: str | None = None
@@ -107,7 +70,7 @@ class SensorSection(_Section):
     torque_std: NonNegative | None = None
 
 
-class EffectValues(_Section):
+class EffectValues(Section):
     """``[model.values."effect@where"]``: starting values by parameter name; ``fixed`` keeps them."""
 
     model_config = ConfigDict(extra="allow", strict=True, frozen=True, allow_inf_nan=False)
@@ -116,7 +79,7 @@ class EffectValues(_Section):
     fixed: bool = False
 
 
-class ExpressionParameter(_Section):
+class ExpressionParameter(Section):
     """``[model.expressions.NAME.parameters.KEY]``: one number in a user's formula."""
 
     unit: str = "1"
@@ -127,7 +90,7 @@ class ExpressionParameter(_Section):
     tried: list[Number] = []
 
 
-class ExpressionSection(_Section):
+class ExpressionSection(Section):
     """``[model.expressions.NAME]``: an effect of the user's own, as formulas by the reading that they add to."""
 
     model_config = ConfigDict(extra="allow", strict=True, frozen=True, allow_inf_nan=False)
@@ -137,7 +100,7 @@ class ExpressionSection(_Section):
     parameters: dict[str, ExpressionParameter] = {}
 
 
-class ModelSection(_Section):
+class ModelSection(Section):
     """``[model]``: effects the user's model already has, and formulas of the user's own."""
 
     effects: list[EffectName] = []
@@ -145,7 +108,7 @@ class ModelSection(_Section):
     expressions: dict[str, ExpressionSection] = {}
 
 
-class MotionSection(_Section):
+class MotionSection(Section):
     """``[[motion]]``: one recording; times in s."""
 
     name: Name
@@ -157,7 +120,7 @@ class MotionSection(_Section):
     parked: list[Interval] = []
 
 
-class ExperimentFile(_Section):
+class ExperimentFile(Section):
     """The whole of experiment.toml."""
 
     format: Literal[1]
@@ -168,17 +131,15 @@ class ExperimentFile(_Section):
     motion: Annotated[list[MotionSection], Field(min_length=1)]
 
 
-class ModelFile(_Section):
+class ModelFile(Section):
     """The whole of model.toml, which stands in for ``[model]`` of an experiment."""
 
     format: Literal[1] = 1
     model: ModelSection
 
 
-File = TypeVar("File", ExperimentFile, ModelFile)
-
-# The keys a section may have, by the path to it without list indices: for suggestions only.
-_KEYS: dict[tuple[str, ...], Iterable[str]] = {
+# For suggestions only.
+_KEYS: Keys = {
     ("robot",): RobotSection.model_fields,
     ("sensor",): SensorSection.model_fields,
     ("model",): ModelSection.model_fields,
@@ -187,45 +148,8 @@ _KEYS: dict[tuple[str, ...], Iterable[str]] = {
 
 
 def read_file(path: Path, kind: type[File]) -> File:
-    """Read a TOML file into its model.
-
-    Parameters
-    ----------
-    path
-        The file.
-    kind
-        `ExperimentFile` or `ModelFile`.
-
-    Raises
-    ------
-    InputError
-        When the file is absent, unreadable, not UTF-8, not TOML, or holds a wrong key or value.
-    """
-    try:
-        if path.exists() and not path.is_file():
-            raise InputError(f"{path}: is no file; give the path of a TOML file")
-        data = tomllib.loads(path.read_bytes().decode("utf-8-sig"))  # Windows' editors begin files with a mark
-    except FileNotFoundError:
-        raise InputError(f"{path}: no such file; give the path of a model.toml, which holds a [model] table") from None
-    except UnicodeDecodeError as error:
-        line = error.object[: error.start].count(b"\n") + 1
-        raise InputError(
-            f"{path.name}: line {line}: byte 0x{error.object[error.start]:02x} is not UTF-8; save the file as UTF-8"
-        ) from None
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{path.name}: not valid TOML: {cut(one_line(str(error)), 160)}; correct it there") from None
-    except RecursionError:
-        raise InputError(f"{path.name}: not valid TOML: brackets are nested too deep; write it flatter") from None
-    except ValueError:  # Python reads integers up to a number of digits
-        raise InputError(f"{path.name}: not valid TOML: a number has thousands of digits; write 1e9 and the like") from None
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); give a readable file") from None
-    try:
-        return kind.model_validate(data)
-    except ValidationError as error:
-        # A misspelt key often shows twice, as an unknown key and as a missing one: the first says more.
-        details = sorted(error.errors(include_url=False), key=lambda e: e["type"] != "extra_forbidden")
-        raise InputError(f"{path.name}: {describe(details[0], _KEYS, kind.model_fields)}") from None
+    """Read an experiment.toml (`ExperimentFile`) or model.toml (`ModelFile`); InputError as `bayesid.recordings.toml_file`."""
+    return read_toml(path, kind, _KEYS, "a model.toml, which holds a [model] table")
 
 
 def read_model(path: str | Path) -> tuple[tuple[str, ...], EffectParameters, Expressions]:

@@ -7,13 +7,24 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from bayesid.design.accuracy.sensor_choice import SensorChoice
+from bayesid.design.accuracy.sensor_file import KINDS
 from bayesid.report.accuracy_figures import SHOWN_EFFECTS, susceptibility_figure, sweeps_figure
 from bayesid.report.certificate import certificate_section
-from bayesid.report.notation import short_names
+from bayesid.report.notation import notation, short_names
 from bayesid.report.page import render, run_times, svg, versions
 from bayesid.results.accuracy import Accuracy
-from bayesid.results.accuracy_text import NO_BIAS, change, coverage_text, effect_cells, level_cells
-from bayesid.results.text import DASH, channel_text, number, percent
+from bayesid.results.accuracy_text import (
+    NO_BIAS,
+    change,
+    coverage_text,
+    effect_cells,
+    level_cells,
+    sensor_rows,
+    sensor_title,
+)
+from bayesid.results.text import DASH, HALF, channel_text, number, percent
+from bayesid.robot import inertia
 
 _MOST_EFFECTS = 15
 
@@ -48,6 +59,7 @@ def accuracy_report(result: Accuracy) -> str:
         unbiased=len(result.susceptibility) - len(biased),
         certificate=certificate_section(certificate, base),
         certified=certificate is not None,
+        sensors=None if result.sensors is None else _sensors(result.sensors),
         parameters=_parameters(result),
         simulated=sweeps is not None,
         formula=sweeps is not None and sweeps.formula is not None,
@@ -131,6 +143,41 @@ def _parameters(result: Accuracy) -> list[dict[str, Any]]:
             row["worst"] = f"{worst.effect.spec} ({number(abs(worst.sigmas[k]), 2)} σ)"
         rows.append(row)
     return rows
+
+
+def _sensors(choice: SensorChoice) -> dict[str, Any]:
+    """Candidates side by side: what they leave, their ranges, link parameters and effects."""
+    outlooks = choice.outlooks
+    names = list(dict.fromkeys(n for o in outlooks for n in o.names))
+    by_name = [dict(zip(o.names, o.link_std, strict=True)) for o in outlooks]
+    before = {n: s for o in outlooks for n, s in zip(o.names, o.prior_std, strict=True)}
+    units: dict[str, str] = dict(zip(inertia.PARAMETERS, inertia.UNITS, strict=True))
+    specs = list(dict.fromkeys(spec for o in outlooks for spec in o.effects))
+    shown = [s for s in specs if any(o.effects.get(s) is not None for o in outlooks)]
+    return {
+        "title": sensor_title(choice),
+        "names": [o.candidate.name for o in outlooks],
+        "kinds": [KINDS[o.candidate.kind] for o in outlooks],
+        "rows": sensor_rows(choice),
+        "exceeded": [o.load > 1.0 for o in outlooks],
+        "ranges": [
+            {"name": o.candidate.name, "cells": [
+                f"{n} {number(p, 3)} {u}" + (f" of {number(r, 3)}" if np.isfinite(r) else "")
+                for n, p, u, r in zip(o.candidate.readings, o.peak, o.candidate.units, o.candidate.limit, strict=True)
+            ]}
+            for o in outlooks
+        ],
+        "links": [
+            {"name": label, "unit": units.get(n.rpartition(".")[2], ""), "before": number(HALF * before[n], 2),
+             "cells": [number(HALF * values[n], 2) if n in values else DASH for values in by_name]}
+            for n, label in zip(names, notation(names), strict=True)
+        ],
+        "effects": [
+            {"name": s, "cells": [DASH if o.effects.get(s) is None else percent(o.effects[s] or 0.0, 2) for o in outlooks]}
+            for s in shown
+        ],
+        "unseen": len(specs) - len(shown),
+    }  # fmt: skip
 
 
 def _how(result: Accuracy) -> list[tuple[str, str]]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from bayesid.design.accuracy.bench import Bench
 from bayesid.design.accuracy.certificate import Certificate
+from bayesid.design.accuracy.sensor_choice import SensorChoice
 from bayesid.design.accuracy.susceptibility import Susceptibility
 from bayesid.design.accuracy.sweeps import Level, Sweep, Sweeps
 from bayesid.errors import InputError
@@ -38,6 +39,8 @@ class Accuracy(Result):
         What each effect left out of the model does, largest bias first.
     certificate
         Coverage on twins, where it was asked for.
+    sensors
+        What candidate sensors would tell, where any were given.
     warnings
         What the user should know, most important first.
     seconds
@@ -49,6 +52,7 @@ class Accuracy(Result):
     sweeps: Sweeps | None
     susceptibility: tuple[Susceptibility, ...]
     certificate: Certificate | None
+    sensors: SensorChoice | None
     warnings: tuple[str, ...]
     seconds: dict[str, float]
 
@@ -67,7 +71,8 @@ class Accuracy(Result):
         return self._text(html=True)
 
     def _text(self, *, html: bool = False) -> str:
-        return accuracy_text(self.bench, self.sweeps, self.susceptibility, self.certificate, self.warnings, html=html)
+        parts = self.bench, self.sweeps, self.susceptibility, self.certificate, self.sensors
+        return accuracy_text(*parts, self.warnings, html=html)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -163,6 +168,9 @@ class Accuracy(Result):
                 }
                 for name, v in self.improvements
             ]  # fmt: skip
+        if self.sensors is not None:
+            document["sensors"] = [o.to_dict() for o in self.sensors.outlooks]
+            document["sensors_link_trust"] = {"relative_std": self.sensors.trust, "assumed": self.sensors.assumed}
         if self.certificate is not None:
             document["certificate"] = self.certificate.to_dict()
         return strict(document)

@@ -9,6 +9,7 @@ import numpy as np
 
 from bayesid.design.accuracy.bench import Bench
 from bayesid.design.accuracy.certificate import Certificate
+from bayesid.design.accuracy.sensor_choice import Outlook, SensorChoice
 from bayesid.design.accuracy.susceptibility import Susceptibility
 from bayesid.design.accuracy.sweeps import Level, Sweeps
 from bayesid.results.text import DASH, channel_text, html_table, number, percent, text_table
@@ -21,7 +22,7 @@ NO_BIAS = 0.01
 
 def accuracy_text(
     bench: Bench, sweeps: Sweeps | None, susceptibility: Sequence[Susceptibility], certificate: Certificate | None,
-    warnings: Sequence[str], *, html: bool = False,
+    sensors: SensorChoice | None, warnings: Sequence[str], *, html: bool = False,
 ) -> str:  # fmt: skip
     """Improvements, sweeps, susceptibility and coverage; fields of an `Accuracy`, as text or as HTML tables."""
     labels = bench.problem.row_model.base.labels
@@ -45,6 +46,8 @@ def accuracy_text(
         rows = [effect_cells(s, labels) for s in susceptibility[:_SHOWN_EFFECTS]]
         head = ["effect left out", "size", "largest bias", "of", "prediction"]
         parts.append(("Bias by effects left out of the model", head, rows))
+    if sensors is not None:
+        parts.append((sensor_title(sensors), ["", *(o.candidate.name for o in sensors.outlooks)], sensor_rows(sensors)))
     notes = [coverage_text(certificate), *(f"warning: {w}" for w in warnings)]
     if html:
         tables = "".join(f"<p><b>{escape(name)}</b></p>{html_table(head, rows)}" for name, head, rows in parts)
@@ -92,6 +95,30 @@ def size_text(s: Susceptibility) -> str:
 def _short(label: str) -> str:
     first = label.split(" ")
     return label if len(label) <= 24 else " ".join(first[:2 if first[0][:1] != "I" else 1]) + " …"
+
+
+def sensor_title(sensors: SensorChoice) -> str:
+    """What the table of sensors shows."""
+    how = "assumed" if sensors.assumed else "as stated"
+    return f"Candidate sensors: share of the links' prior uncertainty ({percent(sensors.trust, 2)}, {how}) that would be left"
+
+
+def sensor_rows(sensors: SensorChoice) -> list[list[str]]:
+    """A line for each thing that candidates are compared by, a cell for each candidate behind its name."""
+    outlooks = sensors.outlooks
+    bodies = list(dict.fromkeys(body for o in outlooks for body in o.left))
+    return [
+        ["combinations determined", *(str(o.determined.base.rank) for o in outlooks)],
+        ["better than beforehand", *(str(o.told) for o in outlooks)],
+        *([f"left of {b}", *(percent(o.left[b], 2) if b in o.left else DASH for o in outlooks)] for b in bodies),
+        ["range used", *(_range_used(o) for o in outlooks)],
+    ]
+
+
+def _range_used(outlook: Outlook) -> str:
+    if not np.isfinite(outlook.candidate.limit).any():
+        return DASH
+    return percent(outlook.load, 2) + (" (too much)" if outlook.load > 1.0 else "")
 
 
 def coverage_text(c: Certificate | None) -> str:

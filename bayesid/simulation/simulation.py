@@ -27,8 +27,8 @@ from bayesid.effects import REST_SPEED, MotionSegment, Term, middle_of
 from bayesid.effects.sizes import ANY_EFFORT
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, Motion, Sensor, as_experiment
-from bayesid.recordings.schema import LARGEST
 from bayesid.recordings.table import Table
+from bayesid.recordings.toml_file import LARGEST
 from bayesid.recordings.writer import write_experiment
 from bayesid.robot import inertia
 from bayesid.robot.robot import Robot

@@ -12,6 +12,8 @@ from threadpoolctl import threadpool_limits
 
 from bayesid.design.accuracy.bench import Bench, make_bench
 from bayesid.design.accuracy.certificate import Certificate, certify, check_certifiable
+from bayesid.design.accuracy.sensor_choice import choose_sensor
+from bayesid.design.accuracy.sensor_file import Candidate, read_sensors
 from bayesid.design.accuracy.susceptibility import susceptibility
 from bayesid.design.accuracy.sweeps import Sweeps, sweep
 from bayesid.errors import InputError
@@ -41,6 +43,7 @@ def accuracy(
     *,
     runs: int = 20,
     certificate: int = 0,
+    sensors: str | Path | Sequence[Candidate] | None = None,
     nominal: bool = False,
     low_pass: LowPass | None = None,
     motions: Sequence[str] | None = None,
@@ -67,6 +70,8 @@ def accuracy(
         Twins that are simulated of every level of a factor; 0: no factor is varied.
     certificate
         Twins that coverage is counted on; 0: none.
+    sensors
+        Candidate sensors to compare before one is bought: a ``sensors.toml``, or what `read_sensors` made of one.
     nominal
         Take the nominal links for the true ones, instead of the estimated.
     seed
@@ -93,6 +98,8 @@ def accuracy(
         bench = _bench(experiment, method, options, nominal, clock)
         if certificate:
             check_certifiable(bench, certificate)
+        listed = isinstance(sensors, (str, Path))
+        candidates = read_sensors(sensors, bench.experiment.robot) if listed else tuple(sensors or ())
         varied = None
         if runs:
             clock("simulating")
@@ -102,11 +109,15 @@ def accuracy(
             std = np.where(np.isfinite(std), std, varied.own.std)
         clock("effects left out")
         biases = susceptibility(bench, std, tell=progress)
+        choice = None
+        if candidates:
+            clock("sensors")
+            choice = choose_sensor(bench, candidates, progress)
         found = None
         if certificate:
             clock("certificate")
             found = certify(bench, certificate, seed, progress, None if kept is None else Path(kept), resume)
-    return Accuracy(bench, std, varied, biases, found, _warnings(bench, varied, found), clock.stop())
+    return Accuracy(bench, std, varied, biases, found, choice, _warnings(bench, varied, found), clock.stop())
 
 
 @figures_of.register

@@ -148,6 +148,7 @@ def test_differences_of_a_cubic():
     np.testing.assert_allclose(state.accelerations[:, 0], 6 * state.times, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_sweep_ranks_what_helps_and_tells_what_is_refused():
     b = bench("puma")
     told: list[str] = []

@@ -34,6 +34,7 @@ def own() -> Bench:
     return bench("puma")
 
 
+@pytest.mark.slow
 def test_intervals_hold_the_truth_and_the_counts_are_those_of_the_band(own):
     found = certify(own, 40, 0, quiet)
     assert found.twins == 40 and found.refused == 0 and found.holds

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from bayesid.dynamics.nearest_links import nearest_links
-from bayesid.effects import Term
+from bayesid.effects import Term, middle_of
 from bayesid.errors import InputError
 from bayesid.estimators import Estimate, Estimator
 from bayesid.estimators.nonlinear import solve
@@ -81,6 +81,11 @@ class Bench:
     def motions(self) -> tuple[RecordedMotion, ...]:
         """The fitted motions as functions of time."""
         return tuple(RecordedMotion.of(m, self.experiment) for m in self.experiment.motions if m.name in self.problem.fitted)
+
+    @cached_property
+    def middle(self) -> np.ndarray:
+        """Joint positions at the middle of the first motion (n,)."""
+        return middle_of(next(m for m in self.motions if m.pieces).trajectory().positions)
 
     @cached_property
     def predicted_motions(self) -> tuple[str, ...]:

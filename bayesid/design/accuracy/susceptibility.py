@@ -17,7 +17,7 @@ import numpy as np
 
 from bayesid.design.accuracy.bench import Bench
 from bayesid.design.accuracy.fits import prediction_error
-from bayesid.effects import Effect, MotionSegment, Term, middle_of
+from bayesid.effects import Effect, MotionSegment, Term
 from bayesid.errors import InputError
 from bayesid.estimators.least_squares import LeastSquares, likelihood_weights, weighted_factor
 from bayesid.estimators.weights import Weights, learn_weights
@@ -119,12 +119,10 @@ def _scenes(bench: Bench) -> list[tuple[Segment, MotionSegment]]:
     """The fitted segments with their smoothed motion."""
     problem = bench.problem
     row_model = problem.row_model
-    moving = next(m for m in bench.motions if m.pieces)
-    middle = middle_of(moving.trajectory().positions)
     out = []
     for segment in (s for name in problem.fitted for s in problem.segments[name]):
         state = row_model.state(segment, 0, len(segment.times))
-        out.append((segment, replace(state, still=segment.poses, bandwidth=row_model.bandwidth, middle=middle)))
+        out.append((segment, replace(state, still=segment.poses, bandwidth=row_model.bandwidth, middle=bench.middle)))
     return out
 
 
