@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
+from scipy.stats import chi2
 
 from bayesid.diagnosis.data import Episode
 from bayesid.diagnosis.fit import Fit
@@ -32,6 +33,38 @@ def pulse(times: np.ndarray, start: float, end: float) -> np.ndarray:
     """A contact's course (N,): 0 outside, 1 inside, ramps in between."""
     ramp = min(CONTACT_RAMP, 0.5 * (end - start))
     return np.clip(np.minimum(times - start, end - times) / ramp, 0.0, 1.0)
+
+
+def is_excuse(best: Fit, index: int, dispersion: float) -> bool:
+    """Whether a contact found is no more than an excuse for something else.
+
+    It does not act in held-out motions, so nothing there can deny it. So its force must stand out of its own interval, it must
+    end inside the recording, and last for no more than half of the motion; what lasts longer has to be an effect that is there
+    in other motions, too.
+
+    Parameters
+    ----------
+    best, index
+        The model, and which of its effects; False for all that is no contact.
+    dispersion
+        The dispersion factor.
+    """
+    term = best.terms[index]
+    if not (isinstance(term, Episode) and isinstance(term.effect, ExternalContact)):
+        return False
+    start, end = term.values[:2]
+    times = np.concatenate([s.times for s in best.projector.data.segments if s.motion == term.motion and not s.still])
+    first, last = float(times.min()), float(times.max())
+    if end > last - 0.5 * CONTACT_RAMP or end - start > best.projector.data.settings.longest_contact * (last - first):
+        return True
+    keys = term.effect.parameters
+    at = [column for column, (owner, k) in enumerate(best.free) if owner == index and keys[k] in ("fx", "fy", "fz")]
+    force = np.array(term.values[2:5])
+    if len(at) < len(force):
+        return False
+    spread = dispersion * best.covariance[np.ix_(at, at)]
+    standing = float(force @ np.linalg.pinv(spread, hermitian=True) @ force)
+    return bool(standing < chi2.ppf(0.95, len(force)))
 
 
 def contact_terms(projector: NuisanceProjector, fit: Fit, left: np.ndarray) -> Iterator[tuple[list[Term], float]]:

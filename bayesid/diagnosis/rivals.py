@@ -9,6 +9,7 @@ import numpy as np
 
 from bayesid.diagnosis.bodies import as_payload
 from bayesid.diagnosis.candidates import orthonormal
+from bayesid.diagnosis.contacts import is_excuse
 from bayesid.diagnosis.fit import Fit, fit
 from bayesid.diagnosis.forward import State, exact_fits, in_family
 from bayesid.diagnosis.noise_models import NoiseModels
@@ -65,7 +66,9 @@ def prune(state: State) -> Pruned:
             i += 1
             continue
         models, without = _without(models, best, i)
-        if best.score - without.score + as_payload(best, i, dispersion)[1] * dispersion < settings.accept * dispersion:
+        if is_excuse(best, i, dispersion):
+            best, fitted = without, {}
+        elif best.score - without.score + as_payload(best, i, dispersion)[1] * dispersion < settings.accept * dispersion:
             best, fitted = without, {}
         else:
             fitted[i] = without

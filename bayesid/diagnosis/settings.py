@@ -141,6 +141,8 @@ class Settings:
 
     # -- verdict
 
+    #: A contact that lasts for a larger share of a motion is no event in it: half.
+    longest_contact: float = 0.5
     #: An effect must not make unseen motions worse by more than this share of their squared residual. Set by looking at
     #: cases.
     worse_share: float = 0.02

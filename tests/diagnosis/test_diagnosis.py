@@ -26,6 +26,7 @@ from bayesid.diagnosis import (
     surrogates,
     validation,
 )
+from bayesid.diagnosis.contacts import is_excuse
 from bayesid.diagnosis.data import Episode, active_terms
 from bayesid.diagnosis.noise import smoothed
 from bayesid.diagnosis.noise_models import NoiseModels
@@ -201,6 +202,27 @@ def test_a_contact_is_left_out_of_other_motions(record):
     assert active_terms(data.segments[0], [once])
     assert not any(active_terms(s, [once]) for s in data.unseen)
     assert not any(active_terms(s, [Term(effect, once.values)]) for s in data.unseen)
+
+
+def test_a_contact_is_no_excuse(record):
+    """Its force stands out of its interval, it ends inside the recording, and it does not last for most of the motion."""
+    folder, _ = record("excuse", "none", [], "wrench", seed=9)
+    data, nuisance = made(folder, "wrench")
+    effect, moving = data.places("external_contact")[-1], data.segments[0]
+    first, last = moving.times[0], moving.times[-1]
+    window, far, push = (first + 2.0, first + 4.0), (0.0, 0.0, 0.0), (50.0, 0.0, 0.0)
+    fitted = fit.fit(nuisance, (Episode(effect, (*window, 0.5, 0.0, 0.0, *far), moving.motion),))
+    assert is_excuse(fitted, 0, 1.0)  # nothing pushed: what is found is noise
+
+    def judged(start, end, force, term=Episode):
+        values = (start, end, *force, *far)
+        terms = (Episode(effect, values, moving.motion) if term is Episode else Term(data.places("base_tilt")[0], (0.1, 0.1)),)
+        return is_excuse(replace(fitted, terms=terms), 0, 1.0)
+
+    assert not judged(*window, push)
+    assert judged(last - 2.0, last, push)
+    assert judged(first + 0.5, first + 0.5 + 0.6 * (last - first), push)
+    assert not judged(*window, push, Term)
 
 
 def test_the_gap_needs_unseen_motions(record):
