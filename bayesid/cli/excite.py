@@ -45,7 +45,8 @@ _OPTIONS = [
     click.option("--tell", callback=names, help="Effects to be told apart, by commas: the motion that does that best instead."),
     click.option("--channel", type=click.Choice(["wrench", "torque", "both"]), help="Readings; default: wrench with a [sensor]."),
     click.option("--static", is_flag=True, help="A stop-and-go run will be subtracted, as in the paper."),
-    click.option("--criterion", default="d", show_default=True, help="d, a, e or condition."),
+    click.option("--criterion", default="d", show_default=True, help="d, a, e, condition or quantity."),
+    click.option("--quantity", "quantities", callback=names, help="What counts: payload@JOINT, torque@FILE.csv, joint2.mcx ..."),
     click.option("--kind", default="fourier", show_default=True, help="fourier; liu1998: one pass and a stop-and-go run."),
     _number("--duration", "Length of the motion [s]."),
     click.option("--period", type=float, help="After which it repeats [s]; default: half the length."),
@@ -85,7 +86,7 @@ def _options(command):
 @EFFECTS_FROM
 @OUT
 @SEED
-def excite(experiment, model, effects_from, out, joints, blocks, tell, **options) -> None:
+def excite(experiment, model, effects_from, out, joints, blocks, quantities, tell, **options) -> None:
     """An exciting trajectory within limits: trajectory.csv; needs experiment.toml and the URDF only."""
     check_output(out or OUTPUTS, "excite")
     library = own_effects(effects_from)
@@ -96,9 +97,10 @@ def excite(experiment, model, effects_from, out, joints, blocks, tell, **options
     options["joints"] = None if joints is None else tuple(joints)
     with show_progress() as progress:
         if tell is None:
-            result = bayesid.excite(setup, blocks=tuple(blocks or ()), progress=progress, **options)
+            named = {"blocks": tuple(blocks or ()), "quantities": tuple(quantities or ())}
+            result = bayesid.excite(setup, progress=progress, **named, **options)
         else:
-            result = _told(setup, tell, blocks, progress, options)
+            result = _told(setup, tell, blocks, quantities, progress, options)
         progress("report")
         report = result.write(folder)
     click.echo(str(result))
@@ -106,9 +108,10 @@ def excite(experiment, model, effects_from, out, joints, blocks, tell, **options
     click.echo(f"report: {report}")
 
 
-def _told(setup, effects, blocks, progress, options):
+def _told(setup, effects, blocks, quantities, progress, options):
     """The motion that tells effects apart, by the options that say something of it."""
-    for name, given in (("--warm-start", options.pop("warm_start") is not None), ("--blocks", bool(blocks))):
+    others = {"--warm-start": options.pop("warm_start"), "--blocks": blocks, "--quantity": quantities}
+    for name, given in others.items():
         if given:
             raise InputError(f"{name} is given with --tell; leave one of them out")
     return bayesid.tell(setup, effects, progress=progress, **options)

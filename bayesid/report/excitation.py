@@ -45,6 +45,7 @@ def excitation_report(result: Excitation) -> str:
             {"label": label, "unit": unit, "std": number(std, 3) if np.isfinite(std) else "not determined"}
             for label, unit, std in zip(result.base.labels, result.base.units, result.std, strict=True)
         ],
+        quantities=[{"name": name, "unit": unit, "std": number(std, 3)} for name, unit, std in result.quantities],
         joints=[
             {"name": name, "centre": number(float(result.series.centre[j]), 5),
              "sine": [number(float(x), 4) for x in result.series.sine[:, j]],

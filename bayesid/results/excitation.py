@@ -103,6 +103,8 @@ class Excitation(Result):
         The base parameters that it determines.
     std
         Their expected standard deviations (r,); infinite where it does not.
+    quantities
+        Name, unit and expected standard deviation of the quantities asked for.
     condition_number
         Of the whitened regressor with columns of unit length.
     notes
@@ -130,6 +132,7 @@ class Excitation(Result):
     loads: Mapping[str, tuple[tuple[str, ...], np.ndarray]]
     base: BaseParameters
     std: np.ndarray
+    quantities: tuple[tuple[str, str, float], ...]
     condition_number: float
     notes: tuple[str, ...]
     seconds: Mapping[str, float]
@@ -196,6 +199,7 @@ class Excitation(Result):
                 "every_sample": self.static_run.every_sample,
             },
             "within_limits": self.within_limits, "limits": uses,
+            "quantities": [{"name": name, "unit": unit, "std": std} for name, unit, std in self.quantities],
             "rank": self.base.rank, "condition_number": self.condition_number, "base_parameters": parameters,
             "notes": self.notes, "runtime_s": self.seconds,
         }  # fmt: skip
@@ -226,6 +230,7 @@ class Excitation(Result):
             rows.append([_KINDS[kind], use.where, f"{number(use.reached, 3)} {use.unit}", f"{number(use.limit, 3)} {use.unit}",
                          percent(use.ratio) if kind != "collision" else "kept" if use.kept else "broken"])  # fmt: skip
         lines += text_table(["nearest to its limit", "where", "reached", "allowed", "share"], rows)
+        lines += [f"  expected standard deviation of {name}: {number(std, 3)} {unit}" for name, unit, std in self.quantities]
         if self.blocks:
             lines.append("  blocks: " + ", ".join(_block_text(b) for b in self.blocks))
         if self.static_run is not None:

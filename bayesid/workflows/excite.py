@@ -108,6 +108,10 @@ def _result(plan: Plan, clock: Clock) -> Excitation:
         options=plan.options.to_dict(), series=plan.series, trajectory=plan.trajectory, blocks=blocks,
         static_run=_static_run(plan), limits=tuple(limit_uses(plan)),
         loads=_loads(experiment, plan.trajectory), base=expected.base, std=expected.std[:r],
+        quantities=tuple(
+            (q.name, q.unit, std)
+            for q, std in zip(plan.task.quantities, plan.task.quantity_stds(plan.series), strict=True)
+        ),
         condition_number=expected.condition_number, notes=(*plan.notes, *left_out), seconds=dict(clock.stop()),
     )  # fmt: skip
 

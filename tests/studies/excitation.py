@@ -1,6 +1,7 @@
 """Are exciting trajectories better than random ones and than published optimised ones, within the same limits?
 
-``python -m tests.studies.excitation`` from the repository runs it and writes ``docs/excitation.json`` and ``docs/excitation.md``.
+``python -m tests.studies.excitation`` from the repository runs it and writes ``docs/excitation.json`` and ``docs/excitation.md``;
+cases that the JSON file holds already are not run again: remove it to begin anew.
 
 *Random*: for each arm `bayesid.excite` once with its defaults (20 s), and the best determinant of 1,000 random motions of the
 same series, each scaled as large as the same limits allow. Torques are checked by Pinocchio's own recursion at ten times the
@@ -16,6 +17,7 @@ is left out.
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import sys
 import tempfile
@@ -211,13 +213,21 @@ def main(arguments: list[str]) -> None:
     parser.add_argument("--tiago", type=Path, help="folder with FIGAROH's motion of a Tiago")
     parser.add_argument("--docs", type=Path, default=ROOT / "docs", help="where the page is written")
     given = parser.parse_args(arguments)
-    random = [against_random(name, given.count, given.seed) for name in ARMS]
-    data = Path(os.environ.get("BAYESID_DATA", ROOT)) / "data"
-    others = [against_published(*case, given.seed) for case in published(data, given.tiago)]
     given.docs.mkdir(parents=True, exist_ok=True)
-    found = {"seed": given.seed, "count": given.count, "random": random, "published": others}
-    rounded = page.write_numbers(found, given.docs / "excitation.json", digits=5)
-    page.write_page(PAGE, given.docs / "excitation.md", **rounded)
+    path, setting = given.docs / "excitation.json", {"seed": given.seed, "count": given.count}
+    found = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    if {key: found.get(key) for key in setting} != setting:
+        found = {**setting, "random": [], "published": []}
+    data = Path(os.environ.get("BAYESID_DATA", ROOT)) / "data"
+    for name in ARMS:
+        if name not in [c["arm"] for c in found["random"]]:
+            found["random"].append(against_random(name, given.count, given.seed))
+            page.write_numbers(found, path, digits=5)
+    for case in published(data, given.tiago):
+        if case[0] not in [c["motion"] for c in found["published"]]:
+            found["published"].append(against_published(*case, given.seed))
+            page.write_numbers(found, path, digits=5)
+    page.write_page(PAGE, given.docs / "excitation.md", **page.write_numbers(found, path, digits=5))
 
 
 if __name__ == "__main__":

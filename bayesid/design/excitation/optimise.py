@@ -24,6 +24,7 @@ from bayesid.design.excitation.criteria import Criterion
 from bayesid.design.excitation.fit import random_feasible, scaled_to_fit
 from bayesid.design.excitation.information import Information
 from bayesid.design.excitation.limits import Limits
+from bayesid.design.excitation.quantities import Quantity
 from bayesid.design.excitation.restore import restored
 from bayesid.design.excitation.series import Coordinates, FourierSeries
 
@@ -50,6 +51,8 @@ class Task:
         Samples that will be recorded in all.
     fine
         Even samples of a period on which limits are tested.
+    quantities
+        Quantities that are told of as well.
     """
 
     information: Information
@@ -59,6 +62,7 @@ class Task:
     dense: Coordinates
     recorded: float
     fine: int
+    quantities: tuple[Quantity, ...] = ()
 
     @property
     def step(self) -> float:
@@ -72,6 +76,12 @@ class Task:
     def matrix(self, series: FourierSeries) -> np.ndarray:
         """Scaled information matrix (r, r)."""
         return self.information.matrix(series.at(self.coordinates.times), self.recorded, self.step)
+
+
+    def quantity_stds(self, series: FourierSeries) -> tuple[float, ...]:
+        """Expected standard deviations of the quantities."""
+        motion = series.at(self.coordinates.times)
+        return tuple(q.std(q.information.matrix(motion, self.recorded, self.step)) for q in self.quantities)
 
 
 @dataclass

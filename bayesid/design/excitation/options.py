@@ -30,8 +30,9 @@ class ExcitationOptions:
         ``wrench``, ``torque`` or ``both``; None: the wrench where there is a sensor.
     static
         Whether a stop-and-go run will follow and be subtracted, as in the paper.
-    criterion, quantity
-        What counts, see `bayesid.design.excitation.criteria`; for ``quantity`` which, see `bayesid.design.excitation.quantities`.
+    criterion, quantities
+        What counts, see `bayesid.design.excitation.criteria`; quantities whose expected deviation is told, and which count for
+        ``quantity``, see `bayesid.design.excitation.quantities`.
     kind
         ``fourier``, or ``liu1998`` for the paper's set-up.
     duration, period, harmonics, rate
@@ -61,7 +62,7 @@ class ExcitationOptions:
     channel: str | None = None
     static: bool = False
     criterion: str = "d"
-    quantity: str | None = None
+    quantities: tuple[str, ...] = ()
     kind: str = "fourier"
     duration: float = 20.0
     period: float | None = None

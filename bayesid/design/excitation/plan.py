@@ -8,11 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayesid.design.excitation.collision import clearance
-from bayesid.design.excitation.criteria import Criterion
 from bayesid.design.excitation.information import Information
 from bayesid.design.excitation.limits import Limits, Load
 from bayesid.design.excitation.optimise import Search, Task, search
 from bayesid.design.excitation.options import ExcitationOptions, largest_accelerations, sensor_ranges
+from bayesid.design.excitation.quantities import criterion_of, parse_quantity
 from bayesid.design.excitation.series import Coordinates, FourierSeries, fitted_series
 from bayesid.design.reading_noise import white_noise
 from bayesid.design.sensor_sets import SENSOR_SETS, SensorSet
@@ -110,6 +110,8 @@ def make_task(experiment: Experiment, options: ExcitationOptions, seed: int = 0)
     if bodies is None:
         why = "the URDF has no collision geometry of bodies that could meet" if options.collisions else "--no-collisions"
         notes.append(f"No collision is checked: {why}.")
+    asked = tuple(parse_quantity(text, experiment, information) for text in options.quantities)
+    criterion, information = criterion_of(options.criterion, asked, information)
     period = options.repeats_after
     samples = max(_SAMPLES, _PER_HARMONIC * options.harmonics)
     coordinates, dense = (
@@ -117,7 +119,7 @@ def make_task(experiment: Experiment, options: ExcitationOptions, seed: int = 0)
         for count in (samples, _DENSER * samples)
     )
     fine = int(np.ceil(FINER * options.rate * period))
-    task = Task(information, Criterion(options.criterion), limits, coordinates, dense, options.rate * options.duration, fine)
+    task = Task(information, criterion, limits, coordinates, dense, options.rate * options.duration, fine, asked)
     return task, tuple([*notes, *more, *told])
 
 
