@@ -62,6 +62,7 @@ _OPTIONS = [
     click.option("--collisions/--no-collisions", default=True, help="Whether bodies of the URDF are kept apart."),
     _number("--margin", "Least distance of bodies [m]."),
     click.option("--ground", type=float, help="Height of a ground that is kept clear [m], in the base frame."),
+    click.option("--diagnosability", type=float, help="Weight of which effects could be told apart; 0: only the table."),
     click.option("--blocks", callback=names, help="Scripted blocks: parked,poses,reversed,ladder, or all."),
     click.option("--stops", type=int, help="Stops of a static run; default: every sample, with --static."),
     _number("--settle", "How long the robot waits at a stop before it is read [s]."),

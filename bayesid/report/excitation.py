@@ -45,6 +45,8 @@ def excitation_report(result: Excitation) -> str:
             {"label": label, "unit": unit, "std": number(std, 3) if np.isfinite(std) else "not determined"}
             for label, unit, std in zip(result.base.labels, result.base.units, result.std, strict=True)
         ],
+        effects=_effects(result),
+        hidden=", ".join(result.diagnosability.hidden) if result.diagnosability else "",
         quantities=[{"name": name, "unit": unit, "std": number(std, 3)} for name, unit, std in result.quantities],
         joints=[
             {"name": name, "centre": number(float(result.series.centre[j]), 5),
@@ -96,6 +98,17 @@ def _cards(result: Excitation) -> list[dict[str, Any]]:
         cards.append({"value": f"{number(result.gain, 2)} ×", "mood": "good" if result.gain > 1 else "fair",
                       "text": f"smaller {what} than the best of {len(result.random)} random motions"})  # fmt: skip
     return cards
+
+
+def _effects(result: Excitation) -> list[dict[str, str]]:
+    if result.diagnosability is None:
+        return []
+    return [
+        {"effect": e.spec, "parameter": e.parameter, "unit": e.unit, "usual": number(e.usual, 2),
+         "smallest": number(e.smallest, 2), "rival": e.rival or DASH, "share": percent(e.share),
+         "named": number(e.named, 2) if np.isfinite(e.named) else "never", "mood": "good" if e.smallest <= e.usual else "fair"}
+        for e in result.diagnosability.effects
+    ]  # fmt: skip
 
 
 def _static_run(result: Excitation) -> str | None:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from bayesid.design.excitation.blocks import Block
+from bayesid.design.excitation.diagnosability import Diagnosability
 from bayesid.design.excitation.series import FourierSeries
 from bayesid.design.excitation.stops import StopAndGo
 from bayesid.dynamics.base_parameters import BaseParameters
@@ -105,6 +106,8 @@ class Excitation(Result):
         Their expected standard deviations (r,); infinite where it does not.
     quantities
         Name, unit and expected standard deviation of the quantities asked for.
+    diagnosability
+        What the motion could show beyond the model, or None.
     condition_number
         Of the whitened regressor with columns of unit length.
     notes
@@ -133,6 +136,7 @@ class Excitation(Result):
     base: BaseParameters
     std: np.ndarray
     quantities: tuple[tuple[str, str, float], ...]
+    diagnosability: Diagnosability | None
     condition_number: float
     notes: tuple[str, ...]
     seconds: Mapping[str, float]
@@ -199,6 +203,14 @@ class Excitation(Result):
                 "every_sample": self.static_run.every_sample,
             },
             "within_limits": self.within_limits, "limits": uses,
+            "diagnosability": None if self.diagnosability is None else {
+                "value": self.diagnosability.value, "hidden": self.diagnosability.hidden,
+                "effects": [
+                    {"effect": e.spec, "parameter": e.parameter, "unit": e.unit, "usual": e.usual, "smallest": e.smallest,
+                     "rival": e.rival, "share": e.share, "named": e.named}
+                    for e in self.diagnosability.effects
+                ],
+            },
             "quantities": [{"name": name, "unit": unit, "std": std} for name, unit, std in self.quantities],
             "rank": self.base.rank, "condition_number": self.condition_number, "base_parameters": parameters,
             "notes": self.notes, "runtime_s": self.seconds,
@@ -231,6 +243,9 @@ class Excitation(Result):
                          percent(use.ratio) if kind != "collision" else "kept" if use.kept else "broken"])  # fmt: skip
         lines += text_table(["nearest to its limit", "where", "reached", "allowed", "share"], rows)
         lines += [f"  expected standard deviation of {name}: {number(std, 3)} {unit}" for name, unit, std in self.quantities]
+        if self.diagnosability is not None:
+            seen = sum(e.smallest <= e.usual for e in self.diagnosability.effects)
+            lines.append(f"  effects that would be seen at their usual size: {seen} of {len(self.diagnosability.effects)}")
         if self.blocks:
             lines.append("  blocks: " + ", ".join(_block_text(b) for b in self.blocks))
         if self.static_run is not None:

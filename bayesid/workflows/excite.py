@@ -103,7 +103,7 @@ def _result(plan: Plan, clock: Clock) -> Excitation:
     return Excitation(
         name=experiment.name, joint_names=experiment.robot.joint_names, prismatic=experiment.robot.prismatic,
         readings=information.sensor_set.title, criterion=plan.options.criterion, criterion_text=CRITERIA[plan.options.criterion],
-        value=-plan.search.value, random=-np.array(plan.search.random),
+        value=-plan.task.judged(plan.series), random=-np.array(plan.search.random),
         history=tuple((seconds, -value) for seconds, value in plan.search.history), interrupted=plan.search.interrupted,
         options=plan.options.to_dict(), series=plan.series, trajectory=plan.trajectory, blocks=blocks,
         static_run=_static_run(plan), limits=tuple(limit_uses(plan)),
@@ -112,7 +112,8 @@ def _result(plan: Plan, clock: Clock) -> Excitation:
             (q.name, q.unit, std)
             for q, std in zip(plan.task.quantities, plan.task.quantity_stds(plan.series), strict=True)
         ),
-        condition_number=expected.condition_number, notes=(*plan.notes, *left_out), seconds=dict(clock.stop()),
+        diagnosability=plan.diagnosability, condition_number=expected.condition_number, notes=(*plan.notes, *left_out),
+        seconds=dict(clock.stop()),
     )  # fmt: skip
 
 

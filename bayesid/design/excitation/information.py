@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesid.design.excitation.criteria import Criterion
+from bayesid.design.excitation.series import FourierSeries
 from bayesid.design.reading_noise import ReadingNoise
 from bayesid.design.sensor_sets import SensorSet
 from bayesid.dynamics.base_parameters import BaseParameters, structural_base
@@ -132,6 +133,13 @@ class Information:
             for total, part in zip((q, v, a), self._effects_gradient(motion, step, beside), strict=True):
                 total += part
         return value, (q, v, a)
+
+    def explaining(self, series: FourierSeries, step: float, samples: int) -> np.ndarray:
+        """Columns of the base parameters and of the effects of the model, in standard deviations (samples c, r + o)."""
+        motion = series.at(step * np.arange(samples))
+        x = self.kernel.dynamics(*motion, gravity=self.sensor_set.gravity) / self.std[None, :, None]
+        others = self._effect_columns(motion, step)
+        return np.concatenate([x, others], axis=2).reshape(samples * len(self.std), -1)
 
     def deviations(self, matrix: np.ndarray) -> np.ndarray:
         """Expected standard deviations of the base parameters (r,), with a scaled information matrix A."""

@@ -94,6 +94,8 @@ class Search:
         The best feasible motion, and its criterion.
     random
         Criterion of every random feasible motion.
+    finalists
+        Criterion and motion of the best of each start.
     history
         (seconds, criterion of the best so far).
     interrupted
@@ -103,15 +105,25 @@ class Search:
     best: FourierSeries | None = None
     value: float = np.inf
     random: list[float] = field(default_factory=list)
+    finalists: list[tuple[float, FourierSeries]] = field(default_factory=list)
     history: list[tuple[float, float]] = field(default_factory=list)
+    _local: tuple[float, FourierSeries] | None = None
     interrupted: bool = False
     _since: float = field(default_factory=time.perf_counter)
 
     def offer(self, series: FourierSeries, value: float) -> None:
         """Take a feasible motion if it is better."""
+        if self._local is None or value < self._local[0]:
+            self._local = value, series
         if value < self.value:
             self.best, self.value = series, value
             self.history.append((self.seconds, value))
+
+    def close(self) -> None:
+        """End a start: its best motion is a finalist."""
+        if self._local is not None:
+            self.finalists.append(self._local)
+        self._local = None
 
     @property
     def seconds(self) -> float:
@@ -172,8 +184,10 @@ def search(
             if found.seconds > seconds and found.best is not None:
                 break
             improve(task, start, found, seconds, lambda text, k=k: tell(f"start {k + 1} of {min(starts, len(pool))}, {text}"))
+            found.close()
     except KeyboardInterrupt:
         found.interrupted = True
+    found.close()
     return found
 
 

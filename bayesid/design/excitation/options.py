@@ -50,6 +50,9 @@ class ExcitationOptions:
         Resonance of the sensor's mount [Hz].
     collisions, margin, ground
         Whether bodies are kept apart, by how much [m], and the height of the ground in the base frame [m].
+    diagnosability
+        Weight of the diagnosability in the choice among the motions found, see `bayesid.design.excitation.diagnosability`; 0: it
+        is only told; None: it is not worked out.
     blocks
         Scripted blocks that are added, see `bayesid.design.excitation.blocks`.
     stops, settle, read
@@ -78,6 +81,7 @@ class ExcitationOptions:
     collisions: bool = True
     margin: float = 0.02
     ground: float | None = None
+    diagnosability: float | None = None
     blocks: tuple[str, ...] = ()
     stops: int | None = None
     settle: float = 0.3
@@ -107,6 +111,8 @@ class ExcitationOptions:
             raise InputError(f"--harmonics {self.harmonics}: give 2 to {_MOST_HARMONICS}; one alone does not start at rest")
         if self.starts < 1 or self.randoms < 1:
             raise InputError(f"--starts {self.starts} and --randoms {self.randoms}: give at least 1 of each")
+        if self.diagnosability is not None and not (np.isfinite(self.diagnosability) and self.diagnosability >= 0):
+            raise InputError(f"--diagnosability {self.diagnosability}: give a weight, 0 or more")
         if not (np.isfinite(self.margin) and self.margin >= 0):
             raise InputError(f"--margin {self.margin}: give a distance in metres, 0 or more")
         if self.periods < 1 or abs(self.periods * self.repeats_after - self.duration) > 1e-6 * self.duration:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayesid.design.excitation.collision import clearance
+from bayesid.design.excitation.diagnosability import Diagnosability, diagnosability
 from bayesid.design.excitation.information import Information
 from bayesid.design.excitation.limits import Limits, Load
 from bayesid.design.excitation.optimise import Search, Task, search
@@ -46,6 +47,8 @@ class Plan:
         The same, sampled as it will be recorded.
     worst
         Largest ratios to the limits, by kind, at ten times the rate.
+    diagnosability
+        What it could show beyond the model, where that was asked for.
     notes
         What was assumed or left out, one line each.
     """
@@ -57,6 +60,7 @@ class Plan:
     series: FourierSeries
     trajectory: Trajectory
     worst: dict[str, np.ndarray]
+    diagnosability: Diagnosability | None
     notes: tuple[str, ...]
 
 
@@ -164,7 +168,7 @@ def make_plan(
             raise EstimationError("interrupted before any motion within all limits was found; let it run longer")
         _explain(task, seed)
     assert found.best is not None
-    series = found.best
+    series, shown, notes = _chosen(experiment, task, options, found, notes, tell)
     name = "trajectory"
     times = np.arange(int(round(options.duration * options.rate)) + 1) / options.rate
     q, v, a = series.at(times)
@@ -173,7 +177,29 @@ def make_plan(
         name, "identification", times, q, v, a, static_positions=static,
         period=series.period if options.periods > 1 else None,
     )  # fmt: skip
-    return Plan(experiment, options, task, found, series, trajectory, task.limits.worst(series, task.fine), notes)
+    return Plan(experiment, options, task, found, series, trajectory, task.limits.worst(series, task.fine), shown, notes)
+
+
+def _chosen(
+    experiment: Experiment, task: Task, options: ExcitationOptions, found: Search, notes: tuple[str, ...],
+    tell: Callable[[str], None],
+) -> tuple[FourierSeries, Diagnosability | None, tuple[str, ...]]:  # fmt: skip
+    """The best motion: of those that the starts ended with, by the criterion and the diagnosability together."""
+    assert found.best is not None
+    if options.diagnosability is None:
+        return found.best, None, notes
+    tell("diagnosability")
+    finalists = [(found.value, found.best)]
+    if options.diagnosability > 0.0:
+        finalists += [(value, series) for value, series in found.finalists if series is not found.best]
+    shown = [diagnosability(experiment, task.information, series, task.recorded) for _, series in finalists]
+    totals = [value + options.diagnosability * d.value for (value, _), d in zip(finalists, shown, strict=True)]
+    k = int(np.argmin(totals))
+    if k:
+        worse, better = finalists[k][0] - found.value, shown[0].value - shown[k].value
+        told = f"Of {len(finalists)} motions not the best by the criterion was taken ({worse:.2g} less), but for diagnosability"
+        notes = (*notes, f"{told} ({better:.2g} better).")
+    return finalists[k][1], shown[k], notes
 
 
 def _moving(experiment: Experiment, options: ExcitationOptions) -> np.ndarray:

@@ -1,0 +1,157 @@
+"""Which effects a planned motion could show, how small, and which it could not tell apart.
+
+The trace z of an effect is what it changes at its usual size in all readings, in standard deviations, less what links and the
+effects of the model explain. It stands out by five standard deviations from ``5 / |z|`` times the usual size on, the minimum
+detectable effect (MDE); another effect, with the derivative columns Q of its parameters made orthonormal, explains the share
+``c^2 = |Q' z|^2 / |z|^2`` of it. A motion's diagnosability is
+
+    mean log MDE / usual size  +  mean over effects of log 1 / (1 - c^2) / 2
+
+(smaller is better): the mean logarithm of the size from which each effect is seen for itself and not for its nearest rival.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayesid.design.excitation.information import Information
+from bayesid.design.excitation.series import FourierSeries
+from bayesid.effects import Effect, MotionSegment, Term
+from bayesid.effects.exact import columns, readings
+from bayesid.errors import InputError
+from bayesid.recordings.experiment import Experiment
+
+DETECTED = 5.0
+#: Samples of a period; parts of a trace that count as nothing; shares up to which two traces count as different.
+_SAMPLES, _NOTHING, _SAME = 300, 1e-5, 1.0 - 1e-6
+
+
+@dataclass(frozen=True)
+class Detectable:
+    """What a motion could show of one effect.
+
+    Attributes
+    ----------
+    spec, parameter, unit
+        The effect and its place; the parameter by which its size is told.
+    usual, smallest
+        A usual size, and the smallest that stands out.
+    rival, share
+        The effect that explains most of its trace, and how much of it; None and 0 without any other.
+    """
+
+    spec: str
+    parameter: str
+    unit: str
+    usual: float
+    smallest: float
+    rival: str | None
+    share: float
+
+    @property
+    def named(self) -> float:
+        """Smallest size that stands out beside the nearest rival; infinite where both leave the same trace."""
+        return self.smallest / float(np.sqrt(1.0 - self.share)) if self.share < _SAME else np.inf
+
+
+@dataclass(frozen=True)
+class Diagnosability:
+    """What a motion could show beyond the model.
+
+    Attributes
+    ----------
+    effects
+        One entry an effect and place, those that are seen worst first.
+    hidden
+        Effects that links or the model's own effects explain wholly, at any size.
+    """
+
+    effects: tuple[Detectable, ...]
+    hidden: tuple[str, ...]
+
+    @property
+    def value(self) -> float:
+        """The mean logarithm of sizes, see the module; those with a rival of the same trace count as seen only."""
+        sizes = [(e.named if np.isfinite(e.named) else e.smallest) / e.usual for e in self.effects]
+        return float(np.mean(np.log(sizes))) if sizes else 0.0
+
+
+def diagnosability(experiment: Experiment, information: Information, series: FourierSeries, recorded: float) -> Diagnosability:
+    """What a motion could show of every effect of the library that acts on these readings.
+
+    Parameters
+    ----------
+    experiment
+        Its robot, links, model and library.
+    information
+        What is read and estimated.
+    series
+        The motion.
+    recorded
+        Samples in all.
+    """
+    robot, channels, links = experiment.robot, information.channels, experiment.robot.nominal
+    gravity = information.sensor_set.gravity
+    step = series.period / _SAMPLES
+    times = step * np.arange(_SAMPLES)
+    segment = MotionSegment(times, *series.at(times), cell=step)
+    weight = np.sqrt(recorded / _SAMPLES) / information.std
+    nothing = readings(robot, channels, segment, links, gravity=gravity)
+    nuisance = _orthonormal(information.explaining(series, step, _SAMPLES))
+    found: list[tuple[Effect, np.ndarray, np.ndarray]] = []
+    hidden = []
+    for effect in _library(experiment, information):
+        usual = tuple(float(v) for v in effect.typical(robot))
+        with np.errstate(all="ignore"):  # what diverges is left out
+            whole = readings(robot, channels, segment, links, (Term(effect, usual),), gravity=gravity) - nothing
+            parts = columns(robot, channels, segment, links, (), effect, usual, gravity=gravity)
+        if not np.isfinite(whole).all() or not np.isfinite(parts).all() or not whole.any():
+            continue
+        trace = (whole * weight).ravel()
+        rest = trace - nuisance @ (nuisance.T @ trace)
+        if np.linalg.norm(rest) < _NOTHING * np.linalg.norm(trace):
+            hidden.append(effect.spec)
+            continue
+        own = (parts * weight[:, None]).reshape(len(trace), -1)
+        found.append((effect, rest, _orthonormal(own - nuisance @ (nuisance.T @ own))))
+    traces = np.array([rest / np.linalg.norm(rest) for _, rest, _ in found]).reshape(len(found), -1)
+    shares = np.array([np.sum((basis.T @ traces.T) ** 2, axis=0) for *_, basis in found]).reshape(len(found), len(found))
+    np.fill_diagonal(shares, -1.0)
+    out = []
+    for k, (effect, rest, _) in enumerate(found):
+        usual = np.asarray(effect.typical(robot), float)
+        by = int(np.flatnonzero(usual)[0])
+        nearest = int(np.argmax(shares[:, k]))
+        rival, share = (found[nearest][0].spec, float(np.clip(shares[nearest, k], 0.0, 1.0))) if len(found) > 1 else (None, 0.0)
+        size = abs(float(usual[by]))
+        smallest = DETECTED / float(np.linalg.norm(rest)) * size
+        out.append(Detectable(effect.spec, effect.parameters[by], effect.units[by], size, smallest, rival, share))
+    out.sort(key=lambda e: -e.smallest / e.usual)
+    return Diagnosability(tuple(out), tuple(hidden))
+
+
+def _library(experiment: Experiment, information: Information) -> list[Effect]:
+    """Every effect that the library has for these readings, at each of its places, but those of the model."""
+    names = [name for name, c in experiment.library.classes.items() if not c.once and c.columns_of is None]
+    own, joints = {e.spec for e in information.effects}, experiment.robot.joint_names
+    out: list[Effect] = []
+    for name in names:
+        try:
+            found = experiment.library.parse([name], joints, information.channels.names, experiment.gear_ratio)
+        except InputError:  # it needs what the experiment does not state
+            continue
+        gone = [] if information.sensor_set.gravity else [e for e in found if e.removed_by_static_run]
+        out += [e for e in found if e.spec not in own and e not in gone and any(e.typical(experiment.robot))]
+    return out
+
+
+def _orthonormal(matrix: np.ndarray) -> np.ndarray:
+    """An orthonormal basis of columns (rows, at most k), without directions that are not there."""
+    length = np.linalg.norm(matrix, axis=0)
+    alive = length > 1e-9 * max(float(length.max(initial=0.0)), 1e-300)
+    if not alive.any():
+        return matrix[:, :0]
+    u, s, _ = np.linalg.svd(matrix[:, alive] / length[alive], full_matrices=False)
+    return u[:, s > 1e-8 * s[0]]
