@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -133,3 +134,11 @@ def test_a_list_that_is_not_there_and_a_joint_that_does_not_exist(tmp_path):
         read_sensors(tmp_path / "no.toml", bench("ur5").experiment.robot)
     with pytest.raises(InputError, match='sensor "w"'):
         outlooks(tmp_path, '[[sensor]]\nname = "w"\nkind = "wrist"\njoint = "nowhere"\nnoise = [0.1, 0.01]\n')
+
+
+def test_the_list_in_the_documentation_can_be_read(tmp_path):
+    page = (Path(__file__).parents[2] / "docs" / "howto-accuracy.md").read_text(encoding="utf-8")
+    (text,) = re.findall(r"^```toml\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
+    (tmp_path / "sensors.toml").write_text(text, encoding="utf-8")
+    found = read_sensors(tmp_path / "sensors.toml", bench("puma").experiment.robot)
+    assert [c.kind for c in found] == ["base", "plate", "wrist", "torque"]
