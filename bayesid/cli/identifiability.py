@@ -40,11 +40,17 @@ def _noise(_context, _parameter, value: str | None) -> dict[str, float] | None:
 
 @click.command()
 @EXPERIMENT
-@click.option("--trajectory", type=click.Path(path_type=Path), help="A planned motion (columns t, q1 ...) in place of tables.")
+@click.option(
+    "--trajectory",
+    type=click.Path(path_type=Path),
+    multiple=True,
+    help="A planned motion (columns t, q1 ...) as excite writes it, in place of the tables.",
+)
 @click.option("--sensor-sets", callback=names, help="Sensor sets, separated by commas; default all.")
 @click.option("--noise", callback=_noise, help="Noise of one sample, such as force=0.5,moment=0.05,torque=1,tau2=2.")
 @click.option("--motions", callback=names, help="Motions that count, separated by commas.")
 @click.option("--effects", callback=names, help="Effects in the model, separated by commas.")
+@click.option("--tell", callback=names, help="Effects to be told apart, such as sensor_delay,base_tilt.")
 @click.option("--bandwidth", type=float, help="Bandwidth of the joint motion [Hz]; default: from the positions.")
 @MODEL
 @EFFECTS_FROM
@@ -56,9 +62,9 @@ def identifiability(experiment, trajectory, model, effects_from, out, **options)
     with show_progress() as progress:
         progress("reading")
         library = own_effects(effects_from)
-        loaded = load_experiment(experiment, library, planned=True) if trajectory is None else load_setup(experiment, library)
+        loaded = load_experiment(experiment, library, planned=True) if not trajectory else load_setup(experiment, library)
         loaded = loaded if model is None else loaded.with_model(model)
-        result = bayesid.identifiability(loaded, trajectory, progress=progress, **options)
+        result = bayesid.identifiability(loaded, trajectory or None, progress=progress, **options)
         progress("report")
         report = result.write(output_folder(out, loaded.name, "identifiability"))
     click.echo(str(result))

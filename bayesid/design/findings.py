@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from bayesid.design.advice import Advice
 from bayesid.design.identifiability import SetReport
+from bayesid.design.separability import Separation
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -29,6 +30,8 @@ class Findings:
         The one whose readings an estimate would use by default.
     advice
         What would make a difference, most important first.
+    separations
+        How well effects are told apart, by the name of the sensor set; empty where nobody asked.
     warnings
         What the user should know, most important first.
     seconds
@@ -42,5 +45,6 @@ class Findings:
     sensor_sets: tuple[SetReport, ...]
     main: SetReport
     advice: tuple[Advice, ...] = ()
+    separations: Mapping[str, tuple[Separation, ...]] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     seconds: dict[str, float] = field(default_factory=dict)

@@ -12,7 +12,7 @@ from bayesid.report.identifiability_figures import classes, expected
 from bayesid.report.notation import short_names
 from bayesid.report.page import render, run_times, svg, versions
 from bayesid.results.identifiability import Identifiability, own_std
-from bayesid.results.identifiability_text import counts, effect_lines, lead, share, sources, spread
+from bayesid.results.identifiability_text import TOLD_HEAD, counts, effect_lines, lead, share, sources, spread, told
 from bayesid.results.text import DASH, number, percent
 
 _SOURCES = {
@@ -45,6 +45,8 @@ def identifiability_report(result: Identifiability) -> str:
         prior=any(b.prior_share is not None for b in main.base_parameters),
         unexcited=main.unexcited,
         effects=[{"name": n, "text": t} for n, t in effect_lines(main)],
+        told=told(result) if result.separations else [],
+        told_head=TOLD_HEAD,
         how=_how(result),
     )
 

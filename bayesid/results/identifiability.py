@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 from bayesid.design.findings import Findings
@@ -56,6 +56,9 @@ class Identifiability(Findings, Result):
             "classes": WORDS,
             "sensor_sets": [_set(r) for r in self.sensor_sets],
             "advice": [{"about": a.about, "text": a.text, "gain": a.gain} for a in self.advice],
+            "tell": [
+                {"sensor_set": name, "pairs": [asdict(pair) for pair in pairs]} for name, pairs in self.separations.items()
+            ],
             "warnings": list(self.warnings),
             "runtime_s": self.seconds,
         })  # fmt: skip

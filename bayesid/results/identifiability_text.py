@@ -9,10 +9,13 @@ from bayesid.design.advice import brief
 from bayesid.design.findings import Findings
 from bayesid.design.identifiability import EffectExpectation, SetReport
 from bayesid.design.visibility import WEAK, WORDS
+from bayesid.results.telling import chance
 from bayesid.results.text import DASH, html_table, number, percent, text_table
 
 #: Names of parameters that are written out; more are counted.
 _NAMED = 12
+#: Larger shares of a usual size are no size that an effect has.
+_HUGE = 1e3
 _HEAD = ["readings", "rank", "of any motion", "better than size", "condition", "noise from"]
 
 
@@ -96,6 +99,23 @@ def effect_lines(report: SetReport) -> list[tuple[str, str]]:
     return lines
 
 
+TOLD_HEAD = ["readings", "true", "other", "seen alone", "left", "probability", "told from"]
+
+
+def told(result: Findings) -> list[list[str]]:
+    """How well effects are told apart: a row for each sensor set, true effect and other one; squared standard deviations."""
+    rows = []
+    for report in result.sensor_sets:
+        pairs = result.separations.get(report.sensor_set.name, ())
+        for p in pairs:
+            least = DASH if p.smallest is None or p.smallest > _HUGE else share(p.smallest)
+            names = [report.sensor_set.title, p.true, p.other]
+            rows.append([*names, number(p.seen, 3), number(p.noncentrality, 3), chance(p.probability), least])
+        if not pairs:
+            rows.append([report.sensor_set.title, "not both seen", "", DASH, DASH, DASH, DASH])
+    return rows
+
+
 def as_text(result: Findings) -> str:
     """A few dozen lines for a terminal."""
     main = result.main
@@ -112,6 +132,9 @@ def as_text(result: Findings) -> str:
     lines += [f"  effect {name}: {text}" for name, text in effect_lines(main)]
     lines += ["What would make a difference:"] if result.advice else []
     lines += [f"  - {a.text}" for a in result.advice]
+    if result.separations:
+        lines.append("Telling effects apart, each at its usual size; told from: share of that size that is enough:")
+        lines += [f"  {line}" for line in text_table(TOLD_HEAD, told(result))]
     lines += [f"  warning: {w}" for w in result.warnings]
     return "\n".join(lines)
 

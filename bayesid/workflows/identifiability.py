@@ -16,12 +16,11 @@ from bayesid.design.expected import Expected, expected_factors
 from bayesid.design.identifiability import Plan, SetReport, report_of, set_report, with_differences
 from bayesid.design.reading_noise import ReadingNoise, dispersed, recorded_noise, white_noise
 from bayesid.design.sensor_sets import SENSOR_SETS, SensorSet
+from bayesid.design.separability import pair_of, separations
 from bayesid.design.visibility import shown
 from bayesid.errors import InputError
 from bayesid.estimators.weights import learn_weights
 from bayesid.recordings.experiment import Experiment, Motion, Sensor, load_experiment, load_setup
-from bayesid.recordings.motion_checks import check_trajectory
-from bayesid.recordings.reader import read_table
 from bayesid.regression.options import NOT_FOR_REGRESSIONS, FitOptions
 from bayesid.regression.readings import default_channel
 from bayesid.regression.regression import Regression
@@ -30,20 +29,26 @@ from bayesid.results.files import Files, files_of
 from bayesid.results.identifiability import Identifiability
 from bayesid.robot.robot import Robot
 from bayesid.simulation.trajectories import Trajectory, fourier_trajectory
+from bayesid.simulation.trajectory_file import read_trajectory
 from bayesid.workflows.progress import Clock, Progress, quiet
 
 _TAKES = "pass the folder of an experiment, an Experiment, a Robot with trajectories, or a Regression"
 
 
+#: A planned motion: a table's path, or a trajectory.
+Planned = str | Path | Trajectory
+
+
 def identifiability(
     given: Experiment | Robot | Regression | str | Path,
-    trajectories: str | Path | Trajectory | Sequence[Trajectory] | None = None,
+    trajectories: Planned | Sequence[Planned] | None = None,
     *,
     sensor_sets: Sequence[str] | None = None,
     noise: Mapping[str, float] | None = None,
     motions: Sequence[str] | None = None,
     effects: Sequence[str] | None = None,
     bandwidth: float | None = None,
+    tell: Sequence[str] | None = None,
     progress: Progress = quiet,
 ) -> Identifiability:
     """What motions can and cannot determine, for each sensor set side by side, and what would make the difference.
@@ -53,8 +58,8 @@ def identifiability(
     given
         An experiment or its folder, whose tables need no readings; a robot; or rows of one's own.
     trajectories
-        Planned motions in place of the experiment's: a table with columns ``t`` and ``q1`` ..., or trajectories. A robot without
-        any gets a random motion within its limits.
+        Planned motions in place of the experiment's: tables with columns ``t`` and ``q1`` ..., as `bayesid.excite` writes them,
+        or trajectories. A robot without any gets a random motion within its limits.
     sensor_sets
         Names of `bayesid.design.sensor_sets.SENSOR_SETS`; default all.
     noise
@@ -66,6 +71,8 @@ def identifiability(
         Replaces ``[model] effects``.
     bandwidth
         Of recorded joint motion [Hz]; default chosen as for a fit.
+    tell
+        Effects, ``name@where``, for which it is asked how well these motions would tell them apart.
     progress
         Called with the name of every stage.
 
@@ -79,7 +86,7 @@ def identifiability(
     with threadpool_limits(1, user_api="blas"):
         clock("reading")
         if isinstance(given, Regression):
-            if trajectories is not None or sensor_sets or noise or motions or effects is not None or bandwidth is not None:
+            if any(given is not None for given in (trajectories, sensor_sets, noise, motions, effects, bandwidth, tell)):
                 raise InputError(NOT_FOR_REGRESSIONS.format("identifiability"))
             return _of_regression(given, clock)
         sets = _sets(sensor_sets)
@@ -87,7 +94,7 @@ def identifiability(
         asked = _motions(experiment, planned, motions)
         if effects is not None:
             experiment = replace(experiment, effects=tuple(effects))
-        return _of_motions(experiment, asked, sets, noise, bandwidth, clock)
+        return _of_motions(experiment, asked, sets, noise, bandwidth, tell, clock)
 
 
 @figures_of.register
@@ -114,7 +121,7 @@ def _sets(names: Sequence[str] | None) -> list[SensorSet]:
 
 
 def _experiment(
-    given: object, trajectories: str | Path | Trajectory | Sequence[Trajectory] | None
+    given: object, trajectories: Planned | Sequence[Planned] | None
 ) -> tuple[Experiment, list[Motion | Trajectory] | None]:
     """The robot and its model, and planned motions where there are any."""
     planned: list[Motion | Trajectory] | None = None
@@ -128,30 +135,24 @@ def _experiment(
         experiment = given
     else:
         raise InputError(f"a {type(given).__name__} is given for the experiment: {_TAKES}")
-    if isinstance(trajectories, (str, Path)):
-        planned = [_table(Path(trajectories), experiment.robot)]
-    elif trajectories is not None:
-        planned = [trajectories] if isinstance(trajectories, Trajectory) else list(trajectories)
-        for t in planned:
-            _check(t, experiment.robot)
+    if trajectories is not None:
+        several = [trajectories] if isinstance(trajectories, (str, Path, Trajectory)) else list(trajectories)
+        planned = [_planned(t, experiment.robot) for t in several]
     return experiment, planned
 
 
-def _table(path: Path, robot: Robot) -> Motion:
-    """A planned motion from a table of times and positions."""
-    table, _ = read_table(path, path.name, robot.n, False)
-    check_trajectory(table, robot, None)
-    return Motion(path.stem, "identification", replace(table, torques=None))
-
-
-def _check(trajectory: object, robot: Robot) -> None:
-    if not isinstance(trajectory, Trajectory):
-        raise InputError(f"a {type(trajectory).__name__} is given among the trajectories; pass bayesid.Trajectory objects")
-    if trajectory.positions.shape[1] != robot.n:
+def _planned(given: object, robot: Robot) -> Trajectory:
+    """A planned motion, or that of a table."""
+    if isinstance(given, (str, Path)):
+        return read_trajectory(given, robot)
+    if not isinstance(given, Trajectory):
+        raise InputError(f"a {type(given).__name__} is given among the trajectories; pass tables or bayesid.Trajectory objects")
+    if given.positions.shape[1] != robot.n:
         raise InputError(
-            f"trajectory '{trajectory.name}': {trajectory.positions.shape[1]} joints but the robot has {robot.n}; "
+            f"trajectory '{given.name}': {given.positions.shape[1]} joints but the robot has {robot.n}; "
             "give one column for each joint"
         )
+    return given
 
 
 def _motions(
@@ -174,7 +175,7 @@ def _motions(
 
 def _of_motions(
     experiment: Experiment, motions: list[Motion | Trajectory], sets: list[SensorSet], given: Mapping[str, float] | None,
-    bandwidth: float | None, clock: Clock,
+    bandwidth: float | None, tell: Sequence[str] | None, clock: Clock,
 ) -> Identifiability:  # fmt: skip
     sensor, robot = experiment.sensor, experiment.robot
     noise = white_noise(robot, given, force_std=sensor and sensor.force_std, torque_std=sensor and sensor.torque_std)
@@ -187,6 +188,7 @@ def _of_motions(
         if any(s.channel != "torque" for s in sets):
             warnings.append("There is no [sensor]: what a wrench would show is told for one under the base, in the base frame.")
     plan = Plan.of(replace(experiment, sensor=sensor), motions)
+    rivals = None if tell is None else pair_of(plan, tell)
     reports = []
     for s in sets:
         clock(s.title)
@@ -200,6 +202,10 @@ def _of_motions(
         warnings.insert(0, f"The noise of the {' and '.join(assumed)} is assumed: state it with --noise, for standard deviations "
                         "that hold; ranks and classes hardly depend on it.")  # fmt: skip
     advice = advise(plan, reports, main, noise)
+    apart = {}
+    if rivals is not None:
+        clock("telling effects apart")
+        apart = {s.name: separations(plan, s, noise, rivals, bandwidth=bandwidth) for s in sets}
     return Identifiability(
         name=experiment.name,
         source="recorded" if main.recorded else "planned",
@@ -208,6 +214,7 @@ def _of_motions(
         sensor_sets=tuple(reports),
         main=main,
         advice=advice,
+        separations=apart,
         warnings=tuple(warnings),
         seconds=clock.stop(),
     )
