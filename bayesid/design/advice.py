@@ -21,6 +21,8 @@ from bayesid.simulation.trajectories import Trajectory, fourier_trajectory
 _SHARE, _RATE, _LONGEST = 0.8, 100.0, 60.0
 #: Standard deviations that differ by less than this factor count as alike.
 _ALIKE = 1.3
+#: Beyond this factor a fit leaves more than the data sheet's noise.
+_LACKING = 2.0
 _NAMED, _LONG = 3, 40
 
 
@@ -43,7 +45,9 @@ class Advice:
     gain: int = 0
 
 
-def advise(plan: Plan, reports: Sequence[SetReport], main: SetReport, noise: ReadingNoise) -> tuple[Advice, ...]:
+def advise(
+    plan: Plan, reports: Sequence[SetReport], main: SetReport, noise: ReadingNoise, sheet: ReadingNoise | None = None
+) -> tuple[Advice, ...]:
     """What would make a difference for the readings that an estimate would use, most important first.
 
     Parameters
@@ -56,8 +60,12 @@ def advise(plan: Plan, reports: Sequence[SetReport], main: SetReport, noise: Rea
         That of the readings that would be used.
     noise
         Of single readings.
+    sheet
+        The same as the sensor's data sheet has it, where ``noise`` is what a fit leaves of recorded readings.
     """
-    return (*_motion(plan, main), *_effects(main), *_sensors(reports, main), *_sizes(plan, main, noise), *_prior(plan, main))
+    of_noise = [] if sheet is None else _noise(plan, main, sheet)
+    parts = _motion(plan, main), _effects(main), _sensors(reports, main), _sizes(plan, main, noise), of_noise, _prior(plan, main)
+    return tuple(a for part in parts for a in part)
 
 
 def listed(labels: Sequence[str]) -> str:
@@ -176,13 +184,28 @@ def _sizes(plan: Plan, main: SetReport, noise: ReadingNoise) -> list[Advice]:
     if middle > _ALIKE:
         text = (
             f"{_sentence(beside)} would make standard deviations {middle:.2g} times smaller in the middle, at most "
-            f"{ratios[worst]:.2g} times ({brief(worst)}): move faster and further."
+            f"{ratios[worst]:.2g} times ({brief(worst)}): move faster and further, or let `bayesid excite` find the motion."
         )
         out.append(Advice("motion", text))
     elif middle * _ALIKE < 1.0:
         text = f"These motions tell more than {beside} whose standard deviations would be {1 / middle:.2g} times as large."
         out.append(Advice("motion", text))
     return out
+
+
+def _noise(plan: Plan, main: SetReport, sheet: ReadingNoise) -> list[Advice]:
+    """What a model that leaves nothing but the sensor's noise would know."""
+    best = report_of(plan, main.sensor_set, sheet)
+    pairs = zip(main.base_parameters, best.base_parameters, strict=True) if best.rank == main.rank else ()
+    ratio = float(np.median([ours.std / theirs.std for ours, theirs in pairs] or [1.0]))
+    if ratio < _LACKING:
+        return []
+    text = (
+        "A fit leaves more of the readings than the sensor's noise: with the data sheet's alone, standard deviations would be "
+        f"{ratio:.2g} times smaller in the middle, and {best.well_known} of {best.rank} smaller than the size of a body. "
+        "The model lacks something: `bayesid diagnose` looks for it."
+    )
+    return [Advice("noise", text, best.well_known - main.well_known)]
 
 
 def _prior(plan: Plan, main: SetReport) -> list[Advice]:

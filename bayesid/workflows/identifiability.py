@@ -181,6 +181,7 @@ def _of_motions(
     noise = white_noise(robot, given, force_std=sensor and sensor.force_std, torque_std=sensor and sensor.torque_std)
     warnings = list(experiment.warnings)
     clock("noise")
+    sheet = noise
     if all(isinstance(m, Motion) for m in motions):
         noise, bandwidth = _recorded(experiment, noise, motions, bandwidth, warnings)
     if sensor is None:
@@ -201,7 +202,8 @@ def _of_motions(
     if assumed:
         warnings.insert(0, f"The noise of the {' and '.join(assumed)} is assumed: state it with --noise, for standard deviations "
                         "that hold; ranks and classes hardly depend on it.")  # fmt: skip
-    advice = advise(plan, reports, main, noise)
+    beside = set(main.noise.values()) == {"readings"} and {sheet.sources[k] for k in main.noise} == {"data sheet"}
+    advice = advise(plan, reports, main, noise, sheet if beside else None)
     apart = {}
     if rivals is not None:
         clock("telling effects apart")
