@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ import numpy as np
 import pinocchio as pin
 
 from bayesid.dynamics.kinematics import link_states
+from bayesid.effects.segment import Results
 from bayesid.robot.robot import Robot
 from bayesid.robot.urdf_file import read_urdf
 
@@ -52,7 +53,6 @@ class Clearance:
     scale: float
     notes: tuple[str, ...]
     _scene: _Scene
-    _last: dict[str, Any] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         return f"<Clearance: {len(self.names)} pairs of bodies, {self.margin:g} m>"
@@ -86,10 +86,7 @@ class Clearance:
 
     def _witnesses(self, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Distances (N, p), normals from the first to the second body (N, p, 3), nearest points (N, p, 2, 3)."""
-        key = positions.tobytes()
-        if self._last.get("key") != key:
-            self._last.update(key=key, found=self._scene.witnesses(positions))
-        return self._last["found"]
+        return self._scene.kept.get(positions.tobytes(), lambda: self._scene.witnesses(positions))
 
 
 class _Scene:
@@ -103,6 +100,7 @@ class _Scene:
         for name, angle in locked.items():
             self.still[model.joints[model.getJointId(name)].idx_v] = angle
         self.neutral = pin.neutral(model)
+        self.kept = Results(1)  # the gradient follows the ratios at the same positions
 
     def witnesses(self, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """As `Clearance._witnesses`; Coal has no call for many positions at once."""

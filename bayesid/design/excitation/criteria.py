@@ -6,7 +6,7 @@ for what is known beforehand ([Chaloner1995]_); no choice of units changes it. F
     d          sum log l_i / r                  the volume of the unchance ellipsoid (to be maximised)
     a          sum 1 / l_i / r                  the mean variance
     e          max 1 / l_i                      the variance of the worst direction
-    condition  sqrt(max l_i / min l_i)          how uneven the directions are, of ``D^-1/2 A D^-1/2`` with the diagonal D of A
+    condition  sqrt(max l_i / min l_i)          how uneven the directions are, here in SI units and with all channels alike
     quantity   trace(C' A^-1 C)                 the variance of chosen quantities ``C' beta``
 
 Largest and smallest eigenvalues are replaced by means of their powers, ``(sum l_i^p)^(1/p)``, which have a gradient where two
@@ -94,8 +94,7 @@ class Criterion:
 
     def __call__(self, information: np.ndarray) -> Value:
         """Value and gradient (r, r), both of the scaled information matrix (r, r)."""
-        length = np.sqrt(np.diag(information)) if self.name == "condition" else np.ones(len(information))
-        values, vectors = np.linalg.eigh(information / np.outer(length, length))
+        values, vectors = np.linalg.eigh(information)
         values = np.maximum(values, 1e-12 * max(values[-1], 1e-300))
         if self.quantities is not None:
             inside = vectors.T @ self.quantities
@@ -104,10 +103,4 @@ class Criterion:
             solved = vectors @ solved
             return float(np.log(variance)), -(solved @ solved.T) / variance
         value, slope = _OF_EIGENVALUES[self.name](values)
-        gradient = (vectors * slope) @ vectors.T
-        if self.name != "condition":
-            return value, gradient
-        # C_ij = A_ij / sqrt(A_ii A_jj): through the entry itself, and through both lengths.
-        gradient = gradient / np.outer(length, length)
-        inner = np.sum(gradient * information, axis=1) / length**2
-        return value, gradient - np.diag(inner)
+        return value, (vectors * slope) @ vectors.T

@@ -101,9 +101,9 @@ def criterion_of(name: str, quantities: Sequence[Quantity], information: Informa
     InputError
         There is no such criterion, or no quantity for it, or they are functions of different parameters.
     """
-    if name == "condition":  # of columns of unit length: their units do not matter, but they must stay the columns that they are
-        own = np.sqrt(np.sum(information.scale**2, axis=1))
-        return Criterion(name), replace(information, scale=np.diag(own))
+    if name == "condition":  # of the base regressor as it is: with columns of unit length, hardly moving joints would look well
+        alike = {"scale": np.eye(information.base.rank), "std": np.ones(len(information.channels))}
+        return Criterion(name), replace(information, **alike)
     if name != "quantity" or not quantities:
         return Criterion(name), information
     first = quantities[0].information
