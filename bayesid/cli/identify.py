@@ -32,7 +32,7 @@ from bayesid.results.files import check_output
 @OUT
 @UNUSED_SEED
 def identify(experiment, filter_l, filter_d, model, effects_from, method, bounds, out, **options) -> None:
-    """Base parameters with their unchance, link parameters, and held-out validation."""
+    """Base parameters with their uncertainty, link parameters, and held-out validation."""
     check_output(out or OUTPUTS, "identify")
     filters = low_pass(filter_l, filter_d)
     chosen = bayesid.estimator(method)

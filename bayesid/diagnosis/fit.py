@@ -52,7 +52,7 @@ class Fit:
     score
         See the module.
     covariance
-        Of the effects' free parameters in the order of ``terms`` (k, k), the links' unchance included.
+        Of the effects' free parameters in the order of ``terms`` (k, k), the links' uncertainty included.
     free
         (term, parameter) of each of them.
     coordinates

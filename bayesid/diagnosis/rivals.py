@@ -29,7 +29,7 @@ class Found:
     gain
         Log evidence lost without it, divided by the dispersion factor.
     std
-        Standard deviations of its values, the links' unchance included.
+        Standard deviations of its values, the links' uncertainty included.
     rivals
         Other effects that explain it nearly as well, with the log evidence they lack.
     """

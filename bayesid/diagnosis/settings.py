@@ -157,7 +157,7 @@ class Settings:
     #: Time that the bootstrap takes for independent of the next [s], and how often it draws.
     bootstrap_block: float = 1.5
     bootstrap_draws: int = 999
-    #: A floor this many times the noise says that predictions of unseen motions are vague: their unchance exceeds the
+    #: A floor this many times the noise says that predictions of unseen motions are vague: their uncertainty exceeds the
     #: noise.
     vague_floor: float = 1.5
     #: From here on the slope of a drift is lost in its size at the start [s]: a day.

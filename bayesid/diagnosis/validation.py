@@ -23,9 +23,9 @@ class Gap:
     before, after
         With the user's model and with the effects found.
     floor
-        What is expected of a complete model: noise, and the unchance of the fitted parameters on another motion.
+        What is expected of a complete model: noise, and the uncertainty of the fitted parameters on another motion.
     bare_floor
-        The same for the user's model: noise, and the unchance of the links.
+        The same for the user's model: noise, and the uncertainty of the links.
     closed, closed_low
         ``(before^2 - after^2) / (before^2 - floor^2)``, and the lower end of its one-sided 95 % interval, by bootstrap
         over blocks of time. NaN where there was no gap: ``before`` is no more than the floor.
@@ -117,7 +117,7 @@ def _by_blocks(segment: Segment, before: np.ndarray, after: np.ndarray) -> np.nd
 
 
 def _parameter_share(projector: NuisanceProjector, best: Fit, dispersion: float) -> float:
-    """Expected sum of squares that the unchance of links and effects adds to whitened residuals of other motions."""
+    """Expected sum of squares that the uncertainty of links and effects adds to whitened residuals of other motions."""
     data = projector.data
     effects = without_offset(data, data.unseen, model_rows(data, data.unseen, best.links, best.terms))
     share = 0.0

@@ -68,7 +68,7 @@ def _lead(result: ControllerBounds) -> str:
     text = (
         f"With probability 95 % all {len(region.values)} parameters of the joint torques are in one ellipsoid of rho_V = "
         f"{number(region.ellipsoid, 4)}; the model's mass matrix is {number(w.ratio[0], 4)} to {number(w.ratio[1], 4)} times the "
-        f"true one over the workspace. All {len(result.links)} robots drawn within the unchance can exist, and their mass "
+        f"true one over the workspace. All {len(result.links)} robots drawn within the uncertainty can exist, and their mass "
         "matrices are positive definite. "
     )
     text += f"{driven} of the parameters are driven by the prior. " if driven else "The data determine all of the parameters. "

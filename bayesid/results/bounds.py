@@ -143,7 +143,7 @@ class ControllerBounds(Result):
 
     @property
     def links(self) -> np.ndarray:
-        """Links that can exist, drawn within the unchance (m, 10 b)."""
+        """Links that can exist, drawn within the uncertainty (m, 10 b)."""
         return self.known.links.links
 
     def torque(self, q: np.ndarray, v: np.ndarray, a: np.ndarray, times: np.ndarray | None = None) -> Band:
@@ -277,7 +277,7 @@ class ControllerBounds(Result):
             },
             "rho": self.rho, "rho_V": self.ellipsoid,
             "workspace": self.workspace.to_dict(),
-            "other_unchance": None if self.remainder is None else self.remainder.to_dict(),
+            "other_uncertainty": None if self.remainder is None else self.remainder.to_dict(),
             "inside_joints": self.inside.to_dict(),
             "trained_std": {"torque": self.trained[0].tolist(), "wrench": self.trained[1].tolist()},
             "trajectories": [t.to_dict() for t in self.trajectories],

@@ -39,7 +39,7 @@ def facts(region: Region, effort_ratio: float, w: Workspace, left: Remainder | N
     if left is not None:
         kind = "motions that were not fitted" if left.held_out else "the fitted motions"
         bounds = ", ".join(number(b, 3) for b in left.bound)
-        out.append(("other unchance", f"99 % of the torques of {kind} within {bounds}"))
+        out.append(("other uncertainty", f"99 % of the torques of {kind} within {bounds}"))
     return out
 
 

@@ -60,7 +60,7 @@ class Entry:
 
     @property
     def conflicting(self) -> bool:
-        """Whether no links that can exist are within the estimate's unchance."""
+        """Whether no links that can exist are within the estimate's uncertainty."""
         return self.urdf is not None and self.urdf.moved is not None and not self.urdf.moved.inside
 
     @property

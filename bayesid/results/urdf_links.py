@@ -91,13 +91,13 @@ class UrdfLinks:
             edge = f"; at the edge of what can exist: {_first(moved.on_boundary)}" if moved.on_boundary else ""
             furthest = f"; moved furthest: {_first(labels)}" if labels else ""
             out.append(
-                "No bodies that can exist have base parameters inside the estimate's unchance: those of identified.urdf "
+                "No bodies that can exist have base parameters inside the estimate's uncertainty: those of identified.urdf "
                 f"are {moved.distance:.3g} sigma away, jointly ({_radius(moved)}){edge}{furthest}. Something is missing in the "
                 "model, such as friction or rotor inertia: `bayesid diagnose` looks for it."
             )
         for motion, (estimate, links) in self.errors.items():
             if links > (1.0 + LARGEST_GROWTH) * estimate:
-                why = "stays inside the unchance, which is wide" if inside else "is a robot that can exist"
+                why = "stays inside the uncertainty, which is wide" if inside else "is a robot that can exist"
                 out.append(
                     f"identified.urdf predicts '{motion}' with {100 * links:.3g} % error, the base parameters with "
                     f"{100 * estimate:.3g} %: it {why}. Predict with the base parameters, simulate with the URDF."

@@ -72,7 +72,7 @@ class Prediction:
     whitened_rms_by_channel
         (c,).
     expected_rms
-        What ``whitened_rms`` is on average of a complete model: noise, and the unchance of the parameters.
+        What ``whitened_rms`` is on average of a complete model: noise, and the uncertainty of the parameters.
     noise_source
         Where the floor comes from: ``readings``, ``parked`` or ``data sheet``; ``residuals`` where none of these tells it,
         and the noise that the fit itself left stands in for it: model error counts as noise then.

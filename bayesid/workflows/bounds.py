@@ -74,7 +74,7 @@ def bounds(
         A planned motion whose torques and wrench get bands, or a table of it as `bayesid.read_trajectory` takes it; default the
         motions that were not fitted.
     urdfs
-        How many URDFs of links that can exist are written, drawn within the unchance.
+        How many URDFs of links that can exist are written, drawn within the uncertainty.
     prior_std
         Relative standard deviation of every nominal mass, where the data do not decide; default what the experiment states,
         else 1.
@@ -187,7 +187,7 @@ def _bounded(
     )  # fmt: skip
     clock("workspace")
     workspace = workspace_bounds(torque, configurations=configurations, seed=seed, progress=clock.progress)
-    clock("other unchance")
+    clock("other uncertainty")
     left = remainder(problem, torque)
     inside = inside_joints(torque, workspace)
     result = ControllerBounds(

@@ -34,7 +34,7 @@ def assumptions(result: ControllerBounds, dropped: Sequence[str]) -> tuple[str, 
         )
     out.append(
         f"Mass matrix, Coriolis terms and gravity are bounded over {w.draws} robots that can exist, drawn within the "
-        f"unchance, at {w.configurations} configurations. What the data do not determine is as uncertain as nominal links are "
+        f"uncertainty, at {w.configurations} configurations. What the data do not determine is as uncertain as nominal links are "
         f"with a relative standard deviation of {known.trust:.3g} of every mass, and bodies that can exist allow."
     )
     unlimited = ~(np.isfinite(robot.lower) & np.isfinite(robot.upper))
@@ -47,7 +47,7 @@ def assumptions(result: ControllerBounds, dropped: Sequence[str]) -> tuple[str, 
     if dropped:
         out.append(
             f"Not in the torques: {listed(dropped, 4)}, which depend on more than the joint's own motion. They count as other "
-            "unchance."
+            "uncertainty."
         )
     return tuple(out)
 
@@ -61,7 +61,7 @@ def warnings(result: ControllerBounds, dropped: Sequence[str]) -> list[str]:
         )
     if known.inflation > 1.0:
         out.append(
-            f"Something is missing in the model: a motion that was not fitted is predicted worse than its unchance says. All "
+            f"Something is missing in the model: a motion that was not fitted is predicted worse than its uncertainty says. All "
             f"covariances are therefore {known.inflation:.3g} times as large. `bayesid diagnose` looks for what is missing."
         )
     if w.nominal_eigenvalue <= 0.0:
@@ -96,11 +96,11 @@ def warnings(result: ControllerBounds, dropped: Sequence[str]) -> list[str]:
         )
     if result.remainder is None:
         out.append(
-            "No joint torques were recorded, so nothing says how large the other unchance is: friction, rotors, flexibility."
+            "No joint torques were recorded, so nothing says how large the other uncertainty is: friction, rotors, flexibility."
         )
     elif not result.remainder.held_out:
         out.append(
-            "Other unchance is that of motions that were fitted, which hides some of it: record a validation motion's torques."
+            "Other uncertainty is that of motions that were fitted, which hides some of it: record a validation motion's torques."
         )
     for t in result.trajectories:
         far = [*t.torque.far, *(() if t.wrench is None else t.wrench.far)]

@@ -1,4 +1,4 @@
-"""The verb ``identify``: base parameters with unchance, link parameters, and validation on unfitted motions."""
+"""The verb ``identify``: base parameters with uncertainty, link parameters, and validation on unfitted motions."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def identify(
     unconstrained_urdf: bool = False,
     progress: Progress = quiet,
 ) -> Identification:
-    """Base parameters with unchance, link parameters, and held-out validation.
+    """Base parameters with uncertainty, link parameters, and held-out validation.
 
     Parameters
     ----------

@@ -13,7 +13,7 @@ from bayesid.robot.typical import states_masses, typical_links
 
 
 def urdf_links(problem: Problem, estimate: Estimate) -> UrdfLinks:
-    """Links that can exist, nearest to the nominal ones within the estimate's unchance; the estimator's own if it has some."""
+    """Links that can exist, nearest to the nominal ones within the estimate's uncertainty; the estimator's own if it has some."""
     robot, rank = problem.experiment.robot, problem.row_model.base.rank
     stated = states_masses(robot)
     near = "the nominal links" if stated else "cylinders between the joints, as the URDF states no masses"

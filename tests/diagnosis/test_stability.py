@@ -117,7 +117,7 @@ def test_blocks_add_up_to_the_whole(robot):
 
 
 def test_a_steady_effect_rests_on_no_moment(robot):
-    """And its estimate without any part is the same within its unchance."""
+    """And its estimate without any part is the same within its uncertainty."""
     projector, best, found = fitted(robot, lambda t: GAIN, ("sensor_gain", "mx"))
     (steady,) = stability(projector, best, 0, found, 1.0)
     std = float(np.sqrt(best.covariance[0, 0]))

@@ -1,4 +1,4 @@
-"""Links of `identified.urdf`: possible, nearest to the nominal ones, and within the estimate's unchance."""
+"""Links of `identified.urdf`: possible, nearest to the nominal ones, and within the estimate's uncertainty."""
 
 from dataclasses import replace
 from xml.etree import ElementTree as ET

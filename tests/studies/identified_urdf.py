@@ -181,7 +181,7 @@ def row(name: str, r: dict[str, Any]) -> str:
 PAGE = """\
 # `identified.urdf` on real and simulated recordings
 
-Links of `identified.urdf` can exist and are the nearest to the nominal ones within the estimate's unchance
+Links of `identified.urdf` can exist and are the nearest to the nominal ones within the estimate's uncertainty
 ([method.md](method.md), section 9). `python -m tests.studies.identified_urdf` made this page and
 [identified-urdf.json](identified-urdf.json): every real recording at hand by `wls` and `sdp`, and {{ simulated.recordings }}
 simulated ones by `wls` (four arms, 0.05 to 3 N m of noise; joint torques with friction in the model, with friction left out

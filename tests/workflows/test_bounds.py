@@ -86,7 +86,7 @@ def test_drawn_links_can_exist_and_their_mass_matrices_are_positive_definite(arm
     assert np.all(spread < 1.2 * identified.region.std)
 
 
-def test_torques_give_the_other_unchance(identified):
+def test_torques_give_the_other_uncertainty(identified):
     left = identified.remainder
     assert left is not None and left.held_out and left.motions == ("validation",)
     # Simulated without friction: what is left below 10 Hz is the noise of 0.05 N m, of which a band of 62.5 Hz keeps a part.

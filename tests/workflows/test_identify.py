@@ -52,7 +52,7 @@ def test_truth_lies_in_the_intervals_and_the_validation_is_predicted_to_the_nois
 def test_offset_is_told_from_the_weight_by_the_nominal_mass(result):
     value, std = result.offset
     assert (np.abs(value - OFFSET)[[0, 1, 3, 4, 5]] < 4 * std[[0, 1, 3, 4, 5]]).all()
-    # The total mass cannot be seen beside an offset: its unchance is that of the nominal masses.
+    # The total mass cannot be seen beside an offset: its uncertainty is that of the nominal masses.
     assert abs(value[2] - OFFSET[2]) < 2 * std[2] and std[2] > 2.0
 
 

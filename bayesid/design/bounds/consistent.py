@@ -70,7 +70,7 @@ def consistent_draws(
     count: int,
     seed: int,
 ) -> LinkDraws:
-    """Links, and the effects that go with them, within an estimate's unchance.
+    """Links, and the effects that go with them, within an estimate's uncertainty.
 
     Parameters
     ----------

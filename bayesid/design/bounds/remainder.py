@@ -1,4 +1,4 @@
-"""What parameters do not explain: the non-parametric part of the unchance [Liu1996]_, from motions that were not fitted.
+"""What parameters do not explain: the non-parametric part of the uncertainty [Liu1996]_, from motions that were not fitted.
 
 The parametric part is constant and bounded by the region of the parameters. The rest is what a held-out motion's torques still
 differ by: 99 % of its samples are below the bound, joint by joint, and by speed, where friction shows. It includes the noise of

@@ -4,7 +4,7 @@ Joint configurations are a Sobol sequence within the joints' limits. At each, of
 links that can exist:
 
     mass       eigenvalues lambda of M_hat x = lambda M x; alpha = max |lambda - 1| = ||1 - M^-1 M_hat|| in the norm of M,
-               the unchance of computed torque, which has to be below 1 [Spong1992]_
+               the uncertainty of computed torque, which has to be below 1 [Spong1992]_
     Coriolis   h(q, v) = C(q, v) v = B(q) s(v), with s(v) the products v_j v_k, those of different joints times sqrt 2: then
                ||s(v)|| = ||v||^2, and ||h|| <= ||B|| ||v||^2 for every v
     gravity    |g_hat - g|, joint by joint

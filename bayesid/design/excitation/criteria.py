@@ -3,7 +3,7 @@
 ``A = L' (X' W X) L + 1`` is the information about the base parameters in units of their typical size, one unit of which is added
 for what is known beforehand ([Chaloner1995]_); no choice of units changes it. Functions of its eigenvalues l_i:
 
-    d          sum log l_i / r                  the volume of the unchance ellipsoid (to be maximised)
+    d          sum log l_i / r                  the volume of the uncertainty ellipsoid (to be maximised)
     a          sum 1 / l_i / r                  the mean variance
     e          max 1 / l_i                      the variance of the worst direction
     condition  sqrt(max l_i / min l_i)          how uneven the directions are, here in SI units and with all channels alike
@@ -23,7 +23,7 @@ import numpy as np
 from bayesid.errors import InputError
 
 CRITERIA = {
-    "d": "D-optimal: smallest volume of the unchance ellipsoid",
+    "d": "D-optimal: smallest volume of the uncertainty ellipsoid",
     "a": "A-optimal: smallest mean variance",
     "e": "E-optimal: smallest variance of the worst direction",
     "condition": "smallest condition number",

@@ -1,4 +1,4 @@
-"""Links that can exist, for the URDF of any estimate: nearest to the nominal ones within the estimate's unchance.
+"""Links that can exist, for the URDF of any estimate: nearest to the nominal ones within the estimate's uncertainty.
 
 With b_hat, V the base parameters and their covariance, e effects, and G the Gram matrix of the fitted rows, each channel in units
 of its residuals over the root of their number,
@@ -38,7 +38,7 @@ MARGIN = 1e-4
 #: gamma; error norms of the fitted motions then grow by about half of it at most. _ANY: as good as no bound.
 LARGEST_LOSS = 0.1
 _ANY = 1e3
-#: How much further than necessary links may be from the estimate where they cannot be inside its unchance (squared distance).
+#: How much further than necessary links may be from the estimate where they cannot be inside its uncertainty (squared distance).
 _SLACK = 1.1
 #: Base parameters that had to move by more than this many standard deviations are named.
 NAMED = 3.0
@@ -95,7 +95,7 @@ class ConsistentLinks:
 def consistent_links(
     regression: Regression, estimate: Estimate, nominal: np.ndarray, *, scaled: bool = False, confidence: float = LEVEL
 ) -> ConsistentLinks:
-    """Possible links nearest to nominal ones within the unchance of an estimate.
+    """Possible links nearest to nominal ones within the uncertainty of an estimate.
 
     Parameters
     ----------

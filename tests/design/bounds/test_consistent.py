@@ -1,4 +1,4 @@
-"""Links that can exist, drawn within an estimate's unchance."""
+"""Links that can exist, drawn within an estimate's uncertainty."""
 
 import numpy as np
 import pytest
