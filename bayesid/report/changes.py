@@ -12,7 +12,16 @@ from bayesid.diagnosis.changes.scales import FRICTION_SHARE, GAIN_SHARE
 from bayesid.diagnosis.settings import DEFAULT
 from bayesid.report.changes_figures import evidence_bars, waterfall
 from bayesid.report.page import render, versions
-from bayesid.results.changes_text import gap_sentence, notes, runners_up, shares_sentence, value_text, verdict_sentence, worded
+from bayesid.results.changes_text import (
+    gap_sentence,
+    next_experiment,
+    notes,
+    runners_up,
+    shares_sentence,
+    value_text,
+    verdict_sentence,
+    worded,
+)
 from bayesid.results.text import DASH, channel_text, number, percent
 
 if TYPE_CHECKING:
@@ -36,7 +45,7 @@ def changes_report(result: Changes) -> str:
         "changes.html",
         name=problem.experiment.name, reference=before.name, channel=channel_text(problem.channel), fitted=problem.fitted,
         sentence=verdict_sentence(c), gap=gap_sentence(c), cards_of=_cards(c), notes=notes(c),
-        runners_up=runners_up(c),
+        runners_up=runners_up(c), next_experiment=next_experiment(c),
         changes=[
             {"name": worded(x.change, c), "summary": x.change.effects[0].summary, "rows": [value_text(v) for v in x.values],
              "before": [number(v.before) for v in x.values] if x.change.known else [], "share": shares_sentence(x, c)}

@@ -11,7 +11,7 @@ from bayesid.diagnosis.changes.findings import Change, Comparison
 from bayesid.diagnosis.changes.proof import Place
 from bayesid.recordings.experiment import Experiment
 from bayesid.recordings.schema import EffectParameters
-from bayesid.results.changes_text import notebook, summary, verdict_sentence
+from bayesid.results.changes_text import next_experiment, notebook, summary, verdict_sentence
 from bayesid.results.files import Result
 
 SCHEMA = 1
@@ -101,7 +101,7 @@ class Changes(Result):
                 "dispersion": c.selection.marginal().dispersion, "tolerance_factor": c.selection.factor,
                 "bandwidth_hz": c.recording.problem.smoother.bandwidth,
             },
-            "next_experiment": "",
+            "next_experiment": next_experiment(c),
             "runtime_s": self.seconds,
         }  # fmt: skip
 

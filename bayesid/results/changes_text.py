@@ -94,6 +94,24 @@ def notes(comparison: Comparison) -> list[str]:
     return out
 
 
+def next_experiment(comparison: Comparison) -> str:
+    """What to record next, in a sentence or two; nothing where nothing is open."""
+    c = comparison
+    if pairs := [(x.change, [h for h, _ in x.found.rivals]) for x in c.changes if x.found.rivals]:
+        names = "; ".join(f"{a.spec} from {', '.join(h.spec for h in rivals)}" for a, rivals in pairs)
+        text = f"To tell {names}: record the same motion at half and at full speed, and with other joints moving."
+        # What the reference's model has, and what all joints share, is not for `excite --tell`.
+        plain = [h.spec for a, rivals in pairs[:1] for h in (a, *rivals) if not h.known and h.where != EVERYWHERE]
+        return text + (f" bayesid excite --tell {','.join(plain)} plans the motion that does it best." if len(plain) > 1 else "")
+    if c.verdict not in ("named_in_part", "unknown"):
+        return ""
+    return (
+        "Record one joint at a time, slowly and fast, forth and back, as now and if possible in the known state again: what stays "
+        "with position is a cable or a spring, what changes sign with velocity is friction, what grows with acceleration is "
+        "inertia or a payload."
+    )
+
+
 def runners_up(comparison: Comparison) -> list[str]:
     """What would do next best in each change's place, where nothing does as well."""
     leads = [(x.change.spec, x.found.lead) for x in comparison.changes if x.found.lead is not None and not x.found.rivals]
@@ -120,6 +138,7 @@ def summary(comparison: Comparison) -> str:
     if not c.changes:
         lines += [f"  could hide: {text}" for text in hidden_sentences(c)]
     lines += [f"  note: {text}" for text in (*notes(c), *runners_up(c))]
+    lines += [f"  next: {text}" for text in [next_experiment(c)] if text]
     return "\n".join(lines)
 
 
@@ -132,4 +151,5 @@ def notebook(comparison: Comparison) -> str:
         out.append(html_table(["change", "parameter", "value", "± 95 %", "interval", "unit"], rows))
     sentences = [*(s for x in c.changes if (s := shares_sentence(x, c))), *notes(c), *runners_up(c)]
     sentences += [f"Could hide: {s}" for s in hidden_sentences(c)] if not c.changes else []
+    sentences += [s for s in [next_experiment(c)] if s]
     return "".join([*out, *(f"<p>{escape(s)}</p>" for s in sentences)])

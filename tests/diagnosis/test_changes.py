@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from bayesid.diagnosis.changes.scales import DISPERSIONS, SIZES
 from bayesid.effects.friction import CoulombFriction
 from bayesid.recordings.experiment import Motion, Sensor
 from bayesid.recordings.table import Table
+from bayesid.results.changes_text import next_experiment
 from bayesid.robot.robot import load_robot
 from tests.robots import puma560, write
 from tests.simulated import experiment, fourier, puma2, recording
@@ -163,6 +165,24 @@ def test_nothing_is_named_where_friction_wanders_by_a_twentieth(arm):
     assert 0.01 < hidden["payload@joint6"] < 1.5
     assert 0.8 < hidden["coulomb_friction@joint2"] < 8.0
     assert "could hide" in str(found)
+
+
+def test_what_to_record_next():
+    """The motion that splits rivals is planned by excite --tell, for effects that it can be asked of."""
+
+    def change(name, where, **more):
+        return Hypothesis(name, where, (), np.zeros(1, int), np.ones(1), **more)
+
+    def found(verdict, *pairs):
+        changes = [SimpleNamespace(change=a, found=SimpleNamespace(rivals=[(h, 1.0) for h in b])) for a, b in pairs]
+        return next_experiment(SimpleNamespace(verdict=verdict, changes=changes))  # type: ignore[arg-type]
+
+    load, hose = change("payload", "joint2"), change("tether", "joint1")
+    assert "bayesid excite --tell payload@joint2,tether@joint1 plans" in found("ambiguous", (load, [hose]))
+    dry = change("coulomb_friction", "joint2", known=True)
+    text = found("ambiguous", (load, [dry]))
+    assert "payload@joint2 from coulomb_friction@joint2" in text and "--tell" not in text
+    assert "one joint at a time" in found("named_in_part", (load, [])) and found("named", (load, [])) == ""
 
 
 def test_another_robot_is_refused(arm, tmp_path):
