@@ -106,9 +106,9 @@ def next_experiment(comparison: Comparison) -> str:
     if c.verdict not in ("named_in_part", "unknown"):
         return ""
     return (
-        "Record one joint at a time, slowly and fast, forth and back, as now and if possible in the known state again: what stays "
-        "with position is a cable or a spring, what changes sign with velocity is friction, what grows with acceleration is "
-        "inertia or a payload."
+        "Record one joint at a time, slowly and fast, forth and back, as now and if possible in the known state again: what "
+        "stays with position is a cable or a spring, what changes sign with velocity is friction, what grows with "
+        "acceleration is inertia or a payload."
     )
 
 
