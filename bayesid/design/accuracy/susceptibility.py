@@ -4,8 +4,9 @@ With the rows ``y = X b + z + e``, z the exact action of an effect of usual size
 
     d = (X'W'W X)^-1 X'W'W z,
 
-which is exact for least squares with given weights and of first order for others. It is told in standard deviations of the
-estimate, and by what it does to predictions of a motion that was not fitted.
+which is exact for least squares with given weights and of first order for others. Weights by channel are learned from residuals,
+which the effect enlarges: W is that of noise and what the fit leaves of z together. The bias is told in standard deviations of
+the estimate, and by what it does to predictions of a motion that was not fitted.
 """
 
 from __future__ import annotations
@@ -25,8 +26,13 @@ from bayesid.regression.linalg import solve
 from bayesid.regression.motion_rows import MotionRows
 from bayesid.regression.parallel import in_order
 from bayesid.regression.problem import restrict
+from bayesid.regression.regression import Regression
 from bayesid.regression.segment import Segment
+from bayesid.signals.noise import NoiseModel
 from bayesid.simulation.plant import plant_readings
+
+#: Fits with weights that were learned from the last one.
+_REWEIGHTED = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,10 +144,32 @@ def _read(bench: Bench, segment: Segment, scene: MotionSegment, more: tuple[Term
 
 
 def _fitted(bench: Bench, read: Sequence[tuple[str, Segment]], weights: Weights) -> np.ndarray:
-    """Least squares with given weights of exact readings (p,)."""
+    """Least squares of exact readings (p,), with weights that know the noise and what the fit leaves."""
     segments = {name: [s for n, s in read if n == name] for name in bench.problem.fitted}
     rows = MotionRows(bench.problem.row_model, segments)
     regression = restrict(replace(bench.problem, segments=segments, rows=rows), bench.problem.fitted).regression
     kind = bench.method.weights if isinstance(bench.method, LeastSquares) else "channel"
-    factor, _ = weighted_factor(regression, weights, likelihood_weights(weights) if kind == "noise" else kind)
+    kind = likelihood_weights(weights) if kind == "noise" else kind
+    solution = _solution(regression, weights, kind)
+    for _ in range(_REWEIGHTED if kind == "channel" else 0):
+        solution = _solution(regression, replace(weights, noise=_with_leftover(regression, solution, weights.noise)), kind)
+    return solution
+
+
+def _solution(regression: Regression, weights: Weights, kind: str) -> np.ndarray:
+    factor, _ = weighted_factor(regression, weights, kind)
     return solve(factor.matrix, factor.target)
+
+
+def _with_leftover(regression: Regression, solution: np.ndarray, noise: dict[str, NoiseModel]) -> dict[str, NoiseModel]:
+    """Noise of each group of rows, its channels as large as noise and what a fit leaves of exact rows together."""
+    power = {group: np.zeros(len(regression.channel_names)) for group in noise}
+    count = dict.fromkeys(noise, 0)
+    for block in regression.blocks():
+        power[block.group] += np.sum(block.residual(solution) ** 2, axis=0)
+        count[block.group] += len(block.rows)
+    out = {}
+    for group, model in noise.items():
+        larger = np.sqrt(1.0 + power[group] / max(count[group], 1) / model.std**2)
+        out[group] = replace(model, innovation=model.innovation * np.outer(larger, larger))
+    return out

@@ -168,7 +168,11 @@ def sweep(bench: Bench, runs: int, seed: int, tell: Callable[[str], object]) -> 
     if isinstance(errors, str):
         raise BayesidError(f"a twin of these recordings cannot be fitted as they are: {errors}")
     own_level = _level(bench, Trial("own", 1.0, own), errors, errors)
-    linear = _Linear.of(bench, found[repr(settings[1])], seed) if formula else None
+    linear = None
+    if formula:
+        quiet = found[repr(settings[1])]
+        assert not isinstance(quiet, str)  # the same recordings with less noise
+        linear = linear_errors(bench, quiet, seed)
     sweeps = tuple(_sweep(bench, f, own_level, errors, found, linear) for f in factors)
     return Sweeps(own_level, None if linear is None else linear.std(1.0, 1.0), sweeps, runs, seed)
 
@@ -219,40 +223,54 @@ def _simulated(
 
 
 @dataclass(frozen=True)
-class _Linear:
-    """Errors of a fit that is linear in the readings: ``cov = k^2 sensor + encoder``."""
+class LinearErrors:
+    """Errors of a fit that is linear in the readings: ``cov = k^2 sensor + encoder``.
+
+    Attributes
+    ----------
+    bench
+        The user's own experiment.
+    sensor, encoder
+        Covariances by the sensor's noise and by encoder errors (p, p).
+    bias
+        Without noise (p,).
+    """
 
     bench: Bench
     sensor: np.ndarray
     encoder: np.ndarray
     bias: np.ndarray
 
-    @classmethod
-    def of(cls, bench: Bench, quiet: Errors | str, seed: int) -> _Linear:
-        own = own_setting(bench)
-        perfect = replace(own, encoder=0.0)
-        _, estimate = fit_twin(bench, perfect, twin(bench, perfect, _SEEDS * (seed + 1)))
-        assert estimate.full_covariance is not None and not isinstance(quiet, str)
-        columns = np.nan_to_num(quiet.columns)  # what is not determined has no covariance by the formula, either
-        return cls(bench, estimate.full_covariance, np.cov(columns.T), columns.mean(axis=0))
-
     def covariance(self, noise: float, all_of_it: float) -> np.ndarray:
+        """For factors of the sensor noise's standard deviation, and of all standard deviations (p, p)."""
         return all_of_it**2 * (noise**2 * self.sensor + self.encoder)
 
     def std(self, noise: float, all_of_it: float) -> np.ndarray:
+        """Of the base parameters (r,); nan where they are not determined."""
         std = np.sqrt(np.diag(self.covariance(noise, all_of_it)))
         return np.where(self.bench.estimate.undetermined, np.nan, std)[: self.bench.rank]
 
     def rms(self, noise: float, all_of_it: float) -> np.ndarray:
+        """Root mean square errors of the base parameters (r,)."""
         return np.hypot(self.std(noise, all_of_it), self.bias[: self.bench.rank])
 
     def predicted(self, noise: float, all_of_it: float) -> float:
+        """Root mean square error of predictions, a share of the signal."""
         scatter = np.sum(self.covariance(noise, all_of_it) * self.bench.prediction_gram)
         return float(np.hypot(np.sqrt(max(scatter, 0.0)), prediction_error(self.bench, self.bias)))
 
 
+def linear_errors(bench: Bench, quiet: Errors, seed: int) -> LinearErrors:
+    """The formula's parts, from errors of twins with a perfect sensor and one twin with perfect encoders."""
+    perfect = replace(own_setting(bench), encoder=0.0)
+    _, estimate = fit_twin(bench, perfect, twin(bench, perfect, _SEEDS * (seed + 1)))
+    assert estimate.full_covariance is not None
+    columns = np.nan_to_num(quiet.columns)  # what is not determined has no covariance by the formula, either
+    return LinearErrors(bench, estimate.full_covariance, np.cov(columns.T), columns.mean(axis=0))
+
+
 def _sweep(
-    bench: Bench, factor: Factor, own: Level, errors: Errors, found: dict[str, Errors | str], linear: _Linear | None
+    bench: Bench, factor: Factor, own: Level, errors: Errors, found: dict[str, Errors | str], linear: LinearErrors | None
 ) -> Sweep:
     levels = []
     for trial in factor.trials:
@@ -293,7 +311,7 @@ def _ratio(errors: Errors, own: Errors) -> float:
     return median_ratio(errors.rms, own.rms)
 
 
-def _by_formula(trial: Trial, own: Level, linear: _Linear | None) -> Level:
+def _by_formula(trial: Trial, own: Level, linear: LinearErrors | None) -> Level:
     """A level whose covariance follows from that of the user's own setting."""
     zero = np.zeros(len(own.std))
     if linear is None:
