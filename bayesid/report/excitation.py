@@ -20,9 +20,10 @@ _TITLES = {
 def excitation_report(result: Excitation) -> str:
     """The report of ``excite``: an HTML page with all figures inside."""
     t = result.trajectory
-    unit = "m" if result.prismatic.all() else "rad" if not result.prismatic.any() else "rad or m"
-    parts = [("joint positions", unit, t.positions), ("joint velocities", f"({unit})/s", t.velocities),
-             ("joint accelerations", f"({unit})/s²", t.accelerations)]  # fmt: skip
+    units = ("m",) if result.prismatic.all() else ("rad",) if not result.prismatic.any() else ("rad", "m")
+    titles = (("joint positions", ""), ("joint velocities", "/s"), ("joint accelerations", "/s²"))
+    values = (t.positions, t.velocities, t.accelerations)
+    parts = [(title, " or ".join(u + per for u in units), v) for (title, per), v in zip(titles, values, strict=True)]
     shares = [(_TITLES[u.kind], u.where, u.ratio) for u in result.limits if u.kind != "collision"]
     axis = {"d": "mean logarithm of the eigenvalues of the information, larger is better"}.get(
         result.criterion, "logarithm of the criterion, larger is better"
@@ -42,7 +43,7 @@ def excitation_report(result: Excitation) -> str:
             for u in result.limits
         ],
         parameters=[
-            {"label": label, "unit": unit, "std": number(std, 3) if np.isfinite(std) else "not determined"}
+            {"label": label, "unit": unit, "std": number(float(std), 3)}
             for label, unit, std in zip(result.base.labels, result.base.units, result.std, strict=True)
         ],
         effects=_effects(result),
@@ -71,23 +72,23 @@ def _warnings(result: Excitation) -> list[str]:
     out = [f"The limit of {_TITLES[u.kind]} {u.where} is not kept." for u in result.limits if not u.kept]
     if result.interrupted:
         out.append("The search was interrupted: this is the best motion that it had found.")
-    hidden = int((~np.isfinite(result.std)).sum())
+    hidden = result.possible - result.base.rank
     if hidden:
-        out.append(f"{hidden} of {result.base.rank} base parameters are not determined by this motion: let more joints move.")
+        missing = f"{hidden} of {result.possible} base parameters are not determined"
+        out.append(f"{missing}: give more --harmonics or a longer --duration.")
     return out
 
 
 def _lead(result: Excitation) -> str:
     t = result.trajectory
-    repeats = f", which repeats every {number(result.series.period, 3)} s" if t.period else ""
+    repeats = f", which repeats every {number(result.series.period, 3)} s," if t.period else ""
     text = f"A motion of {number(float(t.times[-1]), 4)} s{repeats} for {result.readings}. {result.criterion_text}."
     return text + " It starts and ends at rest, and keeps all limits." if result.within_limits else text
 
 
 def _cards(result: Excitation) -> list[dict[str, Any]]:
-    seen = int(np.isfinite(result.std).sum())
     cards = [
-        {"value": f"{seen} of {result.base.rank}", "mood": "good" if seen == result.base.rank else "bad",
+        {"value": f"{result.base.rank} of {result.possible}", "mood": "good" if result.base.rank == result.possible else "bad",
          "text": "base parameters determined"},
         {"value": number(result.condition_number, 3), "mood": "", "text": "condition number, whitened, columns of unit length"},
         {"value": "yes" if result.within_limits else "no", "mood": "good" if result.within_limits else "bad",

@@ -103,7 +103,9 @@ class Excitation(Result):
     base
         The base parameters that it determines.
     std
-        Their expected standard deviations (r,); infinite where it does not.
+        Their expected standard deviations (r,).
+    possible
+        How many base parameters the richest motion of these joints would determine.
     quantities
         Name, unit and expected standard deviation of the quantities asked for.
     diagnosability
@@ -135,6 +137,7 @@ class Excitation(Result):
     loads: Mapping[str, tuple[tuple[str, ...], np.ndarray]]
     base: BaseParameters
     std: np.ndarray
+    possible: int
     quantities: tuple[tuple[str, str, float], ...]
     diagnosability: Diagnosability | None
     condition_number: float
@@ -212,8 +215,8 @@ class Excitation(Result):
                 ],
             },
             "quantities": [{"name": name, "unit": unit, "std": std} for name, unit, std in self.quantities],
-            "rank": self.base.rank, "condition_number": self.condition_number, "base_parameters": parameters,
-            "notes": self.notes, "runtime_s": self.seconds,
+            "rank": self.base.rank, "possible_rank": self.possible, "condition_number": self.condition_number,
+            "base_parameters": parameters, "notes": self.notes, "runtime_s": self.seconds,
         }  # fmt: skip
         return strict(document)
 
@@ -233,9 +236,8 @@ class Excitation(Result):
                 if self.criterion != "condition" else
                 f"  condition number {number(self.gain, 2)} times smaller than with the best of {len(self.random)} random motions"
             )  # fmt: skip
-        seen = int(np.isfinite(self.std).sum())
-        condition = number(self.condition_number, 3)
-        lines.append(f"  {seen} of {self.base.rank} base parameters determined, condition number {condition}")
+        rank, condition = f"{self.base.rank} of {self.possible}", number(self.condition_number, 3)
+        lines.append(f"  {rank} base parameters determined, condition number {condition}")
         rows = []
         for kind in self.kinds:
             use = self.nearest(kind)

@@ -19,6 +19,7 @@ from bayesid.design.excitation.plan import Plan, make_plan
 from bayesid.design.excitation.stops import StopAndGo, stop_and_go
 from bayesid.design.expected import expect
 from bayesid.design.reading_noise import white_noise
+from bayesid.design.visibility import shown
 from bayesid.dynamics.regressors import Kernel
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, Sensor, load_setup
@@ -98,7 +99,8 @@ def _result(plan: Plan, clock: Clock) -> Excitation:
     sensor = experiment.sensor or Sensor()
     noise = white_noise(experiment.robot, force_std=sensor.force_std, torque_std=sensor.torque_std)
     expected = expect(experiment, information.sensor_set, noise, [plan.trajectory])
-    r = expected.base.rank
+    offsets = {name for name, c in experiment.library.classes.items() if c.estimated_without_static_run}
+    found = shown(expected, [n for n in expected.effect_names if n.partition("@")[0] in offsets])
     blocks, left_out = scripted_blocks(plan, plan.options.blocks)
     return Excitation(
         name=experiment.name, joint_names=experiment.robot.joint_names, prismatic=experiment.robot.prismatic,
@@ -107,12 +109,13 @@ def _result(plan: Plan, clock: Clock) -> Excitation:
         history=tuple((seconds, -value) for seconds, value in plan.search.history), interrupted=plan.search.interrupted,
         options=plan.options.to_dict(), series=plan.series, trajectory=plan.trajectory, blocks=blocks,
         static_run=_static_run(plan), limits=tuple(limit_uses(plan)),
-        loads=_loads(experiment, plan.trajectory), base=expected.base, std=expected.std[:r],
+        loads=_loads(experiment, plan.trajectory), base=found.base, std=found.std,
+        possible=plan.task.rank,
         quantities=tuple(
             (q.name, q.unit, std)
             for q, std in zip(plan.task.quantities, plan.task.quantity_stds(plan.series), strict=True)
         ),
-        diagnosability=plan.diagnosability, condition_number=expected.condition_number, notes=(*plan.notes, *left_out),
+        diagnosability=plan.diagnosability, condition_number=found.condition, notes=(*plan.notes, *left_out),
         seconds=dict(clock.stop()),
     )  # fmt: skip
 

@@ -77,6 +77,16 @@ def test_static_run_stops_at_every_sample_and_keeps_the_limits(result):
     assert stops.seconds == stops.end[-1] > 500 * 0.5
 
 
+def test_the_papers_set_up_has_its_twelve_parameters(tmp_path):
+    """Two joints of a PUMA, one pass, a stop at every sample, judged by the motion wrench [Liu1998]_."""
+    experiment = experiment_of("puma560", tmp_path)
+    plan = bayesid.excite(experiment, kind="liu1998", joints=("joint1", "joint2"), duration=10.0, seed=0, **QUICK)
+    assert plan.base.rank == plan.possible == 12
+    assert plan.trajectory.period is None and plan.static_run is not None and plan.static_run.every_sample
+    assert np.ptp(plan.trajectory.positions[:, 2:], axis=0).max() == 0.0
+    np.testing.assert_allclose(np.diff(plan.trajectory.times), 0.008)
+
+
 def test_command_line_writes_all_or_nothing(tmp_path, capsys):
     """A folder with experiment.toml and the URDF alone; what is written is what simulate takes."""
     folder = tmp_path / "arm"

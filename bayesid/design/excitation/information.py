@@ -73,7 +73,9 @@ class Information:
     kernel: Kernel
 
     @classmethod
-    def of(cls, experiment: Experiment, sensor_set: SensorSet, noise: ReadingNoise) -> Information:
+    def of(
+        cls, experiment: Experiment, sensor_set: SensorSet, noise: ReadingNoise, held: np.ndarray | None = None
+    ) -> Information:
         """Information of an experiment's readings.
 
         Parameters
@@ -84,6 +86,8 @@ class Information:
             What is read. Where a static run is subtracted (equation 21 of [Liu1998]_), offset and weight are gone.
         noise
             Of single readings; its colour does not count.
+        held
+            Where joints stand that do not move (n,) [rad or m]; nan for those that do. Default: all move.
 
         Raises
         ------
@@ -97,7 +101,7 @@ class Information:
         parsed = experiment.library.parse(specs, robot.joint_names, channels.names, experiment.gear_ratio)
         effects = tuple(e for e in parsed if e.from_motion_alone and (offset or not e.removed_by_static_run))
         left_out = tuple(e.spec for e in parsed if not e.from_motion_alone)
-        base = structural_base(robot, channels, gravity=sensor_set.gravity, offset=offset)
+        base = structural_base(robot, channels, gravity=sensor_set.gravity, offset=offset, held=held)
         spread = base.matrix * typical_sizes(robot) * (experiment.inertia_rel_std or 1.0)
         scale = np.linalg.cholesky(spread @ spread.T)
         std = noise.of(sensor_set)["trajectory"].std

@@ -51,6 +51,8 @@ class Task:
         Samples that will be recorded in all.
     fine
         Even samples of a period on which limits are tested.
+    rank
+        How many base parameters the richest motion of these joints would determine.
     quantities
         Quantities that are told of as well.
     """
@@ -62,6 +64,7 @@ class Task:
     dense: Coordinates
     recorded: float
     fine: int
+    rank: int
     quantities: tuple[Quantity, ...] = ()
 
     @property

@@ -11,6 +11,7 @@ from bayesid.design.excitation.collision import clearance
 from bayesid.design.excitation.diagnosability import Diagnosability, diagnosability
 from bayesid.design.excitation.information import Information
 from bayesid.design.excitation.limits import Limits, Load
+from bayesid.design.excitation.mount import mount_response
 from bayesid.design.excitation.optimise import Search, Task, search
 from bayesid.design.excitation.options import ExcitationOptions, largest_accelerations, sensor_ranges
 from bayesid.design.excitation.quantities import criterion_of, parse_quantity
@@ -29,6 +30,7 @@ from bayesid.simulation.trajectories import Trajectory
 #: Samples of a period that the optimiser looks at, at least and per harmonic; how many times more where limits are restored;
 #: how many times finer than recorded limits are tested.
 _SAMPLES, _PER_HARMONIC, _DENSER, FINER = 120, 16, 3, 10
+_SPECTRUM = 2048
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,18 +95,20 @@ def make_task(experiment: Experiment, options: ExcitationOptions, seed: int = 0)
     )
     kinds = ("wrench", "torque") if sensor_set.channel == "both" else (sensor_set.channel,)
     notes += [f"The noise of the {k} is assumed, as experiment.toml states none." for k in kinds if noise.sources[k] == "assumed"]
-    information = Information.of(experiment, sensor_set, noise)
+    lower, upper, fastest = motion_limits(robot)
+    middle, half = 0.5 * (lower + upper), 0.5 * options.share * (upper - lower)
+    held = middle.copy()
+    held[moving] = np.nan
+    information = Information.of(experiment, sensor_set, noise, held)
     if information.left_out:
         left_out = ", ".join(information.left_out)
         notes.append(f"Effects of the model that need more than the joint motion do not count for the plan: {left_out}.")
-    lower, upper, fastest = motion_limits(robot)
     for name, found in (("position", robot.lower), ("speed", robot.velocity_limit)):
         unlimited = [robot.joint_names[j] for j in moving if not np.isfinite(found[j])]
         if unlimited:
             notes.append(f"The URDF states no {name} limit of {', '.join(unlimited)}: those of a small arm are taken.")
     if options.acceleration is None:
         notes.append("Acceleration limits are assumed: full speed in 0.25 s; --acceleration gives others.")
-    middle, half = 0.5 * (lower + upper), 0.5 * options.share * (upper - lower)
     bodies, told = clearance(robot, experiment.locked, options.margin, options.ground, seed) if options.collisions else (None, ())
     loads, more = _loads(experiment, options)
     limits = Limits(
@@ -114,6 +118,7 @@ def make_task(experiment: Experiment, options: ExcitationOptions, seed: int = 0)
     if bodies is None:
         why = "the URDF has no collision geometry of bodies that could meet" if options.collisions else "--no-collisions"
         notes.append(f"No collision is checked: {why}.")
+    rank = information.base.rank
     asked = tuple(parse_quantity(text, experiment, information) for text in options.quantities)
     criterion, information = criterion_of(options.criterion, asked, information)
     period = options.repeats_after
@@ -123,7 +128,7 @@ def make_task(experiment: Experiment, options: ExcitationOptions, seed: int = 0)
         for count in (samples, _DENSER * samples)
     )
     fine = int(np.ceil(FINER * options.rate * period))
-    task = Task(information, criterion, limits, coordinates, dense, options.rate * options.duration, fine, asked)
+    task = Task(information, criterion, limits, coordinates, dense, options.rate * options.duration, fine, rank, asked)
     return task, tuple([*notes, *more, *told])
 
 
@@ -169,6 +174,7 @@ def make_plan(
         _explain(task, seed)
     assert found.best is not None
     series, shown, notes = _chosen(experiment, task, options, found, notes, tell)
+    mount = _mount_note(experiment, series, options.mount_frequency)
     name = "trajectory"
     times = np.arange(int(round(options.duration * options.rate)) + 1) / options.rate
     q, v, a = series.at(times)
@@ -177,7 +183,8 @@ def make_plan(
         name, "identification", times, q, v, a, static_positions=static,
         period=series.period if options.periods > 1 else None,
     )  # fmt: skip
-    return Plan(experiment, options, task, found, series, trajectory, task.limits.worst(series, task.fine), shown, notes)
+    worst = task.limits.worst(series, task.fine)
+    return Plan(experiment, options, task, found, series, trajectory, worst, shown, (*notes, *mount))
 
 
 def _chosen(
@@ -200,6 +207,18 @@ def _chosen(
         told = f"Of {len(finalists)} motions not the best by the criterion was taken ({worse:.2g} less), but for diagnosability"
         notes = (*notes, f"{told} ({better:.2g} better).")
     return finalists[k][1], shown[k], notes
+
+
+def _mount_note(experiment: Experiment, series: FourierSeries, resonance: float | None) -> tuple[str, ...]:
+    """What the mount makes of the moments, where its resonance is known and the links are."""
+    if resonance is None or experiment.sensor is None or not states_masses(experiment.robot):
+        return ()
+    motion = series.at(np.linspace(0.0, series.period, _SPECTRUM, endpoint=False))
+    channels = make_channels(experiment, "wrench")
+    moments = Kernel.of(experiment.robot, channels).readings(*motion, experiment.robot.nominal)[:, 3:]
+    above, change = mount_response(moments, series.period, resonance)
+    share = f"{100 * above:.2g} % of the moments (root mean square) lie above a fifth of the mount's {resonance:g} Hz"
+    return (f"{share}, which changes them by {100 * change:.2g} %.",)
 
 
 def _moving(experiment: Experiment, options: ExcitationOptions) -> np.ndarray:
