@@ -21,13 +21,13 @@ _HEAD = ["readings", "rank", "of any motion", "better than size", "condition", "
 
 def lead(result: Findings) -> str:
     """What was asked, and the answer for the readings that would be used, in two sentences."""
-    what = {"recorded": "these recordings", "planned": "this plan", "regression": "these rows"}[result.source]
     main, total = result.main, len(result.main.parameters)
+    who = {
+        "recorded": f"By {main.sensor_set.title}, these recordings {'' if main.recorded else 'would '}determine",
+        "planned": f"By {main.sensor_set.title}, this plan determines", "regression": "These rows determine",
+    }[result.source]  # fmt: skip
     alone = sum(p.kind == "alone" for p in main.parameters)
-    text = (
-        f"By {main.sensor_set.title}, {what} determine{'s' if result.source == 'planned' else ''} {main.rank} combinations of "
-        f"{total} link parameters, {alone} of these parameters alone."
-    )
+    text = f"{who} {main.rank} combinations of {total} link parameters, {alone} of these parameters alone."
     most = main.rank_of_any_motion
     if most is not None:
         text += f" No motion could show more than {most}."

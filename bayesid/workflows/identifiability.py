@@ -32,6 +32,7 @@ from bayesid.simulation.trajectories import Trajectory, fourier_trajectory
 from bayesid.simulation.trajectory_file import read_trajectory
 from bayesid.workflows.progress import Clock, Progress, quiet
 
+_READ = {"wrench": "wrench", "torque": "joint torques"}
 _TAKES = "pass the folder of an experiment, an Experiment, a Robot with trajectories, or a Regression"
 
 
@@ -200,8 +201,12 @@ def _of_motions(
     main = reports[[r.sensor_set for r in reports].index(main.sensor_set)]
     assumed = [k for k, source in main.noise.items() if source == "assumed"]
     if assumed:
-        warnings.insert(0, f"The noise of the {' and '.join(assumed)} is assumed: state it with --noise, for standard deviations "
-                        "that hold; ranks and classes hardly depend on it.")  # fmt: skip
+        which = " and the ".join(_READ[k] for k in assumed)
+        warnings.insert(
+            0,
+            f"The noise of the {which} is assumed: state it with --noise, for standard deviations that hold; ranks and "
+            "classes hardly depend on it.",
+        )
     beside = set(main.noise.values()) == {"readings"} and {sheet.sources[k] for k in main.noise} == {"data sheet"}
     advice = advise(plan, reports, main, noise, sheet if beside else None)
     apart = {}
@@ -210,7 +215,7 @@ def _of_motions(
         apart = {s.name: separations(plan, s, noise, rivals, bandwidth=bandwidth) for s in sets}
     return Identifiability(
         name=experiment.name,
-        source="recorded" if main.recorded else "planned",
+        source="recorded" if any(isinstance(m, Motion) and m.table.channels() for m in motions) else "planned",
         motions={m.name: duration(m) for m in motions},
         still=tuple(robot.joint_names[j] for j in np.flatnonzero(np.isfinite(plan.still)).tolist()),
         sensor_sets=tuple(reports),
@@ -263,9 +268,10 @@ def _of_regression(regression: Regression, clock: Clock) -> Identifiability:
     report = set_report(rows, expected, found, None, None, None, sizes)
     source = "given" if regression.noise_std is not None else "readings"
     std = next(iter(weights.noise.values())).std.tolist()
+    fitted = dict.fromkeys(regression.motion_names[b.motion] for b in regression.pilot())
     report = replace(report, noise={"rows": source}, noise_std=dict(zip(regression.channel_names, std, strict=True)))
     return Identifiability(
-        name="regression", source="regression", motions=dict.fromkeys(regression.motion_names, 0.0), still=(),
+        name="regression", source="regression", motions=dict.fromkeys(fitted, 0.0), still=(),
         sensor_sets=(report,), main=report, seconds=clock.stop(),
         warnings=("Rows alone do not tell whether another motion would show what these do not: pass a robot and trajectories.",),
     )  # fmt: skip

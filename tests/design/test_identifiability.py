@@ -11,6 +11,7 @@ import pytest
 
 import bayesid
 from bayesid.design.identifiability import STILL
+from bayesid.regression.problem import prepare
 from bayesid.robot import examples
 from bayesid.robot.robot import load_robot
 from bayesid.simulation.trajectories import fourier_trajectory
@@ -226,3 +227,18 @@ def test_bad_input_is_told_in_one_line(tmp_path):
         with pytest.raises(bayesid.InputError, match=said) as caught:
             call()
         assert "\n" not in str(caught.value)
+
+
+def test_a_regression_with_a_robot_behind_it(tmp_path):
+    """The rows of an experiment: what effects in its model take is told, and only the motions that are fitted are named."""
+    robot = puma2(tmp_path)
+    tables = [recording(robot, None, fourier(robot, k), torque_std=0.1, seed=k) for k in (1, 2)]
+    roles = ("identification", "validation")
+    motions = [bayesid.Motion(role, role, table) for role, table in zip(roles, tables, strict=True)]
+    setup = experiment(robot, motions, effects=("rotor_inertia@joint1",))
+    rows = prepare(setup).regression
+    found = bayesid.identifiability(rows)
+    assert found.main.rank == 7 and list(found.motions) == ["identification"]
+    assert {p.name: p.kind for p in found.main.parameters}["joint1.Iyy"] == "effect"  # joint 1 turns about y here
+    assert str(found).splitlines()[1].startswith("These rows determine 7 combinations")
+    assert bayesid.identifiability(setup)["torque"].rank == 7
