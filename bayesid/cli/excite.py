@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import fields
-from pathlib import Path
 
 import click
 
@@ -67,7 +66,7 @@ _OPTIONS = [
     click.option("--stops", type=int, help="Stops of a static run; default: every sample, with --static."),
     _number("--settle", "How long the robot waits at a stop before it is read [s]."),
     _number("--read", "How long it is read at a stop [s]."),
-    click.option("--warm-start", type=click.Path(path_type=Path), help="A table t, q1 ... of a motion to start from."),
+    click.option("--warm-start", help="A motion to start from: a table t, q1 ..., or the name of a recorded motion."),
     _number("--starts", "How many motions are improved."),
     _number("--randoms", "How many random motions they are chosen from."),
     _number("--seconds", "No other improvement is begun after so long [s]."),

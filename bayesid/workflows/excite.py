@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,13 +23,13 @@ from bayesid.design.reading_noise import white_noise
 from bayesid.design.visibility import shown
 from bayesid.dynamics.regressors import Kernel
 from bayesid.errors import InputError
-from bayesid.recordings.experiment import Experiment, Sensor, load_setup
+from bayesid.recordings.experiment import Experiment, Sensor, load_experiment, load_setup
 from bayesid.regression.readings import make_channels
 from bayesid.results.excitation import Excitation, LimitUse
 from bayesid.results.files import Files, files_of
 from bayesid.robot.robot import Robot
 from bayesid.robot.typical import states_masses
-from bayesid.simulation.trajectories import Trajectory
+from bayesid.simulation.trajectories import Trajectory, recorded_trajectories
 from bayesid.simulation.trajectory_file import read_trajectory, write_trajectory
 from bayesid.workflows.progress import Clock, Progress, quiet
 
@@ -48,7 +49,7 @@ def excite(
     setup
         An experiment or its folder, whose tables need not exist yet; or a robot, with a sensor under its base.
     warm_start
-        A motion to start from: a table with columns ``t, q1 ...``, or a trajectory.
+        A motion to start from: a table with columns ``t, q1 ...``, the name of one of the experiment's motions, or a trajectory.
     seed
         Of everything random.
     progress
@@ -72,7 +73,7 @@ def excite(
         if name not in known:
             raise InputError(f"excite has no option '{name}'; it has {', '.join(sorted(known))}")
     chosen = ExcitationOptions(**options)
-    warm = read_trajectory(warm_start, experiment.robot) if isinstance(warm_start, (str, Path)) else warm_start
+    warm = _warm(warm_start, experiment) if isinstance(warm_start, (str, Path)) else warm_start
     # The matrices are small: threads inside the linear algebra cost more than they gain here.
     with threadpool_limits(1, user_api="blas"):
         clock("searching")
@@ -81,6 +82,20 @@ def excite(
         clock("expected deviations")
         result = _result(plan, clock)
     return result
+
+
+def _warm(given: str | Path, experiment: Experiment) -> Trajectory:
+    """The motion of a table, or a recorded one by its name."""
+    if Path(given).is_file():
+        return read_trajectory(given, experiment.robot)
+    if not experiment.motions and experiment.folder is not None:
+        with contextlib.suppress(InputError):  # without its tables there is nothing to name
+            experiment = load_experiment(experiment.folder, experiment.library, planned=True)
+    named = [m for m in experiment.motions if m.name == str(given)]
+    if not named:
+        there = ", ".join(m.name for m in experiment.motions) or "none"
+        raise InputError(f"--warm-start {given}: no such file, and no motion of that name; recorded motions: {there}")
+    return recorded_trajectories(replace(experiment, motions=tuple(named)))[0]
 
 
 def as_setup(given: Experiment | Robot | str | Path) -> Experiment:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import struct
 
 import numpy as np
 import pinocchio as pin
@@ -138,6 +139,11 @@ def test_warm_start_is_never_made_worse(tmp_path):
     bayesid.write_trajectory(first.trajectory, tmp_path / "start.csv")
     again = bayesid.excite(experiment, seed=5, warm_start=tmp_path / "start.csv", **QUICK | {"randoms": 1})
     assert again.value >= first.value - 1e-6
+    recorded = bayesid.simulate(experiment, [first.trajectory])
+    named = bayesid.excite(recorded, seed=6, warm_start="trajectory", **QUICK | {"randoms": 1})
+    assert named.value >= first.value - 0.05  # positions went through an encoder
+    with pytest.raises(bayesid.InputError, match="no motion of that name; recorded motions: trajectory"):
+        bayesid.excite(recorded, warm_start="nope", **QUICK)
 
 
 def test_shrinking_to_fit_ends_at_the_limit(tmp_path):
@@ -192,6 +198,38 @@ def test_bodies_are_kept_apart(tmp_path):
     assert bodies.distances(q).min() >= 0.03
     free = bayesid.excite(robot, collisions=False, rate=50.0, seed=0, **QUICK)
     assert bodies.distances(free.series.at(np.linspace(0, 10, 500))[0]).min() < 0.03  # else the limit would mean nothing
+
+
+def box_mesh(path, half, height):
+    """A box of triangles, centred at a height, as binary STL."""
+    corners = np.array([[x, y, height + z] for x in (-half, half) for y in (-half, half) for z in (-half, half)])
+    faces = "013 032 467 475 045 051 237 276 026 064 157 173".split()
+    cells = b"".join(struct.pack("<12fH", 0, 0, 0, *corners[[int(c) for c in face]].ravel(), 0) for face in faces)
+    path.write_bytes(b" " * 80 + struct.pack("<I", len(faces)) + cells)
+
+
+def test_meshes_are_found_beside_the_urdf_and_told_when_missing(tmp_path):
+    """A box as a mesh has the distances of a box; a mesh that is not there leaves its link unchecked, with a note."""
+    (tmp_path / "meshes").mkdir()
+    box_mesh(tmp_path / "meshes" / "box.stl", 0.05, 0.25)
+    sphere = '<origin xyz="0 0 0.25"/><geometry><sphere radius="0.05"/></geometry>'
+    shapes = {
+        "box": '<origin xyz="0 0 0.25"/><geometry><box size="0.1 0.1 0.1"/></geometry>',
+        "mesh": '<geometry><mesh filename="package://two/meshes/box.stl"/></geometry>',
+        "missing": '<geometry><mesh filename="package://two/meshes/none.stl"/></geometry>',
+    }
+    found = {}
+    for name, shape in shapes.items():
+        path = tmp_path / f"{name}.urdf"
+        path.write_text(BOXES.replace(sphere, shape), encoding="utf-8")
+        found[name] = clearance(load_robot(path), {}, 0.02, ground=-0.2)
+    q = np.random.default_rng(0).uniform(-2.0, 2.0, (50, 2))
+    box, mesh = found["box"][0], found["mesh"][0]
+    assert box is not None and mesh is not None and box.names == mesh.names and not found["mesh"][1]
+    apart = box.distances(q) > 0.0  # depths of overlap may differ
+    np.testing.assert_allclose(mesh.distances(q)[apart], box.distances(q)[apart], atol=1e-5)
+    assert found["missing"][0].names == ("upper and ground",)
+    assert "collision meshes of fore are not there" in found["missing"][1][0]
 
 
 def test_mount_enlarges_a_sine_by_its_response():

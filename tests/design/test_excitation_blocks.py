@@ -12,6 +12,7 @@ import bayesid
 from bayesid.cli.verbs import run
 from bayesid.design.excitation.blocks import BLOCKS
 from tests.design.test_excitation import QUICK, experiment_of
+from tests.report_pages import read
 from tests.robots import ROBOTS, write
 
 
@@ -19,6 +20,14 @@ from tests.robots import ROBOTS, write
 def result(tmp_path_factory):
     experiment = experiment_of("puma560", tmp_path_factory.mktemp("arm"))
     return bayesid.excite(experiment, static=True, blocks=("all",), rate=50.0, seed=0, settle=0.4, read=0.1, **QUICK)
+
+
+def test_report_reads_as_a_page(result, tmp_path):
+    """Tags match, nothing points outside, and what the result says is in it."""
+    page = read(result.write(tmp_path / "out").read_text(encoding="utf-8"))
+    assert {"motion", "blocks", "limits", "deviations", "series"} <= set(page.ids)
+    for text in ("Static run", "parked.csv", f"{result.base.rank} of {result.possible}", "keeps all limits"):
+        assert text in page.text
 
 
 def test_blocks_are_motions_of_their_kind(result):
