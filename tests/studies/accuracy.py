@@ -89,7 +89,8 @@ def scaled(effect: Effect, robot: Robot, share: float) -> Term:
 def biases(bench: Bench, seed: int) -> list[dict[str, Any]]:
     """Bias by every effect alone, predicted and found by a fit of the same noise with and without it."""
     bench = replace(bench, options=replace(bench.options, bandwidth=bench.problem.smoother.bandwidth))
-    own, robot, std = own_setting(bench), bench.experiment.robot, bench.estimate.std
+    own = replace(own_setting(bench), encoder=0.0)  # where encoders are shifted, rounding would not be the same noise
+    robot, std = bench.experiment.robot, bench.estimate.std
     model = {"effects": bench.experiment.effects, "effect_values": bench.experiment.effect_values}
     seeds = range(seed, seed + AVERAGED)
     start = [fit_twin(bench, own, twin(bench, own, k))[1].values for k in seeds]
@@ -143,8 +144,8 @@ Simulated over those of `V_s + V_e`, over the base parameters; one simulated sta
 
 Every effect of the library at each place that at its usual size biases a base parameter by {{ least }} standard deviations
 or more, one at a time, scaled so that its largest bias is at most {{ largest }}. Found: the mean of {{ averaged }} differences
-of two fits of the same noise with and without the effect in the plant, weights learned anew. Error: norm of found less
-predicted over the norm predicted, all base parameters in standard deviations.
+of two fits of the same noise, perfect encoders, with and without the effect in the plant, weights learned anew. Error: norm
+of found less predicted over the norm predicted, all base parameters in standard deviations.
 
 {{ biases }}
 
