@@ -14,7 +14,7 @@ from bayesid.design.excitation.plan import make_task
 from bayesid.design.tell.choose import tell, tell_effects, tell_search, unrecorded
 from bayesid.design.tell.evidence import Rows
 from bayesid.design.tell.exact import checked
-from bayesid.design.tell.motions import Planned, paces, pool, varied, within_limits
+from bayesid.design.tell.motions import Planned, paces, pool, prolonged, varied, within_limits
 from bayesid.design.tell.planned_rows import Bench, contest, contest_on
 from bayesid.design.tell.rivals import Case, from_effects, from_search, parse_effects, supposed
 from bayesid.diagnosis.fit import fit
@@ -212,7 +212,7 @@ def test_bodies_are_kept_apart_and_joints_that_rest_stay(limits):
 
 
 def test_the_chosen_motion_is_the_best_of_all_tried_and_settles_the_case(limits, recorded, diagnosis, case, bench):
-    told = tell_search(diagnosis.search, effort=(12, 8, 1), seed=1)
+    told = tell_search(diagnosis.search, effort=(12, 8, 1), options=ExcitationOptions(duration=8.0), seed=1)
     assert told is not None and told.probability > 0.9
     assert {p.true for p in told.pairs} == set(told.rivals) == {"tether@joint1", "tether@joint2"}
     tried = [contest(case, bench, m).decided(case.weights)[0] for m in pool(limits, 8.0, 12, seed=1)]
@@ -371,6 +371,16 @@ def test_nothing_recorded_yet(robot):
         assert found is not None
         told.append(found)
     assert all(w.noncentrality < g.noncentrality for w, g in zip(told[1].pairs, told[0].pairs, strict=True))
+
+
+def test_a_prolonged_motion_is_the_same_path_for_longer(planned):
+    twice = prolonged(planned)
+    assert twice.duration == 16.0 and twice.label == planned.label
+    times = np.linspace(2.0, 6.0, 9)
+    if planned.pace.label == "at one speed":  # beyond the first ramp, which takes longer
+        shift = 0.5 * (twice.pace.ramp - planned.pace.ramp)
+        assert np.allclose(twice.at(times + shift)[0], planned.at(times)[0])
+    assert np.allclose(twice.at(np.array([0.0, 16.0]))[1], 0.0, atol=1e-12)
 
 
 @pytest.mark.parametrize("options", [{"duration": -1.0}, {"colour": 3}, {"joints": ("joint7",)}])

@@ -11,7 +11,7 @@ from bayesid.design.excitation.options import ExcitationOptions
 from bayesid.design.excitation.plan import make_task
 from bayesid.design.tell.evidence import Contest
 from bayesid.design.tell.exact import checked
-from bayesid.design.tell.motions import Planned, pool, varied
+from bayesid.design.tell.motions import Planned, pool, prolonged, varied, within_limits
 from bayesid.design.tell.planned_rows import NAME, Bench, contest
 from bayesid.design.tell.rivals import Case, from_effects, from_search, parse_effects, supposed, unknown
 from bayesid.diagnosis.data import DiagnosisData
@@ -25,7 +25,7 @@ HOPELESS = 0.05
 #: and for a design.
 QUICK, THOROUGH = (24, 12, 1), (80, 60, 3)
 #: Lengths of motions [s] that are proposed: that of the longest recording, within these.
-_SHORTEST, _LONGEST = 8.0, 20.0
+_SHORTEST, _LONGEST = 16.0, 20.0
 #: From this merit on every pair is told apart but for one time in a million, and nothing is left to improve.
 _CERTAIN = -1e-6
 #: A motion that decides with this probability by exact fits is taken, and no other one checked.
@@ -116,7 +116,7 @@ def tell_search(
         Motions tried at random, improvements of the best, and motions checked by exact fits at most.
     options
         Limits, joints and length of the motion, as for `excite`; default those of `excite`, and as long as the longest
-        recording, at least 8 s and at most 20 s.
+        recording, at least 16 s and at most 20 s, or twice that where it would not decide.
     seed
         Of all of it.
     """
@@ -167,8 +167,8 @@ def tell(
 ) -> Telling | None:
     """The motion with the largest `Contest.merit`: of a pool, then of ever smaller changes of the best.
 
-    Exact fits check it (`bayesid.design.tell.exact`); where they expect it to decide less often, the next best of the pool are
-    checked, too.
+    Exact fits check it (`bayesid.design.tell.exact`). Where it then does not decide nearly surely, the same motion for twice as
+    long is checked, unless a length was asked for, and the next best of the pool are.
 
     Parameters
     ----------
@@ -179,8 +179,8 @@ def tell(
     """
     benches = [Bench.of(case.rivals[0].fit) for case in cases]
     recorded = float(benches[0].like.times[-1] - benches[0].like.times[0])
-    options = options or ExcitationOptions(duration=float(np.clip(recorded, _SHORTEST, _LONGEST)))
-    task, notes = make_task(benches[0].data.experiment, options, seed)
+    asked = options or ExcitationOptions(duration=float(np.clip(recorded, _SHORTEST, _LONGEST)))
+    task, notes = make_task(benches[0].data.experiment, asked, seed)
     limits = task.limits
 
     def contests(motion: Planned) -> list[Contest]:
@@ -190,12 +190,15 @@ def tell(
         return float(sum(c.merit(case.weights) for c, case in zip(contests(motion), cases, strict=True)))
 
     tried, improvements, most = effort
-    scored = sorted(((merit(m), m) for m in pool(limits, options.duration, tried, seed)), key=lambda x: -x[0])
+    scored = sorted(((merit(m), m) for m in pool(limits, asked.duration, tried, seed)), key=lambda x: -x[0])
     if not scored:
         return None
     count, best = improved(scored[0], merit, lambda m, size, rng: varied(m, limits, size, rng), improvements, seed)
     told = _told(cases, contests(best[1]), best[1], benches[0].rate, len(scored) + count, notes, seed)
-    for k, (_, motion) in enumerate([best, *scored][:most]):
+    motions = [motion for _, motion in [best, *scored][:most]]
+    if options is None and most and (longer := within_limits(prolonged(best[1]), limits)) is not None:
+        motions.insert(1, longer)
+    for k, motion in enumerate(motions):
         exact = [checked(c, case, b, motion) for c, case, b in zip(contests(motion), cases, benches, strict=True)]
         found = _told(cases, exact, motion, benches[0].rate, len(scored) + count, notes, seed)
         told = found if k == 0 or found.probability > told.probability else told

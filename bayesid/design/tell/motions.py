@@ -185,6 +185,13 @@ def pool(limits: Limits, duration: float, count: int, seed: int) -> Iterator[Pla
             yield fitted
 
 
+def prolonged(motion: Planned) -> Planned:
+    """The same path at the same pace for twice as long."""
+    duration = 2.0 * motion.duration
+    pace = next(p for p in paces(duration) if p.label == motion.pace.label)
+    return replace(motion, pace=pace, duration=duration)
+
+
 def varied(motion: Planned, limits: Limits, size: float, rng: np.random.Generator) -> Planned | None:
     """A motion near another one, within limits; None where there is none.
 
