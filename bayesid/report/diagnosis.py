@@ -18,6 +18,7 @@ from bayesid.report.diagnosis_figures import before_and_after, evidence, residua
 from bayesid.report.diagnosis_views import Views, diagnosis_views
 from bayesid.report.identification import mood_of
 from bayesid.report.page import render, svg, versions
+from bayesid.report.told import motion_plot, pair_rows
 from bayesid.results.diagnosis_text import (
     known_share,
     notes,
@@ -99,6 +100,8 @@ def diagnosis_report(diagnosis: Findings) -> str:
         dispersion=number(float(np.sqrt(d.search.dispersion)), 3),
         overdispersed=d.search.dispersion > 1.05,
         next_experiment=d.next_experiment,
+        next_motion="" if d.telling is None else motion_plot(d.telling),
+        pairs=[] if d.telling is None else pair_rows(d.telling),
         how=_how(d),
     )  # fmt: skip
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from markupsafe import Markup
+
+from bayesid.design.tell.choose import Telling
 from bayesid.report.excitation_figures import motion
 from bayesid.report.page import render, run_times, versions
 from bayesid.results.telling import chance, duration
@@ -9,12 +12,26 @@ from bayesid.results.text import number, percent
 from bayesid.results.told import TRAJECTORY, Told
 
 
+def pair_rows(telling: Telling) -> list[dict[str, str]]:
+    """A row for each rival as the true one and each other."""
+    return [
+        {"true": p.true, "other": p.other, "noncentrality": number(p.noncentrality, 3), "gain": number(p.gain, 3),
+         "std": number(p.std, 2), "probability": chance(p.probability)}
+        for p in telling.pairs
+    ]  # fmt: skip
+
+
+def motion_plot(telling: Telling) -> Markup:
+    """Positions, velocities and accelerations of the joints."""
+    t = telling.trajectory
+    parts = [("joint positions", "rad or m", t.positions), ("joint velocities", "per s", t.velocities),
+             ("joint accelerations", "per s²", t.accelerations)]  # fmt: skip
+    return motion(t.times, parts, {})
+
+
 def told_report(result: Told) -> str:
     """The report of ``excite --tell``: an HTML page with all figures inside."""
     t = result.telling
-    move = t.trajectory
-    parts = [("joint positions", "rad or m", move.positions), ("joint velocities", "per s", move.velocities),
-             ("joint accelerations", "per s²", move.accelerations)]  # fmt: skip
     return render(
         "told.html",
         name=result.name,
@@ -30,12 +47,8 @@ def told_report(result: Told) -> str:
         rivals=[{"name": n, "weight": percent(w, 2)} for n, w in zip(t.rivals, t.weights, strict=True)],
         estimated=t.estimated,
         recordings=", ".join(result.recordings),
-        pairs=[
-            {"true": p.true, "other": p.other, "noncentrality": number(p.noncentrality, 3), "gain": number(p.gain, 3),
-             "std": number(p.std, 2), "probability": chance(p.probability)}
-            for p in t.pairs
-        ],
-        motion=motion(move.times, parts, {}),
+        pairs=pair_rows(t),
+        motion=motion_plot(t),
         notes=t.notes,
         details=[run_times(result.seconds), versions("numpy", "scipy", "pin")],
     )  # fmt: skip
