@@ -106,6 +106,7 @@ def test_the_new_evidence_is_that_of_a_joint_least_squares_fit(case, bench, plan
     # And the joint draws of the reduced problem know how often that is enough.
     right, wrong = c.decided(np.array([1.0, 0.0]))
     assert right == pytest.approx(np.mean(gain > c.needed), abs=0.03)
+    assert c.chances(0)[1] == pytest.approx(right, abs=1e-12)
     assert wrong == pytest.approx(np.mean(gain < -c.needed), abs=0.03)
     assert other.evidence < true.evidence
 

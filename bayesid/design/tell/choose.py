@@ -247,18 +247,19 @@ def _told(
     chances = np.mean([c.decided(case.weights, seed) for c, case in zip(contests, cases, strict=True)], axis=0)
     return Telling(
         tuple(r.name for r in cases[0].rivals), tuple(map(float, weights)), len(cases) == 1, motion.trajectory(NAME, rate),
-        motion.label, float(chances[0]), float(chances[1]), _pairs(cases, contests), tried, notes,
+        motion.label, float(chances[0]), float(chances[1]), _pairs(cases, contests, seed), tried, notes,
     )  # fmt: skip
 
 
-def _pairs(cases: Sequence[Case], contests: Sequence[Contest]) -> tuple[Pair, ...]:
+def _pairs(cases: Sequence[Case], contests: Sequence[Contest], seed: int) -> tuple[Pair, ...]:
     """Each rival that may be true against each other."""
     out = []
     for c, case in zip(contests, cases, strict=True):
         mean, std = c.moments
-        for i in np.flatnonzero(case.weights > 0):
+        for i in map(int, np.flatnonzero(case.weights > 0)):
+            chances = c.chances(i, seed)
             for j in range(len(c.rivals)):
                 if i != j:
-                    figures = (float(x[i, j]) for x in (c.noncentrality, mean, std, c.pairs))
+                    figures = (float(x) for x in (c.noncentrality[i, j], mean[i, j], std[i, j], chances[j]))
                     out.append(Pair(c.rivals[i].name, c.rivals[j].name, *figures))
     return tuple(out)

@@ -208,6 +208,19 @@ class Contest:
         """
         return float(weights @ log_ndtr(self._distance).sum(axis=1))
 
+    def _scores(self, true: int, seed: int) -> np.ndarray:
+        """Log evidence of each rival, but for a constant, in joint draws of y where one is true (draws, rivals)."""
+        z = np.random.default_rng([seed, true]).normal(size=(_DRAWN, self.rows.readings.shape[1]))
+        y = z @ self._spreads[true][0].T  # about what the true one predicts
+        left = [(y + self._away(true, j), inverse) for j, (_, inverse) in enumerate(self._spreads)]
+        lead = np.array([self._lead(true, j) for j in range(len(self.rivals))])
+        return -lead - 0.5 * np.column_stack([np.sum((e @ inverse) * e, axis=1) for e, inverse in left])
+
+    def chances(self, true: int, seed: int = 0) -> np.ndarray:
+        """Probability that the true rival rules out each other one: from draws, where `pairs` takes a normal law (rivals,)."""
+        scores = self._scores(true, seed)
+        return np.asarray(np.mean(scores[:, true : true + 1] - scores > self.needed, axis=0))
+
     def decided(self, weights: np.ndarray, seed: int = 0) -> tuple[float, float]:
         """Probabilities that the true rival alone is left, and that a wrong one is: from joint draws of y.
 
@@ -218,16 +231,11 @@ class Contest:
         seed
             Of the draws.
         """
-        z = np.random.default_rng(seed).normal(size=(_DRAWN, self.rows.readings.shape[1]))
         right, wrong = 0.0, 0.0
         for i in map(int, np.flatnonzero(weights > 0)):
-            y = z @ self._spreads[i][0].T  # about what i predicts
-            left = [(y + self._away(i, j), inverse) for j, (_, inverse) in enumerate(self._spreads)]
-            lead = np.array([self._lead(i, j) for j in range(len(self.rivals))])
-            score = -lead - 0.5 * np.column_stack([np.sum((e @ inverse) * e, axis=1) for e, inverse in left])
-            order = np.argsort(score, axis=1)
-            clear = np.take_along_axis(score, order[:, -1:], 1) - np.take_along_axis(score, order[:, -2:-1], 1) > self.needed
-            first = order[:, -1] == i
-            right += weights[i] * float(np.mean(clear[:, 0] & first))
-            wrong += weights[i] * float(np.mean(clear[:, 0] & ~first))
+            scores = self._scores(i, seed)
+            second, first = np.sort(scores, axis=1)[:, -2:].T
+            clear, best = first - second > self.needed, np.argmax(scores, axis=1) == i
+            right += weights[i] * float(np.mean(clear & best))
+            wrong += weights[i] * float(np.mean(clear & ~best))
         return right, wrong
