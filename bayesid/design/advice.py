@@ -64,7 +64,10 @@ def advise(
         The same as the sensor's data sheet has it, where ``noise`` is what a fit leaves of recorded readings.
     """
     of_noise = [] if sheet is None else _noise(plan, main, sheet)
-    parts = _motion(plan, main), _effects(main), _sensors(reports, main), _sizes(plan, main, noise), of_noise, _prior(plan, main)
+    parts = (
+        _motion(plan, main), _effects(reports, main), _sensors(reports, main), _sizes(plan, main, noise), of_noise,
+        _prior(plan, main),
+    )  # fmt: skip
     return tuple(a for part in parts for a in part)
 
 
@@ -123,8 +126,8 @@ def _motion(plan: Plan, main: SetReport) -> list[Advice]:
     return out
 
 
-def _effects(main: SetReport) -> list[Advice]:
-    """What effects in the model take."""
+def _effects(reports: Sequence[SetReport], main: SetReport) -> list[Advice]:
+    """What effects in the model take, and which other sensors tell them from the links."""
     hidden = [e.name for e in main.effects if e.std is None]
     lost = main.shown.without_effects.rank - main.rank
     out = []
@@ -136,8 +139,10 @@ def _effects(main: SetReport) -> list[Advice]:
         )
         out.append(Advice("effect", text, lost))
     if hidden:
-        text = f"Not determined beside the links: {listed(hidden)}. Only a prior on the links, or a stated value, decides them."
-        out.append(Advice("effect", text))
+        text = f"Not determined beside the links: {listed(hidden)}. Only a prior on the links, or a stated value, decides them"
+        known = {r.sensor_set.title: {e.name for e in r.effects if e.std is not None} for r in reports}
+        better = next((title for title, names in known.items() if names.issuperset(hidden)), None)
+        out.append(Advice("effect", text + ("." if better is None else f"; {better} would tell them from the links.")))
     return out
 
 

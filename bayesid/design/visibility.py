@@ -27,6 +27,8 @@ WORDS = {
     UNEXCITED: "not excited by this motion",
     NEVER: "never visible to this sensor",
 }
+#: A letter for each, for tables of many parameters.
+LETTERS = {ALONE: "a", COMBINATION: "c", WEAK: "w", EFFECT: "e", UNEXCITED: "–", NEVER: "·"}
 #: From what tells most to what tells least, by rank alone.
 _ORDER = (ALONE, COMBINATION, EFFECT, UNEXCITED, NEVER)
 
@@ -236,3 +238,11 @@ def shows_more(first: str, second: str) -> bool:
 def of_rank(kind: str, link: LinkExpectation) -> str:
     """A class by rank alone: ``weak`` is what it would be with less noise."""
     return kind if kind != WEAK else ALONE if link.of_any_motion == ALONE else COMBINATION
+
+
+def by_body(names: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Rows and columns of a table of parameters: bodies and their ten, or one row of all where they are no bodies'."""
+    kinds = [n.rpartition(".")[2] for n in names]
+    if names and kinds == list(inertia.PARAMETERS) * (len(names) // 10):
+        return [n.rpartition(".")[0] for n in names[::10]], list(inertia.PARAMETERS)
+    return [""], list(names)

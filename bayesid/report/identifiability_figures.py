@@ -10,18 +10,17 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from bayesid.design.identifiability import SetReport
-from bayesid.design.visibility import ALONE, COMBINATION, EFFECT, NEVER, UNEXCITED, WEAK, WORDS
+from bayesid.design.visibility import ALONE, COMBINATION, EFFECT, LETTERS, NEVER, UNEXCITED, WEAK, WORDS, by_body
 from bayesid.report.figures import CLASSES, GREY, add_legend, make_grid, plain_log, styled
-from bayesid.robot import inertia
 
-#: Colour, letter and the letter's colour of every class: the letter tells it in print and to the colour-blind.
+#: Colour of every class, and of its letter, which tells it in print and to the colour-blind.
 LOOKS = {
-    ALONE: (CLASSES["alone"], "a", "white"),
-    COMBINATION: (CLASSES["combination"], "c", "white"),
-    WEAK: (CLASSES["weak"], "w", "black"),
-    EFFECT: ("#be185d", "e", "white"),
-    UNEXCITED: ("#cbd5e1", "–", "black"),
-    NEVER: ("#f8fafc", "", "black"),
+    ALONE: (CLASSES["alone"], "white"),
+    COMBINATION: (CLASSES["combination"], "white"),
+    WEAK: (CLASSES["weak"], "black"),
+    EFFECT: ("#be185d", "white"),
+    UNEXCITED: ("#cbd5e1", "black"),
+    NEVER: ("#f8fafc", "#94a3b8"),
 }
 _COLUMNS = 3
 _ROW = 0.2  # inches
@@ -40,7 +39,7 @@ def classes(reports: Sequence[SetReport], main: SetReport) -> Figure:
     """
     kinds = tuple(LOOKS)
     names = [p.name for p in main.parameters]
-    bodies, across = _grid(names)
+    bodies, across = by_body(names)
     rows = -(-len(reports) // _COLUMNS)
     longest = max(map(len, bodies))
     height = max(_ROW * len(bodies), 0.5)
@@ -57,8 +56,7 @@ def classes(reports: Sequence[SetReport], main: SetReport) -> Figure:
         colours = ListedColormap([LOOKS[kind][0] for kind in kinds])
         ax.pcolormesh(table, cmap=colours, vmin=-0.5, vmax=len(kinds) - 0.5, edgecolors="white", linewidth=1.2)
         for (i, j), kind in np.ndenumerate(table):
-            _, letter, ink = LOOKS[kinds[kind]]
-            ax.text(j + 0.5, i + 0.52, letter, ha="center", va="center", fontsize=7.5, color=ink)
+            ax.text(j + 0.5, i + 0.52, LETTERS[kinds[kind]], ha="center", va="center", fontsize=7.5, color=LOOKS[kinds[kind]][1])
         ax.invert_yaxis()
         ax.grid(False)
         ax.set_xticks(np.arange(columns) + 0.5, across, fontsize=7)
@@ -70,21 +68,8 @@ def classes(reports: Sequence[SetReport], main: SetReport) -> Figure:
         ax.set_title(f"{'● ' if report is main else ''}{report.sensor_set.title}: {rank}", fontsize=8.5)
     used = {p.kind for r in reports for p in r.parameters}
     handles = [Patch(facecolor=LOOKS[k][0], edgecolor="#94a3b8", linewidth=0.5) for k in kinds if k in used]
-    add_legend(figure, handles, [_entry(k) for k in kinds if k in used], lines=2)
+    add_legend(figure, handles, [f"{LETTERS[k]}: {WORDS[k]}" for k in kinds if k in used], lines=2)
     return figure
-
-
-def _entry(kind: str) -> str:
-    letter = LOOKS[kind][1]
-    return f"{letter}: {WORDS[kind]}" if letter else WORDS[kind]
-
-
-def _grid(names: Sequence[str]) -> tuple[list[str], list[str]]:
-    """Rows and columns of the parameters: bodies and their ten, or one row of all where they are no bodies'."""
-    kinds = [n.rpartition(".")[2] for n in names]
-    if len(names) % 10 == 0 and kinds == list(inertia.PARAMETERS) * (len(names) // 10):
-        return [names[k].rpartition(".")[0] for k in range(0, len(names), 10)], list(inertia.PARAMETERS)
-    return [""], list(names)
 
 
 @styled

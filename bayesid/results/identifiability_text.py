@@ -8,7 +8,7 @@ from html import escape
 from bayesid.design.advice import brief
 from bayesid.design.findings import Findings
 from bayesid.design.identifiability import EffectExpectation, SetReport
-from bayesid.design.visibility import WEAK, WORDS
+from bayesid.design.visibility import LETTERS, WEAK, WORDS, by_body
 from bayesid.results.telling import chance
 from bayesid.results.text import DASH, html_table, number, percent, text_table
 
@@ -116,6 +116,19 @@ def told(result: Findings) -> list[list[str]]:
     return rows
 
 
+def side_by_side(result: Findings) -> list[str]:
+    """A letter for every link parameter: bodies downwards, sensor sets across."""
+    bodies, across = by_body([p.name for p in result.main.parameters])
+    used = {p.kind for r in result.sensor_sets for p in r.parameters}
+    key = ", ".join(f"{LETTERS[k]} {WORDS[k]}" for k in WORDS if k in used)
+    rows = []
+    for k, body in enumerate(bodies):
+        part = slice(k * len(across), (k + 1) * len(across))
+        rows.append([body, *("".join(LETTERS[p.kind] for p in r.parameters[part]) for r in result.sensor_sets)])
+    head = ["", *(r.sensor_set.name for r in result.sensor_sets)]
+    return [f"Side by side ({' '.join(across)}): {key}", *(f"  {line}" for line in text_table(head, rows)), ""]
+
+
 def as_text(result: Findings) -> str:
     """A few dozen lines for a terminal."""
     main = result.main
@@ -127,8 +140,9 @@ def as_text(result: Findings) -> str:
         names = [p.name for p in main.parameters if p.kind == kind]
         shown = ", ".join(names[:_NAMED]) + (f" and {count - _NAMED} more" if count > _NAMED else "")
         lines.append(f"  {count} {WORDS[kind]}: {shown}")
+    lines += ["", *side_by_side(result)] if len(result.sensor_sets) > 1 else [""]
     said = spread(main)
-    lines += ["", *([said] if said else [])]
+    lines += [said] if said else []
     lines += [f"  effect {name}: {text}" for name, text in effect_lines(main)]
     lines += ["What would make a difference:"] if result.advice else []
     lines += [f"  - {a.text}" for a in result.advice]

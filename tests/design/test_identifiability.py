@@ -137,6 +137,11 @@ def test_a_held_joint_that_gives_way_a_little_still_stands_still(tmp_path):
     assert any("joint2 stood still" in x.text for x in found.advice)
 
 
+def found_row(text, body):
+    """The line of a body in the table of classes."""
+    return next(line for line in text.splitlines() if line.strip().startswith(f"{body} "))
+
+
 def test_poses_are_told_to_move(tmp_path):
     robot = load("ur5", tmp_path)
     rng = np.random.default_rng(0)
@@ -152,6 +157,8 @@ def test_poses_are_told_to_move(tmp_path):
     assert found["wrench-static"].rank == 0 and found["wrench-static"].rank_of_any_motion == 40
     assert any("only stands" in a.text for a in found.advice)
     text = str(found)
+    # The last joint turns about y: its first moment along y goes with its mass.
+    assert "Side by side (m mcx mcy mcz" in text and "caca––––––" in found_row(text, robot.joint_names[-1])
     assert "not excited by this motion" in text and "never visible to this sensor" in text
 
 
@@ -167,6 +174,9 @@ def test_effects_that_look_like_links_are_told(tmp_path):
     hidden = [e.name for e in main.effects if e.std is None]
     assert hidden == ["rotor_inertia@joint1.inertia"] and any(a.about == "effect" for a in found.advice)
     assert not any("independently" in a.text for a in found.advice)
+    # A wrench besides knows the links by itself: then the rotor is told from them.
+    wider = bayesid.identifiability(setup, motion, sensor_sets=["torque", "both-offset"], effects=["rotor_inertia@joint1"])
+    assert all(e.std is not None for e in wider["both-offset"].effects)
 
 
 def test_expected_errors_are_those_that_identify_states(tmp_path):
