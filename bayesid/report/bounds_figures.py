@@ -91,7 +91,8 @@ def remainder_figure(left: Remainder, names: Sequence[str], units: Sequence[str]
     """99 % of what is left of each joint's torque, by speed."""
     columns = min(len(names), 4)
     rows = -(-len(names) // columns)
-    figure, axes = make_grid(rows, columns, 1.1, gap=0.55)
+    figure, axes = make_grid(rows, columns, 1.2, gap=0.55)
+    figure.subplots_adjust(hspace=0.5)  # the numbers below each panel need room
     for j, ax in enumerate(axes.ravel()):
         if j >= len(names):
             ax.set_visible(False)

@@ -26,7 +26,7 @@ from bayesid.regression.problem import Problem
 from bayesid.regression.readings import make_channels
 from bayesid.results.bounds import ControllerBounds, TrajectoryBands
 from bayesid.results.figures import figures_of
-from bayesid.results.files import Files, files_of
+from bayesid.results.files import Files, files_of, strict
 from bayesid.results.identification import Identification
 from bayesid.results.posterior import ExperimentPosterior
 from bayesid.robot.limits import motion_limits
@@ -275,4 +275,4 @@ def _(result: ControllerBounds) -> Files:
     }
     for k, draw in enumerate(at):
         others[f"sampled-{k + 1:03d}.urdf"] = lambda path, draw=draw: write_urdf(robot, result.links[draw], path)
-    return Files({"bounds.json": result.to_dict()}, others, bounds_report(result))
+    return Files({"bounds.json": strict(result.to_dict())}, others, bounds_report(result))
