@@ -27,7 +27,7 @@ def tables(r: dict[str, Any]) -> dict[str, str]:
         f"| {s['readings']} | {s['rank']} | {s['better_than_size']} | {_shown(s['condition_number'])} |" for s in p["sensor_sets"]
     ]
     rows = [
-        f"| {j + 1} | {largest:.1f} | {half:.2g} | {far:.2g} | {error:.2g} |"
+        f"| {j + 1} | {largest:.1f} | {half:.2g} | {far:.2g} | {error if error > 1e-9 else 0:.2g} |"
         for j, (largest, half, far, error) in enumerate(
             zip(b["largest_torque"], b["half_band"], b["extrapolation"], w["gravity_error"], strict=True)
         )
@@ -39,7 +39,7 @@ def tables(r: dict[str, Any]) -> dict[str, str]:
         for name, c in r["control"].items()
     ]  # fmt: skip
     missing = [
-        f"| {m['effect']} ({m['where']}) | {m['largest_sigmas']:.3g} | {100 * m['prediction']:.2g} % |"
+        f"| {m['effect']} ({m['where']}) | {m['largest_sigmas']:.0f} | {100 * m['prediction']:.2g} % |"
         for m in r["susceptibility"]
     ]
     sentences = {
@@ -55,7 +55,8 @@ def tables(r: dict[str, Any]) -> dict[str, str]:
             f"times the noise ({e['validation_expected']:.3f} expected).",
         ],
         "sets-of-parameters": [
-            f"All {b['parameters']} parameters of the joint torques at once, {b['prior_driven']} of them driven by the prior:",
+            f"All {b['parameters']} parameters of the joint torques at once, {b['prior_driven'] or 'none'} of them driven by the",
+            "prior:",
             f"rho_V = {b['rho_V']:.2f}, and the truth is at {b['distance']:.2f}; rho = {b['rho']:.2g}, and the truth is at",
             f"{b['norm']:.2g}; the truth is {'in' if b['in_box'] else 'outside'} the box. The ball's term takes",
             f"{b['effort_ratio']:.2g} times the torque of the ellipsoid's.",

@@ -87,12 +87,12 @@ def errors(result: bayesid.Identification, truth: np.ndarray) -> dict[str, Any]:
 
 
 def susceptibility(result: bayesid.Identification) -> list[dict[str, Any]]:
-    """What effects that the model may lack would do, the worst first."""
-    found = bayesid.accuracy(result, runs=0, seed=SEED).susceptibility
-    return [
-        {"effect": s.effect.name, "where": s.effect.where, "largest_sigmas": s.largest, "prediction": s.prediction}
-        for s in found[:6]
-    ]  # fmt: skip
+    """What effects that the model may lack would do, each at the place where it does most, the worst first."""
+    worst: dict[str, dict[str, Any]] = {}
+    for s in bayesid.accuracy(result, runs=0, seed=SEED).susceptibility:
+        entry = {"effect": s.effect.name, "where": s.effect.where, "largest_sigmas": s.largest, "prediction": s.prediction}
+        worst.setdefault(s.effect.name, entry)
+    return list(worst.values())[:8]
 
 
 def control(
