@@ -22,6 +22,7 @@ from bayesid.diagnosis.shifts import base_shifts
 from bayesid.diagnosis.stability import stability
 from bayesid.diagnosis.validation import residual_spectra, validate
 from bayesid.diagnosis.verdict import evidence_of, verdict
+from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, as_experiment
 from bayesid.recordings.schema import write_model
 from bayesid.regression.readings import default_channel
@@ -150,7 +151,10 @@ def _with_next_motion(result: Diagnosis, seed: int, progress: Progress) -> Diagn
     if result.verdict != "ambiguous":
         return result
     progress("the motion that tells them apart")
-    telling = tell_search(result.search, seed=seed)
+    try:
+        telling = tell_search(result.search, seed=seed)
+    except InputError as error:  # a robot whose limits leave no room; the diagnosis stands
+        return replace(result, next_experiment=f"{result.next_experiment} No motion was planned: {error}.")
     if telling is None:
         return result
     return replace(result, telling=telling, next_experiment=telling_sentence(telling, NEXT_MOTION))

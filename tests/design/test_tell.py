@@ -347,6 +347,20 @@ def test_what_excite_tell_says_and_writes(diagnosis, robot, tmp_path):
     assert "another sensor or channel may" in telling_sentence(hopeless, "next_motion.csv")
 
 
+def test_limits_that_leave_no_room_cost_the_motion_and_not_the_diagnosis(diagnosis, monkeypatch):
+    def refuse(*_, **__):
+        raise InputError("no pose keeps the torque within its limit")
+
+    from bayesid.workflows import diagnose as verb
+
+    monkeypatch.setattr(verb, "tell_search", refuse)
+    bare = replace(diagnosis, telling=None, next_experiment="Move other joints.")
+    found = verb._with_next_motion(bare, 0, lambda _: None)
+    assert found.verdict == "ambiguous" and found.telling is None
+    assert found.next_experiment == "Move other joints. No motion was planned: no pose keeps the torque within its limit."
+    assert "next_motion" not in found.next_experiment and found.to_dict()["next_motion"] is None
+
+
 @pytest.mark.slow
 def test_the_command_line(recorded, tmp_path):
     write_simulation(recorded, tmp_path / "arm")
