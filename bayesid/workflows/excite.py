@@ -182,9 +182,9 @@ def limit_uses(plan: Plan) -> list[LimitUse]:
         out += [LimitUse(load.kind, *row) for row in _rows(where, ratio * load.most[limited], load.most[limited], unit, ratio)]
     if limits.clearance is not None:
         bodies, ratio = limits.clearance, worst["collision"]
-        distance = bodies.margin + (1.0 - ratio) * bodies.scale
+        distance = bodies.margins + (1.0 - ratio) * bodies.scale
         out += [LimitUse("collision", *row) for row in
-                _rows(bodies.names, distance, np.full(len(ratio), bodies.margin), ["m"] * len(ratio), ratio)]  # fmt: skip
+                _rows(bodies.names, distance, bodies.margins, ["m"] * len(ratio), ratio)]  # fmt: skip
     return out
 
 

@@ -263,6 +263,23 @@ def test_interrupt_keeps_the_best_motion(tmp_path, monkeypatch):
     assert written["interrupted"] and written["within_limits"]
 
 
+def test_interrupt_among_random_motions_keeps_the_best_of_them(tmp_path, monkeypatch):
+    from bayesid.design.excitation import optimise
+
+    whole, seen = optimise.random_feasible, []
+
+    def stopped(*args):
+        if len(seen) == 3:
+            raise KeyboardInterrupt
+        seen.append(whole(*args))
+        return seen[-1]
+
+    monkeypatch.setattr(optimise, "random_feasible", stopped)
+    result = bayesid.excite(experiment_of("ur5", tmp_path), seed=0, **QUICK)
+    assert result.interrupted and result.within_limits and len(result.random) == 3
+    assert result.value == pytest.approx(result.random.max(), abs=0.05)
+
+
 def test_trajectory_can_be_simulated_and_identified(tmp_path):
     """What is written is a motion that can be recorded: the table reads back, and the estimate has every base parameter."""
     experiment = experiment_of("puma560", tmp_path)

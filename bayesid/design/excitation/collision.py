@@ -40,8 +40,8 @@ class Clearance:
         The pairs' names.
     carriers
         Joint that carries each of the two bodies of a pair, -1 for what does not move (p, 2).
-    margin, scale
-        Least distance [m]; distance that changes a ratio by one [m].
+    margins, scale
+        Least distance of each pair (p,) [m]; distance that changes a ratio by one [m].
     notes
         What was left out, and why.
     """
@@ -49,13 +49,13 @@ class Clearance:
     robot: Robot
     names: tuple[str, ...]
     carriers: np.ndarray
-    margin: float
+    margins: np.ndarray
     scale: float
     notes: tuple[str, ...]
     _scene: _Scene
 
     def __repr__(self) -> str:
-        return f"<Clearance: {len(self.names)} pairs of bodies, {self.margin:g} m>"
+        return f"<Clearance: {len(self.names)} pairs of bodies, {self.margins.max():g} m>"
 
     def distances(self, positions: np.ndarray) -> np.ndarray:
         """Distance of every pair at joint positions (N, n): (N, p) [m], negative where bodies overlap."""
@@ -63,7 +63,7 @@ class Clearance:
 
     def ratios(self, positions: np.ndarray) -> np.ndarray:
         """``1 + (margin - distance) / scale``, zero for bodies far apart (N, p): above one where they come too near."""
-        return np.maximum(1.0 + (self.margin - self.distances(positions)) / self.scale, 0.0)
+        return np.maximum(1.0 + (self.margins - self.distances(positions)) / self.scale, 0.0)
 
     def gradient(self, positions: np.ndarray, weights: np.ndarray) -> np.ndarray:
         """Derivatives (N, n) of ``sum(weights * ratios)`` with respect to the joint positions."""
@@ -72,7 +72,7 @@ class Clearance:
         states = link_states(self.robot, positions, still, still)[:, : self.robot.n]
         rotation = states[..., _ROTATION].reshape(*states.shape[:2], 3, 3)
         axis, origin = np.einsum("sjab,jb->sja", rotation, self.robot.axis), states[..., _ORIGIN]
-        slope = np.where(distance < self.margin + self.scale, -weights / self.scale, 0.0)
+        slope = np.where(distance < self.margins + self.scale, -weights / self.scale, 0.0)
         moves = np.vstack([self.robot.moves_with[:, : self.robot.n].T, np.zeros((1, self.robot.n), bool)])  # the last: the root
         out = np.zeros_like(positions)
         for side, sign in ((0, -1.0), (1, 1.0)):
@@ -163,9 +163,12 @@ def clearance(
     rng = np.random.default_rng(seed)
     low = np.where(np.isfinite(robot.lower), robot.lower, -np.pi)
     high = np.where(np.isfinite(robot.upper), robot.upper, np.pi)
-    touching = np.mean(scene.witnesses(rng.uniform(low, high, (_TRIED, robot.n)))[0] <= 0.0, axis=0)
-    for k in np.flatnonzero(touching > _NEIGHBOURS)[::-1].tolist():
+    tried = scene.witnesses(rng.uniform(low, high, (_TRIED, robot.n)))[0]
+    # Some shapes never are a margin apart: then they are to keep half of what they can.
+    margins = np.where(np.mean(tried <= margin, axis=0) > _NEIGHBOURS, np.minimum(margin, 0.5 * tried.max(axis=0)), margin)
+    for k in np.flatnonzero(np.mean(tried <= 0.0, axis=0) > _NEIGHBOURS)[::-1].tolist():
         a, b = chosen.pop(k)
+        margins = np.delete(margins, k)
         geometry.removeCollisionPair(pin.CollisionPair(a, b))
         notes = (*notes, f"{bodies[a][0]} and {bodies[b][0]} overlap nearly everywhere: this pair is not checked")
     if not chosen:
@@ -173,7 +176,10 @@ def clearance(
     scene = _Scene(model, geometry, robot, locked)
     names = tuple(f"{bodies[a][0]} and {bodies[b][0]}" for a, b in chosen)
     carriers = np.maximum(np.array([(bodies[a][1], bodies[b][1]) for a, b in chosen]), -1)
-    return Clearance(robot, names, carriers, margin, max(4.0 * margin, 0.05), notes, scene), notes
+    narrow = [f"{name} ({1000 * m:.1f} mm)" for name, m in zip(names, margins, strict=True) if m < margin]
+    if narrow:
+        notes = (*notes, f"Nearly everywhere nearer to each other than the margin, and kept apart by less: {', '.join(narrow)}.")
+    return Clearance(robot, names, carriers, margins, max(4.0 * margin, 0.05), notes, scene), notes
 
 
 def _adjacent(robot: Robot, one: int, other: int) -> bool:

@@ -29,6 +29,8 @@ from bayesid.design.excitation.restore import restored
 from bayesid.design.excitation.series import Coordinates, FourierSeries
 
 _ROUNDS, _ITERATIONS, _STEEPNESS, _STEEPER, _FASTER = 12, 100, 10.0, 3.0, 0.3
+#: Share of the time that random motions may take.
+_FOR_RANDOMS = 0.4
 #: Share of amplitudes above which scaling to fit was hardly needed.
 _HARDLY = 0.995
 #: A round that exceeds limits by less, and gains less, is the last.
@@ -175,6 +177,8 @@ def search(
                 found.offer(fitted, task.judged(fitted))
                 pool.append((-np.inf, fitted))
         for k in range(randoms):
+            if pool and found.seconds > _FOR_RANDOMS * seconds:
+                break
             tell(f"random motions {k + 1} of {randoms}")
             series = random_feasible(task.coordinates, task.limits, rng, len(task.coordinates.times))
             if series is None:
@@ -190,6 +194,10 @@ def search(
             found.close()
     except KeyboardInterrupt:
         found.interrupted = True
+        if found.best is None and pool:
+            fitted = scaled_to_fit(min(pool, key=lambda pair: pair[0])[1], task.limits, task.fine, largest=1.0)
+            if fitted is not None:
+                found.offer(fitted, task.judged(fitted))
     found.close()
     return found
 
@@ -199,12 +207,19 @@ def improve(task: Task, start: FourierSeries, found: Search, seconds: float, tel
     x = task.coordinates.numbers(start)
     multipliers: list[np.ndarray] | None = None
     steepness, before, gap_before = _STEEPNESS, np.inf, np.inf
+
+    def in_time(_: np.ndarray) -> None:
+        if found.seconds > seconds and found.best is not None:
+            raise StopIteration  # ends the minimisation, not the program
+
     for number in range(_ROUNDS):
         ratios = task.limits.ratios(task.coordinates.motion(x))
         if multipliers is None:
             multipliers = [np.zeros_like(part) for part in ratios]
         penalty = _Penalty(task, multipliers, steepness)
-        done = minimize(penalty, x, jac=True, method="L-BFGS-B", options={"maxiter": _ITERATIONS, "maxcor": 20})
+        done = minimize(
+            penalty, x, jac=True, method="L-BFGS-B", callback=in_time, options={"maxiter": _ITERATIONS, "maxcor": 20}
+        )  # fmt: skip
         x = done.x
         ratios = task.limits.ratios(task.coordinates.motion(x))
         gap = max(float(np.abs(part).max(initial=0.0)) for part in ratios) - 1.0

@@ -281,7 +281,9 @@ def _explain(task: Task, seed: int) -> None:
                 + ("--sensor-range or --sensor-share" if load.kind == "wrench" else "--torque-share or the URDF's effort limit")
             )
     if limits.clearance is not None:
-        broken["collisions"] = float(np.mean(limits.clearance.ratios(q).max(axis=1) > 1.0))
+        near = limits.clearance.ratios(q) > 1.0
+        pair = limits.clearance.names[int(np.argmax(near.mean(axis=0)))]
+        broken[f"distances, that of {pair} most often"] = float(np.mean(near.any(axis=1)))
     most = max(broken, key=lambda k: broken[k], default="joint limits")
     raise InputError(
         f"no motion within all limits was found; most poses break the limit of {most} "
