@@ -187,10 +187,10 @@ of full speed in 0.25 s, torques 70 %. Torques are those of Pinocchio's recursio
 
 Joint torques. Each joint's extreme positions, largest speed and acceleration, and largest torque of the nominal links along
 the recorded motion are the limits of ours, which has the same length and starts and ends at rest. The search starts from the
-published motion and from random ones, and takes up to 40 s for each criterion. *Condition*: of the base regressor in SI units,
-which FIGAROH and others minimise; *scaled*: with columns of unit length, which does not depend on units. Both motions have the same
-columns. *Ratio*: standard deviations (geometric mean) with the published motion over those with ours (D-optimal). The determinant
-counts every direction, a condition number only the extreme ones: no motion is best in all.
+published motion and from random ones, and takes up to 40 s for each criterion. *Condition*: of the base regressor in SI
+units, which FIGAROH and others minimise; *scaled*: with columns of unit length, which does not depend on units. Both motions
+have the same columns. *Ratio*: standard deviations (geometric mean) with the published motion over those with ours
+(D-optimal). The determinant counts every direction, a condition number only the extreme ones: no motion is best in all.
 
 | motion | joints | length | condition, theirs | D-optimal | for condition | scaled, theirs | D-optimal | for condition | ratio |
 | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |
