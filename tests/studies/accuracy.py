@@ -100,8 +100,11 @@ def biases(bench: Bench, seed: int) -> list[dict[str, Any]]:
         first = usual.get(effect.spec)
         if first is None or first.largest < LEAST:
             return None
-        term = scaled(effect, robot, min(LARGEST / first.largest, 1.0))
-        (predicted,) = susceptibility(bench, std, (term,))
+        share, predicted, term = 1.0, first, Term(effect, first.values)
+        while predicted.largest > 1.05 * LARGEST:  # a large effect is weighted down, so that its bias is not in proportion
+            share *= LARGEST / predicted.largest
+            term = scaled(effect, robot, share)
+            (predicted,) = susceptibility(bench, std, (term,))
         plant = replace(bench, terms=(*bench.terms, term))
         made = [fit_twin(bench, own, replace(twin(plant, own, k), **model))[1].values for k in seeds]
         shift = (np.mean(made, axis=0) - np.mean(start, axis=0)) / std
@@ -150,6 +153,9 @@ of found less predicted over the norm predicted, all base parameters in standard
 {{ biases }}
 
 {{ beyond }}
+
+Not scaled, and not small, are effects whose bias stays below {{ largest }} at their usual size: a coupling that turns the last
+joint by as much as another one moves, or cross-talk between forces that hardly biases but moves the weights of its channels.
 
 ## Certificates
 
