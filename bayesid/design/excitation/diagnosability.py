@@ -22,6 +22,7 @@ from bayesid.effects import Effect, MotionSegment, Term
 from bayesid.effects.exact import columns, readings
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment
+from bayesid.robot.typical import states_masses, typical_links
 
 DETECTED = 5.0
 #: Samples of a period; parts of a trace that count as nothing; shares up to which two traces count as different.
@@ -92,7 +93,8 @@ def diagnosability(experiment: Experiment, information: Information, series: Fou
     recorded
         Samples in all.
     """
-    robot, channels, links = experiment.robot, information.channels, experiment.robot.nominal
+    robot, channels = experiment.robot, information.channels
+    links = robot.nominal if states_masses(robot) else typical_links(robot)
     gravity = information.sensor_set.gravity
     step = series.period / _SAMPLES
     times = step * np.arange(_SAMPLES)
