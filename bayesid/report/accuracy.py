@@ -22,11 +22,13 @@ from bayesid.results.accuracy_text import (
     level_cells,
     sensor_rows,
     sensor_title,
+    worst_places,
 )
 from bayesid.results.text import DASH, HALF, channel_text, number, percent
 from bayesid.robot import inertia
 
-_MOST_EFFECTS = 15
+#: Places of each kind of effect that the map shows.
+_MAPPED_PLACES = 4
 
 
 def accuracy_report(result: Accuracy) -> str:
@@ -53,9 +55,9 @@ def accuracy_report(result: Accuracy) -> str:
         runs=0 if sweeps is None else sweeps.runs,
         predicted=", ".join(bench.predicted_motions),
         map="" if not biased else svg(bias_map(result), "susceptibility"),
-        map_size=min(len(biased), SHOWN_EFFECTS),
+        map_size=min(len(worst_places(biased, _MAPPED_PLACES)), SHOWN_EFFECTS),
+        worst=[effect_cells(s, base.labels) for s in worst_places(result.susceptibility, 1)],
         effects=[effect_cells(s, base.labels) for s in result.susceptibility],
-        shown_effects=_MOST_EFFECTS,
         unbiased=len(result.susceptibility) - len(biased),
         certificate=certificate_section(certificate, base),
         certified=certificate is not None,
@@ -69,7 +71,8 @@ def accuracy_report(result: Accuracy) -> str:
 
 def bias_map(result: Accuracy) -> Figure:
     """Bias of every base parameter by the effects that bias most."""
-    shown = [s for s in result.susceptibility if s.largest >= NO_BIAS][:SHOWN_EFFECTS]
+    biased = [s for s in result.susceptibility if s.largest >= NO_BIAS]
+    shown = worst_places(biased, _MAPPED_PLACES)[:SHOWN_EFFECTS]
     base = result.bench.problem.row_model.base
     matrix = np.array([s.sigmas for s in shown]).reshape(len(shown), base.rank)
     return susceptibility_figure([s.effect.spec for s in shown], short_names(base), matrix)

@@ -43,9 +43,9 @@ def accuracy_text(
         head = ["factor", "level", "median error", "95 %", "prediction", "lost"]
         parts.append((f"One factor at a time, {sweeps.runs} twins a level", head, rows))
     if susceptibility:
-        rows = [effect_cells(s, labels) for s in susceptibility[:_SHOWN_EFFECTS]]
+        rows = [effect_cells(s, labels) for s in worst_places(susceptibility, 1)[:_SHOWN_EFFECTS]]
         head = ["effect left out", "size", "largest bias", "of", "prediction"]
-        parts.append(("Bias by effects left out of the model", head, rows))
+        parts.append(("Bias by effects left out of the model, each at its worst place", head, rows))
     if sensors is not None:
         parts.append((sensor_title(sensors), ["", *(o.candidate.name for o in sensors.outlooks)], sensor_rows(sensors)))
     notes = [coverage_text(certificate), *(f"warning: {w}" for w in warnings)]
@@ -83,6 +83,17 @@ def effect_cells(s: Susceptibility, labels: tuple[str, ...]) -> list[str]:
     none = s.largest < NO_BIAS
     bias, of = ("none", "") if none else (f"{number(s.largest, 2)} σ", _short(labels[s.most_biased]))
     return [s.effect.spec, size_text(s), bias, of, percent(s.prediction, 2) if s.prediction > 1e-12 else "0 %"]
+
+
+def worst_places(found: Sequence[Susceptibility], each: int) -> list[Susceptibility]:
+    """Of every kind of effect the places where it biases most, largest bias first."""
+    counts: dict[str, int] = {}
+    out = []
+    for s in found:
+        counts[s.effect.name] = counts.get(s.effect.name, 0) + 1
+        if counts[s.effect.name] <= each:
+            out.append(s)
+    return out
 
 
 def size_text(s: Susceptibility) -> str:
