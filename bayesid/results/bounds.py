@@ -254,6 +254,8 @@ class ControllerBounds(Result):
 
     def _plot(self, channel: str, name: str | None) -> Figure:
         known: Mapping[str, TrajectoryBands] = {t.name: t for t in self.trajectories}
+        if not known:
+            raise InputError("no trajectory has bands, as no motion of the experiment moves; pass trajectory= to bounds")
         if name is not None and name not in known:
             raise InputError(f"trajectory '{name}' has no bands; choose one of {', '.join(known)}")
         shown = getattr(known[name] if name is not None else self.trajectories[0], channel)
