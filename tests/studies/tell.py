@@ -286,7 +286,7 @@ def figure(result: dict[str, Any], path: Path) -> None:
     """Reliability diagram."""
     import matplotlib.pyplot as plt
 
-    with plt.rc_context(STYLE), plt.rc_context({"svg.hashsalt": "tell"}):
+    with plt.style.context(STYLE), plt.rc_context({"svg.hashsalt": "tell"}):
         fig, ax = plt.subplots(figsize=(4.2, 3.6), layout="constrained")
         ax.plot([0, 1], [0, 1], color=GREY, lw=1, ls="--")
         for b in result["bins"]:
