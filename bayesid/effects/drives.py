@@ -42,7 +42,9 @@ class CoupledTransmission(TransmissionEffect):
     summary = "another joint's motion turns the motor, too, as in a coupled wrist or a parallelogram"
     equation = "motor at $q_k + c\\,q_j$; torque of joint $j$ read as $\\tau_j - c\\,\\tau_k$"
     source = "virtual work: motors and joints share their power"
-    quantities = (Parameter("coupling", "1", -5.0, 5.0, typical=1.0, linear=False),)
+    # Usual is a motor that rides on the joint before its own: that joint's turn over a gear ratio of fifty. A wrist whose shafts
+    # run through each other has 1.
+    quantities = (Parameter("coupling", "1", -5.0, 5.0, typical=0.02, linear=False),)
     confusable_with = ("encoder_offset",)
 
     def coupling(self, values):

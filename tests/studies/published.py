@@ -23,22 +23,28 @@ ROOT = DOCS.parent
 BEFORE = "679f174"
 #: Which figures of a file are published, as paths of keys with wildcards; of a file that is not here, all single numbers.
 SHOWN = {
+    "docs/accuracy.json": ("arms/*/formula/*", "arms/*/coverage", "arms/*/lowest", "arms/*/highest"),
     "docs/benchmarks.json": ("comparison/*/*/us_per_sample", "comparison/*/*_over_bayesid", "comparison/*/memory_share"),
+    "docs/controller-bounds.json": ("cases/*/held/*", "cases/*/tracking/*/kept"),
     "docs/coverage.json": ("arms/*/fits/*/coverage", "arms/*/fits/*/rms_over_sensor_bound"),
     "docs/diagnosis-speed.json": ("median_s", "largest_s"),
     "docs/encoder-coverage.json": ("cases/*/fits/*/mean", "cases/*/fits/*/lowest", "cases/*/fits/*/error"),
     "docs/encoder-noise.json": ("cases/*/fits/*/bias", "cases/*/fits/*/rms_error", "cases/*/fits/*/coverage/mean"),
+    "docs/excitation.json": ("random/*/seconds", "random/*/std_ratio", "published/*/std_ratio"),
+    "docs/expected.json": ("arms/*/all", "arms/*/lowest", "arms/*/highest"),
     "docs/identified-urdf.json": ("real/*/growth", "simulated/*/growth"),
     "docs/outliers.json": ("arms/*/fits/*/error", "arms/*/fits/*/coverage"),
     "docs/physical.json": ("cases/*/methods/*/coverage/mean", "cases/*/methods/*/coverage/lowest"),
     "docs/physical-speed.json": ("milliseconds/*", "times_faster*"),
     "docs/posterior-speed.json": ("*/bayesid/rate", "*/bayesid_over_*", "whole/*/seconds"),
     "docs/real-robots.json": ("*/thirty_lines", "*/methods/*/unseen", "*/methods/*/halves"),
+    "docs/tell.json": ("ambiguous", "settled", "among", "settled_among"),
     "docs/sbc.json": ("cases/*/smallest_probability", "cases/*/mean_rank"),
     "case_studies/blind_naming/results.json": ("rates/*", "coverage_95", "gap_after_within_*", "seconds/*"),
     "case_studies/diagnosis/results.json": ("hose/gap/after", "robot/*/*/gap/after", "wrist/*/*/gap/after"),
     "case_studies/kuka_lwr4/results.json": ("*/rows/*/fit", "*/rows/*/error"),
     "case_studies/liu1998/results.json": ("verification/nrmse/*", "recipes/*/rms_sigmas", "recipes/*/covered"),
+    "case_studies/seven_joint_arm/results.json": ("plan/sensor_sets/*/rank",),
     "case_studies/printed_estimate/results.json": ("cases/*/lower", "cases/*/upper", "by_hand"),
 }
 #: Shares of counted cases, [share, cases]: their standard error is known.
