@@ -154,8 +154,8 @@ of found less predicted over the norm predicted, all base parameters in standard
 
 {{ beyond }}
 
-Not scaled, and not small, are effects whose bias stays below {{ largest }} at their usual size: a coupling that turns the last
-joint by as much as another one moves, or cross-talk between forces that hardly biases but moves the weights of its channels.
+Not scaled, and not small, are effects whose bias stays below {{ largest }} at their usual size: cross-talk between
+forces, for one, hardly biases, but moves the weights of its channels.
 
 ## Certificates
 

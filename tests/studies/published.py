@@ -40,6 +40,7 @@ SHOWN = {
     "docs/real-robots.json": ("*/thirty_lines", "*/methods/*/unseen", "*/methods/*/halves"),
     "docs/tell.json": ("ambiguous", "settled", "among", "settled_among"),
     "docs/sbc.json": ("cases/*/smallest_probability", "cases/*/mean_rank"),
+    "docs/unmodelled.json": ("fits/*/untouched", "fits/*/touched", "fits/*/z"),
     "case_studies/blind_naming/results.json": ("rates/*", "coverage_95", "gap_after_within_*", "seconds/*"),
     "case_studies/diagnosis/results.json": ("hose/gap/after", "robot/*/*/gap/after", "wrist/*/*/gap/after"),
     "case_studies/kuka_lwr4/results.json": ("*/rows/*/fit", "*/rows/*/error"),

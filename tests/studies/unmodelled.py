@@ -90,7 +90,7 @@ def fitted(work: Path, answer: dict[str, Any]) -> dict[str, Any] | None:
         try:
             spec = f"{effect['name']}@{effect['where']}" if effect["where"] else effect["name"]
             whole = bayesid.identify(experiment, method="wls", channel=answer["channel"], effects=[spec]).estimate
-        except bayesid.BayesidError:
+        except (bayesid.BayesidError, np.linalg.LinAlgError):  # the latter by revisions before an effect that ran away was told
             return None
     if list(whole.base.labels) != out["labels"]:
         return None
