@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from scipy.stats import multivariate_normal
 import bayesid
 from bayesid.cli import main
 from bayesid.diagnosis.changes.evidence import Marginal, Reduced, gain
+from bayesid.diagnosis.changes.findings import Comparison
 from bayesid.diagnosis.changes.hypotheses import Hypothesis, StandingAmplitudes
 from bayesid.diagnosis.changes.posterior import amplitudes
 from bayesid.diagnosis.changes.scales import DISPERSIONS, SIZES
@@ -175,7 +177,7 @@ def test_what_to_record_next():
 
     def found(verdict, *pairs):
         changes = [SimpleNamespace(change=a, found=SimpleNamespace(rivals=[(h, 1.0) for h in b])) for a, b in pairs]
-        return next_experiment(SimpleNamespace(verdict=verdict, changes=changes))  # type: ignore[arg-type]
+        return next_experiment(cast(Comparison, SimpleNamespace(verdict=verdict, changes=changes)))
 
     load, hose = change("payload", "joint2"), change("tether", "joint1")
     assert "bayesid excite --tell payload@joint2,tether@joint1 plans" in found("ambiguous", (load, [hose]))

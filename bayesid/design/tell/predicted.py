@@ -26,7 +26,7 @@ class PredictedSegment(Segment):
     coefficients: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
 
     @cached_property
-    def measured_readings(self) -> np.ndarray:  # type: ignore[override]
+    def measured_readings(self) -> np.ndarray:
         """Coefficients of the readings (K, c)."""
         return self.coefficients
 
