@@ -13,6 +13,9 @@ WINDOW, QUIET = 64, 0.1
 FILTERED_RATIO = 8.0
 #: The mean over all windows is taken, being more exact, where it exceeds what the quiet ones say by less than this.
 _STEADY = 1.3
+#: Shares of the windows, the quietest, over which a mean may be taken, and by how many standard errors it may exceed what the
+#: quantile says.
+_SHARES, _CONSISTENT = (0.25, 0.5, 0.75, 1.0), 2.5
 #: Frequencies above the motion's, and those that tell filtered readings, as shares of the sampling rate.
 _ABOVE = (0.3, 0.48)
 _COMPARED = ((0.15, 0.25), (0.4, 0.48))
@@ -23,23 +26,24 @@ def quiet_noise(readings: Sequence[np.ndarray], window: int = WINDOW, quantile: 
 
     Power at high frequencies in short windows. Real motion reaches there, too, where the robot hurries, reverses or is
     struck; so the quietest windows count: a low quantile of the windows' powers, over what that quantile would be if
-    the noise were all there is.
+    the noise were all there is. A quantile of few windows is inexact. So the mean over the largest share of them, quietest first,
+    is taken that agrees with it, over what that mean would be of noise alone: over all where the noise is the same all the time.
 
     Parameters
     ----------
     readings
         Recordings made in the same way (a static run may average its readings longer than a moving one), each (N, c).
     window, quantile
-        Samples of a window, and which quantile of the windows counts.
+        Samples of a window, and which quantile of the windows is surely quiet.
     """
-    (powers,), bins = _powers(readings, [_ABOVE], window)
-    return _quiet(powers, bins, quantile)
+    (powers,), freedom = _powers(readings, [_ABOVE], window)
+    return _quiet(powers, freedom, quantile)
 
 
 def steady_noise(readings: Sequence[np.ndarray]) -> np.ndarray:
     """As `quiet_noise` (c,), but from all windows where the noise is as strong in all of them."""
-    (powers,), bins = _powers(readings, [_ABOVE], WINDOW)
-    quiet, mean = _quiet(powers, bins, QUIET), np.sqrt(powers.mean(axis=0))
+    (powers,), freedom = _powers(readings, [_ABOVE], WINDOW)
+    quiet, mean = _quiet(powers, freedom, QUIET), np.sqrt(powers.mean(axis=0))
     return np.where(mean < _STEADY * quiet, mean, quiet)
 
 
@@ -51,31 +55,45 @@ def low_passed(
     return bool(np.max(lower / np.maximum(upper, 1e-300)) > ratio)
 
 
-def _quiet(powers: np.ndarray, bins: int, quantile: float) -> np.ndarray:
-    """Standard deviation of noise whose windows have these powers at their quietest (c,)."""
-    return np.sqrt(np.quantile(powers, quantile, axis=0) / (chi2.ppf(quantile, 2 * bins) / (2 * bins)))
+def _quiet(powers: np.ndarray, freedom: float, quantile: float) -> np.ndarray:
+    """Standard deviation of noise whose windows have these powers (w, c) at their quietest (c,)."""
+    usual = chi2.ppf(quantile, freedom) / freedom
+    density = chi2.pdf(freedom * usual, freedom) * freedom
+    out = sure = np.quantile(powers, quantile, axis=0) / usual
+    error = np.sqrt(quantile * (1.0 - quantile) / len(powers)) / (density * usual)
+    ordered = np.sort(powers, axis=0)
+    for share in _SHARES:
+        count = int(np.ceil(share * len(powers)))
+        # Mean of a chi-squared below its quantile: x p(x, nu) is nu p(x, nu + 2).
+        below = chi2.cdf(chi2.ppf(share, freedom), freedom + 2.0) / share
+        mean = ordered[:count].mean(axis=0) / below
+        out = np.where(mean <= (1.0 + _CONSISTENT * error) * sure, mean, out)
+    return np.sqrt(out)
 
 
-def _powers(readings: Sequence[np.ndarray], bands: Sequence[tuple[float, float]], window: int) -> tuple[list[np.ndarray], int]:
-    """Power per sample in bands (shares of the sampling rate) of every window, each (w, c), and how many bins the last one has.
+def _powers(readings: Sequence[np.ndarray], bands: Sequence[tuple[float, float]], window: int) -> tuple[list[np.ndarray], float]:
+    """Power per sample in bands (shares of the sampling rate) of every window (w, c), and the last band's degrees of freedom.
 
-    Second differences first, so that a slow, large motion does not leak upwards; their gain is (2 sin(pi f h))^4.
+    Windows overlap by half: those of a Hann shape are nearly independent. Second differences first, so that a slow, large
+    motion does not leak upwards; their gain is (2 sin(pi f h))^4.
     """
-    powers, bins = [[] for _ in bands], 1
+    powers, freedom = [[] for _ in bands], 1.0
     for values in readings:
         length = min(window, len(values) // 2)
-        pieces = len(values) // length
-        cut = values[: pieces * length].reshape(pieces, length, -1)
+        starts = np.arange(0, len(values) - length + 1, max(length // 2, 1))
+        cut = values[starts[:, None] + np.arange(length)]
         difference = np.diff(np.eye(length), n=2, axis=0)
         frequency = np.fft.rfftfreq(length - 2)
         shape = np.hanning(length)[1:-1]
         for k, (low, high) in enumerate(bands):
             inside = frequency[(frequency > low) & (frequency < high)]
-            # A Hann window spreads each frequency over about three bins' worth, 1.5 of them independent.
-            bins = max(int(len(inside) / 1.5), 1)
             gain = np.sqrt(len(inside) * np.sum(shape**2)) * (2.0 * np.sin(np.pi * inside)) ** 2
             # Of the few frequencies of a band, differences, window and transform are one product.
             angle = 2.0 * np.pi * inside[:, None] * np.arange(length - 2)
-            turn = np.concatenate([np.cos(angle), np.sin(angle)]) * shape / np.tile(gain, 2)[:, None]
-            powers[k].append(np.sum((turn @ difference @ cut) ** 2, axis=1))
-    return [np.concatenate(p) for p in powers], bins
+            turn = np.concatenate([np.cos(angle), np.sin(angle)]) * shape / np.tile(gain, 2)[:, None] @ difference
+            # A Hann window spreads each frequency over about three bins: of a sum of squares that depend on each other,
+            # the chi-squared with the same mean and variance.
+            spread = turn @ turn.T
+            freedom = np.trace(spread) ** 2 / np.sum(spread**2)
+            powers[k].append(np.sum((turn @ cut) ** 2, axis=1))
+    return [np.concatenate(p) for p in powers], freedom
