@@ -168,6 +168,16 @@ class Settings:
     uneven: float = 3.0
     carries_all: float = 0.9
 
+    # -- description of what no effect explains
+
+    #: Terms of a description at most: more would be a fit, not a description.
+    description_terms: int = 3
+    #: A term closes at least this share of what was left on motions that it was not chosen on; less is not worth a draft.
+    worthwhile: float = 0.1
+    #: Candidates whose numbers are adapted in each round, and candidates compared on the other half.
+    description_adapted: int = 8
+    description_compared: int = 40
+
     # -- where
 
     #: Level of significance over everything that was looked at: one false alarm in a thousand recordings.

@@ -1,5 +1,6 @@
 from .effect import Effect, Parameter, Term
 from .exact import columns, readings, rigid_columns
+from .expressions import variables
 from .families import (
     BodyEffect,
     EncoderEffect,
@@ -61,4 +62,5 @@ __all__ = [
     "readings",
     "rigid_columns",
     "starting_point",
+    "variables",
 ]

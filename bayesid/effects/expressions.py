@@ -45,7 +45,7 @@ class ExpressionEffect(ReadingEffect):
         """What the formulas say (N, c)."""
         out = np.zeros((len(readout.segment.times), len(readout.names)))
         for channel, formula in self._read(readout):
-            out[:, channel] += formula(self._variables(formula, readout, values))
+            out[:, channel] += formula(self._variables(formula, readout, values), course=not readout.segment.still)
         return out
 
     def tangent(self, readout: Readout, values: Sequence[float], change: np.ndarray) -> np.ndarray | None:
@@ -57,15 +57,21 @@ class ExpressionEffect(ReadingEffect):
                 own = readout.names.index(self._full(name))
                 at = np.asarray(given[name])
                 step = 1e-6 * max(float(np.abs(at).max(initial=0.0)), 1.0)
-                ends = [formula({**given, name: at + s * step}) for s in (1.0, -1.0)]
-                out[:, channel] += ((ends[0] - ends[1]) / (2.0 * step))[:, None] * change[:, own]
+                course = not readout.segment.still
+                ends = [formula({**given, name: at + s * step}, course=course) for s in (1.0, -1.0)]
+                slope = np.broadcast_to((ends[0] - ends[1]) / (2.0 * step), at.shape)
+                out[:, channel] += slope[:, None] * change[:, own]
         return out if any(_true_names(f) for f in self.formulas.values()) else None
 
     @property
     def from_motion_alone(self) -> bool:
-        """Where the formulas are linear in all parameters and have no true reading in them."""
-        names = self.parameters
-        return all(f.degrees(names) == (1.0, 1.0) and not _true_names(f) for f in self.formulas.values())
+        """Where the formulas are linear in all parameters, have no true reading in them and remember nothing."""
+        names, formulas = self.parameters, self.formulas.values()
+        return all(f.degrees(names) == (1.0, 1.0) and not _true_names(f) and not f.remembers for f in formulas)
+
+    def reach(self, values, bandwidth, step):
+        """All of a recording, where a formula remembers what went before."""
+        return 1e9 if any(f.remembers for f in self.formulas.values()) else 0.0
 
     def motion_columns(self, segment, channels):
         """(N, channels, k)."""
@@ -90,18 +96,34 @@ class ExpressionEffect(ReadingEffect):
         for name in formula.names:
             if name in self.parameters:
                 out[name] = values[self.parameters.index(name)]
-            elif name == "t":
-                out[name] = readout.segment.times
-            elif name in WRENCH_NAMES or name.startswith("tau"):
-                full = self._full(name)
-                if full not in readout.names:
-                    raise InputError(f"effect '{self.name}': {full} is not among the readings used; choose another --channel")
-                out[name] = readout.true[:, readout.names.index(full)]
             else:
-                kind, number = _OF_JOINT.fullmatch(self._full(name)).groups()  # pyright: ignore[reportOptionalMemberAccess]
-                q, v, a = (x[:, int(number) - 1] for x in (readout.positions, readout.velocities, readout.accelerations))
-                out[name] = {"q": q, "v": v, "a": a}[kind] if kind != "dir" else direction(v, a, readout.segment.cell)
+                full = self._full(name)
+                if _is_reading(full) and full not in readout.names:
+                    raise InputError(f"effect '{self.name}': {full} is not among the readings used; choose another --channel")
+                out[name] = variable(readout, full)
         return out
+
+
+def variable(readout: Readout, name: str) -> np.ndarray:
+    """What a variable of formulas is (N,); joints by number, readings among those that there are."""
+    if name == "t":
+        return readout.segment.times
+    if _is_reading(name):
+        return readout.true[:, readout.names.index(name)]
+    kind, number = _OF_JOINT.fullmatch(name).groups()  # pyright: ignore[reportOptionalMemberAccess]
+    q, v, a = (x[:, int(number) - 1] for x in (readout.positions, readout.velocities, readout.accelerations))
+    return {"q": q, "v": v, "a": a}[kind] if kind != "dir" else direction(v, a, readout.segment.cell)
+
+
+def variables(readout: Readout) -> dict[str, np.ndarray]:
+    """All that formulas may name of a readout, each (N,)."""
+    joints = range(1, readout.positions.shape[1] + 1)
+    names = ["t", *readout.names, *(f"{kind}{j}" for kind in ("q", "v", "a", "dir") for j in joints)]
+    return {name: variable(readout, name) for name in names}
+
+
+def _is_reading(name: str) -> bool:
+    return name in WRENCH_NAMES or name.startswith("tau")
 
 
 def expression_effect(name: str, table: Mapping[str, Any], joints: int, source: str) -> type[ExpressionEffect]:

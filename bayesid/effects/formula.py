@@ -2,6 +2,10 @@
 
 Nothing of it is handed to the interpreter: the text is parsed, and only numbers, names, arithmetic and the functions listed
 here are evaluated.
+
+One function remembers: ``hysteresis(x, w)`` is the bristle of [Dahl1968]_, ``dz = (sign(dx) - z) |dx| / w``. It starts at zero, goes
+to 1 as x has risen by a few widths w and to -1 as it has fallen. Poses of a static run do not follow one another: there what has
+to do with the time or with what went before is zero.
 """
 
 from __future__ import annotations
@@ -15,13 +19,34 @@ import numpy as np
 
 from bayesid.errors import InputError
 
+
+def hysteresis(x: np.ndarray | float, width: np.ndarray | float) -> np.ndarray:
+    """Bristle that x (N,) drags along (N,), between -1 and 1; see the module.
+
+    Between two reversals of x it is an exponential of the way since the first, so that only reversals are gone through in turn.
+    """
+    x, width = np.atleast_1d(np.asarray(x, float)), float(np.max(width))
+    change = np.diff(x)
+    rising = np.where(change > 0, 1.0, -1.0)
+    turns = np.flatnonzero(np.diff(rising, prepend=-rising[:1])) if len(change) else np.zeros(0, int)
+    ends = np.append(turns[1:], len(x) - 1)[: len(turns)]
+    out, state = np.zeros(len(x)), 0.0
+    for first, last in zip(turns, ends, strict=True):
+        way = np.exp(-np.abs(x[first + 1 : last + 1] - x[first]) / width)
+        out[first + 1 : last + 1] = rising[first] + (state - rising[first]) * way
+        state = float(out[last])
+    return out
+
+
 FUNCTIONS: dict[str, Callable] = {
     "sin": np.sin, "cos": np.cos, "tan": np.tan, "asin": np.arcsin, "acos": np.arccos, "atan": np.arctan, "atan2": np.arctan2,
     "sinh": np.sinh, "cosh": np.cosh, "tanh": np.tanh, "exp": np.exp, "log": np.log, "sqrt": np.sqrt, "abs": np.abs,
-    "sign": np.sign, "min": np.minimum, "max": np.maximum,
+    "sign": np.sign, "min": np.minimum, "max": np.maximum, "hysteresis": hysteresis,
 }  # fmt: skip
+#: Functions of what went before.
+MEMORY = ("hysteresis",)
 CONSTANTS = {"pi": math.pi, "e": math.e}
-_PAIRS = ("atan2", "min", "max")
+_PAIRS = ("atan2", "min", "max", "hysteresis")
 _OPERATIONS: dict[type[ast.operator], Callable] = {
     ast.Add: np.add, ast.Sub: np.subtract, ast.Mult: np.multiply, ast.Div: np.divide, ast.Pow: np.power,
 }  # fmt: skip
@@ -65,10 +90,27 @@ class Formula:
         _check(tree, names, 0)
         return cls(text, tree, frozenset(names))
 
-    def __call__(self, values: Mapping[str, np.ndarray | float]) -> np.ndarray:
-        """Its value; names mean arrays (N,) or numbers. Where it has none (a root of a negative number) it is nan."""
+    def __call__(self, values: Mapping[str, np.ndarray | float], *, course: bool = True) -> np.ndarray:
+        """Its value; names mean arrays (N,) or numbers. Where it has none (a root of a negative number) it is nan.
+
+        Parameters
+        ----------
+        values
+            By name.
+        course
+            Whether samples follow one another in time; otherwise, as in a static run, summands with the time or with functions
+            that remember are zero.
+        """
         with np.errstate(all="ignore"):
-            return np.asarray(_value(self.tree, values), float)
+            if course:
+                return np.asarray(_value(self.tree, values), float)
+            kept = [s * np.asarray(_value(node, values), float) for s, node in _summands(self.tree) if not _of_course(node)]
+            return sum(kept, np.zeros(()))
+
+    @property
+    def remembers(self) -> bool:
+        """Whether its value depends on what went before."""
+        return any(_remembers(node) for node in ast.walk(self.tree))
 
     def degrees(self, names: Collection[str]) -> tuple[float, float]:
         """Least and largest degree in these names together: (1, 1) is linear, (0, 1) linear with a constant, inf neither."""
@@ -124,6 +166,27 @@ def _value(node: ast.expr, values: Mapping[str, np.ndarray | float]) -> np.ndarr
         case ast.Call(func=ast.Name(id=name), args=given):
             return FUNCTIONS[name](*(_value(each, values) for each in given))
     raise AssertionError(ast.dump(node))
+
+
+def _remembers(node: ast.AST) -> bool:
+    return isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in MEMORY
+
+
+def _of_course(tree: ast.expr) -> bool:
+    """Whether the time, or a function of what went before, stands in it."""
+    return any(_remembers(node) or (isinstance(node, ast.Name) and node.id == "t") for node in ast.walk(tree))
+
+
+def _summands(node: ast.expr) -> list[tuple[float, ast.expr]]:
+    """Signs and what is added."""
+    match node:
+        case ast.BinOp(left=left, op=ast.Add() | ast.Sub() as op, right=right):
+            sign = -1.0 if isinstance(op, ast.Sub) else 1.0
+            return [*_summands(left), *((sign * s, each) for s, each in _summands(right))]
+        case ast.UnaryOp(op=op, operand=inner):
+            sign = -1.0 if isinstance(op, ast.USub) else 1.0
+            return [(sign * s, each) for s, each in _summands(inner)]
+    return [(1.0, node)]
 
 
 def _degrees(node: ast.expr, names: Collection[str]) -> tuple[float, float]:

@@ -1,0 +1,1 @@
+"""The unknown, described: short formulas for what no effect of the library explains."""

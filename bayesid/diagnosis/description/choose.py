@@ -1,0 +1,194 @@
+"""Which candidates are taken: chosen and adapted on one half of the recordings, tested on the other."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayesid.diagnosis.candidates import Library
+from bayesid.diagnosis.description.candidates import Candidate
+from bayesid.diagnosis.description.columns import Half
+from bayesid.diagnosis.settings import Settings
+from bayesid.effects import Effect
+
+#: Halvings of the step when a number is adapted.
+_HALVINGS = 6
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """A candidate that was taken.
+
+    Attributes
+    ----------
+    candidate
+        With its numbers adapted.
+    evidence
+        Log evidence that it adds on the first half, the number of candidates counted.
+    share
+        Share of what was left on the second half that it closes there, with amplitudes of the first.
+    share_low
+        Lower end of the one-sided 95 % interval of that, by bootstrap over blocks of time.
+    alike
+        Other candidates that are no worse there than what counts as a rival, best first, with the log evidence they lack.
+    library
+        The same for effects of the library.
+    """
+
+    candidate: Candidate
+    evidence: float
+    share: float
+    share_low: float
+    alike: tuple[tuple[Candidate, float], ...] = ()
+    library: tuple[tuple[Effect, float], ...] = ()
+
+
+def choose(
+    first: Half, second: Half, candidates: Sequence[Candidate], settings: Settings, library: Library | None, seed: int
+) -> tuple[Chosen, ...]:
+    """Terms one after the other, as long as the second half confirms each.
+
+    Parameters
+    ----------
+    first, second
+        To choose on, and to test on.
+    candidates
+        All of them; how many there are counts against each.
+    settings
+        The thresholds.
+    library
+        Effects that could do as well.
+    seed
+        Of the bootstrap.
+    """
+    bars = Counter(c.sort for c in candidates)
+    pool, out = list(candidates), []
+    state = _State(first, second, np.zeros((len(first.residual), 0)), np.zeros((len(second.residual), 0)))
+    while len(out) < settings.description_terms:
+        gains = state.beside.gains(pool)
+        worth = np.array([_evidence(state.beside, g, c, bars) for g, c in zip(gains, pool, strict=True)])
+        order = np.argsort(-worth)
+        best = [adapted(state.beside, pool[k]) for k in order[: settings.description_adapted]]
+        evidence, candidate = max(((_evidence(state.beside, g, c, bars), c) for c, g in best), key=lambda x: x[0])
+        if evidence < settings.accept:
+            break
+        after = state.with_columns(first.columns(candidate), second.columns(candidate))
+        share, low = closed(second, state.left, after.left, settings, seed)
+        if low <= 0.0 or share < settings.worthwhile:
+            break
+        lacks = [(pool[k], after.lack(state.tried(pool[k]))) for k in order[: settings.description_compared]]
+        others = _library_lacks(state, after, library)
+        out.append(
+            Chosen(
+                candidate, evidence, share, low,
+                tuple(x for x in sorted(lacks, key=lambda x: x[1]) if x[1] < settings.rival and not _same(x[0], candidate)),
+                tuple(x for x in sorted(others, key=lambda x: x[1]) if x[1] < settings.rival),
+            )
+        )  # fmt: skip
+        state = after
+        pool = [pool[k] for k in order[: max(len(pool) // 3, settings.description_compared)]]
+    return tuple(out)
+
+
+@dataclass(frozen=True, eq=False)
+class _State:
+    """Terms taken so far: what is left of their columns in both halves (rows + m, k)."""
+
+    first: Half
+    second: Half
+    here: np.ndarray
+    there: np.ndarray
+
+    @property
+    def beside(self) -> Half:
+        """The first half with them among what is explained."""
+        return self.first.with_columns(self.here) if self.here.shape[1] else self.first
+
+    @property
+    def left(self) -> np.ndarray:
+        """What they leave of the second half's residual, with amplitudes of the first (rows + m,)."""
+        amplitudes = np.linalg.lstsq(self.here, self.first.residual, rcond=None)[0]
+        return self.second.residual - self.there @ amplitudes
+
+    def with_columns(self, here: np.ndarray, there: np.ndarray) -> _State:
+        """With one more term's columns."""
+        return _State(self.first, self.second, np.hstack([self.here, here]), np.hstack([self.there, there]))
+
+    def tried(self, candidate: Candidate) -> _State:
+        """With a candidate as it is."""
+        return self.with_columns(self.first.columns(candidate), self.second.columns(candidate))
+
+    def lack(self, other: _State) -> float:
+        """Log likelihood that another choice lacks on the second half, in units of what this one leaves there."""
+        mine, theirs = (float(np.sum(s.left[: s.second.rows] ** 2)) for s in (self, other))
+        return 0.5 * (theirs - mine) / max(mine / self.second.count, 1.0)
+
+
+def _library_lacks(state: _State, after: _State, library: Library | None) -> list[tuple[Effect, float]]:
+    """Log likelihood that each effect of the library lacks in the place of the last term."""
+    best: dict[str, tuple[Effect, float]] = {}
+    for block in () if library is None else library.blocks:
+        other = state.with_columns(*(half.project_out_rows(block.rows) for half in (state.first, state.second)))
+        name, lack = block.effect.spec, after.lack(other)
+        if name not in best or lack < best[name][1]:
+            best[name] = (block.effect, lack)
+    return list(best.values())
+
+
+def _same(one: Candidate, other: Candidate) -> bool:
+    """Whether two candidates differ in their numbers only."""
+    forms = [[[(f.form, f.variable) for f in p] for p in c.shape.products] for c in (one, other)]
+    return one.channels == other.channels and forms[0] == forms[1]
+
+
+def _evidence(half: Half, gain: float, candidate: Candidate, bars: Counter) -> float:
+    """Log evidence of an explained sum of squares: its likelihood under noise at least as large as measured, less what amplitudes,
+    numbers and the choice among all of its sort cost."""
+    n, whole = half.count, float(half.residual @ half.residual)
+    before, after = (max(rest / n, 1.0) for rest in (whole, whole - gain))
+    likelihood = 0.5 * (n * np.log(before / after) + whole / before - (whole - gain) / after)
+    free = candidate.size + len(candidate.shape.numbers)
+    return float(likelihood - 0.5 * free * np.log(n) - np.log(bars[candidate.sort]))
+
+
+def adapted(half: Half, candidate: Candidate) -> tuple[Candidate, float]:
+    """A candidate with the numbers that explain most of a half, and how much that is."""
+    best = (candidate, half.explained(candidate))
+    for index in range(len(candidate.shape.numbers)):
+        step = candidate.shape.numbers[index][2]
+        for _ in range(_HALVINGS):
+            value = best[0].shape.numbers[index][1]
+            trials = [Candidate(best[0].shape.moved(index, value + s * step), candidate.channels) for s in (-1.0, 1.0)]
+            # A width or a rate stays positive; a threshold has any sign.
+            trials = [t for t in trials if t.shape.numbers[index][1] * value > 0.0]
+            better = max([best, *((t, half.explained(t)) for t in trials)], key=lambda x: x[1])
+            step = step if better is not best else 0.5 * step
+            best = better
+    return best
+
+
+def closed(half: Half, before: np.ndarray, after: np.ndarray, settings: Settings, seed: int) -> tuple[float, float]:
+    """Share of what stood out of the noise that is closed, and the lower end of its one-sided 95 % interval.
+
+    Parameters
+    ----------
+    half
+        On which.
+    before, after
+        What is left of its residual (rows + m,).
+    settings
+        Length of the bootstrap's blocks, and how many draws.
+    seed
+        Of the draws.
+    """
+    energy = np.stack([half.by_block(x, settings.bootstrap_block) for x in (before, after)], axis=1)
+    picks = np.random.default_rng(seed).integers(len(energy), size=(settings.bootstrap_draws, len(energy)))
+    sums = energy[picks].sum(axis=1)
+
+    def share(pair):
+        return (pair[..., 0] - pair[..., 1]) / np.maximum(pair[..., 0] - half.count, 1e-3 * half.count)
+
+    return float(share(energy.sum(axis=0))), float(np.quantile(share(sums), 0.05))

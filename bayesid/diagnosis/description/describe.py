@@ -1,0 +1,149 @@
+"""The unknown, described: a draft effect of a few terms, if motions that it was not chosen on prove it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from bayesid.diagnosis.candidates import Library
+from bayesid.diagnosis.data import DiagnosisData
+from bayesid.diagnosis.description.candidates import candidates
+from bayesid.diagnosis.description.choose import Chosen, choose
+from bayesid.diagnosis.description.columns import halves, ranges_of
+from bayesid.diagnosis.description.draft import draft_effect, draft_table
+from bayesid.diagnosis.description.meaning import may_be
+from bayesid.diagnosis.fit import Fit, fit
+from bayesid.diagnosis.settings import Settings
+from bayesid.diagnosis.validation import Gap, validate
+from bayesid.effects import Term
+
+#: A joint that turns less [rad or m] tells nothing of what goes with it.
+_MOVES = 1e-2
+
+
+@dataclass(frozen=True, eq=False)
+class Description:
+    """A draft effect for what no effect of the library explains: a description, not a name.
+
+    Attributes
+    ----------
+    term
+        The draft with its amplitudes.
+    std
+        Their standard deviations.
+    table
+        Its formulas, as in ``[model.expressions]``.
+    terms
+        What was chosen, one after the other.
+    causes
+        What each may be physically.
+    start
+        The model that it is beside.
+    fit
+        That model with the draft.
+    gap
+        On motions that were never fitted, without and with the draft; None where there are none.
+    candidates
+        How many were tried.
+    """
+
+    term: Term
+    std: np.ndarray
+    table: dict[str, Any]
+    terms: tuple[Chosen, ...]
+    causes: tuple[tuple[str, ...], ...]
+    start: Fit
+    fit: Fit
+    gap: Gap | None
+    candidates: int
+
+
+def describe(base: Fit, starts: Sequence[Fit], library: Library | None, seed: int = 0) -> Description | None:
+    """The best draft beside one of several models; None where no other half, or no unseen motion, confirms one.
+
+    Candidates (`bayesid.diagnosis.description.candidates`) are whitened like readings, what links and effects found explain is
+    projected out, and they are chosen greedily by log evidence on half of the motions (of a single motion: on stretches of time). With
+    amplitudes of that half each must close a part of what is left on the other half, and the whole draft, fitted exactly to all, a
+    part of the gap on validation motions: lower ends of bootstrap intervals above nothing.
+
+    Parameters
+    ----------
+    base
+        The user's model, which the draft must improve as well.
+    starts
+        Models whose residual is to be described; of several, a later one must leave clearly less to be preferred.
+    library
+        Effects of the library as columns, to say which of them the draft cannot be told from.
+    seed
+        Of the bootstrap.
+    """
+    best: Description | None = None
+    for start in starts:
+        found = _beside(base, start, library, seed)
+        if found is not None and (best is None or _left(found) < 0.8 * _left(best)):
+            best = found
+    return best
+
+
+def _left(description: Description) -> float:
+    """Mean square that a description leaves: on unseen motions, or for want of any on the fitted ones."""
+    d = description
+    return d.fit.chi2 / d.fit.projector.rows if d.gap is None else float(d.gap.after) ** 2
+
+
+def _beside(base: Fit, start: Fit, library: Library | None, seed: int) -> Description | None:
+    """A draft beside one model."""
+    data: DiagnosisData = start.projector.data
+    settings = data.settings
+    both = halves(start)
+    if any(half.count == 0 for half in both):
+        return None
+    ranges = ranges_of([part for half in both for part in half.parts])
+    joints = [j for j in range(data.robot.n) if ranges(f"q{j + 1}").span > _MOVES]
+    band = max(float(s.frequencies[-1]) for s in data.segments)
+    pool = candidates(data.channels.names, joints, ranges, band)
+    known = library if library is not None and library.projector is start.projector else None
+    # Something may show in one half only; then the other cannot confirm it, but terms chosen there may hold here.
+    for first, second in (both, both[::-1]):
+        chosen = choose(first, second, pool, settings, known, seed)
+        while chosen:
+            found = _drafted(start, chosen, len(pool), seed)
+            if all(_worthwhile(gap, settings) for gap in (found.gap, _gap(base, found.fit, seed))):
+                return found
+            chosen = chosen[:-1]
+    return None
+
+
+def _drafted(start: Fit, chosen: tuple[Chosen, ...], tried: int, seed: int) -> Description:
+    """The draft fitted exactly, and what it does on unseen motions."""
+    projector, data = start.projector, start.projector.data
+    terms = [c.candidate for c in chosen]
+    table = draft_table(terms, data.channels.names)
+    effect = draft_effect(data, table)
+    fitted = fit(projector, (*start.terms, Term(effect, (0.0,) * len(effect.parameters))), start)
+    known = len(start.terms)
+    own = [k for k, (i, _) in enumerate(fitted.free) if i == known]
+    std = np.sqrt(_dispersion(fitted) * np.diag(fitted.covariance)[own])
+    return Description(
+        term=fitted.terms[known], std=std, table=table, terms=chosen,
+        causes=tuple(may_be(c, data.channels.names) for c in terms), start=start, fit=fitted,
+        gap=_gap(start, fitted, seed), candidates=tried,
+    )  # fmt: skip
+
+
+def _gap(before: Fit, after: Fit, seed: int) -> Gap | None:
+    """On unseen motions, with one model and with another; None where there are none."""
+    return validate(after.projector, before, after, _dispersion(after), seed)
+
+
+def _dispersion(fitted: Fit) -> float:
+    """Mean square of what a model leaves on the fitted motions, at least 1."""
+    return max(fitted.chi2 / fitted.projector.rows, 1.0)
+
+
+def _worthwhile(gap: Gap | None, settings: Settings) -> bool:
+    """Whether unseen motions, if there are any, say that a part of the gap is closed."""
+    return gap is None or (gap.closed_low > 0.0 and gap.closed >= settings.worthwhile)

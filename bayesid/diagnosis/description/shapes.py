@@ -1,0 +1,214 @@
+"""Shapes: products of simple functions of a motion and of true readings, as formulas with numbers that can be adapted.
+
+A shape is written as it stands in ``[model.expressions]``; what multiplies it, the amplitude, is no part of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal
+
+from bayesid.effects.formula import Formula
+
+Kind = Literal["position", "ripple", "speed", "direction", "acceleration", "load", "limit", "time", "oscillation", "memory"]
+
+#: Units of the variables of formulas for turning joints, by how they begin.
+_UNITS = {"q": "rad", "v": "rad/s", "a": "rad/s^2", "tau": "N m", "f": "N", "m": "N m", "t": "s"}
+
+
+@dataclass(frozen=True)
+class Factor:
+    """One function of one variable.
+
+    Attributes
+    ----------
+    form
+        With ``{x}`` for the variable and ``{n}`` for the number.
+    variable
+        As in formulas: ``q2``, ``dir1``, ``tau3``, ``mx``, ``t``.
+    kind
+        What sort of function it is, for what it may be physically.
+    power
+        Power of the variable's unit in it.
+    number
+        What can be adapted in it, a width, a threshold or a rate; None where there is nothing.
+    step
+        How far the number is changed first when it is adapted.
+    """
+
+    form: str
+    variable: str
+    kind: Kind
+    power: int = 0
+    number: float | None = None
+    step: float = 0.0
+
+    @property
+    def text(self) -> str:
+        """As it stands in a formula."""
+        shown = "" if self.number is None else f"{self.number:.4g}"
+        return self.form.format(x=self.variable, n=shown).replace("- -", "+ ")
+
+    @property
+    def unit(self) -> str:
+        """Its unit; empty where it has none."""
+        if not self.power:
+            return ""
+        of = _UNITS[next(k for k in ("tau", "q", "v", "a", "f", "m", "t") if self.variable.startswith(k))]
+        return of if self.power == 1 else f"({of})^{self.power}"
+
+
+@dataclass(frozen=True)
+class Shape:
+    """One product of factors, or two of which each has its amplitude (a sine and a cosine).
+
+    Attributes
+    ----------
+    products
+        The factors of each.
+    """
+
+    products: tuple[tuple[Factor, ...], ...]
+
+    @cached_property
+    def texts(self) -> tuple[str, ...]:
+        """As formulas, one a product."""
+        return tuple(" * ".join(f.text for f in product) for product in self.products)
+
+    @cached_property
+    def formulas(self) -> tuple[Formula, ...]:
+        """Checked."""
+        return tuple(Formula.parse(text) for text in self.texts)
+
+    @property
+    def length(self) -> int:
+        """Number of factors."""
+        return len(self.products[0])
+
+    @property
+    def variables(self) -> tuple[str, ...]:
+        """Its variables, in the order in which they come."""
+        return tuple(dict.fromkeys(f.variable for f in self.products[0]))
+
+    @property
+    def kinds(self) -> frozenset[Kind]:
+        """What sorts of functions it is made of."""
+        return frozenset(f.kind for f in self.products[0])
+
+    @property
+    def numbers(self) -> tuple[tuple[str, float, float], ...]:
+        """Variable, value and first step of each number that can be adapted."""
+        return tuple((f.variable, f.number, f.step) for f in self.products[0] if f.number is not None)
+
+    def moved(self, index: int, value: float) -> Shape:
+        """The shape with another number in one of its factors, in both products."""
+        at = [k for k, f in enumerate(self.products[0]) if f.number is not None][index]
+        changed = (
+            tuple(replace(f, number=value) if k == at else f for k, f in enumerate(product)) for product in self.products
+        )  # fmt: skip
+        return Shape(tuple(changed))
+
+
+@dataclass(frozen=True)
+class Range:
+    """Where a variable goes in the fitted motions: least and largest value, and standard deviation."""
+
+    low: float
+    high: float
+    std: float
+
+    @property
+    def size(self) -> float:
+        """The largest absolute value."""
+        return max(abs(self.low), abs(self.high))
+
+    @property
+    def span(self) -> float:
+        """From the least to the largest."""
+        return self.high - self.low
+
+
+#: Says where a variable goes.
+Ranges = Callable[[str], Range]
+
+
+def single(*factors: Factor) -> Shape:
+    """A shape of one product."""
+    return Shape((factors,))
+
+
+def positions(q: str) -> list[Factor]:
+    """Smooth functions of a joint's position."""
+    return [
+        Factor("{x}", q, "position", 1), Factor("{x}**2", q, "position", 2),
+        Factor("sin({x})", q, "position"), Factor("cos({x})", q, "position"),
+    ]  # fmt: skip
+
+
+def speeds(v: str, ranges: Ranges) -> list[Factor]:
+    """Functions of a joint's speed."""
+    widths = [share * ranges(v).size for share in (0.03, 0.1, 0.3)]
+    return [
+        Factor("{x}", v, "speed", 1), Factor("abs({x})", v, "speed", 1), Factor("{x}**2", v, "speed", 2),
+        Factor("{x} * abs({x})", v, "speed", 2), Factor("{x}**3", v, "speed", 3), Factor("{x}", f"dir{v[1:]}", "direction"),
+        *(Factor("tanh({x} / {n})", v, "speed", number=w, step=0.5 * w) for w in widths),
+    ]  # fmt: skip
+
+
+def accelerations(a: str) -> list[Factor]:
+    """Functions of a joint's acceleration."""
+    return [Factor("{x}", a, "acceleration", 1), Factor("abs({x})", a, "acceleration", 1)]
+
+
+def loads(x: str, ranges: Ranges) -> list[Factor]:
+    """Functions of a true reading: curved, saturating, beyond a threshold on either side."""
+    r = ranges(x)
+    widths = [share * r.size for share in (0.15, 0.5)]
+    high, low = ([r.low + share * r.span for share in shares] for shares in ((0.6, 0.75, 0.88), (0.4, 0.25, 0.12)))
+    return [
+        Factor("abs({x})", x, "load", 1), Factor("{x}**2", x, "load", 2), Factor("{x} * abs({x})", x, "load", 2),
+        Factor("{x}**3", x, "load", 3), *(Factor("tanh({x} / {n})", x, "load", number=w, step=0.5 * w) for w in widths),
+        *(Factor("max({x} - {n}, 0)", x, "limit", 1, n, 0.08 * r.span) for n in high),
+        *(Factor("min({x} - {n}, 0)", x, "limit", 1, n, 0.08 * r.span) for n in low),
+    ]  # fmt: skip
+
+
+def memories(x: str, ranges: Ranges) -> list[Factor]:
+    """Bristles that a position or a load drags along."""
+    widths = [share * ranges(x).std for share in (0.01, 0.03, 0.06, 0.12, 0.25, 0.5, 1.0)]
+    return [Factor("hysteresis({x}, {n})", x, "memory", number=w, step=0.4 * w) for w in widths]
+
+
+def times(ranges: Ranges) -> list[Factor]:
+    """Steady and settling courses."""
+    constants = [share * ranges("t").span for share in (0.03, 0.1, 0.2, 0.5, 1.5)]
+    forms = ("exp(-{x} / {n})", "(1 - exp(-{x} / {n}))")
+    return [
+        Factor("{x}", "t", "time", 1),
+        *(Factor(form, "t", "time", number=c, step=0.4 * c) for form in forms for c in constants),
+    ]  # fmt: skip
+
+
+def ripples(q: str, ranges: Ranges, most: float = 30.0) -> Iterator[Shape]:
+    """A sine and a cosine of a joint's position, with so many periods that neighbours differ by one turn over the range."""
+    spacing = 2.0 / max(ranges(q).span, 0.2)
+    for k in range(1, min(int(most / spacing), 40)):
+        yield _waves(q, "ripple", k * spacing + 1.0, 0.25 * spacing)
+
+
+def oscillations(ranges: Ranges, band: float) -> Iterator[Shape]:
+    """A sine and a cosine of time, up to the band's end [Hz]."""
+    spacing = 3.0 / max(ranges("t").span, 1.0)
+    for k in range(2, int(2.0 * 3.1416 * band / spacing)):
+        yield _waves("t", "oscillation", k * spacing, 0.25 * spacing)
+
+
+def _waves(x: str, kind: Kind, rate: float, step: float) -> Shape:
+    return Shape(tuple((Factor(f"{wave}({{n}} * {{x}})", x, kind, number=rate, step=step),) for wave in ("sin", "cos")))
+
+
+def times_each(shape: Shape, factor: Factor) -> Shape:
+    """A shape times one more factor."""
+    return Shape(tuple((*product, factor) for product in shape.products))
