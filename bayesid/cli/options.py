@@ -44,7 +44,8 @@ STATIC = click.option(
 BOUNDS = click.option("--bounds", type=click.Path(path_type=Path), help="A TOML file of what is known of the links; for sdp.")
 MODEL = click.option("--model", type=click.Path(path_type=Path), help="A model.toml that replaces [model].")
 EFFECTS_FROM = click.option(
-    "--effects-from", type=click.Path(path_type=Path), multiple=True, help="A Python file with effects of your own."
+    "--effects-from", type=click.Path(path_type=Path), multiple=True,
+    help="A Python file with effects of your own, or a draft_effect.toml.",
 )  # fmt: skip
 UNUSED_SEED = click.option(
     "--seed", type=click.IntRange(min=0), default=0, expose_value=False,
@@ -95,12 +96,19 @@ def load(experiment: Path, model: Path | None, effects_from: Sequence[Path]) -> 
 
 
 def own_effects(files: Sequence[Path]) -> EffectLibrary | None:
-    """The effects that there are with those of Python files; None without any."""
-    from bayesid.effects import load_effects
+    """The effects that there are with those of Python files and of model.toml files' formulas; None without any."""
+    from bayesid.effects import EffectLibrary, load_effects
+    from bayesid.recordings.schema import read_model
 
     library = None
     for path in files:
-        library = load_effects(path, library)
+        if path.suffix == ".toml":
+            formulas = read_model(path)[2]
+            if not formulas:
+                raise InputError(f"{path}: holds no effect; write its formulas into [model.expressions.NAME]")
+            library = (library or EffectLibrary()).with_expressions(formulas, None, path.name)
+        else:
+            library = load_effects(path, library)
     return library
 
 

@@ -3,9 +3,9 @@
 Nothing of it is handed to the interpreter: the text is parsed, and only numbers, names, arithmetic and the functions listed
 here are evaluated.
 
-One function remembers: ``hysteresis(x, w)`` is the bristle of [Dahl1968]_, ``dz = (sign(dx) - z) |dx| / w``. It starts at zero, goes
-to 1 as x has risen by a few widths w and to -1 as it has fallen. Poses of a static run do not follow one another: there what has
-to do with the time or with what went before is zero.
+One function remembers: ``hysteresis(x, w)`` is the bristle of [Dahl1968]_, ``dz = (sign(dx) - z) |dx| / w``. It starts at zero,
+goes to 1 as x has risen by a few widths w and to -1 as it has fallen. Poses of a static run do not follow one another: there
+summands with the time or with what went before are zero.
 """
 
 from __future__ import annotations

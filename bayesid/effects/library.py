@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 #: Other packages register a class of theirs under this group.
 ENTRY_POINTS = "bayesid.effects"
+#: As many joints as a formula can number.
+ANY_JOINTS = 9999
 _PLACES = ("sensor", "axis", "axis->axis", "base", "joint", "joint->joint", "robot", "joint|robot")
 
 
@@ -71,7 +73,7 @@ class EffectLibrary:
         """The user's formulas, ``[model.expressions]``, by the effect's name."""
         return {c.name: table for c in self.own if (table := getattr(c, "table", None)) is not None}
 
-    def with_expressions(self, tables: Mapping[str, Mapping[str, Any]], joints: int, source: str) -> EffectLibrary:
+    def with_expressions(self, tables: Mapping[str, Mapping[str, Any]], joints: int | None, source: str) -> EffectLibrary:
         """A library with the effects of ``[model.expressions]``; they take the place of formulas of the same name.
 
         Parameters
@@ -79,7 +81,7 @@ class EffectLibrary:
         tables
             By the effect's name, see `bayesid.effects.expressions.expression_effect`.
         joints
-            How many the robot has.
+            How many the robot has; None where that is not known yet, see `for_robot`.
         source
             The file, for messages.
 
@@ -92,9 +94,23 @@ class EffectLibrary:
             return self
         from bayesid.effects.expressions import expression_effect
 
-        classes = [expression_effect(name, table, joints, source) for name, table in tables.items()]
+        known = ANY_JOINTS if joints is None else joints
+        classes = [expression_effect(name, table, known, source) for name, table in tables.items()]
         others = tuple(c for c in self.own if not (c.name in tables and hasattr(c, "table")))
         return EffectLibrary(others).with_classes(classes, source)
+
+    def for_robot(self, joints: int) -> EffectLibrary:
+        """The library with all formulas checked against a robot with so many joints.
+
+        Raises
+        ------
+        InputError
+            A formula names a joint that the robot does not have.
+        """
+        out = self
+        for name, table in self.expressions.items():
+            out = out.with_expressions({name: table}, joints, self.classes[name].source.strip("`"))
+        return out
 
     def named(self, name: str, spec: str | None = None, fault: str = "no effect is called '{}'") -> type[Effect]:
         """The class of this name.

@@ -269,7 +269,7 @@ def _read_setup(folder: Path, library: EffectLibrary | None) -> tuple[Experiment
         inertia_rel_std=file.robot.inertia_rel_std, position_resolution=file.robot.position_resolution,
         position_std=file.robot.position_std, gear_ratio=dict(file.robot.gear_ratio), locked=dict(file.robot.locked),
         folder=folder, warnings=tuple(warnings),
-        library=(library or EffectLibrary()).with_expressions(expressions, robot.n, "experiment.toml"),
+        library=(library or EffectLibrary()).for_robot(robot.n).with_expressions(expressions, robot.n, "experiment.toml"),
     )  # fmt: skip
     return experiment, file
 

@@ -14,6 +14,7 @@ from bayesid.diagnosis.residual_floor import SOURCES
 from bayesid.diagnosis.rivals import Found
 from bayesid.diagnosis.separation import Visible
 from bayesid.effects import Effect
+from bayesid.report.described import described_section
 from bayesid.report.diagnosis_figures import before_and_after, evidence, residual_maps, signals
 from bayesid.report.diagnosis_views import Views, diagnosis_views
 from bayesid.report.identification import mood_of
@@ -99,6 +100,7 @@ def diagnosis_report(diagnosis: Findings) -> str:
         floor_text=text["floor"],
         dispersion=number(float(np.sqrt(d.search.dispersion)), 3),
         overdispersed=d.search.dispersion > 1.05,
+        described=None if d.description is None else described_section(data, d.description),
         next_experiment=d.next_experiment,
         next_motion="" if d.telling is None else motion_plot(d.telling),
         pairs=[] if d.telling is None else pair_rows(d.telling),

@@ -11,6 +11,7 @@ from bayesid.diagnosis.locate import Disagreement
 from bayesid.diagnosis.remarks import by_kind
 from bayesid.diagnosis.rivals import Found
 from bayesid.effects import Effect
+from bayesid.results.described import described_lines
 from bayesid.results.findings import Findings
 from bayesid.results.text import DASH, channel_text, interval, number, percent, with_half
 
@@ -174,6 +175,8 @@ def summary(diagnosis: Findings) -> str:
         lines.append(f"  {word}: {disagreement_line(w)}")
     if len(d.where) > _SHOWN:
         lines.append(f"  and in {len(d.where) - _SHOWN} more places")
+    if d.description is not None:
+        lines += [f"  {line}" for line in described_lines(d.description, d.data.channels.names)]
     lines += [f"  note: {r}" for r in notes(d)]
     if d.next_experiment:
         lines.append(f"  next: {d.next_experiment}")
@@ -196,6 +199,8 @@ def notebook(diagnosis: Findings) -> str:
         out.append(f"<table><tr>{head}</tr>{body}</table>")
     if d.where:
         out.append("<ul>" + "".join(f"<li>{escape(disagreement_line(w))}</li>" for w in d.where[:_SHOWN]) + "</ul>")
+    if d.description is not None:
+        out.append(f"<pre>{escape(chr(10).join(described_lines(d.description, d.data.channels.names)))}</pre>")
     out += [f"<p>{escape(r)}</p>" for r in (*notes(d), d.next_experiment) if r]
     return "".join(out)
 

@@ -25,7 +25,7 @@ WRITTEN = {
     "bounds": ("bounds.json", "bounds.mat", "identified.urdf"),
     "check": ("check.json",),
     "compare": ("comparison.json",),
-    "diagnose": ("diagnosis.json", "model.toml", "next_motion.csv"),
+    "diagnose": ("diagnosis.json", "model.toml", "next_motion.csv", "draft_effect.toml"),
     "excite": (
         "excitation.json", "trajectory.csv", "motions.toml", "parked.csv", "poses.csv", "reversed.csv", "speed-33.csv",
         "speed-67.csv", "stop-and-go.csv",

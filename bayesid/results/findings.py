@@ -10,12 +10,14 @@ import numpy as np
 from bayesid.design.tell.choose import Telling
 from bayesid.diagnosis.candidates import Proposal
 from bayesid.diagnosis.data import DiagnosisData
+from bayesid.diagnosis.description.describe import Description
 from bayesid.diagnosis.locate import Disagreement
 from bayesid.diagnosis.search import Found, Search
 from bayesid.diagnosis.stability import Stability
 from bayesid.diagnosis.validation import Gap
 from bayesid.effects import Term
 from bayesid.recordings.schema import EffectParameters
+from bayesid.results.described import description_dict
 from bayesid.results.fitted_model import fitted_model
 from bayesid.results.telling import NEXT_MOTION, telling_dict
 
@@ -53,6 +55,8 @@ class Findings:
         Each effect named without each part of the recordings; None where that says nothing.
     telling
         The motion that settles an ambiguous verdict; None for any other.
+    description
+        A draft of what no effect explains; None where all is explained, or no motion that it was not chosen on confirms one.
     """
 
     data: DiagnosisData
@@ -67,6 +71,7 @@ class Findings:
     seconds: float = 0.0
     stability: tuple[Stability | None, ...] = ()
     telling: Telling | None = None
+    description: Description | None = None
 
     @property
     def terms(self) -> tuple[Term, ...]:
@@ -106,6 +111,7 @@ class Findings:
             "effects": [self._effect(f) for f in self.found],
             "where": [d.to_dict() for d in self.where],
             "gap": self._gap(),
+            "description": None if self.description is None else description_dict(self.description, self.data.channels.names),
             "candidates": [
                 {
                     "name": p.term.effect.name, "where": p.term.effect.where,

@@ -12,6 +12,7 @@ from threadpoolctl import threadpool_limits
 
 from bayesid.design.tell.choose import tell_search
 from bayesid.diagnosis.data import DiagnosisData
+from bayesid.diagnosis.description.describe import describe
 from bayesid.diagnosis.locate import locate
 from bayesid.diagnosis.prepare import known_terms, prepare_data
 from bayesid.diagnosis.projector import make_projector
@@ -27,6 +28,7 @@ from bayesid.recordings.experiment import Experiment, as_experiment
 from bayesid.recordings.schema import write_model
 from bayesid.regression.readings import default_channel
 from bayesid.results.changes import Changes
+from bayesid.results.described import DRAFT, write_draft
 from bayesid.results.diagnosis import Diagnosis
 from bayesid.results.files import Files, files_of, strict
 from bayesid.results.telling import NEXT_MOTION, telling_sentence, write_motion
@@ -76,7 +78,8 @@ def diagnose(
     """Find where model and data disagree, name the missing effect, add it and show on held-out motions that the gap shrank.
 
     The phases: noise of sensors and encoders; forward selection of effects; refit under the noise as the new model passes it on;
-    pruning; rivals; held-out validation; verdict; remarks; where it is ambiguous, the motion that would settle it.
+    pruning; rivals; held-out validation; verdict; remarks; where it is ambiguous, the motion that would settle it, and where
+    something stays that no effect explains, a draft of that.
 
     Parameters
     ----------
@@ -118,6 +121,7 @@ def diagnose(
         found = search(make_projector(data, data.terms), data.terms, seed, progress)
         progress("validation on unseen motions")
         result = _with_next_motion(_concluded(found, seed), seed, progress)
+        result = _with_description(result, seed, progress)
     return replace(result, seconds=time.perf_counter() - since)
 
 
@@ -160,9 +164,19 @@ def _with_next_motion(result: Diagnosis, seed: int, progress: Progress) -> Diagn
     return replace(result, telling=telling, next_experiment=telling_sentence(telling, NEXT_MOTION))
 
 
+def _with_description(result: Diagnosis, seed: int, progress: Progress) -> Diagnosis:
+    """The diagnosis with a draft of what stays, where no effect explains it."""
+    if result.verdict != "unknown":
+        return result
+    progress("describing what no effect explains")
+    s = result.search
+    starts = [s.base, *([s.best] if len(s.best.terms) > len(s.base.terms) else [])]
+    return replace(result, description=describe(s.base, starts, s.library, seed))
+
+
 @files_of.register
 def _(result: Diagnosis) -> Files:
-    """``diagnosis.json``, ``model.toml``, ``next_motion.csv`` where a motion would settle it, and the report."""
+    """``diagnosis.json``, ``model.toml``, the report; where they are made the next motion and the draft of what stays."""
     from bayesid.report.diagnosis import diagnosis_report
 
     effects, values = result.model
@@ -170,4 +184,6 @@ def _(result: Diagnosis) -> Files:
     others = {"model.toml": lambda path: write_model(effects, values, path, expressions)}
     if (telling := result.telling) is not None:
         others[NEXT_MOTION] = lambda path: write_motion(telling, path)
+    if (description := result.description) is not None:
+        others[DRAFT] = lambda path: write_draft(description, result.data.experiment, path)
     return Files({"diagnosis.json": strict(result.to_dict())}, others, diagnosis_report(result))

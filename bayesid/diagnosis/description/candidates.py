@@ -78,7 +78,8 @@ def candidates(names: Sequence[str], joints: Sequence[int], ranges: Ranges, band
         outside = list(_outside(joints, ranges))
         found += [Candidate(shape, wrench) for shape in outside]
         for k in wrench:
-            found += [Candidate(shape, (k,)) for shape in (*outside, *_read(names[k], [names[i] for i in wrench], joints, ranges))]
+            read = _read(names[k], [names[i] for i in wrench], joints, ranges)
+            found += [Candidate(shape, (k,)) for shape in (*outside, *read)]
     unique = {(c.shape.texts, c.channels): c for c in found}
     return list(unique.values())
 

@@ -145,8 +145,11 @@ def _same(one: Candidate, other: Candidate) -> bool:
 
 
 def _evidence(half: Half, gain: float, candidate: Candidate, bars: Counter) -> float:
-    """Log evidence of an explained sum of squares: its likelihood under noise at least as large as measured, less what amplitudes,
-    numbers and the choice among all of its sort cost."""
+    """Log evidence of an explained sum of squares.
+
+    Its likelihood under noise at least as large as measured, less what amplitudes, numbers and the choice among all candidates
+    of its sort cost.
+    """
     n, whole = half.count, float(half.residual @ half.residual)
     before, after = (max(rest / n, 1.0) for rest in (whole, whole - gain))
     likelihood = 0.5 * (n * np.log(before / after) + whole / before - (whole - gain) / after)

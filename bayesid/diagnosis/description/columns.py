@@ -53,8 +53,9 @@ class Part:
     def values(self, shapes: Iterable[Shape]) -> np.ndarray:
         """The shapes' products on the scene (M, g); of such as have no finite value zero."""
         course = not self.segment.still
-        each = [np.broadcast_to(f(self.variables, course=course), self.segment.scene.times.shape) for s in shapes for f in s.formulas]
-        out = np.stack(each, axis=1) if each else np.zeros((len(self.segment.scene.times), 0))
+        count = len(self.segment.scene.times)
+        each = [np.broadcast_to(f(self.variables, course=course), (count,)) for s in shapes for f in s.formulas]
+        out = np.stack(each, axis=1) if each else np.zeros((count, 0))
         return np.where(np.isfinite(out).all(axis=0), out, 0.0)
 
     def columns(self, values: np.ndarray, channel: int) -> np.ndarray:
@@ -94,7 +95,7 @@ class Part:
         return np.asarray(dct(course, axis=0, norm="ortho"))
 
     def taken(self, white: np.ndarray) -> np.ndarray:
-        """This part's rows (k c, ...) of white coefficients (K, c, ...)."""
+        """Rows of the part (k c, ...), of white coefficients (K, c, ...)."""
         course = np.asarray(idct(white, axis=0, norm="ortho"))[self.rows]
         return course.reshape(-1, *white.shape[2:])
 
@@ -174,10 +175,10 @@ class Half:
         return Half(self.segments, self.parts, np.hstack([self.basis, q]), self.residual - q @ (q.T @ self.residual))
 
     def gains(self, candidates: Sequence[Candidate]) -> np.ndarray:
-        """What each candidate would explain of the residual's sum of squares; candidates that nothing tells apart from links: 0.
+        """What each candidate would explain of the residual's sum of squares; 0 for what nothing tells apart from links.
 
-        A column of channel c is ``B_c y`` with the coefficients y of its course and B_c the whitener of c, in time, of this half. So
-        the Gram matrix of columns c and d needs ``B_c' B_d`` and ``Q' B_c`` only, which are the same for all candidates.
+        A column of channel c is ``B_c y`` with the coefficients y of its course and B_c the whitener of c, in time, of this half.
+        So the Gram matrix of columns c and d needs ``B_c' B_d`` and ``Q' B_c`` only, which are the same for all candidates.
         """
         out = np.zeros(len(candidates))
         groups: dict[tuple[tuple[int, ...], int], list[int]] = {}
@@ -212,7 +213,15 @@ class Half:
 
 
 def _explained(gram: np.ndarray, pull: np.ndarray, taken: np.ndarray) -> np.ndarray:
-    """What columns explain (g,), of Gram matrices (g, k, k) of what is left of them, and of their squared lengths that are taken."""
+    """What columns explain (g,).
+
+    Parameters
+    ----------
+    gram, pull
+        Products of what is left of the columns with each other (g, k, k) and with the residual (g, k).
+    taken
+        Squared lengths of what is not left (g, k).
+    """
     left = np.einsum("gaa->ga", gram)
     length = np.sqrt(np.maximum(left + taken, 1e-300))
     energy, vectors = np.linalg.eigh(gram / (length[:, :, None] * length[:, None, :]))

@@ -40,7 +40,7 @@ _RULES: tuple[tuple[Callable[[Reading], bool], str], ...] = (
     (lambda r: r.kinds & {"speed", "direction"} != set() and "position" in r.kinds, "friction that depends on posture"),
     (lambda r: r.kinds == {"position"} and r.own, "a spring, a gravity compensator, a tether or a cable that is bent"),
     (lambda r: r.kinds == {"position"} and not r.own, "a tether, hose or cable that pulls with the posture"),
-    (lambda r: r.kinds <= {"speed", "direction"} and r.own, "friction of another curve than the library's: seals, grease, bearings"),
+    (lambda r: r.kinds <= {"speed", "direction"} and r.own, "friction of another curve than the library's: seals, grease"),
     (lambda r: r.kinds <= {"speed", "direction"} and not r.own, "drag, or a force that follows another joint's motion"),
     (lambda r: "acceleration" in r.kinds, "inertia that is not in the links, or readings and positions at different times"),
 )
