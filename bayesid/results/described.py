@@ -45,7 +45,8 @@ def shares(description: Description) -> str:
         return f"{share} closed on the half of the recordings that the first term was not chosen on; no motion is unseen"
     before, after, floor = (number(v, 3) for v in (gap.before, gap.after, gap.floor))
     closed, low = (percent(min(v, 1.0)) for v in (gap.closed, gap.closed_low))
-    return f"{before} -> {after} x noise on {', '.join(gap.motions)} (floor {floor}), {closed} closed, at least {low}"
+    where = ", ".join(gap.motions)
+    return f"from {before} to {after} times the noise on {where} (floor {floor}), {closed} closed, at least {low}"
 
 
 def not_told_from(chosen: Chosen) -> list[str]:

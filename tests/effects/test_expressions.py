@@ -180,3 +180,26 @@ def test_a_formula_without_a_value_is_told(folder, start):
         bayesid.identify(experiment, "torque")
     with pytest.raises(InputError, match="not finite with mine@joint1"):
         bayesid.simulate(experiment, effects=["mine"])
+
+
+def test_hysteresis_is_dahls_bristle():
+    """Against the differential equation step by step, and what a static run has of it."""
+    t = np.linspace(0.0, 10.0, 4000)
+    x = np.sin(3.0 * t) + 0.5 * np.sin(7.3 * t)
+    x[1000:1200] = x[1000]  # it rests for a while
+    state, want = 0.0, [0.0]
+    for step in np.diff(x):
+        keep = np.exp(-abs(step) / 0.2)
+        state = keep * state + (1.0 - keep) * np.sign(step)
+        want.append(state)
+    formula = Formula.parse("2 * hysteresis(x, 0.2)")
+    np.testing.assert_allclose(formula({"x": x}), 2.0 * np.array(want), atol=1e-12)
+    assert formula.remembers
+    assert formula({"x": np.ones(1)}) == 0.0
+
+
+def test_what_belongs_to_a_course_in_time_is_zero_at_poses_of_a_static_run():
+    x = np.linspace(-1.0, 1.0, 5)
+    formula = Formula.parse("c * x**3 - (x - hysteresis(x, 0.1)) + x * t - -x")
+    np.testing.assert_allclose(formula({"c": 2.0, "x": x, "t": x}, course=False), 2.0 * x**3 - x + x)
+    np.testing.assert_allclose(Formula.parse("exp(-t / 5)")({"t": x}, course=False), 0.0)
