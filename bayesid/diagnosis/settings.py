@@ -175,7 +175,7 @@ class Settings:
     #: A term closes at least this share of what was left on motions that it was not chosen on; less is not worth a draft.
     worthwhile: float = 0.1
     #: Candidates whose numbers are adapted in each round, and candidates compared on the other half.
-    description_adapted: int = 8
+    description_adapted: int = 10
     description_compared: int = 40
 
     # -- where

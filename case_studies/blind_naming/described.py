@@ -41,7 +41,7 @@ def one(folder: Path) -> dict[str, Any]:
         out["draft_whatever_the_verdict"] = describe(base, [base], result.search.library) is not None
     elif found is not None and found.gap is not None and result.gap is not None:
         before, after, floor = result.gap.before**2, found.gap.after**2, found.gap.floor**2
-        out |= {"closed": float((before - after) / (before - floor)), "before": float(result.gap.before),
+        out |= {"closed": float((before - after) / (before - min(floor, after))), "before": float(result.gap.before),
                 "after": float(found.gap.after), "floor": float(found.gap.floor)}  # fmt: skip
     return out
 

@@ -82,7 +82,7 @@ def test_what_no_effect_explains_is_described(found):
     assert "presliding" in d.causes[0][0]
 
 
-def test_the_draft_closes_the_gap_that_it_promises_when_identify_uses_it(found, robot, tmp_path):
+def test_the_draft_closes_the_gap_that_it_promises_when_identify_uses_it(found, tmp_path, request):
     """The file beside the report goes into ``--effects-from`` and ``--model``; unseen motions are then predicted to the noise."""
     folder, out = tmp_path / "arm", tmp_path / "diagnosed"
     bayesid.write_experiment(found.data.experiment, folder)
@@ -94,6 +94,8 @@ def test_the_draft_closes_the_gap_that_it_promises_when_identify_uses_it(found, 
     assert effects == ("draft@joint2",)
     assert values["draft@joint2"]["c1"] == pytest.approx(found.description.term.values[0])
     assert list(formulas) == ["draft"]
+
+    request.getfixturevalue("undrawn")
 
     def left(*options):
         result = tmp_path / f"fit-{len(list(tmp_path.iterdir()))}"
@@ -157,6 +159,8 @@ def test_what_a_form_may_be():
     own = Factor("{x}", "v2", "speed", 1)
     warm = single(Factor("exp(-{x} / {n})", "t", "time", number=20.0), Factor("{x}", "dir2", "direction"))
     assert "friction" in may_be(Candidate(single(own), (1,)), names)[0]
+    rubs = single(Factor("sin({n} * {x})", "q2", "ripple", number=2.0), Factor("{x}", "dir2", "direction"))
+    assert may_be(Candidate(rubs, (1,)), names)[0].startswith("friction that varies over a turn")
     assert "another joint" in may_be(Candidate(single(own), (0,)), names)[0]
     assert "warms up" in may_be(Candidate(warm, (1,)), names)[0]
     assert may_be(Candidate(single(Factor("abs({x})", "fx", "load", 1)), (0,)), ("fx",))[0].startswith("a sensor")

@@ -16,6 +16,7 @@ from bayesid.diagnosis.description.shapes import (
     oscillations,
     positions,
     ripples,
+    settling,
     single,
     speeds,
     times,
@@ -65,11 +66,10 @@ def candidates(names: Sequence[str], joints: Sequence[int], ranges: Ranges, band
     """
     wrench = tuple(k for k, name in enumerate(names) if not name.startswith("tau"))
     torques = tuple(k for k, name in enumerate(names) if name.startswith("tau"))
-    found: list[Candidate] = []
-    everywhere = [single(f) for f in times(ranges)] + list(oscillations(ranges, band))
-    found += [Candidate(shape, group) for group in (wrench, torques) if group for shape in everywhere]
-    steady = [Candidate(single(f), (k,)) for f in times(ranges) for k in range(len(names))]
-    found += steady
+    steady, waves = [single(f) for f in (*times(ranges), *settling(ranges))], list(oscillations(ranges, band))
+    # What shakes or warms a sensor shows in all of its axes, what does so to a drive in one torque.
+    found = [Candidate(shape, group) for group in [wrench] * bool(wrench) + [(k,) for k in torques] for shape in waves + steady]
+    found += [Candidate(shape, (k,)) for shape in steady for k in wrench]
     for k in torques:
         joint = int(names[k][3:]) - 1
         if joint in joints:

@@ -16,6 +16,8 @@ from bayesid.effects import Effect
 
 #: Halvings of the step when a number is adapted.
 _HALVINGS = 6
+#: Forms of the same variables in the same readings that are adapted.
+_ALIKE = 4
 
 
 @dataclass(frozen=True)
@@ -47,9 +49,12 @@ class Chosen:
 
 
 def choose(
-    first: Half, second: Half, candidates: Sequence[Candidate], settings: Settings, library: Library | None, seed: int
-) -> tuple[Chosen, ...]:
+    first: Half, second: Half, candidates: Sequence[Candidate], settings: Settings, library: Library | None, seed: int,
+    least: float,
+) -> tuple[Chosen, ...]:  # fmt: skip
     """Terms one after the other, as long as the second half confirms each.
+
+    Of the best candidates the first that is confirmed is taken.
 
     Parameters
     ----------
@@ -63,6 +68,8 @@ def choose(
         Effects that could do as well.
     seed
         Of the bootstrap.
+    least
+        The lower end of a term's share on the second half is above this.
     """
     bars = Counter(c.sort for c in candidates)
     pool, out = list(candidates), []
@@ -71,14 +78,17 @@ def choose(
         gains = state.beside.gains(pool)
         worth = np.array([_evidence(state.beside, g, c, bars) for g, c in zip(gains, pool, strict=True)])
         order = np.argsort(-worth)
-        best = [adapted(state.beside, pool[k]) for k in order[: settings.description_adapted]]
-        evidence, candidate = max(((_evidence(state.beside, g, c, bars), c) for c, g in best), key=lambda x: x[0])
-        if evidence < settings.accept:
+        best = [adapted(state.beside, pool[k]) for k in _various(pool, order, settings.description_adapted)]
+        proven = None
+        for evidence, candidate in sorted(((_evidence(state.beside, g, c, bars), c) for c, g in best), key=lambda x: -x[0]):
+            after = state.tried(candidate)
+            share, low = closed(second, state.left, after.left, settings, seed)
+            if evidence >= settings.accept and low > least and share >= settings.worthwhile:
+                proven = candidate, evidence, after, share, low
+                break
+        if proven is None:
             break
-        after = state.with_columns(first.columns(candidate), second.columns(candidate))
-        share, low = closed(second, state.left, after.left, settings, seed)
-        if low <= 0.0 or share < settings.worthwhile:
-            break
+        candidate, evidence, after, share, low = proven
         lacks = [(pool[k], after.lack(state.tried(pool[k]))) for k in order[: settings.description_compared]]
         others = _library_lacks(state, after, library)
         out.append(
@@ -125,6 +135,24 @@ class _State:
         """Log likelihood that another choice lacks on the second half, in units of what this one leaves there."""
         mine, theirs = (float(np.sum(s.left[: s.second.rows] ** 2)) for s in (self, other))
         return 0.5 * (theirs - mine) / max(mine / self.second.count, 1.0)
+
+
+def _various(pool: Sequence[Candidate], order: np.ndarray, count: int) -> list[int]:
+    """The best candidates of different forms, a few of each set of variables in the same readings: several ideas."""
+    forms: set[tuple] = set()
+    ideas: Counter = Counter()
+    out: list[int] = []
+    for k in map(int, order):
+        c = pool[k]
+        idea = (c.channels, frozenset(c.shape.variables) - {"t"})
+        form = (c.channels, *((f.form, f.variable) for f in c.shape.products[0]))
+        if form not in forms and ideas[idea] < _ALIKE:
+            forms.add(form)
+            ideas[idea] += 1
+            out.append(k)
+        if len(out) == count:
+            break
+    return out
 
 
 def _library_lacks(state: _State, after: _State, library: Library | None) -> list[tuple[Effect, float]]:

@@ -197,7 +197,7 @@ class Half:
         at = 0
         for part in self.parts:
             mine = slice(at, at := at + len(part.rows) * part.segment.shape[1])
-            courses = part.courses(shapes, channels[0])
+            courses = part.courses(shapes, channels[0])  # one torque, or axes of a sensor, whose weights are the same
             w = part.segment.whitener
             toward, basis = part.along(self.residual[mine]), part.along(self.basis[mine])
             for a, (c, i) in enumerate(places):

@@ -106,9 +106,11 @@ def _beside(base: Fit, start: Fit, library: Library | None, seed: int) -> Descri
     band = max(float(s.frequencies[-1]) for s in data.segments)
     pool = candidates(data.channels.names, joints, ranges, band)
     known = library if library is not None and library.projector is start.projector else None
+    # Without unseen motions the other half is the only witness.
+    least = 0.0 if data.unseen else settings.worthwhile
     # Something may show in one half only; then the other cannot confirm it, but terms chosen there may hold here.
     for first, second in (both, both[::-1]):
-        chosen = choose(first, second, pool, settings, known, seed)
+        chosen = choose(first, second, pool, settings, known, seed, least)
         while chosen:
             found = _drafted(start, chosen, len(pool), seed)
             if all(_worthwhile(gap, settings) for gap in (found.gap, _gap(base, found.fit, seed))):

@@ -35,7 +35,7 @@ _RULES: tuple[tuple[Callable[[Reading], bool], str], ...] = (
     (lambda r: r.kinds == {"load"} and r.torque, "a motor constant that saturates, or gears that are less efficient at load"),
     (lambda r: "load" in r.kinds and r.joints > 0 and r.own, "a gain that depends on posture or speed"),
     (lambda r: {"ripple", "direction"} <= r.kinds, "friction that varies over a turn: a bent shaft, a bearing, a seal"),
-    (lambda r: "ripple" in r.kinds and r.torque, "cogging of the motor, gear eccentricity or a bent shaft"),
+    (lambda r: r.torque and r.kinds & {"ripple", "direction"} == {"ripple"}, "cogging of the motor, gears out of true"),
     (lambda r: "ripple" in r.kinds and not r.torque, "an encoder or gear that runs out of true"),
     (lambda r: r.joints > 1, "a coupling of joints: a cable or hose between links, or transmissions that turn one another"),
     (lambda r: r.kinds & {"speed", "direction"} != set() and "position" in r.kinds, "friction that depends on posture"),

@@ -10,6 +10,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
+import numpy as np
+
 from bayesid.effects.formula import Formula
 
 Kind = Literal["position", "ripple", "speed", "direction", "acceleration", "load", "limit", "time", "oscillation", "memory"]
@@ -182,13 +184,15 @@ def memories(x: str, ranges: Ranges) -> list[Factor]:
 
 
 def times(ranges: Ranges) -> list[Factor]:
-    """Steady and settling courses."""
-    constants = [share * ranges("t").span for share in (0.03, 0.1, 0.2, 0.5, 1.5)]
-    forms = ("exp(-{x} / {n})", "(1 - exp(-{x} / {n}))")
-    return [
-        Factor("{x}", "t", "time", 1),
-        *(Factor(form, "t", "time", number=c, step=0.4 * c) for form in forms for c in constants),
-    ]  # fmt: skip
+    """Courses that grow or fade through a recording, for what they multiply."""
+    constants = [share * ranges("t").span for share in (0.1, 0.3, 1.0)]
+    return [Factor("{x}", "t", "time", 1), *(Factor("exp(-{x} / {n})", "t", "time", number=c, step=0.4 * c) for c in constants)]
+
+
+def settling(ranges: Ranges) -> list[Factor]:
+    """Courses that settle at a value."""
+    constants = [share * ranges("t").span for share in (0.03, 0.1, 0.3, 1.0)]
+    return [Factor("(1 - exp(-{x} / {n}))", "t", "time", number=c, step=0.4 * c) for c in constants]
 
 
 def ripples(q: str, ranges: Ranges, most: float = 30.0) -> Iterator[Shape]:
@@ -199,9 +203,9 @@ def ripples(q: str, ranges: Ranges, most: float = 30.0) -> Iterator[Shape]:
 
 
 def oscillations(ranges: Ranges, band: float) -> Iterator[Shape]:
-    """A sine and a cosine of time, up to the band's end [Hz]."""
+    """A sine and a cosine of time, of three periods or more, up to the band's end [Hz]."""
     spacing = 3.0 / max(ranges("t").span, 1.0)
-    for k in range(2, int(2.0 * 3.1416 * band / spacing)):
+    for k in range(6, int(2.0 * np.pi * band / spacing)):
         yield _waves("t", "oscillation", k * spacing, 0.25 * spacing)
 
 
