@@ -197,6 +197,17 @@ def make_library(
     return Library(projector, base, around, effects, tuple(blocks), ripples)
 
 
+def column_terms(data: DiagnosisData) -> list[tuple[Term, Linearisation]]:
+    """Every effect that may be sought beside the user's, where its columns are taken, and how amplitudes become values."""
+    around, users = surroundings(data), {t.effect.spec for t in data.terms}
+    return [
+        (Term(effect, tuple(map(float, about.at))), about)
+        for effect in _everywhere(data)
+        if effect.spec not in users and effect.sought(around)
+        for about in effect.linearisations(around)
+    ]
+
+
 def _everywhere(data: DiagnosisData) -> tuple[Effect, ...]:
     """Every effect that acts on the channels compared, at every place."""
     return tuple(effect for name in data.experiment.library.classes for effect in data.places(name))

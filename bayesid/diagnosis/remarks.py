@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from bayesid.diagnosis.data import WHITE
+from bayesid.diagnosis.in_part import InPart
 from bayesid.diagnosis.residual_floor import SOURCES
 from bayesid.diagnosis.search import Found, Search
 from bayesid.diagnosis.stability import Stability
@@ -25,7 +26,12 @@ def by_kind(terms: Iterable[Term]) -> list[str]:
 
 
 def remarks(
-    search: Search, gap: Gap | None, verdict: Verdict, reason: Reason, stability: Sequence[Stability | None]
+    search: Search,
+    gap: Gap | None,
+    verdict: Verdict,
+    reason: Reason,
+    stability: Sequence[Stability | None],
+    part: InPart | None = None,
 ) -> tuple[str, ...]:
     """Everything worth knowing beside the verdict: why it is unknown first, then the noise, the model, validation, moments.
 
@@ -39,9 +45,17 @@ def remarks(
         See `bayesid.diagnosis.verdict`.
     stability
         Of each effect named.
+    part
+        Effects that held-out recordings prove, where that was asked.
     """
     data = search.projector.data
-    out = _unknown(search, gap, reason)
+    out = _unknown(search, gap, reason) if verdict == "unknown" else []
+    if verdict == "unknown" and part is not None:
+        out.append(
+            f"On recordings held out in turn {', '.join(by_kind(f.term for f in part.search.found))} would close "
+            f"{100 * (1.0 - part.remainder):.3g} % of the gap. What imitates an effect that the library lacks closes as much: "
+            "not named."
+        )
     if data.floor_source != WHITE:  # the usual one needs no word
         out.append(SOURCES[data.floor_source])
     found = () if verdict == "unknown" else search.found
@@ -165,7 +179,7 @@ def next_experiment(verdict: Verdict, found: Sequence[Found]) -> str:
             f"To tell {names}: move other joints and repeat the motion at half and at full speed; effects that look alike "
             "on one motion differ in how they grow with speed and change with posture."
         )
-    if verdict == "unknown":
+    if verdict in ("unknown", "named_in_part"):
         return (
             "Record one joint at a time, slowly and fast, forth and back through the same poses: what stays with position is a "
             "spring, a cable or a calibration; what changes sign with velocity is friction or drag; what grows with acceleration "

@@ -5,12 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from bayesid.diagnosis.in_part import InPart
 from bayesid.diagnosis.search import Search
 from bayesid.diagnosis.settings import Settings
 from bayesid.diagnosis.surrogates import explained, unrelated
 from bayesid.diagnosis.validation import Gap
 
-Verdict = Literal["named", "ambiguous", "unknown", "nothing_missing"]
+#: ``named_in_part`` is decided on held-out recordings (`bayesid.diagnosis.in_part`) where this module says ``unknown``.
+Verdict = Literal["named", "named_in_part", "ambiguous", "unknown", "nothing_missing"]
 #: Why a verdict is ``unknown``: a residual that nothing explains, held-out motions that deny what was found, or so many effects
 #: that they stand in for one that the library lacks.
 Reason = Literal["", "residual", "denied", "surrogates"]
@@ -124,3 +126,11 @@ def verdict(evidence: Evidence, settings: Settings) -> tuple[Verdict, Reason]:
     if e.unrelated > s.likely_effects or (e.dropped and not nearly):
         return "unknown", "surrogates"
     return ("ambiguous" if e.rivals else "named"), ""
+
+
+def named_in_part(part: InPart, settings: Settings) -> bool:
+    """Whether effects that are proven on held-out recordings may be named although something stays.
+
+    What imitates an effect that the library lacks is proven, too, for some of the gap: the names must close most of it.
+    """
+    return part.remainder <= 1.0 - settings.mostly_closed

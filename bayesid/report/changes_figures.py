@@ -18,7 +18,7 @@ def _rect(x: float, y: float, width: float, colour: str) -> str:
     return f'<rect x="{x:.1f}" y="{y:.1f}" width="{max(width, 0.6):.1f}" height="{_BAR}" fill="{colour}"/>'
 
 
-def waterfall(steps: Sequence[tuple[str, float]], floor: float) -> Markup:
+def waterfall(steps: Sequence[tuple[str, float]], floor: float, floor_name: str = "own fit (floor)") -> Markup:
     """The gap between reference and recording, and what each step takes of it.
 
     Parameters
@@ -27,8 +27,10 @@ def waterfall(steps: Sequence[tuple[str, float]], floor: float) -> Markup:
         Names and mean squares, first the reference's, last with everything.
     floor
         Mean square that the recording's own fit leaves.
+    floor_name
+        What that is.
     """
-    names = [steps[0][0], *(f"{'+ ' if k else ''}{name}" for k, (name, _) in enumerate(steps[1:], 1)), "own fit (floor)"]
+    names = [steps[0][0], *(f"{'+ ' if k else ''}{name}" for k, (name, _) in enumerate(steps[1:], 1)), floor_name]
     left = 16.0 + max(text_width(n) for n in names)
     scale = (WIDTH - left - 130.0) / max(value for _, value in steps)
     parts, y, before = [], _TOP, None

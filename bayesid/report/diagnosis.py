@@ -14,6 +14,7 @@ from bayesid.diagnosis.residual_floor import SOURCES
 from bayesid.diagnosis.rivals import Found
 from bayesid.diagnosis.separation import Visible
 from bayesid.effects import Effect
+from bayesid.report.changes_figures import waterfall
 from bayesid.report.described import described_section
 from bayesid.report.diagnosis_figures import before_and_after, evidence, residual_maps, signals
 from bayesid.report.diagnosis_views import Views, diagnosis_views
@@ -24,6 +25,8 @@ from bayesid.results.diagnosis_text import (
     known_share,
     notes,
     parameter_rows,
+    part_sentence,
+    share_range,
     steady_sentence,
     validation_sentence,
     verdict_sentence,
@@ -38,6 +41,7 @@ _BARS, _SHIFTS = 14, 12
 _ALIKE = 0.99
 _VERDICTS = {
     "named": ("named", "good"),
+    "named_in_part": ("named in part", "fair"),
     "ambiguous": ("ambiguous", "fair"),
     "unknown": ("unknown", "bad"),
     "nothing_missing": ("nothing missing", "good"),
@@ -54,7 +58,7 @@ def diagnosis_report(diagnosis: Findings) -> str:
     changed = views.changed
     proposals = _proposals(d)
     shown = [p for p in proposals if p["evidence"] > 0][:_BARS]
-    floor = None if d.gap is None else d.gap.floor
+    floor = None if d.gap is None or d.part is not None else d.gap.floor
     seen = _seen(views)
     curves = [(f"{s.channel} [{s.unit}] below {s.below:g} Hz", s.times, s.values, s.noise) for s in views.signals]
     return render(
@@ -80,6 +84,8 @@ def diagnosis_report(diagnosis: Findings) -> str:
         ) if shown else "",
         proposals=[_line(p) for p in proposals],
         found=[_rivals(f) for f in d.found],
+        stays=[_place(w) for w in d.remainder],
+        part=_part(d),
         runner_up=_runner_up(proposals) if len(d.found) == 1 else None,
         needed=f"{d.needed:g}",
         shifts=[_shift(s) for s in d.shifts[:_SHIFTS]],
@@ -116,8 +122,8 @@ def _sentences(d: Findings) -> dict[str, Any]:
         "effects": [
             {"name": worded(f.term.effect, d), "spec": f.term.effect.spec, "summary": f.term.effect.summary,
              "motion": f.term.motion if isinstance(f.term, Episode) else "", "rows": parameter_rows(f),
-             "steady": steady_sentence(f, d)}
-            for f in d.found
+             "steady": steady_sentence(f, d), "share": "" if d.part is None else share_range(d, k)}
+            for k, f in enumerate(d.found)
         ],
         "notes": notes(d),
         "tried": by_kind(f.term for f in d.search.found),
@@ -126,6 +132,16 @@ def _sentences(d: Findings) -> dict[str, Any]:
         "floor_is_white": d.data.floor_source == WHITE,
         "closed_low": "" if d.gap is None else known_share(d.gap.closed_low),
     }  # fmt: skip
+
+
+def _part(d: Findings) -> dict[str, Any] | None:
+    """What effects named in part close on held-out recordings, and what stays."""
+    if d.part is None:
+        return None
+    *courses, floor = d.part.courses
+    steps = [("the model as it was", courses[0]), *((f.term.effect.spec, c) for f, c in zip(d.found, courses[1:], strict=True))]
+    name = "noise" if floor else "noise, not known"
+    return {"text": part_sentence(d), "waterfall": waterfall(steps, floor, name), "stays": percent(d.part.remainder)}
 
 
 def _maps(channels: Sequence[str], views: Views):
@@ -147,8 +163,11 @@ def _cards(d: Findings, text: dict[str, Any], changed: bool) -> list[dict[str, s
     what = f"noise is left by the model as it was, {where}"
     cards.append({"value": f"{number(before, 3)} ×", "mood": mood_of(before), "text": what})
     if changed:
-        what = "with the missing effect added" if d.found else "by the best attempt"
+        what = "with the effects named added" if d.part else "with the missing effect added" if d.found else "by the best attempt"
         cards.append({"value": f"{number(after, 3)} ×", "mood": mood_of(after / (floor or 1.0)), "text": f"noise is left {what}"})
+    if d.part is not None:
+        text_ = "of the gap on recordings held out in turn stays unexplained"
+        return [*cards, {"value": percent(d.part.remainder), "mood": "", "text": text_}]
     if floor is not None:
         cards.append({"value": f"{number(floor, 3)} ×", "mood": "", "text": "is the floor: what a complete model would leave"})
     if d.found and text["closed"]:

@@ -19,6 +19,8 @@ from bayesid.results.text import DASH, channel_text, interval, number, percent, 
 HALF = 1.96
 #: Disagreements that a terminal shows.
 _SHOWN = 4
+#: So many effects are spelt out in a sentence, and so many channels of what stays; more are told by kind.
+_SPELT_OUT, _CHANNELS_SAID = 3, 3
 _COUNTS = {1: "one effect", 2: "two effects", 3: "three effects"}
 
 
@@ -31,13 +33,39 @@ def verdict_sentence(diagnosis: Findings) -> str:
     if d.verdict == "unknown":
         return "Something is missing, and no effect of the library explains it."
     count = _COUNTS.get(len(names), f"{len(names)} effects")
+    if d.verdict == "named_in_part":
+        each = [_with_rivals(name, f, d) for name, f in zip(names, d.found, strict=True)]
+        told = listed(each) if len(names) <= _SPELT_OUT else listed(by_kind(f.term for f in d.found))
+        return f"The model misses {count} that held-out recordings prove, and more that stays unexplained: {told}."
     if d.verdict == "ambiguous":
-        parts = []
-        for name, f in zip(names, d.found, strict=True):
-            others = [worded(t.effect, d) for t, _ in f.rivals]
-            parts.append(f"either {name} or {' or '.join(others)}" if others else name)
+        parts = [_with_rivals(name, f, d) for name, f in zip(names, d.found, strict=True)]
         return f"The model misses {count}, but these motions do not tell every name apart: {'; and '.join(parts)}."
     return f"The model misses {count}: {' and '.join(names)}."
+
+
+def _with_rivals(name: str, found: Found, diagnosis: Findings) -> str:
+    """An effect with those that explain as much."""
+    others = [worded(t.effect, diagnosis) for t, _ in found.rivals]
+    return f"either {name} or {' or '.join(others)}" if others else name
+
+
+def part_sentence(diagnosis: Findings) -> str:
+    """What effects named in part close of the gap on recordings held out in turn, and what stays."""
+    d, part = diagnosis, diagnosis.part
+    if part is None:
+        return ""
+    text = (
+        f"With each of {part.stretches} parts of the recordings held out in turn, they close {percent(1.0 - part.remainder)} of "
+        f"the gap and {percent(part.remainder)} stays"
+    )
+    if part.courses[-1] == 0.0:
+        text += ", the noise, which is not known, included"
+    places = [w for w in d.remainder if not w.event]
+    channels = listed(list(dict.fromkeys(w.channel for w in places))[:_CHANNELS_SAID])
+    joints = listed(list(dict.fromkeys(w.joint for w in places[:_SHOWN] if w.joint)))
+    if channels:
+        text += f", most of it in {channels}" + (f", and it goes with {joints}" if joints else "")
+    return f"{text}."
 
 
 def validation_sentence(diagnosis: Findings) -> str:
@@ -47,10 +75,14 @@ def validation_sentence(diagnosis: Findings) -> str:
     if gap is None:
         before, after = (number(float(np.sqrt(f.chi2 / s.projector.rows)), 3) for f in (s.base, s.best))
         text = f"No motion that took no part in the fit was compared. On the fitted ones the residual is {before} times the noise"
+        if d.verdict == "named_in_part":
+            return f"{part_sentence(d)} {text} before and {after} times after."
         return f"{text}." if d.verdict == "nothing_missing" or not s.found else f"{text} before and {after} times after."
     motions = listed([f"‘{m}’" for m in gap.motions])
     before, after, floor = (number(v, 3) for v in (gap.before, gap.after, gap.floor))
     unseen = f"On {motions}, which took no part in any fit,"
+    if d.verdict == "named_in_part":
+        return f"{part_sentence(d)} {unseen} the residual goes from {before} to {after} times the noise of sensors and encoders."
     if d.verdict == "nothing_missing":
         text = f"{unseen} {before} times the noise is left; {floor} is what a complete model would leave."
         count = sum(not w.event for w in d.where)
@@ -156,31 +188,45 @@ def summary(diagnosis: Findings) -> str:
         f"{d.data.experiment.name}: {d.verdict.replace('_', ' ')} ({channel_text(d.data.channel)} of {', '.join(fitted)})",
         f"  {verdict_sentence(d)}",
     ]
-    for f in d.found:
+    for k, f in enumerate(d.found):
+        share = f"; closes {share_range(d, k)}" if d.part is not None else ""
         for key, value, half, _, unit in parameter_rows(f):
-            lines.append(f"    {f.term.effect.spec}: {key} {value}{'' if half == DASH else f' ± {half}'} {unit}".rstrip())
+            lines.append(f"    {f.term.effect.spec}: {key} {value}{'' if half == DASH else f' ± {half}'} {unit}".rstrip() + share)
+            share = ""
+    if d.part is not None:
+        lines.append(f"  {part_sentence(d)}")
     if d.gap is None:
         lines.append(f"  {validation_sentence(d)}")
     else:
         before, after, floor = (number(v, 3) for v in (d.gap.before, d.gap.after, d.gap.floor))
-        text = f"  gap on {', '.join(d.gap.motions)}: {before} -> {after} x noise (floor {floor})"
+        text = f"  gap on {', '.join(d.gap.motions)}: {before} -> {after} x noise"
+        text += "" if d.verdict == "named_in_part" else f" (floor {floor})"
         closed, least = known_share(d.gap.closed), known_share(d.gap.closed_low)
-        if d.found and closed:
+        if d.found and closed and d.part is None:
             text += f", {closed} closed" + (f", at least {least}" if least else "")
         lines.append(text)
     if d.verdict == "unknown" and d.search.found:
         lines.append(f"  best attempt: {', '.join(by_kind(f.term for f in d.search.found))}")
-    word = "unexplained" if d.verdict == "nothing_missing" else "disagrees"
-    for w in d.where[:_SHOWN]:
+    word = "unexplained" if d.verdict == "nothing_missing" else "stays" if d.part is not None else "disagrees"
+    places = d.where if d.part is None else d.remainder
+    for w in places[:_SHOWN]:
         lines.append(f"  {word}: {disagreement_line(w)}")
-    if len(d.where) > _SHOWN:
-        lines.append(f"  and in {len(d.where) - _SHOWN} more places")
+    if len(places) > _SHOWN:
+        lines.append(f"  and in {len(places) - _SHOWN} more places")
     if d.description is not None:
         lines += [f"  {line}" for line in described_lines(d.description, d.data.channels.names)]
     lines += [f"  note: {r}" for r in notes(d)]
     if d.next_experiment:
         lines.append(f"  next: {d.next_experiment}")
     return "\n".join(lines)
+
+
+def share_range(diagnosis: Findings, index: int) -> str:
+    """Share of the gap that an effect closes, and the least it does with 95 % confidence."""
+    found = diagnosis.shares(index)
+    if found is None:
+        return DASH
+    return f"{percent(max(found[0], 0.0))} of the gap" + (f" (at least {percent(found[1])})" if found[1] > 0.0 else "")
 
 
 def share_text(share: float) -> str:

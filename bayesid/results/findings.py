@@ -11,13 +11,14 @@ from bayesid.design.tell.choose import Telling
 from bayesid.diagnosis.candidates import Proposal
 from bayesid.diagnosis.data import DiagnosisData
 from bayesid.diagnosis.description.describe import Description
+from bayesid.diagnosis.in_part import InPart
 from bayesid.diagnosis.locate import Disagreement
 from bayesid.diagnosis.search import Found, Search
 from bayesid.diagnosis.stability import Stability
 from bayesid.diagnosis.validation import Gap
 from bayesid.effects import Term
 from bayesid.recordings.schema import EffectParameters
-from bayesid.results.described import description_dict
+from bayesid.results.described import description_dict, terms_of
 from bayesid.results.fitted_model import fitted_model
 from bayesid.results.telling import NEXT_MOTION, telling_dict
 
@@ -33,7 +34,7 @@ class Findings:
     data
         What was compared.
     verdict
-        ``named``, ``ambiguous``, ``unknown`` or ``nothing_missing``.
+        ``named``, ``named_in_part``, ``ambiguous``, ``unknown`` or ``nothing_missing``.
     search
         The models fitted.
     found
@@ -57,6 +58,10 @@ class Findings:
         The motion that settles an ambiguous verdict; None for any other.
     description
         A draft of what no effect explains; None where all is explained, or no motion that it was not chosen on confirms one.
+    part
+        What held-out recordings say of effects named in part; None for any other verdict.
+    remainder
+        Where the model with the effects named in part and the data disagree.
     """
 
     data: DiagnosisData
@@ -72,6 +77,8 @@ class Findings:
     stability: tuple[Stability | None, ...] = ()
     telling: Telling | None = None
     description: Description | None = None
+    part: InPart | None = None
+    remainder: tuple[Disagreement, ...] = ()
 
     @property
     def terms(self) -> tuple[Term, ...]:
@@ -108,7 +115,8 @@ class Findings:
             "experiment": self.data.experiment.name,
             "channel": self.data.channel,
             "verdict": self.verdict,
-            "effects": [self._effect(f) for f in self.found],
+            "effects": [self._effect(f, k) for k, f in enumerate(self.found)],
+            "remainder": self._remainder(),
             "where": [d.to_dict() for d in self.where],
             "gap": self._gap(),
             "description": None if self.description is None else description_dict(self.description, self.data.channels.names),
@@ -144,7 +152,25 @@ class Findings:
             out |= {"best_attempt_after": out["after"], "after": out["before"], "closed": 0.0, "closed_low": 0.0}
         return out
 
-    def _effect(self, found: Found) -> dict[str, Any]:
+    def shares(self, index: int) -> tuple[float, float] | None:
+        """Share of the held-out gap that an effect closes and its lower end; None where that was not measured for it alone."""
+        if self.part is not None:
+            return self.part.shares[index].share, self.part.shares[index].share_low
+        alone = len(self.found) == 1 and self.gap is not None and np.isfinite(self.gap.closed)
+        return (self.gap.closed, self.gap.closed_low) if self.gap is not None and alone else None
+
+    def _remainder(self) -> dict[str, Any] | None:
+        """What stays beside effects named in part."""
+        if self.part is None:
+            return None
+        rows = [] if self.description is None else terms_of(self.description, self.data.channels.names)
+        described_by = "; ".join(f"{reading} ~ {formula}" for reading, formula, *_ in rows) or None
+        return {
+            "share": self.part.remainder, "where": [d.to_dict() for d in self.remainder], "described_by": described_by,
+            "stretches": self.part.stretches, "correlated_rows": self.part.correlation,
+        }  # fmt: skip
+
+    def _effect(self, found: Found, index: int) -> dict[str, Any]:
         effect = found.term.effect
         std = found.std
         parameters = {
@@ -152,9 +178,11 @@ class Findings:
             for key, value, s, unit in zip(effect.parameters, found.term.values, std, effect.units, strict=True)
         }
         rivals = [{"name": t.effect.name, "where": t.effect.where} for t, _ in found.rivals]
+        share = self.shares(index)
         odds = np.array([0.0, *(-lack for _, lack in found.rivals)])
         return {
             "name": effect.name, "where": effect.where, "probability": float(1.0 / np.exp(odds).sum()),
-            "log_bayes_factor": found.gain, "parameters": parameters, "ambiguous_with": rivals,
+            "log_bayes_factor": found.gain, "share": None if share is None else share[0],
+            "share_low": None if share is None else share[1], "parameters": parameters, "ambiguous_with": rivals,
             "stability": next((x.to_dict() for x in self.stability if x and x.spec == effect.spec), None),
         }  # fmt: skip

@@ -13,7 +13,9 @@ from threadpoolctl import threadpool_limits
 from bayesid.design.tell.choose import tell_search
 from bayesid.diagnosis.data import DiagnosisData
 from bayesid.diagnosis.description.describe import describe
-from bayesid.diagnosis.locate import locate
+from bayesid.diagnosis.fit import Fit
+from bayesid.diagnosis.in_part import proven_effects
+from bayesid.diagnosis.locate import Disagreement, locate
 from bayesid.diagnosis.prepare import known_terms, prepare_data
 from bayesid.diagnosis.projector import make_projector
 from bayesid.diagnosis.remarks import next_experiment, remarks
@@ -22,7 +24,7 @@ from bayesid.diagnosis.settings import DEFAULT, Settings
 from bayesid.diagnosis.shifts import base_shifts
 from bayesid.diagnosis.stability import stability
 from bayesid.diagnosis.validation import residual_spectra, validate
-from bayesid.diagnosis.verdict import evidence_of, verdict
+from bayesid.diagnosis.verdict import evidence_of, named_in_part, verdict
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, as_experiment
 from bayesid.recordings.schema import write_model
@@ -80,6 +82,8 @@ def diagnose(
     The phases: noise of sensors and encoders; forward selection of effects; refit under the noise as the new model passes it on;
     pruning; rivals; held-out validation; verdict; remarks; where it is ambiguous, the motion that would settle it, and where
     something stays that no effect explains, a draft of that.
+    pruning; rivals; held-out validation; verdict; where that is unknown, effects that are proven although something stays;
+    remarks; where it is ambiguous, the motion that would settle it.
 
     Parameters
     ----------
@@ -120,34 +124,50 @@ def diagnose(
         data = prepare_data(experiment, channel, terms, motions, seed, held, settings)
         found = search(make_projector(data, data.terms), data.terms, seed, progress)
         progress("validation on unseen motions")
-        result = _with_next_motion(_concluded(found, seed), seed, progress)
+        result = _with_next_motion(_concluded(found, seed, progress), seed, progress)
         result = _with_description(result, seed, progress)
     return replace(result, seconds=time.perf_counter() - since)
 
 
-def _concluded(s: Search, seed: int) -> Diagnosis:
+def _concluded(s: Search, seed: int, progress: Progress) -> Diagnosis:
     """The verdict on what was found, and everything that goes with it."""
     data: DiagnosisData = s.projector.data
     gap = validate(s.projector, s.base, s.best, s.dispersion, seed)
     decided, reason = verdict(evidence_of(s, gap), data.settings)
+    part, tried, stays = None, None, ()
+    if decided == "unknown":
+        progress("effects that held-out recordings prove")
+        tried = proven_effects(s, seed)
+    if tried is not None and named_in_part(tried, data.settings):
+        decided, part, s = "named_in_part", tried, tried.search
+        gap = validate(s.projector, s.base, s.best, s.dispersion, seed)
+        stays = _places(s, s.best)
     named = () if decided == "unknown" else s.found
-    if decided == "unknown" and gap is not None:
-        # The model handed on is the user's; what a rejected attempt could not determine is no part of its floor.
-        gap = replace(gap, floor=gap.bare_floor)
+    if decided in ("unknown", "named_in_part") and gap is not None:
+        # Of the user's model, or beside a remainder: what an attempt could not determine is no part of the floor.
+        gap = replace(gap, floor=min(gap.bare_floor, gap.before, gap.after))
     parts = stability(s.projector, s.best, len(s.base.terms), named, s.dispersion)
-    white = residual_spectra(data, data.segments, s.base)
     return Diagnosis(
         data=data,
         verdict=decided,
         search=s,
         found=named,
-        where=locate(data, data.segments, white, max(1.0, min(s.dispersion, data.settings.unexplained))),
+        where=_places(s, s.base),
         gap=gap,
         shifts=base_shifts(s) if named else (),
-        remarks=remarks(s, gap, decided, reason, parts),
+        remarks=remarks(s, gap, decided, reason, parts, tried),
         next_experiment=next_experiment(decided, named),
         stability=parts,
+        part=part,
+        remainder=stays,
     )
+
+
+def _places(s: Search, model: Fit) -> tuple[Disagreement, ...]:
+    """Where a model and the data disagree."""
+    data: DiagnosisData = s.projector.data
+    white = residual_spectra(data, data.segments, model)
+    return locate(data, data.segments, white, max(1.0, min(s.dispersion, data.settings.unexplained)))
 
 
 def _with_next_motion(result: Diagnosis, seed: int, progress: Progress) -> Diagnosis:
@@ -166,11 +186,11 @@ def _with_next_motion(result: Diagnosis, seed: int, progress: Progress) -> Diagn
 
 def _with_description(result: Diagnosis, seed: int, progress: Progress) -> Diagnosis:
     """The diagnosis with a draft of what stays, where no effect explains it."""
-    if result.verdict != "unknown":
+    if result.verdict not in ("unknown", "named_in_part"):
         return result
     progress("describing what no effect explains")
     s = result.search
-    starts = [s.base, *([s.best] if len(s.best.terms) > len(s.base.terms) else [])]
+    starts = [s.best] if result.found else [s.base, *([s.best] if len(s.best.terms) > len(s.base.terms) else [])]
     return replace(result, description=describe(s.base, starts, s.library, seed))
 
 

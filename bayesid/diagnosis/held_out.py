@@ -1,0 +1,235 @@
+"""Fits that leave recordings out in turn, from inner products alone.
+
+Where a robot never comes down to its sensors' noise, whitened rows trust whatever is quiet. Here every channel is divided by the
+root mean square that the best attempt leaves of it, at all frequencies alike. About that attempt the readings are linear,
+
+    y = A u + J p + e,    u ~ N(0, 1),    e ~ N(0, r),
+
+with the links' columns A over their prior, the effects' columns J, and r rows that count as one, for what a model lacks
+follows the motion (`bayesid.estimators.dispersion`). Whitened amplitudes become courses in time as in
+`bayesid.diagnosis.stability`. Gram matrices of blocks of time then give, for any effects in the model and any recordings left
+out, the fit to the rest and the squared error of its prediction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.fft import idct
+
+from bayesid.diagnosis.data import DiagnosisData
+from bayesid.diagnosis.fit import Fit
+from bayesid.diagnosis.rows import model_rows, residual_rows, term_rows
+from bayesid.diagnosis.spectra import Segment
+from bayesid.diagnosis.validation import residual_spectra, without_offset
+from bayesid.effects import Term
+from bayesid.estimators.dispersion import STRETCHES, dispersion
+
+#: Curvature of directions that nothing determines, in units of a column's own.
+_FLAT = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOutSums:
+    """Inner products of all columns, by block of time: links, effects' parameters, effects' traces, residual.
+
+    An effect's trace is what the best attempt's prediction loses without it. Effects that may come in have no trace.
+
+    Attributes
+    ----------
+    blocks
+        (b, p, p).
+    groups
+        Which blocks are left out together (b,): a motion, or a stretch of the only one fitted.
+    counts
+        Rows of each block (b,).
+    unseen
+        Whether a block is of a validation motion (b,).
+    links
+        Number of the links' columns.
+    owners
+        Effect of each column of parameters (k,).
+    traces
+        How many effects, the first ones, have a trace.
+    start
+        Coordinates of the links at the best attempt (links,).
+    correlation
+        How many rows count as one.
+    """
+
+    blocks: np.ndarray
+    groups: np.ndarray
+    counts: np.ndarray
+    unseen: np.ndarray
+    links: int
+    owners: np.ndarray
+    traces: int
+    start: np.ndarray
+    correlation: float = 1.0
+
+    @cached_property
+    def whole(self) -> np.ndarray:
+        """Over everything (p, p)."""
+        return np.asarray(self.blocks.sum(axis=0))
+
+    @cached_property
+    def _rest(self) -> list[np.ndarray]:
+        """Over everything but each group."""
+        return [self.whole - self.blocks[self.groups == g].sum(axis=0) for g in range(self.groups.max() + 1)]
+
+    def fitted(self, gram: np.ndarray, effects: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+        """Combination of columns that a fit of these effects leaves (p,), and its amplitudes of all effects' columns (k,)."""
+        own = np.flatnonzero(np.isin(self.owners, list(effects)))
+        active = np.concatenate([np.arange(self.links), self.links + own])
+        out, amplitudes = np.zeros(len(gram)), np.zeros(len(self.owners))
+        out[-1] = 1.0
+        out[self.links + len(self.owners) + np.array([k for k in range(self.traces) if k not in effects], int)] = 1.0
+        square = gram[np.ix_(active, active)] / self.correlation
+        right = gram[active] @ out / self.correlation
+        square[: self.links, : self.links] += np.eye(self.links)
+        right[: self.links] -= self.start
+        scale = np.sqrt(np.maximum(np.diag(square), np.diag(self.whole)[active] / self.correlation))
+        scale = np.maximum(scale, 1e-150)
+        step = np.linalg.solve(square / np.outer(scale, scale) + _FLAT * np.eye(len(active)), right / scale) / scale
+        out[active] -= step
+        amplitudes[own] = step[self.links :]
+        return out, amplitudes
+
+    def squares(self, effects: Sequence[int]) -> np.ndarray:
+        """Squared prediction errors of every block with these effects, its group left out of the fit (b,)."""
+        out = np.empty(len(self.blocks))
+        for g, rest in enumerate(self._rest):
+            left, _ = self.fitted(rest, effects)
+            out[self.groups == g] = np.einsum("i,bij,j->b", left, self.blocks[self.groups == g], left)
+        return out
+
+    def cost(self, effects: Sequence[int]) -> float:
+        """Twice the negative log density of all recordings and the links' prior at the fit of these effects."""
+        left, _ = self.fitted(self.whole, effects)
+        links = self.start - left[: self.links]
+        return float(left @ self.whole @ left) / self.correlation + float(links @ links)
+
+    def price(self, effect: int) -> float:
+        """Log evidence that an effect's parameters cost: half the logarithm of the number of rows for each [Schwarz1978]_."""
+        return 0.5 * int(np.sum(self.owners == effect)) * float(np.log(max(self.counts.sum() / self.correlation, 2.0)))
+
+    def evidence(self, effects: Sequence[int], others: Sequence[int]) -> np.ndarray:
+        """Log evidence that each of other effects would add to a fit of these (len(others),)."""
+        left, _ = self.fitted(self.whole, effects)
+        gram, links = self.whole / self.correlation, self.links
+        active = np.concatenate([np.arange(links), links + np.flatnonzero(np.isin(self.owners, list(effects)))])
+        square = gram[np.ix_(active, active)]
+        square[:links, :links] += np.eye(links)
+        scale = np.maximum(np.sqrt(np.diag(square)), 1e-150)
+        half = np.linalg.cholesky(square / np.outer(scale, scale) + _FLAT * np.eye(len(active)))
+        columns = links + np.arange(len(self.owners))
+        inside = np.linalg.solve(half, gram[np.ix_(active, columns)] / scale[:, None])
+        target = gram[columns] @ left
+        out = np.empty(len(others))
+        for i, k in enumerate(others):
+            own = np.flatnonzero(self.owners == k)
+            length = np.maximum(np.sqrt(np.diag(gram)[columns[own]]), 1e-150)
+            free = (gram[np.ix_(columns[own], columns[own])] - inside[:, own].T @ inside[:, own]) / np.outer(length, length)
+            values, vectors = np.linalg.eigh(free)
+            seen = values > 1e-7
+            along = vectors[:, seen].T @ (target[own] / length)
+            out[i] = 0.5 * float(np.sum(along**2 / values[seen])) - self.price(k)
+        return out
+
+
+def scaled(data: DiagnosisData, best: Fit, correlation: float = 1.0) -> DiagnosisData:
+    """The data with every channel in units of what a model leaves of it on the fitted motions, white."""
+    white = residual_spectra(data, data.segments, best)
+    plain = [np.linalg.solve(s.whitener, w[:, :, None])[:, :, 0] for s, w in zip(data.segments, white, strict=True)]
+    square = sum(np.sum(p**2, axis=0) for p in plain) / sum(len(p) for p in plain)
+    square = np.maximum(square, 1e-18 * np.max(square, initial=1e-200)) * correlation
+
+    def alike(segments: Sequence[Segment]) -> tuple[Segment, ...]:
+        return tuple(replace(s, covariance=np.tile(np.diag(square), (len(s.covariance), 1, 1))) for s in segments)
+
+    return replace(data, segments=alike(data.segments), unseen=alike(data.unseen))
+
+
+def held_out_sums(data: DiagnosisData, root: np.ndarray, best: Fit, candidates: Sequence[Term]) -> HeldOutSums:
+    """Reduce all recordings, the validation motions among them.
+
+    Parameters
+    ----------
+    data
+        As `scaled` gives it.
+    root
+        Of the links' prior, see `NuisanceProjector`.
+    best
+        The best attempt.
+    candidates
+        Effects that may come in, at the values where their columns are taken.
+    """
+    segments = (*data.segments, *data.unseen)
+    blocks, names, counts = [], [], []
+    for motion in dict.fromkeys(s.motion for s in segments):  # the columns of one motion at a time
+        mine = [s for s in segments if s.motion == motion]
+        for stretch, square, count in _by_blocks(data, mine, _columns(data, mine, root, best, candidates)):
+            blocks.append(square)
+            names.append((motion, stretch))
+            counts.append(count)
+    order, fitted = list(dict.fromkeys(names)), {s.motion for s in data.segments}
+    owners = [i for i, t in enumerate(best.terms) if not data.fixed(t) for _ in t.values]
+    owners += [len(best.terms) + i for i, t in enumerate(candidates) for _ in t.values]
+    links = root.shape[1]
+    sums = HeldOutSums(
+        np.array(blocks), np.array([order.index(n) for n in names]), np.array(counts),
+        np.array([n[0] not in fitted for n in names]), links, np.array(owners, int), len(best.terms),
+        best.coordinates[:links],
+    )  # fmt: skip
+    groups = [g for g, n in enumerate(order) if n[0] in fitted]
+    return replace(sums, correlation=_correlation(sums, groups, len(best.terms)))
+
+
+def _columns(
+    data: DiagnosisData, segments: Sequence[Segment], root: np.ndarray, best: Fit, candidates: Sequence[Term]
+) -> np.ndarray:
+    """All columns of some segments (rows, p)."""
+    residual = residual_rows(data, segments, best.links, best.offset, best.terms)
+    parts = [np.zeros((len(residual), 0))]
+    if root.shape[1]:
+        parts.append(np.vstack([s.white(data.link_columns(s, best.terms)) @ root for s in segments]))
+    parts.append(model_rows(data, segments, best.links, best.terms))
+    for t in candidates:
+        # Beside the user's effects alone: an effect may come in for one of those found, so its columns must not hold that one's.
+        parts.append(term_rows(data, segments, best.links, data.terms, t))
+    for one in best.terms:
+        without = residual_rows(data, segments, best.links, best.offset, tuple(t for t in best.terms if t is not one))
+        parts.append((without - residual)[:, None])
+    return without_offset(data, segments, np.hstack([*parts, residual[:, None]]))
+
+
+def _by_blocks(
+    data: DiagnosisData, segments: Sequence[Segment], columns: np.ndarray
+) -> Iterator[tuple[int, np.ndarray, float]]:
+    """Stretch, inner products (p, p) and number of rows of every block of time."""
+    alone = {s.motion for s in data.segments} == {segments[0].motion}
+    row = 0
+    for s in segments:
+        size = s.shape[0] * s.shape[1]
+        course = np.asarray(idct(columns[row : row + size].reshape(*s.shape, -1), axis=0, norm="ortho"))
+        row += size
+        count = int(np.clip((s.times[-1] - s.times[0]) / data.settings.bootstrap_block, 1, len(course)))
+        for k, part in enumerate(np.array_split(course, count)):
+            flat = part.reshape(-1, course.shape[2])
+            yield k * STRETCHES // count if alone and not s.still else 0, flat.T @ flat, float(len(part) * s.alive.sum())
+
+
+def _correlation(sums: HeldOutSums, groups: Sequence[int], effects: int) -> float:
+    """How many rows count as one: dispersion of the best attempt between the parts of the fitted motions."""
+    parts = [sums.blocks[sums.groups == g].sum(axis=0) for g in groups]
+    left, _ = sums.fitted(np.sum(parts, axis=0), range(effects))
+    own = np.flatnonzero(sums.owners < effects)
+    active = np.concatenate([np.arange(sums.links), sums.links + own])
+    pick = np.zeros((len(sums.whole), len(active) + 1))
+    pick[active, np.arange(len(active))] = 1.0
+    pick[:, -1] = left  # about its own fit, so that the solution is zero
+    found, _ = dispersion([pick.T @ part @ pick for part in parts], np.zeros(len(active)))
+    return max(found, 1.0)

@@ -1,0 +1,300 @@
+"""Effects that are proven although something stays unexplained.
+
+Beside what the best attempt leaves, an effect of the search is kept, and another of the library added, only if it stands out of
+that and if recordings that are held out in turn are predicted better with it: the lower end of the share of the gap that is lost
+without it is above zero. What is left of the gap then is the remainder.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bayesid.diagnosis.candidates import column_terms
+from bayesid.diagnosis.data import DiagnosisData
+from bayesid.diagnosis.fit import begin, finish, fit
+from bayesid.diagnosis.held_out import HeldOutSums, held_out_sums, scaled
+from bayesid.diagnosis.projector import make_projector
+from bayesid.diagnosis.rivals import Found
+from bayesid.diagnosis.search import Search
+from bayesid.effects import Effect, Term
+
+#: Whether an effect's values are possible beside the others kept.
+Possible = Callable[[Sequence[int], int], bool]
+#: Lower end of one-sided 95 % intervals.
+_LOW = 0.05
+#: Of the effects that would add most, how many are tried on held-out recordings in one round.
+_TRIED = 6
+#: A gap is no less than this share of the mean square that the user's model leaves.
+_LEAST_GAP = 1e-3
+
+
+@dataclass(frozen=True)
+class Share:
+    """What an effect does on recordings held out in turn.
+
+    Attributes
+    ----------
+    share, share_low
+        Share of the gap that it closes beside those before it, and the lower end of its one-sided 95 % interval.
+    own, own_low
+        Share that is lost without it while all others stay, and its lower end.
+    """
+
+    share: float
+    share_low: float
+    own: float
+    own_low: float
+
+
+@dataclass(frozen=True, eq=False)
+class InPart:
+    """Effects that are proven, and what they leave.
+
+    Attributes
+    ----------
+    search
+        The search with the proven effects as those found, most first, and their exact fit as the best one. Evidence and standard
+        deviations are those beside what stays unexplained.
+    shares
+        Of each effect.
+    courses
+        Mean squares on recordings held out in turn: of the user's model, with one effect more each, and of the noise, every
+        channel in units of what the best attempt leaves of it; zero for a noise that is not known.
+    stretches
+        How many parts were held out in turn.
+    correlation
+        How many rows count as one.
+    """
+
+    search: Search
+    shares: tuple[Share, ...]
+    courses: tuple[float, ...]
+    stretches: int
+    correlation: float
+
+    @property
+    def remainder(self) -> float:
+        """Share of the gap that stays."""
+        return max(1.0 - sum(s.share for s in self.shares), 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Choice:
+    """Effects chosen among those that may be, by index: the best attempt's first, then the library's.
+
+    Attributes
+    ----------
+    sums, effects
+        Of all.
+    users
+        Those of the user's model.
+    floor
+        Mean square of the noise.
+    picks
+        Blocks of time of every bootstrap draw (draws, b).
+    accept, near
+        Log evidence needed, and within which others are rivals.
+    """
+
+    sums: HeldOutSums
+    effects: tuple[Effect, ...]
+    users: tuple[int, ...]
+    floor: float
+    picks: np.ndarray
+    accept: float
+    near: float
+
+    def squares(self, kept: Sequence[int]) -> np.ndarray:
+        """Squared errors on held-out blocks."""
+        return self.sums.squares([*self.users, *kept])
+
+    def share(self, worse: np.ndarray, better: np.ndarray, before: np.ndarray) -> tuple[float, float]:
+        """Share of the gap between user's model and noise by which one prediction is better than another, and its lower end."""
+        counts = self.sums.counts
+
+        def closed(picks: np.ndarray) -> np.ndarray:
+            """Of every draw of blocks (draws, k)."""
+            rows, closed, gap = (x[picks].sum(axis=1) for x in (counts, worse - better, before))
+            return closed / np.maximum(gap - self.floor * rows, _LEAST_GAP * gap)
+
+        return float(closed(np.arange(len(counts))[None])[0]), float(np.quantile(closed(self.picks), _LOW))
+
+    def proof(self, worse: np.ndarray, better: np.ndarray, before: np.ndarray) -> float:
+        """Lower end of that share; no more than what motions that were never fitted say of it."""
+        _, low = self.share(worse, better, before)
+        return min(low, float((worse - better)[self.sums.unseen].sum())) if self.sums.unseen.any() else low
+
+    def evidence(self, kept: Sequence[int], index: int) -> float:
+        """Log evidence that one of the effects kept adds to the others."""
+        others = [*self.users, *(k for k in kept if k != index)]
+        return 0.5 * (self.sums.cost(others) - self.sums.cost([*others, index])) - self.sums.price(index)
+
+    def without_unproven(self, kept: list[int], before: np.ndarray) -> list[int]:
+        """Leave out the effect whose loss costs least on held-out recordings until all of them are proven."""
+        while kept:
+            now = self.squares(kept)
+            own = {k: self.proof(self.squares([x for x in kept if x != k]), now, before) for k in kept}
+            unproven = [k for k in kept if own[k] <= 0.0 or self.evidence(kept, k) < self.accept]
+            if not unproven:
+                break
+            kept = [k for k in kept if k != min(unproven, key=lambda k: own[k])]
+        return kept
+
+    def with_one_more(self, kept: list[int], others: Sequence[int], possible: Possible, before: np.ndarray) -> list[int] | None:
+        """The effect added that the data demand most, if held-out recordings confirm it."""
+        taken = {self.effects[k].spec for k in kept} | {self.effects[k].name for k in kept if self.effects[k].single}
+        open_ = [k for k in others if not {self.effects[k].spec, self.effects[k].name} & taken]
+        if not open_:
+            return None
+        gains = self.sums.evidence([*self.users, *kept], open_)
+        now = self.squares(kept)
+        for i in np.argsort(-gains)[:_TRIED]:
+            if gains[i] < self.accept:
+                return None
+            more = [*kept, open_[i]]
+            if possible(more, open_[i]) and self.proof(now, self.squares(more), before) > 0.0:
+                return more
+        return None
+
+    def in_order(self, kept: list[int]) -> list[int]:
+        """The effects by what each adds to those before it, most first."""
+        out: list[int] = []
+        while len(out) < len(kept):
+            rest = [k for k in kept if k not in out]
+            out.append(rest[int(np.argmax(self.sums.evidence([*self.users, *out], rest)))])
+        return out
+
+    def rivals(
+        self, kept: Sequence[int], index: int, others: Sequence[int], possible: Possible, near: float
+    ) -> list[tuple[int, float]]:
+        """Other effects that lack no more than so much log evidence in one's place, best first, and what each lacks."""
+        rest = [k for k in kept if k != index]
+        (own, *gains), open_ = self.standing(rest, index, others)
+        best: dict[str, tuple[int, float]] = {}
+        for k, gain in sorted(zip(open_, gains, strict=True), key=lambda x: -x[1]):
+            new = self.effects[k].spec not in (self.effects[index].spec, *best)
+            if own - gain < near and new and possible([*rest, k], k):
+                best[self.effects[k].spec] = (k, float(own - gain))
+        return list(best.values())
+
+    def replaced(self, kept: list[int], others: Sequence[int], possible: Possible) -> list[int]:
+        """Effects exchanged for others that do clearly better in their place, or better with fewer parameters."""
+        for k in list(kept):
+            size = len(self.effects[k].parameters)
+            for other, lack in self.rivals(kept, k, others, possible, 0.0):
+                if lack < -self.near or len(self.effects[other].parameters) < size:
+                    kept = [other if x == k else x for x in kept]
+                    break
+        return kept
+
+    def standing(self, rest: Sequence[int], index: int, others: Sequence[int]) -> tuple[list[float], list[int]]:
+        """Log evidence of an effect beside the rest, then of each other that could stand in its place; and which those are."""
+        taken = {self.effects[k].spec for k in rest} | {self.effects[k].name for k in rest if self.effects[k].single}
+        open_ = [k for k in others if k != index and not {self.effects[k].spec, self.effects[k].name} & taken]
+        return self.sums.evidence([*self.users, *rest], [index, *open_]).tolist(), open_
+
+
+def proven_effects(s: Search, seed: int) -> InPart | None:
+    """The effects that are proven although something stays unexplained; None where none is.
+
+    Parameters
+    ----------
+    s
+        What the search found.
+    seed
+        Of the bootstrap over blocks of time.
+    """
+    first = _proven(s, seed)
+    # Values have moved since the columns were taken: once more about them.
+    return first and _proven(first.search, seed)
+
+
+def _proven(s: Search, seed: int) -> InPart | None:
+    """Effects chosen by columns about the best attempt, and fitted exactly."""
+    data, known, attempt = scaled(s.projector.data, s.best), len(s.base.terms), s.best.terms
+    library = [(t, about) for t, about in column_terms(data) if _confirmable(t.effect)]
+    sums = held_out_sums(data, s.projector.root, s.best, [t for t, _ in library])
+    blocks, settings = len(sums.counts), data.settings
+    choice = _Choice(
+        sums, tuple(t.effect for t in (*attempt, *(t for t, _ in library))), tuple(range(known)),
+        _noise(s.projector.data, data), np.random.default_rng(seed).integers(blocks, size=(settings.bootstrap_draws, blocks)),
+        settings.accept, settings.rival,
+    )  # fmt: skip
+
+    def term(index: int, kept: Sequence[int]) -> Term:
+        """An effect at the values that fit beside the others kept."""
+        if index < len(attempt):
+            return attempt[index]
+        one, about = library[index - len(attempt)]
+        amplitudes = sums.fitted(sums.whole, [*choice.users, *kept])[1][sums.owners == index]
+        return Term(one.effect, tuple(map(float, np.atleast_2d(about.to_values(amplitudes))[0])))
+
+    def possible(kept: Sequence[int], index: int) -> bool:
+        effect, values = choice.effects[index], np.array(term(index, kept).values)
+        return bool(np.all((values >= effect.lower) & (values <= effect.upper)))
+
+    before = choice.squares([])
+    kept = choice.without_unproven([k for k in range(known, len(attempt)) if _confirmable(attempt[k].effect)], before)
+    others = range(len(attempt), len(choice.effects))
+    for _ in range(settings.sweeps):
+        start = kept
+        while (more := choice.with_one_more(kept, others, possible, before)) is not None:
+            kept = more
+        kept = choice.without_unproven(choice.replaced(kept, others, possible), before)
+        if kept == start:
+            break
+    if not kept:
+        return None
+    kept = choice.in_order(kept)
+    many = {name for name in (choice.effects[k].name for k in kept) if sum(choice.effects[k].name == name for k in kept) > 2}
+    rivals: list[list[tuple[Term, float]]] = []
+    for own in kept:
+        near = [] if choice.effects[own].name in many else choice.rivals(kept, own, others, possible, settings.rival)
+        rivals.append([(term(k, [*(x for x in kept if x != own), k]), lack) for k, lack in near])
+    model = (*attempt[:known], *(term(k, kept) for k in kept))
+    return _concluded(s, choice, kept, model, rivals, before)
+
+
+def _concluded(
+    s: Search, choice: _Choice, kept: list[int], model: Sequence[Term], rivals: list[list[tuple[Term, float]]], before: np.ndarray
+) -> InPart | None:
+    """The model with the effects kept fitted exactly, and their shares."""
+    sums, known = choice.sums, len(s.base.terms)
+    best = fit(make_projector(scaled(s.projector.data, s.best, sums.correlation), model), model, s.best)
+    if not np.isfinite(best.score):
+        return None
+    steps = [before, *(choice.squares(kept[: n + 1]) for n in range(len(kept)))]
+    found, shares = [], []
+    for n, k in enumerate(kept):
+        at = [column for column, (owner, _) in enumerate(best.free) if owner == known + n]
+        one, std = best.terms[known + n], np.sqrt(np.maximum(np.diag(best.covariance)[at], 0.0))
+        term = Term(one.effect, one.effect.canonical(one.values))
+        found.append(Found(term, choice.evidence(kept, k), std, tuple(rivals[n])))
+        without = choice.squares([x for x in kept if x != k])
+        shares.append(Share(*choice.share(steps[n], steps[n + 1], before), *choice.share(without, steps[-1], before)))
+    # Residuals in units of the noise, as everywhere else; the covariance beside what stays unexplained.
+    shown = replace(finish(begin(s.projector, best.terms, best)), covariance=best.covariance)
+    total = sums.counts.sum()
+    return InPart(
+        replace(s, best=shown, found=tuple(found), dropped=()), tuple(shares),
+        (*(float(x.sum() / total) for x in steps), choice.floor), int(sums.groups.max()) + 1, sums.correlation,
+    )  # fmt: skip
+
+
+def _confirmable(effect: Effect) -> bool:
+    """Whether other motions can confirm it: a contact does not come again, and changed links stand in for whatever is missing."""
+    return not (effect.once or effect.changes_link)
+
+
+def _noise(data: DiagnosisData, scaled_: DiagnosisData) -> float:
+    """Mean square of the noise in the scaled data's units, no more than what the best attempt leaves; 0 where it is unknown."""
+    if not data.floor_known:
+        return 0.0
+    ratio = [
+        (np.diagonal(s.covariance, axis1=1, axis2=2) / np.diagonal(u.covariance, axis1=1, axis2=2))[:, s.alive]
+        for s, u in zip(data.segments, scaled_.segments, strict=True)
+    ]
+    return min(float(np.concatenate([r.ravel() for r in ratio]).mean()), 1.0)
