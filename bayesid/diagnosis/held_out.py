@@ -41,7 +41,9 @@ class HeldOutSums:
     Attributes
     ----------
     blocks
-        (b, p, p).
+        (b, p, p), every channel in units of what the best attempt leaves of it: for fits and their evidence.
+    shown
+        (b, p, p), every channel in units of what the user's model leaves of it: for shares, in which all channels count alike.
     groups
         Which blocks are left out together (b,): a motion, or a stretch of the only one fitted.
     counts
@@ -61,6 +63,7 @@ class HeldOutSums:
     """
 
     blocks: np.ndarray
+    shown: np.ndarray
     groups: np.ndarray
     counts: np.ndarray
     unseen: np.ndarray
@@ -103,7 +106,7 @@ class HeldOutSums:
         out = np.empty(len(self.blocks))
         for g, rest in enumerate(self._rest):
             left, _ = self.fitted(rest, effects)
-            out[self.groups == g] = np.einsum("i,bij,j->b", left, self.blocks[self.groups == g], left)
+            out[self.groups == g] = np.einsum("i,bij,j->b", left, self.shown[self.groups == g], left)
         return out
 
     def cost(self, effects: Sequence[int]) -> float:
@@ -140,12 +143,16 @@ class HeldOutSums:
         return out
 
 
-def scaled(data: DiagnosisData, best: Fit, correlation: float = 1.0) -> DiagnosisData:
-    """The data with every channel in units of what a model leaves of it on the fitted motions, white."""
-    white = residual_spectra(data, data.segments, best)
+def left_by(data: DiagnosisData, model: Fit) -> np.ndarray:
+    """Mean square of what a model leaves of every channel on the fitted motions (c,)."""
+    white = residual_spectra(data, data.segments, model)
     plain = [np.linalg.solve(s.whitener, w[:, :, None])[:, :, 0] for s, w in zip(data.segments, white, strict=True)]
     square = sum(np.sum(p**2, axis=0) for p in plain) / sum(len(p) for p in plain)
-    square = np.maximum(square, 1e-18 * np.max(square, initial=1e-200)) * correlation
+    return np.maximum(square, 1e-18 * np.max(square, initial=1e-200))
+
+
+def scaled(data: DiagnosisData, square: np.ndarray) -> DiagnosisData:
+    """The data with white noise of these mean squares (c,) in all channels."""
 
     def alike(segments: Sequence[Segment]) -> tuple[Segment, ...]:
         return tuple(replace(s, covariance=np.tile(np.diag(square), (len(s.covariance), 1, 1))) for s in segments)
@@ -153,7 +160,9 @@ def scaled(data: DiagnosisData, best: Fit, correlation: float = 1.0) -> Diagnosi
     return replace(data, segments=alike(data.segments), unseen=alike(data.unseen))
 
 
-def held_out_sums(data: DiagnosisData, root: np.ndarray, best: Fit, candidates: Sequence[Term]) -> HeldOutSums:
+def held_out_sums(
+    data: DiagnosisData, root: np.ndarray, best: Fit, candidates: Sequence[Term], weight: np.ndarray
+) -> HeldOutSums:
     """Reduce all recordings, the validation motions among them.
 
     Parameters
@@ -166,13 +175,16 @@ def held_out_sums(data: DiagnosisData, root: np.ndarray, best: Fit, candidates: 
         The best attempt.
     candidates
         Effects that may come in, at the values where their columns are taken.
+    weight
+        What the best attempt leaves of each channel over what the user's model leaves of it, root mean squares (c,).
     """
     segments = (*data.segments, *data.unseen)
-    blocks, names, counts = [], [], []
+    blocks, shown, names, counts = [], [], [], []
     for motion in dict.fromkeys(s.motion for s in segments):  # the columns of one motion at a time
         mine = [s for s in segments if s.motion == motion]
-        for stretch, square, count in _by_blocks(data, mine, _columns(data, mine, root, best, candidates)):
-            blocks.append(square)
+        for stretch, part, count in _by_blocks(data, mine, _columns(data, mine, root, best, candidates)):
+            blocks.append(_squared(part))
+            shown.append(_squared(part * weight[:, None]))
             names.append((motion, stretch))
             counts.append(count)
     order, fitted = list(dict.fromkeys(names)), {s.motion for s in data.segments}
@@ -180,7 +192,7 @@ def held_out_sums(data: DiagnosisData, root: np.ndarray, best: Fit, candidates: 
     owners += [len(best.terms) + i for i, t in enumerate(candidates) for _ in t.values]
     links = root.shape[1]
     sums = HeldOutSums(
-        np.array(blocks), np.array([order.index(n) for n in names]), np.array(counts),
+        np.array(blocks), np.array(shown), np.array([order.index(n) for n in names]), np.array(counts),
         np.array([n[0] not in fitted for n in names]), links, np.array(owners, int), len(best.terms),
         best.coordinates[:links],
     )  # fmt: skip
@@ -209,7 +221,7 @@ def _columns(
 def _by_blocks(
     data: DiagnosisData, segments: Sequence[Segment], columns: np.ndarray
 ) -> Iterator[tuple[int, np.ndarray, float]]:
-    """Stretch, inner products (p, p) and number of rows of every block of time."""
+    """Stretch, course in time (k, c, p) and number of rows of every block of time."""
     alone = {s.motion for s in data.segments} == {segments[0].motion}
     row = 0
     for s in segments:
@@ -218,8 +230,12 @@ def _by_blocks(
         row += size
         count = int(np.clip((s.times[-1] - s.times[0]) / data.settings.bootstrap_block, 1, len(course)))
         for k, part in enumerate(np.array_split(course, count)):
-            flat = part.reshape(-1, course.shape[2])
-            yield k * STRETCHES // count if alone and not s.still else 0, flat.T @ flat, float(len(part) * s.alive.sum())
+            yield k * STRETCHES // count if alone and not s.still else 0, part, float(len(part) * s.alive.sum())
+
+
+def _squared(part: np.ndarray) -> np.ndarray:
+    flat = part.reshape(-1, part.shape[2])
+    return flat.T @ flat
 
 
 def _correlation(sums: HeldOutSums, groups: Sequence[int], effects: int) -> float:

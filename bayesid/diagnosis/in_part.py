@@ -15,7 +15,7 @@ import numpy as np
 from bayesid.diagnosis.candidates import column_terms
 from bayesid.diagnosis.data import DiagnosisData
 from bayesid.diagnosis.fit import begin, finish, fit
-from bayesid.diagnosis.held_out import HeldOutSums, held_out_sums, scaled
+from bayesid.diagnosis.held_out import HeldOutSums, held_out_sums, left_by, scaled
 from bayesid.diagnosis.projector import make_projector
 from bayesid.diagnosis.rivals import Found
 from bayesid.diagnosis.search import Search
@@ -27,6 +27,8 @@ Possible = Callable[[Sequence[int], int], bool]
 _LOW = 0.05
 #: Of the effects that would add most, how many are tried on held-out recordings in one round.
 _TRIED = 6
+#: Log evidence that makes no difference.
+_AS_MUCH = 0.1
 #: A gap is no less than this share of the mean square that the user's model leaves.
 _LEAST_GAP = 1e-3
 
@@ -62,7 +64,7 @@ class InPart:
         Of each effect.
     courses
         Mean squares on recordings held out in turn: of the user's model, with one effect more each, and of the noise, every
-        channel in units of what the best attempt leaves of it; zero for a noise that is not known.
+        channel in units of what the user's model leaves of it on the fitted motions; zero for a noise that is not known.
     stretches
         How many parts were held out in turn.
     correlation
@@ -159,6 +161,16 @@ class _Choice:
                 return more
         return None
 
+    def from_columns(self, kept: list[int], others: Sequence[int]) -> list[int]:
+        """The best attempt's effects by the library's columns of the same, which say as much and tell values from anywhere."""
+        out = list(kept)
+        for n, k in enumerate(kept):
+            same = [j for j in others if self.effects[j].spec == self.effects[k].spec]
+            own, *gains = self.sums.evidence([*self.users, *(x for x in out if x != k)], [k, *same])
+            if gains and max(gains) >= own - _AS_MUCH:
+                out[n] = same[int(np.argmax(gains))]
+        return out
+
     def in_order(self, kept: list[int]) -> list[int]:
         """The effects by what each adds to those before it, most first."""
         out: list[int] = []
@@ -170,22 +182,26 @@ class _Choice:
     def rivals(
         self, kept: Sequence[int], index: int, others: Sequence[int], possible: Possible, near: float
     ) -> list[tuple[int, float]]:
-        """Other effects that lack no more than so much log evidence in one's place, best first, and what each lacks."""
+        """Other effects that lack no more than so much log evidence in one's place, best first, and what each lacks.
+
+        What another adds beside all those kept, too, is none of what it would do in one's place.
+        """
         rest = [k for k in kept if k != index]
         (own, *gains), open_ = self.standing(rest, index, others)
+        beside = np.maximum(self.sums.evidence([*self.users, *kept], open_), 0.0)
         best: dict[str, tuple[int, float]] = {}
-        for k, gain in sorted(zip(open_, gains, strict=True), key=lambda x: -x[1]):
+        for k, lack in sorted(zip(open_, own - (np.array(gains) - beside), strict=True), key=lambda x: x[1]):
             new = self.effects[k].spec not in (self.effects[index].spec, *best)
-            if own - gain < near and new and possible([*rest, k], k):
-                best[self.effects[k].spec] = (k, float(own - gain))
+            if lack < near and new and possible([*rest, k], k):
+                best[self.effects[k].spec] = (k, float(lack))
         return list(best.values())
 
     def replaced(self, kept: list[int], others: Sequence[int], possible: Possible) -> list[int]:
-        """Effects exchanged for others that do clearly better in their place, or better with fewer parameters."""
+        """Effects exchanged for others that do better in their place; clearly better, where that takes more parameters."""
         for k in list(kept):
             size = len(self.effects[k].parameters)
             for other, lack in self.rivals(kept, k, others, possible, 0.0):
-                if lack < -self.near or len(self.effects[other].parameters) < size:
+                if lack < -self.near or len(self.effects[other].parameters) <= size:
                     kept = [other if x == k else x for x in kept]
                     break
         return kept
@@ -214,13 +230,14 @@ def proven_effects(s: Search, seed: int) -> InPart | None:
 
 def _proven(s: Search, seed: int) -> InPart | None:
     """Effects chosen by columns about the best attempt, and fitted exactly."""
-    data, known, attempt = scaled(s.projector.data, s.best), len(s.base.terms), s.best.terms
+    left = tuple(left_by(s.projector.data, f) for f in (s.base, s.best))
+    data, known, attempt = scaled(s.projector.data, left[1]), len(s.base.terms), s.best.terms
     library = [(t, about) for t, about in column_terms(data) if _confirmable(t.effect)]
-    sums = held_out_sums(data, s.projector.root, s.best, [t for t, _ in library])
+    sums = held_out_sums(data, s.projector.root, s.best, [t for t, _ in library], np.sqrt(left[1] / left[0]))
     blocks, settings = len(sums.counts), data.settings
     choice = _Choice(
         sums, tuple(t.effect for t in (*attempt, *(t for t, _ in library))), tuple(range(known)),
-        _noise(s.projector.data, data), np.random.default_rng(seed).integers(blocks, size=(settings.bootstrap_draws, blocks)),
+        _noise(s.projector.data, left[0]), np.random.default_rng(seed).integers(blocks, size=(settings.bootstrap_draws, blocks)),
         settings.accept, settings.rival,
     )  # fmt: skip
 
@@ -243,7 +260,7 @@ def _proven(s: Search, seed: int) -> InPart | None:
         start = kept
         while (more := choice.with_one_more(kept, others, possible, before)) is not None:
             kept = more
-        kept = choice.without_unproven(choice.replaced(kept, others, possible), before)
+        kept = choice.without_unproven(choice.replaced(choice.from_columns(kept, others), others, possible), before)
         if kept == start:
             break
     if not kept:
@@ -263,7 +280,8 @@ def _concluded(
 ) -> InPart | None:
     """The model with the effects kept fitted exactly, and their shares."""
     sums, known = choice.sums, len(s.base.terms)
-    best = fit(make_projector(scaled(s.projector.data, s.best, sums.correlation), model), model, s.best)
+    data = scaled(s.projector.data, left_by(s.projector.data, s.best) * sums.correlation)
+    best = fit(make_projector(data, model), model, s.best)
     if not np.isfinite(best.score):
         return None
     steps = [before, *(choice.squares(kept[: n + 1]) for n in range(len(kept)))]
@@ -289,12 +307,9 @@ def _confirmable(effect: Effect) -> bool:
     return not (effect.once or effect.changes_link)
 
 
-def _noise(data: DiagnosisData, scaled_: DiagnosisData) -> float:
-    """Mean square of the noise in the scaled data's units, no more than what the best attempt leaves; 0 where it is unknown."""
+def _noise(data: DiagnosisData, square: np.ndarray) -> float:
+    """Mean square of the noise in units of what the user's model leaves (c,), no more than that; 0 where it is unknown."""
     if not data.floor_known:
         return 0.0
-    ratio = [
-        (np.diagonal(s.covariance, axis1=1, axis2=2) / np.diagonal(u.covariance, axis1=1, axis2=2))[:, s.alive]
-        for s, u in zip(data.segments, scaled_.segments, strict=True)
-    ]
-    return min(float(np.concatenate([r.ravel() for r in ratio]).mean()), 1.0)
+    ratio = [(np.diagonal(s.covariance, axis1=1, axis2=2) / square)[:, s.alive].ravel() for s in data.segments]
+    return min(float(np.concatenate(ratio).mean()), 1.0)
