@@ -1,0 +1,117 @@
+"""Effects that held-out recordings prove although something stays, against rows fitted one by one and a truth that is known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from bayesid import diagnose
+from bayesid.diagnosis.held_out import held_out_sums, left_by, scaled
+from bayesid.diagnosis.rows import model_rows, residual_rows
+from bayesid.diagnosis.settings import DEFAULT
+from bayesid.diagnosis.verdict import named_in_part
+from bayesid.effects import EffectLibrary
+from bayesid.recordings.experiment import Experiment
+from bayesid.report.diagnosis import diagnosis_report
+from bayesid.robot.examples import PAPER_LOCKED, puma_two_joint_urdf
+from bayesid.robot.robot import load_robot
+from bayesid.simulation.simulation import simulate
+from bayesid.simulation.trajectories import fourier_trajectory
+
+HIDDEN = {
+    "coulomb_friction@joint1": {"level": 5.0},
+    "coulomb_friction@joint2": {"level": 6.0},
+    "viscous_friction@joint2": {"coefficient": 8.0},
+}
+#: What no effect of the library is: a torque that depends on both joints.
+WOBBLE = {"wobble": {"tau2": "c * sin(5 * q2 + 3 * q1)", "parameters": {"c": {"unit": "N m"}}}}
+
+
+@pytest.fixture(scope="module")
+def diagnosis(tmp_path_factory):
+    """Friction that the model lacks, beside something that the library lacks."""
+    path = tmp_path_factory.mktemp("robot") / "robot.urdf"
+    path.write_text(puma_two_joint_urdf(), encoding="utf-8")
+    robot = load_robot(path, ["joint1", "joint2"], PAPER_LOCKED)
+    library = EffectLibrary().with_expressions(WOBBLE, 2, "test")
+    arm = Experiment("arm", robot, (), None, inertia_rel_std=0.05, position_resolution=1e-5, library=library)
+    motions = [
+        fourier_trajectory(robot, seed=1, duration=10.0, rate=100.0),
+        fourier_trajectory(robot, "validation", "validation", seed=2, duration=8.0, rate=100.0),
+    ]
+    recorded = simulate(arm, motions, effects={**HIDDEN, "wobble": {"c": 1.5}}, perturb=0.05, seed=3)
+    return diagnose(replace(recorded, library=EffectLibrary()))
+
+
+def test_friction_is_named_in_part_and_the_rest_stays(diagnosis):
+    """Names, values in their intervals, shares that add up, and the joint whose torque holds what stays."""
+    assert diagnosis.verdict == "named_in_part"
+    assert {f.term.effect.spec for f in diagnosis.found} == set(HIDDEN)
+    for f in diagnosis.found:
+        (truth,) = HIDDEN[f.term.effect.spec].values()
+        assert abs(f.term.values[0] - truth) < 3.0 * f.std[0]
+    said = diagnosis.to_dict()
+    assert sum(e["share"] for e in said["effects"]) + said["remainder"]["share"] == pytest.approx(1.0)
+    assert all(0.0 < e["share_low"] < e["share"] for e in said["effects"])
+    assert {w["channel"] for w in said["remainder"]["where"]} == {"tau2"}
+    assert said["gap"]["floor"] <= said["gap"]["after"] < 0.2 * said["gap"]["before"]
+
+
+def test_it_is_told_in_words_and_in_the_report(diagnosis):
+    """Terminal, notebook and report say what is named, what it closes and what stays."""
+    text = str(diagnosis)
+    assert "named in part" in text
+    assert "closes" in text
+    assert "stays, most of it in tau2" in text
+    report = diagnosis_report(diagnosis)
+    assert "What stays" in report
+    assert "the model as it was" in report
+    assert "more that stays unexplained" in diagnosis._repr_html_()
+
+
+def test_model_with_the_names_keeps_the_smaller_gap(diagnosis, tmp_path):
+    """``model.toml`` holds the effects at their values."""
+    diagnosis.write(tmp_path / "out")
+    text = (tmp_path / "out" / "model.toml").read_text(encoding="utf-8")
+    assert all(spec in text for spec in HIDDEN)
+
+
+def test_sums_give_what_a_fit_to_the_rows_gives(diagnosis):
+    """Held-out errors and log evidence from inner products, against least squares on the rows themselves."""
+    s = diagnosis.search
+    left = left_by(s.projector.data, s.best)
+    data = scaled(s.projector.data, left)
+    sums = held_out_sums(data, s.projector.root, s.best, (), np.ones(len(left)))
+    segments = (*data.segments, *data.unseen)
+    links = np.vstack([x.white(data.link_columns(x, s.best.terms)) @ s.projector.root for x in segments])
+    effects = model_rows(data, segments, s.best.links, s.best.terms)
+    y = residual_rows(data, segments, s.best.links, s.best.offset, s.best.terms)
+    size = sum(x.shape[0] * x.shape[1] for x in data.segments)
+    unit = np.sqrt(sums.correlation)
+
+    def fitted(rows, kept, target):
+        """Coefficients and squared residual of least squares with rows for the links' prior beneath."""
+        prior = np.hstack([np.eye(links.shape[1]), np.zeros((links.shape[1], len(kept)))])
+        stacked = np.vstack([np.hstack([links, effects[:, kept]])[rows] / unit, prior])
+        full = np.concatenate([target[rows] / unit, -sums.start])
+        step = np.linalg.lstsq(stacked, full, rcond=None)[0]
+        return step, np.sum((full - stacked @ step) ** 2)
+
+    every, all_rows = list(range(effects.shape[1])), np.arange(len(y))
+    step, _ = fitted(np.arange(size), every, y)
+    expected = np.sum((y - np.hstack([links, effects]) @ step)[size:] ** 2)
+    assert sums.squares(range(3))[sums.unseen].sum() == pytest.approx(expected, rel=1e-6)
+    # The last effect is linear in its one parameter, so that what the prediction loses without it is a column.
+    without = y + effects[:, -1] * s.best.terms[-1].values[0]
+    gain = fitted(all_rows, every[:-1], without)[1] - fitted(all_rows, every, y)[1]
+    assert sums.cost([0, 1]) - sums.cost([0, 1, 2]) == pytest.approx(gain, rel=1e-6)
+    assert sums.evidence([0, 1], [2])[0] == pytest.approx(0.5 * gain - sums.price(2), rel=1e-6)
+
+
+def test_an_imitation_that_leaves_much_is_not_named(diagnosis):
+    """Effects that close less than the share asked for are told, not named."""
+    assert diagnosis.part is not None
+    assert named_in_part(diagnosis.part, DEFAULT)
+    assert not named_in_part(diagnosis.part, replace(DEFAULT, mostly_closed=1.0))
