@@ -10,6 +10,8 @@ import numpy as np
 
 from bayesid.dynamics.channels import WRENCH_NAMES
 from bayesid.effects import Effect, EffectLibrary
+from bayesid.effects.friction import BRISTLE_MEMORY
+from bayesid.effects.play import SLOW
 from bayesid.robot.examples import puma560_urdf
 from bayesid.robot.robot import load_robot
 
@@ -33,13 +35,23 @@ from what the classes say, by `docs/effects_table.py`.
 | --- | --- | --- | --- | --- | --- |
 """
 _FOOT = """
-The steps act in this order: encoder offset, coupled transmissions and flexible joints; the compliant base; bodies, gravity and
-what pulls or pushes them; inside the joints, then the torque's gain; the sensor's pose, its delay, gains and cross-talk, offset
-and drift.
+The steps act in this order: encoder offset, coupled transmissions, play, flexible joints; the compliant base; bodies, gravity and
+what pulls or pushes them; inside the joints, at the time that a torque is read for, then the torque's gain; the sensor's pose,
+its delay, gains and cross-talk, offset and drift.
 A flexible joint gives way to the torques of a base at rest: with a base that rings as well, what the ringing bends is left out.
+A gear's teeth change sides with the torque of the motion below %(slow).0f %% of what it is smoothed to: play that is crossed many
+times a second, or that is so wide that the torque turns on the way, is beyond this model.
 
-`coupled_transmission` is estimated where it is stated; `diagnose` does not seek it. Where the coupling is known from the data
-sheet, state it as `[model.values."coupled_transmission@joint5->joint6"]` with `coupling = 1.0` and `fixed = true`.
+The time $t$ of `sensor_drift` and `warming_friction` is that of each table. Where the tables of an experiment go on with one
+clock, so does the warming; where each starts at zero, the drive is as cold at the start of every motion. `warming_friction`
+falls from the friction at $t = 0$: `coulomb_friction` and `viscous_friction` beside it are those of the cold drive.
+
+`dahl_friction` remembers the last %(memory)g s of motion; a joint that moves when that begins is taken for slipping.
+
+`diagnose` seeks `coupled_transmission` of a joint and the one before it, from 1 and -1, where other effects leave something
+unexplained, and `torque_delay` of all joints at once; `dahl_friction` and `stribeck_friction` it does not seek at one joint.
+Where the coupling is known from the data sheet, state it as `[model.values."coupled_transmission@joint5->joint6"]` with
+`coupling = 1.0` and `fixed = true`.
 
 Starting values where none are stated are zero, except:
 
@@ -71,7 +83,8 @@ def page() -> str:
         if any(effect.starts):
             values = ", ".join(f"`{p.name}` {p.start:g}" for p in effect.quantities)
             starts.append(f"- `{effect.name}`: {values}\n")
-    return _HEAD + "".join(rows) + _FOOT + "".join(starts) + _SIZES + "".join(sizes())
+    foot = _FOOT % {"memory": BRISTLE_MEMORY, "slow": 100 * SLOW}
+    return _HEAD + "".join(rows) + foot + "".join(starts) + _SIZES + "".join(sizes())
 
 
 def example_effects() -> Iterator[Effect]:

@@ -107,6 +107,7 @@ class Library:
         left = left - found @ (found.T @ left)
         present = {t.effect.name for t in fit.terms if t.effect.single}
         taken = {e.spec for name in present for e in data.places(name)} | {t.effect.spec for t in fit.terms}
+        taken |= {f"{name}@{t.effect.where}" for t in fit.terms for name in t.effect.instead_of}
         best: dict[str, Proposal] = {}
         for block in self.blocks:
             name = block.effect.spec

@@ -107,7 +107,8 @@ def _of_the_model(search: Search, found: Sequence[Found], gap: Gap | None) -> li
         )
     if (start := max(abs(x.times[0]) for x in data.segments)) > settings.late_start:
         out.append(
-            f"Times start at {start:.3g} s. A drift counts from time zero, so it is one with an offset here; subtract the start."
+            f"Times start at {start:.3g} s. A drift and a drive's warming count from time zero, so that they look constant "
+            "here; subtract the start."
         )
     if data.instants:
         out.append(

@@ -6,7 +6,7 @@ from math import inf
 
 import numpy as np
 
-from bayesid.dynamics.kinematics import DW, R, W
+from bayesid.dynamics.kinematics import DW, R, W, transform_matrix
 from bayesid.effects import sizes
 from bayesid.effects.effect import Parameter
 from bayesid.effects.families import BodyEffect, RotorEffect
@@ -106,3 +106,8 @@ def rotor_couple(robot: Robot, states: np.ndarray, joint: int, velocity: np.ndar
     if parent >= 0 and far != parent and robot.sensor_bodies[joint]:
         body = far  # the joint hangs on the part beyond the sensor
     return body, np.concatenate([np.zeros_like(couple), couple], axis=1), own
+
+
+def split_matrix(robot: Robot, body: int) -> np.ndarray:
+    """From a split body's parameters to those in its joint's frame (10, 10)."""
+    return transform_matrix(robot.body_rotation[body], robot.body_translation[body])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from bayesid.dynamics.kinematics import P, R, link_columns, project
-from bayesid.effects.bodies import body_of
+from bayesid.effects.bodies import body_of, split_matrix
 from bayesid.effects.effect import Effect, Term
 from bayesid.effects.families import (
     BodyEffect,
@@ -15,17 +15,20 @@ from bayesid.effects.families import (
     JointTorqueEffect,
     LoadEffect,
     MountEffect,
+    PlayEffect,
     ReadingEffect,
     RotorEffect,
     SensorEffect,
     differences,
 )
-from bayesid.effects.model import Model, split_matrix
+from bayesid.effects.model import Model
 
 
 def tangent(model: Model, change: np.ndarray) -> np.ndarray:
     """Change of the readings with a change of the true wrench and torques, (N, c, k)."""
-    change = model.at_motors(change)
+    drives = model.torque_chain
+    motors = drives.at_motors(change)
+    change = drives.late(model.segment, motors)
     sensor = len(model.wrench) and model.of_family(SensorEffect)
     loaded = [(e, v) for e, v in model.of_family(JointTorqueEffect) if e.uses_load and e.joint in model.joints]
     on_top = model.of_family(ReadingEffect)
@@ -36,14 +39,13 @@ def tangent(model: Model, change: np.ndarray) -> np.ndarray:
     if sensor:
         out[:, model.wrench] = model.chain().linear(model.segment, change[:, model.wrench])
     for effect, values in loaded:
-        assert effect.joint is not None
         k = model.joints[effect.joint]
-        share = effect.per_load(model.readout.joint(effect.joint, model.at_motors(model.true)[:, k]), values)
+        share = effect.per_load(model.joint_motion(effect), values)
         out[:, k] += share[:, None] * change[:, k]
     for effect, values in on_top:
-        more = effect.tangent(model.readout, values, change)
-        out = out if more is None else out + more
-    return out * model.torque_gain[:, None] if gains else out
+        more = effect.tangent(model.readout, values, motors)
+        out = out if more is None else out + drives.late(model.segment, more)
+    return out * drives.gain[:, None] if gains else out
 
 
 def link_derivatives(model: Model) -> np.ndarray:
@@ -79,9 +81,10 @@ def effect_derivatives(model: Model, effect: Effect) -> np.ndarray:
             out[:, k] = model.ungained[:, k, None] * share
         case JointTorqueEffect():
             k = model.joints[effect.joint]
-            out[:, k] = differences(effect, values, lambda v: model.inside(effect, v)) * model.torque_gain[k]
+            out[:, k] = differences(effect, values, lambda v: model.inside(effect, v)) * model.torque_chain.gain[k]
         case ReadingEffect():
-            out = differences(effect, values, lambda v: effect.added(model.readout, v)) * model.torque_gain[:, None]
+            added = differences(effect, values, lambda v: effect.added(model.readout, v))
+            out = model.torque_chain.late(model.segment, added) * model.torque_chain.gain[:, None]
         case BodyEffect():
             at = body_of(model.robot, effect.joint)
             rows, carried = model.row_of[at : at + 1], model.carries[:, at : at + 1]
@@ -93,7 +96,7 @@ def effect_derivatives(model: Model, effect: Effect) -> np.ndarray:
             out = tangent(model, unit[:, :, None] * share)
         case LoadEffect():
             out = tangent(model, _load_columns(model, effect, values))
-        case GravityEffect() if not (model.of_family(FlexibleJointEffect) or model.of_family(MountEffect)):
+        case GravityEffect() if not any(model.of_family(f) for f in (PlayEffect, FlexibleJointEffect, MountEffect)):
             out = tangent(model, differences(effect, values, lambda v: _weight(model, model.replaced(Term(effect, v)).gravity)))
         case _:
             out = differences(effect, values, lambda v: model.replaced(Term(effect, v)).readings)

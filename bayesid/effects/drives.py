@@ -8,7 +8,7 @@ import numpy as np
 
 from bayesid.effects import sizes
 from bayesid.effects.effect import Parameter
-from bayesid.effects.families import JointGainEffect, JointTorqueEffect, TransmissionEffect
+from bayesid.effects.families import JointDelayEffect, JointGainEffect, JointTorqueEffect, TransmissionEffect
 from bayesid.effects.proposals import Linearisation
 
 #: Periods of a ripple per radian or metre tried; slower ones than a gear's would pass for any error of weight.
@@ -37,6 +37,21 @@ class TorqueGain(JointGainEffect):
     confusable_with = ("inertia_error", "payload")
 
 
+class TorqueDelay(JointDelayEffect):
+    name = "torque_delay"
+    summary = "torques are read at another time than positions"
+    equation = "$\\tau(t - T)$, friction included; at `robot` that of every joint"
+    quantities = (Parameter("delay", "s", -0.1, 0.1, typical=0.004, linear=False, step=1e-5),)
+    confusable_with = ("viscous_friction", "fluid_drag", "joint_flexibility")
+
+    def reach(self, values, bandwidth, step):
+        return abs(values[0]) + 20.0 * step
+
+    def sought(self, around):
+        # One bus reads all torques. A single joint's that seem late are its friction, which turns over late.
+        return self.joint is None
+
+
 class CoupledTransmission(TransmissionEffect):
     name = "coupled_transmission"
     summary = "another joint's motion turns the motor, too, as in a coupled wrist or a parallelogram"
@@ -46,13 +61,21 @@ class CoupledTransmission(TransmissionEffect):
     # run through each other has 1.
     quantities = (Parameter("coupling", "1", -5.0, 5.0, typical=0.02, linear=False),)
     confusable_with = ("encoder_offset",)
+    last_resort = True
 
     def coupling(self, values):
         return float(values[0])
 
     def sought(self, around):
+        # What runs through another joint runs through the one before it: the wrists of TX40 and PUMA, parallelograms.
+        return self.joint == (self.driver or 0) + 1
+
+    def linearisations(self, around):
         # Gears have whole teeth: what couples at all couples much, and no column at the uncoupled model stands for it.
-        return False
+        return ()
+
+    def trials(self, around):
+        return np.array([[1.0], [-1.0]])
 
 
 class TorqueRipple(JointTorqueEffect):

@@ -109,6 +109,8 @@ class Effect(ABC):
         Whether it happens once, in one recording.
     single
         Whether only one of its kind is sought: with a place and a shape to find, two can imitate one that settled wrongly.
+    instead_of
+        Names of effects beside which it is not sought at the same place: two descriptions of one thing.
     changes_link
         Whether it is a change of a whole link.
     columns_of
@@ -153,6 +155,7 @@ class Effect(ABC):
     reverses_at_once: ClassVar[bool] = False
     once: ClassVar[bool] = False
     single: ClassVar[bool] = False
+    instead_of: ClassVar[tuple[str, ...]] = ()
     changes_link: ClassVar[bool] = False
     columns_of: ClassVar[str | None] = None
     may_be: ClassVar[str | None] = None

@@ -3,11 +3,11 @@
 In this order (`bayesid.effects.model`):
 
 1. `EncoderEffect`: the true joint position is the encoder's less a shift; `TransmissionEffect`: another joint's motion turns
-   the motor, too; `FlexibleJointEffect`: the link lags the motor;
+   the motor, too; `PlayEffect`, `FlexibleJointEffect`: the link lags the motor;
 2. `MountEffect`: the base turns under the robot;
 3. `BodyEffect`, `GravityEffect`, `LoadEffect`, `RotorEffect`: bodies, their weight, what pulls or pushes them, what spins;
 4. the instruments: `JointTorqueEffect` inside a joint, `SensorEffect` in the force/torque sensor, `ReadingEffect` on top of
-   any reading, and last `JointGainEffect`.
+   any reading, `JointGainEffect`, and last `JointDelayEffect`.
 
 An effect of one's own derives from one of these and writes one method; derivatives come from differences where the class
 does not say them.
@@ -92,11 +92,6 @@ class Readout:
     accelerations: np.ndarray
     true: np.ndarray
 
-    def joint(self, joint: int, load: np.ndarray | None = None) -> JointMotion:
-        """What happens at one joint."""
-        q, v, a = (x[:, joint] for x in (self.positions, self.velocities, self.accelerations))
-        return JointMotion(self.segment.times, q, v, a, load, self.segment.cell)
-
 
 def differences(effect: Effect, values: Sequence[float], reading: Callable[[tuple[float, ...]], np.ndarray]) -> np.ndarray:
     """Central differences of a reading (N, ...) with respect to an effect's parameters, (N, ..., k)."""
@@ -149,6 +144,17 @@ class FlexibleJointEffect(Effect):
     @abstractmethod
     def compliance(self, values: Sequence[float]) -> float:
         """How far the link gives under the joint's torque [rad/(N m) or m/N]."""
+
+
+class PlayEffect(Effect):
+    """The link leans to one side of some play behind the motor (`bayesid.effects.play`)."""
+
+    at = "joint"
+    amplifies_encoder_errors = True
+
+    @abstractmethod
+    def lean(self, torque: np.ndarray, values: Sequence[float]) -> np.ndarray:
+        """How far the link stays behind the motor (N,) [rad or m] under the joint's torque (N,)."""
 
 
 class MountEffect(Effect):
@@ -236,6 +242,8 @@ class JointTorqueEffect(InstrumentEffect):
     at = "joint"
     #: Whether it depends on the torque that moves and carries the links.
     uses_load: ClassVar[bool] = False
+    #: Whether it depends on the time or on the motion before, so that the state at a moment does not say it.
+    remembers: ClassVar[bool] = False
 
     @abstractmethod
     def torque(self, motion: JointMotion, values: Sequence[float]) -> np.ndarray:
@@ -275,6 +283,17 @@ class JointGainEffect(InstrumentEffect):
         return float(values[0])
 
 
+class JointDelayEffect(InstrumentEffect):
+    """A joint's torque, or that of all joints, is read at another time than its position."""
+
+    channels = ("torque",)
+    at = "joint|robot"
+
+    def delay(self, values: Sequence[float]) -> float:
+        """How long ago what is read was [s]."""
+        return float(values[0])
+
+
 class SensorEffect(InstrumentEffect):
     """A step of the force/torque sensor's chain."""
 
@@ -303,7 +322,7 @@ class ReadingEffect(InstrumentEffect):
 
 
 __all__ = [
-    "BodyEffect", "Effect", "EncoderEffect", "FlexibleJointEffect", "GravityEffect", "InstrumentEffect", "JointGainEffect",
-    "JointMotion", "JointTorqueEffect", "LoadEffect", "Loads", "MountEffect", "Parameter", "ReadingEffect", "Readout",
-    "RotorEffect", "SensorEffect", "TransmissionEffect", "differences",
+    "BodyEffect", "Effect", "EncoderEffect", "FlexibleJointEffect", "GravityEffect", "InstrumentEffect", "JointDelayEffect",
+    "JointGainEffect", "JointMotion", "JointTorqueEffect", "LoadEffect", "Loads", "MountEffect", "Parameter", "PlayEffect",
+    "ReadingEffect", "Readout", "RotorEffect", "SensorEffect", "TransmissionEffect", "differences",
 ]  # fmt: skip

@@ -8,11 +8,20 @@ import numpy as np
 
 from bayesid.effects import sizes
 from bayesid.effects.effect import Parameter
-from bayesid.effects.families import JointTorqueEffect
+from bayesid.effects.families import JointMotion, JointTorqueEffect
 
 _ARMSTRONG = "[Armstrong1994](references.md)"
+_BITTENCOURT = "[Bittencourt2012](references.md)"
 #: Speeds below which a Stribeck law may fall [rad/s or m/s].
 STRIBECK_SPEEDS = tuple(float(v) for v in np.geomspace(0.01, 0.6, 8))
+#: Ways over which a bristle may bend before it slips [rad or m].
+BRISTLE_DISTANCES = tuple(float(d) for d in np.geomspace(0.005, 0.3, 6))
+#: Motion that a bristle remembers [s]: in this time a joint has gone far enough to forget how it came there, or stands still.
+BRISTLE_MEMORY = 5.0
+#: Speed from which a joint is taken for slipping where a recording begins [rad/s or m/s]; noise at rest is far less.
+SLIPPING_SPEED = 0.05
+#: Time constants with which a drive may warm [s].
+WARMING_TIMES = (5.0, 30.0, 300.0)
 
 
 class ViscousFriction(JointTorqueEffect):
@@ -29,6 +38,25 @@ class ViscousFriction(JointTorqueEffect):
 
     def torque(self, motion, values):
         return values[0] * motion.velocity
+
+
+class DirectionalFriction(JointTorqueEffect):
+    name = "directional_friction"
+    summary = "viscous friction that differs by direction"
+    equation = (
+        "$d\\,\\lvert\\dot q\\rvert$: with viscous friction $c$ it is $c + d$ forwards, $c - d$ backwards; "
+        "where the constant part differs, that is `torque_offset`"
+    )
+    source = _ARMSTRONG
+    quantities = (Parameter("difference", "N m s/rad"),)
+    confusable_with = ("torque_offset", "spring")
+
+    def typical(self, robot):
+        # A fifth of the usual viscous friction.
+        return [0.012 * sizes.effort(robot, self.joint) / sizes.speed(robot, self.joint)]
+
+    def torque(self, motion, values):
+        return values[0] * np.abs(motion.velocity)
 
 
 class CoulombFriction(JointTorqueEffect):
@@ -48,6 +76,75 @@ class CoulombFriction(JointTorqueEffect):
         return values[0] * motion.direction
 
 
+class PostureFriction(JointTorqueEffect):
+    name = "posture_friction"
+    summary = "constant friction that grows and falls with the joint's angle"
+    equation = "$(a \\cos q + b \\sin q)\\,\\mathrm{sign}\\,\\dot q$, beside a Coulomb friction"
+    source = _ARMSTRONG
+    quantities = (Parameter("cosine", "N m"), Parameter("sine", "N m"))
+    confusable_with = ("coulomb_friction", "load_friction")
+    reverses_at_once = True
+
+    def typical(self, robot):
+        # A fifth of the usual Coulomb friction.
+        return [0.008 * sizes.effort(robot, self.joint), 0.006 * sizes.effort(robot, self.joint)]
+
+    def torque(self, motion, values):
+        return (values[0] * np.cos(motion.position) + values[1] * np.sin(motion.position)) * motion.direction
+
+
+class DahlFriction(JointTorqueEffect):
+    name = "dahl_friction"
+    summary = "constant friction that builds up over a short way after every reversal, with hysteresis"
+    equation = (
+        "$l z$, $\\mathrm{d}z = (\\mathrm{sign}\\,\\dot q - z)\\,\\lvert\\mathrm{d}q\\rvert / \\delta$; "
+        "with a way $\\delta$ below a milliradian it is `coulomb_friction`"
+    )
+    source = "[Dahl1968](references.md), with exponent 1"
+    quantities = (
+        Parameter("level", "N m", lower=0.0, start=1.0),
+        # A bristle that slips sooner is Coulomb friction, which has some presliding in every drive.
+        Parameter("distance", "rad", 1e-3, 1.0, start=0.02, linear=False, step=1e-5, tried=BRISTLE_DISTANCES),
+    )
+    confusable_with = ("coulomb_friction", "stribeck_friction", "spring")
+    instead_of = ("stribeck_friction",)
+    reverses_at_once = True
+    remembers = True
+
+    def typical(self, robot):
+        return [0.05 * sizes.effort(robot, self.joint), 0.02]
+
+    def reach(self, values, bandwidth, step):
+        return BRISTLE_MEMORY
+
+    def torque(self, motion, values):
+        return values[0] * _bristle(motion, max(values[1], 1e-9))
+
+
+def _bristle(motion: JointMotion, distance: float) -> np.ndarray:
+    """How far a bristle is bent (N,), from -1 to 1, with the equation's exact solution along the motion.
+
+    On a way s in one direction it goes from z to ``sign - (sign - z) exp(-s / distance)``, whatever the speed: a map
+    ``z -> k z + p``. From sample to sample the velocity is a straight line, so that there are at most two such ways, one on
+    each side of a reversal. Maps are put together two by two, then four by four and so on [Blelloch1990]_. Where a recording
+    starts at rest the bristle does, too; where the joint moves, it is taken for bent.
+    """
+    step, speed, sign = np.diff(motion.time), np.abs(motion.velocity), np.sign(motion.velocity)
+    turns = sign[:-1] * sign[1:] < 0.0
+    both = np.where(turns, speed[:-1] + speed[1:], 1.0)
+    keep, push = np.zeros((2, len(speed)))
+    push[0] = np.clip(motion.velocity[0] / SLIPPING_SPEED, -1.0, 1.0)
+    before, after = (np.exp(-0.5 * step * s * np.where(turns, s / both, 1.0) / distance) for s in (speed[:-1], speed[1:]))
+    keep[1:] = before * after
+    push[1:] = (1.0 - before) * sign[:-1] * after + (1.0 - after) * sign[1:]
+    span = 1
+    while span < len(keep):
+        push[span:] += keep[span:] * push[:-span]
+        keep[span:] *= keep[:-span]
+        span *= 2
+    return push
+
+
 class StribeckFriction(JointTorqueEffect):
     name = "stribeck_friction"
     summary = "extra friction near zero speed"
@@ -57,7 +154,8 @@ class StribeckFriction(JointTorqueEffect):
         Parameter("level", "N m", lower=0.0, start=1.0),
         Parameter("velocity", "rad/s", 1e-3, 2.0, start=0.1, linear=False, step=1e-3, tried=STRIBECK_SPEEDS),
     )
-    confusable_with = ("coulomb_friction",)
+    confusable_with = ("coulomb_friction", "dahl_friction")
+    instead_of = ("dahl_friction",)
     reverses_at_once = True
 
     def typical(self, robot):
@@ -82,6 +180,34 @@ class LoadFriction(JointTorqueEffect):
 
     def per_load(self, motion, values):
         return values[0] * np.sign(motion.load) * motion.direction
+
+
+class WarmingFriction(JointTorqueEffect):
+    name = "warming_friction"
+    summary = "friction of a cold drive that falls as it warms"
+    equation = (
+        "$-(l\\,\\mathrm{sign}\\,\\dot q + c\\,\\dot q)\\,T (1 - e^{-t / T})$ beside the cold friction, with $t$ of the table: "
+        "it falls by $l$, $c$ a second at first, by $l T$, $c T$ in the end"
+    )
+    source = f"{_BITTENCOURT}, with a temperature that settles exponentially"
+    # Rates, not whole falls: a recording that is short against the time constant shows the rates alone.
+    quantities = (
+        Parameter("level", "N m/s"),
+        Parameter("coefficient", "N m/rad", start=0.01),
+        Parameter("time", "s", 0.5, 1e5, start=30.0, linear=False, step=1e-3, tried=WARMING_TIMES),
+    )
+    confusable_with = ("viscous_friction", "coulomb_friction", "torque_gain")
+    reverses_at_once = True
+    remembers = True
+
+    def typical(self, robot):
+        # A tenth of the usual Coulomb friction and a third of the usual viscous friction are gone when warm, after minutes.
+        effort, time = sizes.effort(robot, self.joint), 120.0
+        return [0.005 * effort / time, 0.02 * effort / sizes.speed(robot, self.joint) / time, time]
+
+    def torque(self, motion, values):
+        level, coefficient, time = values
+        return (level * motion.direction + coefficient * motion.velocity) * time * np.expm1(-motion.time / time)
 
 
 class TorqueOffset(JointTorqueEffect):

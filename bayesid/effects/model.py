@@ -3,14 +3,14 @@
 In this order:
 
 1. the joints: a motor is at the encoder's reading less its offset, and joints are at (1 + C)^-1 of it where C couples their
-   transmissions; a flexible joint's link is at that less compliance x torque;
+   transmissions; a link leans to one side of its gear's play, and a flexible joint's is at that less compliance x torque;
 2. the mount: a compliant base turns under the robot (`bayesid.effects.mount`);
 3. the bodies: links, payload and inertia errors under a gravity turned by the base's tilt; what pulls or pushes
    them from outside; rotors. A channel with twist S reads ``S . sum (w_i - f_i)`` over the bodies that it carries,
    w_i what body i's motion and weight take and f_i what acts on it from outside;
 4. the sensor: pose, delay, gains and cross-talk, offset and drift;
 5. the motors: what they give for the joints' torques, (1 + C)'^-1 of these, and for friction, springs and rotors inside the
-   joints; what else comes on top of a reading; then the torque's gain.
+   joints, at the time that a torque is read for; what else comes on top of a reading; then the torque's gain.
 
 What an effect does in its step is a method of its class (`bayesid.effects.families`).
 """
@@ -25,8 +25,8 @@ from typing import TypeVar
 import numpy as np
 
 from bayesid.dynamics.channels import Channels, torque_channels
-from bayesid.dynamics.kinematics import body_wrenches, channel_twists, is_wrench, link_states, project, transform_matrix
-from bayesid.effects.bodies import body_of, rotor_couple
+from bayesid.dynamics.kinematics import body_wrenches, channel_twists, is_wrench, link_states, project
+from bayesid.effects.bodies import body_of, rotor_couple, split_matrix
 from bayesid.effects.effect import Effect, Term
 from bayesid.effects.families import (
     BodyEffect,
@@ -34,11 +34,14 @@ from bayesid.effects.families import (
     FlexibleJointEffect,
     GravityEffect,
     InstrumentEffect,
+    JointDelayEffect,
     JointGainEffect,
+    JointMotion,
     JointTorqueEffect,
     LoadEffect,
     Loads,
     MountEffect,
+    PlayEffect,
     ReadingEffect,
     Readout,
     RotorEffect,
@@ -47,9 +50,11 @@ from bayesid.effects.families import (
 )
 from bayesid.effects.flexible import link_motion, splines
 from bayesid.effects.mount import mount_motion
+from bayesid.effects.play import SLOW, leaning_motion
 from bayesid.effects.segment import MotionSegment
 from bayesid.effects.sensor_chain import SensorChain
-from bayesid.effects.transmission import coupling_matrix, motor_torques
+from bayesid.effects.torque_chain import TorqueChain
+from bayesid.effects.transmission import coupling_matrix
 from bayesid.errors import InputError
 from bayesid.robot.robot import Robot
 
@@ -182,7 +187,7 @@ class Model:
             q, v, a = (x @ self.transmission.T for x in (q, v, a))
         if segment.still:
             v = a = np.zeros_like(q)
-        if self.of_family(FlexibleJointEffect):
+        if self.of_family(PlayEffect) or self.of_family(FlexibleJointEffect):
             q, v, a = self.link_side(q, v, a)
         root = None
         for effect, values in self.of_family(MountEffect):
@@ -203,33 +208,30 @@ class Model:
         return link_states(robot, q, v, a, root)
 
     def link_side(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Link-side motion of flexible joints, from the motors'."""
-        robot, segment = self.robot, self.segment
-        channels = torque_channels(robot)
+        """Link-side motion of joints with play or that give, from the motors'."""
+        robot, segment, channels = self.robot, self.segment, torque_channels(self.robot)
         carries = np.hstack([channels.bodies, np.zeros((robot.n, 1), bool)])
-        compliance = np.zeros(robot.n)
-        for effect, values in self.of_family(FlexibleJointEffect):
-            compliance[effect.joint] += effect.compliance(values)
 
         def torque(link):
             states = link_states(robot, *link)
             return self._true(channels, carries, states, channel_twists(robot, channels, states), own=True)
 
-        def inertia(joint: int) -> np.ndarray:
-            if not compliance[joint]:
-                return np.zeros(len(q))
+        def basis(cutoff: float):
+            return segment.basis.get(("splines", cutoff), lambda: splines(segment.times, cutoff))
+
+        poses = segment.still or len(q) < 8
+        if play := self.of_family(PlayEffect):
+            bases = None if poses else (basis(segment.bandwidth), basis(SLOW * segment.bandwidth))
+            q, v, a = leaning_motion((q, v, a), torque, play, bases)
+        compliance, felt = np.zeros(robot.n), np.zeros_like(q)
+        for effect, values in self.of_family(FlexibleJointEffect):
+            compliance[effect.joint] += effect.compliance(values)
+        for joint in np.flatnonzero(compliance):
             states = link_states(robot, q, np.zeros_like(q), np.broadcast_to(np.eye(robot.n)[joint], q.shape))
             wrench = body_wrenches(states, self.row_of, self.bodies, np.zeros(3))
-            return project(channel_twists(robot, channels, states), wrench, carries)[:, joint]
-
-        if not compliance.any():
-            return q, v, a
-        if segment.still or len(q) < 8:
-            return link_motion((q, v, a), torque, compliance, np.zeros_like(q), None)
-        felt = np.stack([inertia(j) for j in range(robot.n)], axis=1)
+            felt[:, joint] = project(channel_twists(robot, channels, states), wrench, carries)[:, joint]
         cutoff = FLEXIBLE_BANDWIDTH * segment.bandwidth if segment.clear is None else segment.clear
-        basis = segment.basis.get("splines", lambda: splines(segment.times, cutoff))
-        return link_motion((q, v, a), torque, compliance, felt, basis)
+        return link_motion((q, v, a), torque, compliance, felt, None if poses else basis(cutoff)) if felt.any() else (q, v, a)
 
     # -- the true wrench and torques
 
@@ -299,51 +301,50 @@ class Model:
                 chain = effect.applied(chain, values)
         return chain
 
-    def at_motors(self, true: np.ndarray) -> np.ndarray:
-        """True wrench and joint torques, or changes of them (N, c, ...), with what the motors give for the torques instead."""
-        if self.transmission is None or not self.joints:
-            return true
-        return motor_torques(self.transmission, [self.joints[j] for j in range(self.robot.n)], true)
+    @cached_property
+    def torque_chain(self) -> TorqueChain:
+        """What is read of the torques that joints take."""
+        late, gains = self.of_family(JointDelayEffect), self.of_family(JointGainEffect)
+        return TorqueChain.of(self.joints, self.transmission, len(self.channels), late, gains)
 
     @cached_property
     def readout(self) -> Readout:
         """What the instruments are given to read."""
-        return Readout(self.channels.names, self.segment, *self.motor, self.at_motors(self.true))
+        return Readout(self.channels.names, self.segment, *self.motor, self.torque_chain.at_motors(self.true))
 
     @cached_property
-    def torque_gain(self) -> np.ndarray:
-        """1 + gain of each channel (c,)."""
-        gain = np.ones(len(self.channels))
-        for effect, values in self.of_family(JointGainEffect):
-            if effect.joint in self.joints:
-                gain[self.joints[effect.joint]] += effect.gain(values)
-        return gain
+    def given(self) -> np.ndarray:
+        """True wrench, and what motors give for the joints' torques at the times that these are read for (N, c)."""
+        return self.torque_chain.late(self.segment, self.readout.true)
+
+    @cached_property
+    def _late_motion(self) -> np.ndarray:
+        return self.torque_chain.late_motion(self.segment, np.stack(self.motor, axis=2))
+
+    def joint_motion(self, effect: JointTorqueEffect) -> JointMotion:
+        """What happens at the joint of an effect when its torque is read."""
+        assert effect.joint is not None
+        load = self.given[:, self.joints[effect.joint]] if effect.uses_load else None
+        return self.torque_chain.at_joint(self.segment, self._late_motion, effect.joint, load)
 
     def inside(self, effect: JointTorqueEffect, values: Sequence[float]) -> np.ndarray:
         """What something inside a joint adds to its torque (N,)."""
-        assert effect.joint is not None
-        load = self.at_motors(self.true)[:, self.joints[effect.joint]] if effect.uses_load else None
-        return effect.torque(self.readout.joint(effect.joint, load), values)
+        return effect.torque(self.joint_motion(effect), values)
 
     @cached_property
     def ungained(self) -> np.ndarray:
         """What the instruments read (N, c) but for the torques' gain."""
-        out = np.array(self.at_motors(self.true))
+        out = np.array(self.given)
         if len(self.wrench):
             out[:, self.wrench] = self.chain().reading(self.segment, self.true[:, self.wrench])
         for effect, values in self.of_family(JointTorqueEffect):
             if effect.joint in self.joints:
                 out[:, self.joints[effect.joint]] += self.inside(effect, values)
         for effect, values in self.of_family(ReadingEffect):
-            out += effect.added(self.readout, values)
+            out += self.torque_chain.late(self.segment, effect.added(self.readout, values))
         return out
 
     @cached_property
     def readings(self) -> np.ndarray:
         """What the instruments read (N, c)."""
-        return self.ungained * self.torque_gain
-
-
-def split_matrix(robot: Robot, body: int) -> np.ndarray:
-    """From a split body's parameters to those in its joint's frame (10, 10)."""
-    return transform_matrix(robot.body_rotation[body], robot.body_translation[body])
+        return self.ungained * self.torque_chain.gain

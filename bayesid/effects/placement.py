@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+from math import inf
+
 import numpy as np
 import pinocchio as pin
 
 from bayesid.effects import sizes
 from bayesid.effects.effect import Parameter
-from bayesid.effects.families import EncoderEffect, FlexibleJointEffect, GravityEffect, MountEffect
+from bayesid.effects.families import EncoderEffect, FlexibleJointEffect, GravityEffect, MountEffect, PlayEffect
+from bayesid.effects.proposals import Linearisation
 from bayesid.signals.smoothing import OVERLAP
 
 #: Resonances of a flexible joint [Hz], tried where columns leave something unexplained: above its resonance a link moves
 #: against its motor, which no derivative at a stiff joint says.
 JOINT_RESONANCES = np.geomspace(3.0, 30.0, 17)
+#: Torques at which gear teeth may lie firmly on each other, as shares of the effort limit.
+FIRM_SHARES = (3e-4, 3e-3, 3e-2)
 #: Resonances of a mount [Hz] and their damping, which are tried.
 MOUNT_RESONANCES, MOUNT_DAMPING = np.geomspace(2.5, 60.0, 14), 0.05
 #: Ringing of a mount is followed until it has died down to exp(-8), but no longer than this [s].
@@ -53,6 +58,36 @@ class JointFlexibility(FlexibleJointEffect):
     def trials(self, around):
         felt = around.joint_inertia[self.joint or 0]
         return (1.0 / (felt * (2.0 * np.pi * JOINT_RESONANCES) ** 2))[:, None]
+
+
+class Backlash(PlayEffect):
+    name = "backlash"
+    summary = "play between gear teeth: the link leans on the side that its torque pushes it to"
+    equation = "link at $q - \\frac{g}{2} \\tanh(\\tau / s)$, $g$ the gap, $s$ the torque at which teeth are firm"
+    source = "[Nordin2002](references.md), the dead zone of a shaft without inertia, with soft teeth"
+    quantities = (
+        Parameter("gap", "rad", 0.0, 0.2, typical=1e-3, linear=False, step=1e-6),
+        Parameter("firm", "N m", 1e-3, inf, start=1.0, linear=False, step=1e-4),
+    )
+    confusable_with = ("encoder_offset", "joint_flexibility")
+
+    def typical(self, robot):
+        # Three minutes of arc, between the one of a good robot's gear and the ten of a spur gear.
+        return [1e-3, 0.005 * sizes.effort(robot, self.joint)]
+
+    def reach(self, values, bandwidth, step):
+        return OVERLAP / bandwidth
+
+    def lean(self, torque, values):
+        return 0.5 * values[0] * np.tanh(torque / values[1])
+
+    def linearisations(self, around):
+        # Without play the torque at which teeth are firm says nothing: it is tried.
+        effort = sizes.effort(around.robot, self.joint)
+        return tuple(
+            Linearisation(at, lambda a, at=at: at + [a[0], 0.0], lambda v: np.array([v[0], 0.0]))
+            for at in (np.array([0.0, share * effort]) for share in FIRM_SHARES)
+        )
 
 
 class BaseTilt(GravityEffect):

@@ -12,6 +12,7 @@ import numpy as np
 #: Speed below which a joint counts as nearly at rest and friction as partly mobilised [rad/s or m/s].
 REST_SPEED = 1e-3
 _KEPT = 6
+_SPLINE = 5  # degree of the interpolation that a delay is made with
 
 
 class Results:
@@ -99,6 +100,10 @@ class MotionSegment:
 
         return self.basis.get("at rest", held)
 
+    def late(self, values: np.ndarray, delay: float) -> np.ndarray:
+        """What smooth values (N, ...) were a delay ago [s]; poses at rest are what they are at any time."""
+        return values if delay == 0.0 or self.still else delayed(self.times, values, delay)
+
 
 def middle_of(positions: np.ndarray) -> np.ndarray:
     """Joint positions at the middle of a motion (n,).
@@ -117,3 +122,20 @@ def direction(velocity: np.ndarray, acceleration: np.ndarray, cell: float) -> np
     Nearly at rest the sign is noise and the joint may stick, and a narrow ramp says so.
     """
     return np.clip(velocity / np.maximum(REST_SPEED, 0.5 * cell * np.abs(acceleration)), -1.0, 1.0)
+
+
+def delayed(times: np.ndarray, values: np.ndarray, delay: float) -> np.ndarray:
+    """Values at ``t - delay``: a spline through the samples, its ends prolonged straight."""
+    if len(times) <= _SPLINE:
+        return values
+    from scipy.interpolate import make_interp_spline  # takes long to import, and few experiments have delays
+
+    flat = values.reshape(len(times), -1)
+    spline = make_interp_spline(times, flat, k=_SPLINE)
+    at = times - delay
+    out = spline(np.clip(at, times[0], times[-1]))
+    beyond = (at < times[0]) | (at > times[-1])
+    if beyond.any():
+        ends = np.clip(at[beyond], times[0], times[-1])
+        out[beyond] += (at[beyond] - ends)[:, None] * spline(ends, 1)
+    return out.reshape(values.shape)

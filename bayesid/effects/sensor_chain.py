@@ -16,8 +16,6 @@ from bayesid.dynamics.channels import Channels
 from bayesid.effects.segment import MotionSegment
 from bayesid.robot.robot import Robot
 
-_SPLINE = 5  # degree of the interpolation that a delay is made with
-
 
 @dataclass(frozen=True, eq=False)
 class SensorChain:
@@ -67,7 +65,7 @@ class SensorChain:
 
     def late(self, segment: MotionSegment, values: np.ndarray) -> np.ndarray:
         """What was so long ago (N, ...)."""
-        return values if self.delay == 0.0 or segment.still else delayed(segment.times, values, self.delay)
+        return segment.late(values, self.delay)
 
     def sensed(self, segment: MotionSegment, wrench: np.ndarray) -> np.ndarray:
         """Wrenches (N, 6, k) before gains and cross-talk."""
@@ -87,20 +85,3 @@ def _mixed(matrix: np.ndarray, wrench: np.ndarray) -> np.ndarray:
     if np.array_equal(matrix, np.eye(6)):
         return wrench
     return np.einsum("ij,njk->nik", matrix, wrench) if wrench.shape[2] < 4 else np.matmul(matrix, wrench)
-
-
-def delayed(times: np.ndarray, values: np.ndarray, delay: float) -> np.ndarray:
-    """Values at ``t - delay``: a spline through the samples, its ends prolonged straight."""
-    if len(times) <= _SPLINE:
-        return values
-    from scipy.interpolate import make_interp_spline  # takes long to import, and few experiments have delays
-
-    flat = values.reshape(len(times), -1)
-    spline = make_interp_spline(times, flat, k=_SPLINE)
-    at = times - delay
-    out = spline(np.clip(at, times[0], times[-1]))
-    beyond = (at < times[0]) | (at > times[-1])
-    if beyond.any():
-        ends = np.clip(at[beyond], times[0], times[-1])
-        out[beyond] += (at[beyond] - ends)[:, None] * spline(ends, 1)
-    return out.reshape(values.shape)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.signal import butter, sosfiltfilt
 
 from bayesid.dynamics.channels import stack_channels, torque_channels, wrench_channels
 from bayesid.effects import EffectLibrary, MotionSegment, Term, readings
@@ -62,3 +63,29 @@ def test_readings_are_those_of_the_links_motion(panda, joints, compliance, frequ
     large = effect > 0.05 * effect.max()
     # Near the resonance nothing can be said of the link, and a little on both sides.
     assert np.all(error[large] < 0.1 * effect[large])
+
+
+@pytest.mark.parametrize(("joint", "gap", "firm"), [(1, 1e-3, 2.0), (3, 1e-3, 0.5), (3, 1e-3, 0.05)])
+def test_backlash_is_seen_through(panda, joint, gap, firm):
+    """Motors that a link's motion needs when its teeth lie on the side that its torque pushes them to; smoothed as ever."""
+    both = stack_channels(wrench_channels(panda, np.eye(3), np.zeros(3)), torque_channels(panda))
+    t, *link = course(panda, (0.2, 0.9, 2.1))
+    truth = readings(panda, both, MotionSegment(t, *link), panda.nominal, [])
+    torque = truth[:, 6 + joint]
+    assert np.sum(np.diff(np.sign(torque)) != 0) > 10
+    q = link[0].copy()
+    q[:, joint] += 0.5 * gap * np.tanh(torque / firm)
+    seen = MotionSegment(t, *smooth(t, q, 12.0), bandwidth=12.0)
+    (effect,) = EffectLibrary().parse([f"backlash@joint{joint + 1}"], panda.joint_names, both.names)
+    tight = readings(panda, both, seen, panda.nominal, [])
+    got = readings(panda, both, seen, panda.nominal, [Term(effect, (gap, firm))])
+    low, inside = butter(4, 5.0, fs=120.0, output="sos"), slice(120, -120)
+    error, apart = (np.sqrt(np.mean(sosfiltfilt(low, x - truth, axis=0)[inside] ** 2, axis=0)) for x in (got, tight))
+    large = apart > 0.2 * apart.max()
+    assert np.all(error[large] < 0.1 * apart[large])
+    # At rest it leans with the weight that it holds.
+    pose = seen.at_rest
+    held = readings(panda, both, pose, panda.nominal, [Term(effect, (gap, firm))])
+    moved = MotionSegment(t, seen.positions.copy(), 0 * q, 0 * q, still=True)
+    moved.positions[:, joint] -= 0.5 * gap * np.tanh(held[:, 6 + joint] / firm)
+    np.testing.assert_allclose(held, readings(panda, both, moved, panda.nominal, []), atol=0.02)

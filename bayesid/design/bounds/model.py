@@ -157,7 +157,7 @@ def _drives(known: Known) -> tuple[tuple[Drive, ...], np.ndarray]:
     for effect in row_model.effects:
         own = np.arange(first, first + len(effect.parameters))
         first += len(own)
-        if isinstance(effect, JointTorqueEffect) and not effect.uses_load:
+        if isinstance(effect, JointTorqueEffect) and not (effect.uses_load or effect.remembers):
             free = [k for k, at in enumerate(own) if row_model.free[at]]
             out.append(Drive(effect, tuple(known.effect_values[own]), tuple(free)))
             columns += [int(place[at]) for at in own if row_model.free[at]]

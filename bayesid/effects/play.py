@@ -1,0 +1,64 @@
+"""Where the link is behind gear teeth with play: q_motor = q_link + lean(torque(q_link)).
+
+The torque that decides on which side the teeth lie is that of the link's slow motion: as the teeth cross the play, the motor
+makes a step that is faster than anything that positions are smoothed to, and what is left of it would turn the torque's sign
+again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from bayesid.effects.families import PlayEffect
+from bayesid.effects.flexible import Basis, Motion
+
+_TURNS = 6
+#: Share of the bandwidth that joint positions are smoothed to below which motion is slow.
+SLOW = 1.0 / 3.0
+
+
+def leaning_motion(
+    motor: Motion,
+    torque: Callable[[Motion], np.ndarray],
+    play: Sequence[tuple[PlayEffect, Sequence[float]]],
+    bases: tuple[Basis, Basis] | None,
+) -> Motion:
+    """Link-side positions, velocities and accelerations, (N, n) each.
+
+    Parameters
+    ----------
+    motor
+        Motor-side positions, velocities and accelerations, (N, n) each.
+    torque
+        Joint torques (N, n) that a link motion takes.
+    play
+        What the joints have of it, effects with their values.
+    bases
+        `bayesid.effects.flexible.splines`: functions of time that positions were smoothed to, for so are the steps to be taken
+        out of them, and slow ones; None: every sample is a pose at rest.
+    """
+    behind = np.zeros_like(motor[0])
+    for turn in range(_TURNS):
+        link = motor[0] - behind, *motor[1:]
+        taken, new = torque(link if bases is None else _projected(bases[1], link[0])), np.zeros_like(behind)
+        for effect, values in play:
+            new[:, effect.joint] += effect.lean(taken[:, effect.joint], values)
+        behind += (new - behind) * (1.0 if turn < _TURNS // 2 else 0.5)  # what turns to and fro settles between
+    if bases is None:
+        return motor[0] - behind, motor[1], motor[2]
+    q, v, a = (x - y for x, y in zip(motor, _projected(bases[0], behind), strict=True))
+    return q, v, a
+
+
+def _projected(basis: Basis, values: np.ndarray) -> Motion:
+    """Values (N, n) in least squares over functions of time, and their first two derivatives."""
+    from scipy import sparse
+    from scipy.sparse.linalg import splu
+
+    gram = basis[0].T @ basis[0]
+    whisper = 1e-12 * gram.diagonal().max() * sparse.eye_array(gram.shape[0])  # outermost functions hardly reach into the data
+    found = splu((gram + whisper).tocsc()).solve(basis[0].T @ values)
+    q, v, a = (part @ found for part in basis)
+    return q, v, a

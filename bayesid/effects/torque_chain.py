@@ -1,0 +1,92 @@
+"""What is read of the torques that joints take: motors give them through their transmissions, at another time, times a gain.
+
+What comes on top inside a joint, friction and the like, is that of the motor at the time that is read (`bayesid.effects.model`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayesid.effects.families import JointDelayEffect, JointGainEffect, JointMotion
+from bayesid.effects.segment import MotionSegment
+from bayesid.effects.transmission import motor_torques
+
+
+@dataclass(frozen=True, eq=False)
+class TorqueChain:
+    """Steps from the joints' torques to readings, in channels of which some are torques.
+
+    Attributes
+    ----------
+    joints
+        Channel that reads each joint's torque.
+    transmission
+        From the motors' positions to the joints', (1 + C)^-1 (n, n); None where no transmissions are coupled.
+    delays
+        How long ago torques are read, by joint [s], where that is another time than that of the positions.
+    gain
+        1 + gain of each channel (c,).
+    """
+
+    joints: Mapping[int | None, int]
+    transmission: np.ndarray | None
+    delays: Mapping[int | None, float]
+    gain: np.ndarray
+
+    @classmethod
+    def of(
+        cls,
+        joints: Mapping[int | None, int],
+        transmission: np.ndarray | None,
+        channels: int,
+        delays: Sequence[tuple[JointDelayEffect, Sequence[float]]],
+        gains: Sequence[tuple[JointGainEffect, Sequence[float]]],
+    ) -> TorqueChain:
+        """The chain with the effects that act in it, each with its values."""
+        late: dict[int | None, float] = {}
+        for effect, values in delays:
+            for joint in joints if effect.joint is None else {effect.joint} & joints.keys():
+                late[joint] = late.get(joint, 0.0) + effect.delay(values)
+        gain = np.ones(channels)
+        for effect, values in gains:
+            if effect.joint in joints:
+                gain[joints[effect.joint]] += effect.gain(values)
+        return cls(joints, transmission, late, gain)
+
+    def at_motors(self, true: np.ndarray) -> np.ndarray:
+        """True wrench and joint torques, or changes of them (N, c, ...), with what the motors give for the torques instead."""
+        if self.transmission is None or not self.joints:
+            return true
+        return motor_torques(self.transmission, [self.joints[j] for j in range(len(self.transmission))], true)
+
+    def late(self, segment: MotionSegment, values: np.ndarray) -> np.ndarray:
+        """What the channels' smooth values (N, c, ...) were at the times that torques are read for."""
+        return self._late(segment, values, self.joints)
+
+    def late_motion(self, segment: MotionSegment, motion: np.ndarray) -> np.ndarray:
+        """The joints' positions, velocities and accelerations (N, n, 3) at these times."""
+        return self._late(segment, motion, {joint: joint for joint in self.joints})
+
+    def at_joint(self, segment: MotionSegment, late: np.ndarray, joint: int, load: np.ndarray | None) -> JointMotion:
+        """What happens at one joint when its torque is read, from `late_motion` and the load then.
+
+        With a delay, friction that reverses within a sample's time is its mean there: of a sign that jumps at a sample there is
+        no derivative to estimate a delay by.
+        """
+        times, cell = segment.times, segment.cell
+        if joint in self.delays and not segment.still:
+            times, cell = times - self.delays[joint], cell or float(np.ptp(times)) / max(len(times) - 1, 1)
+        position, velocity, acceleration = late[:, joint].T
+        return JointMotion(times, position, velocity, acceleration, load, cell)
+
+    def _late(self, segment: MotionSegment, values: np.ndarray, column: Mapping) -> np.ndarray:
+        if not self.delays:
+            return values
+        out = np.array(values)
+        for delay in set(self.delays.values()):
+            at = [column[joint] for joint, own in self.delays.items() if own == delay]
+            out[:, at] = segment.late(out[:, at], delay)
+        return out
