@@ -6,7 +6,7 @@ half can be a stretch of time.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -22,6 +22,7 @@ from bayesid.diagnosis.projector import UNKNOWN_OFFSET
 from bayesid.diagnosis.rows import model_rows
 from bayesid.diagnosis.spectra import Segment
 from bayesid.effects import Model, variables
+from bayesid.effects.formula import Formula
 
 #: Columns made at once.
 _CHUNK = 400
@@ -50,12 +51,16 @@ class Part:
     rows: np.ndarray
     kept: dict[tuple[tuple[str, ...], int], np.ndarray] = field(default_factory=dict, repr=False)
 
-    def values(self, shapes: Iterable[Shape]) -> np.ndarray:
+    def values(self, shapes: Sequence[Shape]) -> np.ndarray:
         """The shapes' products on the scene (M, g); of such as have no finite value zero."""
-        course = not self.segment.still
-        count = len(self.segment.scene.times)
-        each = [np.broadcast_to(f(self.variables, course=course), (count,)) for s in shapes for f in s.formulas]
-        out = np.stack(each, axis=1) if each else np.zeros((count, 0))
+        factors: dict[str, np.ndarray] = {}  # a few hundred, in thousands of products
+        out = np.empty((len(self.segment.scene.times), sum(len(s.products) for s in shapes)))
+        for k, product in enumerate(p for s in shapes for p in s.products):
+            out[:, k] = 1.0
+            for factor in product:
+                if factor.text not in factors:
+                    factors[factor.text] = Formula.parse(factor.text)(self.variables, course=not self.segment.still)
+                out[:, k] *= factors[factor.text]
         return np.where(np.isfinite(out).all(axis=0), out, 0.0)
 
     def columns(self, values: np.ndarray, channel: int) -> np.ndarray:

@@ -10,9 +10,9 @@ import numpy as np
 
 from bayesid.diagnosis.candidates import Library
 from bayesid.diagnosis.data import DiagnosisData
-from bayesid.diagnosis.description.candidates import candidates
+from bayesid.diagnosis.description.candidates import Candidate, candidates
 from bayesid.diagnosis.description.choose import Chosen, choose
-from bayesid.diagnosis.description.columns import halves, ranges_of
+from bayesid.diagnosis.description.columns import halves, parts_of, ranges_of
 from bayesid.diagnosis.description.draft import draft_effect, draft_table
 from bayesid.diagnosis.description.meaning import may_be
 from bayesid.diagnosis.fit import Fit, fit
@@ -80,9 +80,16 @@ def describe(base: Fit, starts: Sequence[Fit], library: Library | None, seed: in
     seed
         Of the bootstrap.
     """
+    data = base.projector.data
+    moving = [s for s in data.segments if not s.still]
+    ranges = ranges_of(parts_of(data, moving, base))
+    joints = [j for j in range(data.robot.n) if ranges(f"q{j + 1}").span > _MOVES]
+    pool = candidates(data.channels.names, joints, ranges, max(float(s.frequencies[-1]) for s in moving))
     best: Description | None = None
     for start in starts:
-        found = _beside(base, start, library, seed)
+        if best is not None and best.gap is not None and best.gap.closed > data.settings.closed:
+            break  # nothing worth describing is left
+        found = _beside(base, start, pool, library, seed)
         if found is not None and (best is None or _left(found) < 0.8 * _left(best)):
             best = found
     return best
@@ -94,17 +101,13 @@ def _left(description: Description) -> float:
     return d.fit.chi2 / d.fit.projector.rows if d.gap is None else float(d.gap.after) ** 2
 
 
-def _beside(base: Fit, start: Fit, library: Library | None, seed: int) -> Description | None:
+def _beside(base: Fit, start: Fit, pool: Sequence[Candidate], library: Library | None, seed: int) -> Description | None:
     """A draft beside one model."""
     data: DiagnosisData = start.projector.data
     settings = data.settings
     both = halves(start)
     if any(half.count == 0 for half in both):
         return None
-    ranges = ranges_of([part for half in both for part in half.parts])
-    joints = [j for j in range(data.robot.n) if ranges(f"q{j + 1}").span > _MOVES]
-    band = max(float(s.frequencies[-1]) for s in data.segments)
-    pool = candidates(data.channels.names, joints, ranges, band)
     known = library if library is not None and library.projector is start.projector else None
     # Without unseen motions the other half is the only witness.
     least = 0.0 if data.unseen else settings.worthwhile

@@ -12,8 +12,6 @@ from typing import Literal
 
 import numpy as np
 
-from bayesid.effects.formula import Formula
-
 Kind = Literal["position", "ripple", "speed", "direction", "acceleration", "load", "limit", "time", "oscillation", "memory"]
 
 #: Units of the variables of formulas for turning joints, by how they begin.
@@ -47,7 +45,7 @@ class Factor:
     number: float | None = None
     step: float = 0.0
 
-    @property
+    @cached_property
     def text(self) -> str:
         """As it stands in a formula."""
         shown = "" if self.number is None else f"{self.number:.4g}"
@@ -78,11 +76,6 @@ class Shape:
     def texts(self) -> tuple[str, ...]:
         """As formulas, one a product."""
         return tuple(" * ".join(f.text for f in product) for product in self.products)
-
-    @cached_property
-    def formulas(self) -> tuple[Formula, ...]:
-        """Checked."""
-        return tuple(Formula.parse(text) for text in self.texts)
 
     @property
     def length(self) -> int:
