@@ -238,4 +238,4 @@ class Contest:
             clear, best = first - second > self.needed, np.argmax(scores, axis=1) == i
             right += weights[i] * float(np.mean(clear & best))
             wrong += weights[i] * float(np.mean(clear & ~best))
-        return right, wrong
+        return min(right, 1.0), min(wrong, 1.0)  # weights add up to 1 but for rounding
