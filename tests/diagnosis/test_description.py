@@ -17,11 +17,12 @@ from bayesid.diagnosis.description.shapes import Factor, Shape, single
 from bayesid.diagnosis.fit import fit
 from bayesid.diagnosis.prepare import prepare_data
 from bayesid.diagnosis.projector import make_projector
+from bayesid.diagnosis.settings import DEFAULT
 from bayesid.recordings.schema import read_model
 from tests.report_pages import read
 from tests.simulated import Motion, experiment, fourier, puma2, recording
 
-LEVEL, WIDTH = 1.5, 0.12
+LEVEL, WIDTH = 0.6, 0.12
 
 
 def bristle(x):
@@ -35,20 +36,20 @@ def bristle(x):
 
 
 def made(robot, hidden, names=("one", "two", "validation"), seed=0):
-    """Torques of the two-joint arm, with something hidden in the second one."""
+    """Torques of the two-joint arm, with something hidden in the second one, a function of all positions and speeds."""
     motions = []
     for k, name in enumerate(names):
         motion = fourier(robot, 10 * seed + k + 1, duration=7.0, rate=100.0)
         table = recording(robot, None, motion, seed=10 * seed + k + 1, torque_std=0.1, resolution=2e-5)
         torques = table.torques.copy()
-        torques[:, 1] += hidden(*(x[:, 1] for x in motion[1:3]))
+        torques[:, 1] += hidden(*motion[1:3])
         role = "validation" if name == "validation" else "identification"
         motions.append(Motion(name, role, replace(table, torques=torques)))
     return experiment(robot, motions, inertia_rel_std=0.03)
 
 
 def nothing(q, v):
-    return np.zeros_like(q)
+    return np.zeros(len(q))
 
 
 def fitted(recorded):
@@ -64,7 +65,10 @@ def robot(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def found(robot):
-    return bayesid.diagnose(made(robot, lambda q, v: LEVEL * bristle(q)))
+    """A hose that the first joint drags along pulls at the second."""
+    # One round of naming: more would go through the library for as long again and name nothing.
+    quick = replace(DEFAULT, most_families=1, sweeps=1, fit_steps=8)
+    return bayesid.diagnose(made(robot, lambda q, v: LEVEL * bristle(q[:, 0])), settings=quick)
 
 
 def test_what_no_effect_explains_is_described(found):
@@ -74,12 +78,12 @@ def test_what_no_effect_explains_is_described(found):
     d = found.description
     (term,) = d.terms
     (factor,) = term.candidate.shape.products[0]
-    assert (factor.form.split("(")[0], factor.variable, term.candidate.channels) == ("hysteresis", "q2", (1,))
+    assert (factor.form.split("(")[0], factor.variable, term.candidate.channels) == ("hysteresis", "q1", (1,))
     assert factor.number == pytest.approx(WIDTH, rel=0.15)
     assert d.term.values[0] == pytest.approx(LEVEL, abs=max(4.0 * d.std[0], 0.03))
     assert d.gap.closed > 0.9
     assert d.gap.closed_low > 0.8
-    assert "presliding" in d.causes[0][0]
+    assert "hose" in d.causes[0][0]
 
 
 def test_the_draft_closes_the_gap_that_it_promises_when_identify_uses_it(found, tmp_path, request):
@@ -118,7 +122,7 @@ def test_noise_is_not_described(robot, seed):
 
 def test_what_happens_in_one_motion_only_is_not_described(robot):
     """A curve that unseen motions do not have is no draft, however plain it is in the fitted ones."""
-    with_it, without = (made(robot, curve) for curve in (lambda q, v: 2.0 * v**3, nothing))
+    with_it, without = (made(robot, curve) for curve in (lambda q, v: 2.0 * v[:, 1] ** 3, nothing))
     base = fitted(replace(with_it, motions=(*with_it.motions[:2], without.motions[2])))
     assert describe(base, [base], None) is None
 
@@ -127,7 +131,7 @@ def test_gains_are_those_of_least_squares(robot):
     """Fast gains of all candidates against an explicit regression on a few, in halves by motion and by time."""
     rng = np.random.default_rng(0)
     for names in (("one", "two", "validation"), ("one", "validation")):
-        base = fitted(made(robot, lambda q, v: v**2, names))
+        base = fitted(made(robot, lambda q, v: v[:, 1] ** 2, names))
         first, second = halves(base)
         ranges = ranges_of(first.parts + second.parts)
         pool = candidates(("tau1", "tau2"), [0, 1], ranges, 10.0)
@@ -143,7 +147,7 @@ def test_gains_are_those_of_least_squares(robot):
 
 def test_numbers_are_adapted(robot):
     """A rate that lies between those tried is found to a hundredth."""
-    base = fitted(made(robot, lambda q, v: 0.8 * np.sin(5.3 * q + 0.4)))
+    base = fitted(made(robot, lambda q, v: 0.8 * np.sin(5.3 * q[:, 1] + 0.4)))
     waves = tuple((Factor(f"{w}({{n}} * {{x}})", "q2", "ripple", number=5.0, step=0.4),) for w in ("sin", "cos"))
     first, second = halves(base)
     best, _ = adapted(first, Candidate(Shape(waves), (1,)))
