@@ -40,9 +40,11 @@ def one(folder: Path) -> dict[str, Any]:
         base = result.search.base
         out["draft_whatever_the_verdict"] = describe(base, [base], result.search.library) is not None
     elif found is not None and found.gap is not None and result.gap is not None:
-        before, after, floor = result.gap.before**2, found.gap.after**2, found.gap.floor**2
+        # The floor of the user's model: that of a draft whose amplitudes are vague is higher.
+        lowest = float(min(result.gap.floor, found.gap.floor))
+        before, after, floor = result.gap.before**2, found.gap.after**2, lowest**2
         out |= {"closed": float((before - after) / (before - min(floor, after))), "before": float(result.gap.before),
-                "after": float(found.gap.after), "floor": float(found.gap.floor)}  # fmt: skip
+                "after": float(found.gap.after), "floor": lowest}  # fmt: skip
     return out
 
 
