@@ -21,7 +21,9 @@ import numpy as np
 from tqdm import tqdm
 
 HERE = Path(__file__).parent
-CLAIMS = ("named", "ambiguous")
+CLAIMS = ("named", "named_in_part", "ambiguous")
+#: Edges of the probabilities that names are given with.
+PROBABILITIES = (0.0, 0.5, 0.9, 0.99, 1.0)
 #: Counted with all others and again alone: how large they have to be to be seen is a question of trust in the links.
 APART = ("payload", "inertia_error", "rotor_momentum")
 #: In the wrench alone these can only be told from each other by what is thought possible (EXPERIMENT_FORMAT).
@@ -78,6 +80,8 @@ def judge(pairs: list[tuple[dict, dict]]) -> dict:
             counts.setdefault("nothing hidden: an effect named", []).append(bool(claims))
         elif kind == "unlisted":
             counts.setdefault(f"unlisted, {level}: unknown", []).append(said["verdict"] == "unknown")
+            wrong = [c for c in claims if c["name"] not in answer["partly_right"]]
+            counts.setdefault(f"unlisted, {level}: a name that is not even partly right", []).append(bool(wrong))
         elif kind == "pair":
             left, found = list(claims), 0
             for truth, alternatives in zip(answer["effects"], answer["alternatives"], strict=True):
@@ -112,10 +116,37 @@ def judge(pairs: list[tuple[dict, dict]]) -> dict:
     return {
         "cases": len(pairs),
         "rates": rates,
+        "probability": reliability(pairs),
         "coverage_95": [float(np.mean(sizes < 1.96)), len(sizes)] if len(sizes) else None,
         "gap_after_within_1.1_of_floor": [float(np.mean(np.array(gaps) <= 1.1)), len(gaps)] if gaps else None,
         "seconds": {"median": float(np.median(seconds)), "largest": float(np.max(seconds))},
     }
+
+
+def reliability(pairs: list[tuple[dict, dict]]) -> dict:
+    """How often names given with some probability are right: the truth, or what looks the same on these motions.
+
+    Of an ambiguous verdict's sets the truth should be in nearly all.
+    """
+    given, sets = [], []
+    for answer, said in pairs:
+        right = {e["name"] for e in answer["effects"]} | {n for a in answer["alternatives"] for n, _ in a}
+        right |= set(answer.get("partly_right", ())) if answer["kind"] == "unlisted" else set()
+        right |= next((same for same in SAME if same & right), set())
+        for claim in said["effects"] if said["verdict"] in CLAIMS else []:
+            given.append((claim["probability"], claim["name"] in right))
+            if claim["ambiguous_with"]:
+                sets.append(bool(right & {claim["name"], *(rival["name"] for rival in claim["ambiguous_with"])}))
+    if not given:
+        return {}
+    p, hit = (np.array(x, float) for x in zip(*given, strict=True))
+    place = np.clip(np.searchsorted(PROBABILITIES, p, side="right") - 1, 0, len(PROBABILITIES) - 2)
+    bins = [
+        {"from": PROBABILITIES[k], "to": PROBABILITIES[k + 1], "names": int(mine.sum()), "given": float(p[mine].mean()),
+         "right": float(hit[mine].mean())}
+        for k in range(len(PROBABILITIES) - 1) if (mine := place == k).any()
+    ]  # fmt: skip
+    return {"bins": bins, "brier": float(np.mean((p - hit) ** 2)), "sets": [float(np.mean(sets)), len(sets)] if sets else None}
 
 
 def deviations(truth: dict, claim: dict) -> list[float]:
@@ -195,6 +226,12 @@ def fill(readme: Path, results: dict) -> None:
     ):
         if results[key]:
             lines.append(f"| {text} | {100 * results[key][0]:.1f} % | {results[key][1]} |")
+    for one in results["probability"].get("bins", ()):
+        text = f"names given with a probability of {one['from']:g} to {one['to']:g} (mean {one['given']:.2f}) that are right"
+        lines.append(f"| {text} | {100 * one['right']:.1f} % | {one['names']} |")
+    if results["probability"].get("sets"):
+        share, count = results["probability"]["sets"]
+        lines.append(f"| sets that are not told apart and hold the truth | {100 * share:.1f} % | {count} |")
     text = readme.read_text()
     before, rest = text.split(begin)
     readme.write_text(before + begin + "\n" + "\n".join(lines) + "\n" + end + rest.split(end)[1])
