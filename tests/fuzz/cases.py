@@ -59,6 +59,8 @@ _SPECS = st.lists(st.tuples(st.sampled_from([*sorted(KINDS), "x"]), st.sampled_f
     ",".join
 )
 _OUT = st.sampled_from(["{arm}", "{arm}/robot.urdf", "{arm}/robot.urdf/x", "/proc/nowhere", "x" * 300, "a/b/c", "."])
+#: What is taken for a file or a folder of another verb's results.
+_TABLE = st.sampled_from(["{arm}/identification.csv", "{arm}/robot.urdf", "{arm}", "{arm}/experiment.toml", "nowhere", ""])
 _COMMON = {
     "--channel": _CHANNELS,
     "--motions": _MOTIONS,
@@ -88,7 +90,64 @@ OPTIONS: dict[str, dict[str, st.SearchStrategy[str]]] = {
         "--engine": st.sampled_from(["hmc", "emcee", "x"]),
         "--longest": st.sampled_from(["0", "-1", "1", "x"]),
     },
-    "diagnose": {**_COMMON},
+    "diagnose": {**_COMMON, "--reference": st.sampled_from(["{arm}", "nowhere", ""])},
+    "watch": {**_COMMON},
+    "identifiability": {
+        **_COMMON,
+        "--trajectory": _TABLE,
+        "--sensor-sets": st.sampled_from(["wrench", "torque", "x", "", ",", "both,both"]),
+        "--noise": st.sampled_from(["force=0.5", "force=-1", "force=nan", "tau2=1e400", "=", "x", "torque=1,torque=2", ""]),
+        "--tell": _SPECS,
+        "--bandwidth": _ANY,
+    },
+    "accuracy": {
+        **_FIT,
+        "--method": _METHODS,
+        "--runs": st.sampled_from(["0", "1", "-1", "x"]),
+        "--twins": st.sampled_from(["2", "0", "-5", "x"]),
+        "--estimate": _TABLE,
+        "--sensors": _TABLE,
+    },
+    "excite": {
+        "--tell": _SPECS,
+        "--channel": _CHANNELS,
+        "--criterion": st.sampled_from(["d", "a", "e", "condition", "quantity", "x", ""]),
+        "--quantity": st.sampled_from(["payload@elbow", "joint2.mcx", "torque@nowhere.csv", "x", "@", ""]),
+        "--kind": st.sampled_from(["fourier", "liu1998", "x"]),
+        "--duration": _ANY,
+        "--period": _ANY,
+        "--harmonics": _ANY,
+        "--rate": _ANY,
+        "--joints": st.sampled_from(["shoulder", "elbow,elbow", "wrist", "", ",", "x"]),
+        "--share": _ANY,
+        "--torque-share": _ANY,
+        "--acceleration": st.sampled_from(["1", "0", "-1", "1,2", "1,2,3", "nan", "1e400", "x", ""]),
+        "--sensor-range": st.sampled_from(["10,1", "0,0", "1,1,1,1,1,1", "nan,1", "x", ""]),
+        "--sensor-share": _ANY,
+        "--mount-frequency": _ANY,
+        "--margin": _ANY,
+        "--ground": _ANY,
+        "--diagnosability": _ANY,
+        "--blocks": st.sampled_from(["parked", "all", "poses,x", "", ","]),
+        "--stops": _ANY,
+        "--settle": _ANY,
+        "--read": _ANY,
+        "--warm-start": st.sampled_from(["identification", "nowhere", "{arm}/identification.csv", "{arm}/robot.urdf", ""]),
+        "--starts": _ANY,
+        "--randoms": _ANY,
+        "--seconds": st.sampled_from(["1", "0", "-1", "nan", "x"]),
+        "--model": st.just("{arm}/model.toml"),
+        "--seed": _ANY,
+    },
+    "bounds": {
+        **_FIT,
+        "--posterior": _TABLE,
+        "--estimate": _TABLE,
+        "--trajectory": _TABLE,
+        "--urdfs": st.sampled_from(["0", "2", "-1", "x"]),
+        "--prior-std": _ANY,
+        "--configurations": st.sampled_from(["4", "0", "-1", "x"]),
+    },
     "simulate": {
         "--duration": _ANY,
         "--rate": _ANY,
@@ -104,7 +163,17 @@ OPTIONS: dict[str, dict[str, st.SearchStrategy[str]]] = {
     },
 }
 #: How often each verb runs: those that take seconds seldom.
-SHARES = {"check": 11, "identify": 5, "simulate": 5, "compare": 1, "diagnose": 1, "sample": 1}
+SHARES = {
+    "check": 11, "identify": 5, "simulate": 5, "compare": 1, "diagnose": 1, "sample": 1, "identifiability": 3, "excite": 3,
+    "accuracy": 1, "bounds": 1, "watch": 1,
+}  # fmt: skip
+#: What keeps a verb's run short, where a case does not say otherwise.
+SHORT = {
+    "sample": {"--longest": "1", "--draws": "200", "--chains": "2"},
+    "accuracy": {"--runs": "0", "--twins": "2"},
+    "excite": {"--duration": "4", "--randoms": "4", "--starts": "1", "--seconds": "1", "--rate": "50"},
+    "bounds": {"--method": "wls", "--configurations": "4"},
+}
 
 
 @st.composite
@@ -129,13 +198,11 @@ def cases(draw: st.DrawFn) -> Case:
         options.append("--new")
     if verb == "compare":
         options += ["--methods", draw(st.sampled_from(["ols", "ols,tls", "sdp", "huber,iv"]))]
-    if verb == "sample":
-        options += [
-            "--longest",
-            "1",
-            *([] if "--draws" in options else ["--draws", "200"]),
-            *(["--chains", "2"] if "--chains" not in options else []),
-        ]
+    if verb == "watch":
+        options = ["{arm}", *options]
+    if verb == "accuracy" and draw(st.booleans()):
+        options.append("--certificate")
+    options += [part for name, value in SHORT.get(verb, {}).items() if name not in options for part in (name, value)]
     if "--model" in options or "--bounds" in options:
         damages.append(draw(model_file()))
     return Case(verb, tuple(options), tuple(damages))
