@@ -29,6 +29,8 @@ class Gap:
     closed, closed_low
         ``(before^2 - after^2) / (before^2 - floor^2)``, and the lower end of its one-sided 95 % interval, by bootstrap
         over blocks of time. NaN where there was no gap: ``before`` is no more than the floor.
+    difference
+        Sum of squares of what the effects change on these motions, in units of the noise: how well they could confirm them.
     by_channel
         Before and after by channel (c, 2).
     motions
@@ -41,6 +43,7 @@ class Gap:
     bare_floor: float
     closed: float
     closed_low: float
+    difference: float
     by_channel: np.ndarray
     motions: tuple[str, ...]
 
@@ -99,6 +102,7 @@ def validate(projector: NuisanceProjector, base: Fit, best: Fit, dispersion: flo
         before=np.sqrt(whole[0]), after=np.sqrt(whole[1]), floor=np.sqrt(floor2), bare_floor=np.sqrt(bare2),
         closed=float(_closed(whole[0], whole[1], floor2)) if room else np.nan,
         closed_low=float(np.quantile(draws, 0.05)) if room else np.nan,
+        difference=float(sum(np.sum((b - a) ** 2) for b, a in zip(before, after, strict=True))),
         by_channel=by_channel, motions=tuple(dict.fromkeys(s.motion for s in data.unseen)),
     )  # fmt: skip
 

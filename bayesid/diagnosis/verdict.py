@@ -44,6 +44,8 @@ class Evidence:
         motions.
     closed, closed_low
         Share of the gap on them that is closed, and the lower end of its interval; nan where there was no gap.
+    difference
+        Sum of squares of what the effects change on them, in units of the noise.
     """
 
     residual: float
@@ -58,6 +60,7 @@ class Evidence:
     floor: float | None = None
     closed: float = float("nan")
     closed_low: float = float("nan")
+    difference: float = float("inf")
 
 
 def evidence_of(search: Search, gap: Gap | None) -> Evidence:
@@ -71,7 +74,8 @@ def evidence_of(search: Search, gap: Gap | None) -> Evidence:
         On the held-out motions; None without any.
     """
     terms = [f.term for f in search.found]
-    given = {} if gap is None else {k: float(getattr(gap, k)) for k in ("before", "after", "floor", "closed", "closed_low")}
+    numbers = ("before", "after", "floor", "closed", "closed_low", "difference")
+    given = {} if gap is None else {k: float(getattr(gap, k)) for k in numbers}
     return Evidence(
         residual=search.best.chi2 / search.projector.rows,
         explained=explained(search.base, search.best),
@@ -96,7 +100,8 @@ def denied(e: Evidence, s: Settings) -> bool:
     if e.before is None or e.after is None or e.floor is None:
         return False
     worse = e.after**2 > e.before**2 * (1.0 + s.worse_share)
-    no_better = e.before > s.room_ratio * e.floor and e.closed_low <= 0.0
+    # Where the effects change too little to stand out of the noise, that nothing is better denies nothing.
+    no_better = e.before > s.room_ratio * e.floor and e.closed_low <= 0.0 and e.difference >= s.detected**2
     still_open = e.after > s.open_ratio * e.floor and e.closed < s.mostly_closed
     return worse or no_better or still_open
 

@@ -45,6 +45,9 @@ BELOW, ABOVE = 0.999, 1.001
         (replace(CLEAR, before=1.0, after=math.sqrt(1.0 + DEFAULT.worse_share) * BELOW, closed=math.nan), ("named", "")),
         (replace(CLEAR, before=DEFAULT.room_ratio * ABOVE, closed_low=0.0), ("unknown", "denied")),
         (replace(CLEAR, before=DEFAULT.room_ratio * BELOW, closed_low=0.0), ("named", "")),
+        # What changes them too little to be seen there is not denied by their being no better.
+        (replace(CLEAR, before=1.2, closed_low=0.0, difference=DEFAULT.detected**2 * BELOW), ("named", "")),
+        (replace(CLEAR, before=1.2, closed_low=0.0, difference=DEFAULT.detected**2 * ABOVE), ("unknown", "denied")),
         (replace(CLEAR, after=DEFAULT.open_ratio * ABOVE, closed=DEFAULT.mostly_closed * BELOW), ("unknown", "denied")),
         (replace(CLEAR, after=DEFAULT.open_ratio * BELOW, closed=DEFAULT.mostly_closed * BELOW), ("named", "")),
         (replace(CLEAR, after=DEFAULT.open_ratio * ABOVE, closed=DEFAULT.mostly_closed * ABOVE), ("named", "")),
