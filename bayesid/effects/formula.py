@@ -17,25 +17,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bayesid.effects.bristle import bent
 from bayesid.errors import InputError
 
 
 def hysteresis(x: np.ndarray | float, width: np.ndarray | float) -> np.ndarray:
-    """Bristle that x (N,) drags along (N,), between -1 and 1; see the module.
-
-    Between two reversals of x it is an exponential of the way since the first, so that only reversals are gone through in turn.
-    """
-    x, width = np.atleast_1d(np.asarray(x, float)), float(np.max(width))
-    change = np.diff(x)
-    rising = np.where(change > 0, 1.0, -1.0)
-    turns = np.flatnonzero(np.diff(rising, prepend=-rising[:1])) if len(change) else np.zeros(0, int)
-    ends = np.append(turns[1:], len(x) - 1)[: len(turns)]
-    out, state = np.zeros(len(x)), 0.0
-    for first, last in zip(turns, ends, strict=True):
-        way = np.exp(-np.abs(x[first + 1 : last + 1] - x[first]) / width)
-        out[first + 1 : last + 1] = rising[first] + (state - rising[first]) * way
-        state = float(out[last])
-    return out
+    """Bristle that x (N,) drags along (N,), between -1 and 1; see the module."""
+    return bent(np.diff(np.atleast_1d(np.asarray(x, float))), float(np.max(width)))
 
 
 FUNCTIONS: dict[str, Callable] = {

@@ -7,6 +7,7 @@ from math import inf
 import numpy as np
 
 from bayesid.effects import sizes
+from bayesid.effects.bristle import bent
 from bayesid.effects.effect import Parameter
 from bayesid.effects.families import JointMotion, JointTorqueEffect
 
@@ -118,31 +119,18 @@ class DahlFriction(JointTorqueEffect):
         return BRISTLE_MEMORY
 
     def torque(self, motion, values):
-        return values[0] * _bristle(motion, max(values[1], 1e-9))
+        # Where a recording starts at rest the bristle does, too; a joint that moves has bent it.
+        start = float(np.clip(motion.velocity[0] / SLIPPING_SPEED, -1.0, 1.0))
+        return values[0] * bent(_ways(motion), max(values[1], 1e-9), start)[::2]
 
 
-def _bristle(motion: JointMotion, distance: float) -> np.ndarray:
-    """How far a bristle is bent (N,), from -1 to 1, with the equation's exact solution along the motion.
-
-    On a way s in one direction it goes from z to ``sign - (sign - z) exp(-s / distance)``, whatever the speed: a map
-    ``z -> k z + p``. From sample to sample the velocity is a straight line, so that there are at most two such ways, one on
-    each side of a reversal. Maps are put together two by two, then four by four and so on [Blelloch1990]_. Where a recording
-    starts at rest the bristle does, too; where the joint moves, it is taken for bent.
-    """
+def _ways(motion: JointMotion) -> np.ndarray:
+    """Signed ways between samples (2 (N - 1),), two for each interval, for a velocity that is straight there and may reverse."""
     step, speed, sign = np.diff(motion.time), np.abs(motion.velocity), np.sign(motion.velocity)
     turns = sign[:-1] * sign[1:] < 0.0
     both = np.where(turns, speed[:-1] + speed[1:], 1.0)
-    keep, push = np.zeros((2, len(speed)))
-    push[0] = np.clip(motion.velocity[0] / SLIPPING_SPEED, -1.0, 1.0)
-    before, after = (np.exp(-0.5 * step * s * np.where(turns, s / both, 1.0) / distance) for s in (speed[:-1], speed[1:]))
-    keep[1:] = before * after
-    push[1:] = (1.0 - before) * sign[:-1] * after + (1.0 - after) * sign[1:]
-    span = 1
-    while span < len(keep):
-        push[span:] += keep[span:] * push[:-span]
-        keep[span:] *= keep[:-span]
-        span *= 2
-    return push
+    ways = [0.5 * step * s * np.where(turns, s / both, 1.0) for s in (speed[:-1], speed[1:])]
+    return np.column_stack([ways[0] * sign[:-1], ways[1] * sign[1:]]).ravel()
 
 
 class StribeckFriction(JointTorqueEffect):

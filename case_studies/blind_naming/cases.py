@@ -134,7 +134,7 @@ def move(setup: Setup, effects: tuple[Effect, ...]) -> list[Motion]:
     at_home = pin.crba(setup.arm.model, setup.arm.model.createData(), np.concatenate([[0, 0, 0, 0, 0, 0, 1], setup.home]))
     inertia = np.diag(at_home)[6:]
     for effect in effects:
-        if effect.name in ("coulomb_friction", "stribeck_friction", "dahl"):
+        if effect.name in ("coulomb_friction", "stribeck_friction", "dahl_friction"):
             dry[effect.joint] += min(effect.values["level"] / inertia[effect.joint], 0.7e-3 * BANDWIDTH**2)
         elif effect.name == "viscous_friction":
             viscous[effect.joint] += min(effect.values["coefficient"] / inertia[effect.joint], 2.0)
@@ -298,9 +298,12 @@ def _parameters(effect: Effect) -> dict[str, dict[str, Any]]:
         elif key[0] == "I" or key == "inertia":
             unit = "kg m^2"
         elif key == "coefficient":
-            unit = {"viscous_friction": "N m s/rad", "load_friction": "1"}.get(effect.name, "reading per source")
+            own = {"viscous_friction": "N m s/rad", "load_friction": "1", "warming_friction": "N m/rad"}
+            unit = own.get(effect.name, "reading per source")
         elif unit is None:
             unit = "m" if effect.name in ("sensor_translation", "tether", "external_contact") else "rad"
+        if effect.name == "warming_friction" and key == "level":
+            unit = "N m/s"
         if effect.name == "spring" and key == "stiffness":
             unit = "N m/rad"
         out[key] = {"value": float(value), "unit": unit, "main": key not in NOT_MAIN}

@@ -13,20 +13,21 @@ from sizes import Study
 WRENCH = (
     "sensor_offset", "sensor_drift", "sensor_gain", "sensor_crosstalk", "sensor_rotation", "sensor_translation", "sensor_delay",
     "base_tilt", "payload", "inertia_error", "tether", "fluid_drag", "rotor_momentum", "joint_flexibility", "encoder_offset",
-    "external_contact", "base_compliance",
+    "external_contact", "base_compliance", "backlash",
 )  # fmt: skip
 TORQUE = (
     "base_tilt", "payload", "inertia_error", "tether", "fluid_drag", "joint_flexibility", "encoder_offset", "external_contact",
     "viscous_friction", "coulomb_friction", "torque_offset", "stribeck_friction", "load_friction", "rotor_inertia", "torque_gain",
-    "torque_ripple", "spring",
+    "torque_ripple", "spring", "backlash", "dahl_friction", "directional_friction", "posture_friction", "warming_friction",
+    "torque_delay",
 )  # fmt: skip
 NOT_WITH_STATIC = ("sensor_offset", "sensor_drift", "external_contact", "base_compliance", "thermal")
 UNLISTED = {
-    "wrench": ("cubic_moment", "saturation", "hysteresis", "thermal", "vibration", "backlash"),
-    "torque": ("dahl", "backlash"),
+    "wrench": ("cubic_moment", "saturation", "hysteresis", "thermal", "vibration"),
+    "torque": ("quadratic_friction",),
 }
 PARTLY_RIGHT = {
-    "dahl": ["coulomb_friction", "stribeck_friction", "spring"], "backlash": ["joint_flexibility", "encoder_offset"],
+    "quadratic_friction": ["viscous_friction"],
     "cubic_moment": ["sensor_gain"], "saturation": ["sensor_gain"], "hysteresis": ["sensor_gain", "sensor_delay"],
     "thermal": ["sensor_drift", "sensor_offset"], "vibration": [],
 }  # fmt: skip
@@ -34,17 +35,19 @@ UNITS = {
     "gain": "1", "delay": "s", "stiffness": "N/m", "rest_length": "m", "linear": "N s/m per m", "quadratic": "N s^2/m^2 per m",
     "compliance": "rad/(N m)", "angle": "rad", "start": "s", "end": "s", "resonance": "Hz", "damping": "1", "offset": "N m",
     "velocity": "rad/s", "amplitude": "N m", "periods": "1", "phase": "rad", "rest": "rad", "level": "N m", "m": "kg",
+    "gap": "rad", "firm": "N m", "distance": "rad", "difference": "N m s/rad", "cosine": "N m", "sine": "N m", "time": "s",
 }  # fmt: skip
 SCALED = {
     "tether": ("stiffness",), "external_contact": ("fx", "fy", "fz"), "stribeck_friction": ("level",),
     "torque_ripple": ("amplitude",),
-    "spring": ("stiffness",), "base_compliance": ("resonance",), "dahl": ("level",), "backlash": ("gap",),
-    "hysteresis": ("level",),
+    "spring": ("stiffness",), "base_compliance": ("resonance",), "dahl_friction": ("level",), "backlash": ("gap",),
+    "hysteresis": ("level",), "warming_friction": ("level", "coefficient"),
     "thermal": AXES, "vibration": AXES, "rotor_momentum": ("inertia",), "saturation": ("depth",),
 }  # fmt: skip
 NOT_MAIN = (
     "damping", "rest_length", "anchor_x", "anchor_y", "anchor_z", "point_x", "point_y", "point_z", "phase", "rest", "velocity",
-    "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz",
+    "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz", "firm",
+    "distance", "time",
 )  # fmt: skip
 SOFTEST = 6.0  # a flexible joint rings at least at [Hz]
 # Beyond these an effect is no longer what anybody would meet.
@@ -52,7 +55,7 @@ LARGEST = {
     "sensor_gain": ("gain", 0.5), "sensor_rotation": ("rx", 0.3), "sensor_translation": ("x", 0.15),
     "sensor_delay": ("delay", 0.04),
     "base_tilt": ("x", 0.15), "payload": ("m", 8.0), "encoder_offset": ("angle", 0.3), "load_friction": ("coefficient", 0.5),
-    "torque_gain": ("gain", 0.6), "saturation": ("depth", 0.7),
+    "torque_gain": ("gain", 0.6), "torque_delay": ("delay", 0.04), "saturation": ("depth", 0.7),
     "tether": ("stiffness", 800.0),
 }  # fmt: skip
 
@@ -79,9 +82,9 @@ def plausible(effect: Effect, study: Study) -> bool:
     if effect.name == "joint_flexibility":  # its own resonance is clear of the motion, as in any arm that works
         inertia = study.part_inertia(effect.joint)
         return effect.values["compliance"] * inertia * (2 * np.pi * SOFTEST) ** 2 < 1.0
-    if effect.name == "backlash":  # the encoder stays within the joint's range
+    if effect.name == "backlash":  # a worn gear's at most, and within the joint's range
         model, j = study.arm.model, 7 + effect.joint
-        return effect.values["gap"] < model.upperPositionLimit[j] - model.lowerPositionLimit[j]
+        return effect.values["gap"] < min(0.02, model.upperPositionLimit[j] - model.lowerPositionLimit[j])
     if effect.name == "base_compliance":
         return 2.5 < effect.values["resonance"] < 45.0
     if effect.name == "sensor_crosstalk":
@@ -141,8 +144,13 @@ def draw(name: str, study: Study, static: bool, rng: np.random.Generator) -> Eff
         "torque_gain": lambda: on(joint, gain=0.05 * sign),
         "torque_ripple": lambda: on(joint, amplitude=tau, periods=float(rng.integers(6, 25)), phase=rng.uniform(0, 2 * np.pi)),
         "spring": lambda: on(joint, stiffness=tau, rest=rng.uniform(-0.5, 0.5)),
-        "dahl": lambda: on(joint, level=tau, presliding=rng.uniform(0.03, 0.25)),
-        "backlash": lambda: on(joint, gap=0.002, soft=rng.uniform(0.3, 1.0) * tau),
+        "dahl_friction": lambda: on(joint, level=tau, distance=rng.uniform(0.03, 0.25)),
+        "directional_friction": lambda: on(joint, difference=tau * sign),
+        "posture_friction": lambda: on(joint, **vector(("cosine", "sine"), tau)),
+        "warming_friction": lambda: on(joint, level=tau / lasting, coefficient=tau / lasting, time=rng.uniform(5.0, 100.0)),
+        "torque_delay": lambda: at("robot", delay=0.003 * sign),
+        "quadratic_friction": lambda: on(joint, coefficient=tau),
+        "backlash": lambda: on(joint, gap=0.002, firm=rng.uniform(0.3, 1.0) * tau),
         "cubic_moment": lambda: at(axis, coefficient=1e-4 * sign),
         "saturation": lambda: _saturation(axis, study),
         "hysteresis": lambda: at(axis, level=3 * spread[AXES.index(axis)], width=_swing(axis, study) * rng.uniform(0.05, 0.2)),
@@ -235,8 +243,15 @@ def candidates(study: Study, static: bool) -> dict[tuple[str, str], list[list[np
             add("rotor_inertia", where, 1.0, "inertia")
             add("torque_gain", where, 0.1, "gain")
             add("stribeck_friction", where, 1.0, "level", velocity=0.1)
+            add("dahl_friction", where, 1.0, "level", distance=0.05)
+            add("directional_friction", where, 1.0, "difference")
+            add("posture_friction", where, 1.0, "cosine", "sine")
+            add("warming_friction", where, 0.1, "level", "coefficient", time=100.0)
             spring = [study.signals((Effect("spring", where, {"stiffness": 1.0, "rest": rest}),)) for rest in (0.0, 1.0)]
             out["spring", where] = spring
+        add("backlash", where, 1e-4, "gap", firm=0.1)
+    if torque:
+        add("torque_delay", "robot", 1e-3, "delay")
     add("base_tilt", "base", 1e-3, "x", "y")
     add("fluid_drag", "robot", 1.0, "linear", "quadratic")
     if wrench:

@@ -18,7 +18,7 @@ LINK = ("m", "mcx", "mcy", "mcz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 RAMP = 0.2  # a contact's force comes and goes within [s]
 PRESLIDING = 2e-5  # a joint's friction has turned over after [rad]
 CREEP = 0.15, 1e-3  # a standing joint's friction fades with [s], below [rad/s]: at rest it is whatever is left
-UNLISTED = ("dahl", "backlash", "cubic_moment", "saturation", "hysteresis", "thermal", "vibration")
+UNLISTED = ("quadratic_friction", "cubic_moment", "saturation", "hysteresis", "thermal", "vibration")
 
 
 @dataclass(frozen=True)
@@ -143,6 +143,10 @@ def respond(
         elif effect.name == "torque_ripple":
             amplitude, periods, phase = effect.vector("amplitude", "periods", "phase")
             torques[:, effect.joint] += amplitude * np.sin(periods * motion.q[:, effect.joint] + phase)
+    for effect in effects:
+        if effect.name == "torque_delay" and not still:
+            late = np.maximum(motion.t - effect.values["delay"], motion.t[0])
+            torques = CubicSpline(motion.t, torques)(late)
     shift = np.zeros_like(motion.q)
     for effect in effects:
         if effect.name == "encoder_offset":
@@ -150,8 +154,8 @@ def respond(
         elif effect.name == "joint_flexibility":
             shift[:, effect.joint] += effect.values["compliance"] * load[:, effect.joint]
         elif effect.name == "backlash":
-            gap, soft = effect.vector("gap", "soft")
-            shift[:, effect.joint] += gap / 2 * np.tanh(load[:, effect.joint] / soft)
+            gap, firm = effect.vector("gap", "firm")
+            shift[:, effect.joint] += gap / 2 * np.tanh(load[:, effect.joint] / firm)
     return Response(_sense(sensor, motion, effects, wrench, still), torques, shift)
 
 
@@ -264,8 +268,8 @@ def _drive(motion: Motion, effect: Effect, load: np.ndarray) -> np.ndarray:
     """Torque that a motor needs beyond what its link takes."""
     extra = np.zeros_like(load)
     if effect.name not in (
-        "viscous_friction", "coulomb_friction", "stribeck_friction", "load_friction", "rotor_inertia", "spring", "dahl",
-        "rotor_momentum",
+        "viscous_friction", "coulomb_friction", "stribeck_friction", "load_friction", "rotor_inertia", "spring",
+        "rotor_momentum", "dahl_friction", "directional_friction", "posture_friction", "warming_friction", "quadratic_friction",
     ):  # fmt: skip
         return extra
     j, values = effect.joint, effect.values
@@ -278,16 +282,26 @@ def _drive(motion: Motion, effect: Effect, load: np.ndarray) -> np.ndarray:
         extra[:, j] = values["inertia"] * values.get("gear_ratio", 0.0) * motion.a[:, j]
     elif effect.name == "spring":
         extra[:, j] = values["stiffness"] * (motion.q[:, j] - values["rest"])
-    elif effect.name == "dahl":
-        extra[:, j] = values["level"] * bristle(_steps(motion, j), values["presliding"])
+    elif effect.name == "dahl_friction":
+        extra[:, j] = values["level"] * bristle(_steps(motion, j), values["distance"])
+    elif effect.name == "directional_friction":
+        extra[:, j] = values["difference"] * np.abs(v)
+    elif effect.name == "quadratic_friction":
+        extra[:, j] = values["coefficient"] * v * np.abs(v)
     else:
         sign = friction_sign(motion.t, motion.q[:, j], v)
+        time = values.get("time", 1.0)
+        warmth = -time * (1 - np.exp(-np.maximum(motion.t, 0.0) / time))
         size = {
             "coulomb_friction": lambda: values["level"],
             "stribeck_friction": lambda: values["level"] * np.exp(-((v / values["velocity"]) ** 2)),
             "load_friction": lambda: values["coefficient"] * np.abs(load[:, j]),
+            "posture_friction": lambda: effect.vector("cosine", "sine") @ [np.cos(motion.q[:, j]), np.sin(motion.q[:, j])],
+            "warming_friction": lambda: values.get("level", 0.0) * warmth,
         }[effect.name]()
         extra[:, j] = size * sign
+        if effect.name == "warming_friction":
+            extra[:, j] += values.get("coefficient", 0.0) * v * warmth
     return extra
 
 
