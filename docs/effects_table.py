@@ -49,8 +49,11 @@ falls from the friction at $t = 0$: `coulomb_friction` and `viscous_friction` be
 `dahl_friction` remembers the last %(memory)g s of motion; a joint that moves when that begins is taken for slipping.
 
 `diagnose` seeks `coupled_transmission` of a joint and the one before it, from 1 and -1, where other effects leave something
-unexplained, and `torque_delay` of all joints at once; `dahl_friction` and `stribeck_friction` it does not seek at one joint.
-Where the coupling is known from the data sheet, state it as `[model.values."coupled_transmission@joint5->joint6"]` with
+unexplained, and `torque_delay` of all joints at once. It does not name `dahl_friction` beside another friction of a kind of its
+own at the same joint (`stribeck_friction`, `load_friction`, `posture_friction`, `warming_friction`).
+A coupling shows in what the links take alone, for friction and rotors go with the motors' positions that tables hold: behind the
+motors of a light wrist, a short recording has too little of it for a name.
+Where it is known from the data sheet, state it as `[model.values."coupled_transmission@joint5->joint6"]` with
 `coupling = 1.0` and `fixed = true`.
 
 Starting values where none are stated are zero, except:

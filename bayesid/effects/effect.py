@@ -110,7 +110,7 @@ class Effect(ABC):
     single
         Whether only one of its kind is sought: with a place and a shape to find, two can imitate one that settled wrongly.
     instead_of
-        Names of effects beside which it is not sought at the same place: two descriptions of one thing.
+        Names of effects beside which it is not sought at the same place, nor they beside it: descriptions of one thing.
     changes_link
         Whether it is a change of a whole link.
     columns_of

@@ -108,7 +108,8 @@ class DahlFriction(JointTorqueEffect):
         Parameter("distance", "rad", 1e-3, 1.0, start=0.02, linear=False, step=1e-5, tried=BRISTLE_DISTANCES),
     )
     confusable_with = ("coulomb_friction", "stribeck_friction", "spring")
-    instead_of = ("stribeck_friction",)
+    # Whatever friction does at a reversal, it turns over a little late: that alone is no bristle.
+    instead_of = ("stribeck_friction", "load_friction", "posture_friction", "warming_friction")
     reverses_at_once = True
     remembers = True
 
@@ -143,7 +144,6 @@ class StribeckFriction(JointTorqueEffect):
         Parameter("velocity", "rad/s", 1e-3, 2.0, start=0.1, linear=False, step=1e-3, tried=STRIBECK_SPEEDS),
     )
     confusable_with = ("coulomb_friction", "dahl_friction")
-    instead_of = ("dahl_friction",)
     reverses_at_once = True
 
     def typical(self, robot):

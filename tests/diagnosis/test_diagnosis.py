@@ -121,8 +121,8 @@ def test_what_nearly_complete_models_leave_is_no_third_effect(record):
 
 def test_an_unmodelled_effect_is_unknown(record):
     """An effect that the library does not have is not given a name."""
-    folder, _ = record("stranger", "unlisted", ["dahl"], "torque")
-    found = diagnose(folder, "torque")
+    folder, _ = record("stranger", "unlisted", ["vibration"], "wrench")
+    found = diagnose(folder, "wrench")
     assert found.verdict == "unknown"
     assert not found.found
     assert "no effect of the library" in " ".join(found.remarks)

@@ -1,0 +1,72 @@
+"""What drives do, hidden at three times the size that nothing-hidden recordings of the same motions say would stand out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+import bayesid
+from bayesid import diagnose
+from bayesid.recordings.experiment import Experiment, Sensor
+from bayesid.robot.robot import load_robot
+from bayesid.workflows.demo import puma_setup
+from tests.robots import ROBOTS, write
+
+FRICTION = {"viscous_friction": None, "coulomb_friction": None}
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory):
+    """The two-joint PUMA with friction that its model knows, two motions, and the sizes from which effects would be seen."""
+    setup = replace(puma_setup(tmp_path_factory.mktemp("puma")), effects=tuple(FRICTION), inertia_rel_std=0.03)
+    motions = [
+        bayesid.fourier_trajectory(setup.robot, duration=14.0, seed=1),
+        bayesid.fourier_trajectory(setup.robot, "validation", "validation", duration=14.0, seed=2),
+    ]
+    healthy = diagnose(bayesid.simulate(setup, motions, effects=FRICTION, perturb=0.03, seed=5), "torque")
+    assert healthy.verdict == "nothing_missing"
+    seen = {f"{c['name']}@{c['where']}": c["minimum_detectable"] for c in healthy.to_dict()["candidates"]}
+    return setup, motions, seen
+
+
+@pytest.mark.parametrize(
+    ("spec", "others"),
+    [
+        ("dahl_friction@joint2", {"distance": 0.02}),
+        pytest.param("directional_friction@joint2", {}, marks=pytest.mark.slow),
+        pytest.param("posture_friction@joint1", {"sine": 0.5}, marks=pytest.mark.slow),
+        pytest.param("warming_friction@joint2", {"coefficient": 0.1, "time": 120.0}, marks=pytest.mark.slow),
+        pytest.param("torque_delay@robot", {}, marks=pytest.mark.slow),
+        pytest.param("backlash@joint2", {"firm": 0.9}, marks=pytest.mark.slow),
+        pytest.param("torque_gain@joint2", {}, marks=pytest.mark.slow),
+    ],
+)
+def test_it_is_found_and_named_alone(bench, spec, others):
+    setup, motions, seen = bench
+    kind = setup.library.named(spec.partition("@")[0])
+    values = {kind.parameters[0]: 3.0 * seen[spec], **others}
+    recorded = bayesid.simulate(setup, motions, effects={**FRICTION, spec: values}, perturb=0.03, seed=6)
+    found = diagnose(recorded, "torque")
+    assert found.verdict == "named"
+    (only,) = found.found
+    assert only.term.effect.spec == spec
+    truth, got, std = values[kind.parameters[0]], only.term.values[0], only.std[0]
+    assert abs(got - truth) < 4.0 * std and std < 0.3 * truth
+
+
+@pytest.mark.slow
+def test_a_coupling_that_nobody_stated_is_named(tmp_path):
+    """A wrist whose motor 6 turns with joint 5: found from one whole turn for another, in the wrench, where its links show."""
+    robot = load_robot(write(tmp_path, ROBOTS["panda"]()))
+    setup = Experiment("arm", robot, (), Sensor(), inertia_rel_std=0.05)
+    motions = [
+        bayesid.fourier_trajectory(robot, duration=12.0, seed=1),
+        bayesid.fourier_trajectory(robot, "validation", "validation", duration=12.0, seed=2),
+    ]
+    spec = "coupled_transmission@joint5->joint6"
+    found = diagnose(bayesid.simulate(setup, motions, effects={spec: {"coupling": 1.0}}, perturb=0.05, seed=3), "wrench")
+    assert found.verdict == "named"
+    (only,) = found.found
+    assert only.term.effect.spec == spec
+    assert abs(only.term.values[0] - 1.0) < max(4.0 * only.std[0], 1e-3)
