@@ -79,16 +79,16 @@ def _own_effect_was_found(scope: dict, written: Path) -> None:
     """The effect of the page is named with the values that were hidden, in the report and in model.toml."""
     diagnosis, (entry,) = scope["diagnosis"], scope["result"].to_dict()["effects"]
     (found,) = diagnosis.found
-    assert diagnosis.verdict == "named" and found.term.effect.spec == "bent_shaft@joint2"
+    assert diagnosis.verdict == "named" and found.term.effect.spec == "oval_shaft@joint2"
     np.testing.assert_allclose(found.term.values, [3.0, -2.0], atol=0.1)
     assert diagnosis.gap.before > 3.0 and diagnosis.gap.after < 1.2
-    assert "friction that varies over a turn of the joint" in (written / "report.html").read_text(encoding="utf-8")
+    assert "friction that varies twice over a turn of the joint" in (written / "report.html").read_text(encoding="utf-8")
     model = tomllib.loads((written / "model.toml").read_text(encoding="utf-8"))["model"]
-    assert model["effects"] == ["bent_shaft@joint2"] and set(model["values"]["bent_shaft@joint2"]) == {"a", "b"}
+    assert model["effects"] == ["oval_shaft@joint2"] and set(model["values"]["oval_shaft@joint2"]) == {"a", "b"}
     for key, truth in (("a", 3.0), ("b", -2.0)):
         value, std = entry["parameters"][key]["value"], entry["parameters"][key]["std"]
         assert abs(value - truth) < 4.0 * std < 0.4
-    assert "bent_shaft" not in EffectLibrary().classes  # the experiment's library knows it, nothing else
+    assert "oval_shaft" not in EffectLibrary().classes  # the experiment's library knows it, nothing else
 
 
 @pytest.mark.parametrize("name", pages_with("console"))
