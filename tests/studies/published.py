@@ -45,6 +45,16 @@ SHOWN = {
     "case_studies/diagnosis/results.json": ("hose/gap/after", "robot/*/*/gap/after", "wrist/*/*/gap/after"),
     "case_studies/kuka_lwr4/results.json": ("*/rows/*/fit", "*/rows/*/error"),
     "case_studies/liu1998/results.json": ("verification/nrmse/*", "recipes/*/rms_sigmas", "recipes/*/covered"),
+    "case_studies/real_payload/results.json": (
+        "unloaded/error",
+        "changed/gap/*",
+        "changed/payload/mass",
+        "changed/payload/share_low",
+        "series/recordings/*/evidence",
+        "series/recordings/*/payload/mass",
+        "used/error/*",
+        "used/apart/*",
+    ),  # fmt: skip
     "case_studies/seven_joint_arm/results.json": ("plan/sensor_sets/*/rank",),
     "case_studies/printed_estimate/results.json": ("cases/*/lower", "cases/*/upper", "by_hand"),
 }
