@@ -140,7 +140,9 @@ def _listed(names: Iterable[str]) -> str:
 
 
 def prepare(source: Path, target: Path) -> list[Recording]:
-    """Write a folder for every recording there is, and ``arm`` with another day's motion to be predicted; the recordings.
+    """Write a folder for every recording there is; the recordings.
+
+    Two more hold the unloaded recording and one to be predicted: another day's in ``arm``, the loaded one in ``surprise``.
 
     Raises
     ------
@@ -154,8 +156,9 @@ def prepare(source: Path, target: Path) -> list[Recording]:
     tables = {r.name: table(source, r) for r in (BEFORE, *found)}
     for name, columns in tables.items():
         write_folder(target / name, {"motion": ("identification", columns)})
-    first, other = tables[BEFORE.name], tables[OTHER_DAY.name]
-    write_folder(target / "arm", {"jan31": ("identification", first), "feb05": ("validation", other)})
+    first = ("identification", tables[BEFORE.name])
+    write_folder(target / "arm", {"jan31": first, "feb05": ("validation", tables[OTHER_DAY.name])})
+    write_folder(target / "surprise", {"unloaded": first, "loaded": ("validation", tables[AFTER.name])})
     return found
 
 

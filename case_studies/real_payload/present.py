@@ -35,6 +35,7 @@ def tables(r: dict[str, Any]) -> dict[str, str]:
         "gap-before": f"{gap['before']:.2f}", "gap-after": f"{gap['after']:.2f}", "gap-floor": f"{gap['floor']:.2f}",
         "needed": f"{r['series']['needed']:.1f}", "hide": _hide(r),
         "simulated": f"{100 * used['error']['with']:.0f} %", "simulated-without": f"{100 * used['error']['without']:.0f} %",
+        "expected": f"{100 * r['changed']['curves']['error']['before']:.0f} %", "simulated-on": f"`{used['recording']}`",
         "apart": f"{used['apart']['with']:.1f}", "apart-without": f"{used['apart']['without']:.1f}",
     }  # fmt: skip
     out["again"] = out.get("again", "Not run: ready folders hold one loaded recording only.")
@@ -81,7 +82,7 @@ def _series(r: dict[str, Any]) -> str:
 
 def _hide(r: dict[str, Any]) -> str:
     found = [(where.partition("@")[2], v) for where, v in r["series"]["hide"].items() if v is not None]
-    return ", ".join(f"{v:.2g} kg at {where}" for where, v in sorted(found))
+    return ", ".join(f"{f'{v:.0f}' if v >= 100.0 else f'{v:.2g}'} kg at {where}" for where, v in sorted(found))
 
 
 def draw(r: dict[str, Any], folder: Path) -> None:
@@ -148,12 +149,14 @@ def _watch(r: dict[str, Any]) -> Figure:
     colours = [ORANGE if w["loaded"] else BLUE for w in rows]
     figure = Figure(figsize=(9.0, 5.0), layout="constrained")
     upper, lower = figure.subplots(2, 1, sharex=True)
-    upper.bar(x, [max(w["evidence"], 0.02) for w in rows], color=colours)
+    evidence = [max(w["evidence"], 0.02) for w in rows]
+    upper.vlines(x, 0.01, evidence, color=colours, lw=1.2)
+    upper.scatter(x, evidence, c=colours, s=28, zorder=3)
     needed = r["series"]["needed"]
     upper.axhline(needed, color=GREY, ls="--", lw=1.0)
-    upper.text(len(rows) - 0.5, 1.1 * needed, "needed to be named", ha="right", va="bottom", fontsize=8, color=GREY)
+    upper.text(0.3, 1.15 * needed, "needed to be named", va="bottom", fontsize=8, color=GREY)
     upper.set_yscale("log")
-    upper.set(ylabel="largest log evidence\nof a change", ylim=(0.02, None))
+    upper.set(ylabel="largest log evidence\nof a change", ylim=(0.01, None))
     for k, w in enumerate(rows):
         p = w["payload"]
         if p is None:
@@ -161,7 +164,7 @@ def _watch(r: dict[str, Any]) -> Figure:
         else:
             lower.errorbar(k, p["mass"], p["half"], fmt="o", ms=5, capsize=3, color=colours[k])
     lower.axhline(TRUTH, color=GREY, ls="--", lw=1.0)
-    lower.text(len(rows) - 0.5, TRUTH + 0.06, f"weighed: {TRUTH} kg", ha="right", va="bottom", fontsize=8, color=GREY)
+    lower.text(0.3, TRUTH + 0.06, f"weighed: {TRUTH} kg", va="bottom", fontsize=8, color=GREY)
     lower.set(ylabel="payload named [kg]", ylim=(-0.3, 3.6))
     lower.set_xticks(x, [w["name"] for w in rows], rotation=30, ha="right")
     for ax in (upper, lower):

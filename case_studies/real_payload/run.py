@@ -27,8 +27,6 @@ from present import draw, fill, plain, tables
 from scipy.signal import butter, sosfiltfilt
 
 import bayesid
-from bayesid.diagnosis.changes.findings import Comparison
-from bayesid.diagnosis.changes.posterior import amplitudes
 
 HERE = Path(__file__).parent
 DATA = Path(os.environ.get("BAYESID_DATA", HERE.parents[2] / "shared")) / "data" / "ur10e"
@@ -36,7 +34,7 @@ DATA = Path(os.environ.get("BAYESID_DATA", HERE.parents[2] / "shared")) / "data"
 BAND = 10.0
 SAMPLES = 100.0
 #: How many samples a second figures show.
-SHOWN = 20
+SHOWN = 10
 
 
 class Shell:
@@ -101,17 +99,39 @@ def payload(change: dict[str, Any]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def curves(comparison: Comparison) -> dict[str, Any]:
-    """What the reference leaves of the torques, and what stays once the payload is known [N m], at `SHOWN` samples a second."""
-    recording, selection = comparison.recording, comparison.selection
-    known = amplitudes(selection.marginal())
-    left, joints = recording.left, len(recording.scale)
-    explained = sum(recording.rows @ known.part(own) for own in selection.directions)
-    times = recording.times[::joints]
-    every = max(round(1.0 / (SHOWN * float(np.median(np.diff(times))))), 1)
-    shaped = {"before": left, "after": left - explained}
-    out: dict[str, Any] = {name: (v.reshape(-1, joints) * recording.scale)[::every].T for name, v in shaped.items()}
-    return {"times": times[::every], **out, "rms": {n: np.sqrt(np.mean(np.square(v), axis=1)) for n, v in out.items()}}
+def simulated(folder: Path, effects: dict[str, dict[str, float]]) -> np.ndarray:
+    """Torques of a folder's recording as its URDF and these effects make them [N m] (k, 6)."""
+    torques = bayesid.simulate(folder, effects=effects).motions[0].table.torques
+    if torques is None:
+        raise RuntimeError(f"{folder} has no torques")
+    return torques
+
+
+def model_values(shell: Shell) -> dict[str, dict[str, float]]:
+    """Effects of the ``model.toml`` that the comparison wrote."""
+    values = tomllib.loads((shell.folder / "changed" / "model.toml").read_text(encoding="utf-8"))["model"]["values"]
+    return {spec: {k: v for k, v in given.items() if k != "fixed"} for spec, given in values.items()}
+
+
+def curves(shell: Shell) -> dict[str, Any]:
+    """What the unloaded arm leaves of the loaded recording's torques, and what stays without the payload's torques [N m].
+
+    The payload's torques are the difference of two simulations, in which links and noise are the same.
+    """
+    (judged,) = bayesid.identify(shell.folder / "surprise").validation
+    folder = shell.folder / AFTER.name
+    payloads = {spec: values for spec, values in model_values(shell).items() if spec.startswith("payload")}
+    made = simulated(folder, payloads) - simulated(folder, {})
+    times = bayesid.load_experiment(folder).motions[0].table.times
+    before = judged.measured - judged.predicted
+    after = before - np.column_stack([np.interp(judged.times, times, column) for column in made.T])
+    every = round(SAMPLES / SHOWN)
+    shaped = {"before": before, "after": after}
+    return {
+        "times": judged.times[::every], **{name: v[::every].T for name, v in shaped.items()},
+        "rms": {name: np.sqrt(np.mean(v**2, axis=0)) for name, v in shaped.items()},
+        "error": {name: relative(v, judged.measured) for name, v in shaped.items()},
+    }  # fmt: skip
 
 
 def changed(shell: Shell) -> dict[str, Any]:
@@ -119,12 +139,11 @@ def changed(shell: Shell) -> dict[str, Any]:
     shell("alone", f"diagnose {AFTER.name} --out alone")
     shell("changed", f"diagnose {AFTER.name} --reference {BEFORE.name} --out changed")
     alone, found = shell.read("alone/diagnosis.json"), shell.read("changed/diagnosis.json")
-    compared = bayesid.diagnose(shell.folder / AFTER.name, reference=shell.folder / BEFORE.name).comparison
     named = [e for e in found["effects"] if e["name"] == "payload"]
     return {
         "alone": {"verdict": alone["verdict"], "effects": [f"{e['name']}@{e['where']}" for e in alone["effects"]]},
         "verdict": found["verdict"], "effects": [f"{e['name']}@{e['where']}" for e in found["effects"]],
-        "payload": payload(named[0]) if named else None, "gap": found["gap"], "curves": curves(compared),
+        "payload": payload(named[0]) if named else None, "gap": found["gap"], "curves": curves(shell),
         "scores": [[f"{c['name']}@{c['where']}", c["log_bayes_factor"]] for c in found["candidates"][:8]],
     }  # fmt: skip
 
@@ -156,27 +175,25 @@ def apart_from(one: dict[str, Any], other: dict[str, Any]) -> float:
 
 
 def used(shell: Shell, names: list[str]) -> dict[str, Any]:
-    """The payload in other verbs: simulated torques beside the recorded ones, and the loaded arm as the next reference."""
+    """The payload in other verbs: simulated torques beside recorded ones, and the loaded arm as the next reference."""
+    again = next((r.name for r in SERIES if r.loaded and r.name in names and r != AFTER), None)
+    recorded = again or AFTER.name
     folder = shell.folder / "tool"
-    shutil.copytree(shell.folder / AFTER.name, folder, dirs_exist_ok=True)
+    shutil.copytree(shell.folder / recorded, folder, dirs_exist_ok=True)
     shutil.copy(shell.folder / "identified" / "identified.urdf", folder / "robot.urdf")
     shell("identify_tool", "identify after --model changed/model.toml --out with-payload")
     shell("simulate", "simulate tool --model changed/model.toml --out simulated")
     reference, loaded = shell.read("identified/estimate.json"), bayesid.identify(shell.folder / AFTER.name).to_dict()
     apart = {"without": apart_from(reference, loaded), "with": apart_from(reference, shell.read("with-payload/estimate.json"))}
-    values = tomllib.loads((shell.folder / "changed" / "model.toml").read_text(encoding="utf-8"))["model"]["values"]
-    bare = {spec: {k: v for k, v in given.items() if k != "fixed"} for spec, given in values.items() if "payload" not in spec}
-    without = bayesid.simulate(folder, effects=bare)
+    bare = {spec: values for spec, values in model_values(shell).items() if "payload" not in spec}
     low = butter(2, BAND / (SAMPLES / 2.0), output="sos")
-    recorded, with_payload = (
-        np.loadtxt(shell.folder / name / "motion.csv", delimiter=",", skiprows=1)[:, 7:] for name in (AFTER.name, "simulated")
-    )
-    measured = sosfiltfilt(low, recorded, axis=0)
-    torques = {"with": with_payload, "without": without.motions[0].table.torques}
+    tables = {"measured": recorded, "with": "simulated"}
+    torques = {k: np.loadtxt(shell.folder / v / "motion.csv", delimiter=",", skiprows=1)[:, 7:] for k, v in tables.items()}
+    filtered = {k: sosfiltfilt(low, v, axis=0) for k, v in {**torques, "without": simulated(folder, bare)}.items()}
     out: dict[str, Any] = {
-        "error": {k: relative(sosfiltfilt(low, v, axis=0) - measured, measured) for k, v in torques.items()}, "apart": apart,
+        "error": {k: relative(filtered[k] - filtered["measured"], filtered["measured"]) for k in ("with", "without")},
+        "apart": apart, "recording": recorded,
     }  # fmt: skip
-    again = next((r.name for r in SERIES if r.loaded and r.name in names and r != AFTER), None)
     if again is not None:
         shell("again", f"diagnose {again} --reference {AFTER.name} --out again")
         found = shell.read("again/diagnosis.json")

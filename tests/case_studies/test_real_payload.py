@@ -64,6 +64,8 @@ def test_what_the_page_claims(results):
         if w["loaded"]:
             assert abs(w["payload"]["mass"] - 2.805) < min(0.15, w["payload"]["half"])
     assert sum(not w["loaded"] for w in recordings) >= 4
+    rms = changed["curves"]["rms"]
+    assert all(after < before for before, after in zip(rms["before"], rms["after"], strict=True))
     error, apart = results["used"]["error"], results["used"]["apart"]
     assert error["with"] < error["without"] and apart["with"] < apart["without"]
 
