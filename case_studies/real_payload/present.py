@@ -8,6 +8,7 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+from arm import LINKS
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
@@ -33,7 +34,7 @@ def tables(r: dict[str, Any]) -> dict[str, str]:
         "error": f"{100 * error:.1f} %", "base": str(r["unloaded"]["base_parameters"]),
         "alone-verdict": f"`{r['changed']['alone']['verdict']}`", "alone-named": _names(r["changed"]["alone"]["effects"]),
         "gap-before": f"{gap['before']:.2f}", "gap-after": f"{gap['after']:.2f}", "gap-floor": f"{gap['floor']:.2f}",
-        "needed": f"{r['series']['needed']:.1f}", "hide": _hide(r),
+        "centre": _centre(r), "needed": f"{r['series']['needed']:.1f}", "hide": _hide(r),
         "simulated": f"{100 * used['error']['with']:.0f} %", "simulated-without": f"{100 * used['error']['without']:.0f} %",
         "expected": f"{100 * r['changed']['curves']['error']['before']:.0f} %", "simulated-on": f"`{used['recording']}`",
         "apart": f"{used['apart']['with']:.1f}", "apart-without": f"{used['apart']['without']:.1f}",
@@ -69,6 +70,14 @@ def _payload(r: dict[str, Any]) -> str:
         rows.append(f"| {w['name']} | {p['mass']:.2f} ± {p['half']:.2f} | {inside} | {centre} | {p['evidence']:.0f} | {rival} |")
     head = "recording | mass [kg] | holds 2.805 kg | centre x [cm] | y [cm] | z [cm] | log evidence | next best"
     return table(head, rows)
+
+
+def _centre(r: dict[str, Any]) -> str:
+    """Distance of the payload's centre from the flange's axis and its plane."""
+    found = [(w["name"], w["payload"]["centre"]) for w in r["series"]["recordings"] if w["payload"] is not None]
+    return ", ".join(
+        f"`{name}` {100 * np.hypot(x, y):.0f} cm and {100 * (z - LINKS[-1].d):.0f} cm" for name, (x, y, z) in found
+    )  # fmt: skip
 
 
 def _series(r: dict[str, Any]) -> str:

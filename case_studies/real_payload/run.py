@@ -201,12 +201,11 @@ def used(shell: Shell, names: list[str]) -> dict[str, Any]:
     return out
 
 
-def study(source: Path, work: Path) -> dict[str, Any]:
-    """All steps."""
-    names = [r.name for r in prepare(source, work)]
+def study(work: Path, names: list[str]) -> dict[str, Any]:
+    """All steps, in a folder with an experiment folder for each of these recordings."""
     shell = Shell(work)
     results = {
-        "clone": is_clone(source), "unloaded": unloaded(shell), "changed": changed(shell), "series": series(shell, names),
+        "unloaded": unloaded(shell), "changed": changed(shell), "series": series(shell, names),
         "used": used(shell, names),
     }  # fmt: skip
     return {**results, "printed": shell.printed, "seconds": shell.seconds}
@@ -223,7 +222,12 @@ def main() -> None:
         print(f"skipped: {options.data} not found; clone github.com/shamilmamedov/dynamic_calibration, name its folder by --data")
         return
     with tempfile.TemporaryDirectory() as folder:
-        results = plain(study(options.data, options.work or Path(folder)), 5)
+        work = options.work or Path(folder)
+        try:
+            names = [r.name for r in prepare(options.data, work)]
+        except FileNotFoundError as error:
+            parser.error(f"--data {error}")
+        results = plain({"clone": is_clone(options.data), **study(work, names)}, 5)
     options.out.mkdir(parents=True, exist_ok=True)
     (options.out / "results.json").write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
     draw(results, options.out)
