@@ -106,7 +106,9 @@ class HeldOutSums:
         out = np.empty(len(self.blocks))
         for g, rest in enumerate(self._rest):
             left, _ = self.fitted(rest, effects)
-            out[self.groups == g] = np.einsum("i,bij,j->b", left, self.shown[self.groups == g], left)
+            at = np.flatnonzero(left)  # most columns are of effects that are not in the model
+            mine = self.shown[np.ix_(self.groups == g, at, at)]
+            out[self.groups == g] = (mine @ left[at]) @ left[at]
         return out
 
     def cost(self, effects: Sequence[int]) -> float:

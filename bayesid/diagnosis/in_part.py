@@ -69,6 +69,8 @@ class InPart:
         How many parts were held out in turn.
     correlation
         How many rows count as one.
+    near
+        Effects that are named, their rivals, and those that would add anything to them, ``name@place``.
     """
 
     search: Search
@@ -76,6 +78,7 @@ class InPart:
     courses: tuple[float, ...]
     stretches: int
     correlation: float
+    near: frozenset[str]
 
     @property
     def remainder(self) -> float:
@@ -196,6 +199,12 @@ class _Choice:
                 best[self.effects[k].spec] = (k, float(lack))
         return list(best.values())
 
+    def near_by(self, kept: Sequence[int], rivals: list[list[tuple[Term, float]]], others: Sequence[int]) -> frozenset[str]:
+        """``name@place`` of the effects kept, of their rivals, and of those that would add anything."""
+        gains = self.sums.evidence([*self.users, *kept], others)
+        adding = {self.effects[k].spec for k, gain in zip(others, gains, strict=True) if gain > 0.0}
+        return frozenset({self.effects[k].spec for k in kept} | {t.effect.spec for x in rivals for t, _ in x} | adding)
+
     def replaced(self, kept: list[int], others: Sequence[int], possible: Possible) -> list[int]:
         """Effects exchanged for others that do better in their place; clearly better, where that takes more parameters."""
         for k in list(kept):
@@ -223,16 +232,16 @@ def proven_effects(s: Search, seed: int) -> InPart | None:
     seed
         Of the bootstrap over blocks of time.
     """
-    first = _proven(s, seed)
-    # Values have moved since the columns were taken: once more about them.
-    return first and _proven(first.search, seed)
+    first = _proven(s, seed, None)
+    # Values have moved since the columns were taken: once more about them, with those that came near.
+    return first and _proven(first.search, seed, first.near)
 
 
-def _proven(s: Search, seed: int) -> InPart | None:
-    """Effects chosen by columns about the best attempt, and fitted exactly."""
+def _proven(s: Search, seed: int, among: frozenset[str] | None) -> InPart | None:
+    """Effects chosen by columns about the best attempt, of all or some of the library, and fitted exactly."""
     left = tuple(left_by(s.projector.data, f) for f in (s.base, s.best))
     data, known, attempt = scaled(s.projector.data, left[1]), len(s.base.terms), s.best.terms
-    library = [(t, about) for t, about in column_terms(data) if _confirmable(t.effect)]
+    library = [x for x in column_terms(data) if _confirmable(x[0].effect) and (among is None or x[0].effect.spec in among)]
     sums = held_out_sums(data, s.projector.root, s.best, [t for t, _ in library], np.sqrt(left[1] / left[0]))
     blocks, settings = len(sums.counts), data.settings
     choice = _Choice(
@@ -299,6 +308,7 @@ def _concluded(
     return InPart(
         replace(s, best=shown, found=tuple(found), dropped=()), tuple(shares),
         (*(float(x.sum() / total) for x in steps), choice.floor), int(sums.groups.max()) + 1, sums.correlation,
+        choice.near_by(kept, rivals, range(len(s.best.terms), len(choice.effects))),
     )  # fmt: skip
 
 

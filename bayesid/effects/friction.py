@@ -178,11 +178,12 @@ class WarmingFriction(JointTorqueEffect):
         "it falls by $l$, $c$ a second at first, by $l T$, $c T$ in the end"
     )
     source = f"{_BITTENCOURT}, with a temperature that settles exponentially"
-    # Rates, not whole falls: a recording that is short against the time constant shows the rates alone.
+    # Rates, not whole falls: a recording that is short against the time constant shows the rates alone. They fall, and slowly:
+    # friction that grew within a second would be friction that the model lacks.
     quantities = (
-        Parameter("level", "N m/s"),
-        Parameter("coefficient", "N m/rad", start=0.01),
-        Parameter("time", "s", 0.5, 1e5, start=30.0, linear=False, step=1e-3, tried=WARMING_TIMES),
+        Parameter("level", "N m/s", lower=0.0),
+        Parameter("coefficient", "N m/rad", lower=0.0, start=0.01),
+        Parameter("time", "s", 5.0, 1e5, start=30.0, linear=False, step=1e-3, tried=WARMING_TIMES),
     )
     confusable_with = ("viscous_friction", "coulomb_friction", "torque_gain")
     reverses_at_once = True

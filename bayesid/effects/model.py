@@ -50,7 +50,7 @@ from bayesid.effects.families import (
 )
 from bayesid.effects.flexible import link_motion, splines
 from bayesid.effects.mount import mount_motion
-from bayesid.effects.play import SLOW, leaning_motion
+from bayesid.effects.play import leaning_motion, projections
 from bayesid.effects.segment import MotionSegment
 from bayesid.effects.sensor_chain import SensorChain
 from bayesid.effects.torque_chain import TorqueChain
@@ -221,8 +221,7 @@ class Model:
 
         poses = segment.still or len(q) < 8
         if play := self.of_family(PlayEffect):
-            bases = None if poses else (basis(segment.bandwidth), basis(SLOW * segment.bandwidth))
-            q, v, a = leaning_motion((q, v, a), torque, play, bases)
+            q, v, a = leaning_motion((q, v, a), torque, play, None if poses else projections(segment, basis))
         compliance, felt = np.zeros(robot.n), np.zeros_like(q)
         for effect, values in self.of_family(FlexibleJointEffect):
             compliance[effect.joint] += effect.compliance(values)
