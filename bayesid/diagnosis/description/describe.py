@@ -116,7 +116,8 @@ def _beside(base: Fit, start: Fit, pool: Sequence[Candidate], library: Library |
         chosen = choose(first, second, pool, settings, known, seed, least)
         while chosen:
             found = _drafted(start, chosen, len(pool), seed)
-            if all(_worthwhile(gap, settings) for gap in (found.gap, _gap(base, found.fit, seed))):
+            seen = _seen(found, settings)
+            if seen and all(_worthwhile(gap, settings) for gap in (found.gap, _gap(base, found.fit, seed))):
                 return found
             chosen = chosen[:-1]
     return None
@@ -137,6 +138,20 @@ def _drafted(start: Fit, chosen: tuple[Chosen, ...], tried: int, seed: int) -> D
         causes=tuple(may_be(c, data.channels.names) for c in terms), start=start, fit=fitted,
         gap=_gap(start, fitted, seed), candidates=tried,
     )  # fmt: skip
+
+
+def _seen(found: Description, settings: Settings) -> bool:
+    """Whether the amplitudes of every term stand out of their covariance: links that are not known may stand in for one."""
+    known, at = len(found.start.terms), 0
+    own = [k for k, (i, _) in enumerate(found.fit.free) if i == known]
+    for chosen in found.terms:
+        mine = slice(at, at := at + len(chosen.candidate.channels) * len(chosen.candidate.shape.texts))
+        values, covariance = np.array(found.term.values)[mine], found.fit.covariance[np.ix_(own[mine], own[mine])]
+        size = np.maximum(found.std[mine], 1e-300)
+        relative = covariance * _dispersion(found.fit) / np.outer(size, size)
+        if values / size @ np.linalg.pinv(relative, rcond=1e-10, hermitian=True) @ (values / size) < settings.detected**2:
+            return False
+    return True
 
 
 def _gap(before: Fit, after: Fit, seed: int) -> Gap | None:
