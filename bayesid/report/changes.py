@@ -81,7 +81,7 @@ def _cards(c: Comparison) -> list[dict[str, str]]:
 
 
 def _channels(c: Comparison) -> list[dict[str, Any]]:
-    channels, scale = c.recording.problem.row_model.channels, c.recording.scale
+    channels, scale = c.recording.problem.row_model.channels, c.recording.scale / np.sqrt(c.recording.samples)
     cells = [[number(float(v), 3) for v in row] for row in c.proof.by_channel]
     return [
         {"name": name, "unit": unit, "own": number(float(scale[k]), 3), "cells": cells[k]}

@@ -42,7 +42,9 @@ class Recording:
     own
         What the recording's own fit of the same model leaves (N,): mean square one in every channel, degrees of freedom counted.
     scale
-        Unit of each channel (c,) [N m or N].
+        Unit of each channel (c,) [N m or N], times the root of ``samples``.
+    samples
+        How many samples a row stands for.
     correlation
         How many rows count as one: dispersion of the own fit between stretches of the recording.
     """
@@ -55,6 +57,7 @@ class Recording:
     channel: np.ndarray
     own: np.ndarray
     scale: np.ndarray
+    samples: float
     correlation: float
 
 
@@ -101,6 +104,7 @@ def read_recording(reference: Reference, experiment: Experiment, motions: Sequen
         np.repeat(np.concatenate([block.times for block in blocks]), count),
         np.repeat(np.concatenate([np.full(len(block.rows), block.motion) for block in blocks]), count),
         np.tile(np.arange(count), len(rows)), (own / scale).ravel(), scale,
+        max(model.step / float(np.median(np.concatenate([np.diff(s.times) for s in segments]))), 1.0),
         max(dispersion(grams, estimate.solution)[0], 1.0),
     )  # fmt: skip
 
