@@ -29,7 +29,10 @@ CASES = (
     ("ur10e/before", False), ("ur10e/feb05-20s-12h", False), ("ur10e/after-load", False), ("tx40", False),
 )  # fmt: skip
 #: Joints whose friction is named count by any of these.
-KINDS = ("coulomb_friction", "viscous_friction", "stribeck_friction", "load_friction")
+KINDS = (
+    "coulomb_friction", "viscous_friction", "stribeck_friction", "load_friction", "dahl_friction", "posture_friction",
+    "directional_friction",
+)  # fmt: skip
 #: Share of a single motion that least squares fits.
 _FITTED = 0.6
 

@@ -33,6 +33,7 @@ SHOWN = {
     "docs/excitation.json": ("random/*/seconds", "random/*/std_ratio", "published/*/std_ratio"),
     "docs/expected.json": ("arms/*/all", "arms/*/lowest", "arms/*/highest"),
     "docs/identified-urdf.json": ("real/*/growth", "simulated/*/growth"),
+    "docs/named-in-part.json": ("cases/*/remainder", "cases/*/seconds"),
     "docs/outliers.json": ("arms/*/fits/*/error", "arms/*/fits/*/coverage"),
     "docs/physical.json": ("cases/*/methods/*/coverage/mean", "cases/*/methods/*/coverage/lowest"),
     "docs/physical-speed.json": ("milliseconds/*", "times_faster*"),
