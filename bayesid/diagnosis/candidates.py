@@ -164,7 +164,8 @@ class Library:
             for k, values in enumerate(trials):
                 terms = (*fit.terms, Term(effect, tuple(values)))
                 rows = residual_rows(data, data.segments, fit.links, fit.offset, terms)
-                gain = float(now - np.sum(projector.project_out(np.concatenate([rows, prior])) ** 2))
+                with np.errstate(all="ignore"):  # a trial that diverges is none
+                    gain = float(now - np.sum(projector.project_out(np.concatenate([rows, prior])) ** 2))
                 best = max(best, (gain, k), key=lambda b: b[0]) if np.isfinite(gain) else best
             if len(trials) and best[1] is not None:
                 yield Term(effect, tuple(trials[best[1]])), best[0]

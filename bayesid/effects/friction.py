@@ -108,8 +108,9 @@ class DahlFriction(JointTorqueEffect):
         Parameter("distance", "rad", 1e-3, 1.0, start=0.02, linear=False, step=1e-5, tried=BRISTLE_DISTANCES),
     )
     confusable_with = ("coulomb_friction", "stribeck_friction", "spring")
-    # Whatever friction does at a reversal, it turns over a little late: that alone is no bristle.
-    instead_of = ("stribeck_friction", "load_friction", "posture_friction", "warming_friction")
+    # Whatever friction does at a reversal, it turns over a little late: that alone is no bristle. Coulomb friction is a bristle
+    # that is stiff.
+    instead_of = ("coulomb_friction", "stribeck_friction", "load_friction", "posture_friction", "warming_friction")
     reverses_at_once = True
     remembers = True
 

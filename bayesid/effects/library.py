@@ -122,7 +122,8 @@ class EffectLibrary:
         """
         if name in self.classes:
             return self.classes[name]
-        close = get_close_matches(name, self.classes, 1)
+        words = {word: c for c in reversed(list(self.classes)) for word in c.split("_")}
+        close = get_close_matches(name, self.classes, 1) or [words[w] for w in get_close_matches(name, words, 1)]
         hint = f"did you mean '{close[0]}'?" if close else f"known: {', '.join(self.classes)}"
         raise InputError(f"effect '{spec or name}': {fault.format(name)}; {hint}")
 
