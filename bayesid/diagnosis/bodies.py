@@ -31,7 +31,7 @@ def as_payload(fitted: Fit, index: int, dispersion: float) -> tuple[Term, float]
     values, covariance = np.array(term.values), dispersion * fitted.covariance[np.ix_(at, at)]
     size = np.sqrt(np.maximum(np.diag(covariance), 1e-30))
     spread, axes = np.linalg.eigh(covariance / np.outer(size, size))
-    root = (axes / np.sqrt(np.maximum(spread, 1e-9 * spread[-1]))).T / size
+    root = (axes / np.sqrt(np.maximum(spread, max(1e-9 * spread[-1], 1e-300)))).T / size
     # In units of the change's own size, so that masses and moments of inertia weigh alike in the solver.
     body, pseudo = cp.Variable(10), cp.Variable((4, 4), PSD=True)
     length = np.array([_LENGTH, _LENGTH, _LENGTH, 1.0])
