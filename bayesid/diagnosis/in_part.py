@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bayesid.diagnosis.bootstrap import lower_end
 from bayesid.diagnosis.candidates import column_terms
 from bayesid.diagnosis.data import DiagnosisData
 from bayesid.diagnosis.fit import begin, finish, fit
@@ -19,12 +20,11 @@ from bayesid.diagnosis.held_out import HeldOutSums, held_out_sums, left_by, scal
 from bayesid.diagnosis.projector import make_projector
 from bayesid.diagnosis.rivals import Found
 from bayesid.diagnosis.search import Search
+from bayesid.diagnosis.settings import Settings
 from bayesid.effects import Effect, Term
 
 #: Whether an effect's values are possible beside the others kept.
 Possible = Callable[[Sequence[int], int], bool]
-#: Lower end of one-sided 95 % intervals.
-_LOW = 0.05
 #: Of the effects that would add most, how many are tried on held-out recordings in one round.
 _TRIED = 6
 #: Log evidence that makes no difference.
@@ -98,19 +98,18 @@ class _Choice:
         Those of the user's model.
     floor
         Mean square of the noise.
-    picks
-        Blocks of time of every bootstrap draw (draws, b).
-    accept, near
-        Log evidence needed, and within which others are rivals.
+    settings
+        The thresholds.
+    seed
+        Of the bootstrap.
     """
 
     sums: HeldOutSums
     effects: tuple[Effect, ...]
     users: tuple[int, ...]
     floor: float
-    picks: np.ndarray
-    accept: float
-    near: float
+    settings: Settings
+    seed: int
 
     def squares(self, kept: Sequence[int]) -> np.ndarray:
         """Squared errors on held-out blocks."""
@@ -118,14 +117,15 @@ class _Choice:
 
     def share(self, worse: np.ndarray, better: np.ndarray, before: np.ndarray) -> tuple[float, float]:
         """Share of the gap between user's model and noise by which one prediction is better than another, and its lower end."""
-        counts = self.sums.counts
 
-        def closed(picks: np.ndarray) -> np.ndarray:
-            """Of every draw of blocks (draws, k)."""
-            rows, closed, gap = (x[picks].sum(axis=1) for x in (counts, worse - better, before))
+        def closed(sums: np.ndarray) -> np.ndarray:
+            """From sums of rows, of what is closed and of the gap (draws, 3)."""
+            rows, closed, gap = sums.T
             return closed / np.maximum(gap - self.floor * rows, _LEAST_GAP * gap)
 
-        return float(closed(np.arange(len(counts))[None])[0]), float(np.quantile(closed(self.picks), _LOW))
+        blocks = np.column_stack([self.sums.counts, worse - better, before])
+        low = lower_end(blocks, closed, self.settings, self.seed)
+        return float(closed(blocks.sum(axis=0)[None])[0]), float(low)
 
     def proof(self, worse: np.ndarray, better: np.ndarray, before: np.ndarray) -> float:
         """Lower end of that share; no more than what motions that were never fitted say of it."""
@@ -142,7 +142,7 @@ class _Choice:
         while kept:
             now = self.squares(kept)
             own = {k: self.proof(self.squares([x for x in kept if x != k]), now, before) for k in kept}
-            unproven = [k for k in kept if own[k] <= 0.0 or self.evidence(kept, k) < self.accept]
+            unproven = [k for k in kept if own[k] <= 0.0 or self.evidence(kept, k) < self.settings.accept]
             if not unproven:
                 break
             kept = [k for k in kept if k != min(unproven, key=lambda k: own[k])]
@@ -157,7 +157,7 @@ class _Choice:
         gains = self.sums.evidence([*self.users, *kept], open_)
         now = self.squares(kept)
         for i in np.argsort(-gains)[:_TRIED]:
-            if gains[i] < self.accept:
+            if gains[i] < self.settings.accept:
                 return None
             more = [*kept, open_[i]]
             if possible(more, open_[i]) and self.proof(now, self.squares(more), before) > 0.0:
@@ -210,7 +210,7 @@ class _Choice:
         for k in list(kept):
             size = len(self.effects[k].parameters)
             for other, lack in self.rivals(kept, k, others, possible, 0.0):
-                if lack < -self.near or len(self.effects[other].parameters) <= size:
+                if lack < -self.settings.rival or len(self.effects[other].parameters) <= size:
                     kept = [other if x == k else x for x in kept]
                     break
         return kept
@@ -243,11 +243,10 @@ def _proven(s: Search, seed: int, among: frozenset[str] | None) -> InPart | None
     data, known, attempt = scaled(s.projector.data, left[1]), len(s.base.terms), s.best.terms
     library = [x for x in column_terms(data) if _confirmable(x[0].effect) and (among is None or x[0].effect.spec in among)]
     sums = held_out_sums(data, s.projector.root, s.best, [t for t, _ in library], np.sqrt(left[1] / left[0]))
-    blocks, settings = len(sums.counts), data.settings
+    settings = data.settings
     choice = _Choice(
         sums, tuple(t.effect for t in (*attempt, *(t for t, _ in library))), tuple(range(known)),
-        _noise(s.projector.data, left[0]), np.random.default_rng(seed).integers(blocks, size=(settings.bootstrap_draws, blocks)),
-        settings.accept, settings.rival,
+        _noise(s.projector.data, left[0]), settings, seed,
     )  # fmt: skip
 
     def term(index: int, kept: Sequence[int]) -> Term:

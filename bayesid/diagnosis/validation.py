@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bayesid.diagnosis.bootstrap import lower_end
 from bayesid.diagnosis.data import DiagnosisData
 from bayesid.diagnosis.fit import Fit
 from bayesid.diagnosis.projector import NuisanceProjector, offset_columns
@@ -88,11 +89,7 @@ def validate(projector: NuisanceProjector, base: Fit, best: Fit, dispersion: flo
     total = sum(s.count for s in data.unseen)
     floor2, bare2 = (1.0 + _parameter_share(projector, f, dispersion) / total for f in (best, base))
     energy = np.concatenate([_by_blocks(s, b, a) for s, b, a in zip(data.unseen, before, after, strict=True)])
-    rng = np.random.default_rng(seed)
-    picks = rng.integers(len(energy), size=(data.settings.bootstrap_draws, len(energy)))
-    sums = energy[picks].sum(axis=1)
-    counts = sums[:, 2]
-    draws = _closed(sums[:, 0] / counts, sums[:, 1] / counts, floor2)
+    low = lower_end(energy, lambda x: _closed(x[:, 0] / x[:, 2], x[:, 1] / x[:, 2], floor2), data.settings, seed)
     whole = [float(sum(np.sum(w**2) for w in part)) / total for part in (before, after)]
     room = whole[0] > floor2  # there is a gap to close
     by_channel = np.stack(
@@ -101,7 +98,7 @@ def validate(projector: NuisanceProjector, base: Fit, best: Fit, dispersion: flo
     return Gap(
         before=np.sqrt(whole[0]), after=np.sqrt(whole[1]), floor=np.sqrt(floor2), bare_floor=np.sqrt(bare2),
         closed=float(_closed(whole[0], whole[1], floor2)) if room else np.nan,
-        closed_low=float(np.quantile(draws, 0.05)) if room else np.nan,
+        closed_low=float(low) if room else np.nan,
         difference=float(sum(np.sum((b - a) ** 2) for b, a in zip(before, after, strict=True))),
         by_channel=by_channel, motions=tuple(dict.fromkeys(s.motion for s in data.unseen)),
     )  # fmt: skip

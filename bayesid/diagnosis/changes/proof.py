@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bayesid.diagnosis.bootstrap import lower_end
 from bayesid.diagnosis.changes.posterior import amplitudes
 from bayesid.diagnosis.changes.recording import Recording
 from bayesid.diagnosis.changes.selection import Selection
@@ -19,8 +20,6 @@ from bayesid.estimators.dispersion import STRETCHES
 
 #: From so many motions on each is left out as a whole; fewer are cut into stretches.
 _ENOUGH_MOTIONS = 4
-#: Lower end of one-sided 95 % intervals.
-_LOW = 0.05
 
 
 @dataclass(frozen=True)
@@ -110,11 +109,9 @@ def prove(selection: Selection, recording: Recording, settings: Settings, seed: 
     squares = _residuals(selection, recording) ** 2
     blocks = _blocks(recording, settings)
     sums = np.array([squares[part].sum(axis=0) for part in blocks])
-    rng = np.random.default_rng(seed)
-    draws = sums[rng.integers(len(sums), size=(settings.bootstrap_draws, len(sums)))].sum(axis=1)
     means = squares.mean(axis=0)
     floor = float(means.min())
-    shares, low = _shares(means), np.quantile(_shares(draws), _LOW, axis=0)
+    shares, low = _shares(means), lower_end(sums, _shares, settings, seed)
     if means[0] <= settings.room_ratio**2 * floor:
         shares, low = np.full((2, len(shares)), np.nan)
     last = -4  # the reference with all changes and nothing else

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bayesid.diagnosis.bootstrap import lower_end
 from bayesid.diagnosis.candidates import Library
 from bayesid.diagnosis.description.candidates import Candidate
 from bayesid.diagnosis.description.columns import Half
@@ -216,10 +217,8 @@ def closed(half: Half, before: np.ndarray, after: np.ndarray, settings: Settings
         Of the draws.
     """
     energy = np.stack([half.by_block(x, settings.bootstrap_block) for x in (before, after)], axis=1)
-    picks = np.random.default_rng(seed).integers(len(energy), size=(settings.bootstrap_draws, len(energy)))
-    sums = energy[picks].sum(axis=1)
 
     def share(pair):
         return (pair[..., 0] - pair[..., 1]) / np.maximum(pair[..., 0] - half.count, 1e-3 * half.count)
 
-    return float(share(energy.sum(axis=0))), float(np.quantile(share(sums), 0.05))
+    return float(share(energy.sum(axis=0))), float(lower_end(energy, share, settings, seed))
