@@ -10,7 +10,7 @@ from bayesid.diagnosis.changes.findings import Comparison
 from bayesid.diagnosis.changes.hidden import Hidden
 from bayesid.diagnosis.changes.scales import FRICTION_SHARE, GAIN_SHARE
 from bayesid.diagnosis.settings import DEFAULT
-from bayesid.report.changes_figures import evidence_bars, waterfall
+from bayesid.report.gap_figures import evidence_bars, waterfall
 from bayesid.report.page import render, versions
 from bayesid.results.changes_text import (
     gap_sentence,

@@ -14,10 +14,10 @@ from bayesid.diagnosis.residual_floor import SOURCES
 from bayesid.diagnosis.rivals import Found
 from bayesid.diagnosis.separation import Visible
 from bayesid.effects import Effect
-from bayesid.report.changes_figures import waterfall
 from bayesid.report.described import described_section
 from bayesid.report.diagnosis_figures import before_and_after, evidence, residual_maps, signals
 from bayesid.report.diagnosis_views import Views, diagnosis_views
+from bayesid.report.gap_figures import waterfall
 from bayesid.report.identification import mood_of
 from bayesid.report.page import render, svg, versions
 from bayesid.report.told import motion_plot, pair_rows

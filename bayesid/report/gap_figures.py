@@ -1,4 +1,4 @@
-"""Figures of changes since a reference, as SVG text."""
+"""A gap and what closes it: waterfall and bars of evidence, as SVG text."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ def _rect(x: float, y: float, width: float, colour: str) -> str:
 
 
 def waterfall(steps: Sequence[tuple[str, float]], floor: float, floor_name: str = "own fit (floor)") -> Markup:
-    """The gap between reference and recording, and what each step takes of it.
+    """A gap between a model or a reference and recordings, and what each step takes of it.
 
     Parameters
     ----------
     steps
-        Names and mean squares, first the reference's, last with everything.
+        Names and mean squares, first before any step, last with everything.
     floor
-        Mean square that the recording's own fit leaves.
+        Mean square that stays in any case: of the recording's own fit, or of the noise.
     floor_name
         What that is.
     """
