@@ -2,28 +2,13 @@
 
 from __future__ import annotations
 
-import importlib
 import json
-import sys
 from pathlib import Path
 
 import pytest
 
 STUDY = Path(__file__).parents[2] / "case_studies" / "diagnosis"
-PLANT = ("arms", "cases", "draws", "motions", "plant", "practice", "sizes", "judge")
-
-
-@pytest.fixture(scope="module")
-def study():
-    before = list(sys.path)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(STUDY))
-        for name in ("run", "present"):
-            sys.modules.pop(name, None)
-        yield importlib.import_module("run")
-        for name in ("run", "present", *PLANT):
-            sys.modules.pop(name, None)
-    sys.path[:] = before
+MODULES = ("run", "present", "arms", "cases", "draws", "motions", "plant", "practice", "sizes", "judge")
 
 
 @pytest.fixture(scope="module")

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,17 +16,7 @@ from bayesid.robot.inertia import PARAMETERS
 from bayesid.validation.prediction import band_error
 
 STUDY = Path(__file__).parents[2] / "case_studies" / "kuka_lwr4"
-
-
-@pytest.fixture(scope="module")
-def study():
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(STUDY))
-        for name in ("run", "present"):
-            sys.modules.pop(name, None)
-        yield importlib.import_module("run")
-        for name in ("run", "present"):
-            sys.modules.pop(name, None)
+MODULES = ("run", "present")
 
 
 @pytest.fixture(scope="module")

@@ -2,23 +2,13 @@
 
 from __future__ import annotations
 
-import importlib
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 STUDY = Path(__file__).parents[2] / "case_studies" / "liu1998"
-
-
-@pytest.fixture(scope="module")
-def study():
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(STUDY))
-        yield importlib.import_module("run")
-        for name in ("run", "present"):
-            sys.modules.pop(name, None)
+MODULES = ("run", "present")
 
 
 @pytest.fixture(scope="module")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import sys
 from fractions import Fraction
 from pathlib import Path
@@ -18,17 +17,6 @@ STUDY = Path(__file__).parents[2] / "case_studies" / "printed_estimate"
 MODULES = ("run", "present", "feasibility")
 P = np.array(PAPER_ESTIMATE)
 A2 = 0.4318
-
-
-@pytest.fixture(scope="module")
-def study():
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(STUDY))
-        for name in MODULES:
-            sys.modules.pop(name, None)
-        yield importlib.import_module("run")
-        for name in MODULES:
-            sys.modules.pop(name, None)
 
 
 @pytest.fixture(scope="module")

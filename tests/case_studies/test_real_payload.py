@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 import os
 import sys
@@ -16,17 +15,6 @@ import bayesid
 STUDY = Path(__file__).parents[2] / "case_studies" / "real_payload"
 MODULES = ("run", "present", "arm")
 CLONE = "BAYESID_UR10E_CLONE"
-
-
-@pytest.fixture(scope="module")
-def study():
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(STUDY))
-        for name in MODULES:
-            sys.modules.pop(name, None)
-        yield importlib.import_module("run")
-        for name in MODULES:
-            sys.modules.pop(name, None)
 
 
 @pytest.fixture(scope="module")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 import sys
 from pathlib import Path
@@ -16,17 +15,6 @@ from bayesid.robot import inertia
 
 STUDY = Path(__file__).parents[2] / "case_studies" / "seven_joint_arm"
 MODULES = ("run", "present", "arm")
-
-
-@pytest.fixture(scope="module")
-def study():
-    with pytest.MonkeyPatch.context() as patch:
-        patch.syspath_prepend(str(STUDY))
-        for name in MODULES:
-            sys.modules.pop(name, None)
-        yield importlib.import_module("run")
-        for name in MODULES:
-            sys.modules.pop(name, None)
 
 
 @pytest.fixture(scope="module")
