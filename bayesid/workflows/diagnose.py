@@ -80,10 +80,9 @@ def diagnose(
     """Find where model and data disagree, name the missing effect, add it and show on held-out motions that the gap shrank.
 
     The phases: noise of sensors and encoders; forward selection of effects; refit under the noise as the new model passes it on;
-    pruning; rivals; held-out validation; verdict; remarks; where it is ambiguous, the motion that would settle it, and where
-    something stays that no effect explains, a draft of that.
     pruning; rivals; held-out validation; verdict; where that is unknown, effects that are proven although something stays;
-    remarks; where it is ambiguous, the motion that would settle it.
+    remarks; where it is ambiguous, the motion that would settle it, and where something stays that no effect explains, a draft
+    of that.
 
     Parameters
     ----------

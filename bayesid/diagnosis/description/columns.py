@@ -153,8 +153,8 @@ class Half:
     def project_out_rows(self, stacked: np.ndarray) -> np.ndarray:
         """What is left of columns of all recordings in coefficients, with the prior's rows beneath (all rows + m, k)."""
         edges = np.cumsum([0, *(s.shape[0] * s.shape[1] for s in self.segments)])
-        at = {id(s): slice(a, b) for s, a, b in zip(self.segments, edges[:-1], edges[1:], strict=True)}
-        mine = [p.taken(stacked[at[id(p.segment)]].reshape(*p.segment.shape, -1)) for p in self.parts]
+        at = {s: slice(a, b) for s, a, b in zip(self.segments, edges[:-1], edges[1:], strict=True)}
+        mine = [p.taken(stacked[at[p.segment]].reshape(*p.segment.shape, -1)) for p in self.parts]
         columns = np.vstack([*mine, stacked[edges[-1] :]])
         return columns - self.basis @ (self.basis.T @ columns)
 
