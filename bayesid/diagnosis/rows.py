@@ -9,6 +9,7 @@ import numpy as np
 from bayesid.diagnosis.data import DiagnosisData, active_terms
 from bayesid.diagnosis.spectra import Segment
 from bayesid.effects import Term, columns
+from bayesid.effects.families import EncoderEffect, JointDelayEffect, JointGainEffect, JointTorqueEffect
 
 
 def residual_rows(data: DiagnosisData, segments: Sequence[Segment], links: np.ndarray, offset: np.ndarray, terms: Sequence[Term]):
@@ -28,12 +29,26 @@ def term_rows(
     parts = []
     for s in segments:
         if active_terms(s, [term]):
-            with np.errstate(all="ignore"):  # as above
-                found = columns(data.robot, data.channels, s.scene, links, active_terms(s, terms), term.effect, term.values)
-            parts.append(s.white(found))
+            parts.append(_white_columns(data, s, links, active_terms(s, terms), term))
         else:
             parts.append(np.zeros((s.shape[0] * s.shape[1], len(term.values))))
     return np.vstack(parts)
+
+
+def _white_columns(
+    data: DiagnosisData, segment: Segment, links: np.ndarray, terms: tuple[Term, ...], term: Term
+) -> np.ndarray:
+    """Rows of one segment (rows, k); where they depend on neither the links nor the term's values they are made once."""
+
+    def made() -> np.ndarray:
+        with np.errstate(all="ignore"):  # as above
+            found = columns(data.robot, data.channels, segment.scene, links, terms, term.effect, term.values)
+        return segment.white(found)
+
+    if not (isinstance(term.effect, JointTorqueEffect) and term.effect.from_motion_alone):
+        return made()
+    reads = (EncoderEffect, JointDelayEffect, JointGainEffect)
+    return segment.kept.get((term.effect, tuple(t for t in terms if isinstance(t.effect, reads))), made)
 
 
 def model_rows(data: DiagnosisData, segments: Sequence[Segment], links: np.ndarray, terms: Sequence[Term]) -> np.ndarray:

@@ -13,7 +13,7 @@ frequency, so that low frequencies tell most, and an unweighted error in the tim
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -22,8 +22,12 @@ from scipy.ndimage import binary_opening, convolve, uniform_filter1d
 
 from bayesid.diagnosis.settings import DEFAULT, Settings
 from bayesid.effects import REST_SPEED, MotionSegment
+from bayesid.effects.segment import Results
 from bayesid.signals import white_noise
 from bayesid.signals.white_noise import quiet_noise
+
+#: As many kinds of friction as there are, at each joint of a long arm.
+_KEPT = 200
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +65,8 @@ class Segment:
         Whether a reading is the value at its time; otherwise it is the mean over one sample's time.
     settings
         The diagnosis' thresholds.
+    kept
+        White columns that are always the same.
     """
 
     motion: str
@@ -74,6 +80,7 @@ class Segment:
     covariance: np.ndarray
     instant: bool = False
     settings: Settings = DEFAULT
+    kept: Results = field(default_factory=lambda: Results(_KEPT), init=False, repr=False)
 
     @property
     def step(self) -> float:

@@ -6,7 +6,8 @@ twists of a sensor frame give a wrench, a joint's axis gives its torque. Spatial
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -49,6 +50,14 @@ class Channels:
 
     def __len__(self) -> int:
         return len(self.names)
+
+    def only(self, rows: Sequence[int] | np.ndarray) -> Channels:
+        """Some of the channels."""
+        rows = np.asarray(rows, int)
+        return replace(
+            self, names=tuple(self.names[k] for k in rows), units=tuple(self.units[k] for k in rows), joint=self.joint[rows],
+            twist=self.twist[rows], bodies=self.bodies[rows], static_wrench=self.static_wrench[rows],
+        )  # fmt: skip
 
     @cached_property
     def fingerprint(self) -> bytes:

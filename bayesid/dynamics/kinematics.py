@@ -12,7 +12,7 @@ from functools import lru_cache
 import numpy as np
 
 from bayesid.dynamics.channels import WRENCH_NAMES, Channels
-from bayesid.dynamics.newton_euler import BLOCK, LANES, STATE, add, body_columns, body_wrench, cross, dot, jit
+from bayesid.dynamics.newton_euler import BLOCK, LANES, STATE, add, advance, body_columns, body_wrench, cross, dot, jit
 from bayesid.dynamics.newton_euler import project as project_block
 from bayesid.robot import inertia
 from bayesid.robot.robot import Robot
@@ -33,38 +33,39 @@ def _turn(row, x):
     return (dot(_get(row, 0), x), dot(_get(row, 3), x), dot(_get(row, 6), x))
 
 
-# The recursion of `newton_euler.advance`, one sample at a time: it also carries the origin's velocity, and the root may turn.
+@jit
+def _store(row, states, at, first, count):
+    """A run of samples of one joint's frame to the states."""
+    for s in range(count):
+        for field in range(V):
+            states[first + s, at, field] = row[field * LANES + s]
+
+
 @jit
 def _states(q, v, a, order, parent, turn, translation, axis, slides, root, out):
     n, samples = q.shape[1], len(q)
-    for s in range(samples):
-        base = out[s, n]
-        base[:] = 0.0
+    rows, motion = np.zeros((n + 1, STATE)), np.zeros(5 * LANES)
+    rows[n, :LANES] = rows[n, 4 * LANES : 5 * LANES] = rows[n, 8 * LANES : 9 * LANES] = 1.0
+    for first in range(0, samples, LANES):
+        count = min(LANES, samples - first)
         if len(root):
-            base[:18] = root[s]
-        else:
-            base[0] = base[4] = base[8] = 1.0
+            for s in range(count):
+                for field in range(18):
+                    rows[n, field * LANES + s] = root[first + s, field]
+        _store(rows[n], out, n, first, count)
+        out[first : first + count, n, V : V + 3] = 0.0
         for i in order:
-            up, here = out[s, parent[i]], out[s, i]
-            sine, cosine, slide = np.sin(q[s, i]), np.cos(q[s, i]), slides[i]
-            for r in range(3):
-                for c in range(3):
-                    total = 0.0
-                    for k in range(3):
-                        j = 3 * k + c
-                        total += up[3 * r + k] * (turn[i, 0, j] + cosine * turn[i, 1, j] + sine * turn[i, 2, j])
-                    here[3 * r + c] = total
-            d, fixed = _turn(up, _get(axis[i], 0)), _get(translation[i], 0)
-            offset = add(_turn(up, fixed), d, slide * q[s, i])
-            w, dw = _get(up, W), _get(up, DW)
-            speed, rate = v[s, i], a[s, i]
-            bend, turns = cross(w, d), 1.0 - slide
-            _put(here, P, add(_get(up, P), offset))
-            _put(here, W, add(w, d, turns * speed))
-            _put(here, DW, add(add(dw, d, turns * rate), bend, turns * speed))
-            pull = add(add(cross(dw, offset), cross(w, cross(w, offset))), d, slide * rate)
-            _put(here, A, add(_get(up, A), add(pull, bend, 2.0 * slide * speed)))
-            _put(here, V, add(_get(up, V), add(cross(w, offset), d, slide * speed)))
+            up = parent[i]
+            for s in range(count):
+                angle = q[first + s, i]
+                motion[s], motion[LANES + s], motion[2 * LANES + s] = angle, np.sin(angle), np.cos(angle)
+                motion[3 * LANES + s], motion[4 * LANES + s] = v[first + s, i], a[first + s, i]
+            advance(rows[up], rows[i], motion, turn[i], translation[i], axis[i], slides[i])
+            _store(rows[i], out, i, first, count)
+            for s in range(first, first + count):  # the origin's velocity: v_up + w_up x r, and along a slide
+                offset = add(_get(out[s, i], P), _get(out[s, up], P), -1.0)
+                slid = _turn(out[s, up], _get(axis[i], 0))
+                _put(out[s, i], V, add(add(_get(out[s, up], V), cross(_get(out[s, up], W), offset)), slid, slides[i] * v[s, i]))
 
 
 @lru_cache(maxsize=16)
@@ -78,7 +79,7 @@ def _tables(holder: _Holder):
     axis = np.einsum("rij,rj->ri", robot.rotation, robot.axis)
     parent = np.where(robot.parent < 0, robot.n, robot.parent)
     return (
-        robot.order, parent, turn.reshape(-1, 3, 9), np.ascontiguousarray(robot.translation, dtype=float), axis,
+        robot.order, parent, turn.reshape(-1, 27), np.ascontiguousarray(robot.translation, dtype=float), axis,
         robot.prismatic.astype(float),
     )  # fmt: skip
 

@@ -22,14 +22,15 @@ if TYPE_CHECKING:  # sparse matrices take long to import, and few experiments ha
 Motion = tuple[np.ndarray, np.ndarray, np.ndarray]
 Basis = tuple["sparse.csr_array", ...]
 
-_TURNS = 5
+#: Turns at most, and the change of the motion, relative to that of the first turn, that ends them.
+_TURNS, _SETTLED = 5, 1e-7
 #: Near the resonance, where ``|1 - compliance I w^2|`` is less than the root of this, little is corrected.
 _DAMPING = 0.05
 
 
 def link_motion(
     motor: Motion,
-    torque: Callable[[Motion], np.ndarray],
+    torque: Callable[[Motion, np.ndarray], np.ndarray],
     compliance: np.ndarray,
     inertia: np.ndarray,
     basis: Basis | None,
@@ -41,7 +42,7 @@ def link_motion(
     motor
         Motor-side positions, velocities and accelerations, (N, n) each.
     torque
-        Joint torques (N, n) that a link motion takes.
+        Torques (N, k) that a link motion takes of some joints (k,).
     compliance
         (n,) [rad/(N m) or m/N]; zero for stiff joints.
     inertia
@@ -56,19 +57,25 @@ def link_motion(
     link = (motor[0].copy(), motor[1].copy(), motor[2].copy())
     if basis is None:
         for _ in range(_TURNS):
-            link[0][:, which] = motor[0][:, which] - (compliance * torque(link))[:, which]
+            link[0][:, which] = motor[0][:, which] - compliance[which] * torque(link, which)
         return link
     systems = []
     for j in which:
         own = sparse.diags_array(compliance[j] * inertia[:, j]) @ basis[2]
         system = basis[0] + own
         systems.append((system.T, splu((system.T @ system + _DAMPING * own.T @ own).tocsc())))
-    for _ in range(_TURNS):
-        left = motor[0] - compliance * torque(link) - link[0]
-        for j, (transposed, factor) in zip(which, systems, strict=True):
-            change = factor.solve(transposed @ left[:, j])
+    first = np.inf
+    for turn in range(_TURNS):
+        left = motor[0][:, which] - compliance[which] * torque(link, which) - link[0][:, which]
+        largest = 0.0
+        for k, (j, (transposed, factor)) in enumerate(zip(which, systems, strict=True)):
+            change = factor.solve(transposed @ left[:, k])
+            largest = max(largest, float(np.abs(change).max()))
             for mine, part in zip(link, basis, strict=True):
                 mine[:, j] += part @ change
+        first = largest if turn == 0 else first
+        if largest <= _SETTLED * first:
+            break
     return link
 
 

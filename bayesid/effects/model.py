@@ -209,11 +209,14 @@ class Model:
 
     def link_side(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Link-side motion of joints with play or that give, from the motors'."""
-        robot, segment, channels = self.robot, self.segment, torque_channels(self.robot)
-        carries = np.hstack([channels.bodies, np.zeros((robot.n, 1), bool)])
+        robot, segment = self.robot, self.segment
 
-        def torque(link):
-            states = link_states(robot, *link)
+        def own(joints):
+            channels = torque_channels(robot).only(joints)
+            return channels, np.hstack([channels.bodies, np.zeros((len(channels), 1), bool)])
+
+        def torque(link, joints):
+            (channels, carries), states = own(joints), link_states(robot, *link)
             return self._true(channels, carries, states, channel_twists(robot, channels, states), own=True)
 
         def basis(cutoff: float):
@@ -226,9 +229,10 @@ class Model:
         for effect, values in self.of_family(FlexibleJointEffect):
             compliance[effect.joint] += effect.compliance(values)
         for joint in np.flatnonzero(compliance):
+            channels, carries = own([joint])
             states = link_states(robot, q, np.zeros_like(q), np.broadcast_to(np.eye(robot.n)[joint], q.shape))
             wrench = body_wrenches(states, self.row_of, self.bodies, np.zeros(3))
-            felt[:, joint] = project(channel_twists(robot, channels, states), wrench, carries)[:, joint]
+            felt[:, joint] = project(channel_twists(robot, channels, states), wrench, carries)[:, 0]
         cutoff = FLEXIBLE_BANDWIDTH * segment.bandwidth if segment.clear is None else segment.clear
         return link_motion((q, v, a), torque, compliance, felt, None if poses else basis(cutoff)) if felt.any() else (q, v, a)
 

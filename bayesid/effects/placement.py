@@ -16,6 +16,8 @@ from bayesid.signals.smoothing import OVERLAP
 #: Resonances of a flexible joint [Hz], tried where columns leave something unexplained: above its resonance a link moves
 #: against its motor, which no derivative at a stiff joint says.
 JOINT_RESONANCES = np.geomspace(3.0, 30.0, 17)
+#: How far the effort limit may bend a joint, where compliances are tried [rad or m]: a series elastic drive bends a tenth.
+SOFTEST = 0.5
 #: Torques at which gear teeth may lie firmly on each other, as shares of the effort limit.
 FIRM_SHARES = (3e-4, 3e-3, 3e-2)
 #: Resonances of a mount [Hz] and their damping, which are tried.
@@ -57,7 +59,10 @@ class JointFlexibility(FlexibleJointEffect):
 
     def trials(self, around):
         felt = around.joint_inertia[self.joint or 0]
-        return (1.0 / (felt * (2.0 * np.pi * JOINT_RESONANCES) ** 2))[:, None]
+        tried = 1.0 / (felt * (2.0 * np.pi * JOINT_RESONANCES) ** 2)
+        limit = around.robot.effort_limit[self.joint or 0]
+        softest = SOFTEST / limit if np.isfinite(limit) else self.upper[0]
+        return tried[tried <= softest][:, None]
 
 
 class Backlash(PlayEffect):

@@ -20,14 +20,15 @@ from bayesid.effects.segment import MotionSegment
 if TYPE_CHECKING:  # sparse matrices take long to import, and few experiments have play
     from scipy.sparse.linalg import SuperLU
 
-_TURNS = 6
+#: Turns at most, and the step, relative to how far joints lean, that ends them.
+_TURNS, _SETTLED = 6, 1e-7
 #: Share of the bandwidth that joint positions are smoothed to below which motion is slow.
 SLOW = 1.0 / 3.0
 
 
 def leaning_motion(
     motor: Motion,
-    torque: Callable[[Motion], np.ndarray],
+    torque: Callable[[Motion, np.ndarray], np.ndarray],
     play: Sequence[tuple[PlayEffect, Sequence[float]]],
     bases: tuple[Projection, Projection] | None,
 ) -> Motion:
@@ -38,20 +39,24 @@ def leaning_motion(
     motor
         Motor-side positions, velocities and accelerations, (N, n) each.
     torque
-        Joint torques (N, n) that a link motion takes.
+        Torques (N, k) that a link motion takes of some joints (k,).
     play
         What the joints have of it, effects with their values.
     bases
         `projections`: on functions of time that positions were smoothed to, for so are the steps to be taken out of them, and
         on slow ones; None: every sample is a pose at rest.
     """
+    which = np.unique([effect.joint for effect, _ in play])
     behind = np.zeros_like(motor[0])
     for turn in range(_TURNS):
         link = motor[0] - behind, *motor[1:]
-        taken, new = torque(link if bases is None else bases[1].of(link[0])), np.zeros_like(behind)
+        taken, new = torque(link if bases is None else bases[1].of(link[0]), which), np.zeros_like(behind)
         for effect, values in play:
-            new[:, effect.joint] += effect.lean(taken[:, effect.joint], values)
-        behind += (new - behind) * (1.0 if turn < _TURNS // 2 else 0.5)  # what turns to and fro settles between
+            new[:, effect.joint] += effect.lean(taken[:, np.searchsorted(which, effect.joint)], values)
+        step = (new - behind) * (1.0 if turn < _TURNS // 2 else 0.5)  # what turns to and fro settles between
+        behind += step
+        if np.abs(step).max() <= _SETTLED * np.abs(behind).max():
+            break
     if bases is None:
         return motor[0] - behind, motor[1], motor[2]
     q, v, a = (x - y for x, y in zip(motor, bases[0].of(behind), strict=True))
