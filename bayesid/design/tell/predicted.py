@@ -44,5 +44,5 @@ def predicted(data: DiagnosisData, segment: Segment, links: np.ndarray, offset: 
         The model.
     """
     read = segment.spectrum(data.predict(segment, links, terms)) + segment.measured_ones * offset
-    given = {item.name: getattr(segment, item.name) for item in fields(Segment)}
+    given = {item.name: getattr(segment, item.name) for item in fields(Segment) if item.init}
     return PredictedSegment(**given, coefficients=read)
