@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 
 import numpy as np
+from scipy.fft import next_fast_len
 
 from bayesid.diagnosis.data import DiagnosisData
 from bayesid.diagnosis.noise import has_readings, readings_of, smoothed, with_noise_of
@@ -150,7 +151,10 @@ def _segments(
 
 
 def even_grid(times: np.ndarray, rate: float) -> np.ndarray:
-    """Even times at about this rate, the middles of equal parts of a recording's time."""
+    """Even times at about this rate, the middles of equal parts of a recording's time.
+
+    So many that cosine transforms of them are fast; of a prime number of samples one takes ten times as long.
+    """
     step = (times[-1] - times[0]) / (len(times) - 1)
-    count = min(int(np.ceil(len(times) * step * rate)), len(times))
+    count = int(next_fast_len(min(int(np.ceil(len(times) * step * rate)), len(times)), real=True) or 1)
     return times[0] - 0.5 * step + (np.arange(count) + 0.5) * (len(times) * step / count)

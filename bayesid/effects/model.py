@@ -150,11 +150,10 @@ class Model:
     @cached_property
     def motor(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """True joint positions on the motors' side, velocities, accelerations."""
-        segment = self.segment
-        shift = np.zeros(self.robot.n)
+        q = self.segment.positions
         for effect, values in self.of_family(EncoderEffect):
-            shift[effect.joint] += effect.shift(values)
-        return segment.positions - shift, segment.velocities, segment.accelerations
+            q = q - effect.shift(values) * np.eye(self.robot.n)[effect.joint]
+        return q, self.segment.velocities, self.segment.accelerations
 
     @cached_property
     def transmission(self) -> np.ndarray | None:
@@ -193,8 +192,7 @@ class Model:
         for effect, values in self.of_family(MountEffect):
 
             def moment(states):
-                wrench = body_wrenches(states, self.row_of, self.bodies, self.gravity)
-                total = wrench.sum(axis=1)
+                total = body_wrenches(states, self.row_of, self.bodies, self.gravity).sum(axis=1)
                 for _, force in self._loads(states):
                     total -= force
                 for rotor, size in self.of_family(RotorEffect):
@@ -202,9 +200,7 @@ class Model:
                 return total[:, 3:]
 
             resonance, damping = effect.resonance(values)
-            root = mount_motion(
-                robot, segment, (q, v, a), self.row_of, self.bodies, self.gravity, resonance, damping, moment
-            )  # fmt: skip
+            root = mount_motion(robot, segment, (q, v, a), self.row_of, self.bodies, self.gravity, resonance, damping, moment)
         return link_states(robot, q, v, a, root)
 
     def link_side(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -231,8 +227,8 @@ class Model:
         for joint in np.flatnonzero(compliance):
             channels, carries = own([joint])
             states = link_states(robot, q, np.zeros_like(q), np.broadcast_to(np.eye(robot.n)[joint], q.shape))
-            wrench = body_wrenches(states, self.row_of, self.bodies, np.zeros(3))
-            felt[:, joint] = project(channel_twists(robot, channels, states), wrench, carries)[:, 0]
+            taken = body_wrenches(states, self.row_of, self.bodies, np.zeros(3))
+            felt[:, [joint]] = project(channel_twists(robot, channels, states), taken, carries)
         cutoff = FLEXIBLE_BANDWIDTH * segment.bandwidth if segment.clear is None else segment.clear
         return link_motion((q, v, a), torque, compliance, felt, None if poses else basis(cutoff)) if felt.any() else (q, v, a)
 
@@ -321,8 +317,8 @@ class Model:
         return self.torque_chain.late(self.segment, self.readout.true)
 
     @cached_property
-    def _late_motion(self) -> np.ndarray:
-        return self.torque_chain.late_motion(self.segment, np.stack(self.motor, axis=2))
+    def _late_motion(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        return self.torque_chain.late_motion(self.segment, self.motor)
 
     def joint_motion(self, effect: JointTorqueEffect) -> JointMotion:
         """What happens at the joint of an effect when its torque is read."""

@@ -46,13 +46,14 @@ def leaning_motion(
         `projections`: on functions of time that positions were smoothed to, for so are the steps to be taken out of them, and
         on slow ones; None: every sample is a pose at rest.
     """
-    which = np.unique([effect.joint for effect, _ in play])
+    which = np.unique([effect.joint or 0 for effect, _ in play])
     behind = np.zeros_like(motor[0])
     for turn in range(_TURNS):
         link = motor[0] - behind, *motor[1:]
         taken, new = torque(link if bases is None else bases[1].of(link[0]), which), np.zeros_like(behind)
         for effect, values in play:
-            new[:, effect.joint] += effect.lean(taken[:, np.searchsorted(which, effect.joint)], values)
+            joint = effect.joint or 0
+            new[:, joint] += effect.lean(taken[:, np.searchsorted(which, joint)], values)
         step = (new - behind) * (1.0 if turn < _TURNS // 2 else 0.5)  # what turns to and fro settles between
         behind += step
         if np.abs(step).max() <= _SETTLED * np.abs(behind).max():

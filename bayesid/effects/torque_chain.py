@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesid.effects.families import JointDelayEffect, JointGainEffect, JointMotion
+from bayesid.effects.flexible import Motion
 from bayesid.effects.segment import MotionSegment
 from bayesid.effects.transmission import motor_torques
 
@@ -66,11 +67,12 @@ class TorqueChain:
         """What the channels' smooth values (N, c, ...) were at the times that torques are read for."""
         return self._late(segment, values, self.joints)
 
-    def late_motion(self, segment: MotionSegment, motion: np.ndarray) -> np.ndarray:
-        """The joints' positions, velocities and accelerations (N, n, 3) at these times."""
-        return self._late(segment, motion, {joint: joint for joint in self.joints})
+    def late_motion(self, segment: MotionSegment, motion: Motion) -> Motion:
+        """The joints' positions, velocities and accelerations (N, n) at these times."""
+        q, v, a = (self._late(segment, x, {joint: joint for joint in self.joints}) for x in motion)
+        return q, v, a
 
-    def at_joint(self, segment: MotionSegment, late: np.ndarray, joint: int, load: np.ndarray | None) -> JointMotion:
+    def at_joint(self, segment: MotionSegment, late: Motion, joint: int, load: np.ndarray | None) -> JointMotion:
         """What happens at one joint when its torque is read, from `late_motion` and the load then.
 
         With a delay, friction that reverses within a sample's time is its mean there: of a sign that jumps at a sample there is
@@ -79,8 +81,8 @@ class TorqueChain:
         times, cell = segment.times, segment.cell
         if joint in self.delays and not segment.still:
             times, cell = times - self.delays[joint], cell or float(np.ptp(times)) / max(len(times) - 1, 1)
-        position, velocity, acceleration = late[:, joint].T
-        return JointMotion(times, position, velocity, acceleration, load, cell)
+        q, v, a = (np.ascontiguousarray(x[:, joint]) for x in late)
+        return JointMotion(times, q, v, a, load, cell)
 
     def _late(self, segment: MotionSegment, values: np.ndarray, column: Mapping) -> np.ndarray:
         if not self.delays:
