@@ -142,6 +142,8 @@ def _stepped(now: Iterate) -> Iterate:
     kept = projector.columns(jacobian)
     length = np.linalg.norm(kept, axis=0)
     scale = np.where(_alive(length, jacobian), length, np.inf)
+    # What matters is a change beside all that no model explains, as evidence is judged.
+    settled = data.settings.settled_chi2 * max(now.chi2 / max(projector.rows, 1), 1.0)
     scaled = kept / scale
     values, vectors = _eigen(scaled)
     pull = vectors.T @ (scaled.T @ projector.project_out(stacked))
@@ -157,10 +159,10 @@ def _stepped(now: Iterate) -> Iterate:
             moved = u + np.linalg.solve(projector.r, projector.q.T @ left)
         rows, prior = _rows(projector, moved, trial), projector.prior_residual(moved)
         chi2 = float(rows @ rows + prior @ prior)
-        if now.chi2 - chi2 > -data.settings.settled_chi2:
+        if now.chi2 - chi2 > -settled:
             return replace(
                 now, terms=trial, coordinates=moved, rows=rows, prior=prior, chi2=chi2, steps=now.steps + 1,
-                damping=0.1 * damping if damping > 1e-7 else 0.0, settled=now.chi2 - chi2 < data.settings.settled_chi2,
+                damping=0.1 * damping if damping > 1e-7 else 0.0, settled=now.chi2 - chi2 < settled,
             )  # fmt: skip
         damping = max(10.0 * damping, 1e-4)
     return replace(now, settled=True)

@@ -139,6 +139,8 @@ def _segments(
                 both = np.hstack([positions, read])
                 times, both = resample_evenly(times, both, bandwidth)
                 positions, read = both[:, : positions.shape[1]], both[:, positions.shape[1] :]
+            whole = slice(0, _fast_count(len(times)))
+            times, positions, read = times[whole], positions[whole], read[whole]
             rate = settings.friction_rate if channel != "wrench" else settings.smooth_rate
             grid = even_grid(times, rate)
             scene = smoothed(times, positions, grid, bandwidth, still, middle, clear, float(grid[1] - grid[0]))
@@ -150,11 +152,24 @@ def _segments(
     return out
 
 
-def even_grid(times: np.ndarray, rate: float) -> np.ndarray:
-    """Even times at about this rate, the middles of equal parts of a recording's time.
+def _fast_count(count: int) -> int:
+    """The largest number of samples up to this one that cosine transforms are fast of: without a prime factor above 50.
 
-    So many that cosine transforms of them are fast; of a prime number of samples one takes ten times as long.
+    Of a prime number of samples one takes ten times as long. The few at the end that are left out have hardly any weight.
     """
+    primes = [p for p in range(2, 50) if all(p % d for d in range(2, p))]
+    for n in range(count, 0, -1):
+        left = n
+        for p in primes:
+            while left % p == 0:
+                left //= p
+        if left == 1:
+            return n
+    return count
+
+
+def even_grid(times: np.ndarray, rate: float) -> np.ndarray:
+    """Even times at about this rate, the middles of equal parts of a recording's time; so many that transforms are fast."""
     step = (times[-1] - times[0]) / (len(times) - 1)
     count = int(next_fast_len(min(int(np.ceil(len(times) * step * rate)), len(times)), real=True) or 1)
     return times[0] - 0.5 * step + (np.arange(count) + 0.5) * (len(times) * step / count)

@@ -62,13 +62,14 @@ def prune(state: State) -> Pruned:
     fitted: dict[int, Fit] = {}
     i = state.known
     while i < len(best.terms):
-        if in_family(best.terms, i) and _standing(best, i, dispersion) > settings.accept:
+        # Near its best fit a model is almost linear: what stands out so far needs no fit without it.
+        least = settings.accept * (1.0 if in_family(best.terms, i) else settings.certain)
+        excuse = is_excuse(best, i, dispersion)
+        if not excuse and _standing(best, i, dispersion) > least:
             i += 1
             continue
         models, without = _without(models, best, i)
-        if is_excuse(best, i, dispersion):
-            best, fitted = without, {}
-        elif best.score - without.score + as_payload(best, i, dispersion)[1] * dispersion < settings.accept * dispersion:
+        if excuse or best.score - without.score + as_payload(best, i, dispersion)[1] * dispersion < settings.accept * dispersion:
             best, fitted = without, {}
         else:
             fitted[i] = without

@@ -97,6 +97,9 @@ class Settings:
     #: Log evidence that an effect has to bring: the odds of one among a hundred, times a thousand, log(1e5) = 11.5, rounded
     #: up.
     accept: float = 12.0
+    #: Times that evidence by the estimate and its covariance alone from which an effect is kept without a fit that leaves it
+    #: out: the others would have to make up for nine tenths of it beyond what a linear model says.
+    certain: float = 10.0
     #: Rivals within this log evidence cannot be told apart: odds of 20 to 1, log(20) = 3.0.
     rival: float = 3.0
     #: Mean square of whitened residuals above which something is left that no effect found explains: 1.2 times the noise in
@@ -127,8 +130,8 @@ class Settings:
     likely_effects: int = 2
     #: A change of a link is a possible body unless its distance to one has a smaller probability: the usual 5 %.
     possible_body: float = 0.05
-    #: Gauss-Newton steps at most, of a start that is to be compared only, and the change of chi2 below which a fit has
-    #: settled.
+    #: Gauss-Newton steps at most, of a start that is to be compared only, and the change of chi2, in units of its mean,
+    #: below which a fit has settled.
     fit_steps: int = 15
     exchange_steps: int = 4
     settled_chi2: float = 0.02
