@@ -80,8 +80,8 @@ def effect_derivatives(model: Model, effect: Effect) -> np.ndarray:
             share = differences(effect, values, lambda v: np.full(1, effect.gain(v)))
             out[:, k] = model.ungained[:, k, None] * share
         case JointTorqueEffect():
-            k = model.joints[effect.joint]
-            out[:, k] = differences(effect, values, lambda v: model.inside(effect, v)) * model.torque_chain.gain[k]
+            k, motion = model.joints[effect.joint], model.joint_motion(effect)
+            out[:, k] = differences(effect, values, lambda v: effect.torque(motion, v)) * model.torque_chain.gain[k]
         case ReadingEffect():
             added = differences(effect, values, lambda v: effect.added(model.readout, v))
             out = model.torque_chain.late(model.segment, added) * model.torque_chain.gain[:, None]
