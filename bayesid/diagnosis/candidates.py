@@ -108,8 +108,7 @@ class Library:
         present = {t.effect.name for t in fit.terms if t.effect.single}
         taken = {e.spec for name in present for e in data.places(name)} | {t.effect.spec for t in fit.terms}
         for found_here in (t.effect for t in fit.terms[len(self.base.terms) :]):
-            others = (e for e in self.effects if e.where == found_here.where)
-            taken |= {e.spec for e in others if e.name in found_here.instead_of or found_here.name in e.instead_of}
+            taken |= {e.spec for e in self.effects if e.excludes(found_here)}
         best: dict[str, Proposal] = {}
         for block in self.blocks:
             name = block.effect.spec

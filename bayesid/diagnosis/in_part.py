@@ -148,10 +148,13 @@ class _Choice:
             kept = [k for k in kept if k != min(unproven, key=lambda k: own[k])]
         return kept
 
+    def beside(self, kept: Sequence[int], others: Sequence[int]) -> list[int]:
+        """Other effects that may be in a model beside those kept."""
+        return [k for k in others if not any(self.effects[k].excludes(self.effects[x]) for x in kept)]
+
     def with_one_more(self, kept: list[int], others: Sequence[int], possible: Possible, before: np.ndarray) -> list[int] | None:
         """The effect added that the data demand most, if held-out recordings confirm it."""
-        taken = {self.effects[k].spec for k in kept} | {self.effects[k].name for k in kept if self.effects[k].single}
-        open_ = [k for k in others if not {self.effects[k].spec, self.effects[k].name} & taken]
+        open_ = self.beside(kept, others)
         if not open_:
             return None
         gains = self.sums.evidence([*self.users, *kept], open_)
@@ -217,8 +220,7 @@ class _Choice:
 
     def standing(self, rest: Sequence[int], index: int, others: Sequence[int]) -> tuple[list[float], list[int]]:
         """Log evidence of an effect beside the rest, then of each other that could stand in its place; and which those are."""
-        taken = {self.effects[k].spec for k in rest} | {self.effects[k].name for k in rest if self.effects[k].single}
-        open_ = [k for k in others if k != index and not {self.effects[k].spec, self.effects[k].name} & taken]
+        open_ = [k for k in self.beside(rest, others) if k != index]
         return self.sums.evidence([*self.users, *rest], [index, *open_]).tolist(), open_
 
 

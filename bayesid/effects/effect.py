@@ -187,6 +187,12 @@ class Effect(ABC):
         """``name@where``."""
         return f"{self.name}@{self.where}"
 
+    def excludes(self, other: Effect) -> bool:
+        """Whether only one of the two can be in a model: the same, a second of a `single` kind, or one `instead_of` the other."""
+        if self.spec == other.spec or (self.single and self.name == other.name):
+            return True
+        return self.where == other.where and (other.name in self.instead_of or self.name in other.instead_of)
+
     @property
     def column_names(self) -> tuple[str, ...]:
         """One name a parameter, ``viscous_friction@joint1.coefficient``."""

@@ -31,6 +31,17 @@ def test_effects_are_found_where_they_can_be(panda):
         starting_point([tether], {"tether": {"length": 1.0}}, names)
 
 
+def test_descriptions_of_one_thing_exclude_each_other(panda):
+    def effects(*specs):
+        return LIBRARY.parse(specs, panda.joint_names, both(panda).names)
+
+    bristle, here, there = effects("dahl_friction@joint2", "coulomb_friction@joint2", "coulomb_friction@joint3")
+    assert bristle.excludes(bristle) and bristle.excludes(here) and here.excludes(bristle)
+    assert not bristle.excludes(there) and not there.excludes(bristle) and not here.excludes(there)
+    one, other = effects("tether@joint2", "tether@joint5")
+    assert one.single and one.excludes(other)
+
+
 @pytest.mark.parametrize("name", LIBRARY.classes)
 def test_every_class_is_complete(panda, name):
     kind = LIBRARY.classes[name]
