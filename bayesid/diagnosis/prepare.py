@@ -18,7 +18,7 @@ from bayesid.recordings.table import usual_step
 from bayesid.regression.readings import default_channel, make_channels
 from bayesid.robot.prior import Prior
 from bayesid.signals.resampling import resample_evenly, uneven
-from bayesid.signals.smoothing import choose_smoother
+from bayesid.signals.smoothing import choose_smoothers
 
 
 def known_terms(experiment: Experiment, channel: str, effects: Sequence[str] | None) -> tuple[tuple[Term, ...], frozenset[str]]:
@@ -85,11 +85,12 @@ def prepare_data(
         raise InputError(f"no motion with readings for --channel {channel} can be fitted; add one with role identification")
     unseen = [m for m in usable if m.role == "validation" and m.name not in names]
     rate = min(1.0 / usual_step(m.table.times) for m in [*chosen, *unseen])
-    bandwidth = min(max(_clear(experiment, [*chosen, *unseen], settings), settings.smoothing_bandwidth), 0.2 * rate)
+    clearest, *each = _clear(experiment, [*chosen, *unseen], settings)
+    bandwidth = min(max(clearest, settings.smoothing_bandwidth), 0.2 * rate)
     # One mount, one stiffness: "the middle of the motion" is the same pose for all motions, the first one's.
     middle = middle_of(chosen[0].table.positions)
     share = settings.fitted_clear_share
-    clear = {m.name: _clear(experiment, [m], settings) for m in [*chosen, *unseen]}
+    clear = dict(zip((m.name for m in [*chosen, *unseen]), each, strict=True))
     fitted = [s for m in chosen for s in _segments(m, channel, bandwidth, middle, share * clear[m.name], settings)]
     others = [s for m in unseen for s in _segments(m, channel, bandwidth, middle, clear[m.name], settings)]
     if not fitted:
@@ -111,13 +112,16 @@ def prepare_data(
     return with_noise_of(data, data.links, data.terms, seed)
 
 
-def _clear(experiment: Experiment, motions: Sequence[Motion], settings: Settings) -> float:
-    """Up to where motions stand out of the encoders' noise, at most 20 Hz."""
-    pieces = [(m.table.times[p], m.table.positions[p]) for m in motions for p in m.table.segments() if p.stop - p.start > 40]
-    pieces = [(t[:5000], q[:5000]) for t, q in pieces]
-    if not pieces:
-        return settings.smoothing_bandwidth
-    return choose_smoother(pieces, experiment.position_resolution, experiment.position_std).bandwidth
+def _clear(experiment: Experiment, motions: Sequence[Motion], settings: Settings) -> list[float]:
+    """Up to where motions stand out of the encoders' noise, all together and then each, at most 20 Hz."""
+    pieces, groups = [], []
+    for m in motions:
+        long = [p for p in m.table.segments() if p.stop - p.start > 40]
+        groups.append(range(len(pieces), len(pieces) + len(long)))
+        pieces += [(m.table.times[p][:5000], m.table.positions[p][:5000]) for p in long]
+    some = [g for g in (range(len(pieces)), *groups) if len(g)]
+    found = iter(choose_smoothers(pieces, some, experiment.position_resolution, experiment.position_std))
+    return [next(found).bandwidth if len(g) else settings.smoothing_bandwidth for g in (range(len(pieces)), *groups)]
 
 
 def _segments(

@@ -8,6 +8,7 @@ a long recording is smoothed in pieces with an overlap, and the pieces agree to 
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import comb, factorial
 
@@ -16,6 +17,9 @@ import numpy as np
 from scipy.linalg import LinAlgError, solveh_banded
 
 from bayesid.errors import InputError
+
+#: A gap-free stretch: times (N,) [s] and positions (N, n) [rad or m].
+Piece = tuple[np.ndarray, np.ndarray]
 
 DEGREE = 5
 _ORDER = DEGREE + 1
@@ -121,7 +125,7 @@ def _fitted(times: np.ndarray, positions: np.ndarray, bandwidth: float) -> tuple
 
 
 def choose_smoother(
-    pieces: list[tuple[np.ndarray, np.ndarray]],
+    pieces: Sequence[Piece],
     resolution: float | None = None,
     noise: float | None = None,
     lowest: float = 1.0,
@@ -144,25 +148,55 @@ def choose_smoother(
     that is a little too stiff to one that is too loose only in position; accelerations weigh the bias more, so
     the smallest bandwidth within 2 % of the best score is widened by a quarter.
     """
-    rate = float(np.median([1.0 / np.median(np.diff(t)) for t, _ in pieces]))
-    duration = sum(t[-1] - t[0] for t, _ in pieces)
+    (chosen,) = choose_smoothers(pieces, [range(len(pieces))], resolution, noise, lowest, highest)
+    return chosen
+
+
+def choose_smoothers(
+    pieces: Sequence[Piece],
+    groups: Sequence[Sequence[int]],
+    resolution: float | None = None,
+    noise: float | None = None,
+    lowest: float = 1.0,
+    highest: float = 20.0,
+) -> list[Smoother]:
+    """`choose_smoother` for groups of pieces, each by the pieces' indices; a piece of several groups is fitted once."""
+    fitted: dict[tuple[int, float], np.ndarray] = {}
+
+    def residual(index: int, bandwidth: float) -> np.ndarray:
+        if (index, bandwidth) not in fitted:
+            fitted[index, bandwidth] = _left(pieces[index], bandwidth)
+        return fitted[index, bandwidth]
+
+    return [_chosen(pieces, group, residual, resolution or 0.0, noise or 0.0, lowest, highest) for group in groups]
+
+
+def _left(piece: Piece, bandwidth: float) -> np.ndarray:
+    """Sums of squares of positions less the spline's (n,)."""
+    times, positions = piece
+    centred = positions - positions.mean(axis=0)
+    coefficients, first = _fitted(times, centred, bandwidth)
+    return _residual_power(times, centred, coefficients, first, 0.5 / bandwidth, _POLYNOMIALS)
+
+
+def _chosen(
+    pieces: Sequence[Piece], group: Sequence[int], residual: Callable[[int, float], np.ndarray],
+    resolution: float, noise: float, lowest: float, highest: float,
+) -> Smoother:  # fmt: skip
+    times, positions = zip(*(pieces[k] for k in group), strict=True)
+    rate = float(np.median([1.0 / np.median(np.diff(t)) for t in times]))
     highest = min(highest, 0.2 * rate)
-    lowest = min(max(lowest, 2.0 / max(duration, 1e-9)), highest)
+    lowest = min(max(lowest, 2.0 / max(sum(t[-1] - t[0] for t in times), 1e-9)), highest)
     candidates = np.geomspace(lowest, highest, 16)
-    moving = np.max([np.ptp(q, axis=0) for _, q in pieces], axis=0) > 10.0 * max(resolution or 0.0, 1e-9)
-    floor = (resolution or 0.0) ** 2 / 12.0 + (noise or 0.0) ** 2
-    n = pieces[0][1].shape[1]
+    moving = np.max([np.ptp(q, axis=0) for q in positions], axis=0) > 10.0 * max(resolution, 1e-9)
+    floor = resolution**2 / 12.0 + noise**2
+    samples = sum(map(len, times))
     scores, errors = [], []
-    for bandwidth in candidates:
-        residual, samples, functions = np.zeros(n), 0, 0
-        for t, q in pieces:
-            centred = q - q.mean(axis=0)
-            coefficients, first = _fitted(t, centred, bandwidth)
-            residual += _residual_power(t, centred, coefficients, first, 0.5 / bandwidth, _POLYNOMIALS)
-            samples += len(t)
-            functions += int((t[-1] - t[0]) * 2 * bandwidth) + _ORDER
+    for bandwidth in map(float, candidates):
+        functions = sum(int((t[-1] - t[0]) * 2 * bandwidth) + _ORDER for t in times)
         free = max(samples - functions, 1)
-        variance = np.maximum(residual / free, max(0.25 * floor, 1e-20))
+        left = np.sum([residual(k, bandwidth) for k in group], axis=0)
+        variance = np.maximum(left / free, max(0.25 * floor, 1e-20))
         errors.append(np.sqrt(variance))
         scores.append(np.sum(np.log(variance[moving])) + moving.sum() * np.log(samples / free))
     best = np.min(scores)
@@ -174,7 +208,7 @@ def choose_smoother(
         else "no joint moves; the lowest bandwidth searched"
     )
     error, at_end = np.maximum(errors[chosen], np.sqrt(floor)), bandwidth >= 0.999 * highest
-    return Smoother(bandwidth, error, reason, bandwidth, at_end, resolution or 0.0)
+    return Smoother(bandwidth, error, reason, bandwidth, at_end, resolution)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
