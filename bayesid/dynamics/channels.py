@@ -52,7 +52,7 @@ class Channels:
         return len(self.names)
 
     def only(self, rows: Sequence[int] | np.ndarray) -> Channels:
-        """Some of the channels."""
+        """The channels with these indices (k,), in their order."""
         rows = np.asarray(rows, int)
         return replace(
             self, names=tuple(self.names[k] for k in rows), units=tuple(self.units[k] for k in rows), joint=self.joint[rows],

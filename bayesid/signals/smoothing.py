@@ -160,7 +160,17 @@ def choose_smoothers(
     lowest: float = 1.0,
     highest: float = 20.0,
 ) -> list[Smoother]:
-    """`choose_smoother` for groups of pieces, each by the pieces' indices; a piece of several groups is fitted once."""
+    """`choose_smoother` for groups of pieces; a piece of several groups is fitted once.
+
+    Parameters
+    ----------
+    pieces
+        Gap-free stretches (times (N,), positions (N, n)).
+    groups
+        Indices of each group's pieces.
+    resolution, noise, lowest, highest
+        As for one group.
+    """
     fitted: dict[tuple[int, float], np.ndarray] = {}
 
     def residual(index: int, bandwidth: float) -> np.ndarray:
@@ -183,6 +193,7 @@ def _chosen(
     pieces: Sequence[Piece], group: Sequence[int], residual: Callable[[int, float], np.ndarray],
     resolution: float, noise: float, lowest: float, highest: float,
 ) -> Smoother:  # fmt: skip
+    """The smoother of one group, from what splines leave of each of its pieces at a bandwidth (n,)."""
     times, positions = zip(*(pieces[k] for k in group), strict=True)
     rate = float(np.median([1.0 / np.median(np.diff(t)) for t in times]))
     highest = min(highest, 0.2 * rate)
