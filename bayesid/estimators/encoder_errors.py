@@ -51,10 +51,9 @@ class _Draws:
 
     @classmethod
     def of(cls, regression: Regression, law: RegressorNoise, values: np.ndarray, most: int) -> _Draws:
-        """Simulate ``(X - X*) b`` so many times, or as often as there are draws."""
-        count = min(most, law.draws or most)
-        blocks = list(law.pieces(None))
-        errors = [[(b.matrix - p.matrix) @ values for b, p in zip(blocks, law.pieces(d), strict=True)] for d in range(count)]
+        """Simulate ``U b`` so many times, or as often as there are draws."""
+        blocks = list(law.pieces())
+        errors = law.misread(min(most, law.draws or most), values)
         moving = sum(len(b.rows) for b in blocks if b.group != "poses")
         poses = sum(len(b.rows) for b in blocks if b.group == "poses")
         more = (regression.row_count - poses) / max(moving, 1)

@@ -6,7 +6,7 @@ A step that makes the residual larger is halved.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -14,13 +14,16 @@ import numpy as np
 from bayesid.dynamics.nearest_links import nearest_links
 from bayesid.effects import Point, moved
 from bayesid.errors import InputError
-from bayesid.estimators import DEFAULT_METHOD, Estimate, Estimator, fit
+from bayesid.estimators import DEFAULT_METHOD, Estimate, Estimator, Huber, Physical, Student, estimator, fit
+from bayesid.estimators.least_squares import LeastSquares, Ridge, TruncatedSVD
 from bayesid.regression.gauss_newton import Linearised, StepControl, minimise
 from bayesid.regression.problem import Problem, relinearised
 from bayesid.regression.structure import absorbed_offset
 
 #: The effects' parameters have settled when a step is this small against their standard deviations.
 SETTLED = 0.05
+#: Estimators whose values do not depend on what is known of encoder errors, only their covariance does.
+_COVARIANCE_ALONE = (LeastSquares, Ridge, TruncatedSVD, Huber, Student, Physical)
 #: Shares of a step are tried until one makes the residual no larger; the next step is tried whole again.
 _CONTROL = StepControl(
     steps=15, trials=6, first=1.0, refused=lambda share: 0.5 * share, accepted=lambda _: 1.0, tolerance=lambda cost: 1e-9 * cost
@@ -49,10 +52,14 @@ def solve(problem: Problem, method: str | Estimator = DEFAULT_METHOD) -> tuple[P
     """
     if problem.row_model.point is None:
         return problem, fit(problem.regression, method)
+    found = _minimised(problem, method)
+    return found.problem, found.estimate if found.whole else fit(found.problem.regression, method)
+
+
+def _minimised(problem: Problem, method: str | Estimator) -> Fitted:
     if not all(np.isfinite(block.rows).all() for block in problem.regression.blocks()):
         raise InputError(f"readings are not finite where {_specs(problem)} start; state other values in [model.values]")
-    found = minimise(Fitted(problem, method), Fitted.linearised, _CONTROL)
-    return found.problem, found.estimate
+    return minimise(Fitted(problem, method), Fitted.linearised, _CONTROL)
 
 
 def _specs(problem: Problem) -> str:
@@ -69,7 +76,13 @@ class Fitted:
     @cached_property
     def estimate(self) -> Estimate:
         """The estimate of the linearised problem; made when asked for, as states that are refused need none."""
-        return fit(self.problem.regression, self.method)
+        regression = self.problem.regression
+        return fit(regression if self.whole else replace(regression, regressor_noise=None), self.method)
+
+    @property
+    def whole(self) -> bool:
+        """Whether the covariance counts encoder errors; where values do not depend on them, steps do not wait for that."""
+        return self.problem.regression.regressor_noise is None or not isinstance(estimator(self.method), _COVARIANCE_ALONE)
 
     def linearised(self) -> Linearised[Fitted] | None:
         """Steps towards the estimate; None where it is at the point already."""
@@ -94,7 +107,7 @@ class Fitted:
 
 def settled(problem: Problem) -> Problem:
     """The problem linearised at its least-squares estimate; the same where nothing has to be."""
-    return problem if problem.row_model.point is None else solve(problem)[0]
+    return problem if problem.row_model.point is None else _minimised(problem, DEFAULT_METHOD).problem
 
 
 def _stepped(problem: Problem, here: Point, estimate: Estimate, step: np.ndarray, share: float) -> Point:

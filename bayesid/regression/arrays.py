@@ -134,5 +134,11 @@ def noise_of(blocks: list[Block], errors: np.ndarray) -> RegressorNoise:
     def simulated(draw: int | None) -> Iterable[Block]:
         return blocks if draw is None else perturbed(draw, 1.0)
 
+    def misread(draws: int, solution: np.ndarray) -> list[list[np.ndarray]]:
+        ends = np.cumsum([len(block.rows) for block in blocks])[:-1]
+        return [np.split(drawn @ solution, ends) for drawn in errors[:draws]]
+
     described = {"regressor_noise": "as given"}
-    return RegressorNoise(perturbed, simulated, simulated, lambda: bool(errors.any()), lambda: described, len(errors))
+    return RegressorNoise(
+        perturbed, simulated, lambda: blocks, misread, lambda: bool(errors.any()), lambda: described, len(errors)
+    )

@@ -100,7 +100,10 @@ class RegressorNoise:
     simulated
         Blocks of a motion near the recorded one: without errors (None), or with those of a draw.
     pieces
-        The same of a few thousand samples at most: evenly spread pieces of long recordings.
+        Those without errors, of a few thousand samples at most: evenly spread pieces of long recordings.
+    misread
+        From a number of draws and parameters (p,): what errors of each draw add to ``X b`` in the rows of `pieces`,
+        ``misread(draws, b)[d][k]`` (rows, channels). Much less work than the regressors of these draws.
     present
         Whether there is any.
     describe
@@ -111,7 +114,8 @@ class RegressorNoise:
 
     perturbed: Callable[[int, float], Iterable[Block]]
     simulated: Callable[[int | None], Iterable[Block]]
-    pieces: Callable[[int | None], Iterable[Block]]
+    pieces: Callable[[], Iterable[Block]]
+    misread: Callable[[int, np.ndarray], list[list[np.ndarray]]]
     present: Callable[[], bool]
     describe: Callable[[], dict[str, Any]]
     draws: int | None = None

@@ -147,14 +147,22 @@ def errors_of(row_model: RowModel, segments: Sequence[Segment], smoother: Smooth
     def simulated(draw: int | None) -> Iterator[Block]:
         return make_blocks(row_model, quiet() if draw is None else again(quiet(), quiet(), draw))
 
-    def pieces(draw: int | None) -> Iterator[Block]:
+    def pieces() -> Iterator[Block]:
+        return make_blocks(row_model, quiet_pieces())
+
+    def misread(draws: int, solution: np.ndarray) -> list[list[np.ndarray]]:
+        def said(segment: Segment, first: int, last: int) -> np.ndarray:
+            return row_model.modelled(segment, first, last, solution)[:, :, None]
+
         parts = quiet_pieces()
-        return make_blocks(row_model, parts if draw is None else again(parts, parts, draw))
+        true = [b.target for b in make_blocks(row_model, parts, said)]
+        drawn = (make_blocks(row_model, again(parts, parts, k), said) for k in range(draws))
+        return [[b.target - y for b, y in zip(blocks, true, strict=True)] for blocks in drawn]
 
     def perturbed(draw: int, sign: float) -> Iterator[Block]:
         return make_blocks(row_model, again(segments, quiet(), draw, sign))
 
-    law = RegressorNoise(perturbed, simulated, pieces, present, noise_described)
+    law = RegressorNoise(perturbed, simulated, pieces, misread, present, noise_described)
     return law, Instruments(pairs, instruments_described, lambda draw: pairs(again(quiet(), quiet(), draw)))
 
 

@@ -7,7 +7,7 @@ paper's filters.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -16,7 +16,7 @@ import numpy as np
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.dynamics.channels import Channels
 from bayesid.dynamics.regressors import Kernel
-from bayesid.effects import Effect, MotionSegment, Point, linearised
+from bayesid.effects import Effect, MotionSegment, Point, linearised, readings
 from bayesid.errors import InputError
 from bayesid.regression.blocks import Block
 from bayesid.regression.parallel import in_order
@@ -28,6 +28,9 @@ from bayesid.signals.smoothing import OVERLAP, smooth
 _CHUNK = 4096  # samples handled at once
 _PANEL = 512  # samples whose rows stay in the processor's cache
 _BLOCK_ROWS = 4096  # rows handed on at once
+
+#: From a segment and its samples first ... last - 1: what is put on their rows (N, channels, any).
+Samples = Callable[[Segment, int, int], np.ndarray]
 
 
 @dataclass(frozen=True, repr=False)
@@ -102,8 +105,8 @@ class RowModel:
             first = last
         return out
 
-    def about_point(self, segment: Segment, first: int, last: int) -> np.ndarray:
-        """Unfiltered rows of samples about the point: regressor, effects, shifted target (N, channels, p + 1)."""
+    def _scene(self, segment: Segment, first: int, last: int) -> tuple[MotionSegment, int, int]:
+        """The samples' motion and what the effects need of that around them: samples a ... b - 1, with a and b."""
         assert self.point is not None
         a, b = first, last
         if not segment.poses:
@@ -111,7 +114,12 @@ class RowModel:
             reach = self.point.reach(self.effects, self.bandwidth, float(np.median(np.diff(times[:1000]))))
             a = int(np.searchsorted(times, times[first] - reach))
             b = int(np.searchsorted(times, times[last - 1] + reach, side="right"))
-        scene = replace(self.state(segment, a, b), still=segment.poses, bandwidth=self.bandwidth, middle=self.point.middle)
+        return replace(self.state(segment, a, b), still=segment.poses, bandwidth=self.bandwidth, middle=self.point.middle), a, b
+
+    def about_point(self, segment: Segment, first: int, last: int) -> np.ndarray:
+        """Unfiltered rows of samples about the point: regressor, effects, shifted target (N, channels, p + 1)."""
+        assert self.point is not None
+        scene, a, b = self._scene(segment, first, last)
         read = segment.readings[a:b] if segment.gravity else segment.measured(a, b)
         rigid, others, target = linearised(
             self.robot, self.channels, scene, self.effects, self.point, self.base.independent, read, gravity=segment.gravity
@@ -154,14 +162,31 @@ class RowModel:
         effects = self.effect_columns(segment, state)
         return rigid + np.tensordot(effects, solution[rank:], 1)
 
+    def modelled(self, segment: Segment, first: int, last: int, solution: np.ndarray) -> np.ndarray:
+        """What the model makes of the samples' motion (N, channels), with these parameters or, where there is one, the point's."""
+        if self.point is None:
+            return self.predicted(segment, first, last, solution)
+        scene, a, _ = self._scene(segment, first, last)
+        terms = self.point.terms(self.effects)
+        read = readings(self.robot, self.channels, scene, self.point.links, terms, gravity=segment.gravity)
+        return read[first - a : last - a]
 
-def make_blocks(row_model: RowModel, segments: Sequence[Segment]) -> Iterator[Block]:
-    """Turn segments into blocks of rows, one after the other."""
+
+def make_blocks(row_model: RowModel, segments: Sequence[Segment], samples: Samples | None = None) -> Iterator[Block]:
+    """Turn segments into blocks of rows, one after the other.
+
+    Parameters
+    ----------
+    row_model, segments
+        How samples become rows, and the samples.
+    samples
+        What to put on the rows of samples first ... last - 1 instead of regressor and readings (N, channels, any).
+    """
     for segment in segments:
         if segment.poses:
             for a in range(0, len(segment.times), _CHUNK):
                 b = min(a + _CHUNK, len(segment.times))
-                yield Block(row_model.samples(segment, a, b), segment.times[a:b], segment.motion, a == 0, "poses")
+                yield Block((samples or row_model.samples)(segment, a, b), segment.times[a:b], segment.motion, a == 0, "poses")
             continue
         times = segment.times
         a, b = segment.inner(row_model.margin)
@@ -170,7 +195,10 @@ def make_blocks(row_model: RowModel, segments: Sequence[Segment]) -> Iterator[Bl
                 f"a stretch of {times[-1] - times[0]:.3g} s from t = {times[0]:.6g} is too short for "
                 f"{row_model.bandwidth:.3g} Hz; leave it out or record longer without gaps"
             )
-        yield from _merge(row_model, segment, a, b, (_filtered if row_model.filters else _direct)(row_model, segment, a, b))
+        if samples is None and row_model.point is not None:
+            samples = row_model.about_point
+        parts = (_filtered if row_model.filters else _direct)(row_model, segment, a, b, samples)
+        yield from _merge(row_model, segment, a, b, parts)
 
 
 #: A chunk's share of the rows: index of its first row, rows so far, their kernels' energies.
@@ -184,16 +212,17 @@ def _empty(row_model: RowModel, start: float, times: np.ndarray, columns: int) -
     return first, np.zeros((count, len(row_model.channels), columns)), np.zeros(count)
 
 
-def _direct(row_model: RowModel, segment: Segment, a: int, b: int) -> Iterator[_Part]:
+def _direct(row_model: RowModel, segment: Segment, a: int, b: int, samples: Samples | None) -> Iterator[_Part]:
     """Parts from smoothed accelerations; chunks are independent, so all cores work."""
     start = segment.times[a] + 0.5 * row_model.step
 
     def work(first: int) -> _Part:
         last = min(first + _CHUNK, b)
         times = segment.times[first:last]
-        if row_model.point is not None:
-            begin, rows, energy = _empty(row_model, start, times, row_model.base.rank + row_model.extra_columns + 1)
-            project(times, row_model.about_point(segment, first, last), start, row_model.step, begin, rows, energy)
+        if samples is not None:
+            wide = samples(segment, first, last)
+            begin, rows, energy = _empty(row_model, start, times, wide.shape[2])
+            project(times, wide, start, row_model.step, begin, rows, energy)
             return begin, rows, energy
         state, rank = row_model.state(segment, first, last), row_model.base.rank
         effects, measured = row_model.effect_columns(segment, state), segment.measured(first, last)
@@ -212,16 +241,16 @@ def _direct(row_model: RowModel, segment: Segment, a: int, b: int) -> Iterator[_
     yield from in_order(work, range(a, b, _CHUNK))
 
 
-def _filtered(row_model: RowModel, segment: Segment, a: int, b: int) -> Iterator[_Part]:
+def _filtered(row_model: RowModel, segment: Segment, a: int, b: int, samples: Samples | None) -> Iterator[_Part]:
     """Parts through the paper's filters, acceleration-free: d/dt of the momentum is left to the filter."""
     assert row_model.filters is not None
     start = segment.times[a] + 0.5 * row_model.step
     rigid_state = other_state = None
     for first in range(a, b, _CHUNK):
         last = min(first + _CHUNK, b)
-        if row_model.point is not None:
-            # The momentum has no simple form there: accelerations stand in for its rate.
-            times, wide = segment.times[first:last], row_model.about_point(segment, first, last)
+        if samples is not None:
+            # The momentum has no simple form about a point: accelerations stand in for its rate.
+            times, wide = segment.times[first:last], samples(segment, first, last)
             begin, rows, energy = _empty(row_model, start, times, wide.shape[2])
             filtered, other_state = low_pass(row_model.filters, times, -wide.reshape(len(times), -1), None, other_state)
             project(times, filtered.reshape(wide.shape), start, row_model.step, begin, rows, energy)

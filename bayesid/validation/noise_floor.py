@@ -97,10 +97,8 @@ def _encoder_power(problem: Problem, moving: Sequence[Segment]) -> np.ndarray:
     law, _ = errors_of(row_model, pieces, problem.smoother)
     if not law.present():
         return power
-    exact, solution = list(law.simulated(None)), learn_weights(problem.regression).solution
-    for draw in range(_DRAWS):
-        for true, noisy in zip(exact, law.simulated(draw), strict=True):
-            error = (noisy.matrix - true.matrix) @ solution
+    for errors in law.misread(_DRAWS, learn_weights(problem.regression).solution):
+        for error in errors:
             z = np.asarray(dct(error, axis=0, norm="ortho"))
             at = (np.arange(len(z)) / len(z) * _BINS).astype(int)
             np.add.at(power, at, z**2)

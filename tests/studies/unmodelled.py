@@ -15,6 +15,7 @@ import json
 import os
 import sys
 import warnings
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
 from pathlib import Path
@@ -70,6 +71,23 @@ def recordings(work: Path, count: int) -> list[dict[str, Any]]:
     return [json.loads(path.read_text(encoding="utf-8")) for path in sorted((work / "answers").glob("*.json"))]
 
 
+def _fits(experiment: Any, channel: str) -> Callable[[str, Sequence[str] | None], Any]:
+    """From method and effects (None: those of the experiment): the estimate that ``bayesid.identify`` gives.
+
+    Without its validation, which takes most of its time; earlier revisions, whose modules have other names, are asked for all.
+    """
+    try:
+        from bayesid.estimators.nonlinear import solve
+        from bayesid.regression.options import FitOptions
+        from bayesid.regression.problem import prepare
+    except ImportError:
+        return lambda method, effects: bayesid.identify(experiment, channel, method, effects=effects).estimate
+    problem = prepare(experiment, FitOptions(channel))
+    return lambda method, effects: solve(
+        problem if effects is None else prepare(experiment, FitOptions(channel, effects=effects)), method
+    )[1]
+
+
 def fitted(work: Path, answer: dict[str, Any]) -> dict[str, Any] | None:
     """Errors and standard deviations of one recording, and how far leaving the effect out moves every parameter of `wls`."""
     experiment = bayesid.load_experiment(work / answer["case"])
@@ -78,8 +96,9 @@ def fitted(work: Path, answer: dict[str, Any]) -> dict[str, Any] | None:
     out: dict[str, Any] = {"level": answer["level"], "name": effect["name"], "fits": {}}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
+        fits = _fits(experiment, answer["channel"])
         for method in METHODS:
-            estimate = bayesid.identify(experiment, method=method, channel=answer["channel"]).estimate
+            estimate = fits(method, None)
             if estimate.interval == "none":
                 continue
             error = estimate.values - estimate.base.matrix @ links
@@ -89,7 +108,7 @@ def fitted(work: Path, answer: dict[str, Any]) -> dict[str, Any] | None:
                 plain = estimate
         try:
             spec = f"{effect['name']}@{effect['where']}" if effect["where"] else effect["name"]
-            whole = bayesid.identify(experiment, method="wls", channel=answer["channel"], effects=[spec]).estimate
+            whole = fits("wls", [spec])
         except (bayesid.BayesidError, np.linalg.LinAlgError):  # the latter by revisions before an effect that ran away was told
             return None
     if list(whole.base.labels) != out["labels"]:
