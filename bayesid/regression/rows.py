@@ -163,7 +163,7 @@ class RowModel:
         return rigid + np.tensordot(effects, solution[rank:], 1)
 
     def modelled(self, segment: Segment, first: int, last: int, solution: np.ndarray) -> np.ndarray:
-        """What the model makes of the samples' motion (N, channels), with these parameters or, where there is one, the point's."""
+        """What the model makes of the samples' motion (N, channels), with these parameters or those of its point."""
         if self.point is None:
             return self.predicted(segment, first, last, solution)
         scene, a, _ = self._scene(segment, first, last)

@@ -7,6 +7,7 @@ from Pinocchio's recursive Newton-Euler algorithm with a free-flyer under the ba
 
 from __future__ import annotations
 
+import json
 import sys
 import warnings
 from concurrent.futures import ProcessPoolExecutor
@@ -31,7 +32,7 @@ from tests.studies.coverage_case import ARMS, DURATION, NOISE, OFFSET, RATE, set
 from tests.studies.page import parsed, write_numbers, write_page
 
 SEED = 20_261_122
-COUNT = 60
+COUNT = 200
 #: How many times faster than those of `coverage_case` motions are; their speed stays, so they are as many times smaller.
 FASTER = 4.0
 #: Root mean square of the encoders' errors [rad].
@@ -172,16 +173,21 @@ def title(name: str) -> str:
 def main(arguments: list[str]) -> None:
     """Run from the command line."""
     given = parsed(arguments, __doc__, count=COUNT, of="case", seed=SEED)
-    results = {}
+    given.docs.mkdir(parents=True, exist_ok=True)
+    # Cases that are done, of this seed and size: a run that was stopped goes on where it was.
+    state = given.docs / f"encoder-coverage-{given.seed}-{given.count}.part"
+    results = json.loads(state.read_text(encoding="utf-8")) if state.exists() else {}
     with ProcessPoolExecutor(given.processes, mp_context=get_context("spawn")) as pool:
-        for name in CASES:
+        for name in (n for n in CASES if n not in results):
             found = list(pool.map(partial(one, name, given.seed), range(given.count), chunksize=2))
             results[name] = summarise(*(np.array(column) for column in zip(*found, strict=True)))
             print(title(name), {fit: round(f["mean"], 3) for fit, f in results[name]["fits"].items()}, flush=True)
-    given.docs.mkdir(parents=True, exist_ok=True)
+            state.write_text(json.dumps(results), encoding="utf-8")
+    results = {name: results[name] for name in CASES}
     rounded = write_numbers({"seed": given.seed, "cases": results}, given.docs / "encoder-coverage.json", digits=4)
     page = given.docs / "encoder-coverage.md"
     write_page(PAGE, page, cases=rounded["cases"], seed=given.seed, faster=f"{FASTER:g}", title=title)
+    state.unlink()
 
 
 if __name__ == "__main__":
