@@ -9,10 +9,12 @@ say about (beta, s) is in the factors R_c of [X_c y_c] and their numbers of rows
 
     log p(y | beta, s) = -sum_c [ n_c log s_c + |R_c (beta; -1)|^2 / (2 s_c^2) ] + constant.
 
-Where the model lacks something (`Weights.complete`), whitening would trust whatever is quiet. Rows are then weighted by channel
-alone, ``X_c / std_c``, and linearly transformed about their least-squares fit b so that the curvature of the likelihood is
-the inverse of its sandwich covariance V, the scatter between stretches of the recording included [Ribatet2012]_. So are
-whitened rows where encoder errors matter (`bayesid.estimators.encoder_errors`):
+Where the model lacks something (`Weights.complete`), whitening would trust whatever is quiet, and so would unknown scales: the
+channel that a flexible model fits best would gain weight until little else is fitted. Rows are then weighted as those of ``wls``,
+``X_c / std_c``, with known scales (but for Student's t, whose size is not that of the residuals), and linearly transformed
+about their least-squares fit b so that the curvature of the likelihood is the inverse of its sandwich covariance V, the scatter
+between stretches of the recording included [Ribatet2012]_. So are whitened rows where encoder errors matter
+(`bayesid.estimators.encoder_errors`):
 
     y + X (C - 1) b = X C beta + s u,   C' (X'X) C = V^-1.
 
@@ -91,7 +93,7 @@ class Likelihood:
         factors: dict[str, list[np.ndarray]] = {}
         counts: dict[str, int] = {}
         rows: dict[str, list[np.ndarray]] = {}
-        noise, adjust = _adjusted(regression, weights)
+        noise, adjust = _adjusted(regression, weights, scales_known=not keep_rows)
         for block, plain in whitened(regression.blocks(), noise):
             white = plain @ adjust
             own = factors.setdefault(block.group, [np.zeros((columns, columns))] * channels)
@@ -122,12 +124,14 @@ def _white(regression: Regression, group: str, solution: np.ndarray) -> NoiseMod
     return NoiseModel(np.ones((len(power), 1)), np.diag(np.maximum(power, 1e-20 * max(float(power.max()), 1e-200))))
 
 
-def _adjusted(regression: Regression, weights: Weights) -> tuple[dict[str, NoiseModel], np.ndarray]:
+def _adjusted(
+    regression: Regression, weights: Weights, *, scales_known: bool
+) -> tuple[dict[str, NoiseModel], np.ndarray]:
     """Noise that rows are whitened with, and what they are then multiplied by for a curvature of V^-1 (p + 1, p + 1)."""
     if weights.complete:
         noise, scale, factor = weights.noise, None, reduce_whitened(regression.blocks(), weights.noise)
     else:
-        noise, scale, factor = _by_channel(regression, weights)
+        noise, scale, factor = _by_channel(regression, weights, 0 if scales_known else _PASSES)
     middle = covariance_middle(regression, weights, scale, factor)
     if middle is None:
         return noise, np.eye(len(regression.column_names) + 1)
@@ -143,21 +147,20 @@ def _adjusted(regression: Regression, weights: Weights) -> tuple[dict[str, Noise
 
 
 def _by_channel(
-    regression: Regression, weights: Weights
+    regression: Regression, weights: Weights, passes: int
 ) -> tuple[dict[str, NoiseModel], dict[str, np.ndarray], Factor]:
-    """White noise as large as the residuals, what channels (c,) are weighted with, and the factor of the weighted rows.
+    """White noise by channel, what channels (c,) are weighted with, and the factor of the weighted rows.
 
-    Scales must be those of the fit's own residuals: where a channel's scale is not one, its posterior moves the fit away from
-    least squares, and by as much more as the curvature is smaller.
+    Noise of no passes is that of the weights. Unknown scales must be those of the fit's own residuals: where a channel's scale is
+    not one, its posterior moves the fit away from least squares, and by as much more as the curvature is smaller.
     """
-    solution = weights.solution
 
-    def fitted(at: np.ndarray) -> tuple[dict[str, NoiseModel], dict[str, np.ndarray], Factor]:
-        noise = {group: _white(regression, group, at) for group in weights.noise}
+    def weighted(noise: dict[str, NoiseModel]) -> tuple[dict[str, NoiseModel], dict[str, np.ndarray], Factor]:
         scale = {g: 1.0 / m.std for g, m in noise.items()}
         return noise, scale, reduce_rows(regression.blocks(), lambda b: b.rows * scale[b.group][:, None])
 
-    for _ in range(_PASSES):
-        factor = fitted(solution)[2]
-        solution = solve(factor.matrix, factor.target)
-    return fitted(solution)
+    found = weighted({g: NoiseModel(np.ones((len(m.std), 1)), np.diag(m.std**2)) for g, m in weights.noise.items()})
+    for k in range(passes + 1 if passes else 0):
+        solution = solve(found[2].matrix, found[2].target) if k else weights.solution
+        found = weighted({group: _white(regression, group, solution) for group in weights.noise})
+    return found

@@ -74,12 +74,13 @@ class PosteriorModel:
         if prior is not None and len(prior.mean) != links:
             raise InputError(f"prior has {len(prior.mean)} parameters, the links have {links}; give one value for each")
         effects = len(regression.effect_names)
-        if regression.noise_std is not None:
+        likelihood = Likelihood.of(regression, keep_rows=noise == "student")
+        if regression.noise_std is not None or not (likelihood.complete or noise == "student"):
             options = {"scale_prior": ScalePrior(known=True), **options}
         model = cls(
             regression.base, regression.effect_names, regression.effect_units,
             np.array(regression.knowledge.effect_non_negative or (False,) * effects, bool),
-            Likelihood.of(regression, keep_rows=noise == "student"), prior, noise,
+            likelihood, prior, noise,
             **{"effect_std": np.full(effects, np.inf), **options},
         )  # fmt: skip
         model.require_proper()

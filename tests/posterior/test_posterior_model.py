@@ -11,7 +11,7 @@ from bayesid.errors import InputError
 from bayesid.estimators import fit
 from bayesid.estimators.factor import whitened
 from bayesid.estimators.weights import learn_weights
-from bayesid.posterior import DofPrior, Posterior, PosteriorModel, ScalePrior, coordinates
+from bayesid.posterior import DofPrior, Posterior, PosteriorModel, ScalePrior, choose_engine, coordinates
 from bayesid.posterior.density import _density
 from bayesid.posterior.diagnostics import Convergence
 from bayesid.posterior.run import Chains
@@ -48,6 +48,21 @@ def test_log_likelihood_is_that_of_every_row(noise):
             law = stats.multivariate_t(df=nu, shape=np.diag(scales**2))
             expected = law.logpdf(residual * scales).sum()
         assert_allclose(model.log_likelihood(beta, scales, np.array(nu)), expected, rtol=1e-9)
+
+
+def test_posterior_of_an_incomplete_model_is_the_fit_weighted_by_channel():
+    """Draws against ``wls``: what is missing acts in one channel and one half of the recording."""
+    rng = np.random.default_rng(4)
+    matrix = rng.normal(size=(2000, 2, 4))
+    target = matrix @ np.arange(1.0, 5.0) + rng.normal(size=(2000, 2))
+    target[1000:, 0] += 2.0 * matrix[1000:, 0, 1]
+    data = Regression.from_arrays(matrix, target)
+    estimate, model = fit(data, "wls"), PosteriorModel.of(data)
+    assert not estimate.details.model_complete and model.scale_names == ()
+    engine = choose_engine(model, "hmc")
+    draws = engine.advance(engine.start(rng), 4000, 1)[500:, 0]
+    assert np.all(np.abs(draws.mean(axis=0) - estimate.values) < 0.15 * estimate.std)
+    assert_allclose(draws.std(axis=0), estimate.std, rtol=0.15)
 
 
 def test_joint_density_is_likelihood_times_priors():
