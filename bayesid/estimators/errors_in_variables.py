@@ -31,7 +31,7 @@ from bayesid.estimators.factor import Factor, reduce_whitened
 from bayesid.estimators.least_squares import completeness, make_estimate, nominal_start, target_from_nominal, weighted_factor
 from bayesid.estimators.weights import Weights, learn_weights, noise_of_residuals
 from bayesid.regression.blocks import Block, Pair, RegressorNoise
-from bayesid.regression.linalg import determined_inverse, solve, standard_deviations, undetermined
+from bayesid.regression.linalg import at_least, determined_inverse, solve, standard_deviations, undetermined
 from bayesid.regression.regression import Regression
 from bayesid.signals.noise import NoiseModel
 
@@ -150,6 +150,11 @@ class TotalLeastSquares:
         blocks = regression.blocks()
         ordinary = spread(noise, ((b, start.back(b, start.rows(b)[0])) for b in blocks)) + extra
         meat = ordinary
+        if not start.weights.complete:
+            # What the model lacks has the colour of the motion, as encoder errors have, and is not told apart from them: noise as
+            # `wls` takes it is then a lower bound in every direction.
+            whole = ((b, start.back(b, start.rows(b)[0])) for b in regression.blocks())
+            meat = at_least(meat, spread(start.weights.noise, whole))
         if count > 1:
             # The equations' right side at the solution differs from draw to draw; its mean by that over their number.
             left = np.array([s - (np.eye(p) - d) @ -step for d, s in drawn])

@@ -43,6 +43,7 @@ from bayesid.estimators.estimator import Estimate
 from bayesid.estimators.least_squares import completeness, make_estimate
 from bayesid.regression.blocks import Pair
 from bayesid.regression.hypothesis_tests import hausman
+from bayesid.regression.linalg import at_least
 from bayesid.regression.regression import Regression
 from bayesid.signals.noise import NoiseModel
 
@@ -125,7 +126,7 @@ class InstrumentalVariables:
         # Residuals also hold what the model lacks: its colour is that of the motion, which no smooth curve of a sensor's
         # noise follows. So the noise as `wls` takes it, encoders' part included, is a lower bound in every direction.
         plain_one, plain_both = _spreads(start, start.weights.noise, read())
-        meat = _at_least(meat, alone.T @ plain_one @ alone + mean.T @ plain_both @ mean)
+        meat = at_least(meat, alone.T @ plain_one @ alone + mean.T @ plain_both @ mean)
         covariance = start.weights.dispersion * start.root @ inverse @ meat @ inverse.T @ start.root.T
         first = np.vstack([np.eye(p), np.zeros((p, p))])
         ordinary = first.T @ one @ first + mean.T @ both @ mean
@@ -216,17 +217,6 @@ def _spreads(start: Start, noise: dict[str, NoiseModel], pairs: Iterator[Pair]) 
         coloured = noise[pair.regressors.group].colour_transposed(start.back(pair.regressors, flat)).reshape(-1, 2 * p)
         totals[int(pair.symmetric)] += coloured.T @ coloured
     return totals[0], totals[1]
-
-
-def _at_least(matrix: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """The matrix, larger where the other one is: both and the positive part of their difference, in units of their sum."""
-    values, vectors = np.linalg.eigh(matrix + other)
-    keep = values > 1e-12 * values[-1]
-    root = vectors[:, keep] * np.sqrt(values[keep])
-    whiten = vectors[:, keep] / np.sqrt(values[keep])
-    excess, directions = np.linalg.eigh(whiten.T @ (other - matrix) @ whiten)
-    turned = root @ directions
-    return matrix + (turned * np.maximum(excess, 0.0)) @ turned.T
 
 
 def _pinv(matrix: np.ndarray) -> np.ndarray:

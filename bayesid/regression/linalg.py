@@ -80,3 +80,14 @@ def condition_number(matrix: np.ndarray) -> float:
 def standard_deviations(covariance: np.ndarray, smallest: float = 0.0) -> np.ndarray:
     """Roots of the variances (p,), of ``smallest`` where rounding leaves less."""
     return np.sqrt(np.maximum(np.diag(covariance), smallest))
+
+
+def at_least(matrix: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """The matrix, larger where the other one is: both and the positive part of their difference, in units of their sum."""
+    values, vectors = np.linalg.eigh(matrix + other)
+    keep = values > 1e-12 * values[-1]
+    root = vectors[:, keep] * np.sqrt(values[keep])
+    whiten = vectors[:, keep] / np.sqrt(values[keep])
+    excess, directions = np.linalg.eigh(whiten.T @ (other - matrix) @ whiten)
+    turned = root @ directions
+    return matrix + (turned * np.maximum(excess, 0.0)) @ turned.T
