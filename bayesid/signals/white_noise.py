@@ -11,6 +11,8 @@ from scipy.stats import chi2
 WINDOW, QUIET = 64, 0.1
 #: White noise has as much power at a fifth of the sampling rate as near half of it; beyond this ratio it was filtered.
 FILTERED_RATIO = 8.0
+#: Share of the readings' size below which their noise is no sensor's (the best converters resolve 20 bits): a filter took it.
+NO_SENSOR = 1e-6
 #: The mean over all windows is taken, being more exact, where it exceeds what the quiet ones say by less than this.
 _STEADY = 1.3
 #: Shares of the windows, the quietest, over which a mean may be taken, and by how many standard errors it may exceed what the
@@ -50,9 +52,15 @@ def steady_noise(readings: Sequence[np.ndarray]) -> np.ndarray:
 def low_passed(
     readings: Sequence[np.ndarray], ratio: float = FILTERED_RATIO, window: int = WINDOW, quantile: float = QUIET
 ) -> bool:
-    """Whether readings were filtered before they were recorded, so that noise above the band tells nothing of it below."""
+    """Whether readings were filtered before they were recorded, so that noise above the band tells nothing of it below.
+
+    Either the noise falls with frequency there, or so little of it is left in most channels that only the digits of the file make
+    it. Simulated readings without noise are told so, too: nothing tells how much of it a sensor would have.
+    """
     lower, upper = (np.quantile(p, quantile, axis=0) for p in _powers(readings, _COMPARED, window)[0])
-    return bool(np.max(lower / np.maximum(upper, 1e-300)) > ratio)
+    size = np.sqrt(np.mean(np.concatenate(readings) ** 2, axis=0))
+    falls = np.max(lower / np.maximum(upper, 1e-300)) > ratio
+    return bool(falls or np.median(np.sqrt(upper) / np.maximum(size, 1e-300)) < NO_SENSOR)
 
 
 def _quiet(powers: np.ndarray, freedom: float, quantile: float) -> np.ndarray:

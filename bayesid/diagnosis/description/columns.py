@@ -281,7 +281,8 @@ def halves(fit: Fit) -> tuple[Half, Half]:
         mine, stacked = [], []
         for part, first, last in zip(whole, edges[:-1], edges[1:], strict=True):
             s = part.segment
-            chosen = Part(s, part.variables, np.flatnonzero(_in_second(s, motions) == second))
+            # Courses are those of the whole segment: both halves share what is made of them.
+            chosen = Part(s, part.variables, np.flatnonzero(_in_second(s, motions) == second), part.kept)
             if len(chosen.rows):
                 mine.append(chosen)
                 stacked.append(chosen.taken(rows[first:last].reshape(*s.shape, -1)))
