@@ -38,6 +38,6 @@ def test_readings_filtered_before_they_were_recorded_are_noticed():
     plain = readings(3)
     assert not low_passed([plain])
     assert low_passed([sosfilt(butter(2, 15.0, fs=125.0, output="sos"), plain, axis=0)])
-    # So steep that only the digits of the file are left above the band, as white as noise: of readings as large as 57 and 6.
-    assert low_passed([readings(3, std=(5e-6, 5e-7))])
-    assert not low_passed([readings(3, std=(5e-4, 5e-5))])
+    # So steep a filter that only the digits of the file are left above the band, as white as noise.
+    assert low_passed([40.0 + 1e-5 * (plain - readings(3, std=(0.0, 0.0)))])
+    assert not low_passed([40.0 + 1e-2 * (plain - readings(3, std=(0.0, 0.0)))])
