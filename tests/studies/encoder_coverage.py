@@ -144,24 +144,42 @@ the root of 12), made by Pinocchio's recursive Newton-Euler algorithm, which is 
 are those of [coverage.md](coverage.md), motions {{ faster }} times faster. Everything at its defaults.
 `python -m tests.studies.encoder_coverage` made this page and [encoder-coverage.json](encoder-coverage.json) from seed {{ seed }}.
 
-*Coverage* is in per cent, of all parameters and of the worst one; *z* is the root mean square error in units of the standard
-deviation that was stated; *error* is the root mean square error in units of that of `wls`, median of all parameters.
-`sdp` has the URDF's nominal links as its prior, which are wrong by a tenth: what the motion hardly shows stays near them.
-{% for name, case in cases.items() %}
+In each cell: *coverage* in per cent of all parameters, in brackets that of the worst one, and the root mean square error in units
+of the standard deviation that was stated, which should be 1. *Error* is the root mean square error in units of that of `wls`,
+median of all parameters, least and most of these kinds. `sdp` has the URDF's nominal links as its prior, which are wrong
+by a tenth: what the motion hardly shows stays near them.
+{% for arm, table in tables.items() %}
 
-## {{ title(name) }}
+## {{ arm }}
 
-{{ case.recordings }} recordings, {{ case.parameters }} base parameters. If every interval were exact, all coverages
-would lie within {{ pct(case.band[0]) }} to {{ pct(case.band[1]) }} % with probability 99 %.
+{{ table.recordings }} recordings of each kind, {{ table.parameters }} base parameters. If every interval were exact, all
+coverages of one kind would lie within {{ pct(table.band[0]) }} to {{ pct(table.band[1]) }} % with probability 99 %.
 
-| fit | coverage: mean | lowest | z | error |
-|---|---|---|---|---|
-{% for fit, f in case.fits.items() %}
-| {{ fit }} | {{ pct(f.mean) }} | {{ pct(f.lowest) }}{{ " **below**" if f.lowest < case.band[0] }} \
-| {{ "%.2f" | format(f.rms_z) }} | {{ "%.2f" | format(f.error) }} |
+| {{ table.head | join(" | ") }} |
+|{{ "---|" * (table.head | length) }}
+{% for row in table.rows %}
+| {{ row | join(" | ") }} |
 {% endfor %}
 {% endfor %}
 """
+
+
+def tables(cases: dict[str, Any]) -> dict[str, Any]:
+    """The page's tables, one for each robot: a row a fit, a column a kind of error."""
+    out = {}
+    for arm in ARMS:
+        own = {name: case for name, case in cases.items() if CASES[name][0] == arm}
+        one = next(iter(own.values()))
+        kinds = [f"{CASES[n][2]}, {CASES[n][1]:g} rad" if CASES[n][1] else "none" for n in own]
+        rows = []
+        for fit in one["fits"]:
+            each = [case["fits"][fit] for case in own.values()]
+            cells = [f"{100 * f['mean']:.1f} ({100 * f['lowest']:.0f}), {f['rms_z']:.2f}" for f in each]
+            errors = [f["error"] for f in each]
+            rows.append([f"`{fit}`" if fit in METHODS else fit, *cells, f"{min(errors):.2f} to {max(errors):.2f}"])
+        same = {k: one[k] for k in ("recordings", "parameters", "band")}
+        out[NAMES[arm]] = {**same, "head": ["fit", *kinds, "error"], "rows": rows}
+    return out
 
 
 def title(name: str) -> str:
@@ -186,7 +204,7 @@ def main(arguments: list[str]) -> None:
     results = {name: results[name] for name in CASES}
     rounded = write_numbers({"seed": given.seed, "cases": results}, given.docs / "encoder-coverage.json", digits=4)
     page = given.docs / "encoder-coverage.md"
-    write_page(PAGE, page, cases=rounded["cases"], seed=given.seed, faster=f"{FASTER:g}", title=title)
+    write_page(PAGE, page, tables=tables(rounded["cases"]), seed=given.seed, faster=f"{FASTER:g}")
     state.unlink()
 
 
