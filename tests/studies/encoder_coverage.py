@@ -33,6 +33,8 @@ from tests.studies.page import parsed, write_numbers, write_page
 
 SEED = 20_261_122
 COUNT = 200
+#: Of an arm with so many parameters more, this share of the recordings.
+SHARE = {"puma": 1.0, "ur5": 0.5}
 #: How many times faster than those of `coverage_case` motions are; their speed stays, so they are as many times smaller.
 FASTER = 4.0
 #: Root mean square of the encoders' errors [rad].
@@ -197,7 +199,8 @@ def main(arguments: list[str]) -> None:
     results = json.loads(state.read_text(encoding="utf-8")) if state.exists() else {}
     with ProcessPoolExecutor(given.processes, mp_context=get_context("spawn")) as pool:
         for name in (n for n in CASES if n not in results):
-            found = list(pool.map(partial(one, name, given.seed), range(given.count), chunksize=2))
+            count = round(SHARE[CASES[name][0]] * given.count)
+            found = list(pool.map(partial(one, name, given.seed), range(count), chunksize=2))
             results[name] = summarise(*(np.array(column) for column in zip(*found, strict=True)))
             print(title(name), {fit: round(f["mean"], 3) for fit, f in results[name]["fits"].items()}, flush=True)
             state.write_text(json.dumps(results), encoding="utf-8")
