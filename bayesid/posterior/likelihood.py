@@ -159,8 +159,10 @@ def _by_channel(
         scale = {g: 1.0 / m.std for g, m in noise.items()}
         return noise, scale, reduce_rows(regression.blocks(), lambda b: b.rows * scale[b.group][:, None])
 
-    found = weighted({g: NoiseModel(np.ones((len(m.std), 1)), np.diag(m.std**2)) for g, m in weights.noise.items()})
-    for k in range(passes + 1 if passes else 0):
-        solution = solve(found[2].matrix, found[2].target) if k else weights.solution
-        found = weighted({group: _white(regression, group, solution) for group in weights.noise})
-    return found
+    if not passes:
+        return weighted({g: NoiseModel(np.ones((len(m.std), 1)), np.diag(m.std**2)) for g, m in weights.noise.items()})
+    solution = weights.solution
+    for _ in range(passes):
+        factor = weighted({group: _white(regression, group, solution) for group in weights.noise})[2]
+        solution = solve(factor.matrix, factor.target)
+    return weighted({group: _white(regression, group, solution) for group in weights.noise})
