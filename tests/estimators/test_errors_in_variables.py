@@ -7,10 +7,11 @@ from scipy.stats import kstest
 from bayesid.errors import InputError
 from bayesid.estimators import fit
 from bayesid.estimators.errors_in_variables import TotalLeastSquares
-from bayesid.estimators.instrumental_variables import InstrumentalVariables, _at_least
+from bayesid.estimators.instrumental_variables import InstrumentalVariables
 from bayesid.estimators.sensor_noise import sensor_noise
 from bayesid.estimators.weights import learn_weights
 from bayesid.recordings.experiment import load_experiment
+from bayesid.regression.linalg import at_least
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import prepare
 from bayesid.regression.regression import Regression
@@ -287,7 +288,7 @@ def test_where_both_give_the_same_numbers_intervals_are_no_narrower_than_those_o
 def test_the_larger_of_two_covariances_is_larger_in_every_direction():
     rng = np.random.default_rng(0)
     a, b = (x @ x.T for x in rng.normal(size=(2, 4, 4)))
-    larger = _at_least(a, b)
+    larger = at_least(a, b)
     assert np.linalg.eigvalsh(larger - a).min() > -1e-9 and np.linalg.eigvalsh(larger - b).min() > -1e-9
-    np.testing.assert_allclose(_at_least(b + a, a), b + a, rtol=1e-9)
+    np.testing.assert_allclose(at_least(b + a, a), b + a, rtol=1e-9)
     assert np.trace(larger) < np.trace(a) + np.trace(b)

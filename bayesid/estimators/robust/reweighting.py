@@ -130,9 +130,10 @@ class RobustFit:
 
         The parameters solve ``sum_t X_t' D^2 s_t = 0`` with ``s_t = w_t r_t``. A is the derivative of that sum by the
         parameters, `_slope` times ``sum_t w_t X_t' D^2 X_t``. B is the sum's covariance, ``sum_tu X_t' D^2 C_tu D^2 X_u``
-        over accepted rows, C that of s: with size and colour of weighted noise, which varies less than the noise.
+        over accepted rows, C that of s: with size and colour of weighted noise, which varies less than the noise. Where the model
+        lacks something, weights fall where that is, which makes nothing more certain: C is then that of r.
         """
-        noise = self._score_noise()
+        noise = self._score_noise() if self.learned.complete else self.learned.noise
         scale = {g: 1.0 / m.std for g, m in self.learned.noise.items()}
         middle = gram_rows(
             weighted(self.plain.blocks(), self.residual, self.accepted_rows.astype(float)),
