@@ -155,7 +155,8 @@ by a tenth: what the motion hardly shows stays near them.
 ## {{ arm }}
 
 {{ table.recordings }} recordings of each kind, {{ table.parameters }} base parameters. If every interval were exact, all
-coverages of one kind would lie within {{ pct(table.band[0]) }} to {{ pct(table.band[1]) }} % with probability 99 %.
+coverages of one kind would lie within {{ pct(table.band[0]) }} to {{ pct(table.band[1]) }} % with probability 99 %; *below* marks
+a worst parameter that does not.
 
 | {{ table.head | join(" | ") }} |
 |{{ "---|" * (table.head | length) }}
@@ -176,7 +177,10 @@ def tables(cases: dict[str, Any]) -> dict[str, Any]:
         rows = []
         for fit in one["fits"]:
             each = [case["fits"][fit] for case in own.values()]
-            cells = [f"{100 * f['mean']:.1f} ({100 * f['lowest']:.0f}), {f['rms_z']:.2f}" for f in each]
+            below = ["**below** " if f["lowest"] < one["band"][0] else "" for f in each]
+            cells = [
+                f"{100 * f['mean']:.1f} ({b}{100 * f['lowest']:.0f}), {f['rms_z']:.2f}" for b, f in zip(below, each, strict=True)
+            ]
             errors = [f["error"] for f in each]
             rows.append([f"`{fit}`" if fit in METHODS else fit, *cells, f"{min(errors):.2f} to {max(errors):.2f}"])
         same = {k: one[k] for k in ("recordings", "parameters", "band")}

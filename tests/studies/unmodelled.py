@@ -32,7 +32,7 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path += [str(ROOT / "case_studies" / "blind_naming"), str(ROOT)]
 
 SEED = 20_261_123
-COUNT = 500
+COUNT = 2000
 METHODS = ("ols", "wls", "gls", "huber", "sdp")
 #: Changes of links: a free rigid body takes them up, so that nothing is missing in the model.
 OF_LINKS = ("payload", "inertia_error", "rotor_momentum")
