@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import argparse
 import itertools
+import json
+import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -65,13 +67,21 @@ def plans(count: int, seed: int, kinds: tuple[str, ...], effects: tuple[str, ...
         yield Plan(f"blind-{index:04d}", kind, names, level, robot, channel, bool(static), float(rng.choice(TRUST)))
 
 
-def make(out: Path, count: int, seed: int, kinds: tuple[str, ...] = tuple(SHARES), effects: tuple[str, ...] = ()) -> list[dict]:
+def make(
+    out: Path, count: int, seed: int, kinds: tuple[str, ...] = tuple(SHARES), effects: tuple[str, ...] = (), resume: bool = False
+) -> list[dict]:
     """Make the set; a plan that no draw can fill is drawn anew with another robot.
 
-    Returns the answers.
+    With ``resume`` the cases of ``out`` whose answers are there, from the same seed and plans, are kept. Returns the answers.
     """
     answers = []
     for index, plan in enumerate(tqdm(list(plans(count, seed, kinds, effects)), unit="case", disable=None), 1):
+        if resume:
+            done = out / "answers" / f"{plan.case}.json"
+            if done.exists():
+                answers.append(json.loads(done.read_text(encoding="utf-8")))
+                continue
+            shutil.rmtree(out / plan.case, ignore_errors=True)  # what was not finished
         for attempt in range(12):
             try:
                 answers.append(make_case(plan, [seed, index, attempt], out))

@@ -64,13 +64,13 @@ disagreement can hold that ([limits](limits.md)). {{ counts }}
 
 
 def recordings(work: Path, count: int) -> list[dict[str, Any]]:
-    """The answers of the set; it is made unless it is there."""
-    if len(list((work / "answers").glob("*.json"))) < 0.9 * count:
+    """The answers of the set; what is not there yet is made."""
+    if len(list((work / "answers").glob("*.json"))) < 0.9 * count:  # some plans no draw can fill
         from make import make, plans
 
         every = dict.fromkeys(n for p in plans(500, SEED, ("single",)) for n in p.names)
         names = tuple(n for n in every if n not in OF_LINKS + SLOW)
-        make(work, count, SEED, ("single",), names)
+        make(work, count, SEED, ("single",), names, resume=True)
     return [json.loads(path.read_text(encoding="utf-8")) for path in sorted((work / "answers").glob("*.json"))]
 
 
