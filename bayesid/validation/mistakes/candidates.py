@@ -90,7 +90,8 @@ def of_joints(names: Sequence[str], torques: bool) -> list[Candidate]:
         if torques:
             says = f"{name} seems to turn the other way: {q} and tau{j + 1} both have the opposite sign"
             remedy = f"turn the axis of {name} in the URDF, or change the signs of {q} and tau{j + 1}"
-            out.append(Candidate("joint_sign", q, says, remedy, turned, turned, touched=(j,)))
+            # It shows in the torques of other joints as well: the joint's own may be explained all the same.
+            out.append(Candidate("joint_sign", q, says, remedy, turned, turned))
     for j, k in itertools.combinations(range(n), 2):
         one, other, swap = f"q{j + 1}", f"q{k + 1}", _swap(n, j, k)
         where, pair = f"{one},{other}", f"{names[j]} and {names[k]}"
