@@ -59,6 +59,11 @@ class BaseParameters:
         return len(self.independent)
 
     @property
+    def weight_in_offset(self) -> bool:
+        """Whether an estimated offset holds weight that looks like one; not that of a sensor which turns enough."""
+        return self.absorbed is not None and bool(self.absorbed.any())
+
+    @property
     def invisible(self) -> tuple[str, ...]:
         """Parameters that influence no reading at all."""
         seen = np.abs(self.matrix).max(axis=0, initial=0.0) > 0

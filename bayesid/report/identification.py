@@ -54,7 +54,7 @@ def identification_report(result: Identification) -> str:
         bandwidths="" if tried is None else svg(bandwidth_sensitivity(tried, estimate.full_std), "bandwidths"),
         parameters=_parameters(problem.regression, estimate),
         effects=_effects(result.effects()),
-        offset_note=_OFFSET_NOTE if result.offset is not None and problem.row_model.base.absorbed is not None else "",
+        offset_note=_OFFSET_NOTE if result.offset is not None and problem.row_model.base.weight_in_offset else "",
         band=number(BAND, 2),
         validation=[_motion(p, "validation", k) for k, p in enumerate(validation)],
         fits=[_motion(p, "fitted", k) for k, p in enumerate(fitted)],

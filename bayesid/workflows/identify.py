@@ -23,7 +23,6 @@ from bayesid.regression.problem import Problem, prepare, weight_columns
 from bayesid.results.figures import figures_of
 from bayesid.results.files import Files, files_of
 from bayesid.results.identification import Identification
-from bayesid.results.urdf_links import UrdfLinks
 from bayesid.robot.urdf import write_urdf
 from bayesid.signals.filters import LowPass
 from bayesid.validation.cross_checks import Agreement, fits_alone, motions_apart, static_both_ways, wrench_against_torque
@@ -31,7 +30,7 @@ from bayesid.validation.flexible import flexible_gaps
 from bayesid.validation.noise_floor import NoiseFloor, noise_floor
 from bayesid.validation.prediction import Prediction, predict
 from bayesid.workflows.progress import Clock, Progress, quiet
-from bayesid.workflows.urdf_links import urdf_links
+from bayesid.workflows.urdf_links import missing_rotors, urdf_links
 from bayesid.workflows.warnings import incomplete, listed, not_settled, repeated_motion, unpredicted, wrong_signs
 
 
@@ -110,6 +109,7 @@ def identify(
             agreements += [across] if across is not None else []
         unexcited = _unexcited(problem, estimate)
         check = against_nominal(problem.regression, estimate)
+        of_rotors = missing_rotors(problem, method, options, links)
     validation = tuple(replace(p, flexible=gaps.get(p.motion)) for p in predictions if p.motion in unfitted)
     return Identification(
         problem=problem,
@@ -121,7 +121,7 @@ def identify(
         static_alternative=alternative,
         offset=_offset(problem, estimate, links.unconstrained),
         unexcited=unexcited,
-        warnings=_warnings(problem, estimate, check, links, validation, agreements, unexcited),
+        warnings=_warnings(problem, estimate, check, [*of_rotors, *links.warnings()], validation, agreements, unexcited),
         seconds=clock.stop(),
         prior_check=check,
         unconstrained_urdf=unconstrained_urdf,
@@ -194,7 +194,7 @@ def _warnings(
     problem: Problem,
     estimate: Estimate,
     check: PriorCheck | None,
-    links: UrdfLinks,
+    of_links: Sequence[str],
     validation: Sequence[Prediction],
     agreements: Sequence[Agreement],
     unexcited: Sequence[str],
@@ -235,13 +235,13 @@ def _warnings(
             "The data say no more there than the size of a body does: add motions that move these links in other ways, or rely "
             "on the nominal model there."
         )
-    out += links.warnings()
+    out += of_links
     if estimate.links is not None and not problem.regression.knowledge.states_masses:
         out.append(
             f"The URDF states no masses: {estimate.method} takes links near to cylinders between the joints, within a factor of "
             "ten, where the data say nothing. Write the masses of a data sheet into the URDF, or bound them (--bounds FILE)."
         )
-    if problem.row_model.base.absorbed is not None:
+    if problem.row_model.base.weight_in_offset:
         out.append(
             "No static run removes the sensor's offset, so it is estimated along: what looks like an offset, "
             "above all the total mass, cannot be identified. Where a scale says the mass, state it: --method sdp --bounds FILE."

@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from bayesid.dynamics.nearest_links import nearest_links
-from bayesid.estimators import Estimate
+from bayesid.errors import BayesidError
+from bayesid.estimators import Estimate, Estimator
 from bayesid.estimators.conic.consistent_links import consistent_links
-from bayesid.regression.problem import Problem
+from bayesid.estimators.nonlinear import solve
+from bayesid.regression.options import FitOptions
+from bayesid.regression.problem import Problem, prepare
 from bayesid.results.urdf_links import UrdfLinks
 from bayesid.robot.typical import states_masses, typical_links
+
+#: A robot's whole mass is stated right to this factor: data sheets are, and models by hand hardly worse.
+_TOTAL_MASS = 1.5
+_ROTORS = "rotor_inertia"
 
 
 def urdf_links(problem: Problem, estimate: Estimate) -> UrdfLinks:
@@ -35,6 +44,55 @@ def urdf_links(problem: Problem, estimate: Estimate) -> UrdfLinks:
         friction=friction,
         left_out=left_out,
     )
+
+
+def missing_rotors(problem: Problem, method: Estimator, options: FitOptions, links: UrdfLinks) -> list[str]:
+    """That links are as heavy as no arm of this URDF is, or cannot exist, and whether rotor inertias in the model repair it.
+
+    Joint torques hardly show masses. Where the links must be far from the stated ones all the same, they stand for inertia that
+    no link has, as a rule that of the drives' rotors, which acts about each joint's axis alone. It is tried.
+    """
+    robot = problem.experiment.robot
+    if problem.channel != "torque" or not states_masses(robot):
+        return []
+    stated = robot.nominal[:, 0]
+
+    def heavy(masses: np.ndarray) -> bool:
+        return abs(float(np.log(masses.sum() / stated.sum()))) > np.log(_TOTAL_MASS)
+
+    def impossible(these: UrdfLinks) -> bool:
+        return these.moved is not None and not these.moved.inside
+
+    found = links.links[::10]
+    if not heavy(found) and not impossible(links):
+        return []
+    k = int(np.argmax(np.abs(found - stated)))
+    said = (
+        f"The links of identified.urdf have {found.sum():.3g} kg in all, those of the URDF {stated.sum():.3g} kg "
+        f"({robot.body_names[k]}: {found[k]:.3g}, stated {stated[k]:.3g}), to have the inertias that the estimate asks for. "
+    )
+    effects = [effect.spec for effect in problem.row_model.effects]
+    repaired = None
+    if not any(spec.startswith(_ROTORS) for spec in effects):
+        repaired = _links_with(problem, method, replace(options, effects=[*effects, _ROTORS]))
+    if repaired is None or heavy(repaired.links[::10]) or impossible(repaired):
+        lacks = "The model lacks something that acts like inertia, or the URDF's masses are wrong: do not rely on these."
+        return [said + lacks] if heavy(found) else []
+    motion, (before, _) = next(iter(links.errors.items()))
+    return [
+        f"{said if heavy(found) else ''}With {_ROTORS} in the model the links of identified.urdf can exist, with "
+        f"{repaired.links[::10].sum():.3g} kg, and the error of '{motion}' goes from {100 * before:.3g} to "
+        f"{100 * repaired.errors[motion][0]:.3g} %: the rotors of the drives seem to be missing. "
+        f"Add {_ROTORS} to [model] effects."
+    ]
+
+
+def _links_with(problem: Problem, method: Estimator, options: FitOptions) -> UrdfLinks | None:
+    """The links of the same fit with other effects; None where that cannot be fitted."""
+    try:
+        return urdf_links(*solve(prepare(problem.experiment, replace(options, bandwidth=problem.smoother.bandwidth)), method))
+    except (BayesidError, np.linalg.LinAlgError):
+        return None
 
 
 def _friction(problem: Problem, estimate: Estimate, solution: np.ndarray) -> tuple[dict[str, dict[str, float]], tuple[str, ...]]:

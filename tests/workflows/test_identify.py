@@ -91,6 +91,10 @@ def test_json_holds_what_is_promised(result, tmp_path):
     assert {"motion", "rmse", "nrmse", "whitened_rms"} <= set(document["validation"][0])
 
 
+def test_weight_in_the_offset_of_a_base_sensor_is_told(result):
+    assert result.base.weight_in_offset and any("above all the total mass, cannot be identified" in w for w in result.warnings)
+
+
 def test_results_print(result):
     assert "40 base parameters" in str(result) and "<table>" in result._repr_html_()
 
@@ -99,6 +103,8 @@ def test_wrist_sensor_splits_the_link_and_is_identified(tmp_path):
     robot = load_robot(write(tmp_path, wrist_sensor_arm()), sensor_joint="wrist_ft")
     sensor = Sensor(joint="wrist_ft", translation=np.array([0.01, 0.02, 0.03]), rpy=np.array([0.3, 0.2, 0.1]))
     found = bayesid.identify(two_motions(robot, sensor, offset=OFFSET, **NOISE))
+    # It turns under the tool: no weight looks like its offset, so nothing is said of a total mass that cannot be known.
+    assert not found.base.weight_in_offset and not any("total mass" in w for w in found.warnings)
     assert set(found.names) == {f"wrist_ft.{p}" for p in ("m", "mcx", "mcy", "mcz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")}
     truth = found.base.matrix @ robot.nominal.ravel()
     assert np.abs((found.values - truth) / found.std).max() < 4

@@ -1,0 +1,59 @@
+"""Torques of drives with rotors, identified without them: links must be impossibly heavy, and the remedy is said."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import bayesid
+from bayesid.robot.robot import load_robot
+from tests.robots import ur5, write
+from tests.simulated import Motion, experiment, fourier, recording
+
+ROTORS = np.array([2.0, 2.5, 1.5, 0.4, 0.3, 0.2])  # reflected to the joints, about those of an arm of this size [kg m^2]
+
+
+@pytest.fixture(scope="module")
+def geared(tmp_path_factory):
+    robot = load_robot(write(tmp_path_factory.mktemp("arm"), ur5()))
+    motions = []
+    for k, role in enumerate(("identification", "validation")):
+        motion = fourier(robot, k)
+        table = recording(robot, None, motion, torque_std=0.2, seed=k)
+        motions.append(Motion(f"m{k}", role, dataclasses.replace(table, torques=table.torques + motion[3] * ROTORS)))
+    return experiment(robot, motions)
+
+
+def told(result):
+    return [w for w in result.warnings if "rotor_inertia to [model] effects" in w]
+
+
+@pytest.mark.parametrize("method", ["wls", "sdp"])
+def test_rotors_that_the_model_lacks_are_named(geared, method):
+    (line,) = told(bayesid.identify(geared, method=method))
+    assert "the rotors of the drives seem to be missing" in line and "'m1'" in line
+
+
+def test_nothing_is_said_with_them_in_the_model(geared):
+    result = bayesid.identify(geared, effects=["rotor_inertia"])
+    assert not told(result)
+    stated = geared.robot.nominal[:, 0].sum()
+    assert result.link_parameters[::10].sum() == pytest.approx(stated, rel=0.1)
+
+
+def test_nothing_is_said_of_an_arm_without(geared):
+    motions = [
+        dataclasses.replace(m, table=recording(geared.robot, None, fourier(geared.robot, k), torque_std=0.2, seed=k))
+        for k, m in enumerate(geared.motions)
+    ]
+    assert not told(bayesid.identify(dataclasses.replace(geared, motions=tuple(motions))))
+
+
+@pytest.mark.parametrize("name", ["before", "feb05-20s-12h", "feb06-20s-5h"])
+def test_real_arm_without_its_rotors(shared, name):
+    experiment = bayesid.load_experiment(shared(f"data/ur10e/{name}"))
+    (line,) = told(bayesid.identify(experiment))
+    result = bayesid.identify(experiment, effects=[*experiment.effects, "rotor_inertia"])
+    assert not told(result)
+    # The maker's masses, which no unloaded arm departs from by much.
+    assert result.link_parameters[::10].sum() == pytest.approx(experiment.robot.nominal[:, 0].sum(), rel=0.05)
