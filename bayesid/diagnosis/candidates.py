@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -21,6 +22,9 @@ from bayesid.diagnosis.ripples import RippleScan
 from bayesid.diagnosis.rows import model_rows, residual_rows, term_rows
 from bayesid.diagnosis.surroundings import joint_inertia, mean_places
 from bayesid.effects import Effect, ExternalContact, Linearisation, Surroundings, Term
+
+#: By effects: values that are tried (m), and what each changes of whitened rows, links projected out (rows, m).
+_Trials = dict[Effect, tuple[tuple[tuple[float, ...], ...], np.ndarray]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,19 +159,52 @@ class Library:
         prior = -projector.prior_residual(fit.coordinates)
         now = np.sum(projector.project_out(np.concatenate([fit.residual, prior])) ** 2)
         unexplained = dispersion is not None and dispersion >= data.settings.unexplained
+        left = projector.project_out(np.concatenate([fit.residual, prior]))
         for effect in self.effects:
             if effect.spec in taken or (effect.last_resort and not unexplained) or not effect.sought(self.around):
                 continue
-            trials = effect.trials(self.around)
-            best = (0.0, None if effect.last_resort else 0)
-            for k, values in enumerate(trials):
-                terms = (*fit.terms, Term(effect, tuple(values)))
-                rows = residual_rows(data, data.segments, fit.links, fit.offset, terms)
-                with np.errstate(all="ignore"):  # a trial that diverges is none
-                    gain = float(now - np.sum(projector.project_out(np.concatenate([rows, prior])) ** 2))
-                best = max(best, (gain, k), key=lambda b: b[0]) if np.isfinite(gain) else best
-            if len(trials) and best[1] is not None:
-                yield Term(effect, tuple(trials[best[1]])), best[0]
+            tried = (self._last_changes if effect.last_resort else self._changes).get(effect)
+            if tried is None:
+                continue
+            trials, changes = tried
+            # Beside other effects a change is about what it is beside the user's: the best is then tried exactly.
+            gains = -2.0 * left @ changes - np.sum(changes**2, axis=0)
+            best = int(np.argmax(np.where(np.isfinite(gains), gains, -np.inf)))
+            gain = self._gained(fit, Term(effect, trials[best]), prior, now) if gains[best] > 0.0 else 0.0
+            if gain > 0.0:
+                yield Term(effect, trials[best]), gain
+            elif not effect.last_resort:
+                yield Term(effect, trials[0]), 0.0
+
+    def _gained(self, fit: Fit, term: Term, prior: np.ndarray, now: float) -> float:
+        """What a term gains exactly, links and offset refitted, all else held."""
+        data = self.projector.data
+        rows = residual_rows(data, data.segments, fit.links, fit.offset, (*fit.terms, term))
+        with np.errstate(all="ignore"):  # a trial that diverges is none
+            return float(now - np.sum(self.projector.project_out(np.concatenate([rows, prior])) ** 2))
+
+    @cached_property
+    def _changes(self) -> _Trials:
+        return self._changes_by([e for e in self.effects if not e.last_resort])
+
+    @cached_property
+    def _last_changes(self) -> _Trials:
+        return self._changes_by([e for e in self.effects if e.last_resort])
+
+    def _changes_by(self, effects: Sequence[Effect]) -> _Trials:
+        """By effects, the values that are tried exactly and what these change of the rows beside the user's model."""
+        data, projector, base, out = self.projector.data, self.projector, self.base, {}
+        nothing = np.zeros(projector.size)
+        for effect in effects:
+            trials = tuple(tuple(map(float, v)) for v in effect.trials(self.around)) if effect.sought(self.around) else ()
+            if trials:
+                moved = [
+                    residual_rows(data, data.segments, base.links, base.offset, (*base.terms, Term(effect, v))) for v in trials
+                ]
+                with np.errstate(all="ignore"):  # as above
+                    changes = [projector.project_out(np.concatenate([rows - base.residual, nothing])) for rows in moved]
+                out[effect] = trials, np.stack(changes, axis=1)
+        return out
 
     def _ripples(self, fit: Fit, left: np.ndarray, found: np.ndarray) -> Iterator[tuple[Term, float]]:
         data, projector = self.projector.data, self.projector

@@ -48,7 +48,10 @@ def _white_columns(
     if not (isinstance(term.effect, JointTorqueEffect) and term.effect.from_motion_alone):
         return made()
     reads = (EncoderEffect, JointDelayEffect, JointGainEffect)
-    return segment.kept.get((term.effect, tuple(t for t in terms if isinstance(t.effect, reads))), made)
+    # What another joint's encoder or drive does is nothing to this joint's torque.
+    here = (None, term.effect.joint)
+    beside = tuple(t for t in terms if isinstance(t.effect, reads) and t.effect.joint in here)
+    return segment.kept.get((term.effect, beside), made)
 
 
 def model_rows(data: DiagnosisData, segments: Sequence[Segment], links: np.ndarray, terms: Sequence[Term]) -> np.ndarray:

@@ -102,7 +102,16 @@ class Model:
 
     def of_family(self, family: type[Family]) -> list[tuple[Family, tuple[float, ...]]]:
         """The effects of one family with their values."""
-        return [(t.effect, t.values) for t in self.terms if isinstance(t.effect, family)]
+        return [(t.effect, t.values) for t in self._by_family.get(family, ())]  # type: ignore[misc]
+
+    @cached_property
+    def _by_family(self) -> dict[type, list[Term]]:
+        """Terms by every class that their effects are of: asked often, and `isinstance` of an abstract class is slow."""
+        out: dict[type, list[Term]] = {}
+        for t in self.terms:
+            for family in type(t.effect).__mro__:
+                out.setdefault(family, []).append(t)
+        return out
 
     @cached_property
     def wrench(self) -> np.ndarray:
@@ -164,12 +173,12 @@ class Model:
     @cached_property
     def _physical(self) -> tuple[Term, ...]:
         """Effects that change what there is to read, not how it is read."""
-        return tuple(t for t in self.terms if not isinstance(t.effect, InstrumentEffect))
+        return tuple(t for t in self.terms if InstrumentEffect not in type(t.effect).__mro__)
 
     @cached_property
     def _key(self) -> tuple:
         """What the links' motion depends on."""
-        pose = tuple(t for t in self.terms if isinstance(t.effect, (EncoderEffect, TransmissionEffect)))
+        pose = (*self._by_family.get(EncoderEffect, ()), *self._by_family.get(TransmissionEffect, ()))
         if not any(t.effect.amplifies_encoder_errors for t in self._physical):
             return (self.robot.fingerprint, pose)
         return (self.robot.fingerprint, pose, self.links.tobytes(), self._physical)
@@ -318,7 +327,12 @@ class Model:
 
     @cached_property
     def _late_motion(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        return self.torque_chain.late_motion(self.segment, self.motor)
+        delays = self.torque_chain.delays
+        if not delays:
+            return self.motor
+        pose = tuple(self._by_family.get(EncoderEffect, ()))
+        key = ("late", tuple(delays.items()), pose)
+        return self.segment.results.get(key, lambda: self.torque_chain.late_motion(self.segment, self.motor))
 
     def joint_motion(self, effect: JointTorqueEffect) -> JointMotion:
         """What happens at the joint of an effect when its torque is read."""

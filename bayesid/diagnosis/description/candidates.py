@@ -45,6 +45,11 @@ class Candidate:
         return len(self.shape.products) * len(self.channels)
 
     @property
+    def free(self) -> int:
+        """Number of amplitudes and of numbers that may be adapted."""
+        return self.size + len(self.shape.numbers)
+
+    @property
     def sort(self) -> tuple[int, int]:
         """Factors and amplitudes: candidates of one sort are as likely as each other beforehand."""
         return self.shape.length, self.size

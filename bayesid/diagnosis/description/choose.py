@@ -73,15 +73,18 @@ def choose(
         The lower end of a term's share on the second half is above this.
     """
     bars = Counter(c.sort for c in candidates)
-    pool, out = list(candidates), []
+    tried = np.array([bars[c.sort] for c in candidates], dtype=float)
+    free = np.array([c.free for c in candidates], dtype=float)
+    among, out = list(range(len(candidates))), []
     state = _State(first, second, np.zeros((len(first.residual), 0)), np.zeros((len(second.residual), 0)))
     while len(out) < settings.description_terms:
-        gains = state.beside.gains(pool)
-        worth = np.array([_evidence(state.beside, g, c, bars) for g, c in zip(gains, pool, strict=True)])
+        pool, beside = [candidates[k] for k in among], state.beside
+        worth = _evidence(beside, beside.gains(pool), free[among], tried[among])
         order = np.argsort(-worth)
-        best = [adapted(state.beside, pool[k]) for k in _various(pool, order, settings.description_adapted)]
+        best = [(*adapted(beside, pool[k]), among[k]) for k in _various(pool, order, settings.description_adapted)]
         proven = None
-        for evidence, candidate in sorted(((_evidence(state.beside, g, c, bars), c) for c, g in best), key=lambda x: -x[0]):
+        evidences = [(float(_evidence(beside, np.array(g), free[k], tried[k])), c) for c, g, k in best]
+        for evidence, candidate in sorted(evidences, key=lambda x: -x[0]):
             after = state.tried(candidate)
             share, low = closed(second, state.left, after.left, settings, seed)
             if evidence >= settings.accept and low > least and share >= settings.worthwhile:
@@ -100,7 +103,7 @@ def choose(
             )
         )  # fmt: skip
         state = after
-        pool = [pool[k] for k in order[: max(len(pool) // 3, settings.description_compared)]]
+        among = [among[k] for k in order[: max(len(pool) // 3, settings.description_compared)]]
     return tuple(out)
 
 
@@ -173,17 +176,16 @@ def _same(one: Candidate, other: Candidate) -> bool:
     return one.channels == other.channels and forms[0] == forms[1]
 
 
-def _evidence(half: Half, gain: float, candidate: Candidate, bars: Counter) -> float:
-    """Log evidence of an explained sum of squares.
+def _evidence(half: Half, gain: np.ndarray, free: np.ndarray, tried: np.ndarray) -> np.ndarray:
+    """Log evidence of explained sums of squares (g,).
 
-    Its likelihood under noise at least as large as measured, less what amplitudes, numbers and the choice among all candidates
-    of its sort cost.
+    Their likelihood under noise at least as large as measured, less what amplitudes and numbers, so many ``free``, and the choice
+    among all candidates of their sort, ``tried``, cost.
     """
     n, whole = half.count, float(half.residual @ half.residual)
-    before, after = (max(rest / n, 1.0) for rest in (whole, whole - gain))
+    before, after = max(whole / n, 1.0), np.maximum((whole - gain) / n, 1.0)
     likelihood = 0.5 * (n * np.log(before / after) + whole / before - (whole - gain) / after)
-    free = candidate.size + len(candidate.shape.numbers)
-    return float(likelihood - 0.5 * free * np.log(n) - np.log(bars[candidate.sort]))
+    return likelihood - 0.5 * free * np.log(n) - np.log(tried)
 
 
 def adapted(half: Half, candidate: Candidate) -> tuple[Candidate, float]:
