@@ -2,7 +2,7 @@
 
 Run from the root of the repository, with the recordings where ``BAYESID_DATA`` says (default ``../shared``)::
 
-    python -m tests.studies.real_robots [--only NAME] [--methods wls,gls,...] [--no-sampling] [--out FILE] [--write]
+    python -m tests.studies.real_robots [--only NAME] [--methods wls,gls,...] [--no-sampling] [--out FILE] [--write | --from-json]
 
 For every recording, with the effects that its ``experiment.toml`` states and, for joint torques without any, with friction, too:
 bandwidth, error on a motion that was not fitted (below 10 Hz, error norm over signal norm of all channels), the same of least
@@ -236,8 +236,10 @@ def published(name: str, found: dict[str, Any]) -> str:
     if name not in PUBLISHED:
         return ""
     here = [f"{n} = {value:.4g} ± {std:.2g} {unit}" for n, value, std, unit in found["parameters"]]
-    here += [f"errors of the channels {', '.join(f'{100 * e:.3g}' for e in found['channels'])} %"] if found["channels"] else []
-    return f"Published: {PUBLISHED[name][0]}. Here, by `wls`: {'; '.join(here)}."
+    unseen = f"{100 * found['methods']['wls']['unseen']:.3g} % error on the unseen motion"
+    if here and found["channel"] == "torque":
+        unseen += f", {', '.join(f'{100 * e:.3g}' for e in found['channels'])} % joint by joint"
+    return f"Published: {PUBLISHED[name][0]}. Here, by `wls`: {'; '.join([*here, unseen])}."
 
 
 def lines(name: str, found: dict[str, Any]) -> list[str]:
@@ -310,6 +312,13 @@ def gap(figures: dict[str, Any]) -> str:
     return "" if share is None or std is None else f"{100 * share:.1f} ± {100 * std:.1f} %"
 
 
+def page(cases: dict[str, Any]) -> None:
+    """Write docs/real-robots.md."""
+    words = {True: "yes", False: "no"}
+    possible = {"possible": lambda f: words.get(f.get("physical"), "")}
+    write_page(PAGE, DOCS / "real-robots.md", cases=cases, cell=cell, gap=gap, published=published, **possible)
+
+
 def main() -> None:
     """Judge every case, print, and write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -318,7 +327,11 @@ def main() -> None:
     parser.add_argument("--no-sampling", action="store_true")
     parser.add_argument("--out", type=Path)
     parser.add_argument("--write", action="store_true")
+    parser.add_argument("--from-json", action="store_true", help="write the page again from its numbers")
     options = parser.parse_args()
+    if options.from_json:
+        page(json.loads((DOCS / "real-robots.json").read_text(encoding="utf-8")))
+        return
     methods = (*options.methods.split(","), *(() if options.no_sampling else ("sample",)))
     out = {}
     warnings.simplefilter("ignore")
@@ -329,9 +342,7 @@ def main() -> None:
         options.out.write_text(json.dumps(out, indent=1) + "\n", encoding="utf-8")
     if options.write:
         (DOCS / "real-robots.json").write_text(json.dumps(out, indent=1) + "\n", encoding="utf-8")
-        words = {True: "yes", False: "no"}
-        possible = {"possible": lambda f: words.get(f.get("physical"), "")}
-        write_page(PAGE, DOCS / "real-robots.md", cases=out, cell=cell, gap=gap, published=published, **possible)
+        page(out)
 
 
 if __name__ == "__main__":
