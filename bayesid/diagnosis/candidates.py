@@ -168,7 +168,8 @@ class Library:
                 continue
             trials, changes = tried
             # Beside other effects a change is about what it is beside the user's: the best is then tried exactly.
-            gains = -2.0 * left @ changes - np.sum(changes**2, axis=0)
+            with np.errstate(all="ignore"):  # a trial that diverges is none
+                gains = -2.0 * left @ changes - np.sum(changes**2, axis=0)
             best = int(np.argmax(np.where(np.isfinite(gains), gains, -np.inf)))
             gain = self._gained(fit, Term(effect, trials[best]), prior, now) if gains[best] > 0.0 else 0.0
             if gain > 0.0:
@@ -180,7 +181,7 @@ class Library:
         """What a term gains exactly, links and offset refitted, all else held."""
         data = self.projector.data
         rows = residual_rows(data, data.segments, fit.links, fit.offset, (*fit.terms, term))
-        with np.errstate(all="ignore"):  # a trial that diverges is none
+        with np.errstate(all="ignore"):  # as above
             return float(now - np.sum(self.projector.project_out(np.concatenate([rows, prior])) ** 2))
 
     @cached_property

@@ -27,7 +27,7 @@ import numpy as np
 from bayesid.dynamics.channels import Channels, torque_channels
 from bayesid.dynamics.kinematics import body_wrenches, channel_twists, is_wrench, link_states, project
 from bayesid.effects.bodies import body_of, rotor_couple, split_matrix
-from bayesid.effects.effect import Effect, Term
+from bayesid.effects.effect import Effect, Term, by_class
 from bayesid.effects.families import (
     BodyEffect,
     EncoderEffect,
@@ -58,8 +58,7 @@ from bayesid.effects.transmission import coupling_matrix
 from bayesid.errors import InputError
 from bayesid.robot.robot import Robot
 
-#: A joint's torque is differentiated twice where the joint gives: smoothed to this share of the bandwidth, unless its segment
-#: says up to where it is clear.
+#: Share of the bandwidth that a flexible joint's torque is smoothed to, to be differentiated twice, unless `clear` is known.
 FLEXIBLE_BANDWIDTH = 0.7
 
 Family = TypeVar("Family", bound=Effect)
@@ -106,12 +105,7 @@ class Model:
 
     @cached_property
     def _by_family(self) -> dict[type, list[Term]]:
-        """Terms by every class that their effects are of: asked often, and `isinstance` of an abstract class is slow."""
-        out: dict[type, list[Term]] = {}
-        for t in self.terms:
-            for family in type(t.effect).__mro__:
-                out.setdefault(family, []).append(t)
-        return out
+        return by_class(self.terms)
 
     @cached_property
     def wrench(self) -> np.ndarray:
@@ -325,20 +319,12 @@ class Model:
         """True wrench, and what motors give for the joints' torques at the times that these are read for (N, c)."""
         return self.torque_chain.late(self.segment, self.readout.true)
 
-    @cached_property
-    def _late_motion(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        delays = self.torque_chain.delays
-        if not delays:
-            return self.motor
-        pose = tuple(self._by_family.get(EncoderEffect, ()))
-        key = ("late", tuple(delays.items()), pose)
-        return self.segment.results.get(key, lambda: self.torque_chain.late_motion(self.segment, self.motor))
-
     def joint_motion(self, effect: JointTorqueEffect) -> JointMotion:
         """What happens at the joint of an effect when its torque is read."""
         assert effect.joint is not None
         load = self.given[:, self.joints[effect.joint]] if effect.uses_load else None
-        return self.torque_chain.at_joint(self.segment, self._late_motion, effect.joint, load)
+        late = self.torque_chain.late_motion(self.segment, self.motor, tuple(self._by_family.get(EncoderEffect, ())))
+        return self.torque_chain.at_joint(self.segment, late, effect.joint, load)
 
     def inside(self, effect: JointTorqueEffect, values: Sequence[float]) -> np.ndarray:
         """What something inside a joint adds to its torque (N,)."""

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bayesid.effects.effect import Term
 from bayesid.effects.families import JointDelayEffect, JointGainEffect, JointMotion
 from bayesid.effects.flexible import Motion
 from bayesid.effects.segment import MotionSegment
@@ -67,10 +68,15 @@ class TorqueChain:
         """What the channels' smooth values (N, c, ...) were at the times that torques are read for."""
         return self._late(segment, values, self.joints)
 
-    def late_motion(self, segment: MotionSegment, motion: Motion) -> Motion:
-        """The joints' positions, velocities and accelerations (N, n) at these times."""
-        q, v, a = (self._late(segment, x, {joint: joint for joint in self.joints}) for x in motion)
-        return q, v, a
+    def late_motion(self, segment: MotionSegment, motion: Motion, pose: tuple[Term, ...]) -> Motion:
+        """The joints' positions, velocities and accelerations (N, n) at these times; ``pose`` is what they differ by else."""
+
+        def made() -> Motion:
+            q, v, a = (self._late(segment, x, {joint: joint for joint in self.joints}) for x in motion)
+            return q, v, a
+
+        key = ("late", tuple(self.delays.items()), tuple(self.joints), pose)
+        return segment.results.get(key, made) if self.delays else motion
 
     def at_joint(self, segment: MotionSegment, late: Motion, joint: int, load: np.ndarray | None) -> JointMotion:
         """What happens at one joint when its torque is read, from `late_motion` and the load then.
