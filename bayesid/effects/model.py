@@ -20,7 +20,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TypeVar
+from typing import TypeVar, cast
 
 import numpy as np
 
@@ -101,7 +101,7 @@ class Model:
 
     def of_family(self, family: type[Family]) -> list[tuple[Family, tuple[float, ...]]]:
         """The effects of one family with their values."""
-        return [(t.effect, t.values) for t in self._by_family.get(family, ())]  # type: ignore[misc]
+        return cast("list[tuple[Family, tuple[float, ...]]]", [(t.effect, t.values) for t in self._by_family.get(family, ())])
 
     @cached_property
     def _by_family(self) -> dict[type, list[Term]]:
