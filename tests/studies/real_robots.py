@@ -233,7 +233,7 @@ def beside(result: bayesid.Identification, names: tuple[str, ...]) -> dict[str, 
 
 def published(name: str, found: dict[str, Any]) -> str:
     """What is published of a recording, and what `wls` says."""
-    if name not in PUBLISHED:
+    if name not in PUBLISHED or "parameters" not in found:  # another estimator was asked for
         return ""
     here = [f"{n} = {value:.4g} ± {std:.2g} {unit}" for n, value, std, unit in found["parameters"]]
     unseen = f"{100 * found['methods']['wls']['unseen']:.3g} % error on the unseen motion"
