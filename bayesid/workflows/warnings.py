@@ -77,6 +77,7 @@ def not_settled(problem: Problem, estimate: Estimate) -> list[str]:
 
     What readings are not linear in is estimated in steps that stay within what is plausible. An estimate that points far out of
     it still has run away along what these motions do not tell from other parameters, so those are not to be relied on, either.
+    So has one whose standard deviation is wider than all that is plausible.
     """
     point = problem.row_model.point
     if point is None:
@@ -92,7 +93,8 @@ def not_settled(problem: Problem, estimate: Estimate) -> list[str]:
         low, high = np.array(effect.lower), np.array(effect.upper)
         known = np.isfinite(stds[part])
         outside = np.maximum(low - values[part], values[part] - high) > _CERTAIN * np.where(known, stds[part], 0.0)
-        if not (outside | (known & (away > stds[part]))).any():
+        lost = known & ((away > stds[part]) | (stds[part] > high - low))
+        if not (outside | lost).any():
             continue
         shown = [f"{key} = {v:.3g} {unit}" for key, v, unit in zip(effect.parameters, values[part], effect.units, strict=True)]
         out.append(

@@ -167,3 +167,13 @@ def test_an_effect_that_ran_away_is_told(arm):
     assert len(told) == 1 and "[model.values]" in told[0]
     plain = bayesid.identify(arm, channel="torque", effects=["spring@joint2"])
     assert not [w for w in plain.warnings if "settle" in w]
+
+
+def test_an_effect_of_which_the_motions_say_nothing_is_told(shared):
+    """With the nominal links of its light wrist, which `sdp` stays near, nothing shows a TX40's coupling."""
+    experiment = bayesid.load_experiment(shared("data/tx40"))
+    effect = "coupled_transmission@joint5->joint6"
+    found = bayesid.identify(experiment, method="sdp", effects=[*experiment.effects, effect])
+    std = found.estimate.full_std[list(found.estimate.effect_names).index(f"{effect}.coupling") + found.base.rank]
+    told = [w for w in found.warnings if f"{effect} did not settle" in w]
+    assert len(told) == (std > 10.0) == 1
