@@ -12,7 +12,7 @@ from bayesid.design.sensor_sets import SensorSet
 from bayesid.dynamics.channels import WRENCH_NAMES
 from bayesid.errors import InputError
 from bayesid.estimators.nonlinear import settled
-from bayesid.estimators.weights import Weights, learn_weights
+from bayesid.estimators.weights import learn_weights
 from bayesid.recordings.experiment import Experiment
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import Problem, prepare
@@ -129,19 +129,9 @@ def recorded_noise(
             continue
         weights = learn_weights(problem.regression)
         readings = 2.0 if problem.static == "motion" else 1.0
-        models[kind] = {g: scaled(m, 1.0 / (readings if g == "trajectory" else 1.0)) for g, m in dispersed(weights).items()}
+        models[kind] = {g: m.scaled(1.0 / (readings if g == "trajectory" else 1.0)) for g, m in weights.dispersed().items()}
         sources[kind] = "readings"
     return ReadingNoise(models["wrench"], models["torque"], sources), problems
-
-
-def dispersed(weights: Weights) -> dict[str, NoiseModel]:
-    """Noise of each group of rows, as large as the scatter of a fit between stretches of the recording says."""
-    return {g: scaled(m, weights.dispersion) for g, m in weights.noise.items()}
-
-
-def scaled(model: NoiseModel, factor: float) -> NoiseModel:
-    """Noise of so many times the variance."""
-    return replace(model, innovation=factor * model.innovation)
 
 
 def _white(std) -> dict[str, NoiseModel]:

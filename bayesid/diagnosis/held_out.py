@@ -26,7 +26,7 @@ from bayesid.diagnosis.rows import model_rows, residual_rows, term_rows
 from bayesid.diagnosis.spectra import Segment
 from bayesid.diagnosis.validation import residual_spectra, without_offset
 from bayesid.effects import Term
-from bayesid.estimators.dispersion import STRETCHES, dispersion
+from bayesid.estimators.dispersion import STRETCHES, Rows, dispersions
 
 #: Curvature of directions that nothing determines, in units of a column's own.
 _FLAT = 1e-9
@@ -249,5 +249,5 @@ def _correlation(sums: HeldOutSums, groups: Sequence[int], effects: int) -> floa
     pick = np.zeros((len(sums.whole), len(active) + 1))
     pick[active, np.arange(len(active))] = 1.0
     pick[:, -1] = left  # about its own fit, so that the solution is zero
-    found, _ = dispersion([pick.T @ part @ pick for part in parts], np.zeros(len(active)))
-    return max(found, 1.0)
+    (found,) = dispersions(Rows([pick.T @ part @ pick for part in parts]), np.zeros(len(active)))
+    return max(found.found, 1.0)

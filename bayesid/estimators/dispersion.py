@@ -7,16 +7,20 @@ much: with the weighted rows X_k of stretch k, residuals r_k and ``A = sum_k X_k
     A^-1/2 v_k,   v_k = (1 - H_k)^-1/2 A^-1/2 X_k' r_k,   H_k = A^-1/2 X_k'X_k A^-1/2,
 
 where ``(1 - H_k)^-1/2`` gives back what the fit took from the residuals of its own rows: the bias-reduced covariance of clustered
-rows [Bell2002]_. Its size relative to the covariance V that the noise alone would give,
+rows [Bell2002]_. Its size relative to the covariance V that the noise alone would give, ``V = A^-1 M A^-1`` with
+``M = X' Sigma X``, Sigma the covariance of the weighted rows' noise,
 
-    dispersion = trace(V^-1 A^-1/2 sum_k v_k v_k' A^-1/2) / rank,
+    dispersion = trace(W sum_k v_k v_k') / trace(W A^-1/2 M A^-1/2),   W = (A^-1/2 M A^-1/2)^-1,
 
-is one for noise, whatever its colour within a stretch, and larger where stretches disagree.
+is one for noise, whatever its colour within a stretch, and larger where stretches disagree. The rows of one channel have a
+dispersion of their own, with that channel's X_k and r_k in the pull and its X in M, but not in W: how far the friction of one
+joint wanders says little of how far to trust the others.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import chi2
@@ -32,43 +36,96 @@ _LARGEST_SHARE = 0.95
 _SMALLEST = 1e-9
 
 
-def dispersion(grams: Sequence[np.ndarray], solution: np.ndarray, middle: np.ndarray | None = None) -> tuple[float, int]:
-    """Dispersion of an estimate between stretches, and the degrees of freedom that it rests on.
+@dataclass(frozen=True)
+class Rows:
+    """Some or all of the weighted rows.
+
+    Attributes
+    ----------
+    grams
+        ``[X_k y_k]'[X_k y_k]`` of each stretch (p + 1, p + 1).
+    middle
+        ``M = X' Sigma X`` (p, p); None: they are white, ``X'X``.
+    """
+
+    grams: Sequence[np.ndarray]
+    middle: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class Dispersion:
+    """Dispersion of an estimate between stretches, and what it rests on.
+
+    Attributes
+    ----------
+    found
+        The dispersion; 1 where there are too few rows to tell.
+    degrees
+        Degrees of freedom; 0 there.
+    size
+        The trace that it is relative to.
+    """
+
+    found: float = 1.0
+    degrees: int = 0
+    size: float = 0.0
+
+    def beyond_chance(self, chance: float = CHANCE) -> bool:
+        """Whether it is larger than noise alone makes it."""
+        return self.degrees > 0 and self.found > float(chi2.ppf(1.0 - chance, self.degrees)) / self.degrees
+
+
+def dispersions(whole: Rows, solution: np.ndarray, channels: Sequence[Rows] = ()) -> list[Dispersion]:
+    """Dispersion of the fit to all rows, and of what each channel pulls it by.
 
     Parameters
     ----------
-    grams
-        ``[X_k y_k]'[X_k y_k]`` of each stretch's weighted rows (p + 1, p + 1).
+    whole
+        All rows.
     solution
-        The fit to all of them (p,).
-    middle
-        ``X' Sigma X`` of the weighted rows (p, p), with the covariance Sigma of their noise; None: they are white.
-
-    Returns
-    -------
-    dispersion, degrees
-        1 and 0 where there are too few rows to tell.
+        The fit to them (p,).
+    channels
+        The rows of each channel.
     """
-    p = len(solution)
-    if len(grams) < 2:
-        return 1.0, 0
-    gram = np.sum([g[:p, :p] for g in grams], axis=0)
+    p, parts = len(solution), [whole, *channels]
+    nothing = [Dispersion() for _ in parts]
+    if len(whole.grams) < 2:
+        return nothing
+    gram = np.sum([g[:p, :p] for g in whole.grams], axis=0)
     length = or_one(np.sqrt(np.maximum(np.diag(gram), 0.0)))
     values, vectors = np.linalg.eigh(gram / np.outer(length, length))
     keep = values > _SMALLEST * values.max(initial=0.0)
     if not keep.any():
-        return 1.0, 0
+        return nothing
     root = vectors[:, keep] / np.sqrt(values[keep]) / length[:, None]  # root' A root = 1
-    weight = np.eye(root.shape[1]) if middle is None else np.linalg.pinv(root.T @ middle @ root, rcond=_SMALLEST, hermitian=True)
-    total = 0.0
-    for g in grams:
+    corrections = []
+    for g in whole.grams:
         share, axes = np.linalg.eigh(root.T @ g[:p, :p] @ root)
-        pull = axes.T @ (root.T @ (g[:p, p] - g[:p, :p] @ solution)) / np.sqrt(1.0 - np.minimum(share, _LARGEST_SHARE))
-        total += pull @ (axes.T @ weight @ axes) @ pull
-    # Directions of one stretch are correlated, so that half of them count.
-    return float(total / root.shape[1]), max(root.shape[1] * (len(grams) - 1) // 2, 1)
+        corrections.append((axes / np.sqrt(1.0 - np.minimum(share, _LARGEST_SHARE))) @ axes.T @ root.T)
+    spread = np.eye(root.shape[1]) if whole.middle is None else root.T @ whole.middle @ root
+    weight = np.linalg.pinv(spread, rcond=_SMALLEST, hermitian=True)
+    out = []
+    for part in parts:
+        pulls = [c @ (g[:p, p] - g[:p, :p] @ solution) for c, g in zip(corrections, part.grams, strict=True)]
+        middle = np.sum([g[:p, :p] for g in part.grams], axis=0) if part.middle is None else part.middle
+        share = weight @ root.T @ middle @ root
+        size, square = float(np.trace(share)), float(np.sum(share * share.T))
+        if size <= 0.0:
+            out.append(Dispersion())
+            continue
+        # Directions count by their share of the trace; those of one stretch are correlated, so that half of them count.
+        degrees = max(int(size**2 / square * (len(part.grams) - 1) / 2), 1)
+        out.append(Dispersion(float(sum(v @ weight @ v for v in pulls)) / size, degrees, size))
+    return out
 
 
-def beyond_chance(found: float, degrees: int, chance: float = CHANCE) -> bool:
-    """Whether a dispersion is larger than noise alone makes it."""
-    return degrees > 0 and found > float(chi2.ppf(1.0 - chance, degrees)) / degrees
+def widening(whole: Dispersion, channels: Sequence[Dispersion]) -> np.ndarray:
+    """By what to multiply the noise variance of each channel (c,): its dispersion, nowhere below one.
+
+    Ones where chance explains all of it, that of the whole and that of every channel. Where channels pull together, by the links
+    that they share, the whole scatters by more than its parts: then all are multiplied by what is missing.
+    """
+    if not whole.beyond_chance() and not any(c.beyond_chance(CHANCE / len(channels)) for c in channels):
+        return np.ones(len(channels))
+    own = np.array([max(c.found, 1.0) for c in channels])
+    return own * max(whole.found / np.average(own, weights=[c.size for c in channels]), 1.0)

@@ -80,16 +80,26 @@ def covariance_of_sums(sums: np.ndarray) -> np.ndarray:
     return wider * np.cov(sums.T, ddof=min(count - 1, 1)).reshape(p, p)
 
 
-def sandwich_middle(regression: Regression, weights: Weights, scale: dict[str, np.ndarray]) -> np.ndarray:
-    """Sum of ``X' W'W S W'W X`` over all blocks (p, p), S the mean covariance of all noise.
+def sandwich_middle(regression: Regression, noise: dict[str, NoiseModel], scale: dict[str, np.ndarray]) -> np.ndarray:
+    """Sum of ``X' W'W S W'W X`` over all blocks (p, p), S the mean covariance of the noise.
 
     Blocks are long against the noise's memory; its correlation across their borders is left out.
     """
 
     def colour(block: Block) -> np.ndarray:
-        return weights.noise[block.group].colour_transposed(block.matrix * scale[block.group].reshape(-1, 1) ** 2)
+        return noise[block.group].colour_transposed(block.matrix * scale[block.group].reshape(-1, 1) ** 2)
 
     return gram_rows(regression.blocks(), colour)
+
+
+def may_matter(regression: Regression, weights: Weights) -> bool:
+    """Whether anything is known of the regressor's errors, and the model lacks nothing.
+
+    What residuals of an incomplete model hold beside encoder errors is no sensor's noise, and the scatter between stretches
+    counts it all.
+    """
+    law = regression.regressor_noise
+    return law is not None and law.present() and weights.complete
 
 
 def with_encoder_errors(
@@ -111,12 +121,10 @@ def with_encoder_errors(
     Returns
     -------
     middle
-        None where encoder errors add next to nothing, or nothing is known of the regressor's errors; also where the model lacks
-        something: what residuals hold beside encoder errors is then no sensor's noise, and the scatter between stretches
-        counts it all.
+        None where encoder errors add next to nothing, or `may_matter` denies it.
     """
     law = regression.regressor_noise
-    if law is None or not law.present() or not weights.complete:
+    if law is None or not may_matter(regression, weights):
         return None
 
     def weighted(block: Block, rows: np.ndarray) -> np.ndarray:
@@ -148,7 +156,7 @@ def encoder_growth(regression: Regression, weights: Weights, scale: dict[str, np
     inverse
         Of a factor of the weighted rows, zero in columns that these do not determine (p, p).
     """
-    middle = sandwich_middle(regression, weights, scale)
+    middle = sandwich_middle(regression, weights.noise, scale)
     corrected = with_encoder_errors(regression, weights, scale, inverse, middle)
     if corrected is None:
         return np.ones(len(inverse))

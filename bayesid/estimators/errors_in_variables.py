@@ -147,19 +147,21 @@ class TotalLeastSquares:
         solution = start.solution + start.root @ step
         draws = [(Pair(b, b) for b in law.simulated(k)) for k in range(count)]
         noise, extra = split_noise(regression, start, solution, law, draws)
-        blocks = regression.blocks()
-        ordinary = spread(noise, ((b, start.back(b, start.rows(b)[0])) for b in blocks)) + extra
+        ordinary = spread(noise, ((b, start.back(b, start.rows(b)[0])) for b in regression.blocks())) + extra
         meat = ordinary
+        if start.weights.widened:
+            wider = start.weights.dispersed(noise)
+            meat = spread(wider, ((b, start.back(b, start.rows(b)[0])) for b in regression.blocks())) + extra
         if not start.weights.complete:
             # What the model lacks has the colour of the motion, as encoder errors have, and is not told apart from them: noise as
             # `wls` takes it is then a lower bound in every direction.
             whole = ((b, start.back(b, start.rows(b)[0])) for b in regression.blocks())
-            meat = at_least(meat, spread(start.weights.noise, whole))
+            meat = at_least(meat, spread(start.weights.dispersed(), whole))
         if count > 1:
             # The equations' right side at the solution differs from draw to draw; its mean by that over their number.
             left = np.array([s - (np.eye(p) - d) @ -step for d, s in drawn])
             meat = meat + np.cov(left.T, ddof=1).reshape(p, p) / count
-        covariance = start.weights.dispersion * start.root @ inverse @ meat @ inverse @ start.root.T
+        covariance = start.root @ inverse @ meat @ inverse @ start.root.T
         estimate = make_estimate(
             self.name, regression, replace(start.weights, noise=noise_of_fit(regression, start, solution)), start.factor,
             solution, covariance, start.hidden,

@@ -122,12 +122,13 @@ class InstrumentalVariables:
         p = len(step)
         # Rows of [X Z] that the estimate sums up: Z, or the mean of X and Z where each is the other's instrument.
         alone, mean = np.vstack([np.zeros((p, p)), np.eye(p)]), 0.5 * np.vstack([np.eye(p), np.eye(p)])
-        meat = alone.T @ one @ alone + mean.T @ both @ mean + extra
+        wide_one, wide_both = _spreads(start, start.weights.dispersed(noise), read()) if start.weights.widened else (one, both)
+        meat = alone.T @ wide_one @ alone + mean.T @ wide_both @ mean + extra
         # Residuals also hold what the model lacks: its colour is that of the motion, which no smooth curve of a sensor's
         # noise follows. So the noise as `wls` takes it, encoders' part included, is a lower bound in every direction.
-        plain_one, plain_both = _spreads(start, start.weights.noise, read())
+        plain_one, plain_both = _spreads(start, start.weights.dispersed(), read())
         meat = at_least(meat, alone.T @ plain_one @ alone + mean.T @ plain_both @ mean)
-        covariance = start.weights.dispersion * start.root @ inverse @ meat @ inverse.T @ start.root.T
+        covariance = start.root @ inverse @ meat @ inverse.T @ start.root.T
         first = np.vstack([np.eye(p), np.zeros((p, p))])
         ordinary = first.T @ one @ first + mean.T @ both @ mean
         plain = start.root @ ordinary @ start.root.T

@@ -20,7 +20,7 @@ from scipy.optimize import fminbound
 
 from bayesid.errors import InputError
 from bayesid.estimators.details import Details
-from bayesid.estimators.encoder_errors import sandwich_middle, with_encoder_errors
+from bayesid.estimators.encoder_errors import may_matter, sandwich_middle, with_encoder_errors
 from bayesid.estimators.estimator import Estimate, largest_autocorrelation
 from bayesid.estimators.factor import Factor, reduce_whitened, whitened
 from bayesid.estimators.reduction import reduce_in_coordinates
@@ -205,12 +205,15 @@ def covariance_middle(
     factor
         Of the weighted rows.
     """
-    middle = factor.matrix.T @ factor.matrix if scale is None else sandwich_middle(regression, weights, scale)
+    if scale is not None and not may_matter(regression, weights):
+        return sandwich_middle(regression, weights.dispersed(), scale)
+    middle = factor.matrix.T @ factor.matrix if scale is None else sandwich_middle(regression, weights.noise, scale)
     inverse = determined_inverse(factor.matrix, undetermined(factor.matrix))
     corrected = with_encoder_errors(regression, weights, scale, inverse, middle)
     if scale is None:
         return corrected
-    return weights.dispersion * (middle if corrected is None else corrected)
+    wider = sandwich_middle(regression, weights.dispersed(), scale) if weights.widened else middle
+    return wider if corrected is None else corrected + (wider - middle)
 
 
 def _shrink(regression, factor: Factor, given, inverse, *, continuous: bool) -> tuple[np.ndarray, float]:

@@ -7,10 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from bayesid.estimators.dispersion import beyond_chance, dispersion
+from bayesid.estimators.dispersion import Dispersion, Rows, dispersions, widening
 from bayesid.estimators.factor import Factor, Pilot, on_columns, whitened
 from bayesid.regression.blocks import Block
 from bayesid.regression.hypothesis_tests import hausman
@@ -44,22 +45,38 @@ class Weights:
         channel-weighted residuals, model error included; else that of an efficient fit.
     solution
         Of the channel-weighted fit to the pilot (p,).
-    scatter, scatter_degrees
-        Dispersion of the channel-weighted fit between stretches of the recording over what ``noise`` allows, and its
-        degrees of freedom (`bayesid.estimators.dispersion`).
+    scatter
+        Dispersion of the channel-weighted fit between stretches of the recording over what ``noise`` allows
+        (`bayesid.estimators.dispersion`).
+    channels
+        That of each channel (c), with chance on it.
     """
 
     noise: dict[str, NoiseModel]
     agreement: float
     complete: bool
     solution: np.ndarray
-    scatter: float = 1.0
-    scatter_degrees: int = 0
+    scatter: Dispersion = Dispersion()
+    channels: tuple[Dispersion, ...] = ()
+
+    @cached_property
+    def factors(self) -> np.ndarray:
+        """Factor of each channel's noise variance in the covariance of a fit weighted by channel (c,), or of all (1,)."""
+        return widening(self.scatter, self.channels) if self.channels else np.ones(1)
+
+    @property
+    def widened(self) -> bool:
+        """Whether stretches scatter by more than chance."""
+        return bool(np.any(self.factors > 1.0))
 
     @property
     def dispersion(self) -> float:
-        """Factor of the covariance of a fit weighted by channel: `scatter` where chance does not explain it, else 1."""
-        return self.scatter if self.scatter > 1.0 and beyond_chance(self.scatter, self.scatter_degrees) else 1.0
+        """Mean of `factors`, each with its channel's share of the covariance."""
+        return float(np.average(self.factors, weights=[c.size for c in self.channels])) if self.widened else 1.0
+
+    def dispersed(self, noise: dict[str, NoiseModel] | None = None) -> dict[str, NoiseModel]:
+        """Noise (default `noise`) as large as the scatter between stretches of the recording says."""
+        return {g: m.scaled(self.factors) for g, m in (self.noise if noise is None else noise).items()}
 
 
 def learn_weights(regression: Regression) -> Weights:
@@ -98,15 +115,19 @@ def _learned(regression: Regression) -> Weights:
     agreement = _agreement(pilot.factor_of(white), pilot.weighted(scale), middle, plain - efficient)
     power = [sum(np.sum((b.residual(x) / scale) ** 2) for b in blocks) for x in (plain, efficient)]
     complete = bool(agreement > SMALLEST_AGREEMENT or power[1] <= LARGEST_LOSS * power[0])
-    found, degrees = dispersion(pilot.stretches(white), efficient)
+    (found,) = dispersions(Rows(pilot.stretches(white)), efficient)
     if not complete:
         noise = first
         for _ in range(_PASSES):
             noise = noise_of_residuals(regression, blocks, plain, pilot.whitened(noise))
         middle = _middle(pilot, noise, scale)
-    complete = complete and not beyond_chance(found, degrees, SMALLEST_STRETCHES)
-    grams = pilot.stretches([b.rows / scale[:, None] for b in pilot.orthonormal])
-    return Weights(noise, agreement, complete, plain, *dispersion(grams, plain, middle))
+    complete = complete and not found.beyond_chance(SMALLEST_STRETCHES)
+    rows = [b.rows / scale[:, None] for b in pilot.orthonormal]
+    channels = [
+        Rows(pilot.stretches([r[:, c : c + 1] for r in rows]), _channel_middle(pilot, noise, scale, c)) for c in range(len(scale))
+    ]
+    scatter, *parts = dispersions(Rows(pilot.stretches(rows), middle), plain, channels)
+    return Weights(noise, agreement, complete, plain, scatter, tuple(parts))
 
 
 def pilot_of(regression: Regression) -> Pilot:
@@ -171,3 +192,9 @@ def _agreement(efficient: Factor, plain: Factor, middle: np.ndarray, difference:
 def _middle(pilot: Pilot, noise: dict[str, NoiseModel], scale: np.ndarray) -> np.ndarray:
     """``X' W Sigma W X`` of rows weighted by channel (p, p)."""
     return pilot.gram(lambda b, x: noise[b.group].colour_transposed(x / scale[:, None] ** 2))
+
+
+def _channel_middle(pilot: Pilot, noise: dict[str, NoiseModel], scale: np.ndarray, channel: int) -> np.ndarray:
+    """`_middle` of one channel's rows alone (p, p)."""
+    only, own = slice(channel, channel + 1), {g: m.of_channel(channel) for g, m in noise.items()}
+    return pilot.gram(lambda b, x: own[b.group].colour_transposed(x[:, only] / scale[channel] ** 2))

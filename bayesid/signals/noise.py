@@ -11,7 +11,7 @@ poles as known factors of the recursion; other rows start in the stationary stat
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular, toeplitz
@@ -65,6 +65,16 @@ class NoiseModel:
     def std(self) -> np.ndarray:
         """Stationary standard deviation of each channel's rows (c,)."""
         return np.sqrt(np.diag(self.innovation) * [autocovariance(a, 0)[0] for a in self.coefficients])
+
+    def scaled(self, factor: float | np.ndarray) -> NoiseModel:
+        """Noise of so many times the variance, the same for all channels or one for each (c,)."""
+        root = np.broadcast_to(np.sqrt(factor), len(self.innovation))
+        return replace(self, innovation=self.innovation * np.outer(root, root))
+
+    def of_channel(self, channel: int) -> NoiseModel:
+        """The noise of one channel alone."""
+        only = slice(channel, channel + 1)
+        return replace(self, coefficients=self.coefficients[only], innovation=self.innovation[only, only])
 
     def uncoloured(self) -> NoiseModel:
         """The same size of noise without its colour, for rows that are not consecutive."""

@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 from bayesid.design.advice import advise, duration
 from bayesid.design.expected import Expected, expected_factors
 from bayesid.design.identifiability import Plan, SetReport, report_of, set_report, with_differences
-from bayesid.design.reading_noise import ReadingNoise, dispersed, recorded_noise, white_noise
+from bayesid.design.reading_noise import ReadingNoise, recorded_noise, white_noise
 from bayesid.design.sensor_sets import SENSOR_SETS, SensorSet
 from bayesid.design.separability import pair_of, separations
 from bayesid.design.visibility import shown
@@ -260,7 +260,7 @@ def _of_regression(regression: Regression, clock: Clock) -> Identifiability:
     clock("noise")
     weights = learn_weights(regression)
     clock("rows")
-    factors = expected_factors(regression.blocks, dispersed(weights))
+    factors = expected_factors(regression.blocks, weights.dispersed())
     expected = Expected(regression.base, regression.effect_names, regression.effect_units, *factors)
     found = shown(expected)
     sizes = np.abs(found.base.matrix @ np.linalg.pinv(regression.base.matrix) @ weights.solution[: regression.base.rank])

@@ -5,7 +5,7 @@ import pytest
 from scipy.linalg import sqrtm
 
 import bayesid
-from bayesid.estimators.dispersion import STRETCHES, beyond_chance, dispersion
+from bayesid.estimators.dispersion import STRETCHES, Dispersion, Rows, dispersions, widening
 from bayesid.estimators.weights import learn_weights
 from bayesid.posterior.likelihood import Likelihood
 from bayesid.regression.regression import Regression
@@ -34,15 +34,15 @@ def test_it_is_the_bias_reduced_covariance_of_clustered_rows():
         pull = bread @ own.T @ adjust @ (y[rows] - own @ b)
         total += np.outer(pull, pull)
     grams = [np.column_stack([x[k], y[k]]).T @ np.column_stack([x[k], y[k]]) for k in np.array_split(np.arange(160), STRETCHES)]
-    found, degrees = dispersion(grams, b)
+    (scatter,) = dispersions(Rows(grams), b)
     # The root is taken in other coordinates, in which the share of a cluster is the same.
-    assert found == pytest.approx(np.trace(np.linalg.inv(bread) @ total) / 3, rel=1e-9)
-    assert degrees == 3 * (STRETCHES - 1) // 2
+    assert scatter.found == pytest.approx(np.trace(np.linalg.inv(bread) @ total) / 3, rel=1e-9)
+    assert scatter.degrees == 3 * (STRETCHES - 1) // 2 and scatter.size == pytest.approx(3.0)
 
 
 def test_noise_alone_is_hardly_ever_called_scatter():
     found = [learn_weights(regression(np.random.default_rng(k))[0]) for k in range(60)]
-    assert np.mean([w.scatter for w in found]) == pytest.approx(1.0, abs=0.1)
+    assert np.mean([w.scatter.found for w in found]) == pytest.approx(1.0, abs=0.1)
     assert np.mean([w.dispersion > 1.0 for w in found]) <= 0.12
     assert all(w.complete for w in found)
 
@@ -75,4 +75,34 @@ def test_the_likelihood_of_an_incomplete_model_has_the_curvature_of_the_sandwich
 
 
 def test_chance_needs_degrees_of_freedom():
-    assert not beyond_chance(100.0, 0) and beyond_chance(2.0, 100) and not beyond_chance(1.05, 100)
+    assert not Dispersion(100.0, 0).beyond_chance()
+    assert Dispersion(2.0, 100).beyond_chance() and not Dispersion(1.05, 100).beyond_chance()
+
+
+def test_a_channel_that_wanders_alone_widens_what_it_shows_alone():
+    """Each channel has parameters of its own; those of the first differ from stretch to stretch."""
+    inside, quiet, ratio = [], [], []
+    for k in range(25):
+        rng = np.random.default_rng(200 + k)
+        parts = [regression(rng, p=4, channels=1, wander=w)[0] for w in (0.15, 0.0)]
+        (one,), (other,) = (list(part.blocks()) for part in parts)
+        matrix = np.zeros((len(one.rows), 2, 8))
+        matrix[:, 0, :4], matrix[:, 1, 4:] = one.matrix[:, 0], other.matrix[:, 0]
+        data = Regression.from_arrays(matrix, np.concatenate([one.target, other.target], axis=1))
+        estimate = bayesid.fit(data, "wls")
+        hit = np.abs(estimate.values - 1.0) < 1.96 * estimate.std
+        inside.append(hit[:4])
+        quiet.append(hit[4:])
+        ratio.append(estimate.std[4:] / bayesid.fit(parts[1], "wls").std)
+    assert np.mean(inside) > 0.85 and np.mean(quiet) > 0.85
+    assert np.median(ratio) < 1.2  # the other channel is no less sure
+
+
+def test_widening_is_the_dispersion_of_each_channel_and_at_least_that_of_all():
+    def scatter(found, size=5.0, degrees=60):
+        return Dispersion(found, degrees, size)
+
+    np.testing.assert_array_equal(widening(scatter(1.1), [scatter(1.2), scatter(1.0)]), [1.0, 1.0])
+    np.testing.assert_allclose(widening(scatter(2.0), [scatter(3.0), scatter(0.5)]), [3.0, 1.0])
+    np.testing.assert_allclose(widening(scatter(1.1), [scatter(3.0), scatter(0.5)]), [3.0, 1.0])
+    np.testing.assert_allclose(widening(scatter(4.0), [scatter(3.0), scatter(1.0, size=15.0)]), [8.0, 8.0 / 3.0])

@@ -10,7 +10,7 @@ import numpy as np
 from bayesid.diagnosis.changes.proposals import with_proposals
 from bayesid.diagnosis.changes.reference import Reference, with_bodies
 from bayesid.errors import InputError
-from bayesid.estimators.dispersion import STRETCHES, dispersion
+from bayesid.estimators.dispersion import STRETCHES, Rows, dispersions
 from bayesid.estimators.nonlinear import solve
 from bayesid.recordings.experiment import Experiment
 from bayesid.regression.options import FitOptions
@@ -105,7 +105,7 @@ def read_recording(reference: Reference, experiment: Experiment, motions: Sequen
         np.repeat(np.concatenate([np.full(len(block.rows), block.motion) for block in blocks]), count),
         np.tile(np.arange(count), len(rows)), (own / scale).ravel(), scale,
         max(model.step / float(np.median(np.concatenate([np.diff(s.times) for s in segments]))), 1.0),
-        max(dispersion(grams, estimate.solution)[0], 1.0),
+        max(dispersions(Rows(grams), estimate.solution)[0].found, 1.0),
     )  # fmt: skip
 
 

@@ -133,7 +133,7 @@ class RobustFit:
         over accepted rows, C that of s: with size and colour of weighted noise, which varies less than the noise. Where the model
         lacks something, weights fall where that is, which makes nothing more certain: C is then that of r.
         """
-        noise = self._score_noise() if self.learned.complete else self.learned.noise
+        noise = self.learned.dispersed(self._score_noise() if self.learned.complete else None)
         scale = {g: 1.0 / m.std for g, m in self.learned.noise.items()}
         middle = gram_rows(
             weighted(self.plain.blocks(), self.residual, self.accepted_rows.astype(float)),
@@ -141,7 +141,7 @@ class RobustFit:
         )
         inverse = determined_inverse(self.factor.matrix, hidden)
         bread = inverse @ inverse.T / self._slope(inverse)
-        covariance = self.learned.dispersion * bread @ middle @ bread
+        covariance = bread @ middle @ bread
         if self.regression.known_poles is None:  # what encoder errors make of rows is known as the filters leave it
             growth = np.sqrt(encoder_growth(self.clean, self.learned, scale, inverse))
             covariance *= np.outer(growth, growth)
