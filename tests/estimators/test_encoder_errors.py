@@ -39,7 +39,7 @@ def corrected(regression, kind):
     """The covariance of the equations, rows weighted or whitened; None where encoder errors do not matter."""
     weights = learn_weights(regression)
     factor, scale = weighted_factor(regression, weights, kind)
-    middle = factor.matrix.T @ factor.matrix if scale is None else sandwich_middle(regression, weights, scale)
+    middle = factor.matrix.T @ factor.matrix if scale is None else sandwich_middle(regression, weights.noise, scale)
     return with_encoder_errors(regression, weights, scale, np.linalg.pinv(factor.matrix), middle)
 
 

@@ -104,10 +104,10 @@ def test_iv_is_the_textbook_formula():
     np.testing.assert_allclose(estimate.values, expected, rtol=1e-9)
     noise = estimate.noise["trajectory"]
     assert noise.order == 0  # so that the covariance of all rows is that of one sample, again and again
-    sigma = np.kron(np.eye(len(target)), noise.innovation * np.outer(scale, scale))
+    wider = scale * np.sqrt(learn_weights(regression).factors)
+    sigma = np.kron(np.eye(len(target)), noise.innovation * np.outer(wider, wider))
     a = np.linalg.inv(z.T @ x)
-    dispersion = learn_weights(regression).dispersion
-    np.testing.assert_allclose(estimate.covariance, dispersion * (a @ z.T @ sigma @ z @ a.T), rtol=1e-6)
+    np.testing.assert_allclose(estimate.covariance, a @ z.T @ sigma @ z @ a.T, rtol=1e-6)
 
 
 @pytest.mark.parametrize("method", ["tls", "iv"])
