@@ -180,8 +180,9 @@ class Findings:
         rivals = [{"name": t.effect.name, "where": t.effect.where} for t, _ in found.rivals]
         share = self.shares(index)
         odds = np.array([0.0, *(-lack for _, lack in found.rivals)])
+        probability = (1.0 - self.data.settings.outside_library) / np.exp(odds).sum()
         return {
-            "name": effect.name, "where": effect.where, "probability": float(1.0 / np.exp(odds).sum()),
+            "name": effect.name, "where": effect.where, "probability": float(probability),
             "log_bayes_factor": found.gain, "share": None if share is None else share[0],
             "share_low": None if share is None else share[1], "parameters": parameters, "ambiguous_with": rivals,
             "stability": next((x.to_dict() for x in self.stability if x and x.spec == effect.spec), None),

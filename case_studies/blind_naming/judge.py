@@ -1,9 +1,10 @@
 """Diagnose a blind set and say how often the truth was named: rates, coverage of the intervals, confusion matrix.
 
-    python case_studies/blind_naming/judge.py SET ... [--jobs 2] [--seed 0] [--write]
+    python case_studies/blind_naming/judge.py SET ... [--jobs 2] [--seed 0] [--before SET ...] [--write]
 
 A SET is what make.py wrote. Diagnoses go to SET/diagnoses; those that are there are not made again, so a run can be
-interrupted. ``--write`` puts results.json, confusion.png and the table of README.md beside this script.
+interrupted. ``--before`` names copies of these sets that an older revision has diagnosed, to stand beside. ``--write`` puts
+results.json, confusion.png and the table of README.md beside this script.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from tqdm import tqdm
 HERE = Path(__file__).parent
 CLAIMS = ("named", "named_in_part", "ambiguous")
 #: Edges of the probabilities that names are given with.
-PROBABILITIES = (0.0, 0.5, 0.9, 0.99, 1.0)
+PROBABILITIES = (0.0, 0.5, 0.9, 1.0)
 #: Counted with all others and again alone: how large they have to be to be seen is a question of trust in the links.
 APART = ("payload", "inertia_error", "rotor_momentum")
 #: In the wrench alone these can only be told from each other by what is thought possible (EXPERIMENT_FORMAT).
@@ -199,6 +200,7 @@ def main() -> None:
     parser.add_argument("--only-count", action="store_true", help="make no diagnoses, count those that are there")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--before", type=Path, nargs="*", default=[], metavar="SET", help="the same with older diagnoses")
     parser.add_argument("--write", action="store_true", help="renew results.json, confusion.png and README.md's table")
     options = parser.parse_args()
     folders = sorted(p.parent for chosen in options.sets for p in chosen.glob("*/experiment.toml"))
@@ -208,6 +210,11 @@ def main() -> None:
             list(tqdm(work, total=len(folders), unit="case", disable=None))
     pairs = [pair for chosen in options.sets for pair in read(chosen)]
     results = judge(pairs)
+    if options.before:
+        older = {(k, answer["case"]): (answer, said) for k, chosen in enumerate(options.before) for answer, said in read(chosen)}
+        if len(older) != len(pairs):
+            raise SystemExit(f"--before has {len(older)} diagnoses of {len(pairs)}")
+        results["before"] = judge(list(older.values()))
     print(json.dumps(results, indent=1))
     if options.write:
         (HERE / "results.json").write_text(json.dumps(results, indent=1) + "\n")
@@ -215,23 +222,31 @@ def main() -> None:
         fill(HERE / "README.md", results)
 
 
-def fill(readme: Path, results: dict) -> None:
-    """Put the table of rates between README.md's marks."""
-    begin, end = "<!-- results -->", "<!-- end of results -->"
-    lines = ["| | share | cases |", "| --- | --- | --- |"]
-    lines += [f"| {key} | {100 * share:.1f} % | {count} |" for key, (share, count) in results["rates"].items()]
+def percentages(results: dict) -> dict[str, tuple[str, str]]:
+    """Every share in per cent, and of how many, by what it is."""
+    found = dict(results["rates"])
     for key, text in (
         ("coverage_95", "95 % intervals of named effects that hold the truth"),
         ("gap_after_within_1.1_of_floor", "gap on unseen motions at most 1.1 times the floor afterwards"),
     ):
         if results[key]:
-            lines.append(f"| {text} | {100 * results[key][0]:.1f} % | {results[key][1]} |")
+            found[text] = results[key]
     for one in results["probability"].get("bins", ()):
-        text = f"names given with a probability of {one['from']:g} to {one['to']:g} (mean {one['given']:.2f}) that are right"
-        lines.append(f"| {text} | {100 * one['right']:.1f} % | {one['names']} |")
+        found[f"names given with a probability of {one['from']:g} to {one['to']:g} that are right"] = [one["right"], one["names"]]
     if results["probability"].get("sets"):
-        share, count = results["probability"]["sets"]
-        lines.append(f"| sets that are not told apart and hold the truth | {100 * share:.1f} % | {count} |")
+        found["sets that are not told apart and hold the truth"] = results["probability"]["sets"]
+    return {text: (f"{100 * share:.1f} %", str(count)) for text, (share, count) in found.items()}
+
+
+def fill(readme: Path, results: dict) -> None:
+    """Put the table of rates between README.md's marks."""
+    begin, end = "<!-- results -->", "<!-- end of results -->"
+    now, old = percentages(results), percentages(results["before"]) if "before" in results else None
+    head = ["", "share", "cases"] if old is None else ["", "share", "cases", "before", "cases"]
+    lines = [f"| {' | '.join(head)} |", f"|{' --- |' * len(head)}"]
+    for text in dict.fromkeys([*now, *(old or {})]):
+        cells = [cell for one in (now, old) if one is not None for cell in one.get(text, ("", ""))]
+        lines.append(f"| {' | '.join([text, *cells])} |")
     text = readme.read_text()
     before, rest = text.split(begin)
     readme.write_text(before + begin + "\n" + "\n".join(lines) + "\n" + end + rest.split(end)[1])
