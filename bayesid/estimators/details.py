@@ -23,6 +23,8 @@ class Details:
     dispersion
         Factor that covariances have for model error: how much more the fit scatters between stretches of the recording
         than noise explains; 1 where noise does.
+    dispersion_by_channel
+        That of each channel's readings, of which the former is the mean; None where noise explains it.
     warnings
         What the user should know before using the estimate.
     """
@@ -30,6 +32,7 @@ class Details:
     model_complete: bool | None = field(default=None, metadata=OPTIONAL)
     agreement_of_gls_and_wls: float | None = field(default=None, metadata=OPTIONAL)
     dispersion: float | None = field(default=None, metadata=OPTIONAL)
+    dispersion_by_channel: Mapping[str, float] | None = field(default=None, metadata=OPTIONAL)
     warnings: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:

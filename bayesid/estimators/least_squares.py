@@ -261,6 +261,7 @@ def completeness(weights: Weights) -> dict[str, Any]:
     """What every estimator says of the model, as keywords of its `Details`."""
     return {
         "model_complete": weights.complete, "agreement_of_gls_and_wls": weights.agreement, "dispersion": weights.dispersion,
+        "dispersion_by_channel": weights.dispersion_by_channel,
     }  # fmt: skip
 
 

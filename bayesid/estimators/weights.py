@@ -6,7 +6,7 @@ Both are learned on a pilot: all rows of an ordinary recording, evenly spread st
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -49,7 +49,7 @@ class Weights:
         Dispersion of the channel-weighted fit between stretches of the recording over what ``noise`` allows
         (`bayesid.estimators.dispersion`).
     channels
-        That of each channel (c), with chance on it.
+        That of each channel, by name.
     """
 
     noise: dict[str, NoiseModel]
@@ -57,12 +57,12 @@ class Weights:
     complete: bool
     solution: np.ndarray
     scatter: Dispersion = Dispersion()
-    channels: tuple[Dispersion, ...] = ()
+    channels: dict[str, Dispersion] = field(default_factory=dict)
 
     @cached_property
     def factors(self) -> np.ndarray:
         """Factor of each channel's noise variance in the covariance of a fit weighted by channel (c,), or of all (1,)."""
-        return widening(self.scatter, self.channels) if self.channels else np.ones(1)
+        return widening(self.scatter, list(self.channels.values())) if self.channels else np.ones(1)
 
     @property
     def widened(self) -> bool:
@@ -72,7 +72,12 @@ class Weights:
     @property
     def dispersion(self) -> float:
         """Mean of `factors`, each with its channel's share of the covariance."""
-        return float(np.average(self.factors, weights=[c.size for c in self.channels])) if self.widened else 1.0
+        return float(np.average(self.factors, weights=[c.size for c in self.channels.values()])) if self.widened else 1.0
+
+    @property
+    def dispersion_by_channel(self) -> dict[str, float] | None:
+        """`factors` by name; None where they are one."""
+        return dict(zip(self.channels, self.factors.tolist(), strict=True)) if self.widened else None
 
     def dispersed(self, noise: dict[str, NoiseModel] | None = None) -> dict[str, NoiseModel]:
         """Noise (default `noise`) as large as the scatter between stretches of the recording says."""
@@ -127,7 +132,7 @@ def _learned(regression: Regression) -> Weights:
         Rows(pilot.stretches([r[:, c : c + 1] for r in rows]), _channel_middle(pilot, noise, scale, c)) for c in range(len(scale))
     ]
     scatter, *parts = dispersions(Rows(pilot.stretches(rows), middle), plain, channels)
-    return Weights(noise, agreement, complete, plain, scatter, tuple(parts))
+    return Weights(noise, agreement, complete, plain, scatter, dict(zip(regression.channel_names, parts, strict=True)))
 
 
 def pilot_of(regression: Regression) -> Pilot:

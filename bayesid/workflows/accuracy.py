@@ -224,7 +224,7 @@ def _warnings(bench: Bench, varied: Sweeps | None, found: Certificate | None) ->
         )
     details = bench.estimate.details
     if details.model_complete is False:
-        out.append(incomplete(details.dispersion))
+        out.append(incomplete(details.dispersion, details.dispersion_by_channel))
         out.append(
             "What the model misses is in the twins as noise of the same spectrum, without its dependence on the motion: real "
             "errors may be larger than simulated ones, and neither repeats nor a better sensor take it away. Look for the "

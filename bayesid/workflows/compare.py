@@ -254,7 +254,7 @@ def _warnings(
             'Add one with role = "validation".'
         )
     if not weights.complete:
-        out.append(incomplete(weights.dispersion))
+        out.append(incomplete(weights.dispersion, weights.dispersion_by_channel))
     apart = [t for t in tests if t.contradiction]
     if apart:
         names, largest = ", ".join(t.method for t in apart), max(t.probability or 0.0 for t in apart)

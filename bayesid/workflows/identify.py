@@ -225,7 +225,7 @@ def _warnings(
                 "apart, and look for what changed in between (`bayesid diagnose`)."
             )
     if estimate.details.model_complete is False:
-        out.append(incomplete(estimate.details.dispersion))
+        out.append(incomplete(estimate.details.dispersion, estimate.details.dispersion_by_channel))
     # What the estimator itself has to say, such as weak instruments.
     out += estimate.details.warnings
     if unexcited:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
@@ -31,10 +31,13 @@ def unpredicted(prediction: Prediction) -> list[str]:
     ]
 
 
-def incomplete(dispersion: float | None) -> str:
-    """That the model lacks something, and what intervals do about it."""
+def incomplete(dispersion: float | None, channels: Mapping[str, float] | None = None) -> str:
+    """That the model lacks something, in which channels most, and what intervals do about it."""
     factor = (dispersion or 1.0) ** 0.5
-    wider = f" ({factor:.2g} times as wide as noise alone makes them)" if factor > 1.0 else ""
+    known = channels or {}
+    most = sorted(known, key=lambda c: -known[c])[:2] if len(known) > 2 else []
+    where = f", most in {' and '.join(most)}" if most else ""
+    wider = f" ({factor:.2g} times as wide as noise alone makes them{where})" if factor > 1.0 else ""
     return (
         "Something is missing in the model: the fit scatters more between stretches of the recording, or between weightings, "
         f"than noise explains. Intervals count the scatter{wider}; for motions unlike the fitted ones they do not hold. "

@@ -79,6 +79,24 @@ def test_halves_of_a_real_motion_agree_within_their_intervals(shared, method):
     assert distance is not None and 0.4 < distance[0] < 1.3
 
 
+@pytest.mark.parametrize("method", ["wls", "huber"])
+def test_a_wrist_that_wanders_more_than_the_arm_is_counted_by_itself(shared, method):
+    """One factor for all channels left the halves of this motion 1.6 standard deviations apart."""
+    case = Case("ur10", bayesid.load_experiment(shared("data/ur10")), FRICTION)
+    bandwidth = prepare(case.experiment, FitOptions(effects=FRICTION)).smoother.bandwidth
+    distance = apart(*(estimate(case, half, method, bandwidth) for half in halves(case.fitted)))
+    assert distance is not None and distance[0] < 1.3
+
+
+def test_what_scatters_is_told_by_channel(shared):
+    result = bayesid.identify(shared("data/ur10"), effects=FRICTION)
+    by_channel = result.estimate.details.dispersion_by_channel
+    assert by_channel is not None and set(by_channel) == {f"tau{k}" for k in range(1, 7)}
+    assert result.to_dict()["details"]["dispersion_by_channel"] == by_channel
+    largest = max(by_channel, key=lambda name: by_channel[name])
+    assert any("Something is missing" in w and f"most in {largest}" in w for w in result.warnings)
+
+
 def test_a_repeated_motion_is_not_called_a_validation(shared):
     from dataclasses import replace
 
