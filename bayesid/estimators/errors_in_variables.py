@@ -151,7 +151,8 @@ class TotalLeastSquares:
         meat = ordinary
         if start.weights.widened:
             wider = start.weights.dispersed(noise)
-            meat = spread(wider, ((b, start.back(b, start.rows(b)[0])) for b in regression.blocks())) + extra
+            meat = spread(wider, ((b, start.back(b, start.rows(b)[0])) for b in regression.blocks()))
+            meat = meat + start.weights.dispersion * extra
         if not start.weights.complete:
             # What the model lacks has the colour of the motion, as encoder errors have, and is not told apart from them: noise as
             # `wls` takes it is then a lower bound in every direction.

@@ -123,7 +123,7 @@ class InstrumentalVariables:
         # Rows of [X Z] that the estimate sums up: Z, or the mean of X and Z where each is the other's instrument.
         alone, mean = np.vstack([np.zeros((p, p)), np.eye(p)]), 0.5 * np.vstack([np.eye(p), np.eye(p)])
         wide_one, wide_both = _spreads(start, start.weights.dispersed(noise), read()) if start.weights.widened else (one, both)
-        meat = alone.T @ wide_one @ alone + mean.T @ wide_both @ mean + extra
+        meat = alone.T @ wide_one @ alone + mean.T @ wide_both @ mean + start.weights.dispersion * extra
         # Residuals also hold what the model lacks: its colour is that of the motion, which no smooth curve of a sensor's
         # noise follows. So the noise as `wls` takes it, encoders' part included, is a lower bound in every direction.
         plain_one, plain_both = _spreads(start, start.weights.dispersed(), read())

@@ -212,8 +212,7 @@ def covariance_middle(
     corrected = with_encoder_errors(regression, weights, scale, inverse, middle)
     if scale is None:
         return corrected
-    wider = sandwich_middle(regression, weights.dispersed(), scale) if weights.widened else middle
-    return wider if corrected is None else corrected + (wider - middle)
+    return weights.dispersion * (middle if corrected is None else corrected)  # a complete model's is the same for all channels
 
 
 def _shrink(regression, factor: Factor, given, inverse, *, continuous: bool) -> tuple[np.ndarray, float]:

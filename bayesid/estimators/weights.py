@@ -62,7 +62,7 @@ class Weights:
     @cached_property
     def factors(self) -> np.ndarray:
         """Factor of each channel's noise variance in the covariance of a fit weighted by channel (c,), or of all (1,)."""
-        return widening(self.scatter, list(self.channels.values())) if self.channels else np.ones(1)
+        return widening(self.scatter, list(self.channels.values()), self.complete) if self.channels else np.ones(1)
 
     @property
     def widened(self) -> bool:
