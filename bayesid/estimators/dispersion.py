@@ -119,16 +119,16 @@ def dispersions(whole: Rows, solution: np.ndarray, channels: Sequence[Rows] = ()
     return out
 
 
-def widening(whole: Dispersion, channels: Sequence[Dispersion], complete: bool = False) -> np.ndarray:
+def widening(whole: Dispersion, channels: Sequence[Dispersion]) -> np.ndarray:
     """By what to multiply the noise variance of each channel (c,): its dispersion, nowhere below one.
 
     Ones where chance explains all of it, that of the whole and that of every channel. Where channels pull together, by the links
-    that they share, the whole scatters by more than its parts: then all are multiplied by what is missing. Where nothing else
-    says that the model lacks something (``complete``), that of the whole counts alone: that of its parts is mostly chance.
+    that they share, the whole scatters by more than its parts: then all are multiplied by what is missing. Without channels, the
+    dispersion of the whole (1,).
     """
-    if complete:
-        return np.full(len(channels), max(whole.found, 1.0) if whole.beyond_chance() else 1.0)
     if not whole.beyond_chance() and not any(c.beyond_chance(CHANCE / len(channels)) for c in channels):
-        return np.ones(len(channels))
+        return np.ones(max(len(channels), 1))
+    if not channels:
+        return np.array([max(whole.found, 1.0)])
     own = np.array([max(c.found, 1.0) for c in channels])
     return own * max(whole.found / np.average(own, weights=[c.size for c in channels]), 1.0)

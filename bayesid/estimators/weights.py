@@ -49,7 +49,7 @@ class Weights:
         Dispersion of the channel-weighted fit between stretches of the recording over what ``noise`` allows
         (`bayesid.estimators.dispersion`).
     channels
-        That of each channel, by name.
+        That of each channel, by name; none where the model is complete: how much they differ is mostly chance there.
     """
 
     noise: dict[str, NoiseModel]
@@ -62,7 +62,7 @@ class Weights:
     @cached_property
     def factors(self) -> np.ndarray:
         """Factor of each channel's noise variance in the covariance of a fit weighted by channel (c,), or of all (1,)."""
-        return widening(self.scatter, list(self.channels.values()), self.complete) if self.channels else np.ones(1)
+        return widening(self.scatter, list(self.channels.values()))
 
     @property
     def widened(self) -> bool:
@@ -72,12 +72,13 @@ class Weights:
     @property
     def dispersion(self) -> float:
         """Mean of `factors`, each with its channel's share of the covariance."""
-        return float(np.average(self.factors, weights=[c.size for c in self.channels.values()])) if self.widened else 1.0
+        sizes = [c.size for c in self.channels.values()] or None
+        return float(np.average(self.factors, weights=sizes)) if self.widened else 1.0
 
     @property
     def dispersion_by_channel(self) -> dict[str, float] | None:
         """`factors` by name; None where they are one."""
-        return dict(zip(self.channels, self.factors.tolist(), strict=True)) if self.widened else None
+        return dict(zip(self.channels, self.factors.tolist(), strict=True)) if self.widened and self.channels else None
 
     def dispersed(self, noise: dict[str, NoiseModel] | None = None) -> dict[str, NoiseModel]:
         """Noise (default `noise`) as large as the scatter between stretches of the recording says."""
@@ -128,11 +129,12 @@ def _learned(regression: Regression) -> Weights:
         middle = _middle(pilot, noise, scale)
     complete = complete and not found.beyond_chance(SMALLEST_STRETCHES)
     rows = [b.rows / scale[:, None] for b in pilot.orthonormal]
+    names = () if complete else regression.channel_names
     channels = [
-        Rows(pilot.stretches([r[:, c : c + 1] for r in rows]), _channel_middle(pilot, noise, scale, c)) for c in range(len(scale))
+        Rows(pilot.stretches([r[:, c : c + 1] for r in rows]), _channel_middle(pilot, noise, scale, c)) for c in range(len(names))
     ]
     scatter, *parts = dispersions(Rows(pilot.stretches(rows), middle), plain, channels)
-    return Weights(noise, agreement, complete, plain, scatter, dict(zip(regression.channel_names, parts, strict=True)))
+    return Weights(noise, agreement, complete, plain, scatter, dict(zip(names, parts, strict=True)))
 
 
 def pilot_of(regression: Regression) -> Pilot:
