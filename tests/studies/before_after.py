@@ -29,7 +29,7 @@ licence, so users fetch them themselves: github.com/shamilmamedov/dynamic_calibr
 
 def pair(before: str, after: str) -> dict:
     """Figures of one pair."""
-    folder = Path(os.environ["BAYESID_DATA"]) / "data" / "ur10e"
+    folder = Path(os.environ.get("BAYESID_DATA", "../shared")) / "data" / "ur10e"
     since = time.process_time()
     found = bayesid.diagnose(folder / after, reference=folder / before)
     c = found.comparison

@@ -48,7 +48,7 @@ PAGE = """\
 the effect. How often 95 % intervals hold the truth, in per cent of all base parameters: of those that the effect cannot touch
 (leaving it out moves them by at most {{ touched }} of the standard deviations that noise alone would give), and of the others.
 Made by `python -m tests.studies.unmodelled`, seed {{ seed }}.
-{% if before %}*Before*: {{ before }} of these recordings with revision {{ revision }}, whose intervals count noise alone.
+{% if before %}*Before*: {{ before }} of these recordings with revision {{ revision }}.
 {% endif %}
 
 | {{ head | join(" | ") }} |
