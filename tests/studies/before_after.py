@@ -1,7 +1,7 @@
 """Study: every ordered pair of the UR10e's recordings, before and after.
 
-Run ``python -m tests.studies.before_after --write`` with ``BAYESID_DATA`` set; it writes ``docs/before-after.md`` and
-``docs/before-after.json``.
+Run ``python -m tests.studies.before_after --write``, with the recordings where ``BAYESID_DATA`` says (default ``../shared``); it
+writes ``docs/before-after.md`` and ``.json``.
 """
 
 from __future__ import annotations
