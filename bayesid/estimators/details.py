@@ -24,7 +24,7 @@ class Details:
         Factor that covariances have for model error: how much more the fit scatters between stretches of the recording
         than noise explains; 1 where noise does.
     dispersion_by_channel
-        That of each channel's readings, of which the former is the mean; None where noise explains it.
+        That of each channel's readings, of which the former is the mean; None where the model is complete, or noise explains it.
     warnings
         What the user should know before using the estimate.
     """

@@ -108,8 +108,8 @@ def dispersions(whole: Rows, solution: np.ndarray, channels: Sequence[Rows] = ()
     for part in parts:
         pulls = [c @ (g[:p, p] - g[:p, :p] @ solution) for c, g in zip(corrections, part.grams, strict=True)]
         middle = np.sum([g[:p, :p] for g in part.grams], axis=0) if part.middle is None else part.middle
-        share = weight @ root.T @ middle @ root
-        size, square = float(np.trace(share)), float(np.sum(share * share.T))
+        ratio = weight @ root.T @ middle @ root
+        size, square = float(np.trace(ratio)), float(np.sum(ratio * ratio.T))
         if size <= 0.0:
             out.append(Dispersion())
             continue

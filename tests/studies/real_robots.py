@@ -126,6 +126,7 @@ def thirty_lines(case: Case) -> float:
     moving = [model.joints[model.getJointId(name)] for name in robot.joint_names]
     columns = [10 * (joint.id - 1) + k for joint in moving for k in range(10)]
     order = [joint.idx_v for joint in moving]
+
     def rows(motion: Motion) -> tuple[np.ndarray, np.ndarray]:
         table = motion.table
         step = float(np.median(np.diff(table.times)))

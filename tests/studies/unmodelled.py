@@ -46,7 +46,7 @@ PAGE = """\
 {{ cases }} recordings with one hidden effect, 1, 3 or 10 times the floor of a perfect model, by the plant of
 [blind naming](../case_studies/blind_naming/README.md) (`{{ slow }}` left out, for its plant is slow), identified without
 the effect. How often 95 % intervals hold the truth, in per cent of all base parameters: of those that the effect cannot touch
-(leaving it out moves them by at most {{ touched }} of the standard deviations that noise alone would give), and of the others.
+(leaving it out moves them by at most {{ touched }} of about the standard deviation of noise alone), and of the others.
 Made by `python -m tests.studies.unmodelled`, seed {{ seed }}.
 {% if before %}*Before*: {{ before }} of these recordings with revision {{ revision }}.
 {% endif %}
