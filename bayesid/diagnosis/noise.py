@@ -126,7 +126,7 @@ def smoothed(
     q, v, a = smooth(times, positions, bandwidth, at=np.clip(grid, times[0], times[-1]))
     if still:
         v, a = 0.0 * v, 0.0 * a
-    return MotionSegment(grid, q, v, a, still, bandwidth, middle, clear, cell)
+    return MotionSegment(grid, q, v, a, still, bandwidth, middle, clear, cell, None if still else (times, positions))
 
 
 def has_readings(table: Table, channel: str) -> bool:

@@ -156,6 +156,10 @@ class PlayEffect(Effect):
     def lean(self, torque: np.ndarray, values: Sequence[float]) -> np.ndarray:
         """How far the link stays behind the motor (N,) [rad or m] under the joint's torque (N,)."""
 
+    @abstractmethod
+    def slope(self, torque: np.ndarray, values: Sequence[float]) -> np.ndarray:
+        """Derivative of `lean` with respect to the torque (N,) [rad/(N m) or m/N]."""
+
 
 class MountEffect(Effect):
     """The base turns on a compliant, damped mount (`bayesid.effects.mount`)."""

@@ -79,6 +79,14 @@ def link_motion(
     return link
 
 
+def own_inertia(torque: Callable[[Motion, np.ndarray], np.ndarray], positions: np.ndarray, joint: int) -> np.ndarray:
+    """Inertia that a joint feels at positions (N, n), from the torques that link motions take (N,) [kg m^2 or kg]."""
+    held = np.zeros_like(positions)
+    turning, only = held.copy(), np.array([joint])
+    turning[:, joint] = 1.0
+    return (torque((positions, held, turning), only) - torque((positions, held, held), only))[:, 0]
+
+
 def splines(times: np.ndarray, cutoff: float) -> Basis:
     """Quintic B-splines at times (N,) [s] with nothing above a cutoff [Hz], and their first two derivatives, (N, k) each."""
     from scipy import sparse

@@ -18,22 +18,17 @@ What an effect does in its step is a method of its class (`bayesid.effects.famil
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property
-from typing import TypeVar, cast
 
 import numpy as np
 
 from bayesid.dynamics.channels import Channels, torque_channels
-from bayesid.dynamics.kinematics import body_wrenches, channel_twists, is_wrench, link_states, project
-from bayesid.effects.bodies import body_of, rotor_couple, split_matrix
-from bayesid.effects.effect import Effect, Term, by_class
+from bayesid.dynamics.kinematics import body_wrenches, channel_twists, link_states, project
+from bayesid.effects.bodies import rotor_couple
+from bayesid.effects.effect import Effect, Term
 from bayesid.effects.families import (
-    BodyEffect,
     EncoderEffect,
     FlexibleJointEffect,
-    GravityEffect,
-    InstrumentEffect,
     JointDelayEffect,
     JointGainEffect,
     JointMotion,
@@ -48,41 +43,25 @@ from bayesid.effects.families import (
     SensorEffect,
     TransmissionEffect,
 )
-from bayesid.effects.flexible import link_motion, splines
+from bayesid.effects.flexible import Motion, link_motion, own_inertia, splines
 from bayesid.effects.mount import mount_motion
-from bayesid.effects.play import leaning_motion, projections
+from bayesid.effects.parts import Parts
+from bayesid.effects.play import Fitting, Recorded, leaning_motion
 from bayesid.effects.segment import MotionSegment
 from bayesid.effects.sensor_chain import SensorChain
 from bayesid.effects.torque_chain import TorqueChain
-from bayesid.effects.transmission import coupling_matrix
 from bayesid.errors import InputError
 from bayesid.robot.robot import Robot
 
 #: Share of the bandwidth that a flexible joint's torque is smoothed to, to be differentiated twice, unless `clear` is known.
 FLEXIBLE_BANDWIDTH = 0.7
 
-Family = TypeVar("Family", bound=Effect)
 
-
-@dataclass(frozen=True, eq=False)
-class Model:
+class Model(Parts):
     """A robot with effects in one motion segment; results are made when they are asked for, and kept with the segment.
 
-    Attributes
-    ----------
-    robot, channels, segment
-        What moves, what is measured, and when.
-    links
-        Ten parameters a body (b, 10).
-    terms
-        The effects.
+    Attributes are those of `bayesid.effects.parts.Parts`.
     """
-
-    robot: Robot
-    channels: Channels
-    segment: MotionSegment
-    links: np.ndarray
-    terms: tuple[Term, ...]
 
     @classmethod
     def of(cls, robot: Robot, channels: Channels, segment: MotionSegment, links: np.ndarray, terms: Sequence[Term]) -> Model:
@@ -97,77 +76,7 @@ class Model:
         terms = tuple(term if t.effect == term.effect else t for t in self.terms)
         return Model(self.robot, self.channels, self.segment, self.links, terms)
 
-    # -- what the model consists of
-
-    def of_family(self, family: type[Family]) -> list[tuple[Family, tuple[float, ...]]]:
-        """The effects of one family with their values."""
-        return cast("list[tuple[Family, tuple[float, ...]]]", [(t.effect, t.values) for t in self._by_family.get(family, ())])
-
-    @cached_property
-    def _by_family(self) -> dict[type, list[Term]]:
-        return by_class(self.terms)
-
-    @cached_property
-    def wrench(self) -> np.ndarray:
-        """Indices of the sensor's channels."""
-        return np.flatnonzero(is_wrench(self.channels))
-
-    @cached_property
-    def joints(self) -> dict[int | None, int]:
-        """Channel that reads each joint's torque."""
-        sensor = is_wrench(self.channels)
-        return {int(name[3:]) - 1: k for k, name in enumerate(self.channels.names) if not sensor[k]}
-
-    @cached_property
-    def row_of(self) -> np.ndarray:
-        """Row of the state that each body and the root moves with (b + 1,)."""
-        return np.append(self.robot.body_joint, self.robot.n)
-
-    @cached_property
-    def carries(self) -> np.ndarray:
-        """Which bodies each channel carries, the root last (c, b + 1)."""
-        root = is_wrench(self.channels) & (self.channels.joint < 0)
-        return np.hstack([self.channels.bodies, root[:, None]])
-
-    @cached_property
-    def gravity(self) -> np.ndarray:
-        """Gravity in the base frame, turned by the base's tilt (3,)."""
-        gravity = self.robot.gravity
-        for effect, values in self.of_family(GravityEffect):
-            gravity = effect.turned(gravity, values)
-        return np.asarray(gravity, float)
-
-    @cached_property
-    def bodies(self) -> np.ndarray:
-        """All bodies' parameters in their joints' frames, the root's last (b + 1, 10)."""
-        robot = self.robot
-        out = np.vstack([self.links, robot.static_nominal])
-        for body in range(robot.n, len(robot.body_names)):
-            out[body] = split_matrix(robot, body) @ out[body]
-        for effect, values in self.of_family(BodyEffect):
-            out[body_of(robot, effect.joint)] += effect.body(values)
-        return out
-
     # -- the motion
-
-    @cached_property
-    def motor(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """True joint positions on the motors' side, velocities, accelerations."""
-        q = self.segment.positions
-        for effect, values in self.of_family(EncoderEffect):
-            q = q - effect.shift(values) * np.eye(self.robot.n)[effect.joint]
-        return q, self.segment.velocities, self.segment.accelerations
-
-    @cached_property
-    def transmission(self) -> np.ndarray | None:
-        """From the motors' positions to the joints', (1 + C)^-1 (n, n); None where no transmissions are coupled."""
-        coupled = self.of_family(TransmissionEffect)
-        return np.linalg.inv(coupling_matrix(self.robot, coupled)) if coupled else None
-
-    @cached_property
-    def _physical(self) -> tuple[Term, ...]:
-        """Effects that change what there is to read, not how it is read."""
-        return tuple(t for t in self.terms if InstrumentEffect not in type(t.effect).__mro__)
 
     @cached_property
     def _key(self) -> tuple:
@@ -184,9 +93,7 @@ class Model:
 
     def _states(self) -> np.ndarray:
         robot, segment = self.robot, self.segment
-        q, v, a = self.motor
-        if self.transmission is not None:
-            q, v, a = (x @ self.transmission.T for x in (q, v, a))
+        q, v, a = self.joint_motion_of_motors
         if segment.still:
             v = a = np.zeros_like(q)
         if self.of_family(PlayEffect) or self.of_family(FlexibleJointEffect):
@@ -208,32 +115,35 @@ class Model:
 
     def link_side(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Link-side motion of joints with play or that give, from the motors'."""
-        robot, segment = self.robot, self.segment
-
-        def own(joints):
-            channels = torque_channels(robot).only(joints)
-            return channels, np.hstack([channels.bodies, np.zeros((len(channels), 1), bool)])
-
-        def torque(link, joints):
-            (channels, carries), states = own(joints), link_states(robot, *link)
-            return self._true(channels, carries, states, channel_twists(robot, channels, states), own=True)
-
-        def basis(cutoff: float):
-            return segment.basis.get(("splines", cutoff), lambda: splines(segment.times, cutoff))
-
-        poses = segment.still or len(q) < 8
+        segment, poses = self.segment, self.segment.still or len(q) < 8
         if play := self.of_family(PlayEffect):
-            q, v, a = leaning_motion((q, v, a), torque, play, None if poses else projections(segment, basis))
-        compliance, felt = np.zeros(robot.n), np.zeros_like(q)
+            q, v, a = leaning_motion((q, v, a), play, self.link_torque if poses else self._recorded())
+        compliance, felt = np.zeros(self.robot.n), np.zeros_like(q)
         for effect, values in self.of_family(FlexibleJointEffect):
             compliance[effect.joint] += effect.compliance(values)
         for joint in np.flatnonzero(compliance):
-            channels, carries = own([joint])
-            states = link_states(robot, q, np.zeros_like(q), np.broadcast_to(np.eye(robot.n)[joint], q.shape))
-            taken = body_wrenches(states, self.row_of, self.bodies, np.zeros(3))
-            felt[:, [joint]] = project(channel_twists(robot, channels, states), taken, carries)
+            felt[:, joint] = own_inertia(self.link_torque, q, int(joint))
         cutoff = FLEXIBLE_BANDWIDTH * segment.bandwidth if segment.clear is None else segment.clear
-        return link_motion((q, v, a), torque, compliance, felt, None if poses else basis(cutoff)) if felt.any() else (q, v, a)
+        if poses or not felt.any():
+            return link_motion((q, v, a), self.link_torque, compliance, felt, None) if felt.any() else (q, v, a)
+        basis = segment.basis.get(("splines", cutoff), lambda: splines(segment.times, cutoff))
+        return link_motion((q, v, a), self.link_torque, compliance, felt, basis)
+
+    def link_torque(self, link: Motion, joints: np.ndarray) -> np.ndarray:
+        """Torques (N, k) that a link motion takes of some joints (k,)."""
+        channels, states = torque_channels(self.robot).only(joints), link_states(self.robot, *link)
+        carries = np.hstack([channels.bodies, np.zeros((len(channels), 1), bool)])
+        return self._true(channels, carries, states, channel_twists(self.robot, channels, states), own=True)
+
+    def _recorded(self) -> Recorded:
+        """What encoders say of the joints at their own samples."""
+        at = Model(self.robot, self.channels, self.segment.at_encoders, self.links, self.terms)
+        read = at.segment.positions if at.segment.encoders is None else at.segment.encoders[1]
+        times, segment = at.segment.times, self.segment
+        fitting = segment.basis.get(
+            ("fitting", segment.bandwidth), lambda: Fitting.of(times, read, segment.bandwidth, segment.times)
+        )
+        return Recorded(at._at_joints(read - self._encoder_shift), at.joint_motion_of_motors, at.link_torque, fitting)
 
     # -- the true wrench and torques
 

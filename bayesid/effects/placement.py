@@ -86,6 +86,9 @@ class Backlash(PlayEffect):
     def lean(self, torque, values):
         return 0.5 * values[0] * np.tanh(torque / values[1])
 
+    def slope(self, torque, values):
+        return 0.5 * values[0] / values[1] * (1.0 - np.tanh(torque / values[1]) ** 2)
+
     def linearisations(self, around):
         # Without play the torque at which teeth are firm says nothing: it is tried.
         effort = sizes.effort(around.robot, self.joint)

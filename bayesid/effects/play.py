@@ -1,104 +1,260 @@
 """Where the link is behind gear teeth with play: q_motor = q_link + lean(torque(q_link)).
 
-The torque that decides on which side the teeth lie is that of the link's slow motion: as the teeth cross the play, the motor
-makes a step that is faster than anything that positions are smoothed to, and what is left of it would turn the torque's sign
-again.
+The torque depends on the link's acceleration, and where it is small the link crosses the play within milliseconds, at times that
+smoothed positions do not show. So the link's motion is a spline in time, fitted to what the encoders read, sample by sample:
+
+    sum_k (q_motor(t_k) - q_link(t_k) - lean(torque(t_k)))^2 -> min
+
+by Gauss-Newton steps, in which a change d of the link's motion changes the torque by the joint's own inertia times d''. The
+sum has a minimum wherever a crossing is assumed at a wrong time. Splines that can do little more than the slow motion
+find the crossings roughly, finer ones from there to the sample. While no encoder moves, links stand still: they lean with the
+weight that they hold.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from bayesid.effects.families import PlayEffect
-from bayesid.effects.flexible import Basis, Motion
-from bayesid.effects.segment import MotionSegment
+from bayesid.effects.flexible import Motion, own_inertia
+from bayesid.effects.segment import REST_SPEED
+from bayesid.signals.splines import Splines
 
-if TYPE_CHECKING:  # sparse matrices take long to import, and few experiments have play
-    from scipy.sparse.linalg import SuperLU
+#: From the slowest splines to the fastest: ratio of their bandwidths, how many, and the highest [Hz]. Links of arms hardly move
+#: faster, and splines that can, imitate the steps.
+_SLOWEST, _LEVELS, _TOP = 1.0 / 8.0, 5, 8.0
+#: Play that is less than this share of the encoders' errors cannot be located in them: the slow motion's torque says where it is.
+_LOCATED = 0.3
+#: Turns with another torque, Gauss-Newton steps at most in each, and the relative change of the sum that ends both: on a level,
+#: which is to find crossings only roughly, and on the last one.
+_ROUGHLY, _WELL = (1, 5, 1e-2), (6, 20, 1e-6)
+#: A step that makes the sum larger is damped, so often at most, more each time.
+_DAMPED, _DAMPING, _MORE_DAMPING = 6, 1e-3, 4.0
+#: Time in which no encoder moves, for a rest [s].
+_REST = 0.1
+#: Turns for poses, whose weight hardly changes with the play.
+_POSE_TURNS = 3
+#: Rounds over the joints, where several have play.
+_ROUNDS = 2
 
-#: Turns at most, and the step, relative to how far joints lean, that ends them.
-_TURNS, _SETTLED = 6, 1e-7
-#: Share of the bandwidth that joint positions are smoothed to below which motion is slow.
-SLOW = 1.0 / 3.0
+
+#: From motion and joints to the torques (N, k) that it takes of these (k,).
+Torque = Callable[[Motion, np.ndarray], np.ndarray]
 
 
-def leaning_motion(
-    motor: Motion,
-    torque: Callable[[Motion, np.ndarray], np.ndarray],
-    play: Sequence[tuple[PlayEffect, Sequence[float]]],
-    bases: tuple[Projection, Projection] | None,
-) -> Motion:
+@dataclass(frozen=True, eq=False)
+class Fitting:
+    """What encoders' samples are fitted with, and when.
+
+    Attributes
+    ----------
+    splines
+        Of each level, at the samples (M,).
+    whole
+        Those that positions are smoothed to.
+    wanted
+        The same where the link's motion is wanted (N,).
+    still
+        Whether no encoder moves (M,).
+    """
+
+    splines: Sequence[Splines]
+    whole: Splines
+    wanted: Splines
+    still: np.ndarray
+
+    @classmethod
+    def of(cls, times: np.ndarray, encoders: np.ndarray, bandwidth: float, wanted: np.ndarray) -> Fitting:
+        """For readings (M, n) at times (M,) [s] that are smoothed to a bandwidth [Hz], and times (N,) within them."""
+        top = min(_TOP, bandwidth)
+        splines = [Splines.over(times, cutoff) for cutoff in top * np.geomspace(_SLOWEST, 1.0, _LEVELS)]
+        return cls(splines, Splines.over(times, bandwidth), Splines.over(times, bandwidth, wanted), _rests(times, encoders))
+
+
+@dataclass(frozen=True, eq=False)
+class Recorded:
+    """What is known of the joints at the encoders' own samples.
+
+    Attributes
+    ----------
+    encoders
+        Where motors hold the joints, as the encoders read it (M, n).
+    smooth
+        That smoothed: positions, velocities and accelerations, (M, n) each.
+    torque
+        That motions at these samples take.
+    fitting
+        What they are fitted with.
+    """
+
+    encoders: np.ndarray
+    smooth: Motion
+    torque: Torque
+    fitting: Fitting
+
+
+def _rests(times: np.ndarray, encoders: np.ndarray) -> np.ndarray:
+    """Samples (M,) of stretches in which no encoder moves faster than a crawl."""
+    from scipy.ndimage import maximum_filter1d, minimum_filter1d
+
+    size = 2 * int(0.5 * _REST / np.median(np.diff(times))) + 1
+    if size < 3 or size > len(times):
+        return np.zeros(len(times), bool)
+    spread = maximum_filter1d(encoders, size, axis=0) - minimum_filter1d(encoders, size, axis=0)
+    middles = (spread <= 1.0001 * REST_SPEED * _REST).all(axis=1)
+    return maximum_filter1d(middles, size)
+
+
+def leaning_motion(motor: Motion, play: Sequence[tuple[PlayEffect, Sequence[float]]], recorded: Recorded | Torque) -> Motion:
     """Link-side positions, velocities and accelerations, (N, n) each.
 
     Parameters
     ----------
     motor
         Motor-side positions, velocities and accelerations, (N, n) each.
-    torque
-        Torques (N, k) that a link motion takes of some joints (k,).
     play
         What the joints have of it, effects with their values.
-    bases
-        `projections`: on functions of time that positions were smoothed to, for so are the steps to be taken out of them, and
-        on slow ones; None: every sample is a pose at rest.
+    recorded
+        The encoders' samples, or, where every sample is a pose at rest, the torques that poses take.
     """
     which = np.unique([effect.joint or 0 for effect, _ in play])
-    behind = np.zeros_like(motor[0])
-    for turn in range(_TURNS):
-        link = motor[0] - behind, *motor[1:]
-        taken, new = torque(link if bases is None else bases[1].of(link[0]), which), np.zeros_like(behind)
-        for effect, values in play:
-            joint = effect.joint or 0
-            new[:, joint] += effect.lean(taken[:, np.searchsorted(which, joint)], values)
-        step = (new - behind) * (1.0 if turn < _TURNS // 2 else 0.5)  # what turns to and fro settles between
-        behind += step
-        if np.abs(step).max() <= _SETTLED * np.abs(behind).max():
-            break
-    if bases is None:
+    if not isinstance(recorded, Recorded):
+        behind = np.zeros_like(motor[0])
+        for _ in range(_POSE_TURNS):
+            taken = recorded((motor[0] - behind, motor[1], motor[2]), which)
+            behind[:] = 0.0
+            for effect, values in play:
+                joint = effect.joint or 0
+                behind[:, joint] += effect.lean(taken[:, np.searchsorted(which, joint)], values)
         return motor[0] - behind, motor[1], motor[2]
-    q, v, a = (x - y for x, y in zip(motor, bases[0].of(behind), strict=True))
-    return q, v, a
+    fitting = recorded.fitting
+    link = [part.copy() for part in recorded.smooth]
+    out = [part.copy() for part in motor]
+
+    def fit(joint: int) -> _JointFit:
+        return _JointFit.of(recorded, link, joint, [(effect, values) for effect, values in play if effect.joint == joint])
+
+    def follow(joint: int, behind: np.ndarray) -> None:
+        change = -fitting.whole.nearest(behind)
+        for motion, smooth, splines in ((link, recorded.smooth, fitting.whole), (out, motor, fitting.wanted)):
+            for mine, old, part in zip(motion, smooth, splines.motion(change), strict=True):
+                mine[:, joint] = old[:, joint] + part
+
+    located = [joint for joint in map(int, which) if fit(joint).is_located()]
+    for _ in range(_ROUNDS if len(located) > 1 else 1):
+        for joint in located:
+            follow(joint, fit(joint).best())
+    for joint in set(map(int, which)) - set(located):
+        follow(joint, fit(joint).slow())
+    return out[0], out[1], out[2]
 
 
 @dataclass(frozen=True, eq=False)
-class Projection:
-    """Least squares over functions of time, factored once.
+class _JointFit:
+    """The fit of one joint's link motion.
 
     Attributes
     ----------
-    basis
-        `bayesid.effects.flexible.splines`.
-    factor
-        Of their inner products.
+    play
+        What the joint has of it.
+    splines
+        Of each level.
+    encoders
+        The joint's own (M,).
+    torque
+        The joint's (M,) along a motion of its link, three times (M,).
+    inertia
+        That it feels, zero while it is at rest (M,).
     """
 
-    basis: Basis
-    factor: SuperLU
+    play: Sequence[tuple[PlayEffect, Sequence[float]]]
+    splines: Sequence[Splines]
+    encoders: np.ndarray
+    torque: Callable[[Sequence[np.ndarray]], np.ndarray]
+    inertia: np.ndarray
 
-    def of(self, values: np.ndarray) -> Motion:
-        """Values (N, n) in least squares over the functions, and their first two derivatives."""
-        found = self.factor.solve(self.basis[0].T @ values)
-        q, v, a = (part @ found for part in self.basis)
-        return q, v, a
+    @classmethod
+    def of(cls, recorded: Recorded, link: Sequence[np.ndarray], joint: int, play) -> _JointFit:
+        """The fit of a joint while others move as they do."""
+        only, still, torque = np.array([joint]), recorded.fitting.still, recorded.torque
+        held = torque((link[0], 0.0 * link[1], 0.0 * link[2]), only)[:, 0] if still.any() else 0.0
 
+        def taken(own: Sequence[np.ndarray]) -> np.ndarray:
+            moved = [part.copy() for part in link]
+            for mine, part in zip(moved, own, strict=True):
+                mine[:, joint] = part
+            return np.where(still, held, torque((moved[0], moved[1], moved[2]), only)[:, 0])
 
-def projections(segment: MotionSegment, splines: Callable[[float], Basis]) -> tuple[Projection, Projection]:
-    """On functions up to the bandwidth that positions were smoothed to, and on slow ones; made once for a segment."""
+        felt = np.where(still, 0.0, own_inertia(torque, recorded.smooth[0], joint))
+        return cls(play, recorded.fitting.splines, recorded.encoders[:, joint], taken, felt)
 
-    def made(cutoff: float) -> Projection:
-        return segment.basis.get(("projection", cutoff), lambda: _factored(splines(cutoff)))
+    def lean(self, torque: np.ndarray) -> np.ndarray:
+        return sum((effect.lean(torque, values) for effect, values in self.play), np.zeros(len(torque)))
 
-    return made(segment.bandwidth), made(SLOW * segment.bandwidth)
+    def slope(self, torque: np.ndarray) -> np.ndarray:
+        return sum((effect.slope(torque, values) for effect, values in self.play), np.zeros(len(torque)))
 
+    def slow(self) -> np.ndarray:
+        """How far the link is behind (M,) by the torque of its slow motion."""
+        return self._level(self.splines[0], np.zeros(len(self.encoders)), *_ROUGHLY)
 
-def _factored(basis: Basis) -> Projection:
-    from scipy import sparse
-    from scipy.sparse.linalg import splu
+    def is_located(self) -> bool:
+        """Whether encoders can show where the play is crossed."""
+        finest = self.splines[-1]
+        noise = np.std(self.encoders - finest.motion(finest.nearest(self.encoders))[0])
+        return bool(np.abs(self.slow()).max() > _LOCATED * noise)
 
-    gram = basis[0].T @ basis[0]
-    whisper = 1e-12 * gram.diagonal().max() * sparse.eye_array(gram.shape[0])  # outermost functions hardly reach into the data
-    return Projection(basis, splu((gram + whisper).tocsc()))
+    def best(self) -> np.ndarray:
+        """How far the link is behind (M,), from the splines of one level after the other."""
+        behind = np.zeros(len(self.encoders))
+        for splines in self.splines:
+            behind = self._level(splines, behind, *(_WELL if splines is self.splines[-1] else _ROUGHLY))
+        return behind
+
+    def _level(self, splines: Splines, behind: np.ndarray, turns: int, steps: int, settled: float) -> np.ndarray:
+        """How far the link is behind (M,) on one level, from a guess.
+
+        The link's place hardly matters to inertia and weight: while the fit descends, the torque changes by the inertia times
+        the acceleration, and it is computed anew in each turn.
+        """
+        at, before = splines.nearest(self.encoders - behind), 0.0
+        for _ in range(turns):
+            own = splines.motion(at)
+            torque = self.torque(own)
+            left = self.encoders - own[0] - self.lean(torque)
+            if abs(left @ left - before) <= settled * before:
+                break
+            at, before = self._descended(splines, at, torque - self.inertia * own[2], steps, settled)
+        own = splines.motion(at)
+        return self.lean(self.torque(own))
+
+    def _descended(
+        self, splines: Splines, at: np.ndarray, held: np.ndarray, steps: int, settled: float
+    ) -> tuple[np.ndarray, float]:
+        """Coefficients (k,) after Gauss-Newton steps, and the sum that is left, with a torque ``held + inertia acceleration``."""
+
+        def left(coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            position, _, acceleration = splines.motion(coefficients)
+            torque = held + self.inertia * acceleration
+            return self.encoders - position - self.lean(torque), torque
+
+        (remainder, torque), damping = left(at), 0.0
+        for _ in range(steps):
+            rows = splines.values[0] + (self.slope(torque) * self.inertia)[:, None] * splines.values[2]
+            before = remainder @ remainder
+            for _ in range(_DAMPED):
+                new = at + splines.solved(rows, remainder, damping)
+                tried = left(new)
+                if tried[0] @ tried[0] < before:
+                    break
+                damping = max(_MORE_DAMPING * damping, _DAMPING)
+            else:
+                break
+            at, (remainder, torque) = new, tried
+            damping = damping / _MORE_DAMPING if damping > 1e-3 * _DAMPING else 0.0
+            if remainder @ remainder > (1.0 - settled) * before:
+                break
+        return at, float(remainder @ remainder)

@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from bayesid.signals.smoothing import smooth
+
 #: Speed below which a joint counts as nearly at rest and friction as partly mobilised [rad/s or m/s].
 REST_SPEED = 1e-3
 _KEPT = 6
@@ -67,6 +69,8 @@ class MotionSegment:
         a share of the bandwidth.
     cell
         Time that a sample stands for [s]: friction that reverses in it is its mean there. Zero: its value at the sample.
+    encoders
+        Times (M,) [s] and joint positions (M, n) that were smoothed; None: only `positions` are known.
     results, basis
         Link states and readings made lately, and what depends on the times alone.
     """
@@ -80,6 +84,7 @@ class MotionSegment:
     middle: np.ndarray | None = None
     clear: float | None = None
     cell: float = 0.0
+    encoders: tuple[np.ndarray, np.ndarray] | None = None
     results: Results = field(default_factory=Results, init=False, repr=False)
     basis: Results = field(default_factory=Results, init=False, repr=False)
 
@@ -96,9 +101,25 @@ class MotionSegment:
 
         def held() -> MotionSegment:
             zero = np.zeros_like(self.positions)
-            return replace(self, velocities=zero, accelerations=zero, still=True, middle=self.middle_positions)
+            return replace(self, velocities=zero, accelerations=zero, still=True, middle=self.middle_positions, encoders=None)
 
         return self.basis.get("at rest", held)
+
+    @property
+    def at_encoders(self) -> MotionSegment:
+        """The same motion at the encoders' own samples."""
+        if self.encoders is None or self.encoders[0] is self.times:
+            return self
+        times, read = self.encoders
+
+        def sampled() -> MotionSegment:
+            state = smooth(times, read, self.bandwidth)
+            return replace(
+                self, times=times, positions=state[0], velocities=state[1], accelerations=state[2],
+                middle=self.middle_positions, encoders=(times, read),
+            )  # fmt: skip
+
+        return self.basis.get(("at encoders", self.bandwidth), sampled)
 
     def late(self, values: np.ndarray, delay: float) -> np.ndarray:
         """What smooth values (N, ...) were a delay ago [s]; poses at rest are what they are at any time."""

@@ -92,7 +92,8 @@ class RowModel:
         reach = OVERLAP * 0.5 / self.bandwidth
         a = int(np.searchsorted(segment.times, times[0] - reach))
         b = int(np.searchsorted(segment.times, times[-1] + reach, side="right"))
-        return MotionSegment(times, *smooth(segment.times[a:b], segment.positions[a:b], self.bandwidth, at=times))
+        state = smooth(segment.times[a:b], segment.positions[a:b], self.bandwidth, at=times)
+        return MotionSegment(times, *state, encoders=(times, segment.positions[first:last]))
 
     def effect_columns(self, segment: Segment, state: MotionSegment) -> np.ndarray:
         """(N, channels, effect parameters)."""

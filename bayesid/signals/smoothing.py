@@ -41,7 +41,8 @@ def _basis_polynomials() -> np.ndarray:
     return out / factorial(DEGREE)
 
 
-_POLYNOMIALS = _basis_polynomials()
+#: Coefficients of the six functions on a knot interval by powers of the fraction of it (6, 6).
+POLYNOMIALS = _basis_polynomials()
 
 
 @dataclass(frozen=True)
@@ -99,7 +100,7 @@ def smooth(
         Too few samples for this bandwidth.
     """
     coefficients, first = _fitted(times, positions, bandwidth)
-    return _evaluate(times if at is None else at, coefficients, first, 0.5 / bandwidth, _POLYNOMIALS)
+    return _evaluate(times if at is None else at, coefficients, first, 0.5 / bandwidth, POLYNOMIALS)
 
 
 def _fitted(times: np.ndarray, positions: np.ndarray, bandwidth: float) -> tuple[np.ndarray, float]:
@@ -114,7 +115,7 @@ def _fitted(times: np.ndarray, positions: np.ndarray, bandwidth: float) -> tuple
     )
     if count > len(times) + DEGREE:
         raise too_few
-    band, right = _normal_equations(times, np.ascontiguousarray(positions), first, spacing, count, _POLYNOMIALS)
+    band, right = _normal_equations(times, np.ascontiguousarray(positions), first, spacing, count, POLYNOMIALS)
     # A whisper of ridge keeps the outermost functions, of which only a tail lies in the data, determined.
     band[-1] += 1e-14 * band[-1].max()
     try:
@@ -186,7 +187,7 @@ def _left(piece: Piece, bandwidth: float) -> np.ndarray:
     times, positions = piece
     centred = positions - positions.mean(axis=0)
     coefficients, first = _fitted(times, centred, bandwidth)
-    return _residual_power(times, centred, coefficients, first, 0.5 / bandwidth, _POLYNOMIALS)
+    return _residual_power(times, centred, coefficients, first, 0.5 / bandwidth, POLYNOMIALS)
 
 
 def _chosen(

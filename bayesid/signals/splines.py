@@ -1,0 +1,70 @@
+"""The splines that positions are smoothed to, function by function: for fits in which more than positions count."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import solveh_banded
+
+from bayesid.signals.smoothing import DEGREE, POLYNOMIALS
+
+_ORDER = DEGREE + 1
+
+
+@dataclass(frozen=True, eq=False)
+class Splines:
+    """Uniform quintic B-splines at some times, six of which live at each: the functions of `bayesid.signals.smooth`.
+
+    Attributes
+    ----------
+    first
+        Of the six at each time (M,).
+    values
+        Of the six, and of their first two derivatives (3, M, 6).
+    count
+        Number k of functions.
+    """
+
+    first: np.ndarray
+    values: np.ndarray
+    count: int
+
+    @classmethod
+    def over(cls, times: np.ndarray, bandwidth: float, at: np.ndarray | None = None) -> Splines:
+        """Over times (N,) [s] with nothing above a bandwidth [Hz], at these or at others within them (M,)."""
+        spacing = 0.5 / bandwidth
+        start = np.floor(times[0] / spacing)
+        count = int(np.floor(times[-1] / spacing) - start) + _ORDER
+        where = (times if at is None else np.clip(at, times[0], times[-1])) / spacing - start
+        first = np.minimum(where.astype(int), count - _ORDER)
+        powers = (where - first)[:, None] ** np.arange(_ORDER)
+        values, polynomial = np.empty((3, len(where), _ORDER)), POLYNOMIALS
+        for order in range(3):
+            values[order] = powers[:, : _ORDER - order] @ polynomial.T / spacing**order
+            polynomial = polynomial[:, 1:] * np.arange(1, _ORDER - order)
+        return cls(first, values, count)
+
+    def motion(self, coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Position, velocity and acceleration (M, ...) of coefficients (k, ...)."""
+        own = coefficients[self.first[:, None] + np.arange(_ORDER)]
+        q, v, a = np.einsum("dmf,mf...->dm...", self.values, own)
+        return q, v, a
+
+    def nearest(self, values: np.ndarray) -> np.ndarray:
+        """Coefficients (k,) of the least-squares spline through values (M,)."""
+        return self.solved(self.values[0], values)
+
+    def solved(self, rows: np.ndarray, values: np.ndarray, damping: float = 0.0) -> np.ndarray:
+        """Least squares ``rows c = values`` (k,), where the rows (M, 6) multiply the six functions at each time.
+
+        The normal matrix's diagonal is enlarged by the damping, a share of it.
+        """
+        band, right = np.zeros((_ORDER, self.count)), np.zeros(self.count)
+        for i in range(_ORDER):
+            right += np.bincount(self.first + i, rows[:, i] * values, self.count)
+            for j in range(i, _ORDER):
+                band[DEGREE + i - j] += np.bincount(self.first + j, rows[:, i] * rows[:, j], self.count)
+        # A whisper of ridge keeps the outermost functions, of which only a tail lies in the data, determined.
+        band[-1] += damping * band[-1] + 1e-14 * band[-1].max()
+        return solveh_banded(band, right, check_finite=False)

@@ -1,0 +1,78 @@
+"""Links behind gear teeth with play, found in what encoders count, against the motions that were counted."""
+
+import numpy as np
+import pytest
+from scipy.signal import butter, sosfiltfilt
+
+from bayesid.dynamics.channels import stack_channels, torque_channels, wrench_channels
+from bayesid.effects import EffectLibrary, MotionSegment, Term, readings
+from bayesid.robot.robot import load_robot
+from bayesid.signals.smoothing import smooth
+from tests.robots import ROBOTS, write
+
+COUNT, RATE, BANDWIDTH = 2e-5, 200.0, 12.0
+
+
+@pytest.fixture(scope="module")
+def panda(tmp_path_factory):
+    return load_robot(write(tmp_path_factory.mktemp("panda"), ROBOTS["panda"]()))
+
+
+def moved(robot, seed=0, rests=True):
+    """A link motion of slow sines with exact rates, from rest to rest, and standing still in the middle."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(int(16 * RATE)) / RATE
+    q, v, a = np.zeros((3, len(t), robot.n))
+    for first, last in ((0.5, 7.0), (8.5, 15.5)) if rests else ((0.0, 16.0),):
+        at = np.clip((t - first) / (last - first), 0.0, 1.0)[:, None]
+        inside = ((t > first) & (t < last))[:, None]
+        for k in (4, 7, 11):
+            w, size = np.pi * k, rng.normal(0.0, 2.0 / k, robot.n)
+            # sin^3 starts and ends with position, speed and acceleration zero
+            s, c, rate = np.sin(w * at), np.cos(w * at), w / (last - first)
+            q += size * s**3
+            v += size * inside * 3 * s**2 * c * rate
+            a += size * inside * (6 * s * c**2 - 3 * s**3) * rate**2
+    return t, q, v, a
+
+
+def band(x):
+    return sosfiltfilt(butter(4, 8.0, fs=RATE, output="sos"), x, axis=0)
+
+
+@pytest.mark.parametrize("rests", [False, True])
+@pytest.mark.parametrize(("joint", "gap", "firm"), [(0, 4e-4, 0.05), (0, 2e-3, 0.1), (0, 3e-3, 0.02)])
+def test_a_joint_without_load_is_seen_as_well_as_one_without_play(panda, joint, gap, firm, rests):
+    """Teeth cross in milliseconds: only the single samples say when. Error as of the same encoder on the link itself."""
+    channels = stack_channels(wrench_channels(panda, np.eye(3), np.zeros(3)), torque_channels(panda))
+    t, *link = moved(panda, rests=rests)
+    truth = readings(panda, channels, MotionSegment(t, *link), panda.nominal, [])
+    torque = truth[:, 6 + joint]
+    loaded = torque[np.abs(torque) > 3 * firm]
+    assert np.sum(np.diff(np.sign(loaded)) != 0) >= 10
+    behind = 0.5 * gap * np.tanh(torque / firm)[:, None] * np.eye(panda.n)[joint]
+    counted = [np.round(x / COUNT) * COUNT for x in (link[0], link[0] + behind)]
+    (effect,) = EffectLibrary().parse([f"backlash@joint{joint + 1}"], panda.joint_names, channels.names)
+    without, seen = (MotionSegment(t, *smooth(t, q, BANDWIDTH), bandwidth=BANDWIDTH, encoders=(t, q)) for q in counted)
+    bound, stiff, got = (
+        np.sqrt(np.mean(band(readings(panda, channels, segment, panda.nominal, terms) - truth)[200:-200] ** 2, axis=0))
+        for segment, terms in ((without, ()), (seen, ()), (seen, (Term(effect, (gap, firm)),)))
+    )
+    large = stiff > 5 * bound
+    assert large.any()
+    assert np.all(got[large] < 3 * bound[large])
+
+
+def test_play_too_small_for_the_encoders_follows_the_slow_torque(panda):
+    """Its readings are linear in the gap, and have the sign of what a larger one makes."""
+    channels = torque_channels(panda)
+    t, *link = moved(panda)
+    read = np.round(link[0] / COUNT) * COUNT
+    segment = MotionSegment(t, *smooth(t, read, BANDWIDTH), bandwidth=BANDWIDTH, encoders=(t, read))
+    (effect,) = EffectLibrary().parse(["backlash@joint1"], panda.joint_names, channels.names)
+    none, one, two, large = (
+        readings(panda, channels, segment, panda.nominal, [Term(effect, (gap, 0.1))])[200:-200, 0]
+        for gap in (0.0, 1e-7, 2e-7, 1e-4)
+    )
+    assert np.linalg.norm((two - none) - 2 * (one - none)) < 0.1 * np.linalg.norm(two - none)
+    assert np.corrcoef(band(two - none), band(large - none))[0, 1] > 0.0
