@@ -97,9 +97,9 @@ def effect_derivatives(model: Model, effect: Effect) -> np.ndarray:
         case LoadEffect():
             out = tangent(model, _load_columns(model, effect, values))
         case GravityEffect() if not any(model.of_family(f) for f in (PlayEffect, FlexibleJointEffect, MountEffect)):
-            out = tangent(model, differences(effect, values, lambda v: _weight(model, model.replaced(Term(effect, v)).gravity)))
+            out = tangent(model, differences(effect, values, lambda v: _weight(model, model.changed(Term(effect, v)).gravity)))
         case _:
-            out = differences(effect, values, lambda v: model.replaced(Term(effect, v)).readings)
+            out = differences(effect, values, lambda v: model.changed(Term(effect, v)).readings)
     return out
 
 

@@ -46,7 +46,7 @@ from bayesid.effects.families import (
 from bayesid.effects.flexible import Motion, link_motion, own_inertia, splines
 from bayesid.effects.mount import mount_motion
 from bayesid.effects.parts import Parts
-from bayesid.effects.play import Fitting, Recorded, leaning_motion
+from bayesid.effects.play import Fitting, Recorded, leaning_poses
 from bayesid.effects.segment import MotionSegment
 from bayesid.effects.sensor_chain import SensorChain
 from bayesid.effects.torque_chain import TorqueChain
@@ -71,10 +71,10 @@ class Model(Parts):
             raise InputError(f"links have shape {links.shape}; give {robot.nominal.shape}, ten parameters a body")
         return cls(robot, channels, segment, links, tuple(terms))
 
-    def replaced(self, term: Term) -> Model:
-        """The model with other values of one term."""
+    def changed(self, term: Term) -> Model:
+        """The model with slightly other values of one term, to be differentiated."""
         terms = tuple(term if t.effect == term.effect else t for t in self.terms)
-        return Model(self.robot, self.channels, self.segment, self.links, terms)
+        return Model(self.robot, self.channels, self.segment, self.links, terms, self)
 
     # -- the motion
 
@@ -84,7 +84,8 @@ class Model(Parts):
         pose = (*self._by_family.get(EncoderEffect, ()), *self._by_family.get(TransmissionEffect, ()))
         if not any(t.effect.amplifies_encoder_errors for t in self._physical):
             return (self.robot.fingerprint, pose)
-        return (self.robot.fingerprint, pose, self.links.tobytes(), self._physical)
+        near = None if self.near is None or not self.of_family(PlayEffect) else self.near._key
+        return (self.robot.fingerprint, pose, self.links.tobytes(), self._physical, near)
 
     @cached_property
     def states(self) -> np.ndarray:
@@ -117,7 +118,10 @@ class Model(Parts):
         """Link-side motion of joints with play or that give, from the motors'."""
         segment, poses = self.segment, self.segment.still or len(q) < 8
         if play := self.of_family(PlayEffect):
-            q, v, a = leaning_motion((q, v, a), play, self.link_torque if poses else self._recorded())
+            motor = q, v, a
+            q, v, a = (
+                leaning_poses(motor, play, self.link_torque) if poses else self._recorded.leaning_motion(motor, self._behind)
+            )
         compliance, felt = np.zeros(self.robot.n), np.zeros_like(q)
         for effect, values in self.of_family(FlexibleJointEffect):
             compliance[effect.joint] += effect.compliance(values)
@@ -135,6 +139,15 @@ class Model(Parts):
         carries = np.hstack([channels.bodies, np.zeros((len(channels), 1), bool)])
         return self._true(channels, carries, states, channel_twists(self.robot, channels, states), own=True)
 
+    @cached_property
+    def _behind(self) -> dict[int, np.ndarray]:
+        """How far links with play are behind their motors at the encoders' samples, by joint."""
+        start = {} if self.near is None else self.near._behind
+        return self.segment.results.get(
+            ("behind", self._key), lambda: self._recorded.behind(self.of_family(PlayEffect), start)
+        )
+
+    @cached_property
     def _recorded(self) -> Recorded:
         """What encoders say of the joints at their own samples."""
         at = Model(self.robot, self.channels, self.segment.at_encoders, self.links, self.terms)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TypeVar, cast
+from typing import Self, TypeVar, cast
 
 import numpy as np
 
@@ -33,6 +33,8 @@ class Parts:
         Ten parameters a body (b, 10).
     terms
         The effects.
+    near
+        A model that this one is a small change of: what has more than one solution then follows that one's.
     """
 
     robot: Robot
@@ -40,6 +42,7 @@ class Parts:
     segment: MotionSegment
     links: np.ndarray
     terms: tuple[Term, ...]
+    near: Self | None = None
 
     def of_family(self, family: type[Family]) -> list[tuple[Family, tuple[float, ...]]]:
         """The effects of one family with their values."""

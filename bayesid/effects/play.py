@@ -13,7 +13,7 @@ weight that they hold.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -95,6 +95,67 @@ class Recorded:
     torque: Torque
     fitting: Fitting
 
+    def behind(
+        self, play: Sequence[tuple[PlayEffect, Sequence[float]]], start: Mapping[int, np.ndarray]
+    ) -> dict[int, np.ndarray]:
+        """How far the links of joints with play are behind their motors at the samples, (M,) each.
+
+        Parameters
+        ----------
+        play
+            What the joints have of it, effects with their values.
+        start
+            The same where it is nearly known, so that crossings stay in the order that they have there.
+        """
+        which = sorted({effect.joint or 0 for effect, _ in play})
+        link, out = [part.copy() for part in self.smooth], {}
+
+        def fit(joint: int) -> _JointFit:
+            return _JointFit.of(self, link, joint, [(effect, values) for effect, values in play if effect.joint == joint])
+
+        located = [joint for joint in which if fit(joint).is_located()]
+        rounds = _ROUNDS if len(located) > 1 else 1
+        for joint in [*(located * rounds), *(j for j in which if j not in located)]:
+            found = fit(joint)
+            out[joint] = found.best(start.get(joint)) if joint in located else found.slow()
+            self._follow(link, self.smooth, self.fitting.whole, joint, out[joint])
+        return out
+
+    def leaning_motion(self, motor: Motion, behind: Mapping[int, np.ndarray]) -> Motion:
+        """Link-side positions, velocities and accelerations, (N, n) each, of motors' where they are wanted, (N, n) each."""
+        link = [part.copy() for part in motor]
+        for joint, own in behind.items():
+            self._follow(link, motor, self.fitting.wanted, joint, own)
+        return link[0], link[1], link[2]
+
+    def _follow(self, link: list[np.ndarray], motor: Motion, splines: Splines, joint: int, behind: np.ndarray) -> None:
+        """Let a link be where its motor is, less how far it is behind at the samples, smoothed as positions are."""
+        change = splines.motion(self.fitting.whole.nearest(behind))
+        for mine, old, part in zip(link, motor, change, strict=True):
+            mine[:, joint] = old[:, joint] - part
+
+
+def leaning_poses(motor: Motion, play: Sequence[tuple[PlayEffect, Sequence[float]]], torque: Torque) -> Motion:
+    """Link-side positions, velocities and accelerations, (N, n) each, where every sample is a pose at rest.
+
+    Parameters
+    ----------
+    motor
+        Motor-side positions, velocities and accelerations, (N, n) each.
+    play
+        What the joints have of it, effects with their values.
+    torque
+        That poses take.
+    """
+    behind = np.zeros_like(motor[0])
+    for _ in range(_POSE_TURNS):
+        link = motor[0] - behind, motor[1], motor[2]
+        behind = np.zeros_like(motor[0])
+        for effect, values in play:
+            joint = effect.joint or 0
+            behind[:, joint] += effect.lean(torque(link, np.array([joint]))[:, 0], values)
+    return motor[0] - behind, motor[1], motor[2]
+
 
 def _rests(times: np.ndarray, encoders: np.ndarray) -> np.ndarray:
     """Samples (M,) of stretches in which no encoder moves faster than a crawl."""
@@ -106,50 +167,6 @@ def _rests(times: np.ndarray, encoders: np.ndarray) -> np.ndarray:
     spread = maximum_filter1d(encoders, size, axis=0) - minimum_filter1d(encoders, size, axis=0)
     middles = (spread <= 1.0001 * REST_SPEED * _REST).all(axis=1)
     return maximum_filter1d(middles, size)
-
-
-def leaning_motion(motor: Motion, play: Sequence[tuple[PlayEffect, Sequence[float]]], recorded: Recorded | Torque) -> Motion:
-    """Link-side positions, velocities and accelerations, (N, n) each.
-
-    Parameters
-    ----------
-    motor
-        Motor-side positions, velocities and accelerations, (N, n) each.
-    play
-        What the joints have of it, effects with their values.
-    recorded
-        The encoders' samples, or, where every sample is a pose at rest, the torques that poses take.
-    """
-    which = np.unique([effect.joint or 0 for effect, _ in play])
-    if not isinstance(recorded, Recorded):
-        behind = np.zeros_like(motor[0])
-        for _ in range(_POSE_TURNS):
-            taken = recorded((motor[0] - behind, motor[1], motor[2]), which)
-            behind[:] = 0.0
-            for effect, values in play:
-                joint = effect.joint or 0
-                behind[:, joint] += effect.lean(taken[:, np.searchsorted(which, joint)], values)
-        return motor[0] - behind, motor[1], motor[2]
-    fitting = recorded.fitting
-    link = [part.copy() for part in recorded.smooth]
-    out = [part.copy() for part in motor]
-
-    def fit(joint: int) -> _JointFit:
-        return _JointFit.of(recorded, link, joint, [(effect, values) for effect, values in play if effect.joint == joint])
-
-    def follow(joint: int, behind: np.ndarray) -> None:
-        change = -fitting.whole.nearest(behind)
-        for motion, smooth, splines in ((link, recorded.smooth, fitting.whole), (out, motor, fitting.wanted)):
-            for mine, old, part in zip(motion, smooth, splines.motion(change), strict=True):
-                mine[:, joint] = old[:, joint] + part
-
-    located = [joint for joint in map(int, which) if fit(joint).is_located()]
-    for _ in range(_ROUNDS if len(located) > 1 else 1):
-        for joint in located:
-            follow(joint, fit(joint).best())
-    for joint in set(map(int, which)) - set(located):
-        follow(joint, fit(joint).slow())
-    return out[0], out[1], out[2]
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,10 +224,10 @@ class _JointFit:
         noise = np.std(self.encoders - finest.motion(finest.nearest(self.encoders))[0])
         return bool(np.abs(self.slow()).max() > _LOCATED * noise)
 
-    def best(self) -> np.ndarray:
-        """How far the link is behind (M,), from the splines of one level after the other."""
-        behind = np.zeros(len(self.encoders))
-        for splines in self.splines:
+    def best(self, start: np.ndarray | None = None) -> np.ndarray:
+        """How far the link is behind (M,), from the splines of one level after the other, or of the last one from a start."""
+        behind = np.zeros(len(self.encoders)) if start is None else start
+        for splines in self.splines if start is None else self.splines[-1:]:
             behind = self._level(splines, behind, *(_WELL if splines is self.splines[-1] else _ROUGHLY))
         return behind
 
