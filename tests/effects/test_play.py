@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import butter, sosfiltfilt
 
 from bayesid.dynamics.channels import stack_channels, torque_channels, wrench_channels
-from bayesid.effects import EffectLibrary, MotionSegment, Term, readings
+from bayesid.effects import EffectLibrary, MotionSegment, Term, columns, readings
 from bayesid.robot.robot import load_robot
 from bayesid.signals.smoothing import smooth
 from tests.robots import ROBOTS, write
@@ -76,3 +76,21 @@ def test_play_too_small_for_the_encoders_follows_the_slow_torque(panda):
     )
     assert np.linalg.norm((two - none) - 2 * (one - none)) < 0.1 * np.linalg.norm(two - none)
     assert np.corrcoef(band(two - none), band(large - none))[0, 1] > 0.0
+
+
+def test_derivatives_are_what_a_change_of_a_hundredth_makes(panda):
+    channels = torque_channels(panda)
+    t, *link = moved(panda, rests=False)
+    gap, firm = 4e-4, 0.05
+    torque = readings(panda, channels, MotionSegment(t, *link), panda.nominal, [])[:, 0]
+    read = link[0] + 0.5 * gap * np.tanh(torque / firm)[:, None] * np.eye(panda.n)[0]
+    read = np.round(read / COUNT) * COUNT
+    segment = MotionSegment(t, *smooth(t, read, BANDWIDTH), bandwidth=BANDWIDTH, encoders=(t, read))
+    (effect,) = EffectLibrary().parse(["backlash@joint1"], panda.joint_names, channels.names)
+    term = Term(effect, (gap, firm))
+    slope = columns(panda, channels, segment, panda.nominal, [term], effect)[200:-200, 0, 0]
+    below, above = (
+        readings(panda, channels, segment, panda.nominal, [Term(effect, (share * gap, firm))])[200:-200, 0]
+        for share in (0.99, 1.01)
+    )
+    assert np.linalg.norm(band(above - below) - 0.02 * gap * band(slope)) < 0.3 * np.linalg.norm(band(above - below))
