@@ -11,7 +11,7 @@ import numpy as np
 from bayesid.dynamics.channels import WRENCH_NAMES
 from bayesid.effects import Effect, EffectLibrary
 from bayesid.effects.friction import BRISTLE_MEMORY
-from bayesid.effects.play import SLOW
+from bayesid.effects.play import FASTEST
 from bayesid.robot.examples import puma560_urdf
 from bayesid.robot.robot import load_robot
 
@@ -39,8 +39,8 @@ The steps act in this order: encoder offset, coupled transmissions, play, flexib
 what pulls or pushes them; inside the joints, at the time that a torque is read for, then the torque's gain; the sensor's pose,
 its delay, gains and cross-talk, offset and drift.
 A flexible joint gives way to the torques of a base at rest: with a base that rings as well, what the ringing bends is left out.
-A gear's teeth change sides with the torque of the motion below %(slow).0f %% of what it is smoothed to: play that is crossed many
-times a second, or that is so wide that the torque turns on the way, is beyond this model.
+When a gear's teeth change sides is read off the encoders' single samples, for motions of the link up to %(fastest).0f Hz: play that
+is crossed many times a second, or that is so wide that the torque turns on the way, is beyond this model.
 
 The time $t$ of `sensor_drift` and `warming_friction` is that of each table. Where the tables of an experiment go on with one
 clock, so does the warming; where each starts at zero, the drive is as cold at the start of every motion. `warming_friction`
@@ -86,7 +86,7 @@ def page() -> str:
         if any(effect.starts):
             values = ", ".join(f"`{p.name}` {p.start:g}" for p in effect.quantities)
             starts.append(f"- `{effect.name}`: {values}\n")
-    foot = _FOOT % {"memory": BRISTLE_MEMORY, "slow": 100 * SLOW}
+    foot = _FOOT % {"memory": BRISTLE_MEMORY, "fastest": FASTEST}
     return _HEAD + "".join(rows) + foot + "".join(starts) + _SIZES + "".join(sizes())
 
 

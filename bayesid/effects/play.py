@@ -23,9 +23,10 @@ from bayesid.effects.flexible import Motion, own_inertia
 from bayesid.effects.segment import REST_SPEED
 from bayesid.signals.splines import Splines
 
-#: From the slowest splines to the fastest: ratio of their bandwidths, how many, and the highest [Hz]. Links of arms hardly move
-#: faster, and splines that can, imitate the steps.
-_SLOWEST, _LEVELS, _TOP = 1.0 / 8.0, 5, 8.0
+#: Highest bandwidth of the splines [Hz]: links of arms hardly move faster, and splines that can, imitate the steps.
+FASTEST = 8.0
+#: The slowest splines' bandwidth as a share of the fastest ones', and how many levels there are.
+_SLOWEST, _LEVELS = 1.0 / 8.0, 5
 #: Play that is less than this share of the encoders' errors cannot be located in them: the slow motion's torque says where it is.
 _LOCATED = 0.3
 #: Turns with another torque, Gauss-Newton steps at most in each, and the relative change of the sum that ends both: on a level,
@@ -69,7 +70,7 @@ class Fitting:
     @classmethod
     def of(cls, times: np.ndarray, encoders: np.ndarray, bandwidth: float, wanted: np.ndarray) -> Fitting:
         """For readings (M, n) at times (M,) [s] that are smoothed to a bandwidth [Hz], and times (N,) within them."""
-        top = min(_TOP, bandwidth)
+        top = min(FASTEST, bandwidth)
         splines = [Splines.over(times, cutoff) for cutoff in top * np.geomspace(_SLOWEST, 1.0, _LEVELS)]
         return cls(splines, Splines.over(times, bandwidth), Splines.over(times, bandwidth, wanted), _rests(times, encoders))
 
