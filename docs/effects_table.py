@@ -39,7 +39,7 @@ The steps act in this order: encoder offset, coupled transmissions, play, flexib
 what pulls or pushes them; inside the joints, at the time that a torque is read for, then the torque's gain; the sensor's pose,
 its delay, gains and cross-talk, offset and drift.
 A flexible joint gives way to the torques of a base at rest: with a base that rings as well, what the ringing bends is left out.
-When a gear's teeth change sides is read off the encoders' single samples, for motions of the link up to %(fastest).0f Hz: play that
+When a gear's teeth change sides is read off the encoders' single samples, for motions of links up to %(fastest).0f Hz: play that
 is crossed many times a second, or that is so wide that the torque turns on the way, is beyond this model.
 
 The time $t$ of `sensor_drift` and `warming_friction` is that of each table. Where the tables of an experiment go on with one
