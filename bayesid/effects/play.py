@@ -1,4 +1,4 @@
-"""Where the link is behind gear teeth with play: q_motor = q_link + lean(torque(q_link)).
+"""Where the link is behind gear teeth with play [Nordin2002]_: q_motor = q_link + lean(torque(q_link)).
 
 The torque depends on the link's acceleration, and where it is small the link crosses the play within milliseconds, at times that
 smoothed positions do not show. So the link's motion is a spline in time, fitted to what the encoders read, sample by sample:
@@ -40,8 +40,6 @@ _REST = 0.1
 _POSE_TURNS = 3
 #: Rounds over the joints, where several have play.
 _ROUNDS = 2
-
-
 #: From motion and joints to the torques (N, k) that it takes of these (k,).
 Torque = Callable[[Motion, np.ndarray], np.ndarray]
 
@@ -82,11 +80,11 @@ class Recorded:
     Attributes
     ----------
     encoders
-        Where motors hold the joints, as the encoders read it (M, n).
+        Where motors hold the joints, as the encoders read it (M, n) [rad or m].
     smooth
-        That smoothed: positions, velocities and accelerations, (M, n) each.
+        That smoothed: positions, velocities and accelerations, (M, n) each [rad or m and per second (squared)].
     torque
-        That motions at these samples take.
+        That motions at these samples take [N m or N].
     fitting
         What they are fitted with.
     """
@@ -99,7 +97,7 @@ class Recorded:
     def behind(
         self, play: Sequence[tuple[PlayEffect, Sequence[float]]], start: Mapping[int, np.ndarray]
     ) -> dict[int, np.ndarray]:
-        """How far the links of joints with play are behind their motors at the samples, (M,) each.
+        """How far the links of joints with play are behind their motors at the samples, (M,) each [rad or m].
 
         Parameters
         ----------
