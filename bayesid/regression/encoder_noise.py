@@ -26,6 +26,8 @@ _SAMPLES, _PIECES = 4000, 8
 #: Knots that periods must be apart at least: the influence of a sample falls to 0.43**12 = 4e-5.
 _APART = 12
 _ENTROPY = 1998  # of simulated noise, the same at every call
+#: Counts that the ends of a motion are moved by, at most, when it is rounded once more, and the largest share of the motion.
+_MOVED, _STRETCHED = 5.0, 0.1
 
 
 @dataclass(frozen=True)
@@ -169,13 +171,19 @@ def errors_of(row_model: RowModel, segments: Sequence[Segment], smoother: Smooth
 def _errors(positions: np.ndarray, std: np.ndarray, resolution: float, rng: np.random.Generator) -> np.ndarray:
     """Errors of encoders that read positions (N, n): white noise, of which counts of a known size are a part.
 
-    Rounding is no white noise where a joint moves by less than a count from sample to sample. How counts lie to the motion is
-    random.
+    Rounding is no white noise where a joint moves by less than a count from sample to sample: most of its error is made where the
+    motion turns, and by how the turning points lie to the counts. There, a smoothed motion follows the counts of its recording,
+    so that rounding it again tells of that one case. Hence not only the offset of the counts is random, but also, by a few
+    counts, how far apart the turning points are.
     """
     white = np.sqrt(np.maximum(std**2 - resolution**2 / 12.0, 0.0)) * rng.normal(size=positions.shape)
     if not resolution:
         return white
-    exact = (positions + white) / resolution + rng.uniform(-0.5, 0.5, positions.shape[1])
+    n = positions.shape[1]
+    half = np.ptp(positions, axis=0) / 2.0
+    most = np.minimum(_MOVED * resolution / np.where(half > 0.0, half, np.inf), _STRETCHED)
+    stretched = positions + rng.uniform(-most, most, n) * (positions - positions[0])
+    exact = (stretched + white) / resolution + rng.uniform(-0.5, 0.5, n)
     return white + resolution * (np.round(exact) - exact)
 
 

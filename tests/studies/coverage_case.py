@@ -94,6 +94,17 @@ class Setup:
         return q, (cosine * rate) @ a - (sine * rate) @ b, -(sine * rate**2) @ a - (cosine * rate**2) @ b
 
 
+def links_unlike(robot: Robot, rng: np.random.Generator) -> np.ndarray:
+    """Links that could exist (10 n,), whose mass is distributed unlike the URDF's by a tenth."""
+    truth = []
+    for body in robot.nominal:
+        deform = np.eye(4) + 0.1 * rng.normal(size=(4, 4))
+        deform[3, :3] = 0.0
+        pseudo = deform @ inertia.pseudo_inertia(body) @ deform.T
+        truth.append(np.linalg.lstsq(inertia.BASIS.reshape(10, 16).T, pseudo.ravel(), rcond=None)[0])
+    return np.concatenate(truth)
+
+
 @cache
 def setup(name: str) -> Setup:
     """Robot, truth and motion of an arm."""
@@ -103,14 +114,9 @@ def setup(name: str) -> Setup:
         path = Path(folder) / "robot.urdf"
         path.write_text(arm.urdf(), encoding="utf-8")
         robot = load_robot(path, arm.joints, arm.locked)
-    truth = []
-    for body in robot.nominal:
-        deform = np.eye(4) + 0.1 * rng.normal(size=(4, 4))
-        deform[3, :3] = 0.0
-        pseudo = deform @ inertia.pseudo_inertia(body) @ deform.T
-        truth.append(np.linalg.lstsq(inertia.BASIS.reshape(10, 16).T, pseudo.ravel(), rcond=None)[0])
+    truth = links_unlike(robot, rng)
     waves = rng.normal(size=(2, HARMONICS, robot.n))
-    at_one = Setup(arm, robot, np.concatenate(truth), np.zeros(robot.n), waves)
+    at_one = Setup(arm, robot, truth, np.zeros(robot.n), waves)
     q, v, _ = at_one.trajectory(np.arange(0.0, 1.0 / FUNDAMENTAL, 1.0 / RATE))
     bounded = np.isfinite(robot.lower) & np.isfinite(robot.upper)
     lower, upper = np.where(bounded, robot.lower, -np.pi), np.where(bounded, robot.upper, np.pi)

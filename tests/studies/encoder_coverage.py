@@ -1,8 +1,9 @@
 """Coverage of intervals with encoder noise, on recordings of a plant that is not the estimator's model.
 
 ``python -m tests.studies.encoder_coverage`` from the repository runs it and writes ``docs/encoder-coverage.md`` and ``.json``.
-Robots, truth and sensor are those of `coverage_case`, its motions a few times faster, so that encoders matter; readings come
-from Pinocchio's recursive Newton-Euler algorithm with a free-flyer under the base.
+Robots and sensor are those of `coverage_case`, its motions a few times faster, so that encoders matter; readings come from
+Pinocchio's recursive Newton-Euler algorithm with a free-flyer under the base. Every recording is of another robot, whose links
+are unlike the URDF's: intervals of an estimator that trusts the URDF by a tenth are to hold for the robots that this describes.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from bayesid.recordings.experiment import Experiment, Motion, Sensor, Table
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import prepare
 from tests.studies.coverage import LEVEL, NAMES, band
-from tests.studies.coverage_case import ARMS, DURATION, NOISE, OFFSET, RATE, setup
+from tests.studies.coverage_case import ARMS, DURATION, NOISE, OFFSET, RATE, links_unlike, setup
 from tests.studies.page import parsed, write_numbers, write_page
 
 SEED = 20_261_122
@@ -54,7 +55,7 @@ CASES = {
 
 @cache
 def plant(arm: str) -> pin.Model:
-    """Pinocchio's model of an arm on a free-flyer, with the true inertias."""
+    """Pinocchio's model of an arm on a free-flyer."""
     case = setup(arm)
     model = pin.buildModelFromXML(case.arm.urdf(), pin.JointModelFreeFlyer())
     active = case.arm.joints or tuple(model.names)[2:]
@@ -64,25 +65,26 @@ def plant(arm: str) -> pin.Model:
         reference[model.joints[model.getJointId(name)].idx_q] = angle
     if still:
         model = pin.buildReducedModel(model, still, reference)
-    for joint, link in enumerate(case.truth.reshape(-1, 10)):
-        model.inertias[joint + 2] = pin.Inertia.FromDynamicParameters(link)
     model.gravity.linear = np.array([0.0, 0.0, -9.81])
     return model
 
 
-def wrench(arm: str, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
-    """Force and moment of the ground on the base (N, 6) [N, N m]."""
+def wrench(arm: str, links: np.ndarray, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+    """Force and moment of the ground on the base of a robot with such links (N, 6) [N, N m]."""
     model = plant(arm)
+    for joint, link in enumerate(links.reshape(-1, 10)):
+        model.inertias[joint + 2] = pin.Inertia.FromDynamicParameters(link)
     data, base = model.createData(), np.zeros((len(q), 6))
     place = np.concatenate([base, np.ones((len(q), 1)), q], axis=1)
     states = zip(place, np.concatenate([base, v], axis=1), np.concatenate([base, a], axis=1), strict=True)
     return np.array([pin.rnea(model, data, *state)[:6].copy() for state in states])
 
 
-def record(name: str, rng: np.random.Generator) -> Experiment:
-    """One recording of a case."""
+def record(name: str, rng: np.random.Generator) -> tuple[Experiment, np.ndarray]:
+    """One recording of a case, and the links of its robot (10 n,)."""
     arm, std, kind = CASES[name]
     case = setup(arm)
+    links = links_unlike(case.robot, rng)
     times = np.arange(round(RATE * DURATION)) / RATE
     q, v, a = case.trajectory(FASTER * (times + rng.uniform(0.0, 1.0 / RATE)))
     q, a = case.centre + (q - case.centre) / FASTER, FASTER * a
@@ -90,7 +92,7 @@ def record(name: str, rng: np.random.Generator) -> Experiment:
     if kind == "counts":
         q = q + count * rng.uniform(-0.5, 0.5, case.robot.n)  # the same motion would be rounded in the same way every time
     constant = OFFSET * rng.uniform(-1.0, 1.0, 6)
-    moving, still = (wrench(arm, q, k * v, k * a) + constant + NOISE * rng.normal(size=(len(q), 6)) for k in (1, 0))
+    moving, still = (wrench(arm, links, q, k * v, k * a) + constant + NOISE * rng.normal(size=(len(q), 6)) for k in (1, 0))
     if kind == "white":
         bare = Experiment(arm, case.robot, (), Sensor(), position_std=std or None)
         q = q + std * rng.normal(size=q.shape)
@@ -98,7 +100,8 @@ def record(name: str, rng: np.random.Generator) -> Experiment:
         bare = Experiment(arm, case.robot, (), Sensor(), position_resolution=count)
         q = count * np.round(q / count)
     static = Table(times, q, wrench=still) if case.arm.static else None
-    return replace(bare, motions=(Motion("fourier", "identification", Table(times, q, wrench=moving), static=static),))
+    motion = Motion("fourier", "identification", Table(times, q, wrench=moving), static=static)
+    return replace(bare, motions=(motion,)), links
 
 
 def one(name: str, seed: int, k: int) -> tuple[np.ndarray, np.ndarray]:
@@ -107,9 +110,10 @@ def one(name: str, seed: int, k: int) -> tuple[np.ndarray, np.ndarray]:
     errors, stds = [], []
     with threadpool_limits(1, user_api="blas"), warnings.catch_warnings():
         warnings.simplefilter("ignore", BayesidWarning)  # counts of slow joints are not white, as tls says
-        problem = prepare(record(name, rng), FitOptions())
+        recorded, links = record(name, rng)
+        problem = prepare(recorded, FitOptions())
         base = problem.row_model.base
-        truth = base.matrix @ setup(CASES[name][0]).truth
+        truth = base.matrix @ links
         for method in METHODS:
             estimate = estimators.fit(problem.regression, method)
             errors.append(estimate.values - truth)
@@ -148,8 +152,8 @@ are those of [coverage.md](coverage.md), motions {{ faster }} times faster. Ever
 
 In each cell: *coverage* in per cent of all parameters, in brackets that of the worst one, and the root mean square error in units
 of the standard deviation that was stated, which should be 1. *Error* is the root mean square error in units of that of `wls`,
-median of all parameters, least and most of these kinds. `sdp` has the URDF's nominal links as its prior, which are wrong
-by a tenth: what the motion hardly shows stays near them.
+median of all parameters, least and most of these kinds. Every recording is of another robot, whose links are unlike the URDF's
+by a tenth: `sdp` has these as its prior, and what the motion hardly shows stays near them, with an interval that says how near.
 {% for arm, table in tables.items() %}
 
 ## {{ arm }}
