@@ -78,14 +78,18 @@ class Model(Parts):
 
     # -- the motion
 
+    @property
+    def _pose(self) -> tuple[Term, ...]:
+        """What changes where encoders are understood to say that joints are."""
+        return (*self._by_family.get(EncoderEffect, ()), *self._by_family.get(TransmissionEffect, ()))
+
     @cached_property
     def _key(self) -> tuple:
         """What the links' motion depends on."""
-        pose = (*self._by_family.get(EncoderEffect, ()), *self._by_family.get(TransmissionEffect, ()))
         if not any(t.effect.amplifies_encoder_errors for t in self._physical):
-            return (self.robot.fingerprint, pose)
+            return (self.robot.fingerprint, self._pose)
         near = None if self.near is None or not self.of_family(PlayEffect) else self.near._key
-        return (self.robot.fingerprint, pose, self.links.tobytes(), self._physical, near)
+        return (self.robot.fingerprint, self._pose, self.links.tobytes(), self._physical, near)
 
     @cached_property
     def states(self) -> np.ndarray:
@@ -143,9 +147,7 @@ class Model(Parts):
     def _behind(self) -> dict[int, np.ndarray]:
         """How far links with play are behind their motors at the encoders' samples, by joint."""
         start = {} if self.near is None else self.near._behind
-        return self.segment.results.get(
-            ("behind", self._key), lambda: self._recorded.behind(self.of_family(PlayEffect), start)
-        )
+        return self.segment.play.get(("behind", self._key), lambda: self._recorded.behind(self.of_family(PlayEffect), start))
 
     @cached_property
     def _recorded(self) -> Recorded:
@@ -156,7 +158,14 @@ class Model(Parts):
         fitting = segment.basis.get(
             ("fitting", segment.bandwidth), lambda: Fitting.of(times, read, segment.bandwidth, segment.times)
         )
-        return Recorded(at._at_joints(read - self._encoder_shift), at.joint_motion_of_motors, at.link_torque, fitting)
+        motors = at.joint_motion_of_motors
+        others = tuple(t for t in self._physical if PlayEffect not in type(t.effect).__mro__)
+
+        def inertia(joint: int) -> np.ndarray:
+            key = ("inertia", joint, self.robot.fingerprint, self._pose, self.links.tobytes(), others)
+            return segment.play.get(key, lambda: own_inertia(at.link_torque, motors[0], joint))
+
+        return Recorded(at._at_joints(read - self._encoder_shift), motors, at.link_torque, inertia, fitting)
 
     # -- the true wrench and torques
 

@@ -15,11 +15,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from bayesid.effects.families import PlayEffect
-from bayesid.effects.flexible import Motion, own_inertia
+from bayesid.effects.flexible import Motion
 from bayesid.effects.segment import REST_SPEED
 from bayesid.signals.splines import Splines
 
@@ -85,6 +86,8 @@ class Recorded:
         That smoothed: positions, velocities and accelerations, (M, n) each [rad or m and per second (squared)].
     torque
         That motions at these samples take [N m or N].
+    inertia
+        That a joint feels (M,) [kg m^2 or kg].
     fitting
         What they are fitted with.
     """
@@ -92,6 +95,7 @@ class Recorded:
     encoders: np.ndarray
     smooth: Motion
     torque: Torque
+    inertia: Callable[[int], np.ndarray]
     fitting: Fitting
 
     def behind(
@@ -112,11 +116,12 @@ class Recorded:
         def fit(joint: int) -> _JointFit:
             return _JointFit.of(self, link, joint, [(effect, values) for effect, values in play if effect.joint == joint])
 
-        located = [joint for joint in which if fit(joint).is_located()]
+        fits = {joint: fit(joint) for joint in which}
+        located = [joint for joint in which if fits[joint].is_located(start.get(joint))]
         rounds = _ROUNDS if len(located) > 1 else 1
         for joint in [*(located * rounds), *(j for j in which if j not in located)]:
-            found = fit(joint)
-            out[joint] = found.best(start.get(joint)) if joint in located else found.slow()
+            found = fit(joint) if out else fits[joint]  # anew where other links have moved
+            out[joint] = found.best(start.get(joint)) if joint in located else found.slow
             self._follow(link, self.smooth, self.fitting.whole, joint, out[joint])
         return out
 
@@ -204,7 +209,7 @@ class _JointFit:
                 mine[:, joint] = part
             return np.where(still, held, torque((moved[0], moved[1], moved[2]), only)[:, 0])
 
-        felt = np.where(still, 0.0, own_inertia(torque, recorded.smooth[0], joint))
+        felt = np.where(still, 0.0, recorded.inertia(joint))
         return cls(play, recorded.fitting.splines, recorded.encoders[:, joint], taken, felt)
 
     def lean(self, torque: np.ndarray) -> np.ndarray:
@@ -213,20 +218,21 @@ class _JointFit:
     def slope(self, torque: np.ndarray) -> np.ndarray:
         return sum((effect.slope(torque, values) for effect, values in self.play), np.zeros(len(torque)))
 
+    @cached_property
     def slow(self) -> np.ndarray:
         """How far the link is behind (M,) by the torque of its slow motion."""
         return self._level(self.splines[0], np.zeros(len(self.encoders)), *_ROUGHLY)
 
-    def is_located(self) -> bool:
-        """Whether encoders can show where the play is crossed."""
+    def is_located(self, start: np.ndarray | None) -> bool:
+        """Whether encoders can show where the play is crossed; a start (M,) says how far the link is behind without a fit."""
         finest = self.splines[-1]
         noise = np.std(self.encoders - finest.motion(finest.nearest(self.encoders))[0])
-        return bool(np.abs(self.slow()).max() > _LOCATED * noise)
+        return bool(np.abs(self.slow if start is None else start).max() > _LOCATED * noise)
 
-    def best(self, start: np.ndarray | None = None) -> np.ndarray:
+    def best(self, start: np.ndarray | None) -> np.ndarray:
         """How far the link is behind (M,), from the splines of one level after the other, or of the last one from a start."""
-        behind = np.zeros(len(self.encoders)) if start is None else start
-        for splines in self.splines if start is None else self.splines[-1:]:
+        behind = self.slow if start is None else start
+        for splines in self.splines[1:] if start is None else self.splines[-1:]:
             behind = self._level(splines, behind, *(_WELL if splines is self.splines[-1] else _ROUGHLY))
         return behind
 
@@ -237,15 +243,14 @@ class _JointFit:
         the acceleration, and it is computed anew in each turn.
         """
         at, before = splines.nearest(self.encoders - behind), 0.0
-        for _ in range(turns):
+        for turn in range(turns + 1):
             own = splines.motion(at)
             torque = self.torque(own)
             left = self.encoders - own[0] - self.lean(torque)
-            if abs(left @ left - before) <= settled * before:
+            if turn == turns or abs(left @ left - before) <= settled * before:
                 break
             at, before = self._descended(splines, at, torque - self.inertia * own[2], steps, settled)
-        own = splines.motion(at)
-        return self.lean(self.torque(own))
+        return self.lean(torque)
 
     def _descended(
         self, splines: Splines, at: np.ndarray, held: np.ndarray, steps: int, settled: float

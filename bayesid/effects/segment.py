@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from bayesid.signals.smoothing import smooth
 
 #: Speed below which a joint counts as nearly at rest and friction as partly mobilised [rad/s or m/s].
 REST_SPEED = 1e-3
-_KEPT = 6
+_KEPT, _KEPT_OF_PLAY = 6, 60  # the latter are small, and each takes long
 _SPLINE = 5  # degree of the interpolation that a delay is made with
 
 
@@ -71,8 +72,8 @@ class MotionSegment:
         Time that a sample stands for [s]: friction that reverses in it is its mean there. Zero: its value at the sample.
     encoders
         Times (M,) [s] and joint positions (M, n) that were smoothed; None: only `positions` are known.
-    results, basis
-        Link states and readings made lately, and what depends on the times alone.
+    results, basis, play
+        Link states and readings made lately, what depends on the times alone, and what joints with play were found to do.
     """
 
     times: np.ndarray
@@ -87,6 +88,7 @@ class MotionSegment:
     encoders: tuple[np.ndarray, np.ndarray] | None = None
     results: Results = field(default_factory=Results, init=False, repr=False)
     basis: Results = field(default_factory=Results, init=False, repr=False)
+    play: Results = field(default_factory=partial(Results, _KEPT_OF_PLAY), init=False, repr=False)
 
     @property
     def middle_positions(self) -> np.ndarray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numba
 import numpy as np
 from scipy.linalg import solveh_banded
 
@@ -60,11 +61,20 @@ class Splines:
 
         The normal matrix's diagonal is enlarged by the damping, a share of it.
         """
-        band, right = np.zeros((_ORDER, self.count)), np.zeros(self.count)
-        for i in range(_ORDER):
-            right += np.bincount(self.first + i, rows[:, i] * values, self.count)
-            for j in range(i, _ORDER):
-                band[DEGREE + i - j] += np.bincount(self.first + j, rows[:, i] * rows[:, j], self.count)
+        band, right = _normal_equations(self.first, np.ascontiguousarray(rows), values, self.count)
         # A whisper of ridge keeps the outermost functions, of which only a tail lies in the data, determined.
         band[-1] += damping * band[-1] + 1e-14 * band[-1].max()
         return solveh_banded(band, right, check_finite=False)
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _normal_equations(first, rows, values, count):
+    """Upper banded Gram matrix (6, count) of rows (M, 6), each of functions from its first one on, and right side (count,)."""
+    band, right = np.zeros((6, count)), np.zeros(count)
+    for sample in range(len(first)):
+        k = first[sample]
+        for i in range(6):
+            right[k + i] += rows[sample, i] * values[sample]
+            for j in range(i, 6):
+                band[5 + i - j, k + j] += rows[sample, i] * rows[sample, j]
+    return band, right
