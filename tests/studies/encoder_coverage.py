@@ -3,7 +3,7 @@
 ``python -m tests.studies.encoder_coverage`` from the repository runs it and writes ``docs/encoder-coverage.md`` and ``.json``.
 Robots and sensor are those of `coverage_case`, its motions a few times faster, so that encoders matter; readings come from
 Pinocchio's recursive Newton-Euler algorithm with a free-flyer under the base. Every recording is of another robot, whose links
-are unlike the URDF's: intervals of an estimator that trusts the URDF by a tenth are to hold for the robots that this describes.
+are unlike the URDF's: intervals of an estimator that knows the URDF are to hold for robots like that, not for one of them.
 """
 
 from __future__ import annotations
@@ -152,8 +152,8 @@ are those of [coverage.md](coverage.md), motions {{ faster }} times faster. Ever
 
 In each cell: *coverage* in per cent of all parameters, in brackets that of the worst one, and the root mean square error in units
 of the standard deviation that was stated, which should be 1. *Error* is the root mean square error in units of that of `wls`,
-median of all parameters, least and most of these kinds. Every recording is of another robot, whose links are unlike the URDF's
-by a tenth: `sdp` has these as its prior, and what the motion hardly shows stays near them, with an interval that says how near.
+median of all parameters, least and most of these kinds. Every recording is of another robot, whose links are those of the URDF
+stretched and sheared by a tenth, and displaced by about 0.1 m, which is a wrist's length. `sdp` knows the URDF alone.
 {% for arm, table in tables.items() %}
 
 ## {{ arm }}

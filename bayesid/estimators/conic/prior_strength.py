@@ -3,7 +3,9 @@
 The distance to the nominal links phi0 is ``(phi - phi0)' L (phi - phi0) / s^2`` with ``L = 2 M`` of the pull-back metric
 [Lee2020]_ (relative changes of the mass distribution), or a multiple of the unit matrix (Euclidean). s is the prior
 relative standard deviation. Where it is not stated it is the one that makes the data most probable [Good1965]_: with y the
-data's distance from the nominal links, effects projected out, ``y ~ N(0, 1 + s^2 G G')``.
+data's distance from the nominal links, effects projected out, ``y ~ N(0, 1 + s^2 G G')``. Above one, links are further from the
+nominal ones than those are large, in some directions (a mass that lies elsewhere) and not in others, which no single s
+describes: the nominal links then fill what the data leave open, and pull at nothing else.
 """
 
 from __future__ import annotations
@@ -30,6 +32,8 @@ _SMALLEST, _LARGEST = 1e-3, 1e2
 _UNEXPLAINED = 1e-4
 #: A relative standard deviation that says next to nothing, for questions to the data alone.
 _NEXT_TO_NONE = 30.0
+#: Above this relative standard deviation, found from the data, the nominal links describe nothing.
+_DESCRIBES = 1.0
 #: Without any nominal model: spheres of 1 kg with a radius of gyration of 0.1 m, known within a factor of ten.
 _TYPICAL = np.array([1.0, 0, 0, 0, 0.02, 0, 0.02, 0, 0, 0.02])
 _TYPICAL_STD = 10.0
@@ -134,6 +138,10 @@ def link_prior(regression: Regression, data: LinkData, prior: Prior | None, metr
             rule += f", at the {end} that is tried"
         if _probability(data, mean, unit, std) < _UNEXPLAINED:
             rule += "; no value explains how far the data are from the nominal model: an effect beside the links is missing"
+        elif std > _DESCRIBES:
+            far = f"{std:.2g} times as far from the nominal links as those are large"
+            rule = f"found from the data, {far}: the nominal links fill only what data leave open"
+            std = _LARGEST
     else:
         assert stated is not None
         std, rule, end = float(stated), "as stated", None
