@@ -243,13 +243,15 @@ class _JointFit:
         the acceleration, and it is computed anew in each turn.
         """
         at, before = splines.nearest(self.encoders - behind), 0.0
-        for turn in range(turns + 1):
-            own = splines.motion(at)
-            torque = self.torque(own)
+        own = splines.motion(at)
+        torque = self.torque(own)
+        for _ in range(turns):
             left = self.encoders - own[0] - self.lean(torque)
-            if turn == turns or abs(left @ left - before) <= settled * before:
+            if abs(left @ left - before) <= settled * before:
                 break
             at, before = self._descended(splines, at, torque - self.inertia * own[2], steps, settled)
+            own = splines.motion(at)
+            torque = self.torque(own)
         return self.lean(torque)
 
     def _descended(
