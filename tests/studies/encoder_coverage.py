@@ -55,7 +55,7 @@ CASES = {
 
 @cache
 def plant(arm: str) -> pin.Model:
-    """Pinocchio's model of an arm on a free-flyer."""
+    """Pinocchio's model of an arm on a free-flyer; `wrench` gives it the links of each recording's robot."""
     case = setup(arm)
     model = pin.buildModelFromXML(case.arm.urdf(), pin.JointModelFreeFlyer())
     active = case.arm.joints or tuple(model.names)[2:]

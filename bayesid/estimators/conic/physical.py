@@ -60,7 +60,8 @@ class Physical:
         ``pullback`` (the prior's own), ``euclidean`` or ``entropic``: how the distance to the nominal links is measured.
     rel_std
         Prior relative standard deviation s of the nominal links, which sets the strength of the pull towards them; None: as
-        the experiment or the prior states it, and where none is stated the value that makes the data most probable.
+        the experiment or the prior states it, and where none is stated the value that makes the data most probable;
+        one above 1 found so means next to no pull.
     closest
         Instead of weighing both, take the links closest to the nominal ones among those that the data do not tell from
         the best physical ones at this confidence, such as 0.95.
