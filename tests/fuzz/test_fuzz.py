@@ -6,12 +6,14 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from hypothesis import HealthCheck, Phase, given, settings
+from hypothesis import HealthCheck, Phase, given, seed, settings
 
 from tests.fuzz.arena import Worker, complaints, fresh, write_arm
 from tests.fuzz.cases import Case, cases
 
 FEW, MANY = 75, 10_000
+#: The many in so many parts, each of which can be run alone: they take hours.
+PARTS = 50
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +64,12 @@ def test_a_fixed_share(case: Case, worker: Worker, original: Path) -> None:
 
 
 @pytest.mark.slow
-@settings(_FIXED, max_examples=MANY)
-@given(case=cases())
-def test_ten_thousand(case: Case, worker: Worker, original: Path) -> None:
-    hold(case, worker, original)
+@pytest.mark.parametrize("part", range(PARTS))
+def test_ten_thousand(part: int, worker: Worker, original: Path) -> None:
+    @seed(part)
+    @settings(_FIXED, derandomize=False, max_examples=MANY // PARTS)
+    @given(case=cases())
+    def all_hold(case: Case) -> None:
+        hold(case, worker, original)
+
+    all_hold()
