@@ -16,6 +16,7 @@ from bayesid.dynamics.newton_euler import BLOCK, LANES, STATE, add, advance, bod
 from bayesid.dynamics.newton_euler import project as project_block
 from bayesid.robot import inertia
 from bayesid.robot.robot import Robot
+from bayesid.signals.kernel_input import kernel_input
 
 R, P, W, DW, A, V, WIDTH = 0, 9, 12, 15, 18, 21, 24
 
@@ -79,7 +80,7 @@ def _tables(holder: _Holder):
     axis = np.einsum("rij,rj->ri", robot.rotation, robot.axis)
     parent = np.where(robot.parent < 0, robot.n, robot.parent)
     return (
-        robot.order, parent, turn.reshape(-1, 27), np.ascontiguousarray(robot.translation, dtype=float), axis,
+        robot.order, parent, turn.reshape(-1, 27), kernel_input(robot.translation), axis,
         robot.prismatic.astype(float),
     )  # fmt: skip
 
@@ -111,9 +112,9 @@ def link_states(
     root
         (N, 18): rotation, origin, spin and its rate of a root that turns; default at rest in the base frame.
     """
-    q, v, a = (np.ascontiguousarray(x, dtype=float) for x in (positions, velocities, accelerations))
+    q, v, a = (kernel_input(x) for x in (positions, velocities, accelerations))
     out = np.empty((len(q), robot.n + 1, WIDTH))
-    held = np.zeros((0, 18)) if root is None else np.ascontiguousarray(root)
+    held = kernel_input(np.zeros((0, 18)) if root is None else root)
     _states(q, v, a, *_tables(_Holder(robot)), held, out)
     return out
 
@@ -156,7 +157,7 @@ def body_wrenches(states: np.ndarray, row_of: np.ndarray, links: np.ndarray, gra
         (3,) [m/s^2].
     """
     out = np.empty((len(states), len(links), 6))
-    _wrenches(states, row_of, np.ascontiguousarray(links, dtype=float), np.ascontiguousarray(gravity, dtype=float), out)
+    _wrenches(states, row_of, kernel_input(links), kernel_input(gravity), out)
     return out
 
 
@@ -174,7 +175,7 @@ def channel_twists(robot: Robot, channels: Channels, states: np.ndarray) -> np.n
     """Twist of each channel about the base origin, (N, c, 6)."""
     out = np.empty((len(states), len(channels), 6))
     rows = np.where(channels.joint < 0, robot.n, channels.joint)
-    _twists(states, rows, np.ascontiguousarray(root_twists(channels)), out)
+    _twists(states, rows, kernel_input(root_twists(channels)), out)
     return out
 
 
@@ -233,7 +234,7 @@ def link_columns(
 ) -> np.ndarray:
     """Derivative of the readings with respect to the bodies' parameters in their rows' frames, (N, c, 10 b)."""
     out = np.empty((len(states), len(carries), 10 * len(row_of)))
-    _columns(states, twists, row_of, carries, np.ascontiguousarray(gravity, dtype=float), out)
+    _columns(states, twists, row_of, carries, kernel_input(gravity), out)
     return out
 
 

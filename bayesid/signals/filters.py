@@ -16,6 +16,7 @@ import numba
 import numpy as np
 
 from bayesid.errors import InputError
+from bayesid.signals.kernel_input import kernel_input
 
 #: Bandwidths that a recording can tell from none, and from no filter [rad/s].
 _SLOWEST, _FASTEST = 1e-6, 1e9
@@ -144,8 +145,8 @@ def project(times: np.ndarray, values: np.ndarray, start: float, step: float, fi
         Rows (k, ...) and sums of squared weights (k,), added to in place; contributions to rows outside are
         dropped.
     """
-    flat = np.ascontiguousarray(values).reshape(len(values), -1)
-    _project(times, flat, start, step, first, _TABLE, out.reshape(len(out), -1), energy)
+    flat = kernel_input(values).reshape(len(values), -1)
+    _project(kernel_input(times), flat, start, step, first, _TABLE, out.reshape(len(out), -1), energy)
 
 
 def _kernel(x: np.ndarray, roll_off: float) -> np.ndarray:

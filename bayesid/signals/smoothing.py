@@ -17,6 +17,7 @@ import numpy as np
 from scipy.linalg import LinAlgError, solveh_banded
 
 from bayesid.errors import InputError
+from bayesid.signals.kernel_input import kernel_input
 
 #: A gap-free stretch: times (N,) [s] and positions (N, n) [rad or m].
 Piece = tuple[np.ndarray, np.ndarray]
@@ -100,7 +101,7 @@ def smooth(
         Too few samples for this bandwidth.
     """
     coefficients, first = _fitted(times, positions, bandwidth)
-    return _evaluate(times if at is None else at, coefficients, first, 0.5 / bandwidth, POLYNOMIALS)
+    return _evaluate(kernel_input(times if at is None else at), coefficients, first, 0.5 / bandwidth, POLYNOMIALS)
 
 
 def _fitted(times: np.ndarray, positions: np.ndarray, bandwidth: float) -> tuple[np.ndarray, float]:
@@ -115,14 +116,14 @@ def _fitted(times: np.ndarray, positions: np.ndarray, bandwidth: float) -> tuple
     )
     if count > len(times) + DEGREE:
         raise too_few
-    band, right = _normal_equations(times, np.ascontiguousarray(positions), first, spacing, count, POLYNOMIALS)
+    band, right = _normal_equations(kernel_input(times), kernel_input(positions), first, spacing, count, POLYNOMIALS)
     # A whisper of ridge keeps the outermost functions, of which only a tail lies in the data, determined.
     band[-1] += 1e-14 * band[-1].max()
     try:
         coefficients = solveh_banded(band, right, check_finite=False)
     except LinAlgError:
         raise too_few from None
-    return coefficients, float(first)
+    return kernel_input(coefficients), float(first)
 
 
 def choose_smoother(
@@ -187,7 +188,7 @@ def _left(piece: Piece, bandwidth: float) -> np.ndarray:
     times, positions = piece
     centred = positions - positions.mean(axis=0)
     coefficients, first = _fitted(times, centred, bandwidth)
-    return _residual_power(times, centred, coefficients, first, 0.5 / bandwidth, POLYNOMIALS)
+    return _residual_power(kernel_input(times), kernel_input(centred), coefficients, first, 0.5 / bandwidth, POLYNOMIALS)
 
 
 def _chosen(

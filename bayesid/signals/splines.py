@@ -8,6 +8,7 @@ import numba
 import numpy as np
 from scipy.linalg import solveh_banded
 
+from bayesid.signals.kernel_input import kernel_input
 from bayesid.signals.smoothing import DEGREE, POLYNOMIALS
 
 _ORDER = DEGREE + 1
@@ -61,7 +62,7 @@ class Splines:
 
         The normal matrix's diagonal is enlarged by the damping, a share of it.
         """
-        band, right = _normal_equations(self.first, np.ascontiguousarray(rows), values, self.count)
+        band, right = _normal_equations(self.first, kernel_input(rows), kernel_input(values), self.count)
         # A whisper of ridge keeps the outermost functions, of which only a tail lies in the data, determined.
         band[-1] += damping * band[-1] + 1e-14 * band[-1].max()
         return solveh_banded(band, right, check_finite=False)
