@@ -412,6 +412,8 @@ CASES = [
     Malformed("out is a file", nothing, ("robot.urdf", "file"), identify("--out", "{folder}/robot.urdf")),
     Malformed("filter as text", nothing, ("--filter-l", "ten"), identify("--filter-l", "ten")),
     Malformed("no motion named", nothing, ("--motions names none", "identification, validation"), identify("--motions", "")),
+    Malformed("no motion named, diagnose", nothing, ("--motions names none", "identification, validation"),
+              lambda folder: ["diagnose", str(folder), "--motions", ""]),
     Malformed("motion named twice", nothing, ("--motions identification", "twice"),
               identify("--motions", "identification,identification")),
     Malformed("bandwidth without end", nothing, ("--bandwidth inf",), identify("--bandwidth", "inf")),

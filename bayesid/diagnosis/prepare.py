@@ -74,6 +74,8 @@ def prepare_data(
     channels = make_channels(experiment, channel)
     names = [m.name for m in experiment.identification] if motions is None else list(motions)
     known = {m.name for m in experiment.motions}
+    if motions is not None and not names:
+        raise InputError(f"--motions names none; write one or more of {', '.join(sorted(known))}")
     for name in names:
         if name not in known:
             raise InputError(f"--motions {name}: no such motion in experiment.toml; it has {', '.join(sorted(known))}")

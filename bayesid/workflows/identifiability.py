@@ -115,6 +115,8 @@ def _(result: Identifiability) -> Files:
 
 
 def _sets(names: Sequence[str] | None) -> list[SensorSet]:
+    if names is not None and not names:
+        raise InputError(f"--sensor-sets names none; choose from {', '.join(SENSOR_SETS)}, or leave it out for all")
     for name in names or ():
         if name not in SENSOR_SETS:
             raise InputError(f"--sensor-sets {name}: choose from {', '.join(SENSOR_SETS)}")
@@ -163,6 +165,8 @@ def _motions(
     there: list[Motion | Trajectory] = list(experiment.motions) if planned is None else planned
     if names is not None:
         known = {m.name: m for m in there}
+        if not names:
+            raise InputError(f"--motions names none; write one or more of {', '.join(known)}")
         for name in names:
             if name not in known:
                 raise InputError(f"--motions {name}: no such motion; there are {', '.join(known)}")
