@@ -4,7 +4,7 @@
 
 A SET is what make.py wrote. Diagnoses go to SET/diagnoses; those that are there are not made again, so a run can be
 interrupted. ``--before`` names copies of these sets that an older revision has diagnosed, to stand beside. ``--write`` puts
-results.json, confusion.png and the table of README.md beside this script.
+results.json, confusion.png, reliability.png and the table of README.md beside this script.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
+from scipy.stats import binomtest
 from tqdm import tqdm
 
 HERE = Path(__file__).parent
@@ -194,6 +195,21 @@ def draw(pairs: list[tuple[dict, dict]], path: Path) -> None:
     plt.close(figure)
 
 
+def draw_reliability(bins: list[dict], path: Path) -> None:
+    """Reliability diagram: the share of names that are right over the probability that they are given with."""
+    figure, axes = plt.subplots(figsize=(4.6, 4.2), layout="constrained")
+    axes.plot([0, 1], [0, 1], color="0.7", label="as stated")
+    for k, one in enumerate(bins):
+        low, high = binomtest(round(one["right"] * one["names"]), one["names"]).proportion_ci(method="wilson")
+        axes.plot([one["given"]] * 2, [low, high], color="C0")
+        axes.plot(one["given"], one["right"], "o", color="C0", label="right, with 95 % interval" if k == 0 else None)
+        axes.annotate(f"{one['names']} names", (one["given"], low), (-4, 2), textcoords="offset points", ha="right", fontsize=8)
+    axes.set(xlim=(0, 1.02), ylim=(0, 1.02), xlabel="probability given", ylabel="share that is right")
+    axes.legend(fontsize=8, loc="upper left")
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("sets", type=Path, nargs="+", metavar="SET")
@@ -201,7 +217,7 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--before", type=Path, nargs="*", default=[], metavar="SET", help="the same with older diagnoses")
-    parser.add_argument("--write", action="store_true", help="renew results.json, confusion.png and README.md's table")
+    parser.add_argument("--write", action="store_true", help="renew results.json, both pictures and README.md's table")
     options = parser.parse_args()
     folders = sorted(p.parent for chosen in options.sets for p in chosen.glob("*/experiment.toml"))
     if not options.only_count:
@@ -219,6 +235,7 @@ def main() -> None:
     if options.write:
         (HERE / "results.json").write_text(json.dumps(results, indent=1) + "\n")
         draw(pairs, HERE / "confusion.png")
+        draw_reliability(results["probability"]["bins"], HERE / "reliability.png")
         fill(HERE / "README.md", results)
 
 
