@@ -260,6 +260,8 @@ CASES = [
     Malformed("zero gear ratio", toml("elbow = 100.0", "elbow = 0"), ("gear_ratio", "elbow", "above 0")),
     Malformed("brackets without end", toml("force_std = 0.5", "force_std = " + "[" * 3000), ("experiment.toml", "nested")),
     Malformed("a number of 5000 digits", toml("force_std = 0.5", "force_std = " + "7" * 5000), ("experiment.toml", "digits")),
+    Malformed("a role of 5000 digits", toml('role = "validation"', "role = 0x" + "7" * 5000), ("role", "thousands of digits")),
+    Malformed("a joint's name of 5000 letters", urdf('name="elbow"', f'name="{"7" * 5000}"'), ("robot.urdf", "777...")),
     Malformed("a hexadecimal of 5000 digits", toml("force_std = 0.5", "force_std = 0x" + "7" * 5000), ("[sensor] force_std",)),
     Malformed("a size beyond all", toml("force_std = 0.5", "force_std = 1e300"), ("[sensor] force_std", "1e+300", "1e+12")),
     Malformed("a size next to nothing", toml("force_std = 0.5", "force_std = 1e-300"), ("[sensor] force_std", "1e-300")),

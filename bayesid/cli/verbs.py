@@ -117,9 +117,14 @@ def _fault(error: Exception) -> str:
     )
 
 
+#: A word longer than this is a broken file's; only a path may be [characters].
+_LONGEST_WORD = 200
+
+
 def _plain(text: str) -> str:
-    """One line that a terminal only shows."""
-    return " ".join("".join(c if c.isprintable() else " " for c in text).split())
+    """One line that a terminal only shows, and that can be read."""
+    words = "".join(c if c.isprintable() else " " for c in text).split()
+    return " ".join(w if len(w) <= _LONGEST_WORD or "/" in w else w[: _LONGEST_WORD - 3] + "..." for w in words)
 
 
 @click.group(cls=Verbs, context_settings={"help_option_names": ["-h", "--help"]})

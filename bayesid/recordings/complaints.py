@@ -70,7 +70,7 @@ def _fault(error: ErrorDetails, key: str, known: Iterable[str]) -> str:
             if len(options) == 1:
                 return f"{given} is not supported; write {options[0]}"
             hint = f'write "{options[0]}"' if isinstance(error["input"], str) else f"write {options[0]}"
-            near = difflib.get_close_matches(str(error["input"]), options, n=1, cutoff=0.5)
+            near = difflib.get_close_matches(given.strip('"'), options, n=1, cutoff=0.5)
             return f"{given} is not one of {', '.join(options)}; " + (f'did you mean "{near[0]}"?' if near else hint)
         case "too_short" | "too_long" if "max_length" in context or context.get("min_length", 0) > 1:
             length = context.get("min_length", context.get("max_length"))

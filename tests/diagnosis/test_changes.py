@@ -21,6 +21,7 @@ from bayesid.recordings.experiment import Motion, Sensor
 from bayesid.recordings.table import Table
 from bayesid.results.changes_text import next_experiment
 from bayesid.robot.robot import load_robot
+from tests.fuzz.arena import write_arm
 from tests.robots import puma560, write
 from tests.simulated import experiment, fourier, puma2, recording
 
@@ -196,6 +197,13 @@ def test_another_robot_is_refused(arm, tmp_path):
     moved = replace(arm, translation=arm.translation + 0.01)
     with pytest.raises(bayesid.InputError, match="joint frames are not as in"):
         bayesid.diagnose(_recorded(arm, 1), reference=_recorded(moved, 1))
+
+
+def test_a_reference_that_has_not_settled_stays_where_its_equations_hold(tmp_path):
+    """Found by fuzzing: the last step of a fit that these motions do not determine left gear teeth without any width."""
+    folder = write_arm(tmp_path)
+    found = bayesid.diagnose(folder, reference=folder, effects=["joint_flexibility", "backlash"])
+    assert found.verdict == "nothing_missing"
 
 
 def test_the_command_line_takes_a_reference_and_tells_bad_ones_in_one_line(arm, tmp_path, capsys):
