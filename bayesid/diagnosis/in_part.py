@@ -167,6 +167,26 @@ class _Choice:
                 return more
         return None
 
+    def with_a_family(self, kept: list[int], others: Sequence[int], possible: Possible, before: np.ndarray) -> list[int]:
+        """One kind of effect added at every joint that shows it, where the data demand them together.
+
+        Beside what friction of five other joints leaves, that of the sixth is small.
+        """
+        open_ = self.beside(kept, others)
+        gains = dict(zip(open_, self.sums.evidence([*self.users, *kept], open_), strict=True)) if open_ else {}
+        families: dict[str, dict[str, int]] = {}
+        for k in sorted(open_, key=lambda k: gains[k]):  # of one place the best values come last
+            if self.effects[k].at == "joint" and gains[k] > 0.0:
+                families.setdefault(self.effects[k].name, {})[self.effects[k].where] = k
+        cost, now, best = self.sums.cost([*self.users, *kept]), self.squares(kept), (self.settings.accept, kept)
+        for members in families.values():
+            more = [*kept, *members.values()]
+            gain = 0.5 * (cost - self.sums.cost([*self.users, *more])) - sum(map(self.sums.price, members.values()))
+            if gain >= best[0] and all(possible(more, k) for k in members.values()):
+                if self.proof(now, self.squares(more), before) > 0.0:
+                    best = gain, more
+        return best[1]
+
     def from_columns(self, kept: list[int], others: Sequence[int]) -> list[int]:
         """The best attempt's effects by the library's columns of the same, which say as much and tell values from anywhere."""
         out = list(kept)
@@ -275,6 +295,8 @@ def _proven(s: Search, seed: int, among: frozenset[str] | None) -> InPart | None
             break
     if not kept:
         return None
+    if among is None:  # each of them has to stand out of what is left then, or goes again
+        kept = choice.with_a_family(kept, others, possible, before)
     kept = choice.in_order(kept)
     many = {name for name in (choice.effects[k].name for k in kept) if sum(choice.effects[k].name == name for k in kept) > 2}
     rivals: list[list[tuple[Term, float]]] = []

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 
 from bayesid import diagnose
-from bayesid.diagnosis.held_out import held_out_sums, left_by, scaled
+from bayesid.diagnosis.held_out import HeldOutSums, held_out_sums, left_by, scaled
+from bayesid.diagnosis.in_part import _Choice
 from bayesid.diagnosis.rows import model_rows, residual_rows
 from bayesid.diagnosis.settings import DEFAULT
 from bayesid.diagnosis.verdict import named_in_part
 from bayesid.effects import EffectLibrary
+from bayesid.effects.drives import Spring
+from bayesid.effects.friction import CoulombFriction
 from bayesid.recordings.experiment import Experiment
 from bayesid.report.diagnosis import diagnosis_report
 from bayesid.robot.examples import PAPER_LOCKED, puma_two_joint_urdf
@@ -115,3 +120,26 @@ def test_an_imitation_that_leaves_much_is_not_named(diagnosis):
     assert diagnosis.part is not None
     assert named_in_part(diagnosis.part, DEFAULT)
     assert not named_in_part(diagnosis.part, replace(DEFAULT, mostly_closed=1.0))
+
+
+@pytest.mark.parametrize(("each", "added"), [((8.0, 7.0, 6.0), [0, 1, 2]), ((4.0, 4.0, 3.0), []), ((8.0, 7.0, -1.0), [0, 1])])
+def test_a_kind_of_friction_is_added_at_all_joints_that_show_it_if_they_are_demanded_together(each, added):
+    """Each alone stands out too little of what the others leave; another kind does more at one joint, but alone."""
+    gains = dict(enumerate((*each, 9.0)))
+    effects = (*(CoulombFriction(f"joint{k + 1}", k) for k in range(3)), Spring("joint1", 0))
+    sums = SimpleNamespace(
+        evidence=lambda _, others: np.array([gains[k] for k in others]),
+        cost=lambda kept: -2.0 * sum(gains[k] + 6.0 for k in kept),
+        price=lambda _: 6.0,
+        squares=lambda kept: np.array([-float(len(kept))]),
+    )
+    choice = _Told(cast(HeldOutSums, sums), effects, (), 0.0, DEFAULT, 0)
+    assert sorted(choice.with_a_family([], range(4), lambda *_: True, np.zeros(1))) == added
+    assert choice.with_a_family([], range(4), lambda _, k: k != 1, np.zeros(1)) == []
+
+
+class _Told(_Choice):
+    """Held-out recordings are predicted better with whatever is added."""
+
+    def proof(self, worse, better, before):
+        return float((worse - better).sum())
