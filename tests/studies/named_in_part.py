@@ -122,6 +122,8 @@ def main() -> None:
     parser.add_argument("--write", action="store_true")
     given = parser.parse_args()
     rows = [json.loads(line) for line in given.state.read_text(encoding="utf-8").splitlines()] if given.state.exists() else []
+    if rows:
+        print(f"{len(rows)} diagnoses are taken from {given.state}; remove it to make them anew", flush=True)
     for folder, bare in CASES:
         if given.only not in folder or any(r["folder"] == folder and r["bare"] == bare for r in rows):
             continue
