@@ -205,7 +205,7 @@ def draw_reliability(bins: list[dict], path: Path) -> None:
         axes.plot(one["given"], one["right"], "o", color="C0", label="right, with 95 % interval" if k == 0 else None)
         axes.annotate(f"{one['names']} names", (one["given"], low), (-4, 2), textcoords="offset points", ha="right", fontsize=8)
     axes.set(xlim=(0, 1.02), ylim=(0, 1.02), xlabel="probability given", ylabel="share that is right")
-    axes.legend(fontsize=8, loc="upper left")
+    axes.legend(fontsize=8, loc="lower right")
     figure.savefig(path, dpi=110)
     plt.close(figure)
 
