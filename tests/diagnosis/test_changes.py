@@ -16,13 +16,13 @@ from bayesid.diagnosis.changes.evidence import Marginal, Reduced, gain
 from bayesid.diagnosis.changes.findings import Comparison
 from bayesid.diagnosis.changes.hypotheses import Hypothesis, StandingAmplitudes
 from bayesid.diagnosis.changes.posterior import amplitudes
+from bayesid.diagnosis.changes.reference import learn_reference
 from bayesid.diagnosis.changes.scales import DISPERSIONS, SIZES
 from bayesid.effects.friction import CoulombFriction
 from bayesid.recordings.experiment import Motion, Sensor
 from bayesid.recordings.table import Table
 from bayesid.results.changes_text import next_experiment
 from bayesid.robot.robot import load_robot
-from tests.fuzz.arena import write_arm
 from tests.robots import puma560, write
 from tests.simulated import experiment, fourier, puma2, recording
 
@@ -202,9 +202,17 @@ def test_another_robot_is_refused(arm, tmp_path):
 
 def test_a_reference_that_has_not_settled_stays_where_its_equations_hold(tmp_path):
     """Found by fuzzing: the last step of a fit that these motions do not determine left gear teeth without any width."""
-    folder = write_arm(tmp_path)
-    found = bayesid.diagnose(folder, reference=folder, effects=["joint_flexibility", "backlash"])
-    assert found.verdict == "nothing_missing"
+    robot = puma2(tmp_path)
+    table = recording(robot, None, fourier(robot, 1, duration=4.0), torque_std=0.1)
+    setup = experiment(robot, [Motion("run", "identification", table)])
+    reference = learn_reference(setup, effects=["backlash@joint1"])
+    names = [name for e in reference.effects for name in e.column_names]
+    wild = {"backlash@joint1.gap": -2.0, "backlash@joint1.firm": 0.0, "viscous_friction@joint2.coefficient": -1.0}
+    solution = reference.solution.copy()
+    for name, value in wild.items():
+        solution[len(solution) - len(names) + names.index(name)] = value
+    point = replace(reference, estimate=replace(reference.estimate, solution=solution)).point
+    assert [point.values[names.index(name)] for name in wild] == [0.0, 1e-3, -1.0]  # a linear equation holds everywhere
 
 
 def test_the_command_line_takes_a_reference_and_tells_bad_ones_in_one_line(arm, tmp_path, capsys):
