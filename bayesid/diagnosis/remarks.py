@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 import numpy as np
+from scipy.stats import chi2
 
 from bayesid.diagnosis.data import WHITE
 from bayesid.diagnosis.in_part import InPart
@@ -15,6 +16,10 @@ from bayesid.diagnosis.surrogates import explained
 from bayesid.diagnosis.validation import Gap
 from bayesid.diagnosis.verdict import Reason, Verdict
 from bayesid.effects import Term
+from bayesid.estimators.prior_check import CONFLICT
+
+#: Share of a direction's prior variance that the data must explain for it to count.
+_TOLD = 0.01
 
 
 def by_kind(terms: Iterable[Term]) -> list[str]:
@@ -66,6 +71,8 @@ def remarks(
             "The prior relative standard deviation of the nominal inertias is not stated (inertia_rel_std): every rigid "
             "parameter is free, and a payload or a wrong inertia cannot be told from the nominal model being wrong."
         )
+    if verdict == "nothing_missing":
+        out += _of_the_links(search)
     out += [moment_sentence(x, data.settings.accept) for x in stability if x is not None and x.rests_on is not None]
     return tuple(out)
 
@@ -125,6 +132,33 @@ def _of_the_model(search: Search, found: Sequence[Found], gap: Gap | None) -> li
             f"and {near:.3g} with it, for {count} parameters."
         )
     return out
+
+
+def _of_the_links(search: Search) -> list[str]:
+    """Links that the data put further from the nominal ones than these are trusted.
+
+    With u ~ N(0, 1) the links over their prior and S their covariance given the data, estimates scatter by N(0, 1 - S) if data
+    and prior are both right [Box1980]_.
+    """
+    data, count = search.projector.data, search.projector.root.shape[1]
+    if data.prior is None or data.experiment.inertia_rel_std is None:
+        return []
+    half = np.linalg.inv(search.projector.r)
+    scatter, axes = np.linalg.eigh(np.eye(count) - (half @ half.T)[:count, :count])
+    told = scatter > _TOLD
+    distance = np.sum((axes[:, told].T @ search.best.coordinates[:count]) ** 2 / scatter[told])
+    chance = chi2.sf(distance, told.sum())
+    if not told.any() or chance > CONFLICT:
+        return []
+    away = search.best.links - data.prior.mean
+    masses = away[::10] / np.sqrt(np.diag(data.prior.covariance)[::10])
+    k = int(np.argmax(np.abs(masses)))
+    return [
+        f"The links lie further from the nominal ones than inertia_rel_std = {data.experiment.inertia_rel_std:g} allows: squared "
+        f"distance {distance:.3g} where about {told.sum()} is expected (probability {chance:.1g}). Of the masses it is most in "
+        f"that of {data.robot.body_names[k]}, {search.best.links[10 * k]:.3g} kg, nominally {data.prior.mean[10 * k]:.3g}. A "
+        "body that hangs there, a wrong URDF or too much trust: too little to name one of them, for a link has ten numbers."
+    ]
 
 
 def _of_the_validation(search: Search, found: Sequence[Found], gap: Gap | None) -> list[str]:

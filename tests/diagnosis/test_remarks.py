@@ -1,0 +1,43 @@
+"""Remarks that are tests of their own: what they say must be as rare as they say where nothing is wrong."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+
+from bayesid.diagnosis.remarks import _of_the_links
+from bayesid.estimators.prior_check import CONFLICT
+
+
+def _search(r: np.ndarray, u: np.ndarray) -> Any:
+    """What a search leaves behind for two links with a prior of unit size."""
+    prior = SimpleNamespace(mean=np.full(20, 10.0), covariance=np.eye(20))
+    data = SimpleNamespace(
+        prior=prior, experiment=SimpleNamespace(inertia_rel_std=0.05), robot=SimpleNamespace(body_names=("upper", "lower"))
+    )
+    projector = SimpleNamespace(data=data, root=np.eye(20), r=r)
+    return cast(Any, SimpleNamespace(projector=projector, best=SimpleNamespace(links=prior.mean + u[:20], coordinates=u)))
+
+
+def test_links_are_said_to_lie_too_far_out_as_often_as_their_law_has_it():
+    """Links drawn from the prior, with an offset beside them, and least squares over that prior; then three times as far."""
+    rng = np.random.default_rng(1)
+    columns = rng.normal(size=(60, 26)) * np.geomspace(1e-3, 30.0, 26)  # from directions never seen to those seen exactly
+    r = np.linalg.qr(np.vstack([columns, np.eye(26)]))[1]
+    said = {1.0: 0, 3.0: 0}
+    for scale in said:
+        for _ in range(2000):
+            readings = columns @ (scale * rng.normal(size=26)) + rng.normal(size=60)
+            said[scale] += bool(_of_the_links(_search(r, np.linalg.solve(r.T @ r, columns.T @ readings))))
+    assert said[1.0] <= 8  # of 2,000 at a chance of 0.001: more than that has a probability of 2e-4
+    assert said[3.0] > 1700
+
+
+def test_the_mass_that_is_furthest_out_is_told():
+    r = np.diag(np.full(20, 100.0))
+    (text,) = _of_the_links(_search(r, np.where(np.arange(20) == 10, 9.0, 0.0)))
+    assert "lower, 19 kg, nominally 10" in text and "81" in text
+    assert CONFLICT == 1e-3
+    assert _of_the_links(_search(r, np.zeros(20))) == []
