@@ -153,7 +153,8 @@ def plant_readings(
             times[part], segment.positions[part], segment.velocities[part], segment.accelerations[part], segment.still,
             _BANDWIDTH, middle,
         )
-        out[first:last] = readings(robot, channels, piece, links, terms)[first - a : last - a]
+        with np.errstate(all="ignore"):  # what is not finite is told below
+            out[first:last] = readings(robot, channels, piece, links, terms)[first - a : last - a]
     if not np.isfinite(out).all():
         specs = ", ".join(t.effect.spec for t in terms)
         raise InputError(f"readings are not finite with {specs or 'these links'}; give smaller values, or mend the formula")

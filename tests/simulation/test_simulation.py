@@ -175,6 +175,13 @@ def test_unusable_input_is_refused(setup):
         load_setup("no such folder")
 
 
+def test_a_mount_that_rings_ever_louder_is_refused_without_a_warning(setup):
+    """Found by fuzzing: numpy warned of an overflow."""
+    motions = new_trajectories(setup.robot, 4.0, 50.0, seed=1)
+    with pytest.raises(bayesid.InputError, match="not finite with base_compliance@base"):
+        bayesid.simulate(setup, motions, effects={"base_compliance@base": {"damping": -1.0}})
+
+
 def test_identification_finds_the_truth(tmp_path):
     made = demo_experiment(tmp_path, seed=3)
     for channel, effects in (("wrench", []), ("torque", ["viscous_friction", "coulomb_friction"])):
