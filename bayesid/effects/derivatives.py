@@ -107,8 +107,10 @@ def _load_columns(model: Model, effect: LoadEffect, values: tuple[float, ...]) -
     """Derivative of what the channels read of loads from outside (N, c, k): wrenches are differentiated, and projected once."""
     robot, segment, states = model.robot, model.segment, model.states
     bodies = [body for body, _ in effect.loads(robot, segment, states, values)]
-    change = differences(effect, values, lambda v: np.stack([w for _, w in effect.loads(robot, segment, states, v)]))
     out = np.zeros((len(segment.times), len(model.channels), len(values)))
+    if not bodies:  # nothing for it to act on, such as drag where all joints are in one place
+        return out
+    change = differences(effect, values, lambda v: np.stack([w for _, w in effect.loads(robot, segment, states, v)]))
     for body, wrench in zip(bodies, change, strict=True):
         out -= np.matmul(model.twists, wrench) * model.carries[:, body, None]
     return out

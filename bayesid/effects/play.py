@@ -7,8 +7,9 @@ smoothed positions do not show. So the link's motion is a spline in time, fitted
 
 by Gauss-Newton steps, in which a change d of the link's motion changes the torque by the joint's own inertia times d''. The
 sum has a minimum wherever a crossing is assumed at a wrong time. Splines that can do little more than the slow motion
-find the crossings roughly, finer ones from there to the sample. While no encoder moves, links stand still: they lean with the
-weight that they hold.
+find the crossings roughly, finer ones from there to the sample. Where the finest ones leave more than elsewhere, a crossing went
+wrong on the way and is sought anew (`bayesid.effects.crossings`). While no encoder moves, links stand still: they lean with
+the weight that they hold.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from functools import cached_property
 
 import numpy as np
 
+from bayesid.effects.crossings import crossed_anew, local_energy, stretches_that_stand_out
 from bayesid.effects.families import PlayEffect
 from bayesid.effects.flexible import Motion
 from bayesid.effects.segment import REST_SPEED
@@ -59,19 +61,23 @@ class Fitting:
         The same where the link's motion is wanted (N,).
     still
         Whether no encoder moves (M,).
+    step
+        Time between samples [s].
     """
 
     splines: Sequence[Splines]
     whole: Splines
     wanted: Splines
     still: np.ndarray
+    step: float
 
     @classmethod
     def of(cls, times: np.ndarray, encoders: np.ndarray, bandwidth: float, wanted: np.ndarray) -> Fitting:
         """For readings (M, n) at times (M,) [s] that are smoothed to a bandwidth [Hz], and times (N,) within them."""
         top = min(FASTEST, bandwidth)
         splines = [Splines.over(times, cutoff) for cutoff in top * np.geomspace(_SLOWEST, 1.0, _LEVELS)]
-        return cls(splines, Splines.over(times, bandwidth), Splines.over(times, bandwidth, wanted), _rests(times, encoders))
+        whole, there = Splines.over(times, bandwidth), Splines.over(times, bandwidth, wanted)
+        return cls(splines, whole, there, _rests(times, encoders), float(np.median(np.diff(times))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,6 +195,10 @@ class _JointFit:
         The joint's (M,) along a motion of its link, three times (M,).
     inertia
         That it feels, zero while it is at rest (M,).
+    still
+        Whether no encoder moves (M,).
+    step
+        Time between samples [s].
     """
 
     play: Sequence[tuple[PlayEffect, Sequence[float]]]
@@ -196,6 +206,8 @@ class _JointFit:
     encoders: np.ndarray
     torque: Callable[[Sequence[np.ndarray]], np.ndarray]
     inertia: np.ndarray
+    still: np.ndarray
+    step: float
 
     @classmethod
     def of(cls, recorded: Recorded, link: Sequence[np.ndarray], joint: int, play) -> _JointFit:
@@ -210,7 +222,8 @@ class _JointFit:
             return np.where(still, held, torque((moved[0], moved[1], moved[2]), only)[:, 0])
 
         felt = np.where(still, 0.0, recorded.inertia(joint))
-        return cls(play, recorded.fitting.splines, recorded.encoders[:, joint], taken, felt)
+        fitting = recorded.fitting
+        return cls(play, fitting.splines, recorded.encoders[:, joint], taken, felt, still, fitting.step)
 
     def lean(self, torque: np.ndarray) -> np.ndarray:
         return sum((effect.lean(torque, values) for effect, values in self.play), np.zeros(len(torque)))
@@ -231,10 +244,18 @@ class _JointFit:
 
     def best(self, start: np.ndarray | None) -> np.ndarray:
         """How far the link is behind (M,), from the splines of one level after the other, or of the last one from a start."""
-        behind = self.slow if start is None else start
-        for splines in self.splines[1:] if start is None else self.splines[-1:]:
+        if start is not None:
+            return self._mended(self._level(self.splines[-1], start, *_WELL))
+        behind = self.slow
+        for splines in self.splines[1:]:
             behind = self._level(splines, behind, *(_WELL if splines is self.splines[-1] else _ROUGHLY))
-        return behind
+        return self._mended(behind)
+
+    def _mended(self, behind: np.ndarray) -> np.ndarray:
+        """How far the link is behind (M,), with other crossings where the fit leaves much and they leave less."""
+        left = self.splines[-1].remainder(self.encoders - behind)
+        where = stretches_that_stand_out(local_energy(left, self.step))
+        return crossed_anew(self.encoders, behind, self.splines[-1], self.still, self.step, where)
 
     def _level(self, splines: Splines, behind: np.ndarray, turns: int, steps: int, settled: float) -> np.ndarray:
         """How far the link is behind (M,) on one level, from a guess.

@@ -47,6 +47,11 @@ class Splines:
             polynomial = polynomial[:, 1:] * np.arange(1, _ORDER - order)
         return cls(first, values, count)
 
+    def part(self, which: slice) -> Splines:
+        """The functions that live at some neighbouring times."""
+        first = self.first[which]
+        return Splines(first - first[0], self.values[:, which], int(first[-1] - first[0]) + _ORDER)
+
     def motion(self, coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Position, velocity and acceleration (M, ...) of coefficients (k, ...)."""
         own = coefficients[self.first[:, None] + np.arange(_ORDER)]
@@ -54,28 +59,35 @@ class Splines:
         return q, v, a
 
     def nearest(self, values: np.ndarray) -> np.ndarray:
-        """Coefficients (k,) of the least-squares spline through values (M,)."""
+        """Coefficients (k, ...) of the least-squares spline through values (M, ...)."""
         return self.solved(self.values[0], values)
 
+    def remainder(self, values: np.ndarray) -> np.ndarray:
+        """What the least-squares spline leaves of values (M, ...)."""
+        own = self.nearest(values)[self.first[:, None] + np.arange(_ORDER)]
+        return values - np.einsum("mf,mf...->m...", self.values[0], own)
+
     def solved(self, rows: np.ndarray, values: np.ndarray, damping: float = 0.0) -> np.ndarray:
-        """Least squares ``rows c = values`` (k,), where the rows (M, 6) multiply the six functions at each time.
+        """Least squares ``rows c = values`` (k, ...), where the rows (M, 6) multiply the six functions at each time.
 
         The normal matrix's diagonal is enlarged by the damping, a share of it.
         """
-        band, right = _normal_equations(self.first, kernel_input(rows), kernel_input(values), self.count)
+        columns = kernel_input(values.reshape(len(values), -1))
+        band, right = _normal_equations(self.first, kernel_input(rows), columns, self.count)
         # A whisper of ridge keeps the outermost functions, of which only a tail lies in the data, determined.
         band[-1] += damping * band[-1] + 1e-14 * band[-1].max()
-        return solveh_banded(band, right, check_finite=False)
+        return solveh_banded(band, right, check_finite=False).reshape(self.count, *values.shape[1:])
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
 def _normal_equations(first, rows, values, count):
-    """Upper banded Gram matrix (6, count) of rows (M, 6), each of functions from its first one on, and right side (count,)."""
-    band, right = np.zeros((6, count)), np.zeros(count)
+    """Upper banded Gram matrix (6, count) of rows (M, 6), each of functions from its first one on, and right sides (count, c)."""
+    band, right = np.zeros((6, count)), np.zeros((count, values.shape[1]))
     for sample in range(len(first)):
         k = first[sample]
         for i in range(6):
-            right[k + i] += rows[sample, i] * values[sample]
+            for column in range(values.shape[1]):
+                right[k + i, column] += rows[sample, i] * values[sample, column]
             for j in range(i, 6):
                 band[5 + i - j, k + j] += rows[sample, i] * rows[sample, j]
     return band, right

@@ -4,8 +4,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from bayesid.effects import readings
+from bayesid.effects import columns, readings
+from bayesid.robot.robot import load_robot
 from tests.effects.arms import at_base, moving, oracle, term
+from tests.robots import write
 
 
 def test_pushes_and_pulls_are_external_forces(panda):
@@ -52,3 +54,19 @@ def test_drag_acts_along_the_links(panda):
     # The hand is fixed to link 7: its mount is a rod's end, the base's first joint is none.
     lengths = np.linalg.norm(panda.rods[:, 1] - panda.rods[:, 0], axis=1)
     assert lengths.sum() == pytest.approx(0.316 + 0.0825 + np.hypot(0.0825, 0.384) + 0.088 + 0.107)
+
+
+def test_drag_of_a_single_joint_at_the_base_is_none(tmp_path):
+    """A turntable has no rods; the diagnosis of a real one asks for the derivatives all the same."""
+    robot = load_robot(write(tmp_path, """
+        <robot name="turntable">
+          <link name="base"/>
+          <link name="table"><inertial><origin xyz="0.01 0 0.1"/><mass value="2"/>
+            <inertia ixx="0.02" iyy="0.02" izz="0.03" ixy="0" ixz="0" iyz="0"/></inertial></link>
+          <joint name="joint1" type="revolute"><parent link="base"/><child link="table"/><axis xyz="0 0 1"/>
+            <limit lower="-3" upper="3" effort="10" velocity="3"/></joint>
+        </robot>"""))  # fmt: skip
+    segment, drag = moving(robot), term(robot, "fluid_drag", 3.0, 8.0)
+    plain = readings(robot, at_base(robot), segment, robot.nominal)
+    np.testing.assert_array_equal(readings(robot, at_base(robot), segment, robot.nominal, [drag]), plain)
+    assert not columns(robot, at_base(robot), segment, robot.nominal, [drag], drag.effect).any()

@@ -94,3 +94,36 @@ def test_derivatives_are_what_a_change_of_a_hundredth_makes(panda):
         for share in (0.99, 1.01)
     )
     assert np.linalg.norm(band(above - below) - 0.02 * gap * band(slope)) < 0.3 * np.linalg.norm(band(above - below))
+
+
+def stopped(robot, seed):
+    """Moves of all joints at once to random poses, and a short stop at each, 12 s at 125 Hz."""
+    rng, rate = np.random.default_rng(seed), 125.0
+    t = np.arange(int(12 * rate)) / rate
+    q, v, a = np.zeros((3, len(t), robot.n))
+    start = 0.5
+    while (lasting := rng.uniform(1.0, 2.5)) < 11.5 - start:
+        step, s = rng.uniform(-1.0, 1.0, robot.n), np.clip((t - start) / lasting, 0.0, 1.0)[:, None]
+        q += step * (10 * s**3 - 15 * s**4 + 6 * s**5)
+        v += step * (30 * s**2 - 60 * s**3 + 30 * s**4) / lasting
+        a += step * (60 * s - 180 * s**2 + 120 * s**3) / lasting**2
+        start += lasting + rng.uniform(0.05, 0.35)
+    return t, q, v, a
+
+
+@pytest.mark.parametrize("seed", [1, 2, 13])
+def test_a_wide_play_is_followed_through_stops(tmp_path, seed):
+    """Counts of a fiftieth of the play: the fit alone chatters before rests, which costs 38 to 51 times the bound."""
+    robot = load_robot(write(tmp_path, ROBOTS["ur5"]()))
+    channels, count, gap, firm = torque_channels(robot), 1e-4, 5e-3, 0.1
+    t, *link = stopped(robot, seed)
+    truth = readings(robot, channels, MotionSegment(t, *link), robot.nominal, [])
+    behind = 0.5 * gap * np.tanh(truth[:, :1] / firm) * np.eye(robot.n)[0]
+    (effect,) = EffectLibrary().parse(["backlash@joint1"], robot.joint_names, channels.names)
+    counted = [np.round(x / count) * count for x in (link[0], link[0] + behind)]
+    without, seen = (MotionSegment(t, *smooth(t, x, BANDWIDTH), bandwidth=BANDWIDTH, encoders=(t, x)) for x in counted)
+    bound, got = (
+        np.std(band(readings(robot, channels, segment, robot.nominal, terms) - truth)[100:-100, 0])
+        for segment, terms in ((without, ()), (seen, (Term(effect, (gap, firm)),)))
+    )
+    assert got < 3 * bound

@@ -1,0 +1,114 @@
+"""Where a link crosses the play of its gear, sought anew in stretches in which a fit of the encoders' readings went wrong.
+
+Such a fit has a minimum wherever a crossing is assumed at a wrong time, and one in which the link chatters between the teeth
+instead of resting on them. Then the readings are missed by far more than their errors, but in these stretches only. There, at
+most two crossings at any times, from any side to any other, are tried, the rest of the motion as it was: with splines B that
+the link moves by, a change s of how far it is behind leaves ``|(1 - P)(r - s)|^2`` of the readings r, P projecting on B. The
+best is taken as it is if it leaves less: where there is next to no torque, not the splines' own tells the side, but the encoder.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import product
+
+import numpy as np
+
+from bayesid.signals.splines import Splines
+
+#: Where the root mean square over so many seconds is so many times its median, a crossing may be at a wrong time.
+_STRETCH, _STANDS_OUT = 0.25, 2.0
+#: Seconds around a stretch that are looked at with it, for splines reach beyond it.
+_AROUND = 1.0
+#: Times tried in a stretch, before every sample about the best of them is.
+_TRIED = 250
+
+
+def local_energy(left: np.ndarray, step: float) -> np.ndarray:
+    """Mean square about each sample (M,) of what is left of readings (M,) that are so far apart [s]."""
+    from scipy.ndimage import uniform_filter1d
+
+    return uniform_filter1d(left**2, max(int(round(_STRETCH / step)), 1))
+
+
+def stretches_that_stand_out(energy: np.ndarray) -> list[tuple[int, int]]:
+    """First sample of each, and the one after the last, by the mean square about each sample (M,)."""
+    high = energy > _STANDS_OUT**2 * np.median(energy)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], high, [False]])))
+    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def crossed_anew(
+    encoders: np.ndarray, behind: np.ndarray, splines: Splines, still: np.ndarray, step: float, stretches: list[tuple[int, int]]
+) -> np.ndarray:
+    """How far the link is behind (M,), in each stretch with the crossings that leave least of the readings.
+
+    Parameters
+    ----------
+    encoders
+        Readings (M,) [rad or m].
+    behind
+        How far the link is behind by the fit (M,) [rad or m]; zero and its largest values either way are tried.
+    splines
+        That the link moves by, at the samples.
+    still
+        Where it is known, because nothing moves (M,).
+    step
+        Time between samples [s].
+    stretches
+        First sample of each, and the one after the last.
+    """
+    out, around = behind.copy(), int(round(_AROUND / step))
+    sides = (float(behind.min()), 0.0, float(behind.max()))
+    for a, b in stretches:
+        near = slice(max(a - around, 0), min(b + around, len(encoders)))
+        samples, some = np.arange(near.start, near.stop), splines.part(near)
+        inside = (samples >= a) & (samples < b) & ~still[near]
+        now = some.remainder(encoders[near] - out[near])
+        outside = some.remainder(encoders[near] - np.where(inside, 0.0, out[near]))
+        every = int(np.ceil((b - a) / _TRIED))
+        times = np.append(np.arange(a, b, every), b)
+        while True:
+            until = some.remainder((inside[:, None] & (samples[:, None] < times)).astype(float))
+            energy, (one, two, three), i, j = _least(until, outside, sides)
+            if every == 1:
+                break
+            # Then every sample about those.
+            close = [np.arange(max(times[k] - every, a), min(times[k] + every, b) + 1) for k in (i, j)]
+            times, every = np.unique(np.concatenate([*close, [a, b]])), 1
+        if energy < now @ now:
+            crossed = np.where(samples < times[i], one, np.where(samples < times[j], two, three))
+            out[near] = np.where(inside, crossed, out[near])
+    return out
+
+
+def _least(
+    until: np.ndarray, outside: np.ndarray, sides: Sequence[float]
+) -> tuple[float, tuple[float, float, float], int, int]:
+    """The least sum of squares, its three sides, and which of the times the two crossings between them are.
+
+    Parameters
+    ----------
+    until
+        What the splines leave of a unit step that lasts from the stretch's start to each time, the last one its end (M, k).
+    outside
+        What they leave of the readings if the link is not behind in the stretch (M,).
+    sides
+        How far it may be behind.
+    """
+    gram, along, alone = until.T @ until, until.T @ outside, outside @ outside
+    own, whole = np.diag(gram), gram[:, -1]
+    in_order = np.triu(np.ones(gram.shape, bool))
+    found = (np.inf, (0.0, 0.0, 0.0), 0, 0)
+    for one, two, three in product(sides, repeat=3):
+        if one == two or two == three:  # as one crossing less, at the stretch's start or end
+            continue
+        x, y = one - two, two - three  # ``x until_i + y until_j + three until_end``
+        first = x * (x * own + 2.0 * three * whole - 2.0 * along)
+        second = y * (y * own + 2.0 * three * whole - 2.0 * along)
+        energy = first[:, None] + second[None, :] + 2.0 * x * y * gram
+        i, j = np.unravel_index(int(np.argmin(np.where(in_order, energy, np.inf))), energy.shape)
+        total = float(energy[i, j] + three * (three * own[-1] - 2.0 * along[-1]) + alone)
+        if total < found[0]:
+            found = total, (one, two, three), int(i), int(j)
+    return found
