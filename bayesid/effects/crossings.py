@@ -9,7 +9,6 @@ best is taken as it is if it leaves less: where there is next to no torque, not 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from itertools import product
 
 import numpy as np
@@ -39,16 +38,24 @@ def stretches_that_stand_out(energy: np.ndarray) -> list[tuple[int, int]]:
 
 
 def crossed_anew(
-    encoders: np.ndarray, behind: np.ndarray, splines: Splines, still: np.ndarray, step: float, stretches: list[tuple[int, int]]
+    encoders: np.ndarray,
+    behind: np.ndarray,
+    sides: np.ndarray,
+    splines: Splines,
+    still: np.ndarray,
+    step: float,
+    stretches: list[tuple[int, int]],
 ) -> np.ndarray:
-    """How far the link is behind (M,), in each stretch with the crossings that leave least of the readings.
+    """On which side the link is in each stretch (M,), -1 elsewhere, with the crossings that leave least of the readings.
 
     Parameters
     ----------
     encoders
         Readings (M,) [rad or m].
     behind
-        How far the link is behind by the fit (M,) [rad or m]; zero and its largest values either way are tried.
+        How far the link is behind by the fit (M,) [rad or m].
+    sides
+        How far it may be behind (k,) [rad or m].
     splines
         That the link moves by, at the samples.
     still
@@ -58,8 +65,7 @@ def crossed_anew(
     stretches
         First sample of each, and the one after the last.
     """
-    out, around = behind.copy(), int(round(_AROUND / step))
-    sides = (float(behind.min()), 0.0, float(behind.max()))
+    out, found, around = behind.copy(), np.full(len(behind), -1), int(round(_AROUND / step))
     for a, b in stretches:
         near = slice(max(a - around, 0), min(b + around, len(encoders)))
         samples, some = np.arange(near.start, near.stop), splines.part(near)
@@ -78,14 +84,15 @@ def crossed_anew(
             times, every = np.unique(np.concatenate([*close, [a, b]])), 1
         if energy < now @ now:
             crossed = np.where(samples < times[i], one, np.where(samples < times[j], two, three))
-            out[near] = np.where(inside, crossed, out[near])
-    return out
+            found[near] = np.where(inside, crossed, found[near])
+            out[near] = np.where(inside, sides[crossed], out[near])
+    return found
 
 
 def _least(
-    until: np.ndarray, outside: np.ndarray, sides: Sequence[float]
-) -> tuple[float, tuple[float, float, float], int, int]:
-    """The least sum of squares, its three sides, and which of the times the two crossings between them are.
+    until: np.ndarray, outside: np.ndarray, sides: np.ndarray
+) -> tuple[float, tuple[int, int, int], int, int]:
+    """The least sum of squares, which its three sides are, and which of the times the two crossings between them are.
 
     Parameters
     ----------
@@ -94,15 +101,16 @@ def _least(
     outside
         What they leave of the readings if the link is not behind in the stretch (M,).
     sides
-        How far it may be behind.
+        How far it may be behind (k,).
     """
     gram, along, alone = until.T @ until, until.T @ outside, outside @ outside
     own, whole = np.diag(gram), gram[:, -1]
     in_order = np.triu(np.ones(gram.shape, bool))
-    found = (np.inf, (0.0, 0.0, 0.0), 0, 0)
-    for one, two, three in product(sides, repeat=3):
-        if one == two or two == three:  # as one crossing less, at the stretch's start or end
+    found = (np.inf, (0, 0, 0), 0, 0)
+    for which in product(range(len(sides)), repeat=3):
+        if which[0] == which[1] or which[1] == which[2]:  # as one crossing less, at the stretch's start or end
             continue
+        one, two, three = sides[list(which)]
         x, y = one - two, two - three  # ``x until_i + y until_j + three until_end``
         first = x * (x * own + 2.0 * three * whole - 2.0 * along)
         second = y * (y * own + 2.0 * three * whole - 2.0 * along)
@@ -110,5 +118,5 @@ def _least(
         i, j = np.unravel_index(int(np.argmin(np.where(in_order, energy, np.inf))), energy.shape)
         total = float(energy[i, j] + three * (three * own[-1] - 2.0 * along[-1]) + alone)
         if total < found[0]:
-            found = total, (one, two, three), int(i), int(j)
+            found = total, which, int(i), int(j)
     return found

@@ -46,7 +46,7 @@ from bayesid.effects.families import (
 from bayesid.effects.flexible import Motion, link_motion, own_inertia, splines
 from bayesid.effects.mount import mount_motion
 from bayesid.effects.parts import Parts
-from bayesid.effects.play import Fitting, Recorded, leaning_poses
+from bayesid.effects.play import Behind, Fitting, Recorded, leaning_poses
 from bayesid.effects.segment import MotionSegment
 from bayesid.effects.sensor_chain import SensorChain
 from bayesid.effects.torque_chain import TorqueChain
@@ -144,7 +144,7 @@ class Model(Parts):
         return self._true(channels, carries, states, channel_twists(self.robot, channels, states), own=True)
 
     @cached_property
-    def _behind(self) -> dict[int, np.ndarray]:
+    def _behind(self) -> dict[int, Behind]:
         """How far links with play are behind their motors at the encoders' samples, by joint."""
         start = {} if self.near is None else self.near._behind
         return self.segment.play.get(("behind", self._key), lambda: self._recorded.behind(self.of_family(PlayEffect), start))

@@ -37,6 +37,8 @@ _LOCATED = 0.3
 _ROUGHLY, _WELL = (1, 5, 1e-2), (6, 20, 1e-6)
 #: A step that makes the sum larger is damped, so often at most, more each time.
 _DAMPED, _DAMPING, _MORE_DAMPING = 6, 1e-3, 4.0
+#: A torque that presses any teeth together [N m or N].
+_LARGE = 1e9
 #: Time in which no encoder moves, for a rest [s].
 _REST = 0.1
 #: Turns for poses, whose weight hardly changes with the play.
@@ -81,6 +83,22 @@ class Fitting:
 
 
 @dataclass(frozen=True, eq=False)
+class Behind:
+    """How far a link is behind its motor at the encoders' samples.
+
+    Attributes
+    ----------
+    values
+        (M,) [rad or m].
+    side
+        Which side of the play it is on where crossings were sought anew (M,), -1 elsewhere.
+    """
+
+    values: np.ndarray
+    side: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
 class Recorded:
     """What is known of the joints at the encoders' own samples.
 
@@ -105,9 +123,9 @@ class Recorded:
     fitting: Fitting
 
     def behind(
-        self, play: Sequence[tuple[PlayEffect, Sequence[float]]], start: Mapping[int, np.ndarray]
-    ) -> dict[int, np.ndarray]:
-        """How far the links of joints with play are behind their motors at the samples, (M,) each [rad or m].
+        self, play: Sequence[tuple[PlayEffect, Sequence[float]]], start: Mapping[int, Behind]
+    ) -> dict[int, Behind]:
+        """How far the links of joints with play are behind their motors at the samples.
 
         Parameters
         ----------
@@ -127,15 +145,15 @@ class Recorded:
         rounds = _ROUNDS if len(located) > 1 else 1
         for joint in [*(located * rounds), *(j for j in which if j not in located)]:
             found = fit(joint) if out else fits[joint]  # anew where other links have moved
-            out[joint] = found.best(start.get(joint)) if joint in located else found.slow
-            self._follow(link, self.smooth, self.fitting.whole, joint, out[joint])
+            out[joint] = found.best(start.get(joint)) if joint in located else Behind(found.slow, np.full(len(found.slow), -1))
+            self._follow(link, self.smooth, self.fitting.whole, joint, out[joint].values)
         return out
 
-    def leaning_motion(self, motor: Motion, behind: Mapping[int, np.ndarray]) -> Motion:
+    def leaning_motion(self, motor: Motion, behind: Mapping[int, Behind]) -> Motion:
         """Link-side positions, velocities and accelerations, (N, n) each, of motors' where they are wanted, (N, n) each."""
         link = [part.copy() for part in motor]
         for joint, own in behind.items():
-            self._follow(link, motor, self.fitting.wanted, joint, own)
+            self._follow(link, motor, self.fitting.wanted, joint, own.values)
         return link[0], link[1], link[2]
 
     def _follow(self, link: list[np.ndarray], motor: Motion, splines: Splines, joint: int, behind: np.ndarray) -> None:
@@ -225,40 +243,52 @@ class _JointFit:
         fitting = recorded.fitting
         return cls(play, fitting.splines, recorded.encoders[:, joint], taken, felt, still, fitting.step)
 
-    def lean(self, torque: np.ndarray) -> np.ndarray:
-        return sum((effect.lean(torque, values) for effect, values in self.play), np.zeros(len(torque)))
+    @cached_property
+    def sides(self) -> np.ndarray:
+        """How far the link is behind under a large torque one way, none, and a large one the other way (3,)."""
+        return self.lean(np.array([-_LARGE, 0.0, _LARGE]))
 
-    def slope(self, torque: np.ndarray) -> np.ndarray:
-        return sum((effect.slope(torque, values) for effect, values in self.play), np.zeros(len(torque)))
+    def lean(self, torque: np.ndarray, side: np.ndarray | None = None) -> np.ndarray:
+        free = sum((effect.lean(torque, values) for effect, values in self.play), np.zeros(len(torque)))
+        return free if side is None else np.where(side >= 0, self.sides[side], free)
+
+    def slope(self, torque: np.ndarray, side: np.ndarray | None = None) -> np.ndarray:
+        free = sum((effect.slope(torque, values) for effect, values in self.play), np.zeros(len(torque)))
+        return free if side is None else np.where(side >= 0, 0.0, free)
 
     @cached_property
     def slow(self) -> np.ndarray:
         """How far the link is behind (M,) by the torque of its slow motion."""
         return self._level(self.splines[0], np.zeros(len(self.encoders)), *_ROUGHLY)
 
-    def is_located(self, start: np.ndarray | None) -> bool:
-        """Whether encoders can show where the play is crossed; a start (M,) says how far the link is behind without a fit."""
+    def is_located(self, start: Behind | None) -> bool:
+        """Whether encoders can show where the play is crossed; a start says how far the link is behind without a fit."""
         finest = self.splines[-1]
         noise = np.std(self.encoders - finest.motion(finest.nearest(self.encoders))[0])
-        return bool(np.abs(self.slow if start is None else start).max() > _LOCATED * noise)
+        return bool(np.abs(self.slow if start is None else start.values).max() > _LOCATED * noise)
 
-    def best(self, start: np.ndarray | None) -> np.ndarray:
-        """How far the link is behind (M,), from the splines of one level after the other, or of the last one from a start."""
+    def best(self, start: Behind | None) -> Behind:
+        """How far the link is behind, from the splines of one level after the other, or of the last one from a start.
+
+        Where crossings were sought anew, they stay as they are, in the start's as well.
+        """
+        finest = self.splines[-1]
         if start is not None:
-            return self._mended(self._level(self.splines[-1], start, *_WELL))
+            return Behind(self._level(finest, start.values, *_WELL, start.side), start.side)
         behind = self.slow
         for splines in self.splines[1:]:
-            behind = self._level(splines, behind, *(_WELL if splines is self.splines[-1] else _ROUGHLY))
-        return self._mended(behind)
+            behind = self._level(splines, behind, *(_WELL if splines is finest else _ROUGHLY))
+        where = stretches_that_stand_out(local_energy(finest.remainder(self.encoders - behind), self.step))
+        side = crossed_anew(self.encoders, behind, self.sides, finest, self.still, self.step, where)
+        tried = [np.where(side >= 0, self.sides[side], behind)]
+        if np.any(side >= 0):  # around them the fit is another one then, but not always a better one
+            tried.append(self._level(finest, tried[0], *_WELL, side))
+        return Behind(min(tried, key=lambda b: float(np.sum(finest.remainder(self.encoders - b) ** 2))), side)
 
-    def _mended(self, behind: np.ndarray) -> np.ndarray:
-        """How far the link is behind (M,), with other crossings where the fit leaves much and they leave less."""
-        left = self.splines[-1].remainder(self.encoders - behind)
-        where = stretches_that_stand_out(local_energy(left, self.step))
-        return crossed_anew(self.encoders, behind, self.splines[-1], self.still, self.step, where)
-
-    def _level(self, splines: Splines, behind: np.ndarray, turns: int, steps: int, settled: float) -> np.ndarray:
-        """How far the link is behind (M,) on one level, from a guess.
+    def _level(
+        self, splines: Splines, behind: np.ndarray, turns: int, steps: int, settled: float, side: np.ndarray | None = None
+    ) -> np.ndarray:
+        """How far the link is behind (M,) on one level, from a guess, on known sides where these are not negative (M,).
 
         The link's place hardly matters to inertia and weight: while the fit descends, the torque changes by the inertia times
         the acceleration, and it is computed anew in each turn.
@@ -267,27 +297,27 @@ class _JointFit:
         own = splines.motion(at)
         torque = self.torque(own)
         for _ in range(turns):
-            left = self.encoders - own[0] - self.lean(torque)
+            left = self.encoders - own[0] - self.lean(torque, side)
             if abs(left @ left - before) <= settled * before:
                 break
-            at, before = self._descended(splines, at, torque - self.inertia * own[2], steps, settled)
+            at, before = self._descended(splines, at, torque - self.inertia * own[2], steps, settled, side)
             own = splines.motion(at)
             torque = self.torque(own)
-        return self.lean(torque)
+        return self.lean(torque, side)
 
     def _descended(
-        self, splines: Splines, at: np.ndarray, held: np.ndarray, steps: int, settled: float
+        self, splines: Splines, at: np.ndarray, held: np.ndarray, steps: int, settled: float, side: np.ndarray | None
     ) -> tuple[np.ndarray, float]:
         """Coefficients (k,) after Gauss-Newton steps, and the sum that is left, with a torque ``held + inertia acceleration``."""
 
         def left(coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             position, _, acceleration = splines.motion(coefficients)
             torque = held + self.inertia * acceleration
-            return self.encoders - position - self.lean(torque), torque
+            return self.encoders - position - self.lean(torque, side), torque
 
         (remainder, torque), damping = left(at), 0.0
         for _ in range(steps):
-            rows = splines.values[0] + (self.slope(torque) * self.inertia)[:, None] * splines.values[2]
+            rows = splines.values[0] + (self.slope(torque, side) * self.inertia)[:, None] * splines.values[2]
             before = remainder @ remainder
             for _ in range(_DAMPED):
                 new = at + splines.solved(rows, remainder, damping)

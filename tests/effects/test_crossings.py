@@ -9,6 +9,13 @@ from bayesid.signals.splines import Splines
 STEP, GAP, COUNT = 0.008, 4e-3, 1e-4
 T = np.arange(1000) * STEP
 SPLINES = Splines.over(T, 8.0)
+SIDES = np.array([-GAP / 2, 0.0, GAP / 2])
+
+
+def crossed(encoders, start, splines, still, where):
+    """How far the link is behind then (M,)."""
+    side = crossed_anew(encoders, start, SIDES, splines, still, STEP, where)
+    return np.where(side >= 0, SIDES[side], start)
 
 
 def recorded(crossings, sides):
@@ -25,7 +32,7 @@ def test_a_stretch_that_chatters_is_crossed_as_it_was(crossings, sides):
     start = np.where(chattering, GAP / 2 * np.sign(np.sin(40 * T)), truth)
     where = stretches_that_stand_out(local_energy(SPLINES.remainder(encoders - start), STEP))
     assert where and T[where[0][0]] < crossings[0] and T[where[-1][1]] > crossings[-1]
-    got = crossed_anew(encoders, start, SPLINES, np.zeros(len(T), bool), STEP, where)
+    got = crossed(encoders, start, SPLINES, np.zeros(len(T), bool), where)
     assert np.sum(np.abs(got - truth) > 0.01 * GAP) <= 2 * len(crossings)  # a sample each may belong to either side
     assert SPLINES.remainder(encoders - got).std() < 2 * SPLINES.remainder(encoders - truth).std()
 
@@ -34,8 +41,8 @@ def test_what_is_right_and_what_stands_still_is_left_alone():
     encoders, truth = recorded((3.0, 3.4), (-1, 0, 1))
     assert not stretches_that_stand_out(local_energy(SPLINES.remainder(encoders - truth), STEP))
     whole = [(0, len(T))]
-    assert np.array_equal(crossed_anew(encoders, truth, SPLINES, np.ones(len(T), bool), STEP, whole), truth)
-    kept = crossed_anew(encoders, truth, SPLINES, np.zeros(len(T), bool), STEP, [(340, 400)])
+    assert np.array_equal(crossed(encoders, truth, SPLINES, np.ones(len(T), bool), whole), truth)
+    kept = crossed(encoders, truth, SPLINES, np.zeros(len(T), bool), [(340, 400)])
     assert SPLINES.remainder(encoders - kept).std() <= SPLINES.remainder(encoders - truth).std() * (1 + 1e-9)
     assert np.array_equal(kept[:340], truth[:340]) and np.array_equal(kept[400:], truth[400:])
 
@@ -49,7 +56,7 @@ def test_no_other_two_crossings_leave_less():
     basis = splines.motion(np.eye(splines.count))[0]
     project = basis @ np.linalg.pinv(basis)
     start = np.where(T[:250] < 1.2, GAP / 2, -GAP / 2)
-    got = crossed_anew(encoders, start, splines, np.zeros(250, bool), STEP, [(100, 125)])
+    got = crossed(encoders, start, splines, np.zeros(250, bool), [(100, 125)])
     least, samples = np.inf, np.arange(250)
     for i in range(100, 126):
         for j in range(i, 126):
