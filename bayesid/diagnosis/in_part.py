@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bayesid.diagnosis.alike import with_noise_alike
 from bayesid.diagnosis.bootstrap import lower_end
 from bayesid.diagnosis.candidates import column_terms
 from bayesid.diagnosis.data import DiagnosisData
@@ -256,7 +257,8 @@ def proven_effects(s: Search, seed: int) -> InPart | None:
     """
     first = _proven(s, seed, None)
     # Values have moved since the columns were taken: once more about them, with those that came near.
-    return first and _proven(first.search, seed, first.near)
+    last = first and _proven(first.search, seed, first.near)
+    return last and replace(last, search=with_noise_alike(last.search))
 
 
 def _proven(s: Search, seed: int, among: frozenset[str] | None) -> InPart | None:

@@ -120,7 +120,7 @@ def write_results(
     """Write JSON documents, other files and the report; they appear together or not at all.
 
     Every document gets a key ``files``: the SHA-256 of each other file written with it. By that a later run knows which
-    files are an earlier one's, and may be replaced.
+    files are an earlier one's, and may be replaced; those of the same documents that it does not make are removed.
 
     Parameters
     ----------
@@ -145,6 +145,7 @@ def write_results(
     """
     folder = check_output(folder)
     _check_ours(folder, (*documents, *files, REPORT))
+    left_over = [path for path in _unchanged_files(folder, documents) if path.name not in (*documents, *files, REPORT)]
     try:
         with whole_folder(folder) as made:
             for name, write in files.items():
@@ -154,6 +155,8 @@ def write_results(
             for name, document in documents.items():
                 text = json.dumps({**document, "files": hashes}, indent=1, allow_nan=False, ensure_ascii=False)
                 (made / name).write_text(text + "\n", encoding="utf-8")
+        for path in left_over:  # such as a draft of what is explained now
+            path.unlink(missing_ok=True)
     except OSError as error:
         raise InputError(f"--out {folder}: cannot be written ({error.strerror or error}); name another folder") from None
     return folder / REPORT
@@ -217,22 +220,34 @@ def _check_ours(folder: Path, names: Iterable[str]) -> None:
     there = [name for name in names if (folder / name).exists()]
     if not there:
         return
-    ours: set[str] = set()
-    for path in folder.glob("*.json"):
-        try:
-            document = json.loads(path.read_text(encoding="utf-8"))
-        except (ValueError, RecursionError):
-            continue
-        if isinstance(document, dict) and {"schema", "experiment"} <= document.keys():
-            ours.add(path.name)
-            listed = document.get("files")
-            if isinstance(listed, dict):
-                ours.update(name for name in there if (folder / name).is_file() and listed.get(name) == _hash(folder / name))
+    documents = [path.name for path in folder.glob("*.json") if _document(path) is not None]
+    ours = {*documents, *(path.name for path in _unchanged_files(folder, documents))}
     for name in there:
         if name not in ours:
             raise InputError(
                 f"{folder / name} is there and is not as a run of bayesid wrote it; name another --out, or move that file away"
             )
+
+
+def _document(path: Path) -> dict | None:
+    """A document of an earlier run; None if it is none, or cannot be read."""
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return None
+    return document if isinstance(document, dict) and {"schema", "experiment"} <= document.keys() else None
+
+
+def _unchanged_files(folder: Path, documents: Iterable[str]) -> list[Path]:
+    """Files that an earlier run wrote with some documents, still as it wrote them."""
+    out = []
+    for document in map(_document, (folder / name for name in documents)):
+        listed = document.get("files") if document else None
+        for name, known in listed.items() if isinstance(listed, dict) else ():
+            path = folder / Path(str(name)).name
+            if path.is_file() and known == _hash(path):
+                out.append(path)
+    return out
 
 
 def _hash(path: Path) -> str:

@@ -139,6 +139,7 @@ def _concluded(s: Search, seed: int, progress: Progress) -> Diagnosis:
         tried = proven_effects(s, seed)
     if tried is not None and named_in_part(tried, data.settings):
         decided, part, s = "named_in_part", tried, tried.search
+        data = s.projector.data
         gap = validate(s.projector, s.base, s.best, s.dispersion, seed)
         stays = _places(s, s.best)
     named = () if decided == "unknown" else s.found

@@ -12,6 +12,7 @@ import pytest
 from bayesid import diagnose
 from bayesid.diagnosis.held_out import HeldOutSums, held_out_sums, left_by, scaled
 from bayesid.diagnosis.in_part import _Choice
+from bayesid.diagnosis.prepare import prepare_data
 from bayesid.diagnosis.rows import model_rows, residual_rows
 from bayesid.diagnosis.settings import DEFAULT
 from bayesid.diagnosis.verdict import named_in_part
@@ -62,6 +63,20 @@ def test_friction_is_named_in_part_and_the_rest_stays(diagnosis):
     assert all(0.0 < e["share_low"] < e["share"] for e in said["effects"])
     assert {w["channel"] for w in said["remainder"]["where"]} == {"tau2"}
     assert said["gap"]["floor"] <= said["gap"]["after"] < 0.2 * said["gap"]["before"]
+
+
+def test_the_gap_is_in_units_of_a_noise_that_is_alike_at_all_frequencies(diagnosis):
+    """The residual's root mean square by channel over the noise's, by numpy; the noise's mean square is what was measured."""
+    data = diagnosis.data
+    measured = prepare_data(data.experiment, data.channel, (), None, 0, frozenset(), DEFAULT)
+    level = np.mean([np.diagonal(s.covariance.mean(axis=0)) for s in measured.segments], axis=0)
+    shown = data.segments[0].covariance
+    np.testing.assert_allclose(shown, np.tile(np.diag(level), (len(shown), 1, 1)), rtol=0.01)  # as found models pass it on
+    level = np.diag(shown[0])
+    assert np.ptp(measured.segments[0].covariance[:, 0, 0]) > 0.0
+    for fit, told in ((diagnosis.search.base, diagnosis.gap.before), (diagnosis.search.best, diagnosis.gap.after)):
+        left = [s.measured_readings - s.spectrum(data.predict(s, fit.links, fit.terms)) for s in data.unseen]
+        assert np.sqrt(np.mean(np.concatenate(left) ** 2 / level)) == pytest.approx(told, rel=1e-6)
 
 
 def test_it_is_told_in_words_and_in_the_report(diagnosis):

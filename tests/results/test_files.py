@@ -37,6 +37,22 @@ def test_an_earlier_run_is_replaced_and_other_files_stay(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
+def test_what_the_new_run_does_not_make_goes_unless_the_user_changed_it(tmp_path):
+    """A draft of what an earlier run could not explain would pass for the new run's."""
+
+    def run(*names: str) -> None:
+        made = {name: lambda p, name=name: p.write_text(name) for name in names}
+        write_results(tmp_path, {"diagnosis.json": {"schema": 1, "experiment": "arm"}}, made, "<html></html>")
+
+    run("model.toml", "draft_effect.toml", "next_motion.csv")
+    (tmp_path / "next_motion.csv").write_text("mine now")
+    run("model.toml")
+    assert sorted(contents(tmp_path)) == ["diagnosis.json", "model.toml", "next_motion.csv", "report.html"]
+    run("model.toml", "draft_effect.toml")
+    write_results(tmp_path, {"estimate.json": {"schema": 1, "experiment": "arm"}}, {}, "<html></html>")
+    assert "draft_effect.toml" in contents(tmp_path)  # of another verb's run, which stays
+
+
 @pytest.mark.parametrize("name", ["model.toml", "diagnosis.json", "report.html"])
 def test_a_file_of_the_users_own_is_never_replaced(name, tmp_path):
     (tmp_path / name).write_text('{"schema": 1}')
