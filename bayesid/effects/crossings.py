@@ -4,7 +4,8 @@ Such a fit has a minimum wherever a crossing is assumed at a wrong time, and one
 instead of resting on them. Then the readings are missed by far more than their errors, but in these stretches only. There, at
 most two crossings at any times, from any side to any other, are tried, the rest of the motion as it was: with splines B that
 the link moves by, a change s of how far it is behind leaves ``|(1 - P)(r - s)|^2`` of the readings r, P projecting on B. The
-best is taken as it is if it leaves less: where there is next to no torque, not the splines' own tells the side, but the encoder.
+best is taken if it leaves less, and not much more than elsewhere: where there is next to no torque, the side is told by the
+encoder, not by the splines' own torque.
 """
 
 from __future__ import annotations
@@ -17,6 +18,10 @@ from bayesid.signals.splines import Splines
 
 #: Where the root mean square over so many seconds is so many times its median, a crossing may be at a wrong time.
 _STRETCH, _STANDS_OUT = 0.25, 2.0
+#: Two crossings cannot be all of a longer stretch [s].
+_LONGEST = 3.0
+#: Crossings that are right leave no more than so many times the usual; one sample on the wrong side of a wide play makes ten.
+_EXPLAINED = 15.0
 #: Seconds around a stretch that are looked at with it, for splines reach beyond it.
 _AROUND = 1.0
 #: Times tried in a stretch, before every sample about the best of them is.
@@ -65,8 +70,11 @@ def crossed_anew(
     stretches
         First sample of each, and the one after the last.
     """
+    usual = np.median(local_energy(splines.remainder(encoders - behind), step))
     out, found, around = behind.copy(), np.full(len(behind), -1), int(round(_AROUND / step))
     for a, b in stretches:
+        if (b - a) * step > _LONGEST:
+            continue
         near = slice(max(a - around, 0), min(b + around, len(encoders)))
         samples, some = np.arange(near.start, near.stop), splines.part(near)
         inside = (samples >= a) & (samples < b) & ~still[near]
@@ -82,8 +90,9 @@ def crossed_anew(
             # Then every sample about those.
             close = [np.arange(max(times[k] - every, a), min(times[k] + every, b) + 1) for k in (i, j)]
             times, every = np.unique(np.concatenate([*close, [a, b]])), 1
-        if energy < now @ now:
-            crossed = np.where(samples < times[i], one, np.where(samples < times[j], two, three))
+        crossed = np.where(samples < times[i], one, np.where(samples < times[j], two, three))
+        left = some.remainder(encoders[near] - np.where(inside, sides[crossed], out[near]))
+        if energy < now @ now and local_energy(left, step)[inside].max(initial=0.0) < _EXPLAINED**2 * usual:
             found[near] = np.where(inside, crossed, found[near])
             out[near] = np.where(inside, sides[crossed], out[near])
     return found
