@@ -25,8 +25,6 @@ class Gap:
         With the user's model and with the effects found.
     floor
         What is expected of a complete model: noise, and the uncertainty of the fitted parameters on another motion.
-    bare_floor
-        The same for the user's model: noise, and the uncertainty of the links.
     closed, closed_low
         ``(before^2 - after^2) / (before^2 - floor^2)``, and the lower end of its one-sided 95 % interval, by bootstrap
         over blocks of time. NaN where there was no gap: ``before`` is no more than the floor.
@@ -41,7 +39,6 @@ class Gap:
     before: float
     after: float
     floor: float
-    bare_floor: float
     closed: float
     closed_low: float
     difference: float
@@ -80,23 +77,31 @@ def without_offset(data: DiagnosisData, segments: Sequence[Segment], rows: np.nd
     return out
 
 
-def validate(projector: NuisanceProjector, base: Fit, best: Fit, dispersion: float, seed: int) -> Gap | None:
-    """Compare both models on the validation motions; None where there are none."""
+def validate(
+    projector: NuisanceProjector, base: Fit, best: Fit, dispersion: float, seed: int, complete: bool = True
+) -> Gap | None:
+    """Compare both models on the validation motions; None where there are none.
+
+    Where the effects found are not all that is missing (``complete`` false), what they could not determine is no part of the
+    floor, and no floor lies above what they leave.
+    """
     data = projector.data
     if not data.unseen:
         return None
     before, after = (residual_spectra(data, data.unseen, f) for f in (base, best))
     total = sum(s.count for s in data.unseen)
     floor2, bare2 = (1.0 + _parameter_share(projector, f, dispersion) / total for f in (best, base))
+    whole = [float(sum(np.sum(w**2) for w in part)) / total for part in (before, after)]
+    if not complete:
+        floor2 = min(bare2, *whole)
     energy = np.concatenate([_by_blocks(s, b, a) for s, b, a in zip(data.unseen, before, after, strict=True)])
     low = lower_end(energy, lambda x: _closed(x[:, 0] / x[:, 2], x[:, 1] / x[:, 2], floor2), data.settings, seed)
-    whole = [float(sum(np.sum(w**2) for w in part)) / total for part in (before, after)]
     room = whole[0] > floor2  # there is a gap to close
     by_channel = np.stack(
         [np.sqrt(sum(np.sum(w**2, axis=0) for w in part) / sum(len(w) for w in part)) for part in (before, after)], axis=1
     )
     return Gap(
-        before=np.sqrt(whole[0]), after=np.sqrt(whole[1]), floor=np.sqrt(floor2), bare_floor=np.sqrt(bare2),
+        before=np.sqrt(whole[0]), after=np.sqrt(whole[1]), floor=np.sqrt(floor2),
         closed=float(_closed(whole[0], whole[1], floor2)) if room else np.nan,
         closed_low=float(low) if room else np.nan,
         difference=float(sum(np.sum((b - a) ** 2) for b, a in zip(before, after, strict=True))),

@@ -140,12 +140,10 @@ def _concluded(s: Search, seed: int, progress: Progress) -> Diagnosis:
     if tried is not None and named_in_part(tried, data.settings):
         decided, part, s = "named_in_part", tried, tried.search
         data = s.projector.data
-        gap = validate(s.projector, s.base, s.best, s.dispersion, seed)
         stays = _places(s, s.best)
     named = () if decided == "unknown" else s.found
-    if decided in ("unknown", "named_in_part") and gap is not None:
-        # Of the user's model, or beside a remainder: what an attempt could not determine is no part of the floor.
-        gap = replace(gap, floor=min(gap.bare_floor, gap.before, gap.after))
+    if decided in ("unknown", "named_in_part"):
+        gap = validate(s.projector, s.base, s.best, s.dispersion, seed, complete=False)
     parts = stability(s.projector, s.best, len(s.base.terms), named, s.dispersion)
     return Diagnosis(
         data=data,

@@ -62,7 +62,9 @@ def test_friction_is_named_in_part_and_the_rest_stays(diagnosis):
     assert sum(e["share"] for e in said["effects"]) + said["remainder"]["share"] == pytest.approx(1.0)
     assert all(0.0 < e["share_low"] < e["share"] for e in said["effects"])
     assert {w["channel"] for w in said["remainder"]["where"]} == {"tau2"}
-    assert said["gap"]["floor"] <= said["gap"]["after"] < 0.2 * said["gap"]["before"]
+    before, after, floor, closed = (said["gap"][k] for k in ("before", "after", "floor", "closed"))
+    assert floor <= after < 0.2 * before
+    assert closed == pytest.approx((before**2 - after**2) / (before**2 - floor**2)) and said["gap"]["closed_low"] <= closed <= 1.0
 
 
 def test_the_gap_is_in_units_of_a_noise_that_is_alike_at_all_frequencies(diagnosis):
