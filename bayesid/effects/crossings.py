@@ -100,7 +100,7 @@ def crossed_anew(
 
 def _least(
     until: np.ndarray, outside: np.ndarray, sides: np.ndarray
-) -> tuple[float, tuple[int, int, int], int, int]:
+) -> tuple[float, tuple[int, ...], int, int]:
     """The least sum of squares, which its three sides are, and which of the times the two crossings between them are.
 
     Parameters
@@ -115,7 +115,7 @@ def _least(
     gram, along, alone = until.T @ until, until.T @ outside, outside @ outside
     own, whole = np.diag(gram), gram[:, -1]
     in_order = np.triu(np.ones(gram.shape, bool))
-    found = (np.inf, (0, 0, 0), 0, 0)
+    found: tuple[float, tuple[int, ...], int, int] = (np.inf, (0, 0, 0), 0, 0)
     for which in product(range(len(sides)), repeat=3):
         if which[0] == which[1] or which[1] == which[2]:  # as one crossing less, at the stretch's start or end
             continue

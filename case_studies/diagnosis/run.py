@@ -160,7 +160,7 @@ def robot(data: Path = DATA) -> dict[str, Any]:
     for name in ("kuka-lwr4", "ur10"):
         experiment = bayesid.load_experiment(data / "data" / name)
         out[name] = {
-            "projector": outcome(bayesid.diagnose(experiment, "torque")),
+            "rigid": outcome(bayesid.diagnose(experiment, "torque")),
             "friction": outcome(bayesid.diagnose(experiment, "torque", effects=FRICTION)),
         }
     return out

@@ -173,8 +173,9 @@ The automatic bandwidth is what the motions need; 5 Hz is set by hand, as one wo
 
 `tls` needs no more than the positions. `iv` is as good as its instruments: the commanded trajectory (here {{ lead }} ms ahead of
 the robot) is free of noise; another period, and even and odd samples, bring noise of their own. `gls` gives little weight to the
-frequencies that contain the noise. `ols`, `wls` and `gls` treat the regressor as exact: the part of the error that varies from
-recording to recording without a bias is missing from their intervals; those of `tls` and `iv` include it.
+frequencies that contain the noise. `ols`, `wls` and `gls` treat the regressor as exact, and their
+intervals do not hold the bias. All intervals hold the scatter that encoder noise makes ([coverage](encoder-coverage.md)); at 5
+Hz and with so much noise those of `gls`, `tls` and `iv` are wider than they need be.
 """
 
 
