@@ -264,7 +264,7 @@ def _draw_failure(cases: list[dict[str, Any]], path: Path) -> None:
             ax.plot(sizes, [c["gap"]["after"] for c in mine], color=BLUE, lw=1, label="unseen motion, after")
             for c in mine:
                 ax.plot(100 * c["size"], c["gap"]["after"], "o", color=COLOURS[c["verdict"]], ms=7)
-            ax.axhline(np.sqrt(1.45), color=GREEN, lw=1, ls="--", label="above: unknown")
+            ax.axhline(np.sqrt(1.45), color=GREEN, lw=1, ls="--", label="above: something stays")
             ax.set(xscale="log", yscale="log", xlabel="cubic part at the largest fitted moment [%]", title=f"validation: {label}")
             ax.set_xticks(sizes, [f"{s:g}" for s in sizes])
             ax.minorticks_off()
