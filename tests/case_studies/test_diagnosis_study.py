@@ -42,17 +42,21 @@ def test_the_hose_is_found_and_the_base_parameters_put_right(study, results):
 
 
 def test_a_curved_reading_is_caught_when_it_is_large(results):
-    """And gets no name that is given below that, but a wrong one: the case study says so."""
+    """Small it gets a wrong name, large one in part at most, beside a gap that stays open: the case study says so."""
     largest = [c for c in results["failure"] if c["size"] == max(c["size"] for c in results["failure"])]
-    assert {c["verdict"] for c in largest} == {"unknown"}
+    assert {c["verdict"] for c in largest} <= {"unknown", "named_in_part"}
+    assert all(c["gap"]["after"] > 2.0 * c["gap"]["floor"] for c in largest)
     assert any(c["named"] for c in results["failure"])
 
 
 def test_where_the_real_arms_floors_come_from_is_said(results):
-    """The KUKA repeats its motions; the UR10's readings were filtered and nothing repeats. Neither is given a name."""
+    """The KUKA repeats its motions; the UR10's readings were filtered, and nothing repeats. Rigid bodies lack friction."""
     sources = {name: {(c["floor_known"], c["floor_source"]) for c in cases.values()} for name, cases in results["robot"].items()}
     assert sources == {"kuka-lwr4": {(True, "repeats")}, "ur10": {(False, "richest model")}}
-    assert {c["verdict"] for cases in results["robot"].values() for c in cases.values()} == {"unknown"}
+    for cases in results["robot"].values():
+        assert {model: c["verdict"] for model, c in cases.items()} == {"rigid": "named_in_part", "friction": "unknown"}
+        assert cases["rigid"]["gap"]["after"] < 0.2 * cases["rigid"]["gap"]["before"]
+        assert any("friction" in name for name in cases["rigid"]["named"])
 
 
 def test_real_taps_are_what_student_rejects(study, shared):
