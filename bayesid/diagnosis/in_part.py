@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bayesid.diagnosis.alike import with_noise_alike
 from bayesid.diagnosis.bootstrap import lower_end
 from bayesid.diagnosis.candidates import column_terms
 from bayesid.diagnosis.data import DiagnosisData
@@ -22,6 +21,7 @@ from bayesid.diagnosis.projector import make_projector
 from bayesid.diagnosis.rivals import Found
 from bayesid.diagnosis.search import Search
 from bayesid.diagnosis.settings import Settings
+from bayesid.diagnosis.white_noise import with_white_noise
 from bayesid.effects import Effect, Term
 
 #: Whether an effect's values are possible beside the others kept.
@@ -258,7 +258,7 @@ def proven_effects(s: Search, seed: int) -> InPart | None:
     first = _proven(s, seed, None)
     # Values have moved since the columns were taken: once more about them, with those that came near.
     last = first and _proven(first.search, seed, first.near)
-    return last and replace(last, search=with_noise_alike(last.search))
+    return last and replace(last, search=with_white_noise(last.search))
 
 
 def _proven(s: Search, seed: int, among: frozenset[str] | None) -> InPart | None:

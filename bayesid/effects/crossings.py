@@ -98,9 +98,7 @@ def crossed_anew(
     return found
 
 
-def _least(
-    until: np.ndarray, outside: np.ndarray, sides: np.ndarray
-) -> tuple[float, tuple[int, ...], int, int]:
+def _least(until: np.ndarray, outside: np.ndarray, sides: np.ndarray) -> tuple[float, tuple[int, ...], int, int]:
     """The least sum of squares, which its three sides are, and which of the times the two crossings between them are.
 
     Parameters

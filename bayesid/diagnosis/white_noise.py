@@ -1,9 +1,9 @@
-"""A search as it is shown where something stays unexplained: with a noise that is alike at all frequencies.
+"""A search as it is shown where something stays unexplained: with white noise of the power that was measured.
 
 Beside what no model explains, effects are proven with every frequency counted alike (`bayesid.diagnosis.held_out`). Noise that is
 measured frequency by frequency would then tell another story: where readings were filtered before they were recorded next to
 none is left at some frequencies, and a model that is better everywhere else seems worse. So each channel keeps its noise's mean
-square over the band, spread evenly, and "times the noise" keeps its meaning.
+square over the band, as white noise, and "times the noise" keeps its meaning.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from bayesid.diagnosis.projector import make_projector
 from bayesid.diagnosis.search import Search
 
 
-def with_noise_alike(s: Search) -> Search:
+def with_white_noise(s: Search) -> Search:
     """The same effects with the same values and covariance, and the user's model fitted anew.
 
     Parameters
