@@ -70,6 +70,8 @@ def crossed_anew(
     stretches
         First sample of each, and the one after the last.
     """
+    if not stretches:
+        return np.full(len(behind), -1)
     usual = np.median(local_energy(splines.remainder(encoders - behind), step))
     out, found, around = behind.copy(), np.full(len(behind), -1), int(round(_AROUND / step))
     for a, b in stretches:
