@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from scipy.stats import chi2
 
 from bayesid.diagnosis.data import Episode
 from bayesid.diagnosis.fit import Fit
 from bayesid.diagnosis.projector import NuisanceProjector
 from bayesid.diagnosis.rows import term_rows
 from bayesid.diagnosis.spectra import Segment
+from bayesid.diagnosis.standing import stands_out
 from bayesid.effects import Effect, ExternalContact, Term
 from bayesid.effects.loads import CONTACT_RAMP
 
@@ -57,14 +57,7 @@ def is_excuse(best: Fit, index: int, dispersion: float) -> bool:
     first, last = float(times.min()), float(times.max())
     if end > last - 0.5 * CONTACT_RAMP or end - start > best.projector.data.settings.longest_contact * (last - first):
         return True
-    keys = term.effect.parameters
-    at = [column for column, (owner, k) in enumerate(best.free) if owner == index and keys[k] in ("fx", "fy", "fz")]
-    force = np.array(term.values[2:5])
-    if len(at) < len(force):
-        return False
-    spread = dispersion * best.covariance[np.ix_(at, at)]
-    standing = float(force @ np.linalg.pinv(spread, hermitian=True) @ force)
-    return bool(standing < chi2.ppf(0.95, len(force)))
+    return not stands_out(best, index, dispersion, ("fx", "fy", "fz"))
 
 
 def contact_terms(projector: NuisanceProjector, fit: Fit, left: np.ndarray) -> Iterator[tuple[list[Term], float]]:

@@ -14,14 +14,14 @@ import numpy as np
 
 from bayesid.diagnosis.bootstrap import lower_end
 from bayesid.diagnosis.candidates import column_terms
-from bayesid.diagnosis.data import DiagnosisData
 from bayesid.diagnosis.fit import begin, finish, fit
 from bayesid.diagnosis.held_out import HeldOutSums, held_out_sums, left_by, scaled
 from bayesid.diagnosis.projector import make_projector
 from bayesid.diagnosis.rivals import Found
 from bayesid.diagnosis.search import Search
 from bayesid.diagnosis.settings import Settings
-from bayesid.diagnosis.white_noise import with_white_noise
+from bayesid.diagnosis.standing import distance, stands_out
+from bayesid.diagnosis.white_noise import noise_share, with_white_noise
 from bayesid.effects import Effect, Term
 
 #: Whether an effect's values are possible beside the others kept.
@@ -270,7 +270,7 @@ def _proven(s: Search, seed: int, among: frozenset[str] | None) -> InPart | None
     settings = data.settings
     choice = _Choice(
         sums, tuple(t.effect for t in (*attempt, *(t for t, _ in library))), tuple(range(known)),
-        _noise(s.projector.data, left[0]), settings, seed,
+        noise_share(s.projector.data, left[0]), settings, seed,
     )  # fmt: skip
 
     def term(index: int, kept: Sequence[int]) -> Term:
@@ -318,6 +318,12 @@ def _concluded(
     best = fit(make_projector(data, model), model, s.best)
     if not np.isfinite(best.score):
         return None
+    faint = [n for n in range(len(kept)) if not stands_out(best, known + n)]
+    if faint:  # its columns promised more than the exact fit beside the others keeps
+        least = min(faint, key=lambda n: distance(best, known + n)[0])
+        rest = [n for n in range(len(kept)) if n != least]
+        model = [t for n, t in enumerate(model) if n != known + least]
+        return _concluded(s, choice, [kept[n] for n in rest], model, [rivals[n] for n in rest], before) if rest else None
     steps = [before, *(choice.squares(kept[: n + 1]) for n in range(len(kept)))]
     found, shares = [], []
     for n, k in enumerate(kept):
@@ -340,11 +346,3 @@ def _concluded(
 def _confirmable(effect: Effect) -> bool:
     """Whether other motions can confirm it: a contact does not come again, and changed links stand in for whatever is missing."""
     return not (effect.once or effect.changes_link)
-
-
-def _noise(data: DiagnosisData, square: np.ndarray) -> float:
-    """Mean square of the noise in units of what the user's model leaves (c,), no more than that; 0 where it is unknown."""
-    if not data.floor_known:
-        return 0.0
-    ratio = [(np.diagonal(s.covariance, axis1=1, axis2=2) / square)[:, s.alive].ravel() for s in data.segments]
-    return min(float(np.concatenate(ratio).mean()), 1.0)

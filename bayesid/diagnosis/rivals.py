@@ -14,6 +14,7 @@ from bayesid.diagnosis.fit import Fit, fit
 from bayesid.diagnosis.forward import State, exact_fits, in_family
 from bayesid.diagnosis.noise_models import NoiseModels
 from bayesid.diagnosis.rows import term_rows
+from bayesid.diagnosis.standing import standing, stands_out
 from bayesid.diagnosis.surrogates import explained, is_surrogate_combination
 from bayesid.effects import Term
 
@@ -57,15 +58,15 @@ class Pruned:
 
 
 def prune(state: State) -> Pruned:
-    """Take out effects that the others have made superfluous."""
+    """Take out effects that the others have made superfluous, and those whose values do not stand out of their intervals."""
     models, best, dispersion, settings = state.models, state.best, state.dispersion, state.settings
     fitted: dict[int, Fit] = {}
     i = state.known
     while i < len(best.terms):
         # Near its best fit a model is almost linear: what stands out so far needs no fit without it.
         least = settings.accept * (1.0 if in_family(best.terms, i) else settings.certain)
-        excuse = is_excuse(best, i, dispersion)
-        if not excuse and _standing(best, i, dispersion) > least:
+        excuse = is_excuse(best, i, dispersion) or not stands_out(best, i, dispersion)
+        if not excuse and standing(best, i, dispersion) > least:
             i += 1
             continue
         models, without = _without(models, best, i)
@@ -90,7 +91,7 @@ def essential(pruned: Pruned) -> tuple[Pruned, tuple[Term, ...]]:
     state = pruned.state
     models, few, known = state.models, state.best, state.known
     while is_surrogate_combination(few.projector.data, few.terms[known:]):
-        least = min(range(known, len(few.terms)), key=lambda k: _standing(few, k, state.dispersion))
+        least = min(range(known, len(few.terms)), key=lambda k: standing(few, k, state.dispersion))
         models, few = _without(models, few, least)
         if explained(state.base, few) < state.settings.nearly_all:
             return replace(pruned, state=replace(state, models=models)), ()
@@ -119,7 +120,7 @@ def with_rivals(pruned: Pruned) -> tuple[State, tuple[Found, ...]]:
 def _alone(state: State, index: int) -> Found:
     """An effect with its evidence from the estimate and its covariance."""
     best = state.best
-    return Found(_canonical(best.terms[index]), _standing(best, index, state.dispersion), _std(state, index))
+    return Found(_canonical(best.terms[index]), standing(best, index, state.dispersion), _std(state, index))
 
 
 def _std(state: State, index: int) -> np.ndarray:
@@ -155,15 +156,6 @@ def _found(pruned: Pruned, *, exchange: bool) -> tuple[State, tuple[Found, ...],
         gain = (best.score - without.score) / dispersion
         out.append(Found(_canonical(named), gain, _std(state, i), tuple(near)))
     return replace(state, models=models), tuple(out), None
-
-
-def _standing(best: Fit, index: int, dispersion: float) -> float:
-    """Log evidence of one effect among many from its estimate and covariance alone, without a fit that leaves it out."""
-    at = [column for column, (owner, _) in enumerate(best.free) if owner == index]
-    values, covariance = np.array(best.terms[index].values), best.covariance[np.ix_(at, at)]
-    size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    squared = float(values / size @ np.linalg.pinv(covariance / np.outer(size, size), hermitian=True) @ (values / size))
-    return (0.5 * squared - 0.5 * len(at) * np.log(best.projector.rows)) / dispersion
 
 
 def _canonical(term: Term) -> Term:

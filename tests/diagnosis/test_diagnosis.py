@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.stats import multivariate_normal
+from scipy.stats import chi2, multivariate_normal
 
 from bayesid import diagnose
 from bayesid.diagnosis import (
@@ -32,6 +32,7 @@ from bayesid.diagnosis.noise import smoothed
 from bayesid.diagnosis.noise_models import NoiseModels
 from bayesid.diagnosis.prepare import prepare_data
 from bayesid.diagnosis.settings import DEFAULT
+from bayesid.diagnosis.standing import distance, stands_out
 from bayesid.effects import EffectLibrary, Term
 from bayesid.recordings.experiment import load_experiment
 from bayesid.robot.prior import Prior
@@ -202,6 +203,20 @@ def test_a_contact_is_left_out_of_other_motions(record):
     assert active_terms(data.segments[0], [once])
     assert not any(active_terms(s, [once]) for s in data.unseen)
     assert not any(active_terms(s, [Term(effect, once.values)]) for s in data.unseen)
+
+
+def test_a_value_inside_its_interval_is_not_named(record):
+    """However much worse the fit without it: prune leaves it out."""
+    folder, _ = record("inside", "single", ["base_tilt"], "wrench", seed=9)
+    data, nuisance = made(folder, "wrench")
+    tilt = Term(data.places("base_tilt")[0], (0.0, 0.0))
+    base, best = fit.fit(nuisance, ()), fit.fit(nuisance, (tilt,))
+    state = forward.State(NoiseModels.of(0, (), candidates.make_library(nuisance, base)), base, best, 1.0)
+    assert stands_out(best, 0) and len(rivals.prune(state).state.best.terms) == 1
+    wide = replace(best, covariance=best.covariance * 1.01 * distance(best, 0)[0] / chi2.ppf(0.95, 2))
+    assert not stands_out(wide, 0) and not rivals.prune(replace(state, best=wide)).state.best.terms
+    less = replace(best, covariance=best.covariance * 0.99 * distance(best, 0)[0] / chi2.ppf(0.95, 2))
+    assert stands_out(less, 0) and not stands_out(less, 0, dispersion=1.05)
 
 
 def test_a_contact_is_no_excuse(record):
