@@ -10,8 +10,8 @@ from bayesid.diagnosis.data import Episode
 from bayesid.diagnosis.fit import Fit
 from bayesid.diagnosis.projector import NuisanceProjector
 from bayesid.diagnosis.rows import term_rows
+from bayesid.diagnosis.significance import stands_out
 from bayesid.diagnosis.spectra import Segment
-from bayesid.diagnosis.standing import stands_out
 from bayesid.effects import Effect, ExternalContact, Term
 from bayesid.effects.loads import CONTACT_RAMP
 

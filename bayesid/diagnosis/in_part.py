@@ -20,7 +20,7 @@ from bayesid.diagnosis.projector import make_projector
 from bayesid.diagnosis.rivals import Found
 from bayesid.diagnosis.search import Search
 from bayesid.diagnosis.settings import Settings
-from bayesid.diagnosis.standing import distance, stands_out
+from bayesid.diagnosis.significance import distance, stands_out
 from bayesid.diagnosis.white_noise import noise_share, with_white_noise
 from bayesid.effects import Effect, Term
 

@@ -14,7 +14,7 @@ from bayesid.diagnosis.fit import Fit, fit
 from bayesid.diagnosis.forward import State, exact_fits, in_family
 from bayesid.diagnosis.noise_models import NoiseModels
 from bayesid.diagnosis.rows import term_rows
-from bayesid.diagnosis.standing import standing, stands_out
+from bayesid.diagnosis.significance import standing
 from bayesid.diagnosis.surrogates import explained, is_surrogate_combination
 from bayesid.effects import Term
 
@@ -58,14 +58,14 @@ class Pruned:
 
 
 def prune(state: State) -> Pruned:
-    """Take out effects that the others have made superfluous, and those whose values do not stand out of their intervals."""
+    """Take out effects that the others have made superfluous."""
     models, best, dispersion, settings = state.models, state.best, state.dispersion, state.settings
     fitted: dict[int, Fit] = {}
     i = state.known
     while i < len(best.terms):
         # Near its best fit a model is almost linear: what stands out so far needs no fit without it.
         least = settings.accept * (1.0 if in_family(best.terms, i) else settings.certain)
-        excuse = is_excuse(best, i, dispersion) or not stands_out(best, i, dispersion)
+        excuse = is_excuse(best, i, dispersion)
         if not excuse and standing(best, i, dispersion) > least:
             i += 1
             continue

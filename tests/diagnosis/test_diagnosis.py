@@ -32,7 +32,8 @@ from bayesid.diagnosis.noise import smoothed
 from bayesid.diagnosis.noise_models import NoiseModels
 from bayesid.diagnosis.prepare import prepare_data
 from bayesid.diagnosis.settings import DEFAULT
-from bayesid.diagnosis.standing import distance, stands_out
+from bayesid.diagnosis.significance import distance, stands_out
+from bayesid.diagnosis.verdict import evidence_of
 from bayesid.effects import EffectLibrary, Term
 from bayesid.recordings.experiment import load_experiment
 from bayesid.robot.prior import Prior
@@ -206,17 +207,19 @@ def test_a_contact_is_left_out_of_other_motions(record):
 
 
 def test_a_value_inside_its_interval_is_not_named(record):
-    """However much worse the fit without it: prune leaves it out."""
+    """However much worse the fit without it."""
     folder, _ = record("inside", "single", ["base_tilt"], "wrench", seed=9)
     data, nuisance = made(folder, "wrench")
-    tilt = Term(data.places("base_tilt")[0], (0.0, 0.0))
-    base, best = fit.fit(nuisance, ()), fit.fit(nuisance, (tilt,))
-    state = forward.State(NoiseModels.of(0, (), candidates.make_library(nuisance, base)), base, best, 1.0)
-    assert stands_out(best, 0) and len(rivals.prune(state).state.best.terms) == 1
-    wide = replace(best, covariance=best.covariance * 1.01 * distance(best, 0)[0] / chi2.ppf(0.95, 2))
-    assert not stands_out(wide, 0) and not rivals.prune(replace(state, best=wide)).state.best.terms
-    less = replace(best, covariance=best.covariance * 0.99 * distance(best, 0)[0] / chi2.ppf(0.95, 2))
-    assert stands_out(less, 0) and not stands_out(less, 0, dispersion=1.05)
+    best = fit.fit(nuisance, (Term(data.places("base_tilt")[0], (0.0, 0.0)),))
+    squared = distance(best, 0)[0]
+    assert squared == pytest.approx(
+        np.array(best.terms[0].values) @ np.linalg.solve(best.covariance, np.array(best.terms[0].values)), rel=1e-6
+    )
+    interval = squared / chi2.ppf(0.95, 2)  # that much more dispersion, and the values stay inside
+    assert stands_out(best, 0, 0.99 * interval) and not stands_out(best, 0, 1.01 * interval)
+    found = diagnose(folder).search
+    assert not evidence_of(found, None).vague
+    assert evidence_of(replace(found, dispersion=1e3 * interval), None).vague
 
 
 def test_a_contact_is_no_excuse(record):
