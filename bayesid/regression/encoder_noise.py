@@ -8,6 +8,7 @@ same motion whose errors are independent of this one's.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -23,6 +24,8 @@ from bayesid.signals.smoothing import DEGREE, Smoother, smooth
 LARGEST_CORRELATION = 0.3
 #: Samples that errors are simulated on where a part of long recordings will do, in so many pieces.
 _SAMPLES, _PIECES = 4000, 8
+#: Samples smoothed at once where only their scatter about the spline is wanted.
+_AT_ONCE = 65_536
 #: Knots that periods must be apart at least: the influence of a sample falls to 0.43**12 = 4e-5.
 _APART = 12
 _ENTROPY = 1998  # of simulated noise, the same at every call
@@ -59,16 +62,18 @@ def measure(segments: Sequence[Segment], bandwidth: float, most: np.ndarray) -> 
         Standard deviations that are not exceeded (n,): a bandwidth below the motion's would take motion for noise.
     """
     n = len(most)
-    power, product, free, pairs = np.zeros(n), np.zeros(n), 0, 0
+    power, product, free = np.zeros(n), np.zeros(n), 0
     for r in segments:
         if r.poses:
             continue
-        residual = r.positions - smooth(r.times, r.positions, bandwidth)[0]
-        power += np.sum(residual**2, axis=0)
-        product += np.sum(residual[1:] * residual[:-1], axis=0)
-        # A spline through N samples takes as many degrees of freedom as it has functions.
-        free += max(len(r.times) - int((r.times[-1] - r.times[0]) * 2 * bandwidth) - DEGREE - 1, 1)
-        pairs += len(r.times)
+        edges = np.linspace(0, len(r.times), len(r.times) // _AT_ONCE + 2, dtype=int)
+        for a, b in itertools.pairwise(edges.tolist()):
+            times, positions = r.times[a:b], r.positions[a:b]
+            residual = positions - smooth(times, positions, bandwidth)[0]
+            power += np.sum(residual**2, axis=0)
+            product += np.sum(residual[1:] * residual[:-1], axis=0)
+            # A spline through N samples takes as many degrees of freedom as it has functions.
+            free += max(len(times) - int((times[-1] - times[0]) * 2 * bandwidth) - DEGREE - 1, 1)
     std = np.minimum(np.sqrt(power / max(free, 1)), most)
     return EncoderNoise(std, product / np.maximum(power, 1e-300))
 

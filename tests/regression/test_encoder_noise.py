@@ -1,6 +1,8 @@
 """Errors of encoders: counts of a known size lie to a motion in ways that one recording does not show."""
 
+import tracemalloc
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,9 +10,10 @@ from threadpoolctl import threadpool_limits
 
 from bayesid import estimators
 from bayesid.errors import BayesidWarning
-from bayesid.regression.encoder_noise import _errors
+from bayesid.regression.encoder_noise import _errors, measure
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import prepare
+from bayesid.regression.segment import Segment
 from tests.studies import encoder_coverage
 from tests.studies.coverage_case import setup
 
@@ -31,6 +34,25 @@ def test_an_idle_joint_has_one_and_the_same_error(still):
     spread = [np.ptp(_errors(positions, np.full(2, 1e-3 / 12**0.5), 1e-3, rng), axis=0) for _ in range(20)]
     assert np.median(spread, axis=0)[0] < 2.1e-7
     assert np.min(spread, axis=0)[1] > 0.9e-3
+
+
+def test_noise_of_a_long_recording_is_measured_in_little_memory():
+    """Smoothed whole, it takes positions, velocities and accelerations of all samples: 150 bytes a sample on six joints."""
+    times = np.arange(400_000) / 125.0
+    noise = 1e-4 * np.random.default_rng(3).normal(size=(len(times), 3))
+    positions = np.sin(0.3 * times[:, None] + np.arange(3)) + noise
+    nothing = np.zeros((len(times), 1))
+    segment = Segment(times, positions, readings=nothing, known=nothing, motion=0)
+    measure([replace(segment, times=times[:2000], positions=positions[:2000])], 5.0, np.full(3, 1.0))  # compiles
+    tracemalloc.start()
+    try:
+        found = measure([segment], 5.0, np.full(3, 1.0))
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak < positions.nbytes
+    np.testing.assert_allclose(found.std, 1e-4, rtol=0.005)
+    assert np.abs(found.correlation).max() < 0.2
 
 
 def test_recordings_of_one_robot_and_motion_state_like_standard_deviations(monkeypatch):
