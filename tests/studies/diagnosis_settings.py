@@ -1,21 +1,25 @@
 """What becomes of diagnoses when each threshold is moved by 30 % either way, on fresh simulated recordings.
 
-    python -m tests.studies.diagnosis_settings --work DIR [--count 20] [--seed 77] [--only NAME,...] [--quick] [--docs DIR]
+    python -m tests.studies.diagnosis_settings --work DIR [--count 20] [--seed 77] [--jobs 1] [--only NAME,...] [--quick]
+        [--docs DIR]
 
 Recordings come from the independent plant of case_studies/blind_naming. Every diagnosis is kept in DIR/diagnoses.json as soon as
-it is made, and none is made twice: the run can be interrupted and taken up again. ``--quick`` takes two recordings and four
-thresholds, to see that the script works. Writes docs/diagnosis-settings.md from what there is.
+it is made, and none is made twice: the run can be interrupted and taken up again. A threshold that the diagnosis of a recording
+never reads cannot change it; that one is not made again. ``--quick`` takes two recordings and four thresholds, to see that the
+script works. Writes docs/diagnosis-settings.md from what there is.
 """
 
 from __future__ import annotations
 
 import argparse
+import concurrent.futures
 import json
+import multiprocessing
 import sys
 import warnings
 from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.append(str(ROOT / "case_studies" / "blind_naming"))
@@ -77,14 +81,29 @@ def is_right(answer: dict[str, Any], said: dict[str, Any]) -> bool:
     return not left
 
 
-def diagnosed(folder: Path, channel: str, settings: Settings) -> dict[str, Any]:
-    """Verdict and effects with their rivals; a refusal as verdict ``refused``."""
+class Watched(Settings):
+    """Thresholds that note which of them are read."""
+
+    read: ClassVar[set[str]] = set()
+
+    def __getattribute__(self, name: str) -> Any:
+        """Any attribute, noted."""
+        Watched.read.add(name)
+        return super().__getattribute__(name)
+
+
+def diagnosed(folder: Path, channel: str, name: str | None, way: int) -> dict[str, Any]:
+    """Verdict and effects with their rivals; a refusal as verdict ``refused``. With no threshold moved: those read, too."""
+    warnings.simplefilter("ignore")
+    settings = Watched() if name is None else moved(name, way)
+    Watched.read.clear()
     try:
         said = bayesid.diagnose(folder, channel, settings=settings).to_dict()
+        effects = [{key: e[key] for key in ("name", "where", "ambiguous_with")} for e in said["effects"]]
+        out: dict[str, Any] = {"verdict": said["verdict"], "effects": effects}
     except bayesid.BayesidError as error:
-        return {"verdict": "refused", "effects": [], "error": str(error)}
-    effects = [{key: e[key] for key in ("name", "where", "ambiguous_with")} for e in said["effects"]]
-    return {"verdict": said["verdict"], "effects": effects}
+        out = {"verdict": "refused", "effects": [], "error": str(error)}
+    return out if name else out | {"read": sorted(Watched.read & {f.name for f in fields(Settings)})}
 
 
 def answers(work: Path, count: int, seed: int, quick: bool) -> list[dict[str, Any]]:
@@ -123,27 +142,47 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--work", type=Path, required=True, help="where recordings and diagnoses are kept")
     parser.add_argument("--count", type=int, default=20)
     parser.add_argument("--seed", type=int, default=77)
+    parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument("--only", default="", help="thresholds to move, separated by commas; default all")
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--docs", type=Path, default=DOCS)
     options = parser.parse_args(arguments)
-    warnings.simplefilter("ignore")
     names = [f.name for f in fields(DEFAULT)]
     chosen = options.only.split(",") if options.only else list(QUICK) if options.quick else names
     cases = answers(options.work, 2 if options.quick else options.count, options.seed, options.quick)
     store = options.work / "diagnoses.json"
     made = json.loads(store.read_text(encoding="utf-8")) if store.exists() else {}
-    wanted = [("as it stands", DEFAULT), *((f"{n} {way:+d}", moved(n, way)) for n in chosen for way in (-1, 1))]
-    for what, settings in wanted:
+
+    def make(wanted: list[tuple[str, dict[str, Any], str | None, int]]) -> None:
+        """The diagnoses that have not been made, kept as they come."""
+        fresh = multiprocessing.get_context("spawn")
+        with concurrent.futures.ProcessPoolExecutor(options.jobs, mp_context=fresh) as pool:
+            folder = options.work / "recordings"
+            runs = {
+                pool.submit(diagnosed, folder / case["case"], case["channel"], name, way): key
+                for key, case, name, way in wanted
+                if key not in made
+            }
+            for run in concurrent.futures.as_completed(runs):
+                made[runs[run]] = run.result()
+                print(f"{runs[run]}: {run.result()['verdict']}", flush=True)
+                kept = store.with_suffix(".part")
+                kept.write_text(json.dumps(made, indent=1), encoding="utf-8")
+                kept.replace(store)
+
+    make([(f"{case['case']} as it stands", case, None, 0) for case in cases])
+    again = []
+    for name in chosen:
         for case in cases:
-            key = f"{case['case']} {what}"
-            if key in made:
-                continue
-            made[key] = diagnosed(options.work / "recordings" / case["case"], case["channel"], settings)
-            print(f"{key}: {made[key]['verdict']}", flush=True)
-            kept = store.with_suffix(".part")
-            kept.write_text(json.dumps(made, indent=1), encoding="utf-8")
-            kept.replace(store)
+            plain = made[f"{case['case']} as it stands"]
+            for way in (-1, 1):
+                key = f"{case['case']} {name} {way:+d}"
+                if name in plain["read"]:
+                    again.append((key, case, name, way))
+                else:
+                    made[key] = plain
+    make(again)
+    store.write_text(json.dumps(made, indent=1), encoding="utf-8")
     written(options.work, names, cases, options.docs)
 
 
