@@ -90,7 +90,7 @@ def _unknown(search: Search, gap: Gap | None, reason: Reason) -> list[str]:
     if reason == "denied":
         return [f"{tried} fits the fitted motions, but predicts the unseen ones no better: not named."]
     if reason == "interval":
-        return [f"{tried} explains the residual, but a value does not stand out of its own interval: not named."]
+        return [f"With {tried} the residual is explained, but not all values stand out of their own intervals: not named."]
     if reason == "surrogates":
         together = ", ".join(by_kind((*(f.term for f in search.found), *search.dropped)))
         return [

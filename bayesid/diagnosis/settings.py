@@ -147,6 +147,8 @@ class Settings:
 
     # -- verdict
 
+    #: Probability of the interval about zero that an effect's values have to leave: that of the intervals that reports state.
+    interval: float = 0.95
     #: A contact that lasts for a larger share of a motion is no event in it: half.
     longest_contact: float = 0.5
     #: An effect must not make unseen motions worse by more than this share of their squared residual. Set by looking at

@@ -9,9 +9,6 @@ from scipy.stats import chi2
 
 from bayesid.diagnosis.fit import Fit
 
-#: Probability of the interval that a value has to leave before it is named: the one that reports show.
-_INTERVAL = 0.95
-
 
 def distance(best: Fit, index: int, keys: Sequence[str] | None = None) -> tuple[float, int]:
     """Squared distance of one effect's values from zero in units of their covariance, and how many values that are.
@@ -58,7 +55,7 @@ def stands_out(best: Fit, index: int, dispersion: float = 1.0, keys: Sequence[st
     if best.terms[index].effect.changes_link:
         return True
     squared, count = distance(best, index, keys)
-    return count == 0 or squared >= dispersion * float(chi2.ppf(_INTERVAL, count))
+    return count == 0 or squared >= dispersion * float(chi2.ppf(best.projector.data.settings.interval, count))
 
 
 __all__ = ["distance", "standing", "stands_out"]

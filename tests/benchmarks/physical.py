@@ -17,6 +17,7 @@ import warnings
 from pathlib import Path
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 sys.path.insert(0, str(ROOT))
@@ -42,6 +43,7 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=7)
     parser.add_argument("--write", action="store_true")
     options = parser.parse_args()
+    threadpool_limits(1, user_api="blas")  # two would wait for each other in matrices as small as these
     with tempfile.TemporaryDirectory() as folder:
         made = arm(Path(folder), "panda")
     rng = np.random.default_rng(1)

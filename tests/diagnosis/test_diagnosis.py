@@ -215,7 +215,7 @@ def test_a_value_inside_its_interval_is_not_named(record):
     assert squared == pytest.approx(
         np.array(best.terms[0].values) @ np.linalg.solve(best.covariance, np.array(best.terms[0].values)), rel=1e-6
     )
-    interval = squared / chi2.ppf(0.95, 2)  # that much more dispersion, and the values stay inside
+    interval = squared / chi2.ppf(DEFAULT.interval, 2)  # that much more dispersion, and the values stay inside
     assert stands_out(best, 0, 0.99 * interval) and not stands_out(best, 0, 1.01 * interval)
     found = diagnose(folder).search
     assert not evidence_of(found, None).vague
