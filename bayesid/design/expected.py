@@ -15,7 +15,7 @@ import numpy as np
 
 from bayesid.design.reading_noise import ReadingNoise
 from bayesid.design.sensor_sets import SensorSet
-from bayesid.diagnosis.candidates import orthonormal
+from bayesid.diagnosis.span import orthonormal
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.estimators.factor import gram_rows, reduce_rows, reduce_whitened
 from bayesid.recordings.experiment import Experiment, Motion

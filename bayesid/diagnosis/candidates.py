@@ -20,6 +20,7 @@ from bayesid.diagnosis.fit import Fit
 from bayesid.diagnosis.projector import NuisanceProjector
 from bayesid.diagnosis.ripples import RippleScan
 from bayesid.diagnosis.rows import model_rows, residual_rows, term_rows
+from bayesid.diagnosis.span import Span, orthonormal
 from bayesid.diagnosis.surroundings import joint_inertia, mean_places
 from bayesid.effects import Effect, ExternalContact, Linearisation, Surroundings, Term
 
@@ -149,9 +150,14 @@ class Library:
         """Whitened rows less all that the fit and all columns together explain (rows,), and how many directions that takes."""
         projector = self.projector
         model = projector.columns(model_rows(projector.data, projector.data.segments, fit.links, fit.terms))
-        q = orthonormal(np.hstack([model, *(b.rows for b in self.blocks)]))
         left = projector.project_out(np.concatenate([fit.residual, -projector.prior_residual(fit.coordinates)]))
-        return (left - q @ (q.T @ left))[: projector.length], q.shape[1]
+        both = self._span.with_more(model)
+        return both.project_out(left)[: projector.length], both.rank
+
+    @cached_property
+    def _span(self) -> Span:
+        """What all columns together explain."""
+        return Span.of(np.hstack([np.zeros((len(self.projector.q), 0)), *(b.rows for b in self.blocks)]))
 
     def _tried(self, fit: Fit, taken: set[str], dispersion: float | None) -> Iterator[tuple[Term, float]]:
         """Effects with the best of the values that are tried exactly: no small amplitude stands for them."""
@@ -285,18 +291,7 @@ def _explained(rows: np.ndarray, left: np.ndarray) -> tuple[np.ndarray, float, i
     seen = length > 1e-7 * max(length.max(initial=0.0), 1e-300)
     if not seen.any():
         return out, 0.0, 1
-    u, s, vt = np.linalg.svd(rows[:, seen] / length[seen], full_matrices=False)
-    keep = s > 1e-5 * s[0]
-    along = u.T[keep] @ left
-    out[seen] = (vt[keep].T @ (along / s[keep])) / length[seen]
-    return out, float(along @ along), int(keep.sum())
-
-
-def orthonormal(rows: np.ndarray) -> np.ndarray:
-    """An orthonormal basis of columns (rows, k)."""
-    length = np.linalg.norm(rows, axis=0)
-    rows = rows[:, length > 0] / length[length > 0]
-    if not rows.shape[1]:
-        return rows
-    u, s, _ = np.linalg.svd(rows, full_matrices=False)
-    return u[:, s > 1e-6 * s[0]]
+    span = Span.of(rows[:, seen] / length[seen], least=1e-5)
+    along = span.along(left)
+    out[seen] = span.root @ along / length[seen]
+    return out, float(along @ along), span.rank

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from bayesid.diagnosis.bodies import as_payload
-from bayesid.diagnosis.candidates import orthonormal
+from bayesid.diagnosis.span import orthonormal
 from bayesid.diagnosis.contacts import is_excuse
 from bayesid.diagnosis.fit import Fit, fit
 from bayesid.diagnosis.forward import State, exact_fits, in_family

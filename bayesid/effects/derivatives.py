@@ -21,7 +21,9 @@ from bayesid.effects.families import (
     SensorEffect,
     differences,
 )
+from bayesid.effects.flexible import Motion
 from bayesid.effects.model import Model
+from bayesid.effects.play import LARGE
 
 
 def tangent(model: Model, change: np.ndarray) -> np.ndarray:
@@ -98,6 +100,8 @@ def effect_derivatives(model: Model, effect: Effect) -> np.ndarray:
             out = tangent(model, _load_columns(model, effect, values))
         case GravityEffect() if not any(model.of_family(f) for f in (PlayEffect, FlexibleJointEffect, MountEffect)):
             out = tangent(model, differences(effect, values, lambda v: _weight(model, model.changed(Term(effect, v)).gravity)))
+        case PlayEffect() if _without_play(model, effect):
+            out = tangent(model, _play_columns(model, effect, values))
         case _:
             out = differences(effect, values, lambda v: model.changed(Term(effect, v)).readings)
     return out
@@ -114,6 +118,34 @@ def _load_columns(model: Model, effect: LoadEffect, values: tuple[float, ...]) -
     for body, wrench in zip(bodies, change, strict=True):
         out -= np.matmul(model.twists, wrench) * model.carries[:, body, None]
     return out
+
+
+def _without_play(model: Model, effect: PlayEffect) -> bool:
+    """Whether a joint's play is none as yet, and links are elsewhere where motors hold them."""
+    gives = [t for family in (PlayEffect, FlexibleJointEffect, MountEffect) for t in model.of_family(family)]
+    values = next(values for own, values in gives if own == effect)
+    return len(gives) == 1 and not effect.lean(np.array([-LARGE, LARGE]), values).any()
+
+
+def _play_columns(model: Model, effect: PlayEffect, values: tuple[float, ...]) -> np.ndarray:
+    """Derivative of what there is to read with respect to a play that is none as yet (N, c, k)."""
+    rigid = Model(model.robot, model.channels, model.segment, model.links, tuple(t for t in model.terms if t.effect != effect))
+    joint, out = effect.joint or 0, np.zeros((len(model.segment.times), len(model.channels), len(values)))
+    moves = rigid.little_play(joint, lambda torque: differences(effect, values, lambda v: effect.lean(torque, v)))
+    for k, move in enumerate(moves):
+        if any(part.any() for part in move):
+            step = effect.quantities[k].step
+            ahead, back = (rigid.true_of(_moved(rigid.joint_motion_of_motors, joint, move, h)) for h in (step, -step))
+            out[:, :, k] = (ahead - back) / (2.0 * step)
+    return out
+
+
+def _moved(motion: Motion, joint: int, change: Motion, by: float) -> Motion:
+    """A motion of all joints, (N, n) each, with so much of a change of one joint's, (N,) each."""
+    parts = [part.copy() for part in motion]
+    for part, own in zip(parts, change, strict=True):
+        part[:, joint] += by * own
+    return parts[0], parts[1], parts[2]
 
 
 def _weight(model: Model, gravity: np.ndarray) -> np.ndarray:

@@ -17,7 +17,7 @@ What an effect does in its step is a method of its class (`bayesid.effects.famil
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -143,6 +143,21 @@ class Model(Parts):
         carries = np.hstack([channels.bodies, np.zeros((len(channels), 1), bool)])
         return self._true(channels, carries, states, channel_twists(self.robot, channels, states), own=True)
 
+    def little_play(self, joint: int, lean: Callable[[np.ndarray], np.ndarray]) -> tuple[Motion, ...]:
+        """Change of a joint's link-side motion, three times (N,), with each of the ways (M, k) in which it leans under a torque (M,).
+
+        That is how the first bit of play moves the link of a joint that has none, by the torque of the motion without it.
+        """
+        q, v, a = self.joint_motion_of_motors
+        if self.segment.still or len(q) < 8:
+            held = 0.0 * v
+            behind = lean(self.link_torque((q, held, held), np.array([joint]))[:, 0])
+            return tuple((-each, 0.0 * each, 0.0 * each) for each in behind.T)
+        key = ("slow torque", joint, self.robot.fingerprint, self._pose, self.links.tobytes(), self._physical)
+        behind = lean(self.segment.play.get(key, lambda: self._recorded.slow_torque(joint)))
+        moved = self._recorded.fitting.smoothed(behind)
+        return tuple((-moved[0][:, k], -moved[1][:, k], -moved[2][:, k]) for k in range(behind.shape[1]))
+
     @cached_property
     def _behind(self) -> dict[int, Behind]:
         """How far links with play are behind their motors at the encoders' samples, by joint."""
@@ -207,6 +222,11 @@ class Model(Parts):
         for effect, values in rotors:
             out += effect.inertia(values) * self.rotor_reading(channels, carries, states, twists, effect)
         return out
+
+    def true_of(self, link: Motion) -> np.ndarray:
+        """What `true` would be if links moved so, (N, n) each, on a root at rest (N, c)."""
+        states = link_states(self.robot, *link)
+        return self._true(self.channels, self.carries, states, channel_twists(self.robot, self.channels, states), own=True)
 
     @cached_property
     def _wrenches(self) -> np.ndarray:

@@ -38,7 +38,7 @@ _ROUGHLY, _WELL = (1, 5, 1e-2), (6, 20, 1e-6)
 #: A step that makes the sum larger is damped, so often at most, more each time.
 _DAMPED, _DAMPING, _MORE_DAMPING = 6, 1e-3, 4.0
 #: A torque that presses any teeth together [N m or N].
-_LARGE = 1e9
+LARGE = 1e9
 #: Time in which no encoder moves, for a rest [s].
 _REST = 0.1
 #: Turns for poses, whose weight hardly changes with the play.
@@ -80,6 +80,10 @@ class Fitting:
         splines = [Splines.over(times, cutoff) for cutoff in top * np.geomspace(_SLOWEST, 1.0, _LEVELS)]
         whole, there = Splines.over(times, bandwidth), Splines.over(times, bandwidth, wanted)
         return cls(splines, whole, there, _rests(times, encoders), float(np.median(np.diff(times))))
+
+    def smoothed(self, behind: np.ndarray) -> Motion:
+        """How far links are behind (M, ...) smoothed as positions are, with its rates, where it is wanted (N, ...) each."""
+        return self.wanted.motion(self.whole.nearest(behind))
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,6 +152,12 @@ class Recorded:
             out[joint] = found.best(start.get(joint)) if joint in located else Behind(found.slow, np.full(len(found.slow), -1))
             self._follow(link, self.smooth, self.fitting.whole, joint, out[joint].values)
         return out
+
+    def slow_torque(self, joint: int) -> np.ndarray:
+        """The torque (M,) that a joint without play takes of its slow motion, by which play too small to be located leans."""
+        fit = _JointFit.of(self, self.smooth, joint, ())
+        slowest = self.fitting.splines[0]
+        return fit.torque(slowest.motion(slowest.nearest(fit.encoders)))
 
     def leaning_motion(self, motor: Motion, behind: Mapping[int, Behind]) -> Motion:
         """Link-side positions, velocities and accelerations, (N, n) each, of motors' where they are wanted, (N, n) each."""
@@ -246,7 +256,7 @@ class _JointFit:
     @cached_property
     def sides(self) -> np.ndarray:
         """How far the link is behind under a large torque one way, none, and a large one the other way (3,)."""
-        return self.lean(np.array([-_LARGE, 0.0, _LARGE]))
+        return self.lean(np.array([-LARGE, 0.0, LARGE]))
 
     def lean(self, torque: np.ndarray, side: np.ndarray | None = None) -> np.ndarray:
         free = sum((effect.lean(torque, values) for effect, values in self.play), np.zeros(len(torque)))

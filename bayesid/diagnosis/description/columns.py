@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from scipy.fft import dct, idct
 
-from bayesid.diagnosis.candidates import orthonormal
+from bayesid.diagnosis.span import orthonormal
 from bayesid.diagnosis.data import DiagnosisData, active_terms
 from bayesid.diagnosis.description.candidates import Candidate
 from bayesid.diagnosis.description.shapes import Range, Shape
