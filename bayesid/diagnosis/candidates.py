@@ -94,27 +94,13 @@ class Library:
     blocks: tuple[_Block, ...] = ()
     ripples: tuple[RippleScan, ...] = ()
 
-    def propose(self, fit: Fit, dispersion: float | None = None) -> list[Proposal]:
-        """Proposals beside the effects of a fit, best gain first; one for each effect and place.
-
-        Parameters
-        ----------
-        fit
-            A model.
-        dispersion
-            Its dispersion factor: if that leaves something unexplained, effects whose values are tried as a last resort are
-            among the proposals, such as flexible joints that resonate in the motion's band; that takes a while.
-        """
+    def propose(self, fit: Fit) -> list[Proposal]:
+        """Proposals beside the effects of a fit, best gain first; one for each effect and place."""
         projector, data = self.projector, self.projector.data
         found = orthonormal(projector.columns(model_rows(data, data.segments, fit.links, fit.terms)))
-        residual = np.concatenate([fit.residual, -projector.prior_residual(fit.coordinates)])
-        left = projector.project_out(residual)
+        left = projector.project_out(np.concatenate([fit.residual, -projector.prior_residual(fit.coordinates)]))
         left = left - found @ (found.T @ left)
-        present = {t.effect.name for t in fit.terms if t.effect.single}
-        taken = {e.spec for name in present for e in data.places(name)} | {t.effect.spec for t in fit.terms}
-        for found_here in (t.effect for t in fit.terms[len(self.base.terms) :]):
-            taken |= {e.spec for e in self.effects if e.excludes(found_here)}
-        best: dict[str, Proposal] = {}
+        taken, best = self._taken(fit), {}
         for block in self.blocks:
             name = block.effect.spec
             if name in taken:
@@ -126,17 +112,34 @@ class Library:
                 minimum = data.settings.detected / length if length > 0 else None
                 starts = [Term(block.effect, _inside(block.effect, v)) for v in np.atleast_2d(block.about.to_values(amplitudes))]
                 best[name] = Proposal(starts[0], gain, count, minimum, tuple(starts[1:]))
-        shaped = [([t], gain) for t, gain in [*self._tried(fit, taken, dispersion), *self._ripples(fit, left, found)]]
+        shaped = [([t], gain) for t, gain in [*self._tried(fit, taken, self._changes), *self._ripples(fit, left, found)]]
         contacts = contact_terms(projector, fit, left[: projector.length]) if ExternalContact in map(type, self.effects) else ()
         for terms, gain in [*shaped, *contacts]:
-            name = terms[0].effect.spec
-            if name not in taken and (name not in best or gain > best[name].gain):
-                minimum = best[name].minimum if name in best else None
-                best[name] = Proposal(terms[0], gain, len(terms[0].values), minimum, tuple(terms[1:]))
-            elif name in best and terms[0].effect.last_resort:
-                # A derivative may promise more than a possible compliance keeps: a resonance is a start of its own.
-                best[name] = replace(best[name], others=(*best[name].others, *terms))
-        return sorted(best.values(), key=lambda p: -(p.gain - _cost(p.parameters)))
+            if (name := terms[0].effect.spec) not in taken:
+                best[name] = _better(best.get(name), terms, gain)
+        return sorted(best.values(), key=_promise)
+
+    def with_last_resorts(self, proposals: Sequence[Proposal], fit: Fit) -> list[Proposal]:
+        """Proposals beside a fit with effects whose values are tried as a last resort among them, best gain first.
+
+        Such as flexible joints that resonate in the motion's band, of which a derivative says nothing; it takes a while.
+        """
+        best = {p.name: p for p in proposals}
+        for term, gain in self._tried(fit, self._taken(fit), self._last_changes):
+            own = best.get(name := term.effect.spec)
+            if own is None or gain > own.gain:
+                best[name] = _better(own, [term], gain)
+            else:  # a derivative may promise more than a possible compliance keeps: a resonance is a start of its own
+                best[name] = replace(own, others=(*own.others, term))
+        return sorted(best.values(), key=_promise)
+
+    def _taken(self, fit: Fit) -> set[str]:
+        """Effects that are no proposals beside those of a fit."""
+        present = {t.effect.name for t in fit.terms if t.effect.single}
+        taken = {e.spec for name in present for e in self.projector.data.places(name)} | {t.effect.spec for t in fit.terms}
+        for found in (t.effect for t in fit.terms[len(self.base.terms) :]):
+            taken |= {e.spec for e in self.effects if e.excludes(found)}
+        return taken
 
     def dispersion(self, fit: Fit) -> float:
         """Mean square of what the fit and all columns together leave, at least 1.
@@ -159,20 +162,15 @@ class Library:
         """What all columns together explain."""
         return Span.of(np.hstack([np.zeros((len(self.projector.q), 0)), *(b.rows for b in self.blocks)]))
 
-    def _tried(self, fit: Fit, taken: set[str], dispersion: float | None) -> Iterator[tuple[Term, float]]:
+    def _tried(self, fit: Fit, taken: set[str], changes_of: _Trials) -> Iterator[tuple[Term, float]]:
         """Effects with the best of the values that are tried exactly: no small amplitude stands for them."""
-        data, projector = self.projector.data, self.projector
+        projector = self.projector
         prior = -projector.prior_residual(fit.coordinates)
-        now = np.sum(projector.project_out(np.concatenate([fit.residual, prior])) ** 2)
-        unexplained = dispersion is not None and dispersion >= data.settings.unexplained
         left = projector.project_out(np.concatenate([fit.residual, prior]))
-        for effect in self.effects:
-            if effect.spec in taken or (effect.last_resort and not unexplained) or not effect.sought(self.around):
+        now = np.sum(left**2)
+        for effect, (trials, changes) in changes_of.items():
+            if effect.spec in taken:
                 continue
-            tried = (self._last_changes if effect.last_resort else self._changes).get(effect)
-            if tried is None:
-                continue
-            trials, changes = tried
             # Beside other effects a change is about what it is beside the user's: the best is then tried exactly.
             with np.errstate(all="ignore"):  # a trial that diverges is none
                 gains = -2.0 * left @ changes - np.sum(changes**2, axis=0)
@@ -233,13 +231,18 @@ def make_library(
     data, at = projector.data, found or base
     around = surroundings(data)
     effects = _everywhere(data) if effects is None else tuple(effects)
-    blocks = []
+    found_, rows = [], []
     for effect in effects:
         for about in effect.linearisations(around) if effect.sought(around) else ():
             beside = tuple(t for t in at.terms if t.effect != effect)
-            rows = term_rows(data, data.segments, at.links, beside, Term(effect, tuple(about.at)))
-            if np.isfinite(rows).all():  # a formula of the user's need not mean something everywhere
-                blocks.append(_Block(effect, projector.columns(rows), about))
+            own = term_rows(data, data.segments, at.links, beside, Term(effect, tuple(about.at)))
+            if np.isfinite(own).all():  # a formula of the user's need not mean something everywhere
+                found_.append((effect, about))
+                rows.append(own)
+    # All at once: the factor of links and offset is read twice, not twice for each of them.
+    edges = np.cumsum([own.shape[1] for own in rows])[:-1]
+    left = np.split(projector.columns(np.hstack(rows)), edges, axis=1) if rows else []
+    blocks = [_Block(effect, own, about) for (effect, about), own in zip(found_, left, strict=True)]
     ripples = RippleScan.of(data, [e for e in effects if e.harmonics])
     return Library(projector, base, around, effects, tuple(blocks), ripples)
 
@@ -277,6 +280,18 @@ def surroundings(data: DiagnosisData) -> Surroundings:
 def _inside(effect: Effect, values: np.ndarray) -> tuple[float, ...]:
     """Values inside what is possible."""
     return tuple(float(v) for v in np.clip(values, effect.lower, effect.upper))
+
+
+def _better(own: Proposal | None, terms: Sequence[Term], gain: float) -> Proposal:
+    """A proposal, or another start of its effect if that gains more."""
+    if own is not None and gain <= own.gain:
+        return own
+    return Proposal(terms[0], gain, len(terms[0].values), own.minimum if own else None, tuple(terms[1:]))
+
+
+def _promise(proposal: Proposal) -> float:
+    """The order of proposals: what they gain less what that costs, best first."""
+    return -(proposal.gain - _cost(proposal.parameters))
 
 
 def _cost(parameters: int) -> float:

@@ -52,13 +52,24 @@ class State:
         return self.best.projector.data.settings
 
 
-def forward_selection(state: State, progress: Callable[[str], None]) -> State:
-    """Add effects while the data demand them, and say anew what nothing explains."""
+def forward_selection(state: State, progress: Callable[[str], None], first: Sequence[Proposal] | None = None) -> State:
+    """Add effects while the data demand them, and say anew what nothing explains.
+
+    Parameters
+    ----------
+    state
+        Where to start.
+    progress
+        Called with the name of every phase as it begins.
+    first
+        Proposals beside the state's best model, where they are made already.
+    """
     settings = state.settings
     state = measured_dispersion(state)
     for _ in range(settings.most_families):
         progress("naming what is missing")
-        models, better = _one_more(state)
+        models, better = _one_more(state, first)
+        first = None
         state = replace(state, models=models)
         if better is None:
             break
@@ -79,11 +90,13 @@ def measured_dispersion(state: State) -> State:
     return replace(state, models=models, dispersion=library.dispersion(state.best))
 
 
-def _one_more(state: State) -> tuple[NoiseModels, Fit | None]:
+def _one_more(state: State, first: Sequence[Proposal] | None) -> tuple[NoiseModels, Fit | None]:
     """The best exact fit with one effect more, or with one kind of effect at several joints, if the data demand it."""
     best, dispersion = state.best, state.dispersion
     models, library = state.models.library(best)
-    proposals = library.propose(best, dispersion)
+    proposals = library.propose(best) if first is None else first
+    if dispersion >= state.settings.unexplained:
+        proposals = library.with_last_resorts(proposals, best)
     models, fits = exact_fits(models, best, best.terms, proposals, dispersion, state.settings.fitted_proposals)
     for terms in _families(library, proposals, dispersion):
         models, fitted = models.own(fit(best.projector, (*best.terms, *terms), best))

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from bayesid.diagnosis.data import DiagnosisData
+from bayesid.diagnosis.spectra import Segment
 from bayesid.effects import Effect
 
 
@@ -26,12 +27,18 @@ class RippleScan:
         self.orders = np.array(effects[0].harmonics)
         channel_of = {joint: channel for channel, joint in data.segments[0].torque_channels}
         self.at = [(channel_of[e.joint], e.joint) for e in self.effects if e.joint is not None]
-        self.spectra = []
-        for s in data.segments:
-            angle = s.scene.positions[:, [j for _, j in self.at]]
-            wave = np.exp(1j * angle[:, :, None] * self.orders)
-            parts = [s.course(np.real(wave)), s.course(np.imag(wave))]
-            self.spectra.append(np.stack(parts, axis=-1).astype(np.float32))  # (K, joints, orders, 2)
+        self.spectra = [s.scene.basis.get(self._key(s), lambda s=s: self._waves(s)) for s in data.segments]
+
+    def _key(self, segment: Segment) -> tuple:
+        """What the coefficients of one segment depend on, whatever its noise."""
+        joints, times = tuple(joint for _, joint in self.at), segment.times
+        return "waves", tuple(self.orders), joints, len(segment.frequencies), times[0], times[-1], segment.settings
+
+    def _waves(self, segment: Segment) -> np.ndarray:
+        """Coefficients of the sines and cosines (K, joints, orders, 2)."""
+        angle = segment.scene.positions[:, [j for _, j in self.at], None] * self.orders
+        parts = [segment.course(np.cos(angle)), segment.course(np.sin(angle))]
+        return np.stack(parts, axis=-1).astype(np.float32)
 
     @classmethod
     def of(cls, data: DiagnosisData, effects: Sequence[Effect]) -> tuple[RippleScan, ...]:

@@ -8,13 +8,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from bayesid.diagnosis.bodies import as_payload
-from bayesid.diagnosis.span import orthonormal
 from bayesid.diagnosis.contacts import is_excuse
 from bayesid.diagnosis.fit import Fit, fit
 from bayesid.diagnosis.forward import State, exact_fits, in_family
 from bayesid.diagnosis.noise_models import NoiseModels
 from bayesid.diagnosis.rows import term_rows
 from bayesid.diagnosis.significance import standing
+from bayesid.diagnosis.span import orthonormal
 from bayesid.diagnosis.surrogates import explained, is_surrogate_combination
 from bayesid.effects import Term
 

@@ -75,7 +75,7 @@ def search(projector: NuisanceProjector, terms: Sequence[Term], seed: int, progr
     progress("what each effect would explain")
     models, library = state.models.library(state.base)
     first = library.propose(state.base)
-    state = forward_selection(replace(state, models=models), progress)
+    state = forward_selection(replace(state, models=models), progress, first)
     if (points := as_points(state.best, seed)) is not None:
         progress("readings as values at their times")
         state = forward_selection(_start(make_projector(points, terms), terms, seed), progress)

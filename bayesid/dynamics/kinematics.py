@@ -12,7 +12,21 @@ from functools import lru_cache
 import numpy as np
 
 from bayesid.dynamics.channels import WRENCH_NAMES, Channels
-from bayesid.dynamics.newton_euler import BLOCK, LANES, STATE, add, advance, body_columns, body_wrench, cross, dot, jit
+from bayesid.dynamics.newton_euler import (
+    BLOCK,
+    LANES,
+    STATE,
+    add,
+    advance,
+    apply,
+    body_columns,
+    body_wrench,
+    cross,
+    dot,
+    get,
+    get_rotation,
+    jit,
+)
 from bayesid.dynamics.newton_euler import project as project_block
 from bayesid.robot import inertia
 from bayesid.robot.robot import Robot
@@ -203,6 +217,68 @@ def project(twists: np.ndarray, wrenches: np.ndarray, carries: np.ndarray) -> np
     """Readings (N, c): the twist's power with the wrenches (N, b, 6) of the bodies that the channel carries (c, b)."""
     out = np.empty(twists.shape[:2])
     _project(twists, wrenches, carries, out)
+    return out
+
+
+@jit
+def _torques(q, v, a, order, parent, turn, translation, axis, slides, row_of, links, gravity, rows, fixed, carries, out):
+    n, bodies = q.shape[1], len(links)
+    state, motion = np.zeros((n + 1, STATE)), np.zeros(5 * LANES)
+    wrench, total = np.zeros((bodies, 6 * LANES)), np.zeros(6 * LANES)
+    state[n, :LANES] = state[n, 4 * LANES : 5 * LANES] = state[n, 8 * LANES : 9 * LANES] = 1.0
+    for k in range(3):
+        state[n, (A + k) * LANES : (A + k + 1) * LANES] = -gravity[k]
+    for first in range(0, len(q), LANES):
+        count = min(LANES, len(q) - first)
+        for i in order:
+            for s in range(count):
+                angle = q[first + s, i]
+                motion[s], motion[LANES + s], motion[2 * LANES + s] = angle, np.sin(angle), np.cos(angle)
+                motion[3 * LANES + s], motion[4 * LANES + s] = v[first + s, i], a[first + s, i]
+            advance(state[parent[i]], state[i], motion, turn[i], translation[i], axis[i], slides[i])
+        for b in range(bodies):
+            body_wrench(state[row_of[b]], links[b], wrench[b])
+        for c in range(len(rows)):
+            total[:] = 0.0
+            for b in range(bodies):
+                if carries[c, b]:
+                    for k in range(6 * LANES):
+                        total[k] += wrench[b, k]
+            row, linear, direction = state[rows[c]], _get(fixed[c], 0), _get(fixed[c], 3)
+            for s in range(count):
+                r, p = get_rotation(row, s), get(row, P * LANES + s)
+                turned = apply(r, direction)
+                moved = add(apply(r, linear), cross(p, turned))
+                out[first + s, c] = dot(moved, get(total, s)) + dot(turned, get(total, 3 * LANES + s))
+
+
+def readings_of_bodies(
+    robot: Robot, channels: Channels, motion: tuple[np.ndarray, np.ndarray, np.ndarray], row_of: np.ndarray, links: np.ndarray,
+    gravity: np.ndarray, carries: np.ndarray,
+) -> np.ndarray:  # fmt: skip
+    """What channels read of the bodies that they carry, root at rest: `project` of `body_wrenches` of `link_states`, at once.
+
+    Parameters
+    ----------
+    robot, channels
+        What moves, and what is measured.
+    motion
+        Positions, velocities, accelerations, (N, n) each.
+    row_of, links, gravity
+        As for `body_wrenches`.
+    carries
+        Which bodies each channel carries (c, b).
+
+    Returns
+    -------
+    readings
+        (N, c).
+    """
+    q, v, a = (kernel_input(x) for x in motion)
+    out = np.empty((len(q), len(channels)))
+    rows = np.where(channels.joint < 0, robot.n, channels.joint)
+    fixed = kernel_input(root_twists(channels))
+    _torques(q, v, a, *_tables(_Holder(robot)), row_of, kernel_input(links), kernel_input(gravity), rows, fixed, carries, out)
     return out
 
 

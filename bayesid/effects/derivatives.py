@@ -109,13 +109,8 @@ def effect_derivatives(model: Model, effect: Effect) -> np.ndarray:
 
 def _load_columns(model: Model, effect: LoadEffect, values: tuple[float, ...]) -> np.ndarray:
     """Derivative of what the channels read of loads from outside (N, c, k): wrenches are differentiated, and projected once."""
-    robot, segment, states = model.robot, model.segment, model.states
-    bodies = [body for body, _ in effect.loads(robot, segment, states, values)]
-    out = np.zeros((len(segment.times), len(model.channels), len(values)))
-    if not bodies:  # nothing for it to act on, such as drag where all joints are in one place
-        return out
-    change = differences(effect, values, lambda v: np.stack([w for _, w in effect.loads(robot, segment, states, v)]))
-    for body, wrench in zip(bodies, change, strict=True):
+    out = np.zeros((len(model.segment.times), len(model.channels), len(values)))
+    for body, wrench in effect.load_columns(model.robot, model.segment, model.states, values):
         out -= np.matmul(model.twists, wrench) * model.carries[:, body, None]
     return out
 

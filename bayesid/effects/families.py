@@ -220,6 +220,12 @@ class LoadEffect(Effect):
             Of the parameters (k,).
         """
 
+    def load_columns(self, robot: Robot, segment: MotionSegment, states: np.ndarray, values: Sequence[float]) -> Loads:
+        """Derivatives of `loads` with respect to the parameters, (N, 6, k) each; a class may have them in closed form."""
+        wrenches = lambda v: [wrench for _, wrench in self.loads(robot, segment, states, v)]  # noqa: E731
+        bodies = [body for body, _ in self.loads(robot, segment, states, values)]
+        return list(zip(bodies, differences(self, values, lambda v: np.stack(wrenches(v))), strict=True)) if bodies else []
+
 
 class RotorEffect(Effect):
     """Angular momentum of a spinning rotor."""

@@ -34,6 +34,7 @@ def link_motion(
     compliance: np.ndarray,
     inertia: np.ndarray,
     basis: Basis | None,
+    stiff: np.ndarray | None = None,
 ) -> Motion:
     """Link-side positions, velocities and accelerations, (N, n) each.
 
@@ -49,6 +50,8 @@ def link_motion(
         That each joint feels (N, n) [kg m^2 or kg].
     basis
         Functions of time in which links move otherwise than motors, `splines`; None: every sample is a pose at rest.
+    stiff
+        Torques that the joints with a compliance would take if they were stiff (N, k); default computed.
     """
     from scipy import sparse
     from scipy.sparse.linalg import splu
@@ -66,7 +69,8 @@ def link_motion(
         systems.append((system.T, splu((system.T @ system + _DAMPING * own.T @ own).tocsc())))
     first = np.inf
     for turn in range(_TURNS):
-        left = motor[0][:, which] - compliance[which] * torque(link, which) - link[0][:, which]
+        taken = stiff if turn == 0 and stiff is not None else torque(link, which)
+        left = motor[0][:, which] - compliance[which] * taken - link[0][:, which]
         largest = 0.0
         for k, (j, (transposed, factor)) in enumerate(zip(which, systems, strict=True)):
             change = factor.solve(transposed @ left[:, k])

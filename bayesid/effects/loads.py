@@ -48,6 +48,25 @@ def _wrench(points: np.ndarray, force: np.ndarray) -> np.ndarray:
     return np.concatenate([force, _cross(points, force)], axis=1)
 
 
+def _axes(state: np.ndarray, row: int) -> np.ndarray:
+    """A link's axes in base axes, the columns of its rotation (N, 3, 3)."""
+    return state[:, row, R : R + 9].reshape(-1, 3, 3)
+
+
+def _wrench_columns(points: np.ndarray, forces: np.ndarray) -> np.ndarray:
+    """Changes of a force (N, 3, k) at points (N, 3) as changes of its wrench about the origin (N, 6, k)."""
+    out = np.empty((len(points), 6, forces.shape[2]))
+    out[:, :3] = forces
+    for k, (i, j) in enumerate(((1, 2), (2, 0), (0, 1))):
+        out[:, 3 + k] = points[:, i, None] * forces[:, j] - points[:, j, None] * forces[:, i]
+    return out
+
+
+def _moved(moves: np.ndarray, force: np.ndarray) -> np.ndarray:
+    """What moves of its point (N, 3, k) change of the moment of a force (N, 3), (N, 3, k)."""
+    return -_wrench_columns(force, moves)[:, 3:]
+
+
 class Tether(LoadEffect):
     name = "tether"
     summary = "a hose or cable pulls a link, like a one-sided spring"
@@ -76,6 +95,24 @@ class Tether(LoadEffect):
         distance = np.maximum(np.linalg.norm(line, axis=1, keepdims=True), 1e-12)
         force = stiffness * np.maximum(distance - length, 0.0) * line / distance
         return [(body_of(robot, self.joint), _wrench(points, force))]
+
+    def load_columns(self, robot, segment, states, values) -> Loads:
+        # With u = d / |d|, where it is taut: dF = (|d| - L) u dk - k u dL + k [(1 - L / |d|) 1 + L / |d| u u'] (da - dp).
+        assert self.joint is not None
+        stiffness, length = values[:2]
+        points, axes = _at(states, self.joint, values[5:8]), _axes(states, self.joint)
+        line = np.asarray(values[2:5]) - points
+        distance = np.maximum(np.linalg.norm(line, axis=1), 1e-12)[:, None]
+        unit, taut = line / distance, distance > length
+        stretch, slack = np.where(taut, distance - length, 0.0), np.where(taut, length / distance, 0.0)[:, :, None]
+        pulls = np.empty((len(points), 3, 8))
+        pulls[:, :, 0], pulls[:, :, 1] = stretch * unit, -stiffness * taut * unit
+        along = np.where(taut, 1.0, 0.0)[:, :, None] * np.eye(3) - slack * np.eye(3)
+        pulls[:, :, 2:5] = stiffness * (along + slack * unit[:, :, None] * unit[:, None, :])
+        pulls[:, :, 5:] = -(pulls[:, :, 2:5] @ axes)
+        out = _wrench_columns(points, pulls)
+        out[:, 3:, 5:] += _moved(axes, stiffness * stretch * unit)
+        return [(body_of(robot, self.joint), out)]
 
     def linearisations(self, around):
         # A taut tether without length pulls with k (anchor - x): linear in k and k anchor, whose columns are the derivatives
@@ -132,6 +169,19 @@ class ExternalContact(LoadEffect):
             force = np.zeros_like(force)
         return [(body_of(robot, self.joint), _wrench(points, force))]
 
+    def load_columns(self, robot, segment, states, values) -> Loads:
+        row = robot.n if self.joint is None else self.joint
+        points, axes, push = _at(states, row, values[5:8]), _axes(states, row), np.asarray(values[2:5], float)
+        out = np.zeros((len(points), 6, 8))
+        if not segment.still:
+            share = contact_window(segment.times, values[0], values[1])[:, None]
+            pushes = np.zeros((len(points), 3, 8))
+            pushes[:, :, :2] = push[:, None] * _window_slopes(segment.times, values[0], values[1])[:, None, :]
+            pushes[:, :, 2:5] = share[:, :, None] * np.eye(3)
+            out = _wrench_columns(points, pushes)
+            out[:, 3:, 5:] += _moved(axes, share * push)
+        return [(body_of(robot, self.joint), out)]
+
     def linearisations(self, around):
         return ()  # it is sought in windows of time
 
@@ -140,6 +190,14 @@ def contact_window(times: np.ndarray, start: float, end: float) -> np.ndarray:
     """Share of a contact's force at each time (N,): up from its start and down to its end, along half a cosine."""
     share = np.clip(np.minimum((times - start) / CONTACT_RAMP, (end - times) / CONTACT_RAMP), 0.0, 1.0)
     return 0.5 - 0.5 * np.cos(np.pi * share)
+
+
+def _window_slopes(times: np.ndarray, start: float, end: float) -> np.ndarray:
+    """Derivatives of that share with respect to start and end (N, 2)."""
+    ramps = np.stack([(times - start) / CONTACT_RAMP, (end - times) / CONTACT_RAMP], axis=1)
+    share = ramps.min(axis=1, keepdims=True)
+    steep = 0.5 * np.pi / CONTACT_RAMP * np.sin(np.pi * np.clip(share, 0.0, 1.0))  # zero on and outside of the window
+    return np.where(ramps == share, steep * np.array([-1.0, 1.0]), 0.0)
 
 
 class FluidDrag(LoadEffect):

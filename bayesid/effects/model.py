@@ -23,7 +23,7 @@ from functools import cached_property
 import numpy as np
 
 from bayesid.dynamics.channels import Channels, torque_channels
-from bayesid.dynamics.kinematics import body_wrenches, channel_twists, link_states, project
+from bayesid.dynamics.kinematics import body_wrenches, channel_twists, link_states, project, readings_of_bodies
 from bayesid.effects.bodies import rotor_couple
 from bayesid.effects.effect import Effect, Term
 from bayesid.effects.families import (
@@ -44,7 +44,7 @@ from bayesid.effects.families import (
     TransmissionEffect,
 )
 from bayesid.effects.flexible import Motion, link_motion, own_inertia, splines
-from bayesid.effects.mount import mount_motion
+from bayesid.effects.mount import Asked, mount_motion
 from bayesid.effects.parts import Parts
 from bayesid.effects.play import Behind, Fitting, Recorded, leaning_poses
 from bayesid.effects.segment import MotionSegment
@@ -88,8 +88,12 @@ class Model(Parts):
         """What the links' motion depends on."""
         if not any(t.effect.amplifies_encoder_errors for t in self._physical):
             return (self.robot.fingerprint, self._pose)
-        near = None if self.near is None or not self.of_family(PlayEffect) else self.near._key
-        return (self.robot.fingerprint, self._pose, self.links.tobytes(), self._physical, near)
+        return (self.robot.fingerprint, self._pose, self.links.tobytes(), self._physical, self._followed)
+
+    @property
+    def _followed(self) -> tuple | None:
+        """The motion that links with play follow, of more than one that there may be."""
+        return None if self.near is None or not self.of_family(PlayEffect) else self.near._key
 
     @cached_property
     def states(self) -> np.ndarray:
@@ -105,18 +109,22 @@ class Model(Parts):
             q, v, a = self.link_side(q, v, a)
         root = None
         for effect, values in self.of_family(MountEffect):
-
-            def moment(states):
-                total = body_wrenches(states, self.row_of, self.bodies, self.gravity).sum(axis=1)
-                for _, force in self._loads(states):
-                    total -= force
-                for rotor, size in self.of_family(RotorEffect):
-                    total += rotor.inertia(size) * self._rotor(states, rotor)[1]
-                return total[:, 3:]
-
-            resonance, damping = effect.resonance(values)
-            root = mount_motion(robot, segment, (q, v, a), self.row_of, self.bodies, self.gravity, resonance, damping, moment)
+            others = tuple(t for t in self._physical if t.effect != effect)
+            key = ("asked", self.robot.fingerprint, self._pose, self.links.tobytes(), others, self._followed)
+            asked = segment.joints.get(
+                key, lambda: Asked.of(robot, segment, (q, v, a), self.row_of, self.bodies, self.gravity, self._moment)
+            )
+            root = mount_motion(robot, segment, (q, v, a), asked, *effect.resonance(values), self._moment)
         return link_states(robot, q, v, a, root)
+
+    def _moment(self, states: np.ndarray) -> np.ndarray:
+        """Moment about the base origin that moves and holds all that a mount carries (N, 3)."""
+        total = body_wrenches(states, self.row_of, self.bodies, self.gravity).sum(axis=1)
+        for _, force in self._loads(states):
+            total -= force
+        for rotor, size in self.of_family(RotorEffect):
+            total += rotor.inertia(size) * self._rotor(states, rotor)[1]
+        return total[:, 3:]
 
     def link_side(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Link-side motion of joints with play or that give, from the motors'."""
@@ -129,22 +137,46 @@ class Model(Parts):
         compliance, felt = np.zeros(self.robot.n), np.zeros_like(q)
         for effect, values in self.of_family(FlexibleJointEffect):
             compliance[effect.joint] += effect.compliance(values)
-        for joint in np.flatnonzero(compliance):
-            felt[:, joint] = own_inertia(self.link_torque, q, int(joint))
+        for joint in map(int, np.flatnonzero(compliance)):
+            felt[:, joint] = own_inertia(self.link_torque, q, joint) if play else self._felt(joint)
         cutoff = FLEXIBLE_BANDWIDTH * segment.bandwidth if segment.clear is None else segment.clear
         if poses or not felt.any():
             return link_motion((q, v, a), self.link_torque, compliance, felt, None) if felt.any() else (q, v, a)
         basis = segment.basis.get(("splines", cutoff), lambda: splines(segment.times, cutoff))
-        return link_motion((q, v, a), self.link_torque, compliance, felt, basis)
+        stiff = None if play else np.stack([self._stiff(int(joint)) for joint in np.flatnonzero(compliance)], axis=1)
+        return link_motion((q, v, a), self.link_torque, compliance, felt, basis, stiff)
+
+    def _felt(self, joint: int) -> np.ndarray:
+        """Inertia (N,) that a joint feels where motors hold the joints [kg m^2 or kg]."""
+        motors = self.joint_motion_of_motors[0]
+        return self.segment.joints.get(("felt", joint, self._stiff_key), lambda: own_inertia(self.link_torque, motors, joint))
+
+    def _stiff(self, joint: int) -> np.ndarray:
+        """Torque (N,) that a joint takes if links are where motors hold the joints."""
+        motors, only = self.joint_motion_of_motors, np.array([joint])
+        return self.segment.joints.get(("stiff", joint, self._stiff_key), lambda: self.link_torque(motors, only)[:, 0])
+
+    @property
+    def _stiff_key(self) -> tuple:
+        """What torques depend on while no joint gives."""
+        others = tuple(t for t in self._physical if FlexibleJointEffect not in type(t.effect).__mro__)
+        return (self.robot.fingerprint, self._pose, self.links.tobytes(), others)
 
     def link_torque(self, link: Motion, joints: np.ndarray) -> np.ndarray:
         """Torques (N, k) that a link motion takes of some joints (k,)."""
-        channels, states = torque_channels(self.robot).only(joints), link_states(self.robot, *link)
+        channels = torque_channels(self.robot).only(joints)
         carries = np.hstack([channels.bodies, np.zeros((len(channels), 1), bool)])
+        return self._taken(channels, carries, link)
+
+    def _taken(self, channels: Channels, carries: np.ndarray, link: Motion) -> np.ndarray:
+        """True wrench and link-side torques of some channels (N, c) if links moved so, (N, n) each, on a root at rest."""
+        if not (self.of_family(RotorEffect) or self.of_family(LoadEffect)):
+            return readings_of_bodies(self.robot, channels, link, self.row_of, self.bodies, self.gravity, carries)
+        states = link_states(self.robot, *link)
         return self._true(channels, carries, states, channel_twists(self.robot, channels, states), own=True)
 
     def little_play(self, joint: int, lean: Callable[[np.ndarray], np.ndarray]) -> tuple[Motion, ...]:
-        """Change of a joint's link-side motion, three times (N,), with each of the ways (M, k) in which it leans under a torque (M,).
+        """Change of a joint's link-side motion, three times (N,), with each of the ways (M, k) that it leans under a torque (M,).
 
         That is how the first bit of play moves the link of a joint that has none, by the torque of the motion without it.
         """
@@ -154,7 +186,7 @@ class Model(Parts):
             behind = lean(self.link_torque((q, held, held), np.array([joint]))[:, 0])
             return tuple((-each, 0.0 * each, 0.0 * each) for each in behind.T)
         key = ("slow torque", joint, self.robot.fingerprint, self._pose, self.links.tobytes(), self._physical)
-        behind = lean(self.segment.play.get(key, lambda: self._recorded.slow_torque(joint)))
+        behind = lean(self.segment.joints.get(key, lambda: self._recorded.slow_torque(joint)))
         moved = self._recorded.fitting.smoothed(behind)
         return tuple((-moved[0][:, k], -moved[1][:, k], -moved[2][:, k]) for k in range(behind.shape[1]))
 
@@ -162,7 +194,7 @@ class Model(Parts):
     def _behind(self) -> dict[int, Behind]:
         """How far links with play are behind their motors at the encoders' samples, by joint."""
         start = {} if self.near is None else self.near._behind
-        return self.segment.play.get(("behind", self._key), lambda: self._recorded.behind(self.of_family(PlayEffect), start))
+        return self.segment.joints.get(("behind", self._key), lambda: self._recorded.behind(self.of_family(PlayEffect), start))
 
     @cached_property
     def _recorded(self) -> Recorded:
@@ -178,7 +210,7 @@ class Model(Parts):
 
         def inertia(joint: int) -> np.ndarray:
             key = ("inertia", joint, self.robot.fingerprint, self._pose, self.links.tobytes(), others)
-            return segment.play.get(key, lambda: own_inertia(at.link_torque, motors[0], joint))
+            return segment.joints.get(key, lambda: own_inertia(at.link_torque, motors[0], joint))
 
         return Recorded(at._at_joints(read - self._encoder_shift), motors, at.link_torque, inertia, fitting)
 
@@ -213,25 +245,28 @@ class Model(Parts):
         """True wrench and link-side torques of some channels (N, c)."""
         rotors, loads = self.of_family(RotorEffect), self.of_family(LoadEffect)
         if own or not (rotors or loads or any(t.effect.amplifies_encoder_errors for t in self._physical)):
-            wrench = body_wrenches(states, self.row_of, self.bodies, self.gravity)
+            out = project(twists, body_wrenches(states, self.row_of, self.bodies, self.gravity), carries)
         else:
-            wrench = self._wrenches.copy()
+            out = self._of_bodies.copy()
         for body, force in self._loads(states):
-            wrench[:, body] -= force
-        out = project(twists, wrench, carries)
+            out -= np.matmul(twists, force[:, :, None])[:, :, 0] * carries[:, body]
         for effect, values in rotors:
             out += effect.inertia(values) * self.rotor_reading(channels, carries, states, twists, effect)
         return out
 
     def true_of(self, link: Motion) -> np.ndarray:
         """What `true` would be if links moved so, (N, n) each, on a root at rest (N, c)."""
-        states = link_states(self.robot, *link)
-        return self._true(self.channels, self.carries, states, channel_twists(self.robot, self.channels, states), own=True)
+        return self._taken(self.channels, self.carries, link)
 
     @cached_property
-    def _wrenches(self) -> np.ndarray:
-        key = ("wrenches", self._key, self.bodies.tobytes(), self.gravity.tobytes())
-        return self.segment.results.get(key, lambda: body_wrenches(self.states, self.row_of, self.bodies, self.gravity))
+    def _of_bodies(self) -> np.ndarray:
+        """True wrench and link-side torques without what acts from outside and rotors (N, c)."""
+        key = ("bodies", self._key, self.channels.fingerprint, self.bodies.tobytes(), self.gravity.tobytes())
+
+        def made() -> np.ndarray:
+            return project(self.twists, body_wrenches(self.states, self.row_of, self.bodies, self.gravity), self.carries)
+
+        return self.segment.results.get(key, made)
 
     @cached_property
     def twists(self) -> np.ndarray:

@@ -12,11 +12,13 @@ from the exact dynamics of the turned robot and put on its right-hand side.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numba
 import numpy as np
 
 from bayesid.dynamics.kinematics import link_states
+from bayesid.effects.flexible import Motion
 from bayesid.effects.segment import MotionSegment
 from bayesid.robot.robot import Robot
 from bayesid.signals.smoothing import smooth
@@ -30,13 +32,52 @@ _LOOSE = 1.5
 _TAIL = 2.0
 
 
+@dataclass(frozen=True, eq=False)
+class Asked:
+    """What a robot asks of a mount that does not give.
+
+    Attributes
+    ----------
+    inertia
+        About the base's x and y axes (N, 2, 2) [kg m^2].
+    middle
+        The same at the middle of the motion (2, 2).
+    weight
+        Moment of the weight about them by base angles, G of the module (N, 2, 2) [N m/rad].
+    held, moving
+        Moment about them while the robot is held, and as it moves (N, 2) [N m].
+    """
+
+    inertia: np.ndarray
+    middle: np.ndarray
+    weight: np.ndarray
+    held: np.ndarray
+    moving: np.ndarray
+
+    @classmethod
+    def of(
+        cls, robot: Robot, segment: MotionSegment, motion: Motion, row_of: np.ndarray, links: np.ndarray, gravity: np.ndarray,
+        moment: Callable[[np.ndarray], np.ndarray],
+    ) -> Asked:  # fmt: skip
+        """Of a robot whose links move so; parameters are those of `mount_motion`."""
+        still = np.zeros((1, robot.n))
+        middle, _ = _tilting(link_states(robot, segment.middle_positions[None], still, still), row_of, links)
+        states = link_states(robot, *motion)
+        inertia, first = _tilting(states, row_of, links)
+        weight = np.zeros((len(segment.times), 2, 2))
+        for k in range(2):
+            weight[:, :, k] = np.cross(first, np.cross(np.eye(3)[k], gravity))[:, :2]
+        moving = moment(states)[:, :2]
+        zero = np.zeros_like(motion[0])
+        held = moving if segment.still else moment(link_states(robot, motion[0], zero, zero))[:, :2]
+        return cls(inertia, middle[0], weight, held, moving)
+
+
 def mount_motion(
     robot: Robot,
     segment: MotionSegment,
-    motion: tuple[np.ndarray, np.ndarray, np.ndarray],
-    row_of: np.ndarray,
-    links: np.ndarray,
-    gravity: np.ndarray,
+    motion: Motion,
+    asked: Asked,
     resonance: float,
     damping: float,
     moment: Callable[[np.ndarray], np.ndarray],
@@ -47,36 +88,27 @@ def mount_motion(
     ----------
     robot, segment, motion
         The links' positions, velocities, accelerations.
-    row_of, links
-        The bodies, the root among them, in the frames of their rows of the state (b,), (b, 10).
-    gravity
-        (3,) [m/s^2].
+    asked
+        What these ask of a mount that does not give, of bodies in the frames of their rows of the state, the root among them
+        (b,), (b, 10).
     resonance, damping
         Of the mount, for the mean tilting inertia at the middle of the motion [Hz], [1].
     moment
         From states to the moment about the base origin that moves and holds all that the mount carries (N, 3).
     """
-    still = np.zeros((1, robot.n))
-    inertia, _ = _tilting(link_states(robot, segment.middle_positions[None], still, still), row_of, links)
     rate = 2.0 * np.pi * max(resonance, 1e-3)
-    mean = 0.5 * (inertia[0, 0, 0] + inertia[0, 1, 1])
+    mean = 0.5 * (asked.middle[0, 0] + asked.middle[1, 1])
     stiffness, damper = rate**2 * mean, 2.0 * damping * rate * mean
-    states = link_states(robot, *motion)
-    inertia, first = _tilting(states, row_of, links)
-    spring = np.zeros((len(segment.times), 2, 2))
-    for k in range(2):
-        spring[:, :, k] = np.cross(first, np.cross(np.eye(3)[k], gravity))[:, :2]
-    spring += stiffness * np.eye(2)
-    drive = moment(states)[:, :2]
-    if not segment.still:
+    inertia, held = asked.inertia, asked.held
+    spring = asked.weight + stiffness * np.eye(2)
+    if segment.still:
+        rise = np.ones((len(held), 1))
+    else:
         # The ringing starts in balance. Accelerations at the loose end of a smoothed trajectory would strike the
         # mount like a hammer: they come in gradually.
-        zero = np.zeros_like(motion[0])
-        held = moment(link_states(robot, motion[0], zero, zero))[:, :2]
         share = np.clip((segment.times - segment.times[0]) * segment.bandwidth / _LOOSE, 0.0, 1.0)[:, None]
         rise = share * share * (3.0 - 2.0 * share)
-    else:
-        held, rise = drive, np.ones((len(drive), 1))
+    drive = asked.moving
     drive = _clear(segment, held + rise * (drive - held))
     root = np.zeros((0, 18))
     for _ in range(_PASSES):
@@ -90,7 +122,7 @@ def mount_motion(
         full = moment(link_states(robot, *motion, root))
         exact = np.stack([full[:, 0], np.sum(full * axis, axis=1)], axis=1)
         # What the linear equation did not know of, for the next pass.
-        linear = (inertia @ bend[:, :, None] + (spring - stiffness * np.eye(2)) @ angle[:, :, None])[:, :, 0]
+        linear = (inertia @ bend[:, :, None] + asked.weight @ angle[:, :, None])[:, :, 0]
         drive = _clear(segment, held + rise * (exact - linear - held))
     return root
 

@@ -14,7 +14,7 @@ from bayesid.signals.smoothing import smooth
 
 #: Speed below which a joint counts as nearly at rest and friction as partly mobilised [rad/s or m/s].
 REST_SPEED = 1e-3
-_KEPT, _KEPT_OF_PLAY = 6, 60  # the latter are small, and each takes long
+_KEPT, _KEPT_OF_TIMES, _KEPT_OF_JOINTS = 6, 12, 60  # the last are small, and each takes long
 _SPLINE = 5  # degree of the interpolation that a delay is made with
 
 
@@ -72,8 +72,9 @@ class MotionSegment:
         Time that a sample stands for [s]: friction that reverses in it is its mean there. Zero: its value at the sample.
     encoders
         Times (M,) [s] and joint positions (M, n) that were smoothed; None: only `positions` are known.
-    results, basis, play
-        Link states and readings made lately, what depends on the times alone, and what joints with play were found to do.
+    results, basis, joints
+        Link states and readings made lately, what depends on the times alone, and what single joints with play or that give were
+        found to do.
     """
 
     times: np.ndarray
@@ -87,8 +88,8 @@ class MotionSegment:
     cell: float = 0.0
     encoders: tuple[np.ndarray, np.ndarray] | None = None
     results: Results = field(default_factory=Results, init=False, repr=False)
-    basis: Results = field(default_factory=Results, init=False, repr=False)
-    play: Results = field(default_factory=partial(Results, _KEPT_OF_PLAY), init=False, repr=False)
+    basis: Results = field(default_factory=partial(Results, _KEPT_OF_TIMES), init=False, repr=False)
+    joints: Results = field(default_factory=partial(Results, _KEPT_OF_JOINTS), init=False, repr=False)
 
     @property
     def middle_positions(self) -> np.ndarray:

@@ -56,7 +56,8 @@ def exhaustive(library, now, effect):
 def test_the_best_value_is_found(library):
     made, base, beside = library
     for now in (base, beside):
-        found = {term.effect: (term, gain) for term, gain in made._tried(now, set(), 1e6)}
+        every = {**made._changes, **made._last_changes}
+        found = {term.effect: (term, gain) for term, gain in made._tried(now, set(), every)}
         for effect in made.effects:
             gains = exhaustive(made, now, effect)
             if max(gains) <= 0.0:
