@@ -21,6 +21,7 @@ from bayesid.design.visibility import (
     shows_more,
     standing,
 )
+from bayesid.diagnosis.surroundings import STILL
 from bayesid.dynamics.base_parameters import BaseParameters, structural_base
 from bayesid.dynamics.channels import Channels
 from bayesid.posterior.result import PRIOR_DRIVEN
@@ -30,9 +31,6 @@ from bayesid.robot.prior import Prior
 from bayesid.robot.robot import Robot
 from bayesid.robot.typical import states_masses, typical_links
 from bayesid.simulation.trajectories import Trajectory
-
-#: A joint that moves by no more than this stands still: a held joint gives way by as much under load [rad or m].
-STILL = 1e-3
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from bayesid.diagnosis.projector import NuisanceProjector
 from bayesid.diagnosis.ripples import RippleScan
 from bayesid.diagnosis.rows import model_rows, residual_rows, term_rows
 from bayesid.diagnosis.span import Span, orthonormal
-from bayesid.diagnosis.surroundings import joint_inertia, mean_places
+from bayesid.diagnosis.surroundings import joint_inertia, mean_places, moving
 from bayesid.effects import Effect, ExternalContact, Linearisation, Surroundings, Term
 
 #: By effects: values that are tried (m), and what each changes of whitened rows, links projected out (rows, m).
@@ -270,6 +270,7 @@ def surroundings(data: DiagnosisData) -> Surroundings:
         robot=data.robot,
         mean_places=mean_places(data.robot, [s.scene for s in data.segments]),
         joint_inertia=joint_inertia(data.robot, data.segments[0].scene, data.links),
+        moving=moving([s.scene for s in data.segments if not s.still]),
         links_known=data.experiment.inertia_rel_std is not None,
         both_channels=data.channel == "both",
         static_run=data.offset_free,

@@ -169,7 +169,7 @@ def _stepped(now: Iterate) -> Iterate:
 
 
 def finish(now: Iterate) -> Fit:
-    """The fit as it stands, with its covariance and score; without a score where it diverged."""
+    """The fit as it stands, with its covariance and score; without a score where it diverged or an effect is another one."""
     projector, free, terms = now.projector, now.free, now.terms
     data, rows, chi2 = projector.data, now.rows, now.chi2
     links, offset = _split(projector, now.coordinates)
@@ -184,8 +184,14 @@ def finish(now: Iterate) -> Fit:
     covariance = (vectors / values) @ vectors.T / np.outer(safe, safe)
     covariance = _widened(projector, covariance, kept, rows)
     cost = price(data, projector.rows, terms, free, kept)
-    score = -0.5 * chi2 - 0.5 * projector.volume - cost if possible else -np.inf
+    score = -0.5 * chi2 - 0.5 * projector.volume - cost if possible and not is_another(data, terms) else -np.inf
     return Fit(projector, terms, links, offset, chi2, len(values), score, covariance, free, now.coordinates, rows)
+
+
+def is_another(data: DiagnosisData, terms: Sequence[Term]) -> bool:
+    """Whether an effect beside the user's has values at which it is no more than other effects are."""
+    users = {t.effect for t in data.terms}
+    return any(t.effect.is_another(t.values) for t in terms if t.effect not in users)
 
 
 def fit(projector: NuisanceProjector, terms: Sequence[Term], start: Fit | None = None, steps: int | None = None) -> Fit:

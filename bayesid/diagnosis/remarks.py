@@ -61,6 +61,9 @@ def remarks(
             f"{100 * (1.0 - part.remainder):.3g} % of the gap. What imitates an effect that the library lacks closes as much: "
             "not named."
         )
+    if verdict == "named_in_part" and part is not None and part.groups:
+        each = "; ".join(f"{', '.join(g.channels)}: {100 * g.closed:.3g} % by {', '.join(g.effects)}" for g in part.groups)
+        out.append(f"Much of the gap stays, but most of it is closed in the channels that these effects act in. {each}.")
     if data.floor_source != WHITE:  # the usual one needs no word
         out.append(SOURCES[data.floor_source])
     found = () if verdict == "unknown" else search.found

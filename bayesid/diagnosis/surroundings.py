@@ -1,4 +1,4 @@
-"""What effects may want to know of the recordings that they are sought in: where links are, and what joints feel."""
+"""What effects may want to know of the recordings that they are sought in: where links are, and what joints feel and do."""
 
 from __future__ import annotations
 
@@ -11,6 +11,9 @@ from bayesid.dynamics.kinematics import P, link_states
 from bayesid.effects import MotionSegment, readings
 from bayesid.robot.robot import Robot
 
+#: A joint that moves by no more than this stands still: a held joint gives way by as much under load [rad or m].
+STILL = 1e-3
+
 
 def mean_places(robot: Robot, scenes: Sequence[MotionSegment]) -> np.ndarray:
     """Mean position of each link's frame over motions, in the base frame (n, 3) [m]."""
@@ -19,6 +22,12 @@ def mean_places(robot: Robot, scenes: Sequence[MotionSegment]) -> np.ndarray:
         states = link_states(robot, scene.positions, scene.velocities, scene.accelerations)
         means.append(states[:, : robot.n, P : P + 3].mean(axis=0))
     return np.mean(means, axis=0)
+
+
+def moving(scenes: Sequence[MotionSegment]) -> np.ndarray:
+    """Whether each joint moves (n,)."""
+    positions = np.concatenate([scene.positions for scene in scenes])
+    return np.asarray(np.ptp(positions, axis=0) > STILL)
 
 
 def joint_inertia(robot: Robot, scene: MotionSegment, links: np.ndarray) -> np.ndarray:

@@ -41,9 +41,12 @@ def mean_noise(data: DiagnosisData) -> np.ndarray:
     return np.asarray(np.concatenate(powers).mean(axis=0))
 
 
-def noise_share(data: DiagnosisData, square: np.ndarray) -> float:
-    """Mean square of the noise in units of what the user's model leaves (c,), no more than that; 0 where it is unknown."""
+def noise_share(data: DiagnosisData, square: np.ndarray, channels: np.ndarray | bool = True) -> float:
+    """Mean square of the noise in units of what the user's model leaves (c,), no more than that; 0 where it is unknown.
+
+    Of some channels (c,), where they are given.
+    """
     if not data.floor_known:
         return 0.0
-    ratio = [(np.diagonal(s.covariance, axis1=1, axis2=2) / square)[:, s.alive].ravel() for s in data.segments]
+    ratio = [(np.diagonal(s.covariance, axis1=1, axis2=2) / square)[:, s.alive & channels].ravel() for s in data.segments]
     return min(float(np.concatenate(ratio).mean()), 1.0)

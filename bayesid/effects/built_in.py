@@ -1,7 +1,15 @@
 """The effects that come with the package. A new one is a class in one of the modules and its name here."""
 
 from bayesid.effects.bodies import InertiaError, Payload, RotorMomentum
-from bayesid.effects.drives import CoupledTransmission, RotorInertia, Spring, TorqueDelay, TorqueGain, TorqueRipple
+from bayesid.effects.drives import (
+    CoupledFriction,
+    CoupledTransmission,
+    RotorInertia,
+    Spring,
+    TorqueDelay,
+    TorqueGain,
+    TorqueRipple,
+)
 from bayesid.effects.effect import Effect
 from bayesid.effects.friction import (
     CoulombFriction,
@@ -32,5 +40,5 @@ CLASSES: tuple[type[Effect], ...] = (
     BaseTilt, Payload, InertiaError, Tether, FluidDrag, RotorMomentum, JointFlexibility, Backlash, EncoderOffset, ExternalContact,
     BaseCompliance, ViscousFriction, CoulombFriction, TorqueOffset, StribeckFriction, LoadFriction, RotorInertia, TorqueGain,
     TorqueRipple, Spring, TorqueDelay, DirectionalFriction, PostureFriction, DahlFriction,
-    WarmingFriction, CoupledTransmission,
+    WarmingFriction, CoupledTransmission, CoupledFriction,
 )  # fmt: skip

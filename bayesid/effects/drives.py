@@ -8,11 +8,15 @@ import numpy as np
 
 from bayesid.effects import sizes
 from bayesid.effects.effect import Parameter
-from bayesid.effects.families import JointDelayEffect, JointGainEffect, JointTorqueEffect, TransmissionEffect
+from bayesid.effects.families import JointDelayEffect, JointGainEffect, JointTorqueEffect, ReadingEffect, TransmissionEffect
 from bayesid.effects.proposals import Linearisation
+from bayesid.effects.segment import direction
 
 #: Periods of a ripple per radian or metre tried; slower ones than a gear's would pass for any error of weight.
 RIPPLE_PERIODS = tuple(float(n) for n in (*np.arange(4.0, 40.0, 0.4), *np.geomspace(40.0, 200.0, 60)))
+
+#: A motor that turns by less of another joint's motion is taken for one that does not.
+LEAST_COUPLING = 0.1
 
 
 class RotorInertia(JointTorqueEffect):
@@ -76,6 +80,51 @@ class CoupledTransmission(TransmissionEffect):
 
     def trials(self, around):
         return np.array([[1.0], [-1.0]])
+
+
+class CoupledFriction(ReadingEffect):
+    name = "coupled_friction"
+    channels = ("torque",)
+    at = "joint->joint"
+    summary = "friction and rotor of a motor that another joint turns, too, where tables give positions and torques of the joints"
+    equation = (
+        "$c_v\\dot m + l\\,\\mathrm{sign}\\,\\dot m + J\\ddot m$ in the torque of joint $k$, $c$ times that in the torque of "
+        "joint $j$, with the motor at $m = q_k + c\\,q_j$"
+    )
+    source = "virtual work: motors and joints share their power; friction as in [Armstrong1994](references.md)"
+    quantities = (
+        # Shafts that run through another joint turn with it once: other gears are found from there.
+        Parameter("coupling", "1", -5.0, 5.0, start=1.0, typical=1.0, linear=False, tried=(1.0, -1.0)),
+        Parameter("viscous", "N m s/rad", lower=0.0),
+        Parameter("coulomb", "N m", lower=0.0),
+        Parameter("inertia", "kg m^2", lower=0.0),
+    )
+    confusable_with = ("viscous_friction", "coulomb_friction", "rotor_inertia")
+    reverses_at_once = True
+
+    def typical(self, robot):
+        effort = sizes.effort(robot, self.joint)
+        return [1.0, 0.06 * effort / sizes.speed(robot, self.joint), 0.05 * effort, 0.01 * effort]
+
+    def sought(self, around):
+        # As for coupled transmissions; with a joint that rests it is the other one's friction.
+        joint, driver = self.joint or 0, self.driver or 0
+        return joint == driver + 1 and bool(around.moving[joint] and around.moving[driver])
+
+    def is_another(self, values):
+        # Friction and rotor of one joint.
+        return abs(values[0]) < LEAST_COUPLING
+
+    def added(self, readout, values):
+        coupling, viscous, coulomb, inertia = values
+        joint, driver = self.joint or 0, self.driver or 0
+        v, a = (x[:, joint] + coupling * x[:, driver] for x in (readout.velocities, readout.accelerations))
+        taken = viscous * v + coulomb * direction(v, a, readout.segment.cell) + inertia * a
+        out = np.zeros(readout.true.shape)
+        for name, share in ((f"tau{joint + 1}", 1.0), (f"tau{driver + 1}", coupling)):
+            if name in readout.names:
+                out[:, readout.names.index(name)] = share * taken
+        return out
 
 
 class TorqueRipple(JointTorqueEffect):

@@ -276,6 +276,10 @@ class Effect(ABC):
             )
         return out
 
+    def is_another(self, values: Sequence[float]) -> bool:
+        """Whether at these values it is no more than other effects are: a search then leaves the name to them."""
+        return False
+
     def trials(self, around: Surroundings) -> np.ndarray:
         """Values that are tried exactly, one after the other (m, k): of an effect that no small amplitude can stand for."""
         return np.zeros((0, len(self.parameters)))

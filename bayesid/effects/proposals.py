@@ -22,6 +22,8 @@ class Surroundings:
         Mean position of each link's frame over the fitted motions, in the base frame (n, 3) [m].
     joint_inertia
         Mean inertia that each joint feels over the first fitted motion (n,) [kg m^2 or kg].
+    moving
+        Whether each joint moves in the fitted motions (n,).
     links_known
         Whether a prior standard deviation of the nominal links is stated.
     both_channels
@@ -35,6 +37,7 @@ class Surroundings:
     robot: Robot
     mean_places: np.ndarray
     joint_inertia: np.ndarray
+    moving: np.ndarray
     links_known: bool
     both_channels: bool
     static_run: bool

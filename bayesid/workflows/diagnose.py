@@ -137,13 +137,16 @@ def _concluded(s: Search, seed: int, progress: Progress) -> Diagnosis:
     if decided == "unknown":
         progress("effects that held-out recordings prove")
         tried = proven_effects(s, seed)
-    if tried is not None and named_in_part(tried, data.settings):
-        decided, part, s = "named_in_part", tried, tried.search
-        data = s.projector.data
-        stays = _places(s, s.best)
-    named = () if decided == "unknown" else s.found
-    if decided in ("unknown", "named_in_part"):
         gap = validate(s.projector, s.base, s.best, s.dispersion, seed, complete=False)
+    if tried is not None and named_in_part(tried, data.settings):
+        closer = validate(tried.search.projector, tried.search.base, tried.search.best, s.dispersion, seed, complete=False)
+        if closer is not None and closer.after >= closer.before:
+            tried = None  # of a play, say, that is crossed at other times there: held out in turn it was better, all in all not
+        else:
+            decided, part, s, gap = "named_in_part", tried, tried.search, closer
+            data = s.projector.data
+            stays = _places(s, s.best)
+    named = () if decided == "unknown" else s.found
     parts = stability(s.projector, s.best, len(s.base.terms), named, s.dispersion)
     return Diagnosis(
         data=data,

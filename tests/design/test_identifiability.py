@@ -10,7 +10,7 @@ import pinocchio as pin
 import pytest
 
 import bayesid
-from bayesid.design.identifiability import STILL
+from bayesid.diagnosis.surroundings import STILL
 from bayesid.regression.problem import prepare
 from bayesid.robot import examples
 from bayesid.robot.robot import load_robot

@@ -8,10 +8,13 @@ from typing import cast
 
 import numpy as np
 import pytest
+from scipy.signal import butter, sosfilt
 
 from bayesid import diagnose
+from bayesid.diagnosis.channel_groups import ChannelGroup, _together
+from bayesid.diagnosis.choice import Choice
 from bayesid.diagnosis.held_out import HeldOutSums, held_out_sums, left_by, scaled
-from bayesid.diagnosis.in_part import _Choice
+from bayesid.diagnosis.in_part import InPart
 from bayesid.diagnosis.prepare import prepare_data
 from bayesid.diagnosis.rows import model_rows, residual_rows
 from bayesid.diagnosis.settings import DEFAULT
@@ -132,11 +135,59 @@ def test_sums_give_what_a_fit_to_the_rows_gives(diagnosis):
     assert sums.evidence([0, 1], [2])[0] == pytest.approx(0.5 * gain - sums.price(2), rel=1e-6)
 
 
+@pytest.fixture(scope="module")
+def beside_much(tmp_path_factory):
+    """Friction in one joint, and in the other what no effect of the library is, ten times as loud."""
+    path = tmp_path_factory.mktemp("robot") / "robot.urdf"
+    path.write_text(puma_two_joint_urdf(), encoding="utf-8")
+    robot = load_robot(path, ["joint1", "joint2"], PAPER_LOCKED)
+    arm = Experiment("arm", robot, (), None, inertia_rel_std=0.05, position_resolution=1e-5)
+    motions = [
+        fourier_trajectory(robot, seed=1, duration=10.0, rate=100.0),
+        fourier_trajectory(robot, "validation", "validation", seed=2, duration=8.0, rate=100.0),
+    ]
+    recorded = simulate(arm, motions, effects={"viscous_friction@joint2": {"coefficient": 8.0}}, perturb=0.05, seed=3)
+
+    def louder(motion, seed):
+        """Noise below 5 Hz in the first torque, another in every motion."""
+        torques, rng = motion.table.torques.copy(), np.random.default_rng(seed)
+        torques[:, 0] += 20.0 * sosfilt(butter(2, 5.0, fs=100.0, output="sos"), rng.normal(size=len(torques)))
+        return replace(motion, table=replace(motion.table, torques=torques))
+
+    return diagnose(replace(recorded, motions=tuple(louder(m, k) for k, m in enumerate(recorded.motions))))
+
+
+def test_what_another_joint_does_says_nothing_against_an_effect(beside_much):
+    """Named by what it closes in the joint where it acts; in both joints together that is about half."""
+    assert beside_much.verdict == "named_in_part"
+    (found,) = beside_much.found
+    assert found.term.effect.spec == "viscous_friction@joint2"
+    assert abs(found.term.values[0] - 8.0) < 3.0 * found.std[0]
+    assert 0.3 < beside_much.part.remainder < 0.7
+    (group,) = beside_much.part.groups
+    assert group.channels == ("tau2",)
+    assert group.closed > 0.9
+    assert "tau2: " in str(beside_much) and "most of it is closed in the channels" in str(beside_much)
+
+
+def test_effects_that_share_a_channel_are_judged_together():
+    """Chains of shared channels too: the first and the last effect meet by way of the third."""
+    acting = np.array([[1, 0, 0, 0], [0, 1, 1, 0], [1, 1, 0, 0], [0, 0, 0, 1]], bool)
+    groups = {tuple(sorted(members)): tuple(map(int, np.flatnonzero(mask))) for members, mask in _together(acting)}
+    assert groups == {(0, 1, 2): (0, 1, 2), (3,): (3,)}
+
+
 def test_an_imitation_that_leaves_much_is_not_named(diagnosis):
     """Effects that close less than the share asked for are told, not named."""
     assert diagnosis.part is not None
     assert named_in_part(diagnosis.part, DEFAULT)
     assert not named_in_part(diagnosis.part, replace(DEFAULT, mostly_closed=1.0))
+    # Of the whole gap or of that in their channels, but of all their channels.
+    little = cast(InPart, SimpleNamespace(remainder=0.6, groups=()))
+    groups = tuple(ChannelGroup(("a@joint1",), ("tau1",), closed) for closed in (0.9, 0.6))
+    assert not named_in_part(little, DEFAULT)
+    assert named_in_part(cast(InPart, SimpleNamespace(remainder=0.6, groups=groups[:1])), DEFAULT)
+    assert not named_in_part(cast(InPart, SimpleNamespace(remainder=0.6, groups=groups)), DEFAULT)
 
 
 @pytest.mark.parametrize(("each", "added"), [((8.0, 7.0, 6.0), [0, 1, 2]), ((4.0, 4.0, 3.0), []), ((8.0, 7.0, -1.0), [0, 1])])
@@ -155,7 +206,7 @@ def test_a_kind_of_friction_is_added_at_all_joints_that_show_it_if_they_are_dema
     assert choice.with_a_family([], range(4), lambda _, k: k != 1, np.zeros(1)) == []
 
 
-class _Told(_Choice):
+class _Told(Choice):
     """Held-out recordings are predicted better with whatever is added."""
 
     def proof(self, worse, better, before):

@@ -104,3 +104,21 @@ def test_a_coupled_transmission_shares_power_between_its_motors(panda):
     rough = readings(panda, at_base(panda), segment, panda.nominal, [coupled, term(panda, "viscous_friction@joint6", 2.0)])
     np.testing.assert_allclose((rough - got)[:, 6 + 5], 2.0 * segment.velocities[:, 5], atol=1e-9)
     np.testing.assert_allclose(np.delete(rough - got, 6 + 5, axis=1), 0.0, atol=1e-9)
+
+
+def test_a_coupled_motors_friction_is_read_at_both_joints(panda):
+    """Motor 6 turns with joint 5, too: what it loses and what its rotor takes is work at both, from the equation."""
+    segment, c, viscous, coulomb, inertia = moving(panda), -0.7, 2.0, 3.0, 0.1
+    rough = term(panda, "coupled_friction@joint5->joint6", c, viscous, coulomb, inertia)
+    change = readings(panda, at_base(panda), segment, panda.nominal, [rough]) - readings(
+        panda, at_base(panda), segment, panda.nominal
+    )
+    speed = segment.velocities[:, 5] + c * segment.velocities[:, 4]
+    rate = segment.accelerations[:, 5] + c * segment.accelerations[:, 4]
+    taken = viscous * speed + coulomb * np.clip(speed / 1e-3, -1.0, 1.0) + inertia * rate
+    np.testing.assert_allclose(change[:, 6 + 5], taken, atol=1e-9)
+    np.testing.assert_allclose(change[:, 6 + 4], c * taken, atol=1e-9)
+    np.testing.assert_allclose(np.delete(change, [6 + 4, 6 + 5], axis=1), 0.0, atol=1e-9)
+    # The power at the joints is that at the motor.
+    power = np.sum(change[:, 6:] * segment.velocities, axis=1)
+    np.testing.assert_allclose(power, taken * speed, atol=1e-9)

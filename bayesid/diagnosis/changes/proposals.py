@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from bayesid.diagnosis.changes.scales import LASTING
-from bayesid.diagnosis.surroundings import joint_inertia, mean_places
+from bayesid.diagnosis.surroundings import joint_inertia, mean_places, moving
 from bayesid.effects import BodyEffect, Effect, Linearisation, MotionSegment, Point, Surroundings, Term, columns, linearised
 from bayesid.regression.problem import Problem
 from bayesid.regression.rows import RowModel
@@ -116,6 +116,7 @@ def make_proposals(problem: Problem, links: np.ndarray) -> tuple[Proposal, ...]:
         robot=robot,
         mean_places=mean_places(robot, scenes),
         joint_inertia=joint_inertia(robot, scenes[0], links),
+        moving=moving(scenes),
         links_known=True,
         both_channels=problem.channel == "both",
         static_run=problem.static != "none",

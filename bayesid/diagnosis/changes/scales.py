@@ -12,7 +12,7 @@ import numpy as np
 
 from bayesid.effects import Effect, JointGainEffect
 from bayesid.effects.bodies import RotorMomentum
-from bayesid.effects.drives import RotorInertia
+from bayesid.effects.drives import CoupledFriction, RotorInertia
 from bayesid.effects.friction import CoulombFriction, LoadFriction, StribeckFriction, TorqueOffset, ViscousFriction
 from bayesid.effects.sizes import mass_beyond, reach
 from bayesid.robot.robot import Robot
@@ -20,7 +20,7 @@ from bayesid.robot.robot import Robot
 #: What of a joint wanders.
 WANDERING = (ViscousFriction, CoulombFriction, StribeckFriction, LoadFriction, TorqueOffset)
 #: What a robot is built with: it does not change, so another value of it is a sign of something else.
-LASTING = (RotorInertia, RotorMomentum)
+LASTING = (RotorInertia, RotorMomentum, CoupledFriction)
 #: Friction wanders by this share of its value, and by this share of a typical size where its value is near zero.
 FRICTION_SHARE, FRICTION_FLOOR = 0.1, 1e-3
 #: Drive gains differ from those of the reference by this share.

@@ -1,0 +1,180 @@
+"""Which effects to keep beside what stays unexplained: those that stand out of it and that held-out recordings confirm."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayesid.diagnosis.bootstrap import lower_end
+from bayesid.diagnosis.held_out import HeldOutSums
+from bayesid.diagnosis.settings import Settings
+from bayesid.effects import Effect, Term
+
+#: Whether an effect's values are possible beside the others kept.
+Possible = Callable[[Sequence[int], int], bool]
+#: Of the effects that would add most, how many are tried on held-out recordings in one round.
+_TRIED = 6
+#: Log evidence that makes no difference.
+_AS_MUCH = 0.1
+#: A gap is no less than this share of the mean square that the user's model leaves.
+_LEAST_GAP = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Choice:
+    """Effects chosen among those that may be, by index: the best attempt's first, then the library's.
+
+    Attributes
+    ----------
+    sums, effects
+        Of all.
+    users
+        Those of the user's model.
+    floor
+        Mean square of the noise.
+    settings
+        The thresholds.
+    seed
+        Of the bootstrap.
+    """
+
+    sums: HeldOutSums
+    effects: tuple[Effect, ...]
+    users: tuple[int, ...]
+    floor: float
+    settings: Settings
+    seed: int
+
+    def squares(self, kept: Sequence[int]) -> np.ndarray:
+        """Squared errors on held-out blocks."""
+        return self.sums.squares([*self.users, *kept])
+
+    def share(self, worse: np.ndarray, better: np.ndarray, before: np.ndarray) -> tuple[float, float]:
+        """Share of the gap between user's model and noise by which one prediction is better than another, and its lower end."""
+
+        def closed(sums: np.ndarray) -> np.ndarray:
+            """From sums of rows, of what is closed and of the gap (draws, 3)."""
+            rows, closed, gap = sums.T
+            return closed / np.maximum(gap - self.floor * rows, _LEAST_GAP * gap)
+
+        blocks = np.column_stack([self.sums.counts, worse - better, before])
+        low = lower_end(blocks, closed, self.settings, self.seed)
+        return float(closed(blocks.sum(axis=0)[None])[0]), float(low)
+
+    def proof(self, worse: np.ndarray, better: np.ndarray, before: np.ndarray) -> float:
+        """Lower end of that share; no more than what motions that were never fitted say of it."""
+        _, low = self.share(worse, better, before)
+        return min(low, float((worse - better)[self.sums.unseen].sum())) if self.sums.unseen.any() else low
+
+    def evidence(self, kept: Sequence[int], index: int) -> float:
+        """Log evidence that one of the effects kept adds to the others."""
+        others = [*self.users, *(k for k in kept if k != index)]
+        return 0.5 * (self.sums.cost(others) - self.sums.cost([*others, index])) - self.sums.price(index)
+
+    def without_unproven(self, kept: list[int], before: np.ndarray) -> list[int]:
+        """Leave out the effect whose loss costs least on held-out recordings until all of them are proven."""
+        while kept:
+            now = self.squares(kept)
+            own = {k: self.proof(self.squares([x for x in kept if x != k]), now, before) for k in kept}
+            unproven = [k for k in kept if own[k] <= 0.0 or self.evidence(kept, k) < self.settings.accept]
+            if not unproven:
+                break
+            kept = [k for k in kept if k != min(unproven, key=lambda k: own[k])]
+        return kept
+
+    def beside(self, kept: Sequence[int], others: Sequence[int]) -> list[int]:
+        """Other effects that may be in a model beside those kept."""
+        return [k for k in others if not any(self.effects[k].excludes(self.effects[x]) for x in kept)]
+
+    def with_one_more(self, kept: list[int], others: Sequence[int], possible: Possible, before: np.ndarray) -> list[int] | None:
+        """The effect added that the data demand most, if held-out recordings confirm it."""
+        open_ = self.beside(kept, others)
+        if not open_:
+            return None
+        gains = self.sums.evidence([*self.users, *kept], open_)
+        now = self.squares(kept)
+        for i in np.argsort(-gains)[:_TRIED]:
+            if gains[i] < self.settings.accept:
+                return None
+            more = [*kept, open_[i]]
+            if possible(more, open_[i]) and self.proof(now, self.squares(more), before) > 0.0:
+                return more
+        return None
+
+    def with_a_family(self, kept: list[int], others: Sequence[int], possible: Possible, before: np.ndarray) -> list[int]:
+        """One kind of effect added at every joint that shows it, where the data demand them together.
+
+        Beside what friction of five other joints leaves, that of the sixth is small.
+        """
+        open_ = self.beside(kept, others)
+        gains = dict(zip(open_, self.sums.evidence([*self.users, *kept], open_), strict=True)) if open_ else {}
+        families: dict[str, dict[str, int]] = {}
+        for k in sorted(open_, key=lambda k: gains[k]):  # of one place the best values come last
+            if self.effects[k].at == "joint" and gains[k] > 0.0:
+                families.setdefault(self.effects[k].name, {})[self.effects[k].where] = k
+        cost, now, best = self.sums.cost([*self.users, *kept]), self.squares(kept), (self.settings.accept, kept)
+        for members in families.values():
+            more = [*kept, *members.values()]
+            gain = 0.5 * (cost - self.sums.cost([*self.users, *more])) - sum(map(self.sums.price, members.values()))
+            if gain >= best[0] and all(possible(more, k) for k in members.values()):
+                if self.proof(now, self.squares(more), before) > 0.0:
+                    best = gain, more
+        return best[1]
+
+    def from_columns(self, kept: list[int], others: Sequence[int]) -> list[int]:
+        """The best attempt's effects by the library's columns of the same, which say as much and tell values from anywhere."""
+        out = list(kept)
+        for n, k in enumerate(kept):
+            same = [j for j in others if self.effects[j].spec == self.effects[k].spec]
+            own, *gains = self.sums.evidence([*self.users, *(x for x in out if x != k)], [k, *same])
+            if gains and max(gains) >= own - _AS_MUCH:
+                out[n] = same[int(np.argmax(gains))]
+        return out
+
+    def in_order(self, kept: list[int]) -> list[int]:
+        """The effects by what each adds to those before it, most first."""
+        out: list[int] = []
+        while len(out) < len(kept):
+            rest = [k for k in kept if k not in out]
+            out.append(rest[int(np.argmax(self.sums.evidence([*self.users, *out], rest)))])
+        return out
+
+    def rivals(
+        self, kept: Sequence[int], index: int, others: Sequence[int], possible: Possible, near: float
+    ) -> list[tuple[int, float]]:
+        """Other effects that lack no more than so much log evidence in one's place, best first, and what each lacks.
+
+        What another adds beside all those kept, too, is none of what it would do in one's place.
+        """
+        rest = [k for k in kept if k != index]
+        (own, *gains), open_ = self.standing(rest, index, others)
+        beside = np.maximum(self.sums.evidence([*self.users, *kept], open_), 0.0)
+        best: dict[str, tuple[int, float]] = {}
+        for k, lack in sorted(zip(open_, own - (np.array(gains) - beside), strict=True), key=lambda x: x[1]):
+            new = self.effects[k].spec not in (self.effects[index].spec, *best)
+            if lack < near and new and possible([*rest, k], k):
+                best[self.effects[k].spec] = (k, float(lack))
+        return list(best.values())
+
+    def near_by(self, kept: Sequence[int], rivals: list[list[tuple[Term, float]]], others: Sequence[int]) -> frozenset[str]:
+        """``name@place`` of the effects kept, of their rivals, and of those that would add anything."""
+        gains = self.sums.evidence([*self.users, *kept], others)
+        adding = {self.effects[k].spec for k, gain in zip(others, gains, strict=True) if gain > 0.0}
+        return frozenset({self.effects[k].spec for k in kept} | {t.effect.spec for x in rivals for t, _ in x} | adding)
+
+    def replaced(self, kept: list[int], others: Sequence[int], possible: Possible) -> list[int]:
+        """Effects exchanged for others that do better in their place; clearly better, where that takes more parameters."""
+        for k in list(kept):
+            size = len(self.effects[k].parameters)
+            for other, lack in self.rivals(kept, k, others, possible, 0.0):
+                if lack < -self.settings.rival or len(self.effects[other].parameters) <= size:
+                    kept = [other if x == k else x for x in kept]
+                    break
+        return kept
+
+    def standing(self, rest: Sequence[int], index: int, others: Sequence[int]) -> tuple[list[float], list[int]]:
+        """Log evidence of an effect beside the rest, then of each other that could stand in its place; and which those are."""
+        open_ = [k for k in self.beside(rest, others) if k != index]
+        return self.sums.evidence([*self.users, *rest], [index, *open_]).tolist(), open_
