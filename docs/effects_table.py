@@ -55,8 +55,8 @@ A coupling shows in what the links take alone, for friction and rotors go with t
 motors of a light wrist, a short recording has too little of it for a name.
 Where tables hold positions and torques of the joints, as a controller that knows the coupling gives them, it is the other way
 round: links are right, and the motor's friction and rotor show in two joints. That is `coupled_friction`, sought from couplings
-of 1 and -1 beside the friction of single joints; below a tenth it is called the latter. In the wrist of a TX40 it is found with
-its published coefficients ([measured](named-in-part.md)).
+of 1 and -1 for what viscous and Coulomb friction and rotors of the two joints leave; below a tenth it is called the latter. In
+the wrist of a TX40 it is found with its published coefficients ([measured](named-in-part.md)).
 Where it is known from the data sheet, state it as `[model.values."coupled_transmission@joint5->joint6"]` with
 `coupling = 1.0` and `fixed = true`.
 

@@ -107,6 +107,9 @@ class Library:
                 continue
             rows = block.rows - found @ (found.T @ block.rows)
             amplitudes, gain, count = _explained(rows, left)
+            if first := [b.rows for b in self.blocks if block.effect.comes_after(b.effect)]:
+                others = Span.of(np.hstack(first) - found @ (found.T @ np.hstack(first)))
+                _, gain, count = _explained(others.project_out(rows), others.project_out(left))
             if name not in best or gain - _cost(count) > best[name].gain - _cost(best[name].parameters):
                 length = float(np.linalg.norm(rows[:, 0]))
                 minimum = data.settings.detected / length if length > 0 else None
@@ -270,7 +273,7 @@ def surroundings(data: DiagnosisData) -> Surroundings:
         robot=data.robot,
         mean_places=mean_places(data.robot, [s.scene for s in data.segments]),
         joint_inertia=joint_inertia(data.robot, data.segments[0].scene, data.links),
-        moving=moving([s.scene for s in data.segments if not s.still]),
+        moving=moving(data.robot, [s.scene for s in data.segments]),
         links_known=data.experiment.inertia_rel_std is not None,
         both_channels=data.channel == "both",
         static_run=data.offset_free,

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bayesid.diagnosis.choice import LEAST_GAP
 from bayesid.diagnosis.held_out import held_out_sums, left_by, scaled
 from bayesid.diagnosis.rows import residual_rows
 from bayesid.diagnosis.search import Search
@@ -51,11 +52,14 @@ def channel_groups(s: Search) -> tuple[ChannelGroup, ...]:
     weight, names = np.sqrt(left[1] / left[0]), np.array(data.channels.names)
     out = []
     for members, mask in _together(_acting(s, weight)):
+        if not mask.any():  # it changes nothing
+            out.append(ChannelGroup(tuple(s.found[n].term.effect.spec for n in members), (), 0.0))
+            continue
         sums = held_out_sums(data, s.projector.root, s.best, [], weight * mask)
         before = float(sums.squares(range(users)).sum())
         after = float(sums.squares(range(len(s.best.terms))).sum())
         rows = sum(float(x.shape[0] * (x.alive & mask).sum()) for x in (*data.segments, *data.unseen))
-        gap = before - noise_share(s.projector.data, left[0], mask) * rows
+        gap = max(before - noise_share(s.projector.data, left[0], mask) * rows, LEAST_GAP * before)
         closed = (before - after) / gap if gap > 0.0 else 0.0
         out.append(ChannelGroup(tuple(s.found[n].term.effect.spec for n in members), tuple(map(str, names[mask])), closed))
     return tuple(out)

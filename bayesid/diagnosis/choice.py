@@ -19,7 +19,7 @@ _TRIED = 6
 #: Log evidence that makes no difference.
 _AS_MUCH = 0.1
 #: A gap is no less than this share of the mean square that the user's model leaves.
-_LEAST_GAP = 1e-3
+LEAST_GAP = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +57,7 @@ class Choice:
         def closed(sums: np.ndarray) -> np.ndarray:
             """From sums of rows, of what is closed and of the gap (draws, 3)."""
             rows, closed, gap = sums.T
-            return closed / np.maximum(gap - self.floor * rows, _LEAST_GAP * gap)
+            return closed / np.maximum(gap - self.floor * rows, LEAST_GAP * gap)
 
         blocks = np.column_stack([self.sums.counts, worse - better, before])
         low = lower_end(blocks, closed, self.settings, self.seed)

@@ -92,8 +92,9 @@ def proven_effects(s: Search, seed: int) -> InPart | None:
         Of the bootstrap over blocks of time.
     """
     first = _proven(s, seed, None)
-    # Values have moved since the columns were taken: once more about them, with those that came near.
-    last = first and _proven(first.search, seed, first.near)
+    # Values have moved since the columns were taken: once more about them, and then with those that came near.
+    second = first and _proven(first.search, seed, None)
+    last = second and _proven(second.search, seed, second.near)
     if last is not None and last.remainder > 1.0 - s.projector.data.settings.mostly_closed:
         last = _where_they_act(last, seed)
     return last and replace(last, search=with_white_noise(last.search))
@@ -111,14 +112,21 @@ def _where_they_act(part: InPart, seed: int) -> InPart:
     s = part.search
     terms = (*s.base.terms, *(t for t in s.best.terms[len(s.base.terms) :] if t.effect.spec in kept))
     fewer = _proven(replace(s, best=fit(s.projector, terms, s.best)), seed, kept)
-    return part if fewer is None else _where_they_act(fewer, seed)
+    again = None if fewer is None else _where_they_act(fewer, seed)
+    return part if again is None or (not again.groups and again.remainder > 1.0 - mostly) else again
 
 
 def _proven(s: Search, seed: int, among: frozenset[str] | None) -> InPart | None:
     """Effects chosen by columns about the best attempt, of all or some of the library, and fitted exactly."""
     left = tuple(left_by(s.projector.data, f) for f in (s.base, s.best))
     data, known, attempt = scaled(s.projector.data, left[1]), len(s.base.terms), s.best.terms
-    library = [x for x in column_terms(data) if _confirmable(x[0].effect) and (among is None or x[0].effect.spec in among)]
+    found = {t.effect.spec for t in attempt}
+    library = [
+        x for x in column_terms(data)
+        if _confirmable(x[0].effect) and (among is None or x[0].effect.spec in among)
+        # Whether its values make it another effect only an exact fit tells, as the search makes them.
+        and (not x[0].effect.may_be_another or x[0].effect.spec in found)
+    ]  # fmt: skip
     sums = held_out_sums(data, s.projector.root, s.best, [t for t, _ in library], np.sqrt(left[1] / left[0]))
     settings = data.settings
     choice = Choice(
@@ -150,8 +158,9 @@ def _proven(s: Search, seed: int, among: frozenset[str] | None) -> InPart | None
             break
     if not kept:
         return None
-    if among is None:  # each of them has to stand out of what is left then, or goes again
-        kept = choice.with_a_family(kept, others, possible, before)
+    fewer: list[int] = []
+    while among is None and len(kept) > len(fewer):  # each of them has to stand out of what is left then, or goes again
+        fewer, kept = kept, choice.with_a_family(kept, others, possible, before)
     kept = choice.in_order(kept)
     many = {name for name in (choice.effects[k].name for k in kept) if sum(choice.effects[k].name == name for k in kept) > 2}
     rivals: list[list[tuple[Term, float]]] = []

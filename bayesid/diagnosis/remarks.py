@@ -37,6 +37,7 @@ def remarks(
     reason: Reason,
     stability: Sequence[Stability | None],
     part: InPart | None = None,
+    worse: bool = False,
 ) -> tuple[str, ...]:
     """Everything worth knowing beside the verdict: why it is unknown first, then the noise, the model, validation, moments.
 
@@ -52,14 +53,17 @@ def remarks(
         Of each effect named.
     part
         Effects that held-out recordings prove, where that was asked.
+    worse
+        Whether they make the validation motions worse once they are fitted to all others.
     """
     data = search.projector.data
     out = _unknown(search, gap, reason) if verdict == "unknown" else []
     if verdict == "unknown" and part is not None:
         out.append(
             f"On recordings held out in turn {', '.join(by_kind(f.term for f in part.search.found))} would close "
-            f"{100 * (1.0 - part.remainder):.3g} % of the gap. What imitates an effect that the library lacks closes as much: "
-            "not named."
+            f"{100 * (1.0 - part.remainder):.3g} % of the gap. "
+            + ("Fitted to all fitted motions they predict the validation motions no better" if worse else
+               "What imitates an effect that the library lacks closes as much") + ": not named."
         )
     if verdict == "named_in_part" and part is not None and part.groups:
         each = "; ".join(f"{', '.join(g.channels)}: {100 * g.closed:.3g} % by {', '.join(g.effects)}" for g in part.groups)

@@ -32,7 +32,7 @@ class RippleScan:
     def _key(self, segment: Segment) -> tuple:
         """What the coefficients of one segment depend on, whatever its noise."""
         joints, times = tuple(joint for _, joint in self.at), segment.times
-        return "waves", tuple(self.orders), joints, len(segment.frequencies), times[0], times[-1], segment.settings
+        return "waves", tuple(self.orders), joints, len(segment.frequencies), len(times), times[0], times[-1], segment.settings
 
     def _waves(self, segment: Segment) -> np.ndarray:
         """Coefficients of the sines and cosines (K, joints, orders, 2)."""

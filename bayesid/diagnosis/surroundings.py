@@ -24,10 +24,10 @@ def mean_places(robot: Robot, scenes: Sequence[MotionSegment]) -> np.ndarray:
     return np.mean(means, axis=0)
 
 
-def moving(scenes: Sequence[MotionSegment]) -> np.ndarray:
-    """Whether each joint moves (n,)."""
-    positions = np.concatenate([scene.positions for scene in scenes])
-    return np.asarray(np.ptp(positions, axis=0) > STILL)
+def moving(robot: Robot, scenes: Sequence[MotionSegment]) -> np.ndarray:
+    """Whether each joint moves in one of some motions (n,)."""
+    moves = [np.ptp(scene.positions, axis=0) > STILL for scene in scenes if not scene.still]
+    return np.any([np.zeros(robot.n, bool), *moves], axis=0)
 
 
 def joint_inertia(robot: Robot, scene: MotionSegment, links: np.ndarray) -> np.ndarray:

@@ -108,7 +108,7 @@ def effect_derivatives(model: Model, effect: Effect) -> np.ndarray:
 
 
 def _load_columns(model: Model, effect: LoadEffect, values: tuple[float, ...]) -> np.ndarray:
-    """Derivative of what the channels read of loads from outside (N, c, k): wrenches are differentiated, and projected once."""
+    """Derivative of what the channels read of loads from outside (N, c, k), from that of their wrenches."""
     out = np.zeros((len(model.segment.times), len(model.channels), len(values)))
     for body, wrench in effect.load_columns(model.robot, model.segment, model.states, values):
         out -= np.matmul(model.twists, wrench) * model.carries[:, body, None]
@@ -130,7 +130,7 @@ def _play_columns(model: Model, effect: PlayEffect, values: tuple[float, ...]) -
     for k, move in enumerate(moves):
         if any(part.any() for part in move):
             step = effect.quantities[k].step
-            ahead, back = (rigid.true_of(_moved(rigid.joint_motion_of_motors, joint, move, h)) for h in (step, -step))
+            ahead, back = (rigid.true_of(_moved(rigid.held_by_motors, joint, move, h)) for h in (step, -step))
             out[:, :, k] = (ahead - back) / (2.0 * step)
     return out
 

@@ -100,6 +100,8 @@ class CoupledFriction(ReadingEffect):
         Parameter("inertia", "kg m^2", lower=0.0),
     )
     confusable_with = ("viscous_friction", "coulomb_friction", "rotor_inertia")
+    # The joint whose motor it is has no other one.
+    instead_of = ("viscous_friction", "coulomb_friction", "rotor_inertia")
     reverses_at_once = True
 
     def typical(self, robot):
@@ -110,6 +112,9 @@ class CoupledFriction(ReadingEffect):
         # As for coupled transmissions; with a joint that rests it is the other one's friction.
         joint, driver = self.joint or 0, self.driver or 0
         return joint == driver + 1 and bool(around.moving[joint] and around.moving[driver])
+
+    def comes_after(self, other):
+        return other.name in self.instead_of and other.joint in (self.joint, self.driver)
 
     def is_another(self, values):
         # Friction and rotor of one joint.

@@ -191,7 +191,8 @@ class Effect(ABC):
         """Whether only one of the two can be in a model: the same, a second of a `single` kind, or one `instead_of` the other."""
         if self.spec == other.spec or (self.single and self.name == other.name):
             return True
-        return self.where == other.where and (other.name in self.instead_of or self.name in other.instead_of)
+        here = self.where == other.where or (self.joint is not None and self.joint == other.joint)
+        return here and (other.name in self.instead_of or self.name in other.instead_of)
 
     @property
     def column_names(self) -> tuple[str, ...]:
@@ -279,6 +280,15 @@ class Effect(ABC):
     def is_another(self, values: Sequence[float]) -> bool:
         """Whether at these values it is no more than other effects are: a search then leaves the name to them."""
         return False
+
+    def comes_after(self, other: Effect) -> bool:
+        """Whether a search counts for it only what another effect leaves unexplained."""
+        return False
+
+    @property
+    def may_be_another(self) -> bool:
+        """Whether there are such values."""
+        return type(self).is_another is not Effect.is_another
 
     def trials(self, around: Surroundings) -> np.ndarray:
         """Values that are tried exactly, one after the other (m, k): of an effect that no small amplitude can stand for."""

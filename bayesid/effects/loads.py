@@ -193,7 +193,7 @@ def contact_window(times: np.ndarray, start: float, end: float) -> np.ndarray:
 
 
 def _window_slopes(times: np.ndarray, start: float, end: float) -> np.ndarray:
-    """Derivatives of that share with respect to start and end (N, 2)."""
+    """Derivatives of that share with respect to start and end (N, 2) [1/s]."""
     ramps = np.stack([(times - start) / CONTACT_RAMP, (end - times) / CONTACT_RAMP], axis=1)
     share = ramps.min(axis=1, keepdims=True)
     steep = 0.5 * np.pi / CONTACT_RAMP * np.sin(np.pi * np.clip(share, 0.0, 1.0))  # zero on and outside of the window

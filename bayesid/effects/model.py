@@ -44,7 +44,7 @@ from bayesid.effects.families import (
     TransmissionEffect,
 )
 from bayesid.effects.flexible import Motion, link_motion, own_inertia, splines
-from bayesid.effects.mount import Asked, mount_motion
+from bayesid.effects.mount import RigidMountLoad, mount_motion
 from bayesid.effects.parts import Parts
 from bayesid.effects.play import Behind, Fitting, Recorded, leaning_poses
 from bayesid.effects.segment import MotionSegment
@@ -102,20 +102,24 @@ class Model(Parts):
 
     def _states(self) -> np.ndarray:
         robot, segment = self.robot, self.segment
-        q, v, a = self.joint_motion_of_motors
-        if segment.still:
-            v = a = np.zeros_like(q)
+        q, v, a = self.held_by_motors
         if self.of_family(PlayEffect) or self.of_family(FlexibleJointEffect):
             q, v, a = self.link_side(q, v, a)
         root = None
         for effect, values in self.of_family(MountEffect):
             others = tuple(t for t in self._physical if t.effect != effect)
-            key = ("asked", self.robot.fingerprint, self._pose, self.links.tobytes(), others, self._followed)
-            asked = segment.joints.get(
-                key, lambda: Asked.of(robot, segment, (q, v, a), self.row_of, self.bodies, self.gravity, self._moment)
+            key = ("mount load", self.robot.fingerprint, self._pose, self.links.tobytes(), others, self._followed)
+            load = segment.joints.get(
+                key, lambda: RigidMountLoad.of(robot, segment, (q, v, a), self.row_of, self.bodies, self.gravity, self._moment)
             )
-            root = mount_motion(robot, segment, (q, v, a), asked, *effect.resonance(values), self._moment)
+            root = mount_motion(robot, segment, (q, v, a), load, *effect.resonance(values), self._moment)
         return link_states(robot, q, v, a, root)
+
+    @cached_property
+    def held_by_motors(self) -> Motion:
+        """Where motors hold the joints: positions, velocities, accelerations (N, n) each; poses at rest do not move."""
+        q, v, a = self.joint_motion_of_motors
+        return (q, np.zeros_like(q), np.zeros_like(q)) if self.segment.still else (q, v, a)
 
     def _moment(self, states: np.ndarray) -> np.ndarray:
         """Moment about the base origin that moves and holds all that a mount carries (N, 3)."""
@@ -152,7 +156,7 @@ class Model(Parts):
         return self.segment.joints.get(("felt", joint, self._stiff_key), lambda: own_inertia(self.link_torque, motors, joint))
 
     def _stiff(self, joint: int) -> np.ndarray:
-        """Torque (N,) that a joint takes if links are where motors hold the joints."""
+        """Torque (N,) that a joint takes if links are where motors hold the joints [N m or N]."""
         motors, only = self.joint_motion_of_motors, np.array([joint])
         return self.segment.joints.get(("stiff", joint, self._stiff_key), lambda: self.link_torque(motors, only)[:, 0])
 
@@ -163,7 +167,7 @@ class Model(Parts):
         return (self.robot.fingerprint, self._pose, self.links.tobytes(), others)
 
     def link_torque(self, link: Motion, joints: np.ndarray) -> np.ndarray:
-        """Torques (N, k) that a link motion takes of some joints (k,)."""
+        """Torques (N, k) [N m or N] that a link motion takes of some joints (k,)."""
         channels = torque_channels(self.robot).only(joints)
         carries = np.hstack([channels.bodies, np.zeros((len(channels), 1), bool)])
         return self._taken(channels, carries, link)
@@ -176,14 +180,22 @@ class Model(Parts):
         return self._true(channels, carries, states, channel_twists(self.robot, channels, states), own=True)
 
     def little_play(self, joint: int, lean: Callable[[np.ndarray], np.ndarray]) -> tuple[Motion, ...]:
-        """Change of a joint's link-side motion, three times (N,), with each of the ways (M, k) that it leans under a torque (M,).
+        """How the first bit of play moves the link of a joint that has none, by the torque of the motion without it.
 
-        That is how the first bit of play moves the link of a joint that has none, by the torque of the motion without it.
+        Parameters
+        ----------
+        joint
+            Which.
+        lean
+            From the joint's torque (M,) [N m or N] to the ways in which its link leans (M, k) [rad or m].
+
+        Returns
+        -------
+        moves
+            For each way the change of the joint's position, velocity and acceleration, (N,) each.
         """
-        q, v, a = self.joint_motion_of_motors
-        if self.segment.still or len(q) < 8:
-            held = 0.0 * v
-            behind = lean(self.link_torque((q, held, held), np.array([joint]))[:, 0])
+        if self.segment.still or len(self.segment.times) < 8:  # as poses lean
+            behind = lean(self.link_torque(self.held_by_motors, np.array([joint]))[:, 0])
             return tuple((-each, 0.0 * each, 0.0 * each) for each in behind.T)
         key = ("slow torque", joint, self.robot.fingerprint, self._pose, self.links.tobytes(), self._physical)
         behind = lean(self.segment.joints.get(key, lambda: self._recorded.slow_torque(joint)))

@@ -33,7 +33,7 @@ _TAIL = 2.0
 
 
 @dataclass(frozen=True, eq=False)
-class Asked:
+class RigidMountLoad:
     """What a robot asks of a mount that does not give.
 
     Attributes
@@ -58,8 +58,18 @@ class Asked:
     def of(
         cls, robot: Robot, segment: MotionSegment, motion: Motion, row_of: np.ndarray, links: np.ndarray, gravity: np.ndarray,
         moment: Callable[[np.ndarray], np.ndarray],
-    ) -> Asked:  # fmt: skip
-        """Of a robot whose links move so; parameters are those of `mount_motion`."""
+    ) -> RigidMountLoad:  # fmt: skip
+        """Of links that move so.
+
+        Parameters
+        ----------
+        robot, segment, motion, moment
+            As for `mount_motion`.
+        row_of, links
+            The bodies, the root among them, in the frames of their rows of the state (b,), (b, 10).
+        gravity
+            (3,) [m/s^2].
+        """
         still = np.zeros((1, robot.n))
         middle, _ = _tilting(link_states(robot, segment.middle_positions[None], still, still), row_of, links)
         states = link_states(robot, *motion)
@@ -77,7 +87,7 @@ def mount_motion(
     robot: Robot,
     segment: MotionSegment,
     motion: Motion,
-    asked: Asked,
+    load: RigidMountLoad,
     resonance: float,
     damping: float,
     moment: Callable[[np.ndarray], np.ndarray],
@@ -88,19 +98,18 @@ def mount_motion(
     ----------
     robot, segment, motion
         The links' positions, velocities, accelerations.
-    asked
-        What these ask of a mount that does not give, of bodies in the frames of their rows of the state, the root among them
-        (b,), (b, 10).
+    load
+        What these ask of a mount that does not give.
     resonance, damping
         Of the mount, for the mean tilting inertia at the middle of the motion [Hz], [1].
     moment
         From states to the moment about the base origin that moves and holds all that the mount carries (N, 3).
     """
     rate = 2.0 * np.pi * max(resonance, 1e-3)
-    mean = 0.5 * (asked.middle[0, 0] + asked.middle[1, 1])
+    mean = 0.5 * (load.middle[0, 0] + load.middle[1, 1])
     stiffness, damper = rate**2 * mean, 2.0 * damping * rate * mean
-    inertia, held = asked.inertia, asked.held
-    spring = asked.weight + stiffness * np.eye(2)
+    inertia, held = load.inertia, load.held
+    spring = load.weight + stiffness * np.eye(2)
     if segment.still:
         rise = np.ones((len(held), 1))
     else:
@@ -108,7 +117,7 @@ def mount_motion(
         # mount like a hammer: they come in gradually.
         share = np.clip((segment.times - segment.times[0]) * segment.bandwidth / _LOOSE, 0.0, 1.0)[:, None]
         rise = share * share * (3.0 - 2.0 * share)
-    drive = asked.moving
+    drive = load.moving
     drive = _clear(segment, held + rise * (drive - held))
     root = np.zeros((0, 18))
     for _ in range(_PASSES):
@@ -122,7 +131,7 @@ def mount_motion(
         full = moment(link_states(robot, *motion, root))
         exact = np.stack([full[:, 0], np.sum(full * axis, axis=1)], axis=1)
         # What the linear equation did not know of, for the next pass.
-        linear = (inertia @ bend[:, :, None] + asked.weight @ angle[:, :, None])[:, :, 0]
+        linear = (inertia @ bend[:, :, None] + load.weight @ angle[:, :, None])[:, :, 0]
         drive = _clear(segment, held + rise * (exact - linear - held))
     return root
 

@@ -73,8 +73,8 @@ class MotionSegment:
     encoders
         Times (M,) [s] and joint positions (M, n) that were smoothed; None: only `positions` are known.
     results, basis, joints
-        Link states and readings made lately, what depends on the times alone, and what single joints with play or that give were
-        found to do.
+        Link states and readings made lately, what depends on times and encoders' readings alone, and what stays the same while a
+        play, a compliance or a mount is varied.
     """
 
     times: np.ndarray

@@ -167,6 +167,9 @@ class Findings:
         described_by = "; ".join(f"{reading} ~ {formula}" for reading, formula, *_ in rows) or None
         return {
             "share": self.part.remainder, "where": [d.to_dict() for d in self.remainder], "described_by": described_by,
+            "closed_in": [
+                {"channels": list(g.channels), "effects": list(g.effects), "share": g.closed} for g in self.part.groups
+            ],
             "stretches": self.part.stretches, "correlated_rows": self.part.correlation,
         }  # fmt: skip
 

@@ -133,16 +133,15 @@ def _concluded(s: Search, seed: int, progress: Progress) -> Diagnosis:
     data: DiagnosisData = s.projector.data
     gap = validate(s.projector, s.base, s.best, s.dispersion, seed)
     decided, reason = verdict(evidence_of(s, gap), data.settings)
-    part, tried, stays = None, None, ()
+    part, tried, worse, stays = None, None, False, ()
     if decided == "unknown":
         progress("effects that held-out recordings prove")
         tried = proven_effects(s, seed)
         gap = validate(s.projector, s.base, s.best, s.dispersion, seed, complete=False)
     if tried is not None and named_in_part(tried, data.settings):
         closer = validate(tried.search.projector, tried.search.base, tried.search.best, s.dispersion, seed, complete=False)
-        if closer is not None and closer.after >= closer.before:
-            tried = None  # of a play, say, that is crossed at other times there: held out in turn it was better, all in all not
-        else:
+        worse = closer is not None and closer.after >= closer.before
+        if not worse:
             decided, part, s, gap = "named_in_part", tried, tried.search, closer
             data = s.projector.data
             stays = _places(s, s.best)
@@ -156,7 +155,7 @@ def _concluded(s: Search, seed: int, progress: Progress) -> Diagnosis:
         where=_places(s, s.base),
         gap=gap,
         shifts=base_shifts(s) if named else (),
-        remarks=remarks(s, gap, decided, reason, parts, tried),
+        remarks=remarks(s, gap, decided, reason, parts, tried, worse),
         next_experiment=next_experiment(decided, named),
         stability=parts,
         part=part,

@@ -9,6 +9,7 @@ import pytest
 
 import bayesid
 from bayesid import diagnose
+from bayesid.effects import EffectLibrary
 from bayesid.recordings.experiment import Experiment, Sensor
 from bayesid.robot.robot import load_robot
 from bayesid.workflows.demo import puma_setup
@@ -93,6 +94,25 @@ def test_a_coupled_motors_friction_is_found(tmp_path):
     for value, std, truth in zip(only.term.values, only.std, values.values(), strict=True):
         assert abs(value - truth) < 4.0 * std
     assert abs(only.term.values[0] - 1.0) < 0.1
+
+
+def test_a_coupling_of_nothing_is_left_to_friction_of_one_joint(tmp_path):
+    """Viscous and Coulomb friction of one joint are named, not a coupled friction that could be both at once."""
+    robot = load_robot(write(tmp_path, ROBOTS["panda"]()))
+    (coupled,) = EffectLibrary().parse(["coupled_friction@joint5->joint6"], robot.joint_names, ("tau5", "tau6"))
+    assert coupled.is_another((0.05, 1.0, 1.0, 0.0)) and not coupled.is_another((-0.5, 1.0, 1.0, 0.0))
+    for name, joint, apart in (("viscous_friction", 6, True), ("viscous_friction", 5, False), ("torque_offset", 6, False)):
+        (other,) = EffectLibrary().parse([f"{name}@joint{joint}"], robot.joint_names, ("tau5", "tau6"))
+        assert coupled.excludes(other) == other.excludes(coupled) == apart
+    setup = Experiment("arm", robot, (), None, inertia_rel_std=0.05)
+    motions = [
+        bayesid.fourier_trajectory(robot, duration=12.0, seed=1),
+        bayesid.fourier_trajectory(robot, "validation", "validation", duration=12.0, seed=2),
+    ]
+    plant = {"viscous_friction@joint6": {"coefficient": 0.6}, "coulomb_friction@joint6": {"level": 2.0}}
+    found = diagnose(bayesid.simulate(setup, motions, effects=plant, perturb=0.05, seed=3), "torque")
+    assert found.verdict == "named"
+    assert {f.term.effect.spec for f in found.found} == set(plant)
 
 
 @pytest.mark.slow

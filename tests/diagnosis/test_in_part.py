@@ -16,16 +16,18 @@ from bayesid.diagnosis.choice import Choice
 from bayesid.diagnosis.held_out import HeldOutSums, held_out_sums, left_by, scaled
 from bayesid.diagnosis.in_part import InPart
 from bayesid.diagnosis.prepare import prepare_data
+from bayesid.diagnosis.remarks import remarks
 from bayesid.diagnosis.rows import model_rows, residual_rows
 from bayesid.diagnosis.settings import DEFAULT
+from bayesid.diagnosis.surroundings import moving
 from bayesid.diagnosis.verdict import named_in_part
-from bayesid.effects import EffectLibrary
+from bayesid.effects import EffectLibrary, MotionSegment
 from bayesid.effects.drives import Spring
 from bayesid.effects.friction import CoulombFriction
 from bayesid.recordings.experiment import Experiment
 from bayesid.report.diagnosis import diagnosis_report
 from bayesid.robot.examples import PAPER_LOCKED, puma_two_joint_urdf
-from bayesid.robot.robot import load_robot
+from bayesid.robot.robot import Robot, load_robot
 from bayesid.simulation.simulation import simulate
 from bayesid.simulation.trajectories import fourier_trajectory
 
@@ -168,6 +170,31 @@ def test_what_another_joint_does_says_nothing_against_an_effect(beside_much):
     assert group.channels == ("tau2",)
     assert group.closed > 0.9
     assert "tau2: " in str(beside_much) and "most of it is closed in the channels" in str(beside_much)
+
+
+def test_names_that_make_validation_worse_are_told_not_given(beside_much, monkeypatch):
+    """Held out in turn they are better, fitted to all fitted motions not: unknown, and the note says so."""
+    data, s = beside_much.data, beside_much.search
+    found = remarks(s, beside_much.gap, "unknown", "residual", (), beside_much.part, True)
+    assert any("viscous_friction@joint2 would close" in r and "predict the validation motions no better" in r for r in found)
+    assert data.unseen
+
+    def grown(*args, complete=True, **kwargs):
+        return replace(beside_much.gap, after=2.0 * beside_much.gap.before)
+
+    monkeypatch.setattr("bayesid.workflows.diagnose.validate", grown)
+    again = diagnose(data.experiment, "torque")
+    assert again.verdict == "unknown" and not again.found and again.part is None
+
+
+def test_joints_that_move_in_some_motion():
+    """Two places in two recordings are no motion, nor is a crawl."""
+    robot = cast(Robot, SimpleNamespace(n=3))
+    scene = lambda q: cast(MotionSegment, SimpleNamespace(positions=q, still=False))  # noqa: E731
+    t = np.linspace(0.0, 1.0, 50)
+    first, second = np.column_stack([t, 0.0 * t, 1e-4 * t]), np.column_stack([0.0 * t, 0.0 * t + 1.0, 0.0 * t])
+    assert moving(robot, [scene(first), scene(second)]).tolist() == [True, False, False]
+    assert moving(robot, []).tolist() == [False] * 3
 
 
 def test_effects_that_share_a_channel_are_judged_together():

@@ -13,3 +13,8 @@ def panda(tmp_path_factory):
 @pytest.fixture(scope="session")
 def wrist(tmp_path_factory):
     return load(tmp_path_factory.mktemp("wrist"), "wrist_sensor_arm")
+
+
+@pytest.fixture(scope="session")
+def slider(tmp_path_factory):
+    return load(tmp_path_factory.mktemp("slider"), "prismatic_arm")

@@ -1,5 +1,7 @@
 """Columns against differences of readings."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -44,6 +46,26 @@ def test_columns_are_derivatives(arm, name, request):
     # From anywhere else: the value asked for, not the term's.
     there = columns(robot, channels, segment, robot.nominal, terms, effect, values)
     np.testing.assert_array_equal(got, there)
+
+
+@pytest.mark.parametrize("kind", ["moving", "few samples", "poses"])
+@pytest.mark.parametrize("arm", ["panda", "slider"])
+def test_the_first_play_is_what_a_little_play_makes(arm, kind, request):
+    """At a play of zero, where the closed form is taken, against the readings with less than encoders show."""
+    robot = request.getfixturevalue(arm)
+    channels, segment = both(robot), moving(robot, 6 if kind == "few samples" else 600)
+    if kind == "poses":
+        segment = replace(segment, still=True)
+    noise = 1e-5 * np.random.default_rng(0).normal(size=segment.positions.shape)
+    segment = replace(segment, encoders=(segment.times, segment.positions + noise))
+    effect = LIBRARY.places("backlash", robot.joint_names, channels.names, {})[1]
+    other = term(robot, "load_friction@joint2", 0.1)
+    got = columns(robot, channels, segment, robot.nominal, [other], effect, (0.0, 0.5))
+    ends = [readings(robot, channels, segment, robot.nominal, [other, Term(effect, (s * 1e-7, 0.5))]) for s in (1, -1)]
+    slope = (ends[0] - ends[1]) / 2e-7
+    assert np.linalg.norm(slope) > 0.0
+    assert np.linalg.norm(got[:, :, 0] - slope) <= 1e-4 * np.linalg.norm(slope)
+    np.testing.assert_array_equal(got[:, :, 1], 0.0)
 
 
 def test_rigid_columns_go_through_the_instruments(wrist):

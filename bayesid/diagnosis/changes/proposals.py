@@ -11,6 +11,7 @@ import numpy as np
 from bayesid.diagnosis.changes.scales import LASTING
 from bayesid.diagnosis.surroundings import joint_inertia, mean_places, moving
 from bayesid.effects import BodyEffect, Effect, Linearisation, MotionSegment, Point, Surroundings, Term, columns, linearised
+from bayesid.effects.drives import CoupledFriction
 from bayesid.regression.problem import Problem
 from bayesid.regression.rows import RowModel
 from bayesid.regression.segment import Segment
@@ -116,7 +117,7 @@ def make_proposals(problem: Problem, links: np.ndarray) -> tuple[Proposal, ...]:
         robot=robot,
         mean_places=mean_places(robot, scenes),
         joint_inertia=joint_inertia(robot, scenes[0], links),
-        moving=moving(scenes),
+        moving=moving(robot, scenes),
         links_known=True,
         both_channels=problem.channel == "both",
         static_run=problem.static != "none",
@@ -125,7 +126,7 @@ def make_proposals(problem: Problem, links: np.ndarray) -> tuple[Proposal, ...]:
     known = {e.spec for e in model.effects}
     out = []
     for name, kind in experiment.library.classes.items():
-        if issubclass(kind, (BodyEffect, *LASTING)) or kind.once:
+        if issubclass(kind, (BodyEffect, CoupledFriction, *LASTING)) or kind.once:
             continue
         for effect in experiment.library.places(name, robot.joint_names, model.channels.names, experiment.gear_ratio):
             if effect.spec in known or not effect.sought(around):

@@ -20,7 +20,9 @@ from bayesid.robot.robot import Robot
 #: What of a joint wanders.
 WANDERING = (ViscousFriction, CoulombFriction, StribeckFriction, LoadFriction, TorqueOffset)
 #: What a robot is built with: it does not change, so another value of it is a sign of something else.
-LASTING = (RotorInertia, RotorMomentum, CoupledFriction)
+LASTING = (RotorInertia, RotorMomentum)
+#: What of a coupled friction wanders, its gears and rotor do not.
+_COUPLED = ("viscous", "coulomb")
 #: Friction wanders by this share of its value, and by this share of a typical size where its value is near zero.
 FRICTION_SHARE, FRICTION_FLOOR = 0.1, 1e-3
 #: Drive gains differ from those of the reference by this share.
@@ -40,10 +42,13 @@ def wander(effect: Effect, values: np.ndarray, robot: Robot) -> np.ndarray:
     """Standard deviation of an effect's values (k,) from one recording to another with nothing changed; zero: it stays."""
     if isinstance(effect, JointGainEffect):
         return np.full(len(values), GAIN_SHARE)
-    if not isinstance(effect, WANDERING):
+    if isinstance(effect, CoupledFriction):
+        free = np.isin(effect.parameters, _COUPLED)
+    elif isinstance(effect, WANDERING):
+        free = np.array([p.linear for p in effect.quantities])
+    else:
         return np.zeros(len(values))
-    linear = np.array([p.linear for p in effect.quantities])
-    return np.where(linear, FRICTION_SHARE * np.abs(values) + FRICTION_FLOOR * np.abs(effect.typical(robot)), 0.0)
+    return np.where(free, FRICTION_SHARE * np.abs(values) + FRICTION_FLOOR * np.abs(effect.typical(robot)), 0.0)
 
 
 def body_sizes(robot: Robot) -> np.ndarray:
