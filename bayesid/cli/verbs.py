@@ -25,7 +25,7 @@ VERBS = {
     "diagnose": "Where model and data disagree, and which effect is missing.",
     "excite": "An exciting trajectory within limits.",
     "identifiability": "What these motions can and cannot determine, per sensor set.",
-    "identify": "Base parameters with honest uncertainty, and link parameters.",
+    "identify": "Base parameters with 95 % intervals, and link parameters.",
     "sample": "Draws from the posterior, with convergence checks.",
     "simulate": "A recording from the model, with known truth.",
     "watch": "A series of recordings against one reference: what changed, when.",
@@ -132,5 +132,5 @@ def _plain(text: str) -> str:
 @click.option("--traceback", "wanted", is_flag=True, envvar="BAYESID_TRACEBACK", help="On a failure, show where in the code.")
 @click.pass_obj
 def commands(telling: _Telling, wanted: bool) -> None:
-    """Inertial parameters of a robot from a base force/torque sensor and joint torques, with honest uncertainty."""
+    """Inertial parameters of a robot from a base force/torque sensor and joint torques, with their uncertainty."""
     telling.traceback = wanted

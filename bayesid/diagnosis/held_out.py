@@ -1,7 +1,8 @@
 """Fits that leave recordings out in turn, from inner products alone.
 
-Where a robot never comes down to its sensors' noise, whitened rows trust whatever is quiet. Here every channel is divided by the
-root mean square that the best attempt leaves of it, at all frequencies alike. About that attempt the readings are linear,
+Where a robot never comes down to its sensors' noise, whitening gives too much weight to frequencies with little noise. Here
+every channel is divided by the root mean square that the best attempt leaves of it, at all frequencies alike. About that attempt
+the readings are linear,
 
     y = A u + J p + e,    u ~ N(0, 1),    e ~ N(0, r),
 

@@ -3,7 +3,7 @@
 The readings themselves are looked at, high-passed, in windows of 50 ms. A window's energy is compared with what is usual
 beside it, on whichever side is louder, so that a motion that starts or hurries raises no alarm. How far such ratios
 scatter when nothing happens is read off the recording itself (an empirical null [Efron2004]_). Where a joint
-reverses, starts, stops or rests, friction kicks the arm: such moments are not looked at.
+reverses, starts, stops or rests, friction itself excites the arm: such moments are not looked at.
 """
 
 from __future__ import annotations

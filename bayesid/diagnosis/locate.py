@@ -1,7 +1,7 @@
 """Where model and data disagree: in which channel, when, at which frequencies and with which joint's motion.
 
 Below the compared band's end the model's residual is looked at, in windows of one and of a quarter second; above it the
-readings themselves (see `taps`).
+readings themselves (see `bayesid.diagnosis.impulse_events`).
 """
 
 from __future__ import annotations

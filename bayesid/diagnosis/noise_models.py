@@ -1,7 +1,7 @@
 """Under which noise and reading of the samples models are fitted: what was measured, or what a model makes of it itself.
 
-A flexible joint or mount makes much more of encoders' errors than other models do, so it competes under the noise that
-it makes itself; under the noise of stiff joints its own errors would count against it.
+A flexible joint or mount makes much more of encoders' errors than other models do, so it is compared
+under the noise that it makes itself; under that of stiff joints its own errors would count against it.
 """
 
 from __future__ import annotations

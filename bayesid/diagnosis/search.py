@@ -1,7 +1,7 @@
 """Which effects the data demand, in phases: forward selection, refit under the new model's noise, pruning, rivals.
 
 Evidence is counted in units of what the richest linear model leaves unexplained, the dispersion factor: an unmodelled effect in
-the data then raises the bar for all names.
+the data then raises the threshold for all names.
 """
 
 from __future__ import annotations

@@ -5,9 +5,9 @@ All minimise ``||W (y - X b)||`` for rows y = X b + e with cov e = Sigma:
 * ``ols``: W = 1. Covariance from the noise as it is, ``(X'X)^-1 X' Sigma X (X'X)^-1``: the sandwich, which
   allows for the colour that filters give, and for encoder errors where they matter (`bayesid.estimators.encoder_errors`).
 * ``wls``: W = 1 / the standard deviation of each channel. The same sandwich.
-* ``gls``: W'W = Sigma^-1, the efficient one; covariance ``(X' Sigma^-1 X)^-1``. It trusts whatever is quiet, so where
-  the model lacks something it goes astray: then W is that of ``wls``.
-* ``ridge``, ``tsvd``: biased towards the nominal model, or zero without one; no interval is honest for them.
+* ``gls``: W'W = Sigma^-1, the efficient one; covariance ``(X' Sigma^-1 X)^-1``. It gives most weight to what has
+  little noise, so where the model lacks something it is biased: then W is that of ``wls``.
+* ``ridge``, ``tsvd``: biased towards the nominal model, or zero without one; no interval would hold for them.
 """
 
 from __future__ import annotations

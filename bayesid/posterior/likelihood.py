@@ -9,8 +9,9 @@ say about (beta, s) is in the factors R_c of [X_c y_c] and their numbers of rows
 
     log p(y | beta, s) = -sum_c [ n_c log s_c + |R_c (beta; -1)|^2 / (2 s_c^2) ] + constant.
 
-Where the model lacks something (`Weights.complete`), whitening would trust whatever is quiet, and so would unknown scales: the
-channel that a flexible model fits best would gain weight until little else is fitted. Rows are then weighted as those of ``wls``,
+Where the model lacks something (`Weights.complete`), whitening would give most weight to what has little noise, and so would
+unknown scales: the channel that a flexible model fits best would gain weight until little else is fitted. Rows are then weighted
+as those of ``wls``,
 ``X_c / std_c``, with known scales (but for Student's t, whose size is not that of the residuals), and linearly transformed
 about their least-squares fit b so that the curvature of the likelihood is the inverse of its sandwich covariance V, the scatter
 between stretches of the recording included [Ribatet2012]_. So are whitened rows where encoder errors matter

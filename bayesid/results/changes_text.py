@@ -32,7 +32,7 @@ def verdict_sentence(comparison: Comparison) -> str:
     if c.verdict == "nothing_missing":
         return f"Nothing has changed {since} that this recording could show: friction and gains are within what they wander."
     if c.verdict == "unknown":
-        return f"Something has changed {since}, and no effect of the library is proven to explain any of it."
+        return f"Something has changed {since}, and no effect of the library is confirmed to explain any of it."
     names = []
     for x in c.changes:
         rivals = [worded(h, c) for h, _ in x.found.rivals]

@@ -36,7 +36,7 @@ def verdict_sentence(diagnosis: Findings) -> str:
     if d.verdict == "named_in_part":
         each = [_with_rivals(name, f, d) for name, f in zip(names, d.found, strict=True)]
         told = listed(each) if len(names) <= _SPELT_OUT else listed(by_kind(f.term for f in d.found))
-        return f"The model misses {count} that held-out recordings prove, and more that stays unexplained: {told}."
+        return f"The model misses {count} that held-out recordings confirm, and more that stays unexplained: {told}."
     if d.verdict == "ambiguous":
         parts = [_with_rivals(name, f, d) for name, f in zip(names, d.found, strict=True)]
         return f"The model misses {count}, but these motions do not tell every name apart: {'; and '.join(parts)}."

@@ -18,7 +18,7 @@ _WORDS = {
     "named": "changed", "named_in_part": "changed, named in part", "ambiguous": "changed, ambiguous",
     "unknown": "changed, unknown", "nothing_missing": "nothing changed",
 }  # fmt: skip
-HEAD = ["recording", "verdict", "what changed", "times the own fit"]
+HEAD = ["recording", "verdict", "what changed", "residual over own fit"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +75,7 @@ class Watched:
     def __str__(self) -> str:
         """One line."""
         told = self.complaint or "; ".join(map(_told, self.changes))
-        gap = "" if self.comparison is None else f" ({number(self.gap, 3)} times the own fit)"
+        gap = "" if self.comparison is None else f" (residual {number(self.gap, 3)} times that of its own fit)"
         return f"{self.name}: {self.words}{f': {told}' if told else ''}{gap}"
 
     def to_dict(self) -> dict[str, Any]:

@@ -135,7 +135,7 @@ def _concluded(s: Search, seed: int, progress: Progress) -> Diagnosis:
     decided, reason = verdict(evidence_of(s, gap), data.settings)
     part, tried, worse, stays = None, None, False, ()
     if decided == "unknown":
-        progress("effects that held-out recordings prove")
+        progress("effects that held-out recordings confirm")
         tried = proven_effects(s, seed)
         gap = validate(s.projector, s.base, s.best, s.dispersion, seed, complete=False)
     if tried is not None and named_in_part(tried, data.settings):

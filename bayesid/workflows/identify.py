@@ -215,7 +215,7 @@ def _warnings(
         out.append(
             f"The bandwidth of the motion is {smoother.bandwidth:.3g} Hz, the end of the range searched: the positions hold more "
             "than motion and white encoder noise up to there. Compare with --bandwidth 10; a difference says that the estimate "
-            "hangs on it."
+            "depends on it."
         )
     for a in agreements:
         if a.contradiction:

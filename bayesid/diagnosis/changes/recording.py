@@ -65,7 +65,7 @@ def read_recording(reference: Reference, experiment: Experiment, motions: Sequen
     """Prepare, weight and lay out the later recording.
 
     Rows are weighted by channel and not whitened: what a real joint does beyond any model is no stationary noise, and a fit that
-    trusts whatever is quiet goes astray. How few of them are independent, stretches of the recording show
+    gives much weight to frequencies with little noise is biased. How few of them are independent, stretches of the recording show
     (`bayesid.estimators.dispersion`).
 
     Parameters
