@@ -37,7 +37,7 @@ OF_JOINTS = {"tx40 of the joints": "tx40"}
 #: Joints whose friction is named count by any of these.
 KINDS = (
     "coulomb_friction", "viscous_friction", "stribeck_friction", "load_friction", "dahl_friction", "posture_friction",
-    "directional_friction",
+    "directional_friction", "coupled_friction",
 )  # fmt: skip
 #: Share of a single motion that least squares fits.
 _FITTED = 0.6
@@ -141,7 +141,8 @@ def write(rows: list[dict[str, Any]], docs: Path) -> None:
     percent = lambda x: "–" if x is None else f"{100 * x:.1f} %"  # noqa: E731
     lines, names = [], []
     for r in rows:
-        joints = sorted({n.partition("@")[2].removeprefix("joint") for n in r["names"] if n.partition("@")[0] in KINDS})
+        places = [n.partition("@")[2] for n in r["names"] if n.partition("@")[0] in KINDS]
+        joints = sorted({one.removeprefix("joint") for place in places for one in place.split("->")})
         closed = None if r["remainder"] is None else 1.0 - r["remainder"]
         lines.append(
             f"| {r['folder']} | {'none' if r['bare'] else 'as stated'} | {r['verdict'].replace('_', ' ')} | {percent(closed)} "
