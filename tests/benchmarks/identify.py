@@ -1,15 +1,16 @@
-"""python tests/benchmarks/identify.py [--repeats N]: the whole of `bayesid.identify` beside FIGAROH's pipeline, in one run.
+"""python tests/benchmarks/identify.py [--repeats N] [--write]: the whole of `bayesid.identify` beside FIGAROH's, in one run.
 
 A UR5 with 100,000 samples to fit and another motion of 20,000 samples to validate, encoder counts, constant offsets of the
 readings estimated along, default method: base parameters and their deviations, noise, predictions of both motions,
 consistency of the motions, nearest links. FIGAROH fits the same 100,000 samples and does nothing of the rest. Every run is a
-process of its own, the tools take turns, medians are quoted.
+process of its own, the tools take turns, medians are quoted. ``--write`` renews docs/identify-speed.md and .json.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import os
 import statistics
 import sys
 import tempfile
@@ -25,8 +26,26 @@ import bayesid  # noqa: E402
 from bayesid.recordings.experiment import Experiment, Motion, Sensor  # noqa: E402
 from bayesid.recordings.table import Table  # noqa: E402
 from bayesid.robot.robot import load_robot  # noqa: E402
+from tests.studies.page import DOCS, write_numbers, write_page  # noqa: E402
 
 FITTED, VALIDATED = 100_000, 20_000
+PAGE = """\
+# The whole of `identify`
+
+A UR5, 100,000 samples at 125 Hz to fit and 20,000 of another motion to validate, encoder counts of 2e-5 rad, offsets estimated
+along, default method. In microseconds a fitted sample, on {{ cpus }} cores, medians over processes that take turns; made by
+`python tests/benchmarks/identify.py --write`. FIGAROH 1.0.2 fits the same 100,000 samples (filter, regressor, double QR,
+least squares, deviations); predictions, consistency of the motions, noise and nearest links are bayesid's alone.
+
+| readings |{% for stage in stages %} {{ stage }} |{% endfor %} total | FIGAROH | ratio |
+|---|{% for stage in stages %}---|{% endfor %}---|---|---|
+{% for row in rows %}
+| {{ row.kind }} |{% for x in row.stages %} {{ x }} |{% endfor %} {{ row.total }} | {{ row.figaroh }} | {{ row.ratio }} |
+{% endfor %}
+
+How much of that is the regressor and the reduction alone: [benchmarks](benchmarks.md). Stages overlap on several cores, so they
+are shares of the time that passes, not of work.
+"""
 #: Of the encoders [rad], as in `make_table`.
 RESOLUTION = 2e-5
 
@@ -84,19 +103,16 @@ def compare(urdf: Path, folder: Path, repeats: int) -> dict:
     return out
 
 
-def table(result: dict) -> list[str]:
-    """The results as lines of a page."""
-    lines = [
-        "| whole `identify`, us a fitted sample | total | " + " | ".join(result["wrench"]["stages"]) + " | FIGAROH | ratio |",
-        "|---" * (4 + len(result["wrench"]["stages"])) + "|",
-    ]
-    for kind, entry in result.items():
-        stages = " | ".join(f"{v:.2f}" for v in entry["stages"].values())
-        peer = "- | -"
-        if "figaroh_over_bayesid" in entry:
-            peer = f"{entry['figaroh_us_per_sample']:.1f} | {entry['figaroh_over_bayesid'][1]:.1f}"
-        lines.append(f"| {kind} | {entry['us_per_sample']:.2f} | {stages} | {peer} |")
-    return lines
+def rows_of(result: dict) -> list[dict]:
+    """The results as rows of the page."""
+    return [
+        {
+            "kind": kind, "stages": [f"{v:.2f}" for v in entry["stages"].values()], "total": f"{entry['us_per_sample']:.2f}",
+            "figaroh": f"{entry['figaroh_us_per_sample']:.1f}" if "figaroh_over_bayesid" in entry else "-",
+            "ratio": f"{entry['figaroh_over_bayesid'][1]:.1f}" if "figaroh_over_bayesid" in entry else "-",
+        }
+        for kind, entry in result.items()
+    ]  # fmt: skip
 
 
 def main() -> None:
@@ -105,6 +121,7 @@ def main() -> None:
     parser.add_argument("--one", type=Path, nargs=3, metavar=("URDF", "FITTED", "UNSEEN"))
     parser.add_argument("--kind", choices=["wrench", "torque"], default="wrench")
     parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--write", action="store_true")
     options = parser.parse_args()
     if options.one:
         urdf, fitted, unseen = options.one
@@ -115,7 +132,11 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as temporary:
         urdf = Path(temporary) / "ur5.urdf"
         urdf.write_text(ur5(), encoding="utf-8")
-        print("\n".join(table(compare(urdf, Path(temporary), options.repeats))))
+        result = compare(urdf, Path(temporary), options.repeats)
+    if options.write:
+        result = write_numbers(result, DOCS / "identify-speed.json", 4)
+        stages = list(result["wrench"]["stages"])
+        write_page(PAGE, DOCS / "identify-speed.md", cpus=os.cpu_count(), stages=stages, rows=rows_of(result))
 
 
 if __name__ == "__main__":
