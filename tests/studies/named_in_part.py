@@ -143,8 +143,8 @@ loses shows in joints 5 and 6.
 
 Published, by least squares with the coupling known [Nguyen2023](references.md): viscous 0.616, Coulomb 1.95, rotor
 inertia 0.00964. Predictions of the unseen motion's torques by `identify` are off by {{ without }} of the signal in joints 5 and 6
-with friction joint by joint, by {{ with_it }} with `coupled_friction@joint5->joint6` in the model, too (published: 135 and 67 %, 26
-and 31 %).
+with friction joint by joint, by {{ with_it }} with `coupled_friction@joint5->joint6` in the model, too (published: 135 and 67 %,
+26 and 31 %).
 """
 
 
