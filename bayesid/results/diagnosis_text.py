@@ -54,8 +54,9 @@ def part_sentence(diagnosis: Findings) -> str:
     d, part = diagnosis, diagnosis.part
     if part is None:
         return ""
+    closes = "it closes" if len(d.found) == 1 else "they close"
     text = (
-        f"With each of {part.stretches} parts of the recordings held out in turn, they close {percent(1.0 - part.remainder)} of "
+        f"With each of {part.stretches} parts of the recordings held out in turn, {closes} {percent(1.0 - part.remainder)} of "
         f"the gap and {percent(part.remainder)} stays"
     )
     if part.courses[-1] == 0.0:
