@@ -212,3 +212,7 @@ class TorqueOffset(JointTorqueEffect):
 
     def torque(self, motion, values):
         return np.full(len(motion.velocity), values[0])
+
+    def motion_columns(self, segment, channels):
+        always = np.array([[float(channel == f"tau{self.joint + 1}")] for channel in channels])
+        return np.broadcast_to(always, (len(segment.times), *always.shape))

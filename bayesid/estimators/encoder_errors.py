@@ -89,7 +89,7 @@ def sandwich_middle(regression: Regression, noise: dict[str, NoiseModel], scale:
     def colour(block: Block) -> np.ndarray:
         return noise[block.group].colour_transposed(block.matrix * scale[block.group].reshape(-1, 1) ** 2)
 
-    return gram_rows(regression.blocks(), colour)
+    return gram_rows(regression.blocks(), colour, row_by_row=all(m.order == 0 for m in noise.values()))
 
 
 def may_matter(regression: Regression, weights: Weights) -> bool:

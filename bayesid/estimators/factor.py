@@ -10,11 +10,10 @@ from numpy.linalg import LinAlgError
 from scipy.linalg import cholesky, solve_triangular
 
 from bayesid.estimators.dispersion import STRETCHES
-from bayesid.regression.blocks import Block
+from bayesid.regression.blocks import PANEL, Block
 from bayesid.regression.parallel import in_order
 from bayesid.signals.noise import NoiseModel
 
-_PANEL = 1024
 #: Share of a column's length that the columns before it must leave, for rows to be brought to orthonormal coordinates.
 _WELL_DETERMINED = 1e-6
 
@@ -77,21 +76,34 @@ def reduce_rows(blocks: Iterable[Block], transform: Callable[[Block], np.ndarray
     return Factor(r, sum(rows for _, rows in parts))
 
 
-def gram_rows(blocks: Iterable[Block], transform: Callable[[Block], np.ndarray]) -> np.ndarray:
-    """Sum of ``X'X`` of the transformed rows (k, channels, p); where squares are wanted, cheaper than a factor."""
+def gram_rows(
+    blocks: Iterable[Block], transform: Callable[[Block], np.ndarray], *, row_by_row: bool = False
+) -> np.ndarray:
+    """Sum of ``X'X`` of the transformed rows (k, channels, p); where squares are wanted, cheaper than a factor.
+
+    Parameters
+    ----------
+    blocks, transform
+        As for `reduce_rows`.
+    row_by_row
+        Whether ``transform`` treats each row alone, so that a few can be transformed at a time.
+    """
 
     def gram(block: Block) -> np.ndarray:
-        new = transform(block)
-        flat = new.reshape(-1, new.shape[-1])
-        return flat.T @ flat
+        total = np.zeros(())
+        for part in block.panels() if row_by_row else [block]:
+            new = transform(part)
+            flat = new.reshape(-1, new.shape[-1])
+            total = total + flat.T @ flat
+        return total
 
     return sum(in_order(gram, blocks), np.zeros(()))
 
 
 def _stack_all(r: np.ndarray | None, flat: np.ndarray) -> np.ndarray:
     """Update a factor with many rows, a thousand at a time, which stay in the processor's second cache."""
-    for a in range(0, len(flat), _PANEL):
-        r = stack(r, flat[a : a + _PANEL])
+    for a in range(0, len(flat), PANEL):
+        r = stack(r, flat[a : a + PANEL])
     assert r is not None
     return r
 

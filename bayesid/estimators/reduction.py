@@ -12,8 +12,6 @@ from bayesid.estimators.factor import Factor, reduce_rows
 from bayesid.regression.blocks import Block
 from bayesid.regression.parallel import in_order
 
-#: Rows whose products stay in the processor's second cache.
-_PANEL = 1024
 #: Smallest share of the longest column that each adds to those before it, for squares of all rows to lose at most six digits.
 _NEARLY_ORTHONORMAL = 1e-3
 
@@ -30,16 +28,19 @@ def reduce_in_coordinates(
     blocks
         Reads all blocks; twice where they turn out to be far from orthonormal.
     transform
-        As for `reduce_rows`.
+        As for `reduce_rows`, and treats each row alone.
     """
     if root is not None:
         inverse = solve_triangular(root, np.eye(len(root)))
 
         def gram(block: Block) -> tuple[np.ndarray, int]:
-            new = transform(block)
-            flat = new.reshape(-1, new.shape[-1])
-            panels = (flat[a : a + _PANEL] @ inverse for a in range(0, len(flat), _PANEL))  # of the processor's cache
-            return sum((z.T @ z for z in panels), np.zeros(root.shape)), len(flat)
+            total, count = np.zeros(root.shape), 0
+            for panel in block.panels():
+                new = transform(panel)
+                z = new.reshape(-1, new.shape[-1]) @ inverse
+                total += z.T @ z
+                count += len(z)
+            return total, count
 
         parts = list(in_order(gram, blocks()))
         try:

@@ -19,7 +19,9 @@ from bayesid.regression.linalg import pseudo_inverse, solve, standard_deviations
 from bayesid.regression.regression import Regression
 from bayesid.signals.noise import NoiseModel, estimate_noise
 
-_PASSES = 3
+#: Rounds of estimating the noise, at most, and the largest change of a round after which no other is needed, relative to the
+#: noise's power and to one.
+_PASSES, _SETTLED = 3, 1e-4
 #: Two fits contradict each other when their difference is less probable than the first, and the efficient one's
 #: residuals have more than the second times the power of the plain one's; either alone happens by chance.
 SMALLEST_AGREEMENT = 1e-4
@@ -113,9 +115,11 @@ def _learned(regression: Regression) -> Weights:
     first = noise = noise_of_residuals(regression, blocks, plain)
     efficient = plain
     for _ in range(_PASSES):
-        factor = pilot.whitened(noise)
+        factor, before = pilot.whitened(noise), noise
         efficient = solve(factor.matrix, factor.target)
         noise = noise_of_residuals(regression, blocks, efficient, factor)
+        if _settled(before, noise):
+            break
     white = [rows for _, rows in whitened(pilot.orthonormal, noise)]
     middle = _middle(pilot, noise, scale)
     agreement = _agreement(pilot.factor_of(white), pilot.weighted(scale), middle, plain - efficient)
@@ -125,7 +129,9 @@ def _learned(regression: Regression) -> Weights:
     if not complete:
         noise = first
         for _ in range(_PASSES):
-            noise = noise_of_residuals(regression, blocks, plain, pilot.whitened(noise))
+            before, noise = noise, noise_of_residuals(regression, blocks, plain, pilot.whitened(noise))
+            if _settled(before, noise):
+                break
         middle = _middle(pilot, noise, scale)
     complete = complete and not found.beyond_chance(SMALLEST_STRETCHES)
     rows = [b.rows / scale[:, None] for b in pilot.orthonormal]
@@ -171,6 +177,16 @@ def noise_of_residuals(
             spread=None if root is None else [on_columns(b.matrix, root) for b in own],
         )
     return noise
+
+
+def _settled(before: dict[str, NoiseModel], after: dict[str, NoiseModel]) -> bool:
+    """Whether a round has changed next to nothing."""
+    return all(
+        old.order == new.order
+        and np.abs(old.coefficients - new.coefficients).max() <= _SETTLED
+        and np.abs(old.innovation - new.innovation).max() <= _SETTLED * np.diag(new.innovation).min()
+        for old, new in ((before[group], after[group]) for group in after)
+    )
 
 
 def _agreement(efficient: Factor, plain: Factor, middle: np.ndarray, difference: np.ndarray) -> float:

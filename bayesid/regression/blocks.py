@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+
+#: Scalar rows whose products stay in the processor's second cache.
+PANEL = 1024
 
 
 @dataclass(frozen=True)
@@ -46,6 +49,13 @@ class Block:
     def residual(self, solution: np.ndarray) -> np.ndarray:
         """What parameters (p,) leave of what was measured (k, channels)."""
         return residual_of(self.rows, solution)
+
+    def panels(self) -> Iterator[Block]:
+        """The same rows, as many at a time as stay in the processor's second cache: for work that treats each row alone."""
+        count = max(PANEL // self.rows.shape[1], 1)
+        for first in range(0, len(self.rows), count):
+            part = slice(first, first + count)
+            yield replace(self, rows=self.rows[part], times=self.times[part], start=self.start and first == 0)
 
 
 def residual_of(rows: np.ndarray, solution: np.ndarray) -> np.ndarray:

@@ -100,10 +100,8 @@ class RowCache:
         return self._pilot
 
     def _make_pilot(self) -> Iterable[Block]:
-        if self.source.count <= 2 * PILOT_ROWS:
-            return self.blocks()
-        if self.source.fits_in_memory or self.source.pilot is None:
-            return spread(self.blocks(), self.source.count)
+        if self.source.count <= 2 * PILOT_ROWS or self.source.fits_in_memory or self.source.pilot is None:
+            return few_of(self.blocks(), self.source.count)
         return self.source.pilot()
 
     def derived(self, name: str, make: Callable[[], Any]) -> Any:
@@ -117,6 +115,11 @@ class RowCache:
     def with_pilot(self, pilot: Sequence[Block]) -> RowCache:
         """The same source with another pilot, of which nothing has been learned yet."""
         return RowCache(self.source, pilot=pilot)
+
+
+def few_of(blocks: Iterable[Block], rows: int) -> Iterator[Block]:
+    """All blocks where they hold few rows, else about `PILOT_ROWS` of them, evenly spread."""
+    return iter(blocks) if rows <= 2 * PILOT_ROWS else spread(blocks, rows)
 
 
 def spread(blocks: Iterable[Block], rows: int) -> Iterator[Block]:

@@ -14,7 +14,7 @@ from math import comb, factorial
 
 import numba
 import numpy as np
-from scipy.linalg import LinAlgError, solveh_banded
+from scipy.linalg.lapack import dpbsv
 
 from bayesid.errors import InputError
 from bayesid.signals.kernel_input import kernel_input
@@ -119,10 +119,10 @@ def _fitted(times: np.ndarray, positions: np.ndarray, bandwidth: float) -> tuple
     band, right = _normal_equations(kernel_input(times), kernel_input(positions), first, spacing, count, POLYNOMIALS)
     # A whisper of ridge keeps the outermost functions, of which only a tail lies in the data, determined.
     band[-1] += 1e-14 * band[-1].max()
-    try:
-        coefficients = solveh_banded(band, right, check_finite=False)
-    except LinAlgError:
-        raise too_few from None
+    # LAPACK itself: hundreds of short pieces are fitted, and the checks of `solveh_banded` take longer than they do.
+    _, coefficients, failed = dpbsv(band, right)
+    if failed:
+        raise too_few
     return kernel_input(coefficients), float(first)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -14,7 +15,9 @@ from bayesid.estimators.factor import whitened
 from bayesid.recordings.experiment import Experiment, Motion
 from bayesid.regression.blocks import Block, residual_of
 from bayesid.regression.parallel import both, in_order
+from bayesid.regression.motion_rows import row_count
 from bayesid.regression.problem import Problem
+from bayesid.regression.row_cache import few_of
 from bayesid.regression.rows import make_blocks
 from bayesid.regression.segment import Segment
 from bayesid.signals.noise import NoiseModel
@@ -165,26 +168,24 @@ def predict(problem: Problem, estimate: Estimate, motion: Motion, floor: NoiseFl
     segments = problem.segments[motion.name]
     margin = problem.row_model.margin
     moving = [r for r in segments if not r.poses and np.ptp(r.inner(margin))] or [r for r in segments if r.poses]
-    error, raw, times, measured, predicted = [], [], [], [], []
+    error, raw, times, measured = [], [], [], []
     for segment in moving:
         a, b = segment.inner(0.0 if segment.poses else margin)  # where the smoothed trajectory is sound
         t, y = segment.times[a:b], segment.measured(a, b)
         slow = partial(in_band, t, poses=segment.poses)
         prediction, smooth_y = both(partial(_predicted, problem, estimate, segment, a, b), partial(slow, y))
-        raw.append(prediction - y)
-        smooth_p = slow(prediction)
-        error.append(smooth_p - smooth_y)
+        prediction -= y
+        raw.append([_squares(prediction), _squares(y)])
+        error.append(slow(prediction))
         times.append(t)
         measured.append(smooth_y)
-        predicted.append(smooth_p)
-    all_error, all_raw = np.concatenate(error), np.concatenate(raw)
-    y = np.concatenate(measured)
-    y_raw = y + all_error - all_raw  # only its norm is used below
+    all_error, y = np.concatenate(error), np.concatenate(measured)
+    rmse_raw, scale_raw = np.sqrt(np.sum(raw, axis=0) / len(y))
     pick = slice(None, None, max(-(-len(y) // _PLOTTED), 1))
     if all(r.poses for r in moving):
         floor = None  # averaged one by one: nothing shows their noise
     by_channel, expected, coverage, spectrum = _whitened(problem, estimate, motion.name, moving, floor)
-    scale, scale_raw = _rms(y), _rms(y_raw)
+    scale, rmse = (np.sqrt(_squares(values) / len(values)) for values in (y, all_error))
     return Prediction(
         motion=motion.name,
         role=motion.role,
@@ -192,11 +193,11 @@ def predict(problem: Problem, estimate: Estimate, motion: Motion, floor: NoiseFl
         channel_units=problem.row_model.channels.units,
         times=np.concatenate(times)[pick],
         measured=y[pick],
-        predicted=np.concatenate(predicted)[pick],
-        rmse=_rms(all_error),
-        rmse_raw=_rms(all_raw),
-        nrmse=_rms(all_error) / np.where(scale > 0, scale, np.inf),
-        nrmse_raw=_rms(all_raw) / np.where(scale_raw > 0, scale_raw, np.inf),
+        predicted=y[pick] + all_error[pick],
+        rmse=rmse,
+        rmse_raw=rmse_raw,
+        nrmse=rmse / np.where(scale > 0, scale, np.inf),
+        nrmse_raw=rmse_raw / np.where(scale_raw > 0, scale_raw, np.inf),
         whitened_rms=float(np.sqrt(np.mean(by_channel**2))),
         whitened_rms_by_channel=by_channel,
         coverage=coverage,
@@ -224,11 +225,15 @@ def in_band(times: np.ndarray, values: np.ndarray, poses: bool) -> np.ndarray:
     rate = 1.0 / np.median(np.diff(times))
     if rate <= 2.5 * BAND:
         return values
-    return sosfiltfilt(butter(4, BAND, fs=rate, output="sos"), values, axis=0)
+    filters, out = butter(4, BAND, fs=rate, output="sos"), np.empty_like(values)
+    for c, series in enumerate(values.T):  # one after the other: a channel of a long recording stays in the processor's cache
+        out[:, c] = sosfiltfilt(filters, series)
+    return out
 
 
-def _rms(values: np.ndarray) -> np.ndarray:
-    return np.sqrt(np.mean(values**2, axis=0))
+def _squares(values: np.ndarray) -> np.ndarray:
+    """Sum of squares of each channel (c,)."""
+    return np.einsum("kc,kc->c", values, values)
 
 
 def _whitened(
@@ -243,21 +248,25 @@ def _whitened(
     blocks = (block for block in problem.rows.blocks([motion]) if block.group == group)
     # Zero for the target: whole rows need no copy.
     covariance = None if estimate.full_covariance is None else np.pad(estimate.full_covariance, (0, 1))
+    left: list[Block] = []
 
-    def judged(pair: tuple[Block, np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Residuals of a block as they are and whitened, and squared standard deviations of the whitened predictions (k, c)."""
-        block, white = pair
-        residual = residual_of(white, estimate.solution)
-        variance = np.zeros(residual.shape)
+    def noted() -> Iterator[Block]:
+        for block in blocks:
+            left.append(replace(block, rows=block.residual(estimate.solution)))
+            yield block
+
+    inside, variances = [], []
+    # How sure the prediction of a row is changes little along a motion: evenly spread rows of a long one tell it.
+    for _, white in whitened(few_of(noted(), row_count(problem.row_model, segments)), noise):
+        residual, variance = residual_of(white, estimate.solution), np.zeros(white.shape[:2])
         if covariance is not None:
             x = white.reshape(-1, white.shape[2])
             variance = np.einsum("np,np->n", x @ covariance, x).reshape(residual.shape)
-        return block.residual(estimate.solution), residual, variance
-
-    parts = list(in_order(judged, whitened(blocks, noise)))
-    raw, residual, variance = ([part[k] for part in parts] for k in range(3))
-    residual, variance = np.concatenate(residual), np.concatenate(variance)
+        inside.append(np.abs(residual) <= 1.959964 * np.sqrt(1.0 + variance))
+        variances.append(variance)
+    raw = [block.rows for block in left]
     if floor is None:
+        residual = np.concatenate([white for _, white in whitened(left, noise)])
         channels = np.sqrt(np.mean(residual**2, axis=0))
     else:
         unfiltered = raw
@@ -265,12 +274,12 @@ def _whitened(
             plain = make_blocks(replace(problem.row_model, filters=None), segments)
             unfiltered = [b.residual(estimate.solution) for b in plain]
         channels = floor.ratio(unfiltered, problem.row_model.step, BAND)
-    inside = np.abs(residual) <= 1.959964 * np.sqrt(1.0 + variance)
     spectrum = None
     if group == "trajectory":
         rate = 1.0 / float(np.median(np.diff(next(r.times for r in segments if not r.poses))))
         spectrum = _spectrum(raw, noise["trajectory"], problem.row_model.step, rate, problem.row_model.filters is not None)
-    return channels, float(np.sqrt(1.0 + variance.mean())), float(inside.mean()), spectrum
+    expected = float(np.sqrt(1.0 + np.concatenate(variances).mean()))
+    return channels, expected, float(np.concatenate(inside).mean()), spectrum
 
 
 def _spectrum(residuals: list[np.ndarray], noise: NoiseModel, step: float, rate: float, filtered: bool) -> Spectrum | None:
