@@ -95,6 +95,8 @@ class Effect(ABC):
         Whether its estimate holds the weight that looks like it as well.
     in_static_run
         Whether a static run of the same positions has it, too.
+    always_the_same
+        Whether `motion_columns` are the same at all times, whatever the motion.
     zero_unless_stated
         Whether parameters left out are zero once any is stated.
     needs_gear_ratio
@@ -147,6 +149,7 @@ class Effect(ABC):
     removed_by_static_run: ClassVar[bool] = False
     estimated_without_static_run: ClassVar[bool] = False
     absorbs_weight: ClassVar[bool] = False
+    always_the_same: ClassVar[bool] = False
     in_static_run: ClassVar[bool] = True
     zero_unless_stated: ClassVar[bool] = False
     needs_gear_ratio: ClassVar[bool] = False

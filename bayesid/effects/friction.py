@@ -205,6 +205,7 @@ class TorqueOffset(JointTorqueEffect):
     summary = "amplifier bias or asymmetric friction"
     equation = "$o$"
     quantities = (Parameter("offset", "N m", -inf),)
+    always_the_same = True
     confusable_with = ("spring", "payload")
 
     def typical(self, robot):
@@ -212,7 +213,3 @@ class TorqueOffset(JointTorqueEffect):
 
     def torque(self, motion, values):
         return np.full(len(motion.velocity), values[0])
-
-    def motion_columns(self, segment, channels):
-        always = np.array([[float(channel == f"tau{self.joint + 1}")] for channel in channels])
-        return np.broadcast_to(always, (len(segment.times), *always.shape))

@@ -50,6 +50,7 @@ class SensorOffset(_OnTop):
     removed_by_static_run = True
     estimated_without_static_run = True
     absorbs_weight = True
+    always_the_same = True
 
     def sought(self, around):
         return not around.static_run

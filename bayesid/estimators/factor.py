@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.linalg import LinAlgError
@@ -11,6 +12,7 @@ from scipy.linalg import cholesky, solve_triangular
 
 from bayesid.estimators.dispersion import STRETCHES
 from bayesid.regression.blocks import PANEL, Block
+from bayesid.regression.linalg import or_one
 from bayesid.regression.parallel import in_order
 from bayesid.signals.noise import NoiseModel
 
@@ -135,9 +137,10 @@ def _follows(last: Block, block: Block) -> bool:
 class Pilot:
     """Rows that are reduced again and again with other weights, in coordinates in which they are orthonormal.
 
-    ``[X y] = Z R`` with the factor R of one QR decomposition. Weights act on Z from the left, so the factor of weighted rows is
-    that of weighted Z times R; and Z is so well conditioned that its factor may come from ``Z' W'W Z``, at a fraction of the
-    time of an orthogonal decomposition and nothing lost by squaring [Yamamoto2015]_.
+    ``[X y] = Z R`` with the Cholesky factor R of ``[X y]'[X y]``. Weights act on Z from the left, so the factor of weighted rows
+    is that of weighted Z times R; and Z is so well conditioned that its factor may come from ``Z' W'W Z``, at a fraction of the
+    time of an orthogonal decomposition and nothing lost by squaring: this second factor makes up for what the first square lost
+    [Yamamoto2015]_.
 
     Attributes
     ----------
@@ -156,16 +159,33 @@ class Pilot:
     @classmethod
     def of(cls, blocks: Sequence[Block]) -> Pilot:
         """Find the coordinates of these rows."""
-        root = reduce_rows(blocks, lambda b: b.rows).r
+        gram = gram_rows(blocks, lambda b: b.rows, row_by_row=True)
+        length = or_one(np.sqrt(np.diag(gram)))
+        try:
+            root = cholesky(gram / np.outer(length, length)) * length
+        except LinAlgError:
+            return cls(blocks, None, blocks)
         # The diagonal is what each column adds to those before it.
-        if np.any(np.abs(np.diag(root)) <= _WELL_DETERMINED * np.linalg.norm(root, axis=0)):
+        if np.any(np.diag(root) <= _WELL_DETERMINED * np.linalg.norm(root, axis=0)):
             return cls(blocks, None, blocks)
         inverse = solve_triangular(root, np.eye(len(root)))
         return cls(blocks, root, [replace(b, rows=on_columns(b.rows, inverse)) for b in blocks])
 
     def weighted(self, scale: np.ndarray) -> Factor:
         """Factor of rows over the scale of every channel (c,)."""
+        if self.root is not None:
+            try:
+                r = cholesky(np.tensordot(scale**-2.0, self._channel_grams, 1)) @ self.root
+                return Factor(r, sum(len(b.rows) for b in self.blocks) * len(scale))
+            except LinAlgError:  # scales so uneven that some rows count for nothing
+                pass
         return self.factor_of([b.rows / scale[:, None] for b in self.orthonormal])
+
+    @cached_property
+    def _channel_grams(self) -> np.ndarray:
+        """``Z'Z`` of each channel's rows (c, p + 1, p + 1)."""
+        channels = range(self.orthonormal[0].rows.shape[1])
+        return np.array([sum(b.rows[:, c].T @ b.rows[:, c] for b in self.orthonormal) for c in channels])
 
     def whitened(self, noise: dict[str, NoiseModel]) -> Factor:
         """Factor of whitened rows."""

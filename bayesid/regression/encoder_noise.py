@@ -24,8 +24,8 @@ from bayesid.signals.smoothing import DEGREE, Smoother, smooth
 LARGEST_CORRELATION = 0.3
 #: Samples that errors are simulated on where a part of long recordings will do, in so many pieces.
 _SAMPLES, _PIECES = 4000, 8
-#: Samples smoothed at once where only their scatter about the spline is wanted.
-_AT_ONCE = 65_536
+#: Samples that the size of the noise is measured on, evenly spread over a long recording, and how many are smoothed at once.
+_MEASURED, _AT_ONCE = 32_768, 4096
 #: Knots that periods must be apart at least: the influence of a sample falls to 0.43**12 = 4e-5.
 _APART = 12
 _ENTROPY = 1998  # of simulated noise, the same at every call
@@ -61,13 +61,13 @@ def measure(segments: Sequence[Segment], bandwidth: float, most: np.ndarray) -> 
     most
         Standard deviations that are not exceeded (n,): a bandwidth below the motion's would take motion for noise.
     """
-    n = len(most)
+    n, moving = len(most), [r for r in segments if not r.poses]
     power, product, free = np.zeros(n), np.zeros(n), 0
-    for r in segments:
-        if r.poses:
-            continue
-        edges = np.linspace(0, len(r.times), len(r.times) // _AT_ONCE + 2, dtype=int)
-        for a, b in itertools.pairwise(edges.tolist()):
+    share = max(sum(len(r.times) for r in moving) / _MEASURED, 1.0)
+    for r in moving:
+        edges = np.linspace(0, len(r.times), int(len(r.times) / (share * _AT_ONCE)) + 2, dtype=int)
+        for a, end in itertools.pairwise(edges.tolist()):
+            b = a + int((end - a) / share)
             times, positions = r.times[a:b], r.positions[a:b]
             residual = positions - smooth(times, positions, bandwidth)[0]
             power += np.sum(residual**2, axis=0)
@@ -158,13 +158,17 @@ def errors_of(row_model: RowModel, segments: Sequence[Segment], smoother: Smooth
         return make_blocks(row_model, quiet_pieces())
 
     def misread(draws: int, solution: np.ndarray) -> list[list[np.ndarray]]:
-        def said(segment: Segment, first: int, last: int) -> np.ndarray:
-            return row_model.modelled(segment, first, last, solution)[:, :, None]
-
         parts = quiet_pieces()
-        true = [b.target for b in make_blocks(row_model, parts, said)]
-        drawn = (make_blocks(row_model, again(parts, parts, k), said) for k in range(draws))
-        return [[b.target - y for b, y in zip(blocks, true, strict=True)] for blocks in drawn]
+        drawn = [again(parts, parts, k) for k in range(draws)]
+        rows: list[np.ndarray] = []
+        for versions in zip(parts, *drawn, strict=True):
+
+            def said(_: Segment, first: int, last: int, versions: tuple[Segment, ...] = versions) -> np.ndarray:
+                """Without errors and of every draw (N, channels, 1 + draws)."""
+                return np.stack([row_model.modelled(v, first, last, solution) for v in versions], axis=2)
+
+            rows += [b.rows for b in make_blocks(row_model, versions[:1], said)]
+        return [[r[:, :, k] - r[:, :, 0] for r in rows] for k in range(1, draws + 1)]
 
     def perturbed(draw: int, sign: float) -> Iterator[Block]:
         return make_blocks(row_model, again(segments, quiet(), draw, sign))

@@ -96,7 +96,11 @@ class RowModel:
         return MotionSegment(times, *state, encoders=(times, segment.positions[first:last]))
 
     def effect_columns(self, segment: Segment, state: MotionSegment) -> np.ndarray:
-        """(N, channels, effect parameters)."""
+        """(N, channels, effect parameters), to be read only."""
+        if len(state.times) > 1 and all(effect.always_the_same for effect in self.effects):
+            first = MotionSegment(*(x[:1] for x in (state.times, state.positions, state.velocities, state.accelerations)))
+            one = self.effect_columns(segment, first)
+            return np.broadcast_to(one, (len(state.times), *one.shape[1:]))
         out = np.zeros((len(state.times), len(self.channels), sum(len(e.column_names) for e in self.effects)))
         first = 0
         for effect in self.effects:

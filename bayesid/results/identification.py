@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from bayesid.estimators import Estimate
 from bayesid.estimators.estimator import parameter_table
 from bayesid.estimators.prior_check import PriorCheck, conflicts
 from bayesid.recordings.schema import EffectParameters
+from bayesid.regression.parallel import in_order
 from bayesid.regression.problem import Problem
 from bayesid.results.bodies import impossible_bodies
 from bayesid.results.figures import PlotsPredictions, figures_of
@@ -24,8 +26,9 @@ from bayesid.results.text import HALF
 from bayesid.results.urdf_links import UrdfLinks
 from bayesid.validation.cross_checks import Agreement
 from bayesid.validation.headline import over_noise, still_predictable
+from bayesid.validation.noise_floor import NoiseFloor
 from bayesid.validation.predicted_readings import PredictedReadings, predict_readings
-from bayesid.validation.prediction import BAND, Prediction, band_error, relative_error
+from bayesid.validation.prediction import BAND, Prediction, band_error, predict, relative_error
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -44,8 +47,10 @@ class Identification(PlotsPredictions, Result):
         The model and its parameters.
     urdf
         Links and friction of ``identified.urdf``, and how far they are from the estimate.
-    fitted, validation
-        Predictions of the fitted motions and of the others.
+    fitted
+        Predictions of the fitted motions, made when they are first asked for.
+    validation
+        Predictions of the others.
     agreements
         Comparisons of the data with themselves.
     static_alternative
@@ -65,12 +70,13 @@ class Identification(PlotsPredictions, Result):
         Whether ``identified-unconstrained.urdf`` is written, too.
     certificate
         Coverage of the intervals on simulated twins, where `bayesid.accuracy` counted it.
+    floor
+        Noise that no model can remove, where something tells it.
     """
 
     problem: Problem
     estimate: Estimate
     urdf: UrdfLinks
-    fitted: tuple[Prediction, ...]
     validation: tuple[Prediction, ...]
     agreements: tuple[Agreement, ...]
     static_alternative: Estimate | None
@@ -81,6 +87,13 @@ class Identification(PlotsPredictions, Result):
     prior_check: PriorCheck | None = None
     unconstrained_urdf: bool = False
     certificate: Certificate | None = None
+    floor: NoiseFloor | None = None
+
+    @cached_property
+    def fitted(self) -> tuple[Prediction, ...]:
+        problem = self.problem
+        motions = [m for m in problem.experiment.motions if m.name in problem.fitted]
+        return tuple(in_order(lambda motion: predict(problem, self.estimate, motion, self.floor), motions))
 
     @property
     def names(self) -> tuple[str, ...]:

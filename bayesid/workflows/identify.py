@@ -95,12 +95,14 @@ def identify(
             partial(_solved, problem, method), partial(fits_alone, problem, method, early)
         )
         clock("prediction")
-        readable = [m for m in experiment.motions if m.name in problem.segments]
-        unfitted = [m.name for m in readable if m.name not in problem.fitted and m.role == "validation"]
+        unfitted = [
+            m for m in experiment.motions
+            if m.name in problem.segments and m.name not in problem.fitted and m.role == "validation"
+        ]  # fmt: skip
         # Fits of single motions and links need none of the predictions: all at once, on as many cores as there are.
-        flexible = partial(flexible_gaps, problem, estimate.solution, unfitted)
+        flexible = partial(flexible_gaps, problem, estimate.solution, [m.name for m in unfitted])
         fits, possible = partial(motions_apart, problem, estimate, method, alone), partial(urdf_links, problem, estimate)
-        jobs = [fits, possible, flexible, *(partial(predict, problem, estimate, motion, floor) for motion in readable)]
+        jobs = [fits, possible, flexible, *(partial(predict, problem, estimate, motion, floor) for motion in unfitted)]
         agreements, links, gaps, *predictions = in_order(lambda job: job(), jobs)
         clock("consistency")
         alternative = static_both_ways(problem, method)
@@ -110,12 +112,11 @@ def identify(
         unexcited = _unexcited(problem, estimate)
         check = against_nominal(problem.regression, estimate)
         of_rotors = missing_rotors(problem, method, options, links)
-    validation = tuple(replace(p, flexible=gaps.get(p.motion)) for p in predictions if p.motion in unfitted)
+    validation = tuple(replace(p, flexible=gaps.get(p.motion)) for p in predictions)
     return Identification(
         problem=problem,
         estimate=estimate,
         urdf=links,
-        fitted=tuple(p for p in predictions if p.motion in problem.fitted),
         validation=validation,
         agreements=tuple(agreements),
         static_alternative=alternative,
@@ -125,6 +126,7 @@ def identify(
         seconds=clock.stop(),
         prior_check=check,
         unconstrained_urdf=unconstrained_urdf,
+        floor=floor,
     )
 
 
