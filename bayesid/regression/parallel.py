@@ -2,15 +2,38 @@
 
 from __future__ import annotations
 
+import functools
 import os
+import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager
 from itertools import chain, islice
 from typing import TypeVar
 
+import scipy.linalg  # noqa: F401 -- its library must be there when the libraries are looked up
+from threadpoolctl import ThreadpoolController
+
 _A = TypeVar("_A")
 _B = TypeVar("_B")
+
+
+_here = threading.local()
+
+
+def _mark() -> None:
+    _here.helps = True
+
+
+@functools.cache
+def _libraries() -> ThreadpoolController:
+    return ThreadpoolController()
+
+
+def one_blas_thread() -> AbstractContextManager:
+    """While this lasts, linear algebra stays in the thread that calls it: the matrices are small, and the cores busy anyway."""
+    return _libraries().limit(limits=1, user_api="blas")
 
 
 def in_order(work: Callable, jobs: Iterable) -> Iterator:
@@ -18,11 +41,14 @@ def in_order(work: Callable, jobs: Iterable) -> Iterator:
     threads = min(os.cpu_count() or 1, 8)
     jobs = iter(jobs)
     few = list(islice(jobs, 2))
+    if getattr(_here, "helps", False):
+        yield from map(work, chain(few, jobs))
+        return
     if len(few) < 2:
         yield from map(work, few)
         return
     jobs = chain(few, jobs)
-    with ThreadPoolExecutor(threads) as pool:
+    with ThreadPoolExecutor(threads, initializer=_mark) as pool:
         waiting: deque = deque()
         for job in jobs:
             waiting.append(pool.submit(work, job))
@@ -34,6 +60,8 @@ def in_order(work: Callable, jobs: Iterable) -> Iterator:
 
 def both(one: Callable[[], _A], other: Callable[[], _B]) -> tuple[_A, _B]:
     """Results of two jobs that run at once; where both fail, the first one's error is raised."""
-    with ThreadPoolExecutor(1) as pool:
+    if getattr(_here, "helps", False):
+        return one(), other()
+    with ThreadPoolExecutor(1, initializer=_mark) as pool:
         waiting = pool.submit(other)
         return one(), waiting.result()

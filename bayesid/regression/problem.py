@@ -15,6 +15,7 @@ from bayesid.regression.bandwidth import BandwidthChoice, choose_bandwidth
 from bayesid.regression.encoder_noise import errors_of
 from bayesid.regression.motion_rows import MotionRows, row_count
 from bayesid.regression.options import FitOptions
+from bayesid.regression.parallel import in_order
 from bayesid.regression.readings import default_channel, has_readings, make_channels, motion_segments, require_readings
 from bayesid.regression.regression import PriorKnowledge, Regression
 from bayesid.regression.row_cache import PILOT_ROWS, PILOT_SEGMENTS, RowCache, RowSource
@@ -299,7 +300,7 @@ def smoother_of(experiment: Experiment, segments: Sequence[Segment], bandwidth: 
         pieces += [(r.times[a : a + length], r.positions[a : a + length]) for a in starts if length >= 20]
     if not pieces:
         return Smoother(bandwidth or 1.0, np.zeros(experiment.robot.n), "only poses at rest: nothing to smooth")
-    chosen = choose_smoother(pieces, experiment.position_resolution, experiment.position_std)
+    chosen = choose_smoother(pieces, experiment.position_resolution, experiment.position_std, each=in_order)
     if bandwidth is not None:
         chosen = replace(chosen, bandwidth=bandwidth, reason="as given")
     return chosen

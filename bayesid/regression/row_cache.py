@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from threading import Lock
+from threading import Lock, RLock
 from typing import Any
 
 import numpy as np
@@ -71,6 +71,7 @@ class RowCache:
         self._blocks = None if blocks is None else tuple(blocks)
         self._pilot = None if pilot is None else tuple(pilot)
         self._derived: dict[str, Any] = {}
+        self._making: dict[str, RLock] = {}
 
     @property
     def kept(self) -> bool:
@@ -105,12 +106,16 @@ class RowCache:
         return self.source.pilot()
 
     def derived(self, name: str, make: Callable[[], Any]) -> Any:
-        """What ``make`` gives, made at the first call only: estimators share what depends on the rows alone."""
-        if name not in self._derived:
-            made = make()
-            with self._lock:
-                self._derived.setdefault(name, made)
-        return self._derived[name]
+        """What ``make`` gives, made at the first call only: estimators share what depends on the rows alone.
+
+        A thread that wants what another one is making waits for it.
+        """
+        with self._lock:
+            making = self._making.setdefault(name, RLock())
+        with making:
+            if name not in self._derived:
+                self._derived[name] = make()
+            return self._derived[name]
 
     def with_pilot(self, pilot: Sequence[Block]) -> RowCache:
         """The same source with another pilot, of which nothing has been learned yet."""

@@ -97,15 +97,23 @@ class RowModel:
 
     def effect_columns(self, segment: Segment, state: MotionSegment) -> np.ndarray:
         """(N, channels, effect parameters), to be read only."""
-        if len(state.times) > 1 and all(effect.always_the_same for effect in self.effects):
-            first = MotionSegment(*(x[:1] for x in (state.times, state.positions, state.velocities, state.accelerations)))
-            one = self.effect_columns(segment, first)
-            return np.broadcast_to(one, (len(state.times), *one.shape[1:]))
+        if all(effect.always_the_same for effect in self.effects):
+            columns = self._constant_columns[segment.offset]
+            return np.broadcast_to(columns, (len(state.times), *columns.shape))
+        return self._columns(state, segment.offset)
+
+    @cached_property
+    def _constant_columns(self) -> tuple[np.ndarray, np.ndarray]:
+        """Columns (channels, effect parameters) of effects that are always the same, without a sensor's offset and with it."""
+        still = MotionSegment(np.zeros(1), *np.zeros((3, 1, self.robot.n)))
+        return self._columns(still, False)[0], self._columns(still, True)[0]
+
+    def _columns(self, state: MotionSegment, offset: bool) -> np.ndarray:
         out = np.zeros((len(state.times), len(self.channels), sum(len(e.column_names) for e in self.effects)))
         first = 0
         for effect in self.effects:
             last = first + len(effect.column_names)
-            if segment.offset or not effect.removed_by_static_run:
+            if offset or not effect.removed_by_static_run:
                 out[:, :, first:last] = effect.motion_columns(state, self.channels.names)
             first = last
         return out

@@ -47,10 +47,8 @@ class Identification(PlotsPredictions, Result):
         The model and its parameters.
     urdf
         Links and friction of ``identified.urdf``, and how far they are from the estimate.
-    fitted
-        Predictions of the fitted motions, made when they are first asked for.
     validation
-        Predictions of the others.
+        Predictions of the motions that were not fitted.
     agreements
         Comparisons of the data with themselves.
     static_alternative
@@ -91,6 +89,7 @@ class Identification(PlotsPredictions, Result):
 
     @cached_property
     def fitted(self) -> tuple[Prediction, ...]:
+        """Predictions of the fitted motions, made when they are first asked for."""
         problem = self.problem
         motions = [m for m in problem.experiment.motions if m.name in problem.fitted]
         return tuple(in_order(lambda motion: predict(problem, self.estimate, motion, self.floor), motions))

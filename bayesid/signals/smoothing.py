@@ -8,7 +8,7 @@ a long recording is smoothed in pieces with an overlap, and the pieces agree to 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from math import comb, factorial
 
@@ -132,6 +132,7 @@ def choose_smoother(
     noise: float | None = None,
     lowest: float = 1.0,
     highest: float = 20.0,
+    each: Callable[[Callable, Iterable], Iterable] = map,
 ) -> Smoother:
     """Choose the bandwidth from the data by generalised cross-validation [Craven1979]_.
 
@@ -143,6 +144,8 @@ def choose_smoother(
         Encoder count and random noise, if known [rad or m]: the error is then not taken smaller.
     lowest, highest
         Range searched [Hz]; also kept below a fifth of the sampling rate.
+    each
+        Calls a function with every item of a sequence, in order: ``map``, or one that uses more cores.
 
     Notes
     -----
@@ -150,7 +153,7 @@ def choose_smoother(
     that is a little too stiff to one that is too loose only in position; accelerations weigh the bias more, so
     the smallest bandwidth within 2 % of the best score is widened by a quarter.
     """
-    (chosen,) = choose_smoothers(pieces, [range(len(pieces))], resolution, noise, lowest, highest)
+    (chosen,) = choose_smoothers(pieces, [range(len(pieces))], resolution, noise, lowest, highest, each)
     return chosen
 
 
@@ -161,6 +164,7 @@ def choose_smoothers(
     noise: float | None = None,
     lowest: float = 1.0,
     highest: float = 20.0,
+    each: Callable[[Callable, Iterable], Iterable] = map,
 ) -> list[Smoother]:
     """`choose_smoother` for groups of pieces; a piece of several groups is fitted once.
 
@@ -170,17 +174,24 @@ def choose_smoothers(
         Gap-free stretches (times (N,), positions (N, n)).
     groups
         Indices of each group's pieces.
-    resolution, noise, lowest, highest
+    resolution, noise, lowest, highest, each
         As for one group.
     """
-    fitted: dict[tuple[int, float], np.ndarray] = {}
+    tried = [_candidates([pieces[k][0] for k in group], lowest, highest) for group in groups]
+    wanted = dict.fromkeys((k, b) for group, bandwidths in zip(groups, tried, strict=True) for b in bandwidths for k in group)
+    left = dict(zip(wanted, each(lambda key: _left(pieces[key[0]], key[1]), wanted), strict=True))
+    return [
+        _chosen(pieces, group, bandwidths, left, resolution or 0.0, noise or 0.0)
+        for group, bandwidths in zip(groups, tried, strict=True)
+    ]
 
-    def residual(index: int, bandwidth: float) -> np.ndarray:
-        if (index, bandwidth) not in fitted:
-            fitted[index, bandwidth] = _left(pieces[index], bandwidth)
-        return fitted[index, bandwidth]
 
-    return [_chosen(pieces, group, residual, resolution or 0.0, noise or 0.0, lowest, highest) for group in groups]
+def _candidates(times: Sequence[np.ndarray], lowest: float, highest: float) -> list[float]:
+    """Bandwidths to try [Hz]."""
+    rate = float(np.median([1.0 / np.median(np.diff(t)) for t in times]))
+    highest = min(highest, 0.2 * rate)
+    lowest = min(max(lowest, 2.0 / max(sum(t[-1] - t[0] for t in times), 1e-9)), highest)
+    return np.geomspace(lowest, highest, 16).tolist()
 
 
 def _left(piece: Piece, bandwidth: float) -> np.ndarray:
@@ -192,23 +203,20 @@ def _left(piece: Piece, bandwidth: float) -> np.ndarray:
 
 
 def _chosen(
-    pieces: Sequence[Piece], group: Sequence[int], residual: Callable[[int, float], np.ndarray],
-    resolution: float, noise: float, lowest: float, highest: float,
+    pieces: Sequence[Piece], group: Sequence[int], candidates: Sequence[float], left_of: Mapping[tuple[int, float], np.ndarray],
+    resolution: float, noise: float,
 ) -> Smoother:  # fmt: skip
     """The smoother of one group, from what splines leave of each of its pieces at a bandwidth (n,)."""
     times, positions = zip(*(pieces[k] for k in group), strict=True)
-    rate = float(np.median([1.0 / np.median(np.diff(t)) for t in times]))
-    highest = min(highest, 0.2 * rate)
-    lowest = min(max(lowest, 2.0 / max(sum(t[-1] - t[0] for t in times), 1e-9)), highest)
-    candidates = np.geomspace(lowest, highest, 16)
+    lowest, highest = candidates[0], candidates[-1]
     moving = np.max([np.ptp(q, axis=0) for q in positions], axis=0) > 10.0 * max(resolution, 1e-9)
     floor = resolution**2 / 12.0 + noise**2
     samples = sum(map(len, times))
     scores, errors = [], []
-    for bandwidth in map(float, candidates):
+    for bandwidth in candidates:
         functions = sum(int((t[-1] - t[0]) * 2 * bandwidth) + _ORDER for t in times)
         free = max(samples - functions, 1)
-        left = np.sum([residual(k, bandwidth) for k in group], axis=0)
+        left = np.sum([left_of[k, bandwidth] for k in group], axis=0)
         variance = np.maximum(left / free, max(0.25 * floor, 1e-20))
         errors.append(np.sqrt(variance))
         scores.append(np.sum(np.log(variance[moving])) + moving.sum() * np.log(samples / free))

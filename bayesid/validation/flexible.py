@@ -268,15 +268,17 @@ def _ways(sums: Sequence[_Sums], functions: Sequence[np.ndarray], count: int) ->
             for s, k in zip(sums, columns, strict=True)
         ])  # fmt: skip
     sizes = [np.diagonal(gram) for gram, _ in wholes]
+    every = range(len(sums))
+    groups = [every] if all(own is functions[0] for own in functions) else [[c] for c in every]
     errors = np.zeros((len(_STRENGTHS), _WAYS, len(sums)))
     for i, strength in enumerate(_STRENGTHS):
         for held in folds:
             rest = [(g - h, y - z) for (g, y), (h, z, _) in zip(wholes, held, strict=True)]
-            for way, found in enumerate(_solved(rest, sizes, weights, strength, len(rigid))):
+            for way, found in enumerate(_solved(rest, groups, sizes, weights, strength, len(rigid))):
                 errors[i, way] += [
                     power - 2.0 * x @ side + x @ gram @ x for x, (gram, side, power) in zip(found, held, strict=True)
                 ]
-    solutions = [_solved(wholes, sizes, weights, strength, len(rigid)) for strength in _STRENGTHS]
+    solutions = [_solved(wholes, groups, sizes, weights, strength, len(rigid)) for strength in _STRENGTHS]
     best = errors.argmin(axis=0)
     for way in range(_WAYS):
         yield [
@@ -286,23 +288,26 @@ def _ways(sums: Sequence[_Sums], functions: Sequence[np.ndarray], count: int) ->
 
 
 def _solved(
-    parts: Sequence[tuple[np.ndarray, np.ndarray]], sizes: Sequence[np.ndarray], weights: np.ndarray, strength: float, rigid: int
+    parts: Sequence[tuple[np.ndarray, np.ndarray]], groups: Sequence[Sequence[int]], sizes: Sequence[np.ndarray],
+    weights: np.ndarray, strength: float, rigid: int,
 ) -> list[list[np.ndarray]]:
     """Coefficients of functions, then of rigid columns, for each channel: without these, hardly penalised, as the functions are.
 
     Penalties are shares of the columns' energies ``sizes``. The functions of each channel are eliminated: what is left are
-    the normal equations of the rigid parameters.
+    the normal equations of the rigid parameters. Channels of one of the ``groups`` have the same functions.
     """
-    schur, side, eliminated = np.zeros((rigid, rigid)), np.zeros(rigid), []
-    for (gram, y), size, weight in zip(parts, sizes, weights, strict=True):
-        f = len(y) - rigid
-        scale = or_one(np.sqrt(size[:f]))
+    eliminated = []
+    for own in groups:
+        gram, f = parts[own[0]][0], len(parts[own[0]][1]) - rigid
+        scale = or_one(np.sqrt(sizes[own[0]][:f]))
         penalised = gram[:f, :f] / np.outer(scale, scale)
         penalised.flat[:: f + 1] += strength
-        right = np.column_stack([y[:f], gram[:f, f:]]) / scale[:, None]
+        right = np.hstack([part for c in own for part in (parts[c][1][:f, None], parts[c][0][:f, f:])]) / scale[:, None]
         # LAPACK itself: the penalty makes it positive definite, and SciPy's checks would take longer than the solution.
-        found = dposv(penalised, right)[1] / scale[:, None]
-        eliminated.append(found)
+        eliminated += np.hsplit(dposv(penalised, right)[1] / scale[:, None], len(own))
+    schur, side = np.zeros((rigid, rigid)), np.zeros(rigid)
+    for (gram, y), found, weight in zip(parts, eliminated, weights, strict=True):
+        f = len(found)
         schur += weight * (gram[f:, f:] - gram[f:, :f] @ found[:, 1:])
         side += weight * (y[f:] - gram[f:, :f] @ found[:, 0])
     length = or_one(np.sqrt(np.sum([w * size[-rigid:] for w, size in zip(weights, sizes, strict=True)], axis=0)))

@@ -14,8 +14,8 @@ from bayesid.estimators import Estimate
 from bayesid.estimators.factor import whitened
 from bayesid.recordings.experiment import Experiment, Motion
 from bayesid.regression.blocks import Block, residual_of
-from bayesid.regression.parallel import both, in_order
 from bayesid.regression.motion_rows import row_count
+from bayesid.regression.parallel import both, in_order
 from bayesid.regression.problem import Problem
 from bayesid.regression.row_cache import few_of
 from bayesid.regression.rows import make_blocks
@@ -261,7 +261,7 @@ def _whitened(
         residual, variance = residual_of(white, estimate.solution), np.zeros(white.shape[:2])
         if covariance is not None:
             x = white.reshape(-1, white.shape[2])
-            variance = np.einsum("np,np->n", x @ covariance, x).reshape(residual.shape)
+            variance = np.sum(x @ covariance * x, axis=1).reshape(residual.shape)
         inside.append(np.abs(residual) <= 1.959964 * np.sqrt(1.0 + variance))
         variances.append(variance)
     raw = [block.rows for block in left]

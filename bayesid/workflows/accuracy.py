@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from bayesid.design.accuracy.bench import Bench, make_bench
 from bayesid.design.accuracy.certificate import Certificate, certify, check_certifiable
@@ -20,6 +19,7 @@ from bayesid.errors import InputError
 from bayesid.estimators import DEFAULT_METHOD, METHODS, Estimator, estimator
 from bayesid.recordings.experiment import Experiment, as_experiment
 from bayesid.regression.options import FitOptions
+from bayesid.regression.parallel import one_blas_thread
 from bayesid.results.accuracy import Accuracy
 from bayesid.results.figures import figures_of
 from bayesid.results.files import Files, amend, files_of, read_document
@@ -91,8 +91,7 @@ def accuracy(
     if certificate < 0 or runs < 0:
         raise InputError(f"--{'runs' if runs < 0 else 'twins'} {min(runs, certificate)}: give a positive number, or 0 for none")
     clock = Clock(progress)
-    # The matrices are small: threads inside the linear algebra cost more than they gain here.
-    with threadpool_limits(1, user_api="blas"):
+    with one_blas_thread():
         clock("reading")
         options = FitOptions(channel, low_pass, motions, effects, static, bandwidth)
         bench = _bench(experiment, method, options, nominal, clock)

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from scipy.io import savemat
-from threadpoolctl import threadpool_limits
 
 from bayesid.design.bounds.bands import Band, band, spread
 from bayesid.design.bounds.knowledge import Known, inflation_of, known_from
@@ -22,6 +21,7 @@ from bayesid.errors import InputError
 from bayesid.estimators import DEFAULT_METHOD, Estimator
 from bayesid.posterior.result import PRIOR_DRIVEN
 from bayesid.recordings.experiment import Experiment, Motion, as_experiment
+from bayesid.regression.parallel import one_blas_thread
 from bayesid.regression.problem import Problem
 from bayesid.regression.readings import make_channels
 from bayesid.results.bounds import ControllerBounds, TrajectoryBands
@@ -107,17 +107,17 @@ def bounds(
         source = as_experiment(source, "a posterior or an identification")
     planned = _planned(trajectory, source.robot if isinstance(source, Experiment) else source.problem.experiment.robot)
     if run is not None and isinstance(source, Experiment):
-        with threadpool_limits(1, user_api="blas"):
+        with one_blas_thread():
             known, told = known_from_run(source, Path(run), chosen, prior_std, DRAWS, seed)
     else:
         if isinstance(source, Experiment):
             clock("posterior or estimate")
             source = _fitted(source, method, prior_std, seed, clock, chosen)
         clock("links that can exist")
-        with threadpool_limits(1, user_api="blas"):
+        with one_blas_thread():
             known = _known(source, prior_std, seed)
         told = source.warnings
-    with threadpool_limits(1, user_api="blas"):
+    with one_blas_thread():
         return _bounded(known, told, planned, urdfs, configurations, seed, clock)
 
 

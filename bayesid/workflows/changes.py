@@ -6,12 +6,11 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from threadpoolctl import threadpool_limits
-
 from bayesid.diagnosis.changes.findings import compare_with_reference
 from bayesid.diagnosis.settings import Settings
 from bayesid.recordings.experiment import Experiment, as_experiment
 from bayesid.recordings.schema import write_model
+from bayesid.regression.parallel import one_blas_thread
 from bayesid.results.changes import Changes
 from bayesid.results.files import Files, files_of, strict
 from bayesid.workflows.progress import Progress
@@ -29,7 +28,7 @@ def changes(
 ) -> Changes:
     """What changed; parameters and errors as in `bayesid.diagnose`."""
     since = time.perf_counter()
-    with threadpool_limits(1, user_api="blas"):
+    with one_blas_thread():
         progress("reading")
         after, before = as_experiment(after), as_experiment(before)
         progress("what changed since the reference")

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from bayesid.dynamics.base_parameters import structural_base
 from bayesid.errors import InputError
@@ -13,6 +12,7 @@ from bayesid.recordings.experiment import Experiment, Motion, as_experiment
 from bayesid.recordings.table import GAP, WRENCH_COLUMNS, Table
 from bayesid.recordings.timing import Timing
 from bayesid.regression.options import FitOptions
+from bayesid.regression.parallel import one_blas_thread
 from bayesid.regression.problem import prepare
 from bayesid.regression.readings import default_channel, make_channels
 from bayesid.results.files import Files, files_of
@@ -52,8 +52,7 @@ def check(experiment: Experiment | str | Path, progress: Progress = quiet) -> In
     except InputError as error:
         raise InputError(f"experiment.toml: [model] effects: {error}") from None
     try:
-        # The matrices are small: threads inside the linear algebra cost more than they gain here.
-        with threadpool_limits(1, user_api="blas"):
+        with one_blas_thread():
             problem = prepare(experiment, FitOptions(channel, effects=()))
         bandwidth, reason, position_std = problem.smoother.bandwidth, problem.smoother.reason, problem.smoother.position_std
     except InputError as error:

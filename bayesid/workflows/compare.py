@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from bayesid.dynamics.nearest_links import nearest_links
 from bayesid.errors import BayesidError, EstimationError, InputError
@@ -19,6 +18,7 @@ from bayesid.estimators.nonlinear import settled
 from bayesid.estimators.weights import Weights, learn_weights
 from bayesid.recordings.experiment import Experiment, as_experiment
 from bayesid.regression.options import NOT_FOR_REGRESSIONS, FitOptions
+from bayesid.regression.parallel import one_blas_thread
 from bayesid.regression.problem import Problem, prepare
 from bayesid.regression.regression import Regression
 from bayesid.results.bodies import impossible_bodies
@@ -78,7 +78,7 @@ def compare(
     options = FitOptions(channel, low_pass, motions, effects, static, bandwidth)
     started = time.perf_counter()
     seconds: dict[str, float] = {}
-    with threadpool_limits(1, user_api="blas"):
+    with one_blas_thread():
         if isinstance(experiment, Regression):
             if options != FitOptions():
                 raise InputError(NOT_FOR_REGRESSIONS.format("compare"))

@@ -8,8 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import overload
 
-from threadpoolctl import threadpool_limits
-
 from bayesid.design.tell.choose import tell_search
 from bayesid.diagnosis.data import DiagnosisData
 from bayesid.diagnosis.description.describe import describe
@@ -28,6 +26,7 @@ from bayesid.diagnosis.verdict import evidence_of, named_in_part, verdict
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, as_experiment
 from bayesid.recordings.schema import write_model
+from bayesid.regression.parallel import one_blas_thread
 from bayesid.regression.readings import default_channel
 from bayesid.results.changes import Changes
 from bayesid.results.described import DRAFT, write_draft
@@ -113,7 +112,7 @@ def diagnose(
     if reference is not None:
         return changes(experiment, reference, channel, motions, effects, seed, settings, progress)
     since = time.perf_counter()
-    with threadpool_limits(1, user_api="blas"):
+    with one_blas_thread():
         experiment = as_experiment(experiment)
         if effects is not None:
             experiment = replace(experiment, effects=tuple(effects))

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import tomli_w
-from threadpoolctl import threadpool_limits
 
 from bayesid.design.excitation.blocks import check_blocks, scripted_blocks
 from bayesid.design.excitation.criteria import CRITERIA
@@ -24,6 +23,7 @@ from bayesid.design.visibility import shown
 from bayesid.dynamics.regressors import Kernel
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, Sensor, load_experiment, load_setup
+from bayesid.regression.parallel import one_blas_thread
 from bayesid.regression.readings import make_channels
 from bayesid.results.excitation import Excitation, LimitUse
 from bayesid.results.files import Files, files_of
@@ -74,8 +74,7 @@ def excite(
             raise InputError(f"excite has no option '{name}'; it has {', '.join(sorted(known))}")
     chosen = ExcitationOptions(**options)
     warm = _warm(warm_start, experiment) if isinstance(warm_start, (str, Path)) else warm_start
-    # The matrices are small: threads inside the linear algebra cost more than they gain here.
-    with threadpool_limits(1, user_api="blas"):
+    with one_blas_thread():
         clock("searching")
         check_blocks(chosen.blocks)
         plan = make_plan(experiment, chosen, warm, seed, progress)

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from bayesid.design.advice import advise, duration
 from bayesid.design.expected import Expected, expected_factors
@@ -22,6 +21,7 @@ from bayesid.errors import InputError
 from bayesid.estimators.weights import learn_weights
 from bayesid.recordings.experiment import Experiment, Motion, Sensor, load_experiment, load_setup
 from bayesid.regression.options import NOT_FOR_REGRESSIONS, FitOptions
+from bayesid.regression.parallel import one_blas_thread
 from bayesid.regression.readings import default_channel
 from bayesid.regression.regression import Regression
 from bayesid.results.figures import figures_of
@@ -83,8 +83,7 @@ def identifiability(
         Bad input; the message says what to do.
     """
     clock = Clock(progress)
-    # The matrices are small: threads inside the linear algebra cost more than they gain here.
-    with threadpool_limits(1, user_api="blas"):
+    with one_blas_thread():
         clock("reading")
         if isinstance(given, Regression):
             if any(given is not None for given in (trajectories, sensor_sets, noise, motions, effects, bandwidth, tell)):

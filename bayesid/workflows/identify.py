@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from bayesid.dynamics.base_parameters import structural_base
 from bayesid.estimators import DEFAULT_METHOD, Estimate, Estimator, estimator
@@ -18,7 +17,7 @@ from bayesid.estimators.prior_check import PriorCheck, against_nominal, conflict
 from bayesid.recordings.experiment import Experiment, as_experiment
 from bayesid.recordings.schema import write_model
 from bayesid.regression.options import FitOptions
-from bayesid.regression.parallel import both, in_order
+from bayesid.regression.parallel import both, in_order, one_blas_thread
 from bayesid.regression.problem import Problem, prepare, weight_columns
 from bayesid.results.figures import figures_of
 from bayesid.results.files import Files, files_of
@@ -80,20 +79,17 @@ def identify(
     method = estimator(method)
     options = FitOptions(channel, low_pass, motions, effects, static, bandwidth)
     clock = Clock(progress)
-    # The matrices are small: threads inside the linear algebra cost more than they gain here.
-    with threadpool_limits(1, user_api="blas"):
+    with one_blas_thread():
         clock("reading")
         experiment = as_experiment(experiment)
         clock("regressor")
         problem = prepare(experiment, options)
-        for _ in problem.regression.blocks():
-            pass
-        clock("estimate")
         # Where nothing is linearised at the estimate, motions can be fitted alone beside it, on another core.
         early = () if problem.row_model.point else [name for name in problem.segments if name not in problem.fitted]
-        (problem, estimate, floor), alone = both(
-            partial(_solved, problem, method), partial(fits_alone, problem, method, early)
+        (problem, estimate), (alone, floor) = both(
+            partial(_solved, problem, method, clock), partial(_beside, problem, method, early)
         )
+        floor = floor if early else noise_floor(problem)
         clock("prediction")
         unfitted = [
             m for m in experiment.motions
@@ -154,10 +150,19 @@ def _(result: Identification) -> Files:
     return Files({"estimate.json": result.to_dict()}, others, identification_report(result))
 
 
-def _solved(problem: Problem, method: Estimator) -> tuple[Problem, Estimate, NoiseFloor | None]:
-    """The problem at its solution, the estimate, and the noise that is left to any."""
-    problem, estimate = solve(problem, method)
-    return problem, estimate, noise_floor(problem)
+def _solved(problem: Problem, method: Estimator, clock: Clock) -> tuple[Problem, Estimate]:
+    """The problem at its solution, and the estimate."""
+    for _ in problem.regression.blocks():
+        pass
+    clock("estimate")
+    return solve(problem, method)
+
+
+def _beside(
+    problem: Problem, method: Estimator, motions: Sequence[str]
+) -> tuple[dict[str, Estimate | None], NoiseFloor | None]:
+    """Fits of motions alone, if there are any, and the noise that is left to any estimate."""
+    return fits_alone(problem, method, motions), noise_floor(problem) if motions else None
 
 
 def _unexcited(problem: Problem, estimate: Estimate) -> tuple[str, ...]:

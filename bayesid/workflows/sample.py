@@ -10,7 +10,6 @@ from typing import Any, TypedDict, Unpack, overload
 
 import numpy as np
 from scipy.linalg import cholesky
-from threadpoolctl import threadpool_limits
 
 from bayesid.errors import InputError
 from bayesid.estimators import Estimate
@@ -28,6 +27,7 @@ from bayesid.recordings.experiment import Experiment, as_experiment
 from bayesid.regression.blocks import Block
 from bayesid.regression.linalg import condition_number
 from bayesid.regression.options import NOT_FOR_REGRESSIONS, FitOptions
+from bayesid.regression.parallel import one_blas_thread
 from bayesid.regression.problem import Problem, prepare
 from bayesid.regression.regression import Regression
 from bayesid.regression.rows import make_blocks
@@ -142,8 +142,7 @@ def sample(
     """
     clock = Clock(progress)
     options = FitOptions(channel, low_pass, motions, effects, static, bandwidth)
-    # The matrices are small: threads inside the linear algebra cost more than they gain here.
-    with threadpool_limits(1, user_api="blas"):
+    with one_blas_thread():
         clock("reading")
         problem = None
         if isinstance(experiment, Regression):

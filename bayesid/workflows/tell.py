@@ -7,8 +7,6 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
-from threadpoolctl import threadpool_limits
-
 from bayesid.design.excitation.options import ExcitationOptions
 from bayesid.design.tell.choose import tell_effects
 from bayesid.diagnosis.data import DiagnosisData
@@ -17,6 +15,7 @@ from bayesid.diagnosis.prepare import known_terms, prepare_data
 from bayesid.diagnosis.settings import DEFAULT
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, as_experiment, load_experiment
+from bayesid.regression.parallel import one_blas_thread
 from bayesid.regression.readings import default_channel
 from bayesid.results.files import Files, files_of, strict
 from bayesid.results.telling import write_motion
@@ -59,8 +58,7 @@ def tell(
         Bad input, or limits that leave no room; the message says what to do.
     """
     clock = Clock(progress)
-    # The matrices are small: threads inside the linear algebra cost more than they gain here.
-    with threadpool_limits(1, user_api="blas"):
+    with one_blas_thread():
         clock("reading")
         experiment = (
             load_experiment(experiment, planned=True) if isinstance(experiment, (str, Path)) else as_experiment(experiment)

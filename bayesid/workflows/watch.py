@@ -9,13 +9,12 @@ from dataclasses import replace
 from math import log
 from pathlib import Path
 
-from threadpoolctl import threadpool_limits
-
 from bayesid.diagnosis.changes.findings import compare_with_learned
 from bayesid.diagnosis.changes.reference import learn_reference
 from bayesid.diagnosis.settings import DEFAULT, Settings
 from bayesid.errors import BayesidError, InputError
 from bayesid.recordings.experiment import Experiment, as_experiment
+from bayesid.regression.parallel import one_blas_thread
 from bayesid.results.files import Files, files_of, strict
 from bayesid.results.watch import Watch, Watched
 from bayesid.workflows.progress import Progress, quiet
@@ -67,7 +66,7 @@ def watch(
         raise InputError("watch: there are no recordings; name at least one folder after the reference")
     accept = settings.accept + log(len(series))
     done: list[Watched] = []
-    with threadpool_limits(1, user_api="blas"):
+    with one_blas_thread():
         progress("reference")
         learn = functools.cache(functools.partial(learn_reference, before, channel, effects))
         learn()

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from threadpoolctl import threadpool_limits
 
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment
+from bayesid.regression.parallel import one_blas_thread
 from bayesid.regression.readings import make_channels
 from bayesid.validation.mistakes.candidates import Candidate, candidates
 from bayesid.validation.mistakes.evidence import EXPLAINED, Explainer, Fit
@@ -38,7 +38,7 @@ def find_mistakes(experiment: Experiment) -> tuple[Mistake, ...]:
         The recordings; those that are fitted are looked at.
     """
     found: list[Mistake] = []
-    with threadpool_limits(1, user_api="blas"):
+    with one_blas_thread():
         for channel in ("wrench", "torque"):
             if channel == "wrench" and experiment.sensor is None:
                 continue
