@@ -307,32 +307,30 @@ def _merge(row_model: RowModel, segment: Segment, a: int, b: int, parts: Iterabl
     start = segment.times[a] + 0.5 * row_model.step
     total = max(int((segment.times[b - 1] - segment.times[a]) / row_model.step), 1)
     done, waiting, energy = 0, None, np.zeros(0)
-    ready: list[np.ndarray] = []
-    powers: list[np.ndarray] = []
-    count, begun = 0, 0
+    rows, begun, filled = np.empty(0), 0, 0
 
-    def block() -> Block:
-        rows = np.concatenate(ready)
-        rows /= np.sqrt(np.maximum(np.concatenate(powers), 1e-12))[:, None, None]
-        times = start + row_model.step * np.arange(begun, begun + len(rows))
-        return Block(rows, times, segment.motion, begun == 0)
+    def handed_on(complete: np.ndarray, power: np.ndarray) -> Iterator[Block]:
+        """Blocks that are full with these rows; what is left over waits."""
+        nonlocal rows, begun, filled
+        while len(complete):
+            if not filled:
+                rows = np.empty((min(_BLOCK_ROWS, total - begun), *complete.shape[1:]))
+            taken = min(len(rows) - filled, len(complete))
+            root = np.sqrt(np.maximum(power[:taken], 1e-12))
+            np.divide(complete[:taken], root[:, None, None], out=rows[filled : filled + taken])
+            complete, power, filled = complete[taken:], power[taken:], filled + taken
+            if filled == len(rows):
+                times = start + row_model.step * np.arange(begun, begun + filled)
+                yield Block(rows, times, segment.motion, begun == 0)
+                begun, filled = begun + filled, 0
 
-    for first, rows, power in parts:
+    for first, part, power in parts:
         if waiting is not None:
             shared = done + len(waiting) - first
-            rows[:shared] += waiting[first - done :]
+            part[:shared] += waiting[first - done :]
             power[:shared] += energy[first - done :]
-            complete = min(first, total) - done
-            if complete > 0:
-                ready.append(waiting[:complete])
-                powers.append(energy[:complete])
-                count += complete
-        done, waiting, energy = first, rows, power
-        if count >= _BLOCK_ROWS:
-            yield block()
-            begun, count, ready, powers = begun + count, 0, [], []
+            complete = max(min(first, total) - done, 0)
+            yield from handed_on(waiting[:complete], energy[:complete])
+        done, waiting, energy = first, part, power
     if waiting is not None and done < total:
-        ready.append(waiting[: total - done])
-        powers.append(energy[: total - done])
-    if ready:
-        yield block()
+        yield from handed_on(waiting[: total - done], energy[: total - done])
