@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import norm, t
 
-from bayesid.estimators.factor import gram_rows, on_columns, reduce_whitened
+from bayesid.estimators.factor import gram_rows, reduce_whitened, regressor_times
 from bayesid.estimators.sensor_noise import sensor_noise
 from bayesid.estimators.weights import Weights, stated_noise
 from bayesid.regression.blocks import Block, RegressorNoise
@@ -190,7 +190,7 @@ def sensor_alone(
         noise[group] = sensor_noise(
             [b.target - b.matrix @ values for b in own],
             [[error for g, error in rows if g == group] for rows in drawn[:SPECTRA]],
-            [on_columns(b.matrix, taken) for b in own],
+            [regressor_times(b, taken) for b in own],
             regression.known_poles if group == "trajectory" else None,
             coloured=group != "poses",
         )

@@ -193,14 +193,21 @@ class Pilot:
 
     def stretches(self, parts: Sequence[np.ndarray]) -> list[np.ndarray]:
         """``[X y]'[X y]`` of stretches, equally long, of weighted rows of ``orthonormal`` (k, channels, p + 1)."""
-        rows = np.concatenate(parts)
-        root = np.eye(rows.shape[2]) if self.root is None else self.root
-        flat = [part.reshape(-1, rows.shape[2]) for part in np.array_split(rows, STRETCHES)]
-        return [root.T @ (f.T @ f) @ root for f in flat if len(f)] if len(rows) > 2 * STRETCHES else []
+        count, p = sum(map(len, parts)), parts[0].shape[2]
+        if count <= 2 * STRETCHES:
+            return []
+        root = np.eye(p) if self.root is None else self.root
+        grams, edges, first = np.zeros((STRETCHES, p, p)), np.linspace(0, count, STRETCHES + 1).astype(int), 0
+        for part in parts:
+            for gram, a, b in zip(grams, edges[:-1] - first, edges[1:] - first, strict=True):
+                flat = part[max(a, 0) : max(b, 0)].reshape(-1, p)
+                gram += flat.T @ flat
+            first += len(part)
+        return list(root.T @ grams @ root)
 
-    def gram(self, transform: Callable[[Block, np.ndarray], np.ndarray]) -> np.ndarray:
-        """Sum of ``X'X`` over all blocks after a transform of their regressors (k, channels, p)."""
-        inner = gram_rows(self.orthonormal, lambda b: transform(b, b.matrix))
+    def gram(self, transform: Callable[[Block, np.ndarray], np.ndarray], *, row_by_row: bool = False) -> np.ndarray:
+        """Sum of ``X'X`` over all blocks after a transform of their regressors (k, channels, p); as `gram_rows`."""
+        inner = gram_rows(self.orthonormal, lambda b: transform(b, b.matrix), row_by_row=row_by_row)
         return inner if self.root is None else self.root[:-1, :-1].T @ inner @ self.root[:-1, :-1]
 
     def factor_of(self, parts: Sequence[np.ndarray]) -> Factor:
@@ -217,6 +224,11 @@ class Pilot:
             r = _stack_all(r, rows)
         assert r is not None
         return Factor(r, count)
+
+
+def regressor_times(block: Block, matrix: np.ndarray) -> np.ndarray:
+    """``block.matrix @ matrix`` (k, channels, any) of a matrix (p, any)."""
+    return on_columns(block.rows, np.vstack([matrix, np.zeros((1, matrix.shape[1]))]))  # the target times zero: nothing is copied
 
 
 def on_columns(rows: np.ndarray, matrix: np.ndarray) -> np.ndarray:

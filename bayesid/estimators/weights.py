@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from bayesid.estimators.dispersion import Dispersion, Rows, dispersions, widening
-from bayesid.estimators.factor import Factor, Pilot, on_columns, whitened
+from bayesid.estimators.factor import Factor, Pilot, regressor_times, whitened
 from bayesid.regression.blocks import Block
 from bayesid.regression.hypothesis_tests import hausman
 from bayesid.regression.linalg import pseudo_inverse, solve, standard_deviations
@@ -174,7 +174,7 @@ def noise_of_residuals(
             parameters=round(sum(len(b.rows) for b in own) / total * len(values)),
             known_poles=regression.known_poles if group == "trajectory" else None,
             highest_order=0 if group == "poses" else 24,
-            spread=None if root is None else [on_columns(b.matrix, root) for b in own],
+            spread=None if root is None else [regressor_times(b, root) for b in own],
         )
     return noise
 
@@ -214,7 +214,8 @@ def _agreement(efficient: Factor, plain: Factor, middle: np.ndarray, difference:
 
 def _middle(pilot: Pilot, noise: dict[str, NoiseModel], scale: np.ndarray) -> np.ndarray:
     """``X' W Sigma W X`` of rows weighted by channel (p, p)."""
-    return pilot.gram(lambda b, x: noise[b.group].colour_transposed(x / scale[:, None] ** 2))
+    white = all(m.order == 0 for m in noise.values())
+    return pilot.gram(lambda b, x: noise[b.group].colour_transposed(x / scale[:, None] ** 2), row_by_row=white)
 
 
 def _channel_middle(pilot: Pilot, noise: dict[str, NoiseModel], scale: np.ndarray, channel: int) -> np.ndarray:

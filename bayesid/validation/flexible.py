@@ -171,10 +171,12 @@ def _rows(problem: Problem, solution: np.ndarray, motions: Sequence[str]) -> _Ro
         state = smooth(segment.times[a:b], segment.positions[a:b], bandwidth, at=block.times)
         # A row is as large as the samples in it are many.
         size = np.sqrt(max(problem.row_model.step / usual_step(segment.times), 1.0))
-        parts.append((block.residual(solution) / size, block.matrix / size, *state))
+        parts.append((np.full(len(block.rows), size), block.residual(solution), block.matrix, *state))
     if not parts:
         return None
-    residual, columns, q, v, a = (np.concatenate(part) for part in zip(*parts, strict=True))
+    size, residual, columns, q, v, a = (np.concatenate(part) for part in zip(*parts, strict=True))
+    residual /= size[:, None]
+    columns /= size[:, None, None]
     stretch = np.arange(len(residual)) * _STRETCHES // len(residual)
     return _Rows(residual, columns, q, v, a, stretch, problem.row_model.step)
 

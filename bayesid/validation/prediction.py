@@ -13,7 +13,7 @@ from scipy.signal import butter, correlate, sosfiltfilt, welch
 from bayesid.estimators import Estimate
 from bayesid.estimators.factor import whitened
 from bayesid.recordings.experiment import Experiment, Motion
-from bayesid.regression.blocks import Block, residual_of
+from bayesid.regression.blocks import Block
 from bayesid.regression.motion_rows import row_count
 from bayesid.regression.parallel import both, in_order
 from bayesid.regression.problem import Problem
@@ -257,13 +257,12 @@ def _whitened(
 
     inside, variances = [], []
     # How sure the prediction of a row is changes little along a motion: evenly spread rows of a long one tell it.
-    for _, white in whitened(few_of(noted(), row_count(problem.row_model, segments)), noise):
-        residual, variance = residual_of(white, estimate.solution), np.zeros(white.shape[:2])
-        if covariance is not None:
-            x = white.reshape(-1, white.shape[2])
-            variance = np.sum(x @ covariance * x, axis=1).reshape(residual.shape)
-        inside.append(np.abs(residual) <= 1.959964 * np.sqrt(1.0 + variance))
-        variances.append(variance)
+    for block, white in whitened(few_of(noted(), row_count(problem.row_model, segments)), noise):
+        for panel in replace(block, rows=white).panels():
+            x, residual = panel.rows.reshape(-1, white.shape[2]), panel.residual(estimate.solution).ravel()
+            variance = np.zeros(len(x)) if covariance is None else np.sum(x @ covariance * x, axis=1)
+            inside.append(np.abs(residual) <= 1.959964 * np.sqrt(1.0 + variance))
+            variances.append(variance)
     raw = [block.rows for block in left]
     if floor is None:
         residual = np.concatenate([white for _, white in whitened(left, noise)])
