@@ -105,7 +105,8 @@ class RowModel:
     @cached_property
     def _constant_columns(self) -> tuple[np.ndarray, np.ndarray]:
         """Columns (channels, effect parameters) of effects that are always the same, without a sensor's offset and with it."""
-        still = MotionSegment(np.zeros(1), *np.zeros((3, 1, self.robot.n)))
+        still = np.zeros((1, self.robot.n))
+        still = MotionSegment(np.zeros(1), still, still, still)
         return self._columns(still, False)[0], self._columns(still, True)[0]
 
     def _columns(self, state: MotionSegment, offset: bool) -> np.ndarray:

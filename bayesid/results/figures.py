@@ -29,8 +29,10 @@ def figures_of(result: object) -> Mapping[str, Callable[..., Any]]:
 class PlotsPredictions:
     """Figures of the predictions in ``fitted`` and ``validation``."""
 
-    fitted: tuple[Prediction, ...]
-    validation: tuple[Prediction, ...]
+    @property
+    def predictions(self) -> tuple[Prediction, ...]:
+        """Those of motions that were not fitted, then those of the fitted ones."""
+        raise NotImplementedError(f"{type(self).__name__} does not say which predictions it has")
 
     def plot_predictions(self, motion: str | None = None) -> Figure:
         """Readings of a motion, measured and predicted, channel by channel.
@@ -52,7 +54,7 @@ class PlotsPredictions:
         return figures_of(self)["residuals"](self._predicted(motion))
 
     def _predicted(self, motion: str | None) -> Prediction:
-        known = {p.motion: p for p in (*self.validation, *self.fitted)}
+        known = {p.motion: p for p in self.predictions}
         if motion is None:
             return next(iter(known.values()))
         if motion not in known:

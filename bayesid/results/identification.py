@@ -95,6 +95,11 @@ class Identification(PlotsPredictions, Result):
         return tuple(in_order(lambda motion: predict(problem, self.estimate, motion, self.floor), motions))
 
     @property
+    def predictions(self) -> tuple[Prediction, ...]:
+        """Predictions of the motions that were not fitted, then of the fitted ones."""
+        return (*self.validation, *self.fitted)
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Names of the base parameters (r,)."""
         return self.estimate.names

@@ -14,11 +14,12 @@ from math import comb, factorial
 
 import numba
 import numpy as np
-from scipy.linalg.lapack import dpbsv
+from scipy.linalg import get_lapack_funcs
 
 from bayesid.errors import InputError
 from bayesid.signals.kernel_input import kernel_input
 
+(_solve_banded,) = get_lapack_funcs(("pbsv",), dtype=np.float64)
 #: A gap-free stretch: times (N,) [s] and positions (N, n) [rad or m].
 Piece = tuple[np.ndarray, np.ndarray]
 
@@ -120,7 +121,7 @@ def _fitted(times: np.ndarray, positions: np.ndarray, bandwidth: float) -> tuple
     # A whisper of ridge keeps the outermost functions, of which only a tail lies in the data, determined.
     band[-1] += 1e-14 * band[-1].max()
     # LAPACK itself: hundreds of short pieces are fitted, and the checks of `solveh_banded` take longer than they do.
-    _, coefficients, failed = dpbsv(band, right)
+    _, coefficients, failed = _solve_banded(band, right)
     if failed:
         raise too_few
     return kernel_input(coefficients), float(first)

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.fft import dct
-from scipy.linalg.lapack import dposv
+from scipy.linalg import get_lapack_funcs
 
 from bayesid.recordings.table import usual_step
 from bayesid.regression.blocks import Block
@@ -29,6 +29,7 @@ from bayesid.regression.rows import RowModel, make_blocks
 from bayesid.regression.segment import Segment
 from bayesid.signals.smoothing import smooth
 
+(_solve_positive,) = get_lapack_funcs(("posv",), dtype=np.float64)
 #: Band in which predictions are compared, the same whatever filter or method was used [Hz].
 BAND = 10.0
 #: Stretches that errors are counted by, and folds of those that were fitted.
@@ -270,16 +271,13 @@ def _ways(sums: Sequence[_Sums], functions: Sequence[np.ndarray], count: int) ->
             for s, k in zip(sums, columns, strict=True)
         ])  # fmt: skip
     sizes = [np.diagonal(gram) for gram, _ in wholes]
-    every = range(len(sums))
-    groups = [every] if all(own is functions[0] for own in functions) else [[c] for c in every]
+    groups = [range(len(sums))] if all(own is functions[0] for own in functions) else [[c] for c in range(len(sums))]
     errors = np.zeros((len(_STRENGTHS), _WAYS, len(sums)))
-    for i, strength in enumerate(_STRENGTHS):
+    for error, strength in zip(errors, _STRENGTHS, strict=True):
         for held in folds:
             rest = [(g - h, y - z) for (g, y), (h, z, _) in zip(wholes, held, strict=True)]
             for way, found in enumerate(_solved(rest, groups, sizes, weights, strength, len(rigid))):
-                errors[i, way] += [
-                    power - 2.0 * x @ side + x @ gram @ x for x, (gram, side, power) in zip(found, held, strict=True)
-                ]
+                error[way] += [power - 2.0 * x @ side + x @ gram @ x for x, (gram, side, power) in zip(found, held, strict=True)]
     solutions = [_solved(wholes, groups, sizes, weights, strength, len(rigid)) for strength in _STRENGTHS]
     best = errors.argmin(axis=0)
     for way in range(_WAYS):
@@ -306,7 +304,7 @@ def _solved(
         penalised.flat[:: f + 1] += strength
         right = np.hstack([part for c in own for part in (parts[c][1][:f, None], parts[c][0][:f, f:])]) / scale[:, None]
         # LAPACK itself: the penalty makes it positive definite, and SciPy's checks would take longer than the solution.
-        eliminated += np.hsplit(dposv(penalised, right)[1] / scale[:, None], len(own))
+        eliminated += np.hsplit(_solve_positive(penalised, right)[1] / scale[:, None], len(own))
     schur, side = np.zeros((rigid, rigid)), np.zeros(rigid)
     for (gram, y), found, weight in zip(parts, eliminated, weights, strict=True):
         f = len(found)
