@@ -5,7 +5,7 @@ import pytest
 
 from bayesid.effects import starting_point
 from bayesid.errors import InputError
-from tests.effects.arms import LIBRARY, both
+from tests.effects.arms import LIBRARY, both, moving
 
 
 def test_effects_are_found_where_they_can_be(panda):
@@ -54,3 +54,13 @@ def test_every_class_is_complete(panda, name):
         size = np.array(effect.typical(panda), float)
         assert np.all(size >= kind.lower) and np.all(size <= kind.upper) and np.isfinite(size).all() and size.any()
     assert np.all(np.array(kind.starts) >= kind.lower) and np.all(np.array(kind.starts) <= kind.upper)
+
+
+def test_effects_that_are_always_the_same_have_columns_that_no_motion_changes(panda):
+    channels = both(panda).names
+    found = [e for c in LIBRARY.classes.values() if c.always_the_same for e in LIBRARY.places(c.name, panda.joint_names, channels)]
+    assert {e.name for e in found} == {"sensor_offset", "torque_offset"}
+    segment = moving(panda, 50)
+    for effect in found:
+        columns = effect.motion_columns(segment, channels)
+        assert np.abs(columns).sum() > 0.0 and np.all(columns == columns[0])

@@ -1,13 +1,14 @@
 import sys
 from concurrent.futures import ThreadPoolExecutor
-from threading import Barrier
+from threading import Barrier, Event
+from time import sleep
 
 import numpy as np
 import pytest
 
 from bayesid.regression import row_cache
 from bayesid.regression.blocks import Block
-from bayesid.regression.row_cache import RowCache, RowSource
+from bayesid.regression.row_cache import RowCache, RowSource, few_of
 
 ROWS, COUNT = 50, 40
 
@@ -73,3 +74,40 @@ def test_another_pilot_is_learned_from_anew():
     assert order(other.pilot()) == [3, 4] and other.derived("weights", lambda: "new") == "new"
     assert order(other.blocks()) == list(range(COUNT))
     assert order(cache.pilot()) == list(range(COUNT)) and cache.derived("weights", lambda: "new") == "old"
+
+
+def test_what_two_threads_want_is_made_once_and_the_second_waits():
+    cache, made = RowCache(source()), []
+    begun = Event()
+
+    def make():
+        begun.set()
+        made.append(1)
+        sleep(0.05)
+        return cache.derived("pilot", lambda: "pilot"), "weights"
+
+    with ThreadPoolExecutor(2) as pool:
+        first = pool.submit(cache.derived, "weights", make)
+        assert begun.wait(10.0)
+        second = pool.submit(cache.derived, "weights", make)
+        assert first.result(10.0) is second.result(10.0)
+    assert made == [1]
+
+
+def test_what_failed_to_be_made_is_made_at_the_next_call():
+    cache = RowCache(source())
+
+    def fails():
+        raise ValueError("once")
+
+    with pytest.raises(ValueError, match="once"):
+        cache.derived("weights", fails)
+    assert cache.derived("weights", lambda: 2) == 2
+
+
+def test_few_rows_are_all_taken_and_many_evenly_spread():
+    blocks = list(source().blocks())
+    assert order(few_of(iter(blocks), COUNT * ROWS)) == list(range(COUNT))
+    many = [Block(np.full((1000, 1, 2), float(k)), np.arange(1000.0), 0, False) for k in range(16)]
+    taken = list(few_of(iter(many), 16_000))
+    assert [int(b.rows[0, 0, 0]) for b in taken] == list(range(0, 16, 2)) and {len(b.rows) for b in taken} == {256}

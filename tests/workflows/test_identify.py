@@ -8,6 +8,8 @@ import bayesid
 from bayesid.cli import main
 from bayesid.robot.robot import load_robot
 from bayesid.validation.cross_checks import motions_apart
+from bayesid.validation.noise_floor import noise_floor
+from bayesid.validation.prediction import predict
 from tests.robots import ur5, wrist_sensor_arm, write
 from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
 
@@ -177,3 +179,12 @@ def test_an_effect_of_which_the_motions_say_nothing_is_told(shared):
     std = found.estimate.full_std[list(found.estimate.effect_names).index(f"{effect}.coupling") + found.base.rank]
     told = [w for w in found.warnings if f"{effect} did not settle" in w]
     assert len(told) == (std > 10.0) == 1
+
+
+def test_fitted_motions_are_predicted_when_asked_for_as_the_others_are(arm):
+    found = bayesid.identify(arm)
+    assert "fitted" not in vars(found)
+    (fitted,) = found.fitted
+    assert found.fitted[0] is fitted and found.predictions == (*found.validation, fitted)
+    expected = predict(found.problem, found.estimate, arm.identification[0], noise_floor(found.problem))
+    assert fitted.to_dict() == expected.to_dict()
