@@ -57,8 +57,8 @@ def test_every_class_is_complete(panda, name):
 
 
 def test_effects_that_are_always_the_same_have_columns_that_no_motion_changes(panda):
-    channels = both(panda).names
-    found = [e for c in LIBRARY.classes.values() if c.always_the_same for e in LIBRARY.places(c.name, panda.joint_names, channels)]
+    channels, classes = both(panda).names, [c for c in LIBRARY.classes.values() if c.always_the_same]
+    found = [e for c in classes for e in LIBRARY.places(c.name, panda.joint_names, channels)]
     assert {e.name for e in found} == {"sensor_offset", "torque_offset"}
     segment = moving(panda, 50)
     for effect in found:
