@@ -19,8 +19,9 @@ from bayesid.results.files import check_output
 @UNUSED_SEED
 def check(experiment: Path, effects_from: tuple[Path, ...], out: Path | None) -> None:
     """Read and validate an experiment folder; say what is in it."""
-    gc.disable()  # a run of a second: the search for cyclic garbage would take a tenth of it
-    click.get_current_context().call_on_close(gc.enable)
+    if gc.isenabled():  # the search for cyclic garbage would take a twentieth of a run of a second
+        gc.disable()
+        click.get_current_context().call_on_close(gc.enable)
     check_output(out or OUTPUTS, "check")
     with show_progress() as progress:
         result = bayesid.check(load(experiment, None, effects_from), progress=progress)

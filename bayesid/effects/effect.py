@@ -96,7 +96,7 @@ class Effect(ABC):
     in_static_run
         Whether a static run of the same positions has it, too.
     always_the_same
-        Whether `motion_columns` are the same at all times, whatever the motion.
+        Whether `motion_columns` are the same at all times, whatever the motion; a class that inherits it must keep to it.
     zero_unless_stated
         Whether parameters left out are zero once any is stated.
     needs_gear_ratio

@@ -25,7 +25,7 @@ from bayesid.estimators.weights import Weights, stated_noise
 from bayesid.regression.blocks import Block, RegressorNoise
 from bayesid.regression.linalg import pseudo_inverse
 from bayesid.regression.regression import Regression
-from bayesid.signals.noise import NoiseModel
+from bayesid.signals.noise import NoiseModel, memoryless
 
 #: Draws that tell whether encoder errors matter, and draws that their covariance is taken from.
 _FEW, _MANY = 4, 40
@@ -89,7 +89,7 @@ def sandwich_middle(regression: Regression, noise: dict[str, NoiseModel], scale:
     def colour(block: Block) -> np.ndarray:
         return noise[block.group].colour_transposed(block.matrix * scale[block.group].reshape(-1, 1) ** 2)
 
-    return gram_rows(regression.blocks(), colour, row_by_row=all(m.order == 0 for m in noise.values()))
+    return gram_rows(regression.blocks(), colour, row_by_row=memoryless(noise))
 
 
 def may_matter(regression: Regression, weights: Weights) -> bool:

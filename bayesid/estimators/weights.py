@@ -17,7 +17,7 @@ from bayesid.regression.blocks import Block
 from bayesid.regression.hypothesis_tests import hausman
 from bayesid.regression.linalg import pseudo_inverse, solve, standard_deviations
 from bayesid.regression.regression import Regression
-from bayesid.signals.noise import NoiseModel, estimate_noise
+from bayesid.signals.noise import NoiseModel, estimate_noise, memoryless
 
 #: Rounds of estimating the noise, at most, and the largest change of a round after which no other is needed, relative to the
 #: noise's power and to one.
@@ -214,8 +214,9 @@ def _agreement(efficient: Factor, plain: Factor, middle: np.ndarray, difference:
 
 def _middle(pilot: Pilot, noise: dict[str, NoiseModel], scale: np.ndarray) -> np.ndarray:
     """``X' W Sigma W X`` of rows weighted by channel (p, p)."""
-    white = all(m.order == 0 for m in noise.values())
-    return pilot.gram(lambda b, x: noise[b.group].colour_transposed(x / scale[:, None] ** 2), row_by_row=white)
+    return pilot.gram(
+        lambda b, x: noise[b.group].colour_transposed(x / scale[:, None] ** 2), row_by_row=memoryless(noise)
+    )
 
 
 def _channel_middle(pilot: Pilot, noise: dict[str, NoiseModel], scale: np.ndarray, channel: int) -> np.ndarray:

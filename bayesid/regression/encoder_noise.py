@@ -8,7 +8,6 @@ same motion whose errors are independent of this one's.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -24,8 +23,9 @@ from bayesid.signals.smoothing import DEGREE, Smoother, smooth
 LARGEST_CORRELATION = 0.3
 #: Samples that errors are simulated on where a part of long recordings will do, in so many pieces.
 _SAMPLES, _PIECES = 4000, 8
-#: Samples that the size of the noise is measured on, evenly spread over a long recording, and how many are smoothed at once.
-_MEASURED, _AT_ONCE = 32_768, 4096
+#: Samples smoothed at once where only their scatter about the spline is wanted, of longer recordings than the second number, and
+#: how many of those it is measured on, about: for a standard deviation to two parts in a thousand.
+_PIECE, _WHOLE, _MEASURED = 8192, 65_536, 131_072
 #: Knots that periods must be apart at least: the influence of a sample falls to 0.43**12 = 4e-5.
 _APART = 12
 _ENTROPY = 1998  # of simulated noise, the same at every call
@@ -63,17 +63,18 @@ def measure(segments: Sequence[Segment], bandwidth: float, most: np.ndarray) -> 
     """
     n, moving = len(most), [r for r in segments if not r.poses]
     power, product, free = np.zeros(n), np.zeros(n), 0
-    share = max(sum(len(r.times) for r in moving) / _MEASURED, 1.0)
-    for r in moving:
-        edges = np.linspace(0, len(r.times), int(len(r.times) / (share * _AT_ONCE)) + 2, dtype=int)
-        for a, end in itertools.pairwise(edges.tolist()):
-            b = a + int((end - a) / share)
-            times, positions = r.times[a:b], r.positions[a:b]
-            residual = positions - smooth(times, positions, bandwidth)[0]
-            power += np.sum(residual**2, axis=0)
-            product += np.sum(residual[1:] * residual[:-1], axis=0)
-            # A spline through N samples takes as many degrees of freedom as it has functions.
-            free += max(len(times) - int((times[-1] - times[0]) * 2 * bandwidth) - DEGREE - 1, 1)
+    total = sum(len(r.times) for r in moving)
+    size = _PIECE if total > _WHOLE else max(total, 1)
+    pieces = [r.part(a, min(a + size, len(r.times))) for r in moving for a in range(0, len(r.times), size)]
+    for r in pieces[:: max(total // _MEASURED, 1)]:
+        functions = int((r.times[-1] - r.times[0]) * 2 * bandwidth) + DEGREE + 1
+        if len(r.times) <= functions:
+            continue
+        residual = r.positions - smooth(r.times, r.positions, bandwidth)[0]
+        power += np.sum(residual**2, axis=0)
+        product += np.sum(residual[1:] * residual[:-1], axis=0)
+        # A spline through N samples takes as many degrees of freedom as it has functions.
+        free += len(r.times) - functions
     std = np.minimum(np.sqrt(power / max(free, 1)), most)
     return EncoderNoise(std, product / np.maximum(power, 1e-300))
 

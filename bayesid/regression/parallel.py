@@ -19,6 +19,7 @@ _A = TypeVar("_A")
 _B = TypeVar("_B")
 
 
+#: Whether the thread works for a call of `in_order` or `both` that keeps all cores busy.
 _here = threading.local()
 
 
@@ -37,20 +38,20 @@ def one_blas_thread() -> AbstractContextManager:
 
 
 def in_order(work: Callable, jobs: Iterable) -> Iterator:
-    """Results in order from a few threads, with only a few results waiting at any time; a single job needs none."""
+    """Results in order from a few threads, with only a few results waiting at any time; a single job needs none.
+
+    Jobs that call this or `both` themselves do their own jobs one after the other where there are enough of them for all cores:
+    more threads would only wait for each other.
+    """
     threads = min(os.cpu_count() or 1, 8)
     jobs = iter(jobs)
-    few = list(islice(jobs, 2))
-    if getattr(_here, "helps", False):
-        yield from map(work, chain(few, jobs))
+    first = list(islice(jobs, max(threads, 2)))
+    if len(first) < 2 or getattr(_here, "helps", False):
+        yield from map(work, chain(first, jobs))
         return
-    if len(few) < 2:
-        yield from map(work, few)
-        return
-    jobs = chain(few, jobs)
-    with ThreadPoolExecutor(threads, initializer=_mark) as pool:
+    with ThreadPoolExecutor(threads, initializer=_mark if len(first) >= threads else None) as pool:
         waiting: deque = deque()
-        for job in jobs:
+        for job in chain(first, jobs):
             waiting.append(pool.submit(work, job))
             if len(waiting) > threads:
                 yield waiting.popleft().result()
@@ -59,9 +60,9 @@ def in_order(work: Callable, jobs: Iterable) -> Iterator:
 
 
 def both(one: Callable[[], _A], other: Callable[[], _B]) -> tuple[_A, _B]:
-    """Results of two jobs that run at once; where both fail, the first one's error is raised."""
+    """Results of two jobs that run at once, as in `in_order`; where both fail, the first one's error is raised."""
     if getattr(_here, "helps", False):
         return one(), other()
-    with ThreadPoolExecutor(1, initializer=_mark) as pool:
+    with ThreadPoolExecutor(1, initializer=_mark if (os.cpu_count() or 1) <= 2 else None) as pool:
         waiting = pool.submit(other)
         return one(), waiting.result()

@@ -128,7 +128,7 @@ def few_of(blocks: Iterable[Block], rows: int) -> Iterator[Block]:
 
 
 def spread(blocks: Iterable[Block], rows: int) -> Iterator[Block]:
-    """Evenly spread segments of blocks that are in memory anyway."""
+    """About `PILOT_ROWS` rows: segments at the starts of blocks, as evenly spread as these are. Reads all blocks."""
     segment, spacing = PILOT_ROWS // PILOT_SEGMENTS, rows / PILOT_SEGMENTS
     seen, due = 0, 0.0
     for block in blocks:

@@ -335,3 +335,4 @@ def _merge(row_model: RowModel, segment: Segment, a: int, b: int, parts: Iterabl
         done, waiting, energy = first, part, power
     if waiting is not None and done < total:
         yield from handed_on(waiting[: total - done], energy[: total - done])
+    assert begun == total, "the last chunk reaches beyond the last row, so that every block is full"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from bayesid.errors import InputError
 
@@ -26,15 +26,24 @@ def figures_of(result: object) -> Mapping[str, Callable[..., Any]]:
     raise TypeError(f"{type(result).__name__} has no figures: no verb in bayesid.workflows registers them")
 
 
+class HasPredictions(Protocol):
+    """A result with predictions of motions."""
+
+    @property
+    def fitted(self) -> tuple[Prediction, ...]:
+        """Those of the fitted motions."""
+        ...
+
+    @property
+    def validation(self) -> tuple[Prediction, ...]:
+        """Those of the others."""
+        ...
+
+
 class PlotsPredictions:
     """Figures of the predictions in ``fitted`` and ``validation``."""
 
-    @property
-    def predictions(self) -> tuple[Prediction, ...]:
-        """Those of motions that were not fitted, then those of the fitted ones."""
-        raise NotImplementedError(f"{type(self).__name__} does not say which predictions it has")
-
-    def plot_predictions(self, motion: str | None = None) -> Figure:
+    def plot_predictions(self: HasPredictions, motion: str | None = None) -> Figure:
         """Readings of a motion, measured and predicted, channel by channel.
 
         Parameters
@@ -47,16 +56,19 @@ class PlotsPredictions:
         InputError
             There is no such motion.
         """
-        return figures_of(self)["predictions"](self._predicted(motion))
+        return figures_of(self)["predictions"](_predicted(self, motion))
 
-    def plot_residuals(self, motion: str | None = None) -> Figure:
+    def plot_residuals(self: HasPredictions, motion: str | None = None) -> Figure:
         """What was measured less what was predicted, in time and as a spectrum beside the noise; as `plot_predictions`."""
-        return figures_of(self)["residuals"](self._predicted(motion))
+        return figures_of(self)["residuals"](_predicted(self, motion))
 
-    def _predicted(self, motion: str | None) -> Prediction:
-        known = {p.motion: p for p in self.predictions}
-        if motion is None:
-            return next(iter(known.values()))
-        if motion not in known:
-            raise InputError(f"motion '{motion}' was not predicted; choose one of {', '.join(known)}")
-        return known[motion]
+
+def _predicted(result: HasPredictions, motion: str | None) -> Prediction:
+    known = {p.motion: p for p in result.validation}
+    if not known or motion not in (None, *known):  # fitted motions may have to be predicted first
+        known |= {p.motion: p for p in result.fitted}
+    if motion is None:
+        return next(iter(known.values()))
+    if motion not in known:
+        raise InputError(f"motion '{motion}' was not predicted; choose one of {', '.join(known)}")
+    return known[motion]

@@ -16,7 +16,7 @@ from bayesid.estimators import Estimate
 from bayesid.estimators.estimator import parameter_table
 from bayesid.estimators.prior_check import PriorCheck, conflicts
 from bayesid.recordings.schema import EffectParameters
-from bayesid.regression.parallel import in_order
+from bayesid.regression.parallel import in_order, one_blas_thread
 from bayesid.regression.problem import Problem
 from bayesid.results.bodies import impossible_bodies
 from bayesid.results.figures import PlotsPredictions, figures_of
@@ -92,12 +92,8 @@ class Identification(PlotsPredictions, Result):
         """Predictions of the fitted motions, made when they are first asked for."""
         problem = self.problem
         motions = [m for m in problem.experiment.motions if m.name in problem.fitted]
-        return tuple(in_order(lambda motion: predict(problem, self.estimate, motion, self.floor), motions))
-
-    @property
-    def predictions(self) -> tuple[Prediction, ...]:
-        """Predictions of the motions that were not fitted, then of the fitted ones."""
-        return (*self.validation, *self.fitted)
+        with one_blas_thread():
+            return tuple(in_order(lambda motion: predict(problem, self.estimate, motion, self.floor), motions))
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -45,11 +45,6 @@ class ExperimentPosterior(PlotsPredictions, Posterior, Result):
     warnings: tuple[str, ...] = ()
     seconds: dict[str, float] = field(default_factory=dict)
 
-    @property
-    def predictions(self) -> tuple[Prediction, ...]:
-        """Predictions of the motions that were not fitted, then of the fitted ones."""
-        return (*self.validation, *self.fitted)
-
     def predict(
         self, q: np.ndarray, v: np.ndarray, a: np.ndarray, times: np.ndarray | None = None
     ) -> PredictedReadings:

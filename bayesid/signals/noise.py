@@ -10,7 +10,7 @@ poles as known factors of the recursion; other rows start in the stationary stat
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -166,6 +166,11 @@ class NoiseModel:
                             head[t] -= a[k] * later[t + k - first]
                 z[:first, c] = (factor.T @ head.reshape(first, -1)).reshape(head.shape)
         return mix(cholesky(self.innovation, lower=True).T, z)
+
+
+def memoryless(noise: Mapping[str, NoiseModel]) -> bool:
+    """Whether no row's noise depends on the rows before it, for any group of rows."""
+    return all(model.order == 0 for model in noise.values())
 
 
 def estimate_noise(

@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.fft import dct
-from scipy.linalg import get_lapack_funcs
+from scipy.linalg import LinAlgError, get_lapack_funcs
 
 from bayesid.recordings.table import usual_step
 from bayesid.regression.blocks import Block
@@ -264,8 +264,7 @@ def _ways(sums: Sequence[_Sums], functions: Sequence[np.ndarray], count: int) ->
     weights = np.array([1.0 / max(float(s.powers.sum()), 1e-300) for s in sums])
     wholes = [(s.grams.sum(axis=0)[np.ix_(k, k)], s.sides.sum(axis=0)[k]) for s, k in zip(sums, columns, strict=True)]
     folds = []
-    for fold in range(_FOLDS):
-        out = slice(fold, None, _FOLDS)
+    for out in (slice(fold, None, _FOLDS) for fold in range(_FOLDS)):
         folds.append([
             (s.grams[out].sum(axis=0)[np.ix_(k, k)], s.sides[out].sum(axis=0)[k], float(s.powers[out].sum()))
             for s, k in zip(sums, columns, strict=True)
@@ -303,11 +302,12 @@ def _solved(
         penalised = gram[:f, :f] / np.outer(scale, scale)
         penalised.flat[:: f + 1] += strength
         right = np.hstack([part for c in own for part in (parts[c][1][:f, None], parts[c][0][:f, f:])]) / scale[:, None]
-        # LAPACK itself: the penalty makes it positive definite, and SciPy's checks would take longer than the solution.
-        eliminated += np.hsplit(_solve_positive(penalised, right)[1] / scale[:, None], len(own))
+        _, found, failed = _solve_positive(penalised, right)  # LAPACK itself: SciPy's checks would take longer
+        if failed:
+            raise LinAlgError("no positive definite matrix")
+        eliminated += np.hsplit(found / scale[:, None], len(own))
     schur, side = np.zeros((rigid, rigid)), np.zeros(rigid)
-    for (gram, y), found, weight in zip(parts, eliminated, weights, strict=True):
-        f = len(found)
+    for (gram, y), found, weight, f in zip(parts, eliminated, weights, map(len, eliminated), strict=True):
         schur += weight * (gram[f:, f:] - gram[f:, :f] @ found[:, 1:])
         side += weight * (y[f:] - gram[f:, :f] @ found[:, 0])
     length = or_one(np.sqrt(np.sum([w * size[-rigid:] for w, size in zip(weights, sizes, strict=True)], axis=0)))

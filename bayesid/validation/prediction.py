@@ -75,7 +75,8 @@ class Prediction:
     whitened_rms_by_channel
         (c,).
     expected_rms
-        What ``whitened_rms`` is on average of a complete model: noise, and the uncertainty of the parameters.
+        What ``whitened_rms`` is on average of a complete model: noise, and the uncertainty of the parameters (the mean of some
+        rows, where there are many).
     noise_source
         Where the floor comes from: ``readings``, ``parked`` or ``data sheet``; ``residuals`` where none of these tells it,
         and the noise that the fit itself left stands in for it: model error counts as noise then.
@@ -255,17 +256,20 @@ def _whitened(
             left.append(replace(block, rows=block.residual(estimate.solution)))
             yield block
 
-    inside, variances = [], []
-    # How sure the prediction of a row is changes little along a motion: evenly spread rows of a long one tell it.
+    # How sure the prediction of a row is changes little along a motion: evenly spread rows of a long one tell it. All are read.
+    parts = []
     for block, white in whitened(few_of(noted(), row_count(problem.row_model, segments)), noise):
         for panel in replace(block, rows=white).panels():
-            x, residual = panel.rows.reshape(-1, white.shape[2]), panel.residual(estimate.solution).ravel()
-            variance = np.zeros(len(x)) if covariance is None else np.sum(x @ covariance * x, axis=1)
-            inside.append(np.abs(residual) <= 1.959964 * np.sqrt(1.0 + variance))
-            variances.append(variance)
+            x = panel.rows.reshape(-1, white.shape[2])
+            share = np.zeros(len(x)) if covariance is None else np.sum(x @ covariance * x, axis=1)
+            parts.append(share.reshape(panel.rows.shape[:2]))
+    variance, residual = np.concatenate(parts), np.concatenate([white for _, white in whitened(left, noise)])
+    expected = float(np.sqrt(1.0 + variance.mean()))
+    if len(variance) < len(residual):
+        variance = variance.mean(axis=0)
+    inside = float(np.mean(np.abs(residual) <= 1.959964 * np.sqrt(1.0 + variance)))
     raw = [block.rows for block in left]
     if floor is None:
-        residual = np.concatenate([white for _, white in whitened(left, noise)])
         channels = np.sqrt(np.mean(residual**2, axis=0))
     else:
         unfiltered = raw
@@ -277,8 +281,7 @@ def _whitened(
     if group == "trajectory":
         rate = 1.0 / float(np.median(np.diff(next(r.times for r in segments if not r.poses))))
         spectrum = _spectrum(raw, noise["trajectory"], problem.row_model.step, rate, problem.row_model.filters is not None)
-    expected = float(np.sqrt(1.0 + np.concatenate(variances).mean()))
-    return channels, expected, float(np.concatenate(inside).mean()), spectrum
+    return channels, expected, inside, spectrum
 
 
 def _spectrum(residuals: list[np.ndarray], noise: NoiseModel, step: float, rate: float, filtered: bool) -> Spectrum | None:

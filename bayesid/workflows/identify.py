@@ -84,12 +84,14 @@ def identify(
         experiment = as_experiment(experiment)
         clock("regressor")
         problem = prepare(experiment, options)
-        # Where nothing is linearised at the estimate, motions can be fitted alone beside it, on another core.
-        early = () if problem.row_model.point else [name for name in problem.segments if name not in problem.fitted]
-        (problem, estimate), (alone, floor) = both(
-            partial(_solved, problem, method, clock), partial(_beside, problem, method, early)
-        )
-        floor = floor if early else noise_floor(problem)
+        if problem.row_model.point is None:
+            # What needs the motions' rows alone is done beside the fit: while its own rows are made, another core has time.
+            (problem, estimate), (alone, floor) = both(
+                partial(_solved, problem, method, clock), partial(_beside, problem, method)
+            )
+        else:  # everything is linearised at the estimate, which comes first
+            problem, estimate = _solved(problem, method, clock)
+            alone, floor = {}, noise_floor(problem)
         clock("prediction")
         unfitted = [
             m for m in experiment.motions
@@ -152,17 +154,16 @@ def _(result: Identification) -> Files:
 
 def _solved(problem: Problem, method: Estimator, clock: Clock) -> tuple[Problem, Estimate]:
     """The problem at its solution, and the estimate."""
-    for _ in problem.regression.blocks():
+    for _ in problem.regression.blocks():  # makes the rows, whose time is told apart
         pass
     clock("estimate")
     return solve(problem, method)
 
 
-def _beside(
-    problem: Problem, method: Estimator, motions: Sequence[str]
-) -> tuple[dict[str, Estimate | None], NoiseFloor | None]:
-    """Fits of motions alone, if there are any, and the noise that is left to any estimate."""
-    return fits_alone(problem, method, motions), noise_floor(problem) if motions else None
+def _beside(problem: Problem, method: Estimator) -> tuple[dict[str, Estimate | None], NoiseFloor | None]:
+    """Fits of motions alone that are not fitted together, and the noise that is left to any estimate."""
+    others = [name for name in problem.segments if name not in problem.fitted]
+    return fits_alone(problem, method, others), noise_floor(problem)
 
 
 def _unexcited(problem: Problem, estimate: Estimate) -> tuple[str, ...]:

@@ -66,3 +66,20 @@ def test_recordings_of_one_robot_and_motion_state_like_standard_deviations(monke
             stds.append(estimators.fit(prepare(recorded, FitOptions()).regression, "wls").std)
     spread = np.std(stds, axis=0, ddof=1) / np.mean(stds, axis=0)
     assert spread.max() < 0.17, spread  # 0.22 where the turning points stay as they were smoothed
+
+
+def test_size_on_a_long_recording_with_many_short_stretches():
+    """A part of them is measured, whole stretches each; those too short to tell anything count for nothing."""
+    rng = np.random.default_rng(5)
+    times = np.arange(100) / 125.0
+    few = segment_of(np.arange(20) / 125.0, rng.normal(0.0, 1e-4, (20, 2)))
+    many = [segment_of(times, 0.3 * np.sin(4.0 * times)[:, None] + rng.normal(0.0, 1e-4, (100, 2))) for _ in range(3000)]
+    found = measure([few, *many], 5.0, np.full(2, 1.0))
+    np.testing.assert_allclose(found.std, 1e-4, rtol=0.03)
+    np.testing.assert_allclose(found.correlation, measure(many[:300], 5.0, np.full(2, 1.0)).correlation, atol=0.02)
+    assert not measure([few], 60.0, np.full(2, 1.0)).std.any()
+
+
+def segment_of(times, positions):
+    nothing = np.zeros((len(times), 1))
+    return Segment(times, positions, nothing, np.zeros(1), 0)
