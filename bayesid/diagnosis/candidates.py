@@ -126,6 +126,13 @@ class Library:
         """Proposals beside a fit with effects whose values are tried as a last resort among them, best gain first.
 
         Such as flexible joints that resonate in the motion's band, of which a derivative says nothing; it takes a while.
+
+        Parameters
+        ----------
+        proposals
+            From `propose` beside the same fit.
+        fit
+            What the effects are sought beside.
         """
         best = {p.name: p for p in proposals}
         for term, gain in self._tried(fit, self._taken(fit), self._last_changes):

@@ -206,7 +206,7 @@ def make_blocks(row_model: RowModel, segments: Sequence[Segment], samples: Sampl
         a, b = segment.inner(row_model.margin)
         if b - a < 2:
             raise InputError(
-                f"a stretch of {times[-1] - times[0]:.3g} s from t = {times[0]:.6g} is too short for "
+                f"a segment of {times[-1] - times[0]:.3g} s from t = {times[0]:.6g} is too short for "
                 f"{row_model.bandwidth:.3g} Hz; leave it out or record longer without gaps"
             )
         if samples is None and row_model.point is not None:

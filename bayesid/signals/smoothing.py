@@ -20,7 +20,7 @@ from bayesid.errors import InputError
 from bayesid.signals.kernel_input import kernel_input
 
 (_solve_banded,) = get_lapack_funcs(("pbsv",), dtype=np.float64)
-#: A gap-free stretch: times (N,) [s] and positions (N, n) [rad or m].
+#: A gap-free segment: times (N,) [s] and positions (N, n) [rad or m].
 Piece = tuple[np.ndarray, np.ndarray]
 
 DEGREE = 5
@@ -140,7 +140,7 @@ def choose_smoother(
     Parameters
     ----------
     pieces
-        Gap-free stretches (times (N,), positions (N, n)); long recordings may be sampled.
+        Gap-free segments (times (N,), positions (N, n)); long recordings may be sampled.
     resolution, noise
         Encoder count and random noise, if known [rad or m]: the error is then not taken smaller.
     lowest, highest
@@ -172,7 +172,7 @@ def choose_smoothers(
     Parameters
     ----------
     pieces
-        Gap-free stretches (times (N,), positions (N, n)).
+        Gap-free segments (times (N,), positions (N, n)).
     groups
         Indices of each group's pieces.
     resolution, noise, lowest, highest, each

@@ -148,13 +148,13 @@ class RecordedMotion:
 
     @classmethod
     def of(cls, motion: Motion, experiment: Experiment) -> RecordedMotion:
-        """Smooth a motion of an experiment; InputError where it has no stretch of 20 samples without a gap."""
+        """Smooth a motion of an experiment; InputError where it has no segment of 20 samples without a gap."""
         table = motion.table
         if motion.kind == "poses":
             return cls(motion, (), 0.0)
         pieces = [(table.times[p], table.positions[p]) for p in table.segments() if p.stop - p.start >= 20]
         if not pieces:
-            raise InputError(f"{table.source}: no stretch of 20 samples without a gap; simulate new motions instead")
+            raise InputError(f"{table.source}: no segment of 20 samples without a gap; simulate new motions instead")
         chosen = choose_smoother(pieces, experiment.position_resolution, experiment.position_std)
         return cls(motion, tuple(pieces), chosen.bandwidth)
 
