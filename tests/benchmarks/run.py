@@ -19,7 +19,10 @@ from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent.parent
-sys.path[:0] = [str(HERE.parent), str(HERE)]
+sys.path[:0] = [str(ROOT), str(HERE)]
+
+from tests.robots import ur5  # noqa: E402 -- here, so that a script that cannot start says so at once
+
 FIGAROH = ROOT / ".venv-figaroh" / "bin" / "python"
 
 
@@ -120,8 +123,6 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=3)
     parser.add_argument("--write", action="store_true", help="write docs/benchmarks.json")
     options = parser.parse_args()
-    from tests.robots import ur5
-
     if not FIGAROH.exists():
         print("FIGAROH is not installed (make bench does that); measuring without it")
     with tempfile.TemporaryDirectory() as temporary:

@@ -2,6 +2,8 @@
 
 import ast
 import importlib.util
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -39,3 +41,10 @@ def exists(module: str, name: str) -> bool:
 def test_a_script_imports_what_exists(script):
     for module, name in imported(script):
         assert exists(module, name), f"{script}: from {module} import {name}"
+
+
+@pytest.mark.parametrize("script", ["run", "identify", "posterior_speed"])
+def test_what_make_bench_runs_starts_from_anywhere(script, tmp_path):
+    path = ROOT / "tests" / "benchmarks" / f"{script}.py"
+    done = subprocess.run([sys.executable, str(path), "--help"], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0 and "usage" in done.stdout, done.stderr
