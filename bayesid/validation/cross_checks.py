@@ -90,7 +90,7 @@ def _judge(first, second, difference, covariance, labels, left, right) -> Agreem
 Alone = Mapping[str, Estimate | None]
 
 
-def fits_alone(problem: Problem, method: str | Estimator, motions: Iterable[str]) -> dict[str, Estimate | None]:
+def fits_alone(problem: Problem, method: str | Estimator, motions: Iterable[str]) -> Alone:
     """Fit each of these motions by itself."""
     return {name: _fit_of(problem, method, [name]) for name in motions if problem.segments[name]}
 

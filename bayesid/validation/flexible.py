@@ -24,7 +24,7 @@ from bayesid.regression.blocks import Block
 from bayesid.regression.linalg import or_one
 from bayesid.regression.motion_rows import row_count
 from bayesid.regression.problem import Problem
-from bayesid.regression.row_cache import CACHE_BYTES, PILOT_ROWS, PILOT_SEGMENTS, spread
+from bayesid.regression.row_cache import CACHE_BYTES, PILOT_ROWS, PILOT_SEGMENTS, few_of
 from bayesid.regression.rows import RowModel, make_blocks
 from bayesid.regression.segment import Segment
 from bayesid.signals.smoothing import smooth
@@ -193,7 +193,7 @@ def _blocks(problem: Problem, motions: Sequence[str]) -> Iterable[Block]:
     else:
         blocks = problem.rows.blocks(motions)
     moving = (b for b in blocks if b.group != "poses")
-    return moving if count <= 2 * PILOT_ROWS or tuple(motions) == problem.fitted else spread(moving, count)
+    return moving if tuple(motions) == problem.fitted else few_of(moving, count)
 
 
 def _pieces(row_model: RowModel, segments: Sequence[Segment]) -> Iterator[Segment]:
@@ -289,7 +289,7 @@ def _ways(sums: Sequence[_Sums], functions: Sequence[np.ndarray], count: int) ->
 def _solved(
     parts: Sequence[tuple[np.ndarray, np.ndarray]], groups: Sequence[Sequence[int]], sizes: Sequence[np.ndarray],
     weights: np.ndarray, strength: float, rigid: int,
-) -> list[list[np.ndarray]]:
+) -> list[list[np.ndarray]]:  # fmt: skip
     """Coefficients of functions, then of rigid columns, for each channel: without these, hardly penalised, as the functions are.
 
     Penalties are shares of the columns' energies ``sizes``. The functions of each channel are eliminated: what is left are

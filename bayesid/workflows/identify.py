@@ -24,7 +24,7 @@ from bayesid.results.files import Files, files_of
 from bayesid.results.identification import Identification
 from bayesid.robot.urdf import write_urdf
 from bayesid.signals.filters import LowPass
-from bayesid.validation.cross_checks import Agreement, fits_alone, motions_apart, static_both_ways, wrench_against_torque
+from bayesid.validation.cross_checks import Agreement, Alone, fits_alone, motions_apart, static_both_ways, wrench_against_torque
 from bayesid.validation.flexible import flexible_gaps
 from bayesid.validation.noise_floor import NoiseFloor, noise_floor
 from bayesid.validation.prediction import Prediction, predict
@@ -160,7 +160,7 @@ def _solved(problem: Problem, method: Estimator, clock: Clock) -> tuple[Problem,
     return solve(problem, method)
 
 
-def _beside(problem: Problem, method: Estimator) -> tuple[dict[str, Estimate | None], NoiseFloor | None]:
+def _beside(problem: Problem, method: Estimator) -> tuple[Alone, NoiseFloor | None]:
     """Fits of motions alone that are not fitted together, and the noise that is left to any estimate."""
     others = [name for name in problem.segments if name not in problem.fitted]
     return fits_alone(problem, method, others), noise_floor(problem)
