@@ -24,7 +24,8 @@ from bayesid.regression.blocks import Block
 from bayesid.regression.linalg import condition_number, determined_inverse, undetermined
 from bayesid.regression.problem import row_step, smoother_of
 from bayesid.regression.readings import make_channels
-from bayesid.regression.rows import RowModel, make_blocks
+from bayesid.regression.row_model import RowModel
+from bayesid.regression.rows import make_blocks
 from bayesid.regression.segment import Segment
 from bayesid.regression.structure import model_structure
 from bayesid.signals.noise import NoiseModel

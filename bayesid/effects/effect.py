@@ -97,6 +97,9 @@ class Effect(ABC):
         Whether a static run of the same positions has it, too.
     always_the_same
         Whether `motion_columns` are the same at all times, whatever the motion; a class that inherits it must keep to it.
+    smooth_in_time
+        Whether `motion_columns` have no kinks or jumps along a smooth motion and need its state at the moment only: they may then
+        be interpolated in time as a regressor is.
     zero_unless_stated
         Whether parameters left out are zero once any is stated.
     needs_gear_ratio
@@ -150,6 +153,7 @@ class Effect(ABC):
     estimated_without_static_run: ClassVar[bool] = False
     absorbs_weight: ClassVar[bool] = False
     always_the_same: ClassVar[bool] = False
+    smooth_in_time: ClassVar[bool] = False
     in_static_run: ClassVar[bool] = True
     zero_unless_stated: ClassVar[bool] = False
     needs_gear_ratio: ClassVar[bool] = False

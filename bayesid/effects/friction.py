@@ -32,6 +32,7 @@ class ViscousFriction(JointTorqueEffect):
     source = _ARMSTRONG
     quantities = (Parameter("coefficient", "N m s/rad", lower=0.0),)
     confusable_with = ("coulomb_friction", "fluid_drag")
+    smooth_in_time = True
     urdf_dynamics = "damping"
 
     def typical(self, robot):

@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 
 from bayesid.regression.blocks import Block, Instruments, Pair, RegressorNoise
-from bayesid.regression.rows import RowModel, make_blocks
+from bayesid.regression.row_model import RowModel
+from bayesid.regression.rows import make_blocks
 from bayesid.regression.segment import Segment
 from bayesid.signals.smoothing import DEGREE, Smoother, smooth
 

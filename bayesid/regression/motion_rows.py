@@ -7,7 +7,8 @@ from threading import Lock
 
 from bayesid.regression.blocks import Block
 from bayesid.regression.row_cache import CACHE_BYTES
-from bayesid.regression.rows import RowModel, make_blocks
+from bayesid.regression.row_model import RowModel
+from bayesid.regression.rows import make_blocks
 from bayesid.regression.segment import Segment
 
 

@@ -1,4 +1,4 @@
-"""Independent jobs on all cores, with results in order."""
+"""Independent jobs on all cores, with results in order; one Python thread a core, for more would only wait for each other."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ import os
 import threading
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import AbstractContextManager
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import AbstractContextManager, ExitStack
 from itertools import chain, islice
 from typing import TypeVar
 
@@ -19,12 +19,41 @@ _A = TypeVar("_A")
 _B = TypeVar("_B")
 
 
-#: Whether the thread works for a call of `in_order` or `both` that keeps all cores busy.
-_here = threading.local()
+#: More threads than these gain nothing: the work between compiled functions is one thread's at a time.
+_MOST = 8
 
 
-def _mark() -> None:
-    _here.helps = True
+class _Working:
+    """How many jobs of `in_order` and `both` are being done, in all threads."""
+
+    def __init__(self) -> None:
+        self._lock, self._all, self._here = threading.Lock(), 0, threading.local()
+
+    def change(self, by: int) -> None:
+        with self._lock:
+            self._all += by
+
+    def __call__(self, job: Callable, *arguments):
+        """Do a job that `change` has counted."""
+        before, self._here.works = getattr(self._here, "works", 0), 1
+        try:
+            return job(*arguments)
+        finally:
+            self._here.works = before
+            self.change(-1)
+
+    def cores(self, own: int = 0) -> int:
+        """Cores for the thread that asks and for so many jobs that it has given to others already."""
+        others = self._all - getattr(self._here, "works", 0) - own
+        return min(os.cpu_count() or 1, _MOST) - others
+
+
+_working = _Working()
+
+
+def _submit(pool: ThreadPoolExecutor, job: Callable, *arguments) -> Future:
+    _working.change(1)
+    return pool.submit(_working, job, *arguments)
 
 
 @functools.cache
@@ -40,20 +69,25 @@ def one_blas_thread() -> AbstractContextManager:
 def in_order(work: Callable, jobs: Iterable) -> Iterator:
     """Results in order from a few threads, with only a few results waiting at any time; a single job needs none.
 
-    Jobs that call this or `both` themselves do their own jobs one after the other where there are enough of them for all cores:
-    more threads would only wait for each other.
+    While other jobs keep the cores busy, such as those that this is called in or beside, a job is done by the thread that asks.
     """
-    threads = min(os.cpu_count() or 1, 8)
     jobs = iter(jobs)
-    first = list(islice(jobs, max(threads, 2)))
-    if len(first) < 2 or getattr(_here, "helps", False):
-        yield from map(work, chain(first, jobs))
+    first = list(islice(jobs, 2))
+    if len(first) < 2:
+        yield from map(work, first)
         return
-    with ThreadPoolExecutor(threads, initializer=_mark if len(first) >= threads else None) as pool:
-        waiting: deque = deque()
+    waiting: deque[Future] = deque()
+    pool: ThreadPoolExecutor | None = None
+    with ExitStack() as stack:
         for job in chain(first, jobs):
-            waiting.append(pool.submit(work, job))
-            if len(waiting) > threads:
+            while (cores := _working.cores(sum(not future.done() for future in waiting))) < 2 and waiting:
+                yield waiting.popleft().result()
+            if cores < 2:
+                yield work(job)
+                continue
+            pool = pool or stack.enter_context(ThreadPoolExecutor(min(os.cpu_count() or 1, _MOST)))
+            waiting.append(_submit(pool, work, job))
+            if len(waiting) > cores:
                 yield waiting.popleft().result()
         while waiting:
             yield waiting.popleft().result()
@@ -61,8 +95,9 @@ def in_order(work: Callable, jobs: Iterable) -> Iterator:
 
 def both(one: Callable[[], _A], other: Callable[[], _B]) -> tuple[_A, _B]:
     """Results of two jobs that run at once, as in `in_order`; where both fail, the first one's error is raised."""
-    if getattr(_here, "helps", False):
+    if _working.cores() < 2:
         return one(), other()
-    with ThreadPoolExecutor(1, initializer=_mark if (os.cpu_count() or 1) <= 2 else None) as pool:
-        waiting = pool.submit(other)
-        return one(), waiting.result()
+    with ThreadPoolExecutor(1) as pool:
+        waiting = _submit(pool, other)
+        _working.change(1)
+        return _working(one), waiting.result()

@@ -19,7 +19,8 @@ from bayesid.regression.parallel import in_order
 from bayesid.regression.readings import default_channel, has_readings, make_channels, motion_segments, require_readings
 from bayesid.regression.regression import PriorKnowledge, Regression
 from bayesid.regression.row_cache import PILOT_ROWS, PILOT_SEGMENTS, RowCache, RowSource
-from bayesid.regression.rows import RowModel, make_blocks
+from bayesid.regression.row_model import RowModel
+from bayesid.regression.rows import make_blocks
 from bayesid.regression.segment import Segment
 from bayesid.regression.structure import model_structure
 from bayesid.robot.typical import states_masses, typical_links

@@ -2,188 +2,34 @@
 
 Samples are handled in chunks that fit the processor's cache and on all cores; what comes out is a thin stream of
 rows. Two ways lead there: with the accelerations of the smoothed trajectory, or without any through the
-paper's filters.
+paper's filters. A smoothed trajectory is smooth: where samples are many, its regressors are computed on a coarser grid of
+times and interpolated, which is two thirds of the work saved.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
-from bayesid.dynamics.base_parameters import BaseParameters
-from bayesid.dynamics.channels import Channels
-from bayesid.dynamics.regressors import Kernel
-from bayesid.effects import Effect, MotionSegment, Point, linearised, readings
+from bayesid.effects import MotionSegment
 from bayesid.errors import InputError
 from bayesid.regression.blocks import Block
 from bayesid.regression.parallel import in_order
+from bayesid.regression.row_cache import CACHE_BYTES
+from bayesid.regression.row_model import RowModel
 from bayesid.regression.segment import Segment
-from bayesid.robot.robot import Robot
-from bayesid.signals.filters import HALF_WIDTH, LowPass, low_pass, project
-from bayesid.signals.smoothing import OVERLAP, smooth
+from bayesid.signals.filters import low_pass
+from bayesid.signals.projection import HALF_WIDTH, GridProjection, project
 
 _CHUNK = 4096  # samples handled at once
 _PANEL = 512  # samples whose rows stay in the processor's cache
 _BLOCK_ROWS = 4096  # rows handed on at once
+#: Regressors on the grid of a smoothed trajectory are less work than those of all samples, where there are so many times more.
+_WORTH_A_GRID = 1.5
 
 #: From a segment and its samples first ... last - 1: what is put on their rows (N, channels, any).
 Samples = Callable[[Segment, int, int], np.ndarray]
-
-
-@dataclass(frozen=True, repr=False)
-class RowModel:
-    """How samples become rows: everything but the samples.
-
-    Attributes
-    ----------
-    robot, channels, base, effects
-        The model.
-    bandwidth
-        Of the joint motion [Hz].
-    step
-        Distance of rows [s].
-    filters
-        The paper's low-passes, or None for rows straight from the smoothed trajectory.
-    point
-        Where the readings are linearised, where effects are not plain columns beside the rigid ones.
-    """
-
-    robot: Robot
-    channels: Channels
-    base: BaseParameters
-    effects: tuple[Effect, ...]
-    bandwidth: float
-    step: float
-    filters: LowPass | None = None
-    point: Point | None = None
-
-    @property
-    def margin(self) -> float:
-        """Time at both ends of a segment where trajectory or mount have not settled [s]."""
-        settling = 0.0 if self.point is None else self.point.settling(self.effects)
-        return max(0.75 / self.bandwidth, settling)
-
-    @cached_property
-    def kernel(self) -> Kernel:
-        """Regressors of the base parameters."""
-        return Kernel.of(self.robot, self.channels, self.base.independent)
-
-    @property
-    def free(self) -> np.ndarray:
-        """Which of the effects' parameters are estimated (p,)."""
-        return np.ones(sum(len(e.column_names) for e in self.effects), bool) if self.point is None else self.point.free
-
-    @property
-    def extra_columns(self) -> int:
-        """Number of effect parameters that are estimated."""
-        return int(self.free.sum())
-
-    def state(self, segment: Segment, first: int, last: int) -> MotionSegment:
-        """Smoothed trajectory of samples first ... last - 1, from them and enough neighbours."""
-        times = segment.times[first:last]
-        if segment.poses:
-            still = np.zeros_like(segment.positions[first:last])
-            return MotionSegment(times, segment.positions[first:last], still, still)
-        if segment.rates is not None:
-            return MotionSegment(times, segment.positions[first:last], *segment.rates[:, first:last])
-        reach = OVERLAP * 0.5 / self.bandwidth
-        a = int(np.searchsorted(segment.times, times[0] - reach))
-        b = int(np.searchsorted(segment.times, times[-1] + reach, side="right"))
-        state = smooth(segment.times[a:b], segment.positions[a:b], self.bandwidth, at=times)
-        return MotionSegment(times, *state, encoders=(times, segment.positions[first:last]))
-
-    def effect_columns(self, segment: Segment, state: MotionSegment) -> np.ndarray:
-        """(N, channels, effect parameters), to be read only."""
-        if all(effect.always_the_same for effect in self.effects):
-            columns = self._constant_columns[segment.offset]
-            return np.broadcast_to(columns, (len(state.times), *columns.shape))
-        return self._columns(state, segment.offset)
-
-    @cached_property
-    def _constant_columns(self) -> tuple[np.ndarray, np.ndarray]:
-        """Columns (channels, effect parameters) of effects that are always the same, without a sensor's offset and with it."""
-        still = np.zeros((1, self.robot.n))
-        still = MotionSegment(np.zeros(1), still, still, still)
-        return self._columns(still, False)[0], self._columns(still, True)[0]
-
-    def _columns(self, state: MotionSegment, offset: bool) -> np.ndarray:
-        out = np.zeros((len(state.times), len(self.channels), sum(len(e.column_names) for e in self.effects)))
-        first = 0
-        for effect in self.effects:
-            last = first + len(effect.column_names)
-            if offset or not effect.removed_by_static_run:
-                out[:, :, first:last] = effect.motion_columns(state, self.channels.names)
-            first = last
-        return out
-
-    def _scene(self, segment: Segment, first: int, last: int) -> tuple[MotionSegment, int, int]:
-        """The samples' motion and what the effects need of that around them: samples a ... b - 1, with a and b."""
-        assert self.point is not None
-        a, b = first, last
-        if not segment.poses:
-            times = segment.times
-            reach = self.point.reach(self.effects, self.bandwidth, float(np.median(np.diff(times[:1000]))))
-            a = int(np.searchsorted(times, times[first] - reach))
-            b = int(np.searchsorted(times, times[last - 1] + reach, side="right"))
-        return replace(self.state(segment, a, b), still=segment.poses, bandwidth=self.bandwidth, middle=self.point.middle), a, b
-
-    def about_point(self, segment: Segment, first: int, last: int) -> np.ndarray:
-        """Unfiltered rows of samples about the point: regressor, effects, shifted target (N, channels, p + 1)."""
-        assert self.point is not None
-        scene, a, b = self._scene(segment, first, last)
-        read = segment.readings[a:b] if segment.gravity else segment.measured(a, b)
-        rigid, others, target = linearised(
-            self.robot, self.channels, scene, self.effects, self.point, self.base.independent, read, gravity=segment.gravity
-        )
-        part = slice(first - a, last - a)
-        return np.concatenate([rigid[part], others[part], target[part, :, None]], axis=2)
-
-    def samples(self, segment: Segment, first: int, last: int) -> np.ndarray:
-        """Unfiltered rows of samples: regressor, effects, measured (N, channels, p + 1)."""
-        if self.point is not None:
-            return self.about_point(segment, first, last)
-        state = self.state(segment, first, last)
-        rank, effects = self.base.rank, self.effect_columns(segment, state)
-        out = np.empty((last - first, len(self.channels), rank + effects.shape[2] + 1))
-        for a in range(0, last - first, _PANEL):
-            part = slice(a, a + _PANEL)
-            out[part, :, :rank] = self.kernel.dynamics(
-                state.positions[part], state.velocities[part], state.accelerations[part], gravity=segment.gravity
-            )
-        out[:, :, rank:-1] = effects
-        out[:, :, -1] = segment.measured(first, last)
-        return out
-
-    def predicted(self, segment: Segment, first: int, last: int, solution: np.ndarray) -> np.ndarray:
-        """What parameters say of the samples: readings less what is known of them (N, channels).
-
-        Without regressors, by inverse dynamics: base parameters are readings of links that have them in the kept columns and
-        nothing elsewhere.
-        """
-        if self.point is not None:
-            rows = self.about_point(segment, first, last)
-            # By way of the residual: rows about a point have a shifted target.
-            return segment.measured(first, last) + rows[:, :, :-1] @ solution - rows[:, :, -1]
-        state, rank = self.state(segment, first, last), self.base.rank
-        links = np.zeros(len(self.base.parameter_names))
-        links[self.base.independent] = solution[:rank]
-        rigid = self.kernel.readings(
-            state.positions, state.velocities, state.accelerations, links, gravity=segment.gravity
-        )
-        effects = self.effect_columns(segment, state)
-        return rigid + np.tensordot(effects, solution[rank:], 1)
-
-    def modelled(self, segment: Segment, first: int, last: int, solution: np.ndarray) -> np.ndarray:
-        """What the model makes of the samples' motion (N, channels), with these parameters or those of its point."""
-        if self.point is None:
-            return self.predicted(segment, first, last, solution)
-        scene, a, _ = self._scene(segment, first, last)
-        terms = self.point.terms(self.effects)
-        read = readings(self.robot, self.channels, scene, self.point.links, terms, gravity=segment.gravity)
-        return read[first - a : last - a]
 
 
 def make_blocks(row_model: RowModel, segments: Sequence[Segment], samples: Samples | None = None) -> Iterator[Block]:
@@ -229,30 +75,53 @@ def _empty(row_model: RowModel, start: float, times: np.ndarray, columns: int) -
 def _direct(row_model: RowModel, segment: Segment, a: int, b: int, samples: Samples | None) -> Iterator[_Part]:
     """Parts from smoothed accelerations; chunks are independent, so all cores work."""
     start = segment.times[a] + 0.5 * row_model.step
+    usual = (segment.times[b - 1] - segment.times[a]) / (b - 1 - a)
+    gridded = row_model.interpolable and segment.rates is None and row_model.grid_spacing >= _WORTH_A_GRID * usual
+    if samples is None and not gridded:
+        samples = row_model.samples
 
     def work(first: int) -> _Part:
         last = min(first + _CHUNK, b)
-        times = segment.times[first:last]
-        if samples is not None:
-            wide = samples(segment, first, last)
-            begin, rows, energy = _empty(row_model, start, times, wide.shape[2])
-            project(times, wide, start, row_model.step, begin, rows, energy)
-            return begin, rows, energy
-        state, rank = row_model.state(segment, first, last), row_model.base.rank
-        effects, measured = row_model.effect_columns(segment, state), segment.measured(first, last)
-        begin, rows, energy = _empty(row_model, start, times, rank + effects.shape[2] + 1)
-        buffer = np.empty((_PANEL, *rows.shape[1:]))
-        for k in range(0, last - first, _PANEL):
-            part = slice(k, min(k + _PANEL, last - first))
-            panel = row_model.kernel.dynamics(
-                state.positions[part], state.velocities[part], state.accelerations[part],
-                gravity=segment.gravity, out=buffer[: part.stop - k],
-            )  # fmt: skip
-            panel[:, :, rank:-1], panel[:, :, -1] = effects[part], measured[part]
-            project(times[part], panel, start, row_model.step, begin, rows, energy)
+        if samples is None:
+            return _from_grid(row_model, segment, first, last, start)
+        times, wide = segment.times[first:last], samples(segment, first, last)
+        begin, rows, energy = _empty(row_model, start, times, wide.shape[2])
+        project(times, wide, start, row_model.step, begin, rows, energy)
         return begin, rows, energy
 
     yield from in_order(work, range(a, b, _CHUNK))
+
+
+def _from_grid(row_model: RowModel, segment: Segment, first: int, last: int, start: float) -> _Part:
+    """A chunk's part with regressors computed at fewer times than there are samples, and interpolated.
+
+    Readings, and effects that jump, are taken at all samples.
+    """
+    times, rank, spacing = segment.times[first:last], row_model.base.rank, row_model.grid_spacing
+    beyond = int((times[-1] - times[0]) / spacing) + 1 + GridProjection.AFTER
+    grid = times[0] + spacing * np.arange(-GridProjection.BEFORE, beyond)
+    state = row_model.smoothed(segment, grid)
+    smooth, effects = row_model.smooth_effects, row_model.effect_columns(segment, state, True)
+    width, at = rank + len(smooth) + 1, rank + np.flatnonzero(smooth)
+    begin, rows, energy = _empty(row_model, start, times, width)
+    weights = GridProjection.of(times, grid[0], spacing, start, row_model.step, begin, len(rows))
+    buffer = np.zeros((_PANEL, rows.shape[1], width))
+    for k in range(0, len(grid), _PANEL):
+        part = slice(k, min(k + _PANEL, len(grid)))
+        panel = row_model.kernel.dynamics(
+            state.positions[part], state.velocities[part], state.accelerations[part],
+            gravity=segment.gravity, out=buffer[: part.stop - k],
+        )  # fmt: skip
+        panel[:, :, at] = effects[part]
+        weights.add(panel, k, rows)
+    sampled = segment.measured(first, last)[:, :, None]
+    if not smooth.all():
+        jumping = row_model.effect_columns(segment, row_model.state(segment, first, last), False)
+        sampled = np.concatenate([jumping, sampled], axis=2)
+    others = np.zeros((len(rows), rows.shape[1], sampled.shape[2]))
+    project(times, sampled, start, row_model.step, begin, others, energy)
+    rows[:, :, np.append(rank + np.flatnonzero(~smooth), width - 1)] += others
+    return begin, rows, energy
 
 
 def _filtered(row_model: RowModel, segment: Segment, a: int, b: int, samples: Samples | None) -> Iterator[_Part]:
@@ -309,13 +178,19 @@ def _merge(row_model: RowModel, segment: Segment, a: int, b: int, parts: Iterabl
     total = max(int((segment.times[b - 1] - segment.times[a]) / row_model.step), 1)
     done, waiting, energy = 0, None, np.zeros(0)
     rows, begun, filled = np.empty(0), 0, 0
+    room = np.empty(0)
 
     def handed_on(complete: np.ndarray, power: np.ndarray) -> Iterator[Block]:
         """Blocks that are full with these rows; what is left over waits."""
-        nonlocal rows, begun, filled
+        nonlocal rows, room, begun, filled
         while len(complete):
             if not filled:
-                rows = np.empty((min(_BLOCK_ROWS, total - begun), *complete.shape[1:]))
+                count = min(_BLOCK_ROWS, total - begun)
+                if not len(room):
+                    # Rows that may be kept lie side by side: memory is given out in large pages then.
+                    together = 8 * total * complete[0].size <= CACHE_BYTES
+                    room = np.empty((total if together else count, *complete.shape[1:]))
+                rows, room = room[:count], room[count:]
             taken = min(len(rows) - filled, len(complete))
             root = np.sqrt(np.maximum(power[:taken], 1e-12))
             np.divide(complete[:taken], root[:, None, None], out=rows[filled : filled + taken])

@@ -12,7 +12,7 @@ from bayesid.dynamics.channels import Channels
 from bayesid.effects import Effect, EffectLibrary, Point, middle_of, starting_point
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment
-from bayesid.regression.rows import Segment
+from bayesid.regression.segment import Segment
 
 
 @dataclass(frozen=True, eq=False)

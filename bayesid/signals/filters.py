@@ -1,11 +1,8 @@
 """The filters applied alike to regressors and measurements.
 
-Any linear operation applied to both sides of ``w = Y phi`` keeps the equation exact. Two are used:
-
-* the paper's two first-order low-passes [Liu1998]_, which also turn ``d/dt (P phi) - Q phi`` into something that
-  needs no accelerations;
-* a projection onto the frequency band in which the robot moves, which discards what only holds noise and thins
-  the rows, without delay and without colouring white noise.
+Any linear operation applied to both sides of ``w = Y phi`` keeps the equation exact. Two are used: the paper's two
+first-order low-passes [Liu1998]_ here, which also turn ``d/dt (P phi) - Q phi`` into something that needs no
+accelerations, and the projection onto the motion's band (`bayesid.signals.projection`).
 """
 
 from __future__ import annotations
@@ -16,7 +13,7 @@ import numba
 import numpy as np
 
 from bayesid.errors import InputError
-from bayesid.signals.kernel_input import kernel_input
+from bayesid.signals.projection import ROLL_OFF
 
 #: Bandwidths that a recording can tell from none, and from no filter [rad/s].
 _SLOWEST, _FASTEST = 1e-6, 1e9
@@ -118,89 +115,6 @@ def _low_pass(l, d, times, last_time, rate, last_rate, rest, last_rest, first, s
             second[m] = ((1.0 - e) * second[m] + e * (y + first[m])) / (1.0 + e)
             first[m] = y
             out[k, m] = second[m]
-
-
-#: Roll-off of the projection's kernel and half its length in rows.
-ROLL_OFF = 0.5
-HALF_WIDTH = 5
-
-
-def project(times: np.ndarray, values: np.ndarray, start: float, step: float, first: int, out: np.ndarray, energy: np.ndarray):
-    """Add samples to the rows of a band: shifted root-raised-cosine kernels, which are orthonormal.
-
-    White noise of standard deviation s on evenly spaced samples therefore stays white with the same s, and
-    signals below ``(1 - ROLL_OFF) / (2 step)`` keep their energy. Where a kernel reaches over an end of the
-    recording it is cut off; divide every row by the root of its energy. As both sides of an equation are
-    treated alike, none of this biases an estimate.
-
-    Parameters
-    ----------
-    times, values
-        Samples (N,) [s] and (N, ...).
-    start, step
-        Centre of row 0 and distance of rows [s].
-    first
-        Index of the row that ``out[0]`` holds.
-    out, energy
-        Rows (k, ...) and sums of squared weights (k,), added to in place; contributions to rows outside are
-        dropped.
-    """
-    flat = kernel_input(values).reshape(len(values), -1)
-    _project(kernel_input(times), flat, start, step, first, _TABLE, out.reshape(len(out), -1), energy)
-
-
-def _kernel(x: np.ndarray, roll_off: float) -> np.ndarray:
-    """Root-raised-cosine impulse response, unit spacing and unit energy."""
-    edge = 4.0 * roll_off * x
-    safe = np.where((x == 0) | (np.abs(edge) == 1.0), 0.1234, x)
-    safe_edge = 4.0 * roll_off * safe
-    value = np.sin(np.pi * safe * (1 - roll_off)) + safe_edge * np.cos(np.pi * safe * (1 + roll_off))
-    value /= np.pi * safe * (1.0 - safe_edge**2)
-    angle = np.pi / (4.0 * roll_off)
-    corner = roll_off / np.sqrt(2.0) * ((1 + 2 / np.pi) * np.sin(angle) + (1 - 2 / np.pi) * np.cos(angle))
-    value = np.where(np.abs(edge) == 1.0, corner, value)
-    return np.where(x == 0, 1.0 - roll_off + 4.0 * roll_off / np.pi, value)
-
-
-_PER_ROW = 2048
-#: Samples that are added to a row at once; the loop below is written for this many.
-_TOGETHER = 4
-_TABLE = _kernel(np.arange(_PER_ROW * HALF_WIDTH + 2) / _PER_ROW, ROLL_OFF)
-_TABLE[_PER_ROW * HALF_WIDTH :] = 0.0
-
-
-@numba.njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
-def _project(times, values, start, step, first, table, out, energy):
-    rows, columns = out.shape
-    weights = np.empty(_TOGETHER)
-    for first_sample in range(0, len(values), _TOGETHER):
-        # A few neighbouring samples at once: a row of the output is then read and written once for all of them.
-        count = min(_TOGETHER, len(values) - first_sample)
-        begin = (times[first_sample] - start) / step - first
-        end = (times[first_sample + count - 1] - start) / step - first
-        low = max(int(np.ceil(begin - HALF_WIDTH)), 0)
-        for row in range(low, min(int(np.floor(end + HALF_WIDTH)), rows - 1) + 1):
-            for k in range(_TOGETHER):
-                weights[k] = 0.0
-                if k < count:
-                    distance = abs((times[first_sample + k] - start) / step - first - row)
-                    if distance <= HALF_WIDTH:
-                        at = distance * _PER_ROW
-                        i = int(at)
-                        weights[k] = table[i] + (at - i) * (table[i + 1] - table[i])
-                        energy[row] += weights[k] * weights[k]
-            target = out[row]
-            if count == _TOGETHER:
-                one, two, three, four = weights
-                v1, v2 = values[first_sample], values[first_sample + 1]
-                v3, v4 = values[first_sample + 2], values[first_sample + 3]
-                for column in range(columns):
-                    target[column] += one * v1[column] + two * v2[column] + three * v3[column] + four * v4[column]
-            else:
-                for k in range(count):
-                    source = values[first_sample + k]
-                    for column in range(columns):
-                        target[column] += weights[k] * source[column]
 
 
 def row_noise_poles(filters: LowPass, sample_step: float, row_step: float) -> np.ndarray:

@@ -179,8 +179,13 @@ def choose_smoothers(
         As for one group.
     """
     tried = [_candidates([pieces[k][0] for k in group], lowest, highest) for group in groups]
-    wanted = dict.fromkeys((k, b) for group, bandwidths in zip(groups, tried, strict=True) for b in bandwidths for k in group)
-    left = dict(zip(wanted, each(lambda key: _left(pieces[key[0]], key[1]), wanted), strict=True))
+    centred = [(kernel_input(times), kernel_input(positions - positions.mean(axis=0))) for times, positions in pieces]
+    wanted: dict[float, dict[int, None]] = {}
+    for group, bandwidths in zip(groups, tried, strict=True):
+        for bandwidth in bandwidths:
+            wanted.setdefault(bandwidth, {}).update(dict.fromkeys(group))
+    sums = each(lambda bandwidth: {k: _left(centred[k], bandwidth) for k in wanted[bandwidth]}, wanted)
+    left = {(k, b): power for b, powers in zip(wanted, sums, strict=True) for k, power in powers.items()}
     return [
         _chosen(pieces, group, bandwidths, left, resolution or 0.0, noise or 0.0)
         for group, bandwidths in zip(groups, tried, strict=True)
@@ -197,10 +202,8 @@ def _candidates(times: Sequence[np.ndarray], lowest: float, highest: float) -> l
 
 def _left(piece: Piece, bandwidth: float) -> np.ndarray:
     """Sums of squares of positions less the spline's (n,)."""
-    times, positions = piece
-    centred = positions - positions.mean(axis=0)
-    coefficients, first = _fitted(times, centred, bandwidth)
-    return _residual_power(kernel_input(times), kernel_input(centred), coefficients, first, 0.5 / bandwidth, POLYNOMIALS)
+    coefficients, first = _fitted(*piece, bandwidth)
+    return _residual_power(*piece, coefficients, first, 0.5 / bandwidth, POLYNOMIALS)
 
 
 def _chosen(

@@ -25,7 +25,8 @@ from bayesid.regression.linalg import or_one
 from bayesid.regression.motion_rows import row_count
 from bayesid.regression.problem import Problem
 from bayesid.regression.row_cache import CACHE_BYTES, PILOT_ROWS, PILOT_SEGMENTS, few_of
-from bayesid.regression.rows import RowModel, make_blocks
+from bayesid.regression.row_model import RowModel
+from bayesid.regression.rows import make_blocks
 from bayesid.regression.segment import Segment
 from bayesid.signals.smoothing import smooth
 

@@ -11,7 +11,7 @@ from bayesid.effects import MotionSegment, Point, linearised
 from bayesid.errors import InputError
 from bayesid.estimators.estimator import LEVEL
 from bayesid.regression.problem import Problem
-from bayesid.regression.rows import RowModel
+from bayesid.regression.row_model import RowModel
 from bayesid.regression.segment import Segment
 
 #: Share of a row's length that a column without any information may have before nothing is known of the reading.

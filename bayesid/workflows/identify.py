@@ -97,11 +97,11 @@ def identify(
             m for m in experiment.motions
             if m.name in problem.segments and m.name not in problem.fitted and m.role == "validation"
         ]  # fmt: skip
-        # Fits of single motions and links need none of the predictions: all at once, on as many cores as there are.
+        # Fits of single motions and links need none of the predictions: all at once, the longest first.
         flexible = partial(flexible_gaps, problem, estimate.solution, [m.name for m in unfitted])
         fits, possible = partial(motions_apart, problem, estimate, method, alone), partial(urdf_links, problem, estimate)
-        jobs = [fits, possible, flexible, *(partial(predict, problem, estimate, motion, floor) for motion in unfitted)]
-        agreements, links, gaps, *predictions = in_order(lambda job: job(), jobs)
+        predicted = [partial(predict, problem, estimate, motion, floor) for motion in unfitted]
+        gaps, *predictions, links, agreements = in_order(lambda job: job(), [flexible, *predicted, possible, fits])
         clock("consistency")
         alternative = static_both_ways(problem, method)
         if problem.channel == "both":

@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 from scipy.signal import lsim
 
 from bayesid.errors import InputError
-from bayesid.signals.filters import HALF_WIDTH, LowPass, low_pass, project
+from bayesid.signals.filters import LowPass, low_pass
 
 
 def test_low_pass_equals_the_continuous_filters():
@@ -49,39 +49,3 @@ def test_pieces_give_the_same_as_the_whole(cut, seed):
 def test_impossible_bandwidths_are_refused(l, d):  # noqa: E741
     with pytest.raises(InputError, match="low-pass"):
         LowPass(l, d)
-
-
-def _projector(times, step, count):
-    out, energy = np.zeros((count, len(times))), np.zeros(count)
-    project(times, np.eye(len(times)), 0.5 * step, step, 0, out, energy)
-    return out / np.sqrt(energy)[:, None]
-
-
-def test_projection_keeps_white_noise_white():
-    times = np.arange(0, 20, 0.008)
-    rows = _projector(times, 0.05, 399)
-    inside = slice(HALF_WIDTH, -HALF_WIDTH)
-    gram = (rows @ rows.T)[inside, inside]
-    assert np.abs(gram - np.eye(len(gram))).max() < 0.01
-
-
-def test_projection_keeps_the_energy_of_the_band_and_drops_the_rest():
-    times, step = np.arange(0, 20, 0.002), 0.05
-    rows = _projector(times, step, 399)
-    for frequency, low, high in [(1.0, 0.98, 1.02), (4.0, 0.98, 1.02), (20.0, 0.0, 0.01), (50.0, 0.0, 0.01)]:
-        signal = np.sin(2 * np.pi * frequency * times + 0.3)
-        share = np.linalg.norm((rows @ signal)[10:-10]) / np.linalg.norm(signal) * np.sqrt(399 / 379)
-        assert low <= share <= high, frequency
-
-
-def test_projection_does_not_depend_on_how_samples_are_cut():
-    rng = np.random.default_rng(0)
-    times = np.cumsum(rng.uniform(0.004, 0.012, 500))
-    values = rng.normal(size=(500, 2, 3))
-    whole, power = np.zeros((90, 2, 3)), np.zeros(90)
-    project(times, values, 0.0, 0.05, 0, whole, power)
-    parts, other = np.zeros((90, 2, 3)), np.zeros(90)
-    for a in range(0, 500, 83):
-        project(times[a : a + 83], values[a : a + 83], 0.0, 0.05, 0, parts, other)
-    np.testing.assert_allclose(parts, whole, atol=1e-12)
-    np.testing.assert_allclose(other, power, atol=1e-12)

@@ -11,8 +11,9 @@ from scipy.stats import chi2
 
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import prepare
-from bayesid.signals.filters import low_pass, project
+from bayesid.signals.filters import low_pass
 from bayesid.signals.noise import estimate_noise
+from bayesid.signals.projection import project
 from tests.studies import coverage
 from tests.studies.coverage_case import ARMS, FITS, PAPER, RATE, WHITE, bound, fit_all, record, setup
 

@@ -9,7 +9,7 @@ import numpy as np
 from bayesid.effects import MotionSegment
 from bayesid.regression.motion_rows import MotionRows
 from bayesid.regression.problem import Problem, restrict
-from bayesid.regression.rows import RowModel
+from bayesid.regression.row_model import RowModel
 from bayesid.regression.segment import Segment
 
 #: How velocities may be derived.

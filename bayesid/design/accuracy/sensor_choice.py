@@ -29,7 +29,8 @@ from bayesid.recordings.experiment import Experiment, Sensor
 from bayesid.recordings.table import usual_step
 from bayesid.regression.blocks import Block
 from bayesid.regression.parallel import in_order
-from bayesid.regression.rows import RowModel, make_blocks
+from bayesid.regression.row_model import RowModel
+from bayesid.regression.rows import make_blocks
 from bayesid.regression.segment import Segment
 from bayesid.robot.prior import Prior
 from bayesid.robot.robot import load_robot

@@ -13,7 +13,7 @@ from bayesid.diagnosis.surroundings import joint_inertia, mean_places, moving
 from bayesid.effects import BodyEffect, Effect, Linearisation, MotionSegment, Point, Surroundings, Term, columns, linearised
 from bayesid.effects.drives import CoupledFriction
 from bayesid.regression.problem import Problem
-from bayesid.regression.rows import RowModel
+from bayesid.regression.row_model import RowModel
 from bayesid.regression.segment import Segment
 from bayesid.robot.robot import Robot
 

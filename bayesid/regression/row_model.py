@@ -1,0 +1,203 @@
+"""How samples become rows: robot, effects, bandwidth and filters, and the unfiltered regressor of any of the samples."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from bayesid.dynamics.base_parameters import BaseParameters
+from bayesid.dynamics.channels import Channels
+from bayesid.dynamics.regressors import Kernel
+from bayesid.effects import Effect, MotionSegment, Point, linearised, readings
+from bayesid.regression.segment import Segment
+from bayesid.robot.robot import Robot
+from bayesid.signals.filters import LowPass
+from bayesid.signals.smoothing import OVERLAP, smooth
+
+_PANEL = 512  # samples whose rows stay in the processor's cache
+#: Regressors of a smoothed trajectory are computed so many times in 1 / bandwidth and interpolated: rows of recorded arms change
+#: by less than 1e-5 of their columns' size (`tests/regression/test_rows.py`).
+_GRID_PER_BANDWIDTH = 12.0
+
+
+@dataclass(frozen=True, repr=False)
+class RowModel:
+    """How samples become rows: everything but the samples.
+
+    Attributes
+    ----------
+    robot, channels, base, effects
+        The model.
+    bandwidth
+        Of the joint motion [Hz].
+    step
+        Distance of rows [s].
+    filters
+        The paper's low-passes, or None for rows straight from the smoothed trajectory.
+    point
+        Where the readings are linearised, where effects are not plain columns beside the rigid ones.
+    """
+
+    robot: Robot
+    channels: Channels
+    base: BaseParameters
+    effects: tuple[Effect, ...]
+    bandwidth: float
+    step: float
+    filters: LowPass | None = None
+    point: Point | None = None
+
+    @property
+    def margin(self) -> float:
+        """Time at both ends of a segment where trajectory or mount have not settled [s]."""
+        settling = 0.0 if self.point is None else self.point.settling(self.effects)
+        return max(0.75 / self.bandwidth, settling)
+
+    @cached_property
+    def kernel(self) -> Kernel:
+        """Regressors of the base parameters."""
+        return Kernel.of(self.robot, self.channels, self.base.independent)
+
+    @property
+    def free(self) -> np.ndarray:
+        """Which of the effects' parameters are estimated (p,)."""
+        return np.ones(sum(len(e.column_names) for e in self.effects), bool) if self.point is None else self.point.free
+
+    @property
+    def extra_columns(self) -> int:
+        """Number of effect parameters that are estimated."""
+        return int(self.free.sum())
+
+    def state(self, segment: Segment, first: int, last: int) -> MotionSegment:
+        """Smoothed trajectory of samples first ... last - 1, from them and enough neighbours."""
+        times = segment.times[first:last]
+        if segment.poses:
+            still = np.zeros_like(segment.positions[first:last])
+            return MotionSegment(times, segment.positions[first:last], still, still)
+        if segment.rates is not None:
+            return MotionSegment(times, segment.positions[first:last], *segment.rates[:, first:last])
+        return replace(self.smoothed(segment, times), encoders=(times, segment.positions[first:last]))
+
+    def smoothed(self, segment: Segment, at: np.ndarray) -> MotionSegment:
+        """Smoothed trajectory at times (N,), from samples there and enough neighbours."""
+        reach = OVERLAP * 0.5 / self.bandwidth
+        a = int(np.searchsorted(segment.times, at[0] - reach))
+        b = int(np.searchsorted(segment.times, at[-1] + reach, side="right"))
+        return MotionSegment(at, *smooth(segment.times[a:b], segment.positions[a:b], self.bandwidth, at=at))
+
+    @property
+    def grid_spacing(self) -> float:
+        """Distance of the times that regressors are computed at and interpolated from [s]."""
+        return 1.0 / (_GRID_PER_BANDWIDTH * self.bandwidth)
+
+    @cached_property
+    def smooth_effects(self) -> np.ndarray:
+        """Whose columns may be interpolated in time as the regressor is (p,), where the readings are linear in all effects."""
+        return np.repeat([_smooth(e) for e in self.effects], [len(e.column_names) for e in self.effects]).astype(bool)
+
+    @property
+    def interpolable(self) -> bool:
+        """Whether rows may be made of regressors on a grid of times.
+
+        A column that is a combination of rigid bodies' columns, as a rotor's inertia may be, must be interpolated just as those
+        are: otherwise the small difference would seem to tell them apart. What jumps as friction does is no such combination.
+        """
+        return all(_smooth(e) or e.reverses_at_once for e in self.effects)
+
+    def effect_columns(self, segment: Segment, state: MotionSegment, smooth: bool | None = None) -> np.ndarray:
+        """Columns of all effects, or of those that `smooth_effects` has or has not (N, channels, parameters), to be read only."""
+        effects = self.effects if smooth is None else tuple(e for e in self.effects if _smooth(e) == smooth)
+        if effects and all(effect.always_the_same for effect in effects):
+            columns = self._constant_columns[segment.offset]
+            return np.broadcast_to(columns, (len(state.times), *columns.shape))
+        return self._columns(effects, state, segment.offset)
+
+    @cached_property
+    def _constant_columns(self) -> tuple[np.ndarray, np.ndarray]:
+        """Columns (channels, parameters) of the effects that are always the same, without a sensor's offset and with it."""
+        same = tuple(effect for effect in self.effects if effect.always_the_same)
+        still = np.zeros((1, self.robot.n))
+        still = MotionSegment(np.zeros(1), still, still, still)
+        return self._columns(same, still, False)[0], self._columns(same, still, True)[0]
+
+    def _columns(self, effects: tuple[Effect, ...], state: MotionSegment, offset: bool) -> np.ndarray:
+        out = np.zeros((len(state.times), len(self.channels), sum(len(e.column_names) for e in effects)))
+        first = 0
+        for effect in effects:
+            last = first + len(effect.column_names)
+            if offset or not effect.removed_by_static_run:
+                out[:, :, first:last] = effect.motion_columns(state, self.channels.names)
+            first = last
+        return out
+
+    def _scene(self, segment: Segment, first: int, last: int) -> tuple[MotionSegment, int, int]:
+        """The samples' motion and what the effects need of that around them: samples a ... b - 1, with a and b."""
+        assert self.point is not None
+        a, b = first, last
+        if not segment.poses:
+            times = segment.times
+            reach = self.point.reach(self.effects, self.bandwidth, float(np.median(np.diff(times[:1000]))))
+            a = int(np.searchsorted(times, times[first] - reach))
+            b = int(np.searchsorted(times, times[last - 1] + reach, side="right"))
+        return replace(self.state(segment, a, b), still=segment.poses, bandwidth=self.bandwidth, middle=self.point.middle), a, b
+
+    def about_point(self, segment: Segment, first: int, last: int) -> np.ndarray:
+        """Unfiltered rows of samples about the point: regressor, effects, shifted target (N, channels, p + 1)."""
+        assert self.point is not None
+        scene, a, b = self._scene(segment, first, last)
+        read = segment.readings[a:b] if segment.gravity else segment.measured(a, b)
+        rigid, others, target = linearised(
+            self.robot, self.channels, scene, self.effects, self.point, self.base.independent, read, gravity=segment.gravity
+        )
+        part = slice(first - a, last - a)
+        return np.concatenate([rigid[part], others[part], target[part, :, None]], axis=2)
+
+    def samples(self, segment: Segment, first: int, last: int) -> np.ndarray:
+        """Unfiltered rows of samples: regressor, effects, measured (N, channels, p + 1)."""
+        if self.point is not None:
+            return self.about_point(segment, first, last)
+        state = self.state(segment, first, last)
+        rank, effects = self.base.rank, self.effect_columns(segment, state)
+        out = np.empty((last - first, len(self.channels), rank + effects.shape[2] + 1))
+        for a in range(0, last - first, _PANEL):
+            part = slice(a, a + _PANEL)
+            out[part, :, :rank] = self.kernel.dynamics(
+                state.positions[part], state.velocities[part], state.accelerations[part], gravity=segment.gravity
+            )
+        out[:, :, rank:-1] = effects
+        out[:, :, -1] = segment.measured(first, last)
+        return out
+
+    def predicted(self, segment: Segment, first: int, last: int, solution: np.ndarray) -> np.ndarray:
+        """What parameters say of the samples: readings less what is known of them (N, channels).
+
+        Without regressors, by inverse dynamics: base parameters are readings of links that have them in the kept columns and
+        nothing elsewhere.
+        """
+        if self.point is not None:
+            rows = self.about_point(segment, first, last)
+            # By way of the residual: rows about a point have a shifted target.
+            return segment.measured(first, last) + rows[:, :, :-1] @ solution - rows[:, :, -1]
+        state, rank = self.state(segment, first, last), self.base.rank
+        links = np.zeros(len(self.base.parameter_names))
+        links[self.base.independent] = solution[:rank]
+        rigid = self.kernel.readings(
+            state.positions, state.velocities, state.accelerations, links, gravity=segment.gravity
+        )
+        effects = self.effect_columns(segment, state)
+        return rigid + np.tensordot(effects, solution[rank:], 1)
+
+    def modelled(self, segment: Segment, first: int, last: int, solution: np.ndarray) -> np.ndarray:
+        """What the model makes of the samples' motion (N, channels), with these parameters or those of its point."""
+        if self.point is None:
+            return self.predicted(segment, first, last, solution)
+        scene, a, _ = self._scene(segment, first, last)
+        terms = self.point.terms(self.effects)
+        read = readings(self.robot, self.channels, scene, self.point.links, terms, gravity=segment.gravity)
+        return read[first - a : last - a]
+
+
+def _smooth(effect: Effect) -> bool:
+    return effect.always_the_same or effect.smooth_in_time
