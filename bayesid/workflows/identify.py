@@ -25,7 +25,7 @@ from bayesid.results.identification import Identification
 from bayesid.robot.urdf import write_urdf
 from bayesid.signals.filters import LowPass
 from bayesid.validation.cross_checks import Agreement, Alone, fits_alone, motions_apart, static_both_ways, wrench_against_torque
-from bayesid.validation.flexible import flexible_gaps
+from bayesid.validation.flexible import FlexibleModel
 from bayesid.validation.noise_floor import NoiseFloor, noise_floor
 from bayesid.validation.prediction import Prediction, predict
 from bayesid.workflows.progress import Clock, Progress, quiet
@@ -84,24 +84,25 @@ def identify(
         experiment = as_experiment(experiment)
         clock("regressor")
         problem = prepare(experiment, options)
-        if problem.row_model.point is None:
-            # What needs the motions' rows alone is done beside the fit: while its own rows are made, another core has time.
-            (problem, estimate), (alone, floor) = both(
-                partial(_solved, problem, method, clock), partial(_beside, problem, method)
-            )
-        else:  # everything is linearised at the estimate, which comes first
-            problem, estimate = _solved(problem, method, clock)
-            alone, floor = {}, noise_floor(problem)
-        clock("prediction")
         unfitted = [
             m for m in experiment.motions
             if m.name in problem.segments and m.name not in problem.fitted and m.role == "validation"
         ]  # fmt: skip
+        unseen = [motion.name for motion in unfitted]
+        if problem.row_model.point is None:
+            # What needs the motions' rows alone is done beside the fit: while its own rows are made, another core has time.
+            (problem, estimate), (alone, floor, flexible) = both(
+                partial(_solved, problem, method, clock), partial(_beside, problem, method, unseen)
+            )
+        else:  # everything is linearised at the estimate, which comes first
+            problem, estimate = _solved(problem, method, clock)
+            alone, floor, flexible = {}, noise_floor(problem), FlexibleModel.of(problem, unseen)
+        clock("prediction")
         # Fits of single motions and links need none of the predictions: all at once, the longest first.
-        flexible = partial(flexible_gaps, problem, estimate.solution, [m.name for m in unfitted])
+        flexibly = partial(flexible.gaps, estimate.solution) if flexible else dict
         fits, possible = partial(motions_apart, problem, estimate, method, alone), partial(urdf_links, problem, estimate)
         predicted = [partial(predict, problem, estimate, motion, floor) for motion in unfitted]
-        gaps, *predictions, links, agreements = in_order(lambda job: job(), [flexible, *predicted, possible, fits])
+        gaps, *predictions, links, agreements = in_order(lambda job: job(), [flexibly, *predicted, possible, fits])
         clock("consistency")
         alternative = static_both_ways(problem, method)
         if problem.channel == "both":
@@ -160,10 +161,10 @@ def _solved(problem: Problem, method: Estimator, clock: Clock) -> tuple[Problem,
     return solve(problem, method)
 
 
-def _beside(problem: Problem, method: Estimator) -> tuple[Alone, NoiseFloor | None]:
-    """Fits of motions alone that are not fitted together, and the noise that is left to any estimate."""
+def _beside(problem: Problem, method: Estimator, unseen: list[str]) -> tuple[Alone, NoiseFloor | None, FlexibleModel | None]:
+    """Fits of motions alone that are not fitted together, the noise that is left to any estimate, and a flexible model's rows."""
     others = [name for name in problem.segments if name not in problem.fitted]
-    return fits_alone(problem, method, others), noise_floor(problem)
+    return fits_alone(problem, method, others), noise_floor(problem), FlexibleModel.of(problem, unseen)
 
 
 def _unexcited(problem: Problem, estimate: Estimate) -> tuple[str, ...]:

@@ -91,8 +91,8 @@ def test_as_many_rows_of_a_long_recording_as_of_a_short_one(robot, monkeypatch):
     monkeypatch.setattr(flexible, "_gap", lambda rows, *rest, gap=flexible._gap: seen.append(rows) or gap(rows, *rest))
     for duration in (60.0, 500.0):
         bayesid.identify(arm(robot, friction=COULOMB, duration=duration), channel="torque")
-    assert 1000 < len(seen[0].residual) < len(seen[-1].residual) <= 2 * PILOT_ROWS
-    assert seen[-1].positions.shape == (len(seen[-1].residual), 6)
+    assert 1000 < len(seen[0].target) < len(seen[-1].target) <= 2 * PILOT_ROWS
+    assert seen[-1].state[0].shape == (len(seen[-1].target), 6)
 
 
 SAID = [(0.3, 0.02, "still remove 30 %"), (0.3, 0.2, "within chance"), (0.01, 0.1, "nothing")]
