@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from bayesid.regression.blocks import Block, Instruments, Pair, RegressorNoise
+from bayesid.regression.parallel import once
 from bayesid.regression.row_model import RowModel
 from bayesid.regression.rows import make_blocks
 from bayesid.regression.segment import Segment
@@ -99,30 +100,17 @@ def errors_of(row_model: RowModel, segments: Sequence[Segment], smoother: Smooth
     odd ones: the noise of each is independent of the other's as long as it is independent from sample to sample, and each
     serves as the instrument of the other.
     """
-    known: list[EncoderNoise] = []
-    smoothed: list[Segment] = []
-    thinned: list[Segment] = []
     kinds = [_kind(row_model, r) for r in segments]
 
-    def noise() -> EncoderNoise:
-        if not known:
-            known.append(measure(segments, row_model.bandwidth, smoother.position_std))
-        return known[0]
+    noise = once(lambda: measure(segments, row_model.bandwidth, smoother.position_std))
 
     def as_smooth(r: Segment) -> Segment:
         """A segment as it might truly have been: as smooth as the data allow."""
         bandwidth = min(smoother.automatic or row_model.bandwidth, row_model.bandwidth)
         return r if r.poses else replace(r, positions=smooth(r.times, r.positions, bandwidth)[0])
 
-    def quiet() -> Sequence[Segment]:
-        if not smoothed:
-            smoothed.extend(as_smooth(r) for r in segments)
-        return smoothed
-
-    def quiet_pieces() -> Sequence[Segment]:
-        if not thinned:
-            thinned.extend(as_smooth(r) for r in _pieces(row_model, segments))
-        return thinned
+    quiet = once(lambda: [as_smooth(r) for r in segments])
+    quiet_pieces = once(lambda: [as_smooth(r) for r in _pieces(row_model, segments)])
 
     def again(taken: Sequence[Segment], true: Sequence[Segment], draw: int, sign: float = 1.0) -> list[Segment]:
         """Recordings with fresh noise on top of the positions, as the encoders make it of the true ones."""

@@ -93,6 +93,19 @@ def in_order(work: Callable, jobs: Iterable) -> Iterator:
             yield waiting.popleft().result()
 
 
+def once(make: Callable[[], _A]) -> Callable[[], _A]:
+    """A function that gives what ``make`` gives, made at the first call; other threads wait for it."""
+    lock, made = threading.Lock(), []
+
+    def get() -> _A:
+        with lock:
+            if not made:
+                made.append(make())
+        return made[0]
+
+    return get
+
+
 def both(one: Callable[[], _A], other: Callable[[], _B]) -> tuple[_A, _B]:
     """Results of two jobs that run at once, as in `in_order`; where both fail, the first one's error is raised."""
     if _working.cores() < 2:

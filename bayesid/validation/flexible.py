@@ -138,9 +138,10 @@ class FlexibleModel:
         ways = corrections(self.functions, found, self.joints)
         out = {}
         for name, (rows, values) in self.unseen.items():
-            gaps = [g for g in (_gap(rows, rows.residual(solution), values, way) for way in ways) if g is not None]
-            if gaps:
-                out[name] = max(gaps, key=lambda g: g.removed)
+            residual = rows.residual(solution)
+            before = _band_powers(residual, rows)
+            if ways and before.sum() > 0.0:
+                out[name] = max((_gap(rows, residual, before, values, way) for way in ways), key=lambda g: g.removed)
         return out
 
 
@@ -196,8 +197,10 @@ def _pieces(row_model: RowModel, segments: Sequence[Segment]) -> Iterator[Segmen
                 yield piece
 
 
-def _gap(rows: _Rows, residual: np.ndarray, functions: np.ndarray, way: Sequence[Correction]) -> FlexibleGap | None:
-    """Power before and after by stretch; the gain's standard error from the scatter of the stretches' differences."""
+def _gap(
+    rows: _Rows, residual: np.ndarray, power: np.ndarray, functions: np.ndarray, way: Sequence[Correction]
+) -> FlexibleGap:  # fmt: skip
+    """Gap by one way, from the residual and its power by stretch; the gain's standard error from the scatter of the stretches."""
     left = residual.copy()
     for c, correction in enumerate(way):
         if correction is not None:
@@ -205,20 +208,21 @@ def _gap(rows: _Rows, residual: np.ndarray, functions: np.ndarray, way: Sequence
             own = columns < functions.shape[1]
             left[:, c] -= functions[:, columns[own]] @ found[own]
             left[:, c] -= rows.columns[:, c, columns[~own] - functions.shape[1]] @ found[~own]
-    power = np.array([[_band_power(x[own], rows.step) for x in (residual, left)] for own in rows.inside])
-    before, after = power.sum(axis=0)
-    if not before > 0.0:
-        return None
+    reduced = _band_powers(left, rows)
+    before, after = power.sum(), reduced.sum()
     ratio = after / before
     # Of a ratio of sums, by its linearisation: d ratio = (d after - ratio d before) / before.
-    spread = np.std(power[:, 1] - ratio * power[:, 0], ddof=1) * np.sqrt(_STRETCHES) / before
+    spread = np.std(reduced - ratio * power, ddof=1) * np.sqrt(_STRETCHES) / before
     removed, rows_count = 1.0 - np.sqrt(ratio), len(residual)
     std = spread / max(2.0 * np.sqrt(ratio), 1e-9)
     rms = np.sqrt(np.array([before, after]) / rows_count)
     return FlexibleGap(float(rms[0]), float(rms[1]), float(removed), float(std))
 
 
-def _band_power(values: np.ndarray, step: float) -> float:
-    """Energy of rows (k, c) below `BAND`, all channels together."""
-    z = np.asarray(dct(values, axis=0, norm="ortho"))
-    return float(np.sum(z[: max(int(min(2.0 * step * BAND, 1.0) * len(z)), 1)] ** 2))
+def _band_powers(values: np.ndarray, rows: _Rows) -> np.ndarray:
+    """Energy of rows (k, c) below `BAND` by stretch, all channels together."""
+    out = []
+    for own in rows.inside:
+        z = np.asarray(dct(values[own], axis=0, norm="ortho"))
+        out.append(float(np.sum(z[: max(int(min(2.0 * rows.step * BAND, 1.0) * len(z)), 1)] ** 2)))
+    return np.array(out)

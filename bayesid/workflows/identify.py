@@ -12,6 +12,7 @@ import numpy as np
 
 from bayesid.dynamics.base_parameters import structural_base
 from bayesid.estimators import DEFAULT_METHOD, Estimate, Estimator, estimator
+from bayesid.estimators.conic.consistent_links import channel_grams
 from bayesid.estimators.nonlinear import solve
 from bayesid.estimators.prior_check import PriorCheck, against_nominal, conflicts
 from bayesid.recordings.experiment import Experiment, as_experiment
@@ -164,7 +165,12 @@ def _solved(problem: Problem, method: Estimator, clock: Clock) -> tuple[Problem,
 def _beside(problem: Problem, method: Estimator, unseen: list[str]) -> tuple[Alone, NoiseFloor | None, FlexibleModel | None]:
     """Fits of motions alone that are not fitted together, the noise that is left to any estimate, and a flexible model's rows."""
     others = [name for name in problem.segments if name not in problem.fitted]
-    return fits_alone(problem, method, others), noise_floor(problem), FlexibleModel.of(problem, unseen)
+    alone, encoders = fits_alone(problem, method, others), problem.regression.regressor_noise
+    if encoders is not None:  # the end of the fit will ask
+        encoders.present()
+    floor, flexible = noise_floor(problem), FlexibleModel.of(problem, unseen)
+    channel_grams(problem.regression)  # the links will
+    return alone, floor, flexible
 
 
 def _unexcited(problem: Problem, estimate: Estimate) -> tuple[str, ...]:

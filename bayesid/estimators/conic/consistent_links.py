@@ -178,17 +178,20 @@ def _inverse_root(regression: Regression, estimate: Estimate) -> tuple[np.ndarra
     return kept, (vectors / np.sqrt(np.maximum(values, _SMALLEST * max(values[-1], 1.0)))).T / std
 
 
+def channel_grams(regression: Regression) -> np.ndarray:
+    """Gram matrix of each channel's regressor and target over all rows (c, p + 1, p + 1), made once for all estimates."""
+    return regression.once(
+        "channel_grams", lambda: sum(np.einsum("tcp,tcq->cpq", b.rows, b.rows, optimize=True) for b in regression.blocks())
+    )
+
+
 def _prediction_root(regression: Regression, estimate: Estimate) -> np.ndarray:
     """W with ``||W (x - x_hat)||^2`` the power of the change of predictions relative to the residuals', mean over channels."""
-    grams, powers, sizes = [], [], []
-    for block in regression.blocks():
-        residual = block.residual(estimate.solution)
-        powers.append(np.sum(residual**2, axis=0))
-        sizes.append(np.sum(block.target**2, axis=0))
-        grams.append(np.einsum("tcp,tcq->cpq", block.matrix, block.matrix, optimize=True))
-    power = np.maximum(np.sum(powers, axis=0), 1e-12 * np.sum(sizes, axis=0))
+    grams, left = channel_grams(regression), np.append(-estimate.solution, 1.0)
+    # The sum of squares of the residuals; the floor is above the rounding of this product.
+    power = np.maximum(left @ (grams @ left).T, 1e-12 * grams[:, -1, -1])
     used = power > 0
-    gram = np.sum(np.sum(grams, axis=0)[used] / power[used, None, None], axis=0) / max(used.sum(), 1)
+    gram = np.sum(grams[used, :-1, :-1] / power[used, None, None], axis=0) / max(used.sum(), 1)
     length = or_one(standard_deviations(gram), 0.0)
     values, vectors = eigh(gram / np.outer(length, length))
     keep = values > _SMALLEST * values[-1]
