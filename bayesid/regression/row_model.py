@@ -102,9 +102,10 @@ class RowModel:
         """Whether rows may be made of regressors on a grid of times.
 
         A column that is a combination of rigid bodies' columns, as a rotor's inertia may be, must be interpolated just as those
-        are: otherwise the small difference would seem to tell them apart. What jumps as friction does is no such combination.
+        are: otherwise the small difference would seem to tell them apart. One column that jumps as friction does is no such
+        combination.
         """
-        return all(_smooth(e) or e.reverses_at_once for e in self.effects)
+        return all(_smooth(e) or (e.reverses_at_once and len(e.parameters) == 1) for e in self.effects)
 
     def effect_columns(self, segment: Segment, state: MotionSegment, smooth: bool | None = None) -> np.ndarray:
         """Columns of all effects, or of those that `smooth_effects` has or has not (N, channels, parameters), to be read only."""

@@ -61,6 +61,16 @@ def test_what_cannot_be_told_apart_stays_so(tmp_path):
     assert np.all(np.abs(one - other) < 1e-2 * std)
 
 
+@pytest.mark.parametrize("effect", ["directional_friction", "coupled_friction@joint6->joint7"])
+def test_with_other_effects_everything_is_taken_at_all_samples(effect, tmp_path):
+    robot = load_robot(write(tmp_path, panda()))
+    table = recording(robot, None, fourier(robot, 3, 20.0, 500.0), torque_std=0.1, resolution=2e-5)
+    effects = ("torque_offset", "rotor_inertia", effect)
+    problem = prepare(experiment(robot, [Motion("a", "identification", table)]), FitOptions("torque", effects=effects))
+    assert problem.row_model.point is not None or not problem.row_model.interpolable
+    np.testing.assert_array_equal(*both_ways(problem))
+
+
 @pytest.mark.parametrize("name", ["tx40", "ur10", "kuka-lwr4"])
 def test_rows_of_recorded_arms(name, shared):
     problem = prepare(bayesid.load_experiment(shared(f"data/{name}")), FitOptions("torque"))
