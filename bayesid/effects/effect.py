@@ -126,6 +126,8 @@ class Effect(ABC):
         Index of the one joint that it can be at, where it cannot be at all.
     harmonics
         Numbers of periods per radian or metre, where it is a sine of the joint's position; these are tried.
+    wanders
+        Whether its values change from day to day, with temperature, load and grease, without anything having changed.
     last_resort
         Whether values are tried exactly (`trials`) only where columns leave something unexplained.
     restarts
@@ -168,6 +170,7 @@ class Effect(ABC):
     may_be: ClassVar[str | None] = None
     only_joint: ClassVar[int | None] = None
     harmonics: ClassVar[tuple[float, ...]] = ()
+    wanders: ClassVar[bool] = False
     last_resort: ClassVar[bool] = False
     restarts: ClassVar[tuple[float, ...]] = ()
     urdf_dynamics: ClassVar[str | None] = None

@@ -28,6 +28,7 @@ WARMING_TIMES = (5.0, 30.0, 300.0)
 class ViscousFriction(JointTorqueEffect):
     name = "viscous_friction"
     summary = "friction in proportion to velocity"
+    wanders = True
     equation = "$c\\,\\dot q$"
     source = _ARMSTRONG
     quantities = (Parameter("coefficient", "N m s/rad", lower=0.0),)
@@ -64,6 +65,7 @@ class DirectionalFriction(JointTorqueEffect):
 class CoulombFriction(JointTorqueEffect):
     name = "coulomb_friction"
     summary = "constant friction against the motion"
+    wanders = True
     equation = "$l\\,\\mathrm{sign}\\,\\dot q$, a ramp below 0.001 rad/s (m/s)"
     source = _ARMSTRONG
     quantities = (Parameter("level", "N m", lower=0.0),)
@@ -139,6 +141,7 @@ def _ways(motion: JointMotion) -> np.ndarray:
 class StribeckFriction(JointTorqueEffect):
     name = "stribeck_friction"
     summary = "extra friction near zero speed"
+    wanders = True
     equation = "$l\\,e^{-(\\dot q / v)^2}\\,\\mathrm{sign}\\,\\dot q$"
     source = _ARMSTRONG
     quantities = (
@@ -158,6 +161,7 @@ class StribeckFriction(JointTorqueEffect):
 class LoadFriction(JointTorqueEffect):
     name = "load_friction"
     summary = "friction in proportion to the joint's load"
+    wanders = True
     equation = "$c\\,\\lvert\\tau\\rvert\\,\\mathrm{sign}\\,\\dot q$"
     source = _ARMSTRONG
     quantities = (Parameter("coefficient", "1", 0.0, 1.0, typical=0.05),)
@@ -204,6 +208,7 @@ class WarmingFriction(JointTorqueEffect):
 class TorqueOffset(JointTorqueEffect):
     name = "torque_offset"
     summary = "amplifier bias or asymmetric friction"
+    wanders = True
     equation = "$o$"
     quantities = (Parameter("offset", "N m", -inf),)
     always_the_same = True

@@ -12,7 +12,6 @@ import numpy as np
 from bayesid.effects.library import EffectLibrary
 from bayesid.errors import InputError
 from bayesid.recordings import checks, motion_checks
-from bayesid.recordings.reader import read_table
 from bayesid.recordings.robot_section import read_robot
 from bayesid.recordings.schema import (
     EffectParameters,
@@ -24,6 +23,7 @@ from bayesid.recordings.schema import (
     read_model,
 )
 from bayesid.recordings.table import WRENCH_COLUMNS, Table
+from bayesid.recordings.table_reader import read_table
 from bayesid.robot.robot import Robot
 
 __all__ = ["WRENCH_COLUMNS", "Experiment", "Motion", "Sensor", "Table", "load_experiment"]

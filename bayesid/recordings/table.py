@@ -1,4 +1,4 @@
-"""One recording as arrays; `bayesid.recordings.reader` reads it from a file."""
+"""One recording as arrays; `bayesid.recordings.table_reader` reads it from a file."""
 
 from __future__ import annotations
 

@@ -9,7 +9,6 @@ import numpy as np
 from bayesid.diagnosis.changes.findings import Comparison
 from bayesid.diagnosis.changes.hidden import Hidden
 from bayesid.diagnosis.changes.scales import FRICTION_SHARE, GAIN_SHARE
-from bayesid.diagnosis.settings import DEFAULT
 from bayesid.report.gap_figures import evidence_bars, waterfall
 from bayesid.report.page import render, versions
 from bayesid.results.changes_text import (
@@ -52,8 +51,8 @@ def changes_report(result: Changes) -> str:
             for x in c.changes
         ],
         waterfall=waterfall(_steps(c), c.proof.floor), stretches=c.proof.stretches,
-        evidence=evidence_bars([s for s in scores if s[1] > 0][:_BARS] or scores[:1], DEFAULT.accept),
-        needed=f"{DEFAULT.accept:g}",
+        evidence=evidence_bars([s for s in scores if s[1] > 0][:_BARS] or scores[:1], c.settings.accept),
+        needed=f"{c.settings.accept:g}",
         tried=len(scores), channels=_channels(c), places=[_place(result, p) for p in c.proof.places],
         remainder=percent(c.proof.remainder), hidden=_hidden(c), gains=percent(GAIN_SHARE, 2),
         friction=percent(FRICTION_SHARE, 2), how=_how(result),

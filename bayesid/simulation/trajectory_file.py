@@ -13,7 +13,7 @@ import pandas as pd
 from scipy.interpolate import make_interp_spline
 
 from bayesid.errors import InputError
-from bayesid.recordings.reader import read_table
+from bayesid.recordings.table_reader import read_table
 from bayesid.robot.robot import Robot
 from bayesid.simulation.trajectories import Trajectory
 

@@ -258,7 +258,7 @@ def test_a_named_diagnosis_asks_for_no_motion(diagnosis):
 
 
 def test_an_ambiguous_diagnosis_comes_with_a_motion_that_is_ready_to_run(diagnosis, robot, tmp_path):
-    from bayesid.recordings.reader import read_table
+    from bayesid.recordings.table_reader import read_table
 
     report = diagnosis.write(tmp_path / "out")
     table, _ = read_table(report.parent / "next_motion.csv", "next_motion.csv", robot.n, False)

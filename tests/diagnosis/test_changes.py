@@ -18,9 +18,11 @@ from bayesid.diagnosis.changes.hypotheses import Hypothesis, StandingAmplitudes
 from bayesid.diagnosis.changes.posterior import amplitudes
 from bayesid.diagnosis.changes.reference import learn_reference
 from bayesid.diagnosis.changes.scales import DISPERSIONS, SIZES
+from bayesid.diagnosis.settings import DEFAULT
 from bayesid.effects.friction import CoulombFriction
 from bayesid.recordings.experiment import Motion, Sensor
 from bayesid.recordings.table import Table
+from bayesid.report.changes import changes_report
 from bayesid.results.changes_text import next_experiment
 from bayesid.robot.robot import load_robot
 from tests.robots import puma560, write
@@ -102,6 +104,13 @@ def with_payload(arm):
     """Both recordings, and what is said of the second."""
     before, after = _recorded(arm, 1), _recorded(arm, 2, body=BODY)
     return before, after, bayesid.diagnose(after, reference=before)
+
+
+def test_the_report_states_the_thresholds_in_use(with_payload):
+    found = with_payload[2]
+    assert found.comparison.settings == DEFAULT and f"{DEFAULT.accept:g} is asked for" in changes_report(found)
+    stricter = replace(found, comparison=replace(found.comparison, settings=replace(DEFAULT, accept=17.5)))
+    assert "17.5 is asked for" in changes_report(stricter)
 
 
 @pytest.mark.parametrize("masses", [True, False])

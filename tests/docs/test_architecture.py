@@ -72,7 +72,8 @@ def test_files_and_names_of_a_change_exist(row):
     quoted = re.findall(r"`([^`<]+)`", where + registered)
     assert all((ROOT / path).exists() for path in quoted if path.startswith("bayesid/"))
     for name, path in re.findall(r"`(\w+)` in `(bayesid/[^`]+)`", registered):
-        assert re.search(rf"\b{name}\b", (ROOT / path).read_text(encoding="utf-8")), (name, path)
+        defined = rf"^(def |class )?{name}\b( =|:|\()"
+        assert re.search(defined, (ROOT / path).read_text(encoding="utf-8"), re.M), (name, path)
 
 
 @pytest.mark.parametrize("place", re.findall(r"^\| [^|]+[.?] \| `([^`]+)` \|$", PAGE, re.M))

@@ -16,11 +16,11 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from bayesid.errors import InputError
-from bayesid.recordings import reader
+from bayesid.recordings import table_reader
 from bayesid.recordings.experiment import Experiment, Motion, Sensor, load_experiment
-from bayesid.recordings.reader import read_table
 from bayesid.recordings.schema import read_model, write_model
 from bayesid.recordings.table import Table, write_table
+from bayesid.recordings.table_reader import read_table
 from bayesid.recordings.writer import write_experiment
 from bayesid.robot.robot import load_robot
 from tests.malformed import DATA, FOLDERS, recording, table, toml, write_good
@@ -91,8 +91,8 @@ def test_column_order_other_columns_and_blank_lines_do_not_matter(folder: Path) 
 
 def test_blocks_of_rows_are_joined_in_order(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     whole = load_experiment(folder).motions[0].table
-    monkeypatch.setattr(reader, "_BLOCK_ROWS", 7)
-    monkeypatch.setattr(reader, "_BLOCK_BYTES", 100)
+    monkeypatch.setattr(table_reader, "_BLOCK_ROWS", 7)
+    monkeypatch.setattr(table_reader, "_BLOCK_BYTES", 100)
     pieces = load_experiment(folder).motions[0].table
     for name, array in table_arrays(whole).items():
         np.testing.assert_array_equal(array, getattr(pieces, name))

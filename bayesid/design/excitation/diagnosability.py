@@ -18,13 +18,13 @@ import numpy as np
 
 from bayesid.design.excitation.information import Information
 from bayesid.design.excitation.series import FourierSeries
+from bayesid.diagnosis.settings import DEFAULT
 from bayesid.effects import Effect, MotionSegment, Term
 from bayesid.effects.exact import columns, readings
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment
 from bayesid.robot.typical import states_masses, typical_links
 
-DETECTED = 5.0
 #: Samples of a period; parts of a trace that count as nothing; shares up to which two traces count as different.
 _SAMPLES, _NOTHING, _SAME = 300, 1e-5, 1.0 - 1e-6
 
@@ -128,7 +128,7 @@ def diagnosability(experiment: Experiment, information: Information, series: Fou
         nearest = int(np.argmax(shares[:, k]))
         rival, share = (found[nearest][0].spec, float(np.clip(shares[nearest, k], 0.0, 1.0))) if len(found) > 1 else (None, 0.0)
         size = abs(float(usual[by]))
-        smallest = DETECTED / float(np.linalg.norm(rest)) * size
+        smallest = DEFAULT.detected / float(np.linalg.norm(rest)) * size
         out.append(Detectable(effect.spec, effect.parameters[by], effect.units[by], size, smallest, rival, share))
     out.sort(key=lambda e: -e.smallest / e.usual)
     return Diagnosability(tuple(out), tuple(hidden))

@@ -91,6 +91,8 @@ class Comparison:
         How large every other change had to be to be named.
     terms
         Effects of the later recording: the reference's at their new values, then those that came.
+    settings
+        Thresholds it was decided by.
     """
 
     reference: Reference
@@ -101,6 +103,7 @@ class Comparison:
     changes: tuple[Change, ...]
     hidden: tuple[Hidden, ...]
     terms: tuple[Term, ...]
+    settings: Settings = DEFAULT
 
     @property
     def scores(self) -> Scores:
@@ -200,7 +203,7 @@ def compare_with_learned(
     )
     return Comparison(
         reference, recording, selection, proof, decided, changes, smallest(selection, settings),
-        (*_known_terms(reference, fitted), *_new_terms(changes)),
+        (*_known_terms(reference, fitted), *_new_terms(changes)), settings,
     )  # fmt: skip
 
 

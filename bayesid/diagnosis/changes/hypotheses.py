@@ -9,7 +9,7 @@ import numpy as np
 
 from bayesid.diagnosis.changes.proposals import Proposal, sizes_of
 from bayesid.diagnosis.changes.reference import Reference
-from bayesid.diagnosis.changes.scales import FRICTION_SHARE, LASTING, SIZES, WANDERING, body_sizes
+from bayesid.diagnosis.changes.scales import FRICTION_SHARE, LASTING, SIZES, body_sizes
 from bayesid.effects import Effect, JointGainEffect
 from bayesid.effects.bodies import Payload, body_of
 
@@ -76,7 +76,7 @@ class Hypothesis:
     @property
     def is_friction(self) -> bool:
         """Whether it is a change of what wanders from one recording to another."""
-        return all(isinstance(e, WANDERING) for e in self.effects)
+        return all(e.wanders for e in self.effects)
 
     @property
     def parameters(self) -> tuple[tuple[str, str], ...]:
@@ -140,7 +140,7 @@ def _new(reference: Reference) -> Iterator[Hypothesis]:
 
 def _standing(reference: Reference, effects: Sequence[Effect], columns: np.ndarray, sizes: np.ndarray) -> StandingAmplitudes:
     mean, root = reference.standing.amplitudes(columns - _first(reference), max(SIZES) * sizes)
-    share = FRICTION_SHARE if all(isinstance(e, WANDERING) for e in effects) else 0.0
+    share = FRICTION_SHARE if all(e.wanders for e in effects) else 0.0
     return StandingAmplitudes(columns + reference.standing.carried.shape[1], mean, root, share * np.abs(mean))
 
 

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from bayesid.diagnosis.changes.proposals import Proposal, make_proposals
-from bayesid.diagnosis.changes.scales import WANDERING, wander
+from bayesid.diagnosis.changes.scales import wander
 from bayesid.diagnosis.changes.standing import Standing
 from bayesid.dynamics.nearest_links import nearest_links
 from bayesid.effects import Effect, Point, middle_of
@@ -116,7 +116,7 @@ class Reference:
         for effect in model.effects:
             values = self.point.values[start : start + len(effect.parameters)]
             size = wander(effect, values, self.robot)
-            out.append(size if isinstance(effect, WANDERING) == friction else 0.0 * size)
+            out.append(size if effect.wanders == friction else 0.0 * size)
             start += len(values)
         return np.concatenate([np.zeros(model.base.rank), np.concatenate([np.zeros(0), *out])[model.free]])
 

@@ -13,12 +13,9 @@ import numpy as np
 from bayesid.effects import Effect, JointGainEffect
 from bayesid.effects.bodies import RotorMomentum
 from bayesid.effects.drives import CoupledFriction, RotorInertia
-from bayesid.effects.friction import CoulombFriction, LoadFriction, StribeckFriction, TorqueOffset, ViscousFriction
 from bayesid.effects.sizes import mass_beyond, reach
 from bayesid.robot.robot import Robot
 
-#: What of a joint wanders.
-WANDERING = (ViscousFriction, CoulombFriction, StribeckFriction, LoadFriction, TorqueOffset)
 #: What a robot is built with: it does not change, so another value of it is a sign of something else.
 LASTING = (RotorInertia, RotorMomentum)
 #: What of a coupled friction wanders, its gears and rotor do not.
@@ -44,7 +41,7 @@ def wander(effect: Effect, values: np.ndarray, robot: Robot) -> np.ndarray:
         return np.full(len(values), GAIN_SHARE)
     if isinstance(effect, CoupledFriction):
         free = np.isin(effect.parameters, _COUPLED)
-    elif isinstance(effect, WANDERING):
+    elif effect.wanders:
         free = np.array([p.linear for p in effect.quantities])
     else:
         return np.zeros(len(values))
