@@ -156,7 +156,7 @@ def table(before: str, after: str | None) -> list[dict[str, Any]]:
         old = _git("show", f"{before}:{path}")
         new = _git("show", f"{after}:{path}") if after else (ROOT / path).read_text(encoding="utf-8")
         figures = [published(path, json.loads(text)) if text else {} for text in (old, new)]
-        state = "new" if old is None else "from before the redesign" if old == new else "renewed"
+        state = "new" if old is None else "the same to the last digit" if old == new else "renewed"
         out.append({"path": path, "figures": len(figures[1]), "changed": compared(*figures), "state": state})
     return out
 
