@@ -25,7 +25,7 @@ class RotorInertia(JointTorqueEffect):
     equation = "$J\\,\\ddot q$; the value is gear ratio² × rotor inertia"
     quantities = (Parameter("inertia", "kg m^2", lower=0.0),)
     confusable_with = ("inertia_error", "rotor_momentum")
-    smooth_in_time = True
+    column_in_time = "interpolated"
 
     def typical(self, robot):
         return [0.01 * sizes.effort(robot, self.joint)]

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 from math import inf
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -97,9 +97,10 @@ class Effect(ABC):
         Whether a static run of the same positions has it, too.
     always_the_same
         Whether `motion_columns` are the same at all times, whatever the motion; a class that inherits it must keep to it.
-    smooth_in_time
-        Whether `motion_columns` have no kinks or jumps along a smooth motion and need its state at the moment only: they may then
-        be interpolated in time as a regressor is.
+    column_in_time
+        How its column is made where regressors are interpolated in time (`bayesid.regression.rows`): ``interpolated`` as they
+        are, where rigid bodies' columns can add up to it; ``sampled`` where they cannot; empty where neither is known, and then
+        nothing is interpolated. A class does not inherit it, for its column may be another.
     zero_unless_stated
         Whether parameters left out are zero once any is stated.
     needs_gear_ratio
@@ -155,7 +156,7 @@ class Effect(ABC):
     estimated_without_static_run: ClassVar[bool] = False
     absorbs_weight: ClassVar[bool] = False
     always_the_same: ClassVar[bool] = False
-    smooth_in_time: ClassVar[bool] = False
+    column_in_time: ClassVar[Literal["", "interpolated", "sampled"]] = ""
     in_static_run: ClassVar[bool] = True
     zero_unless_stated: ClassVar[bool] = False
     needs_gear_ratio: ClassVar[bool] = False
@@ -184,6 +185,7 @@ class Effect(ABC):
 
     def __init_subclass__(cls, **kwargs) -> None:
         super().__init_subclass__(**kwargs)
+        cls.column_in_time = vars(cls).get("column_in_time", "")
         cls.parameters = tuple(p.name for p in cls.quantities)
         cls.lower = tuple(float(p.lower) for p in cls.quantities)
         cls.upper = tuple(float(p.upper) for p in cls.quantities)

@@ -33,7 +33,7 @@ class ViscousFriction(JointTorqueEffect):
     source = _ARMSTRONG
     quantities = (Parameter("coefficient", "N m s/rad", lower=0.0),)
     confusable_with = ("coulomb_friction", "fluid_drag")
-    smooth_in_time = True
+    column_in_time = "sampled"
     urdf_dynamics = "damping"
 
     def typical(self, robot):
@@ -71,6 +71,7 @@ class CoulombFriction(JointTorqueEffect):
     quantities = (Parameter("level", "N m", lower=0.0),)
     confusable_with = ("viscous_friction", "stribeck_friction", "load_friction")
     urdf_dynamics = "friction"
+    column_in_time = "sampled"
     reverses_at_once = True
 
     def typical(self, robot):

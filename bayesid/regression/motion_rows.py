@@ -42,7 +42,7 @@ class MotionRows:
             self._room -= size if keep else 0
         made, whole = [], False
         try:
-            for block in make_blocks(model, segments):
+            for block in make_blocks(model, segments, kept=keep):
                 if keep:
                     made.append(block)
                 yield block

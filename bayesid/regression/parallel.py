@@ -30,6 +30,7 @@ class _Working:
         self._lock, self._all, self._here = threading.Lock(), 0, threading.local()
 
     def change(self, by: int) -> None:
+        """So many more are being done, or are about to be."""
         with self._lock:
             self._all += by
 
@@ -42,6 +43,13 @@ class _Working:
             self._here.works = before
             self.change(-1)
 
+    def here(self, job: Callable[[], _A]) -> _A:
+        """Do a job in this thread, counted unless the thread's own is."""
+        if getattr(self._here, "works", 0):
+            return job()
+        self.change(1)
+        return self(job)
+
     def cores(self, own: int = 0) -> int:
         """Cores for the thread that asks and for so many jobs that it has given to others already."""
         others = self._all - getattr(self._here, "works", 0) - own
@@ -52,8 +60,13 @@ _working = _Working()
 
 
 def _submit(pool: ThreadPoolExecutor, job: Callable, *arguments) -> Future:
+    """Give a job to a pool; it counts from now on."""
     _working.change(1)
-    return pool.submit(_working, job, *arguments)
+    try:
+        return pool.submit(_working, job, *arguments)
+    except BaseException:
+        _working.change(-1)
+        raise
 
 
 @functools.cache
@@ -112,5 +125,4 @@ def both(one: Callable[[], _A], other: Callable[[], _B]) -> tuple[_A, _B]:
         return one(), other()
     with ThreadPoolExecutor(1) as pool:
         waiting = _submit(pool, other)
-        _working.change(1)
-        return _working(one), waiting.result()
+        return _working.here(one), waiting.result()

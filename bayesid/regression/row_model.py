@@ -17,9 +17,6 @@ from bayesid.signals.filters import LowPass
 from bayesid.signals.smoothing import OVERLAP, smooth
 
 _PANEL = 512  # samples whose rows stay in the processor's cache
-#: Regressors of a smoothed trajectory are computed so many times in 1 / bandwidth and interpolated: rows of recorded arms change
-#: by less than 1e-5 of their columns' size (`tests/regression/test_rows.py`).
-_GRID_PER_BANDWIDTH = 12.0
 
 
 @dataclass(frozen=True, repr=False)
@@ -81,35 +78,29 @@ class RowModel:
         return replace(self.smoothed(segment, times), encoders=(times, segment.positions[first:last]))
 
     def smoothed(self, segment: Segment, at: np.ndarray) -> MotionSegment:
-        """Smoothed trajectory at times (N,), from samples there and enough neighbours."""
+        """Smoothed trajectory at times (N,) [s], from samples there and enough neighbours."""
         reach = OVERLAP * 0.5 / self.bandwidth
-        a = int(np.searchsorted(segment.times, at[0] - reach))
-        b = int(np.searchsorted(segment.times, at[-1] + reach, side="right"))
+        a = int(np.searchsorted(segment.times, at.min() - reach))
+        b = int(np.searchsorted(segment.times, at.max() + reach, side="right"))
         return MotionSegment(at, *smooth(segment.times[a:b], segment.positions[a:b], self.bandwidth, at=at))
 
-    @property
-    def grid_spacing(self) -> float:
-        """Distance of the times that regressors are computed at and interpolated from [s]."""
-        return 1.0 / (_GRID_PER_BANDWIDTH * self.bandwidth)
-
     @cached_property
-    def smooth_effects(self) -> np.ndarray:
-        """Whose columns may be interpolated in time as the regressor is (p,), where the readings are linear in all effects."""
-        return np.repeat([_smooth(e) for e in self.effects], [len(e.column_names) for e in self.effects]).astype(bool)
+    def interpolated(self) -> np.ndarray:
+        """Whose columns are interpolated in time with the regressor (p,), where the readings are linear in all effects."""
+        return np.repeat([_interpolated(e) for e in self.effects], [len(e.column_names) for e in self.effects]).astype(bool)
 
     @property
-    def interpolable(self) -> bool:
+    def may_interpolate(self) -> bool:
         """Whether rows may be made of regressors on a grid of times.
 
-        A column that is a combination of rigid bodies' columns, as a rotor's inertia may be, must be interpolated just as those
-        are: otherwise the small difference would seem to tell them apart. One column that jumps as friction does is no such
-        combination.
+        Columns that add up to others, as those of a rotor and of a link may, must be made in the same way: otherwise the small
+        difference would seem to tell them apart.
         """
-        return all(_smooth(e) or (e.reverses_at_once and len(e.parameters) == 1) for e in self.effects)
+        return all(_interpolated(e) or e.column_in_time == "sampled" for e in self.effects)
 
-    def effect_columns(self, segment: Segment, state: MotionSegment, smooth: bool | None = None) -> np.ndarray:
-        """Columns of all effects, or of those that `smooth_effects` has or has not (N, channels, parameters), to be read only."""
-        effects = self.effects if smooth is None else tuple(e for e in self.effects if _smooth(e) == smooth)
+    def effect_columns(self, segment: Segment, state: MotionSegment, interpolated: bool | None = None) -> np.ndarray:
+        """Columns of all effects, or of those only that are `interpolated` or not (N, channels, parameters), to be read only."""
+        effects = tuple(e for e in self.effects if interpolated is None or _interpolated(e) == interpolated)
         if effects and all(effect.always_the_same for effect in effects):
             columns = self._constant_columns[segment.offset]
             return np.broadcast_to(columns, (len(state.times), *columns.shape))
@@ -200,5 +191,6 @@ class RowModel:
         return read[first - a : last - a]
 
 
-def _smooth(effect: Effect) -> bool:
-    return effect.always_the_same or effect.smooth_in_time
+def _interpolated(effect: Effect) -> bool:
+    """Whether its column is interpolated with the regressor; what is always the same is the same either way."""
+    return effect.always_the_same or effect.column_in_time == "interpolated"

@@ -16,7 +16,6 @@ from bayesid.effects import MotionSegment
 from bayesid.errors import InputError
 from bayesid.regression.blocks import Block
 from bayesid.regression.parallel import in_order
-from bayesid.regression.row_cache import CACHE_BYTES
 from bayesid.regression.row_model import RowModel
 from bayesid.regression.segment import Segment
 from bayesid.signals.filters import low_pass
@@ -25,14 +24,23 @@ from bayesid.signals.projection import HALF_WIDTH, GridProjection, project
 _CHUNK = 4096  # samples handled at once
 _PANEL = 512  # samples whose rows stay in the processor's cache
 _BLOCK_ROWS = 4096  # rows handed on at once
-#: Regressors on the grid of a smoothed trajectory are less work than those of all samples, where there are so many times more.
+#: Times in 1 / bandwidth that regressors are computed at and interpolated from; the first that is accurate is taken.
+_GRIDS = (16.0, 32.0)
+#: A grid is less work than regressors of all samples where there are so many times more of these.
 _WORTH_A_GRID = 1.5
+#: Interpolated regressors may be off by this share of a column's size in a channel, root mean square halfway between the times of
+#: so many pairs: by a hundredth of the noise, where readings are 2,500 times as large as that.
+_ACCURACY, _CHECKED = 4e-6, 32
+#: Of columns that are next to nothing in a channel, by this share of the largest there: they count no less than that.
+_LITTLE = 1e-3
 
 #: From a segment and its samples first ... last - 1: what is put on their rows (N, channels, any).
 Samples = Callable[[Segment, int, int], np.ndarray]
 
 
-def make_blocks(row_model: RowModel, segments: Sequence[Segment], samples: Samples | None = None) -> Iterator[Block]:
+def make_blocks(
+    row_model: RowModel, segments: Sequence[Segment], samples: Samples | None = None, *, kept: bool = False
+) -> Iterator[Block]:
     """Turn segments into blocks of rows, one after the other.
 
     Parameters
@@ -41,6 +49,8 @@ def make_blocks(row_model: RowModel, segments: Sequence[Segment], samples: Sampl
         How samples become rows, and the samples.
     samples
         What to put on the rows of samples first ... last - 1 instead of regressor and readings (N, channels, any).
+    kept
+        Whether all blocks will be kept: those of a segment then lie side by side, and memory is given out in large pages.
     """
     for segment in segments:
         if segment.poses:
@@ -58,7 +68,7 @@ def make_blocks(row_model: RowModel, segments: Sequence[Segment], samples: Sampl
         if samples is None and row_model.point is not None:
             samples = row_model.about_point
         parts = (_filtered if row_model.filters else _direct)(row_model, segment, a, b, samples)
-        yield from _merge(row_model, segment, a, b, parts)
+        yield from _merge(row_model, segment, a, b, parts, kept)
 
 
 #: A chunk's share of the rows: index of its first row, rows so far, their kernels' energies.
@@ -75,53 +85,97 @@ def _empty(row_model: RowModel, start: float, times: np.ndarray, columns: int) -
 def _direct(row_model: RowModel, segment: Segment, a: int, b: int, samples: Samples | None) -> Iterator[_Part]:
     """Parts from smoothed accelerations; chunks are independent, so all cores work."""
     start = segment.times[a] + 0.5 * row_model.step
-    usual = (segment.times[b - 1] - segment.times[a]) / (b - 1 - a)
-    gridded = row_model.interpolable and segment.rates is None and row_model.grid_spacing >= _WORTH_A_GRID * usual
-    if samples is None and not gridded:
-        samples = row_model.samples
 
-    def work(first: int) -> _Part:
+    def of_samples(first: int) -> _Part:
         last = min(first + _CHUNK, b)
         if samples is None:
-            return _from_grid(row_model, segment, first, last, start)
+            return _from_samples(row_model, segment, first, last, start)
         times, wide = segment.times[first:last], samples(segment, first, last)
         begin, rows, energy = _empty(row_model, start, times, wide.shape[2])
         project(times, wide, start, row_model.step, begin, rows, energy)
         return begin, rows, energy
 
-    yield from in_order(work, range(a, b, _CHUNK))
+    def of_grid(first: int, spacing: float) -> _Part | None:
+        return _from_grid(row_model, segment, first, min(first + _CHUNK, b), start, spacing)
+
+    for spacing in _grids(row_model, segment, a, b) if samples is None else ():
+        part = of_grid(a, spacing)
+        if part is not None:  # accurate in the first chunk, and most likely in others
+            yield part
+            yield from in_order(lambda first, h=spacing: of_grid(first, h) or of_samples(first), range(a + _CHUNK, b, _CHUNK))
+            return
+    yield from in_order(of_samples, range(a, b, _CHUNK))
 
 
-def _from_grid(row_model: RowModel, segment: Segment, first: int, last: int, start: float) -> _Part:
-    """A chunk's part with regressors computed at fewer times than there are samples, and interpolated.
+def _grids(row_model: RowModel, segment: Segment, a: int, b: int) -> list[float]:
+    """Distances of times that regressors of samples a ... b - 1 may be interpolated from, with much less work [s]."""
+    if not row_model.may_interpolate or segment.rates is not None:
+        return []
+    usual = (segment.times[b - 1] - segment.times[a]) / (b - 1 - a)
+    return [h for h in (1.0 / (each * row_model.bandwidth) for each in _GRIDS) if h >= _WORTH_A_GRID * usual]
+
+
+def _from_samples(row_model: RowModel, segment: Segment, first: int, last: int, start: float) -> _Part:
+    """A chunk's part with the regressors of all samples."""
+    times, rank = segment.times[first:last], row_model.base.rank
+    state = row_model.state(segment, first, last)
+    effects, measured = row_model.effect_columns(segment, state), segment.measured(first, last)
+    begin, rows, energy = _empty(row_model, start, times, rank + effects.shape[2] + 1)
+    buffer = np.empty((_PANEL, rows.shape[1], rows.shape[2]))
+    for k in range(0, last - first, _PANEL):
+        part = slice(k, min(k + _PANEL, last - first))
+        panel = _panel(row_model, segment, state, part, buffer)
+        panel[:, :, rank:-1], panel[:, :, -1] = effects[part], measured[part]
+        project(times[part], panel, start, row_model.step, begin, rows, energy)
+    return begin, rows, energy
+
+
+def _from_grid(row_model: RowModel, segment: Segment, first: int, last: int, start: float, spacing: float) -> _Part | None:
+    """A chunk's part with regressors computed at fewer times than there are samples, and interpolated; None: not accurate enough.
 
     Readings, and effects that jump, are taken at all samples.
     """
-    times, rank, spacing = segment.times[first:last], row_model.base.rank, row_model.grid_spacing
-    beyond = int((times[-1] - times[0]) / spacing) + 1 + GridProjection.AFTER
-    grid = times[0] + spacing * np.arange(-GridProjection.BEFORE, beyond)
-    state = row_model.smoothed(segment, grid)
-    smooth, effects = row_model.smooth_effects, row_model.effect_columns(segment, state, True)
-    width, at = rank + len(smooth) + 1, rank + np.flatnonzero(smooth)
+    times, rank = segment.times[first:last], row_model.base.rank
+    cells = int((times[-1] - times[0]) / spacing) + 1
+    grid = times[0] + spacing * np.arange(-GridProjection.BEFORE, cells + GridProjection.AFTER)
+    checked = np.unique(np.linspace(0, cells - 1, _CHECKED).astype(int))
+    middles = times[0] + spacing * (checked + 0.5)
+    state = row_model.smoothed(segment, np.concatenate([grid, middles]))
+    effects = row_model.effect_columns(segment, state, True)
+    width, interpolated = rank + len(row_model.interpolated) + 1, rank + np.flatnonzero(row_model.interpolated)
     begin, rows, energy = _empty(row_model, start, times, width)
     weights = GridProjection.of(times, grid[0], spacing, start, row_model.step, begin, len(rows))
+    halfway, guessed = GridProjection.of_middles(checked), np.zeros((len(checked), rows.shape[1], width))
     buffer = np.zeros((_PANEL, rows.shape[1], width))
     for k in range(0, len(grid), _PANEL):
         part = slice(k, min(k + _PANEL, len(grid)))
-        panel = row_model.kernel.dynamics(
-            state.positions[part], state.velocities[part], state.accelerations[part],
-            gravity=segment.gravity, out=buffer[: part.stop - k],
-        )  # fmt: skip
-        panel[:, :, at] = effects[part]
+        panel = _panel(row_model, segment, state, part, buffer)
+        panel[:, :, interpolated] = effects[part]
         weights.add(panel, k, rows)
+        halfway.add(panel, k, guessed)
+    exact = _panel(row_model, segment, state, slice(len(grid), len(state.times)), buffer)
+    if not _accurate(guessed[:, :, :rank], exact[:, :, :rank]):
+        return None
     sampled = segment.measured(first, last)[:, :, None]
-    if not smooth.all():
+    if not row_model.interpolated.all():
         jumping = row_model.effect_columns(segment, row_model.state(segment, first, last), False)
         sampled = np.concatenate([jumping, sampled], axis=2)
     others = np.zeros((len(rows), rows.shape[1], sampled.shape[2]))
     project(times, sampled, start, row_model.step, begin, others, energy)
-    rows[:, :, np.append(rank + np.flatnonzero(~smooth), width - 1)] += others
+    rows[:, :, np.append(rank + np.flatnonzero(~row_model.interpolated), width - 1)] += others
     return begin, rows, energy
+
+
+def _panel(row_model: RowModel, segment: Segment, state: MotionSegment, part: slice, buffer: np.ndarray) -> np.ndarray:
+    """Regressors of some of a state's times in the first columns of a buffer (at least as many, channels, any)."""
+    q, v, a = state.positions[part], state.velocities[part], state.accelerations[part]
+    return row_model.kernel.dynamics(q, v, a, gravity=segment.gravity, out=buffer[: part.stop - part.start])
+
+
+def _accurate(guessed: np.ndarray, exact: np.ndarray) -> bool:
+    """Whether interpolated regressors (k, channels, p) are those computed."""
+    off, size = (np.sqrt(np.mean(x**2, axis=0)) for x in (guessed - exact, exact))
+    return bool(np.all(off <= _ACCURACY * np.maximum(size, _LITTLE * size.max(axis=1, keepdims=True))))
 
 
 def _filtered(row_model: RowModel, segment: Segment, a: int, b: int, samples: Samples | None) -> Iterator[_Part]:
@@ -172,7 +226,7 @@ def _for_trapezoids(times: np.ndarray, momentum: np.ndarray) -> np.ndarray:
     return momentum[1:-1] + np.median(step) ** 2 / 12.0 * bend
 
 
-def _merge(row_model: RowModel, segment: Segment, a: int, b: int, parts: Iterable[_Part]) -> Iterator[Block]:
+def _merge(row_model: RowModel, segment: Segment, a: int, b: int, parts: Iterable[_Part], kept: bool) -> Iterator[Block]:
     """Add up the rows that neighbouring chunks share, and hand on those that are complete."""
     start = segment.times[a] + 0.5 * row_model.step
     total = max(int((segment.times[b - 1] - segment.times[a]) / row_model.step), 1)
@@ -187,9 +241,7 @@ def _merge(row_model: RowModel, segment: Segment, a: int, b: int, parts: Iterabl
             if not filled:
                 count = min(_BLOCK_ROWS, total - begun)
                 if not len(room):
-                    # Rows that may be kept lie side by side: memory is given out in large pages then.
-                    together = 8 * total * complete[0].size <= CACHE_BYTES
-                    room = np.empty((total if together else count, *complete.shape[1:]))
+                    room = np.empty((total if kept else count, *complete.shape[1:]))
                 rows, room = room[:count], room[count:]
             taken = min(len(rows) - filled, len(complete))
             root = np.sqrt(np.maximum(power[:taken], 1e-12))

@@ -29,9 +29,9 @@ from bayesid.validation.flexible_fit import Correction, Functions, State, correc
 BAND = 10.0
 #: Stretches that errors are counted by.
 _STRETCHES = 8
-#: Fewer rows in a stretch, or in all, show nothing.
-_SHORTEST, _FEWEST = 8, 64
-#: A gap counts from so many standard errors: Student's t with seven degrees of freedom at 97.5 %, for the best of six ways.
+#: Fewer rows, eight in a stretch, show nothing.
+_FEWEST = 64
+#: A gain counts from so many standard errors: Student's t with seven degrees of freedom at 97.5 %, for the best of six ways.
 _CERTAIN = 3.636
 
 
@@ -66,7 +66,19 @@ class FlexibleGap:
 
 @dataclass(frozen=True)
 class _Rows:
-    """Readings (k, c), rigid and effect columns (k, c, p) and joint states of one motion's rows, in signal units."""
+    """Rows of one motion, or of those fitted, in signal units.
+
+    Attributes
+    ----------
+    target, columns
+        Readings (k, c), and rigid and effect columns (k, c, p).
+    state
+        Of the joints.
+    inside
+        Which rows are in each stretch (k,).
+    step
+        Distance of rows [s].
+    """
 
     target: np.ndarray
     columns: np.ndarray
@@ -78,24 +90,19 @@ class _Rows:
         """What parameters (p,) leave (k, c)."""
         return self.target - self.columns @ solution
 
-    @property
-    def enough(self) -> bool:
-        """Whether every stretch has enough rows."""
-        return len(self.target) >= _FEWEST and min(int(own.sum()) for own in self.inside) >= _SHORTEST
-
 
 @dataclass(frozen=True)
 class FlexibleModel:
-    """All of a flexible model but what depends on an estimate: rows, functions of their states, and their products.
+    """All of a flexible model but what depends on an estimate: the fitted motions' rows, functions of their states, and products.
 
     Attributes
     ----------
     functions
         Of the range of the fitted motions.
-    fitted, values, grams
-        Rows of the fitted motions, the functions' values there (k, f), and Gram matrices of each channel.
-    unseen
-        Rows and values of motions that were not fitted, by name.
+    fitted, values
+        Rows of the fitted motions, and the functions' values there (k, f).
+    grams
+        Gram matrices (s, f + p, f + p) of each channel, by stretch.
     joints
         Whose torques the channels read, None for a sensor's.
     """
@@ -104,49 +111,69 @@ class FlexibleModel:
     fitted: _Rows
     values: np.ndarray
     grams: list[np.ndarray]
-    unseen: dict[str, tuple[_Rows, np.ndarray]]
     joints: list[int | None]
 
     @classmethod
     def of(cls, problem: Problem, motions: Sequence[str]) -> FlexibleModel | None:
-        """For motions that were not fitted; None where there are none, or too few rows.
+        """For motions that were not fitted; None where none of these moves, or too few rows were fitted.
 
         Parameters
         ----------
         problem
             The fitted motions and the model.
         motions
-            Names of motions that were not fitted; those without moving rows are left out.
+            Names of motions that were not fitted.
         """
-        moving = [name for name in motions if any(not s.poses for s in problem.segments[name])]
-        fitted = _rows(problem, problem.fitted) if moving else None
-        if fitted is None or not fitted.enough:
+        fitted = _rows(problem, problem.fitted) if _moving(problem, motions) else None
+        if fitted is None:
             return None
         functions, channels = Functions.of(fitted.state), problem.row_model.channels
         values = functions(fitted.state)
-        found = [(name, rows) for name in moving if (rows := _rows(problem, [name])) is not None and rows.enough]
-        return cls(
-            functions, fitted, values, grams(values, fitted.columns, fitted.inside),
-            {name: (rows, functions(rows.state)) for name, rows in found},
-            [int(j) if name.startswith("tau") else None for name, j in zip(channels.names, channels.joint, strict=True)],
-        )  # fmt: skip
+        joints = [int(j) if name.startswith("tau") else None for name, j in zip(channels.names, channels.joint, strict=True)]
+        return cls(functions, fitted, values, grams(values, fitted.columns, fitted.inside), joints)
 
-    def gaps(self, solution: np.ndarray) -> dict[str, FlexibleGap]:
-        """Gap of each motion that was not fitted, for parameters, base then effects (p,)."""
+    def ways(self, solution: np.ndarray) -> list[list[Correction]]:
+        """A correction of each channel by each of the ways there are, for parameters, base then effects (p,)."""
         fitted = self.fitted
         found = sums(self.grams, self.values, fitted.columns, fitted.residual(solution), fitted.inside)
-        ways = corrections(self.functions, found, self.joints)
-        out = {}
-        for name, (rows, values) in self.unseen.items():
-            residual = rows.residual(solution)
+        return corrections(self.functions, found, self.joints)
+
+
+def flexible_gaps(
+    problem: Problem, solution: np.ndarray, motions: Sequence[str], model: FlexibleModel | None = None
+) -> dict[str, FlexibleGap]:
+    """Gap of each motion that was not fitted; without those that are too short, or no motions at all.
+
+    Parameters
+    ----------
+    problem, solution
+        The model and its parameters, base then effects (p,).
+    motions
+        Names of motions that were not fitted.
+    model
+        Of the fitted motions, if it is made already.
+    """
+    model = model or FlexibleModel.of(problem, motions)
+    if model is None:
+        return {}
+    ways, out = model.ways(solution), {}
+    for name in _moving(problem, motions):
+        rows = _rows(problem, [name])
+        if rows is not None:
+            residual, values = rows.residual(solution), model.functions(rows.state)
             before = _band_powers(residual, rows)
-            if ways and before.sum() > 0.0:
+            if before.sum() > 0.0:
                 out[name] = max((_gap(rows, residual, before, values, way) for way in ways), key=lambda g: g.removed)
-        return out
+    return out
+
+
+def _moving(problem: Problem, motions: Sequence[str]) -> list[str]:
+    """Names of those that are not poses alone."""
+    return [name for name in motions if any(not s.poses for s in problem.segments[name])]
 
 
 def _rows(problem: Problem, motions: Sequence[str]) -> _Rows | None:
-    """Rows of motions, evenly thinned where there are many; None without any."""
+    """Rows of motions, evenly thinned where there are many; None where they are too few."""
     parts: list[tuple[np.ndarray, ...]] = []
     for block in _blocks(problem, motions):
         segment = next(
@@ -163,6 +190,8 @@ def _rows(problem: Problem, motions: Sequence[str]) -> _Rows | None:
     if not parts:
         return None
     size, target, columns, q, v, a = (np.concatenate(part) for part in zip(*parts, strict=True))
+    if len(target) < _FEWEST:
+        return None
     target /= size[:, None]
     columns /= size[:, None, None]
     stretch = np.arange(len(target)) * _STRETCHES // len(target)

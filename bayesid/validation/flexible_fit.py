@@ -35,7 +35,17 @@ State = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 @dataclass(frozen=True)
 class Functions:
-    """Smooth functions of the joints' states over the range of the fitted motions."""
+    """Smooth functions of the joints' states over the range of the fitted motions.
+
+    Attributes
+    ----------
+    middle, half
+        Middle and half width of the range of positions (n,) [rad or m].
+    speed, acceleration
+        The largest (n,) [rad/s or m/s, and per second].
+    moving
+        Which joints move (n,).
+    """
 
     middle: np.ndarray
     half: np.ndarray
@@ -119,7 +129,12 @@ def sums(
 def corrections(functions: Functions, found: Sequence[Sums], joints: Sequence[int | None]) -> list[list[Correction]]:
     """A correction of each channel by each of the ways there are.
 
-    ``joints`` are those whose torques the channels read, None for a sensor's.
+    Parameters
+    ----------
+    functions, found
+        What the corrections are made of, and `sums` of each channel.
+    joints
+        Whose torques the channels read, None for a sensor's.
     """
     every = np.arange(functions.count)
     sets = [[every] * len(joints)]

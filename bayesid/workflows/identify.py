@@ -26,7 +26,7 @@ from bayesid.results.identification import Identification
 from bayesid.robot.urdf import write_urdf
 from bayesid.signals.filters import LowPass
 from bayesid.validation.cross_checks import Agreement, Alone, fits_alone, motions_apart, static_both_ways, wrench_against_torque
-from bayesid.validation.flexible import FlexibleModel
+from bayesid.validation.flexible import FlexibleModel, flexible_gaps
 from bayesid.validation.noise_floor import NoiseFloor, noise_floor
 from bayesid.validation.prediction import Prediction, predict
 from bayesid.workflows.progress import Clock, Progress, quiet
@@ -97,10 +97,10 @@ def identify(
             )
         else:  # everything is linearised at the estimate, which comes first
             problem, estimate = _solved(problem, method, clock)
-            alone, floor, flexible = {}, noise_floor(problem), FlexibleModel.of(problem, unseen)
+            alone, floor, flexible = {}, noise_floor(problem), None
         clock("prediction")
         # Fits of single motions and links need none of the predictions: all at once, the longest first.
-        flexibly = partial(flexible.gaps, estimate.solution) if flexible else dict
+        flexibly = partial(flexible_gaps, problem, estimate.solution, unseen, flexible)
         fits, possible = partial(motions_apart, problem, estimate, method, alone), partial(urdf_links, problem, estimate)
         predicted = [partial(predict, problem, estimate, motion, floor) for motion in unfitted]
         gaps, *predictions, links, agreements = in_order(lambda job: job(), [flexibly, *predicted, possible, fits])
@@ -169,7 +169,8 @@ def _beside(problem: Problem, method: Estimator, unseen: list[str]) -> tuple[Alo
     if encoders is not None:  # the end of the fit will ask
         encoders.present()
     floor, flexible = noise_floor(problem), FlexibleModel.of(problem, unseen)
-    channel_grams(problem.regression)  # the links will
+    if problem.regression.fits_in_memory:  # the links will
+        channel_grams(problem.regression)
     return alone, floor, flexible
 
 

@@ -37,7 +37,7 @@ from bayesid.results.posterior import ExperimentPosterior
 from bayesid.robot.prior import Prior
 from bayesid.signals.filters import LowPass
 from bayesid.signals.noise import NoiseModel
-from bayesid.validation.flexible import FlexibleModel
+from bayesid.validation.flexible import flexible_gaps
 from bayesid.validation.noise_floor import noise_floor
 from bayesid.validation.prediction import Prediction, predict
 from bayesid.workflows.progress import Clock, Progress, quiet
@@ -234,8 +234,7 @@ def _with_predictions(
     estimate = as_estimate(posterior, regression)
     floor = noise_floor(problem)
     fitted = tuple(predict(problem, estimate, m, floor) for m in problem.experiment.motions if m.name in problem.fitted)
-    flexible = FlexibleModel.of(problem, [m.name for m in judges])
-    gaps = flexible.gaps(estimate.solution) if flexible else {}
+    gaps = flexible_gaps(problem, estimate.solution, [m.name for m in judges])
     validation = tuple(replace(predict(problem, estimate, m, floor), flexible=gaps.get(m.name)) for m in judges)
     clock.stop()
     return ExperimentPosterior(

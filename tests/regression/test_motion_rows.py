@@ -19,7 +19,7 @@ def made(tmp_path):
 def test_rows_of_a_motion_are_made_once(tmp_path, monkeypatch):
     problem = made(tmp_path)
     calls = []
-    monkeypatch.setattr(motion_rows, "make_blocks", lambda model, segments: calls.append(1) or make_blocks(model, segments))
+    monkeypatch.setattr(motion_rows, "make_blocks", lambda *given, **named: calls.append(1) or make_blocks(*given, **named))
     both = list(problem.regression.blocks())
     alone = list(restrict(problem, ["b"]).regression.blocks())
     assert len(calls) == 2 and alone[-1] is both[-1]

@@ -4,7 +4,7 @@ import time
 
 import pytest
 
-from bayesid.regression.parallel import both, in_order
+from bayesid.regression.parallel import both, in_order, once
 
 
 def test_two_jobs_run_at_once():
@@ -81,3 +81,48 @@ def test_errors_of_jobs_leave_the_cores_free(monkeypatch):
         with pytest.raises(ValueError, match="bad"):
             both(lambda: fails(0), lambda: fails(1))
     test_two_jobs_run_at_once()
+
+
+def test_the_last_job_of_jobs_has_all_cores(monkeypatch):
+    """Two jobs of the only job that is left run at once, and the thread that has it is counted once."""
+    monkeypatch.setattr(os, "cpu_count", lambda: 2)
+    met = threading.Barrier(2, timeout=10.0)
+
+    def last(k):
+        if k == 0:
+            return 0
+        time.sleep(0.05)
+        both(met.wait, met.wait)
+        return both(lambda: list(in_order(lambda j: met.wait() >= 0, range(2))), lambda: None)[0]
+
+    assert list(in_order(last, range(2))) == [0, [True, True]]
+
+
+def test_results_that_nobody_asks_for_leave_the_cores_free(monkeypatch):
+    monkeypatch.setattr(os, "cpu_count", lambda: 2)
+    taken = in_order(lambda k: k, range(100))
+    assert next(taken) == 0
+    taken.close()  # type: ignore[attr-defined]
+    test_two_jobs_run_at_once()
+
+
+def test_what_is_made_once_is_made_by_one_thread():
+    calls = []
+
+    def make():
+        calls.append(threading.get_ident())
+        time.sleep(0.02)
+        if len(calls) == 1:
+            raise ValueError("not yet")
+        return object()
+
+    get = once(make)
+    with pytest.raises(ValueError, match="not yet"):
+        get()
+    threads, found = [], []
+    for _ in range(4):
+        threads.append(threading.Thread(target=lambda: found.append(get())))
+        threads[-1].start()
+    for thread in threads:
+        thread.join()
+    assert len(calls) == 2 and len(set(map(id, found))) == 1
