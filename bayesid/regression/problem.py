@@ -11,7 +11,7 @@ from bayesid.effects import Point
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, Motion
 from bayesid.recordings.table import usual_step
-from bayesid.regression.bandwidth import BandwidthChoice, choose_bandwidth
+from bayesid.regression.bandwidth import LOWEST, BandwidthChoice, choose_bandwidth
 from bayesid.regression.encoder_noise import errors_of
 from bayesid.regression.motion_rows import MotionRows, row_count
 from bayesid.regression.options import FitOptions
@@ -34,6 +34,8 @@ LOWEST_ROW_RATE = 20.0
 #: Samples that the bandwidth is chosen from, in pieces spread over a long recording: by positions, by predictions.
 _PILOT_SAMPLES, _JUDGED_SAMPLES = 5_000, 12_000
 _PIECES = 4
+#: Length of a piece times the lowest bandwidth it is smoothed at, at least: half of it remains where its ends are left out.
+_SHORTEST_PIECE = 3.0
 
 
 @dataclass(frozen=True, repr=False)
@@ -125,7 +127,7 @@ def prepare(experiment: Experiment, options: FitOptions | None = None) -> Proble
 
     choice = None
     if options.bandwidth is None and any(not r.poses for r in fitted):
-        judges = _judges(fitted)
+        judges = _judges(fitted, smoother.bandwidth)
         choice = choose_bandwidth(lambda b: tuple(make_blocks(rows_at(b, None), judges)), smoother.bandwidth, smoother.at_end)
         smoother = _chosen(smoother, choice)
     row_model = rows_at(smoother.bandwidth, options.low_pass)
@@ -263,14 +265,15 @@ def _require_length(motion: Motion, segments: list[Segment], row_model: RowModel
         )  # fmt: skip
 
 
-def _judges(fitted: list[Segment]) -> list[Segment]:
-    """Segments, or evenly spread pieces of long ones, that bandwidths are judged on."""
+def _judges(fitted: list[Segment], bandwidth: float) -> list[Segment]:
+    """Segments, or evenly spread pieces of long ones, that bandwidths up to this one are judged on."""
     moving, out = [r for r in fitted if not r.poses], [r for r in fitted if r.poses]
     total = sum(len(r.times) for r in moving)
     for r in moving:
         share = min(_JUDGED_SAMPLES / total, 1.0)
         pieces = max(round(2 * _PIECES * len(r.times) / total), 1) if share < 1.0 else 1
-        length = int(share * len(r.times) / pieces)
+        shortest = _SHORTEST_PIECE / min(bandwidth, LOWEST) / usual_step(r.times)
+        length = min(max(int(share * len(r.times) / pieces), int(shortest)), len(r.times))
         out += [r.part(a, a + length) for a in np.linspace(0, len(r.times) - length, pieces).astype(int)]
     return out
 

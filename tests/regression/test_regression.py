@@ -146,3 +146,14 @@ def test_a_recording_too_long_to_keep_gives_the_same_estimate(filters, tmp_path,
     # Both weigh the channels by a noise learned from stretches, which differ a little in their ends.
     assert np.abs((streamed.values - kept.values) / kept.std).max() < 0.2
     np.testing.assert_allclose(streamed.std, kept.std, rtol=0.1)
+
+
+@pytest.mark.parametrize("rate", [2_000.0, 20_000.0])
+def test_fast_recordings_are_cut_into_pieces_that_are_long_enough(rate, tmp_path):
+    robot = load_robot(write(tmp_path, ur5()))
+    motion = fourier(robot, 3, 6.0, rate, 1.0)
+    made = experiment(robot, [Motion("a", "identification", recording(robot, None, motion, torque_std=0.1, resolution=2e-5))])
+    problem = prepare(made, FitOptions("torque"))
+    estimate = fit(problem.regression)
+    truth = problem.row_model.base.matrix @ robot.nominal.ravel()
+    assert np.sqrt(np.mean(((estimate.values - truth) / estimate.std) ** 2)) < 2.0
