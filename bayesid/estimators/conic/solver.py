@@ -105,7 +105,7 @@ def _inward(problem: Conic, matrix: np.ndarray, low: np.ndarray, cones: list, fo
     if room <= 0.0:
         return best
     way = best.violation / (best.violation + room) * (inside - best.x)
-    return min(best, *(certified(best.x + part * way) for part in (1.0, 0.5, 0.25)), key=_quality)
+    return min(best, *(certified(best.x + part * way) for part in (1.0, 0.5, 0.25, 0.1, 0.03)), key=_quality)
 
 
 def _clipped(problem: Conic, x: np.ndarray) -> np.ndarray:
@@ -125,12 +125,15 @@ def _quality(solution: Solution) -> float:
 
 
 def _settings() -> Iterator[clarabel.DefaultSettings]:
-    """First the usual way, then with other accuracy and regularisation for the few problems that stall."""
-    for tolerance, static in ((1e-11, 1e-8), (1e-9, 1e-7), (1e-12, 1e-10), (1e-13, 1e-12), (1e-10, 1e-6)):
+    """First the usual way, then with other accuracy, regularisation and scaling for the few problems that stall."""
+    for tolerance, static, scaled in (
+        (1e-11, 1e-8, False), (1e-9, 1e-7, False), (1e-12, 1e-10, False), (1e-13, 1e-12, False), (1e-10, 1e-6, False),
+        (1e-9, 1e-7, True),
+    ):  # fmt: skip
         settings = clarabel.DefaultSettings()
         settings.verbose = False
         settings.max_threads = 1
-        settings.equilibrate_enable = False
+        settings.equilibrate_enable = scaled
         settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = tolerance
         settings.static_regularization_constant = static
         yield settings
