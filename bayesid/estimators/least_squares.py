@@ -27,9 +27,11 @@ from bayesid.estimators.reduction import reduce_in_coordinates
 from bayesid.estimators.weights import Weights, learn_weights, pilot_of
 from bayesid.regression.blocks import residual_of
 from bayesid.regression.linalg import (
+    UNSEEN,
     column_lengths,
     condition_number,
-    determined_inverse,
+    in_determined,
+    pseudo_inverse,
     solve,
     standard_deviations,
     undetermined,
@@ -54,10 +56,10 @@ class LeastSquares:
         solution = solve(factor.matrix, target_from_nominal(regression, factor))
         solution = solution + nominal_start(regression, len(solution))
         hidden = undetermined(factor.matrix)
-        inverse = determined_inverse(factor.matrix, hidden)
+        inverse = pseudo_inverse(factor.matrix, UNSEEN)
         bread = inverse @ inverse.T
         middle = covariance_middle(regression, weights, scale, factor)
-        covariance = bread if middle is None else bread @ middle @ bread
+        covariance = in_determined(bread if middle is None else bread @ middle @ bread, hidden)
         return make_estimate(self.name, regression, weights, factor, solution, covariance, hidden)
 
 
@@ -208,7 +210,7 @@ def covariance_middle(
     if scale is not None and not may_matter(regression, weights):
         return sandwich_middle(regression, weights.dispersed(), scale)
     middle = factor.matrix.T @ factor.matrix if scale is None else sandwich_middle(regression, weights.noise, scale)
-    inverse = determined_inverse(factor.matrix, undetermined(factor.matrix))
+    inverse = pseudo_inverse(factor.matrix, UNSEEN)
     corrected = with_encoder_errors(regression, weights, scale, inverse, middle)
     if scale is None:
         return corrected

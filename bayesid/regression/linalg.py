@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
+#: Singular values of columns at unit length that count as none, relative to the largest: the root of the machine's precision, for
+#: covariances are products of the factor with itself, in which nothing but rounding is left below it.
+UNSEEN = 1e-8
+
 
 def column_lengths(matrix: np.ndarray, smallest: float = 1e-14) -> np.ndarray:
     """Lengths of columns (p,) to divide by; see `or_one`."""
@@ -36,7 +40,11 @@ def pseudo_inverse(matrix: np.ndarray, tolerance: float = 1e-11) -> np.ndarray:
 
 
 def determined_inverse(matrix: np.ndarray, hidden: np.ndarray) -> np.ndarray:
-    """Inverse of a factor (k, p) in the determined columns, zero in the hidden ones (p, k).
+    """Pseudo-inverse of a factor (k, p) in the determined columns, zero in the hidden ones (p, k).
+
+    What hidden columns share with the determined ones is fitted all the same, so it is part of the inverse: without those columns
+    the others would seem to be known better than they are. A covariance made of several factors takes `pseudo_inverse` and ends
+    with `in_determined`.
 
     Parameters
     ----------
@@ -45,17 +53,16 @@ def determined_inverse(matrix: np.ndarray, hidden: np.ndarray) -> np.ndarray:
     hidden
         Columns that the rows do not determine (p,), see `undetermined`.
     """
-    out = np.zeros(matrix.shape[::-1])
-    out[~hidden] = pseudo_inverse(matrix[:, ~hidden], 1e-12)
-    return out
+    return np.where(hidden[:, None], 0.0, pseudo_inverse(matrix, UNSEEN))
 
 
-def undetermined(matrix: np.ndarray, tolerance: float = 1e-8) -> np.ndarray:
-    """Columns of a (weighted) factor with a part that the rows do not determine (p,).
+def in_determined(covariance: np.ndarray, hidden: np.ndarray) -> np.ndarray:
+    """A covariance (p, p) with zeros in hidden rows and columns (p,)."""
+    return np.where(hidden[:, None] | hidden, 0.0, covariance)
 
-    The default tolerance is the root of the machine's precision: covariances are products of the factor with itself, in which
-    nothing but rounding is left below it.
-    """
+
+def undetermined(matrix: np.ndarray, tolerance: float = UNSEEN) -> np.ndarray:
+    """Columns of a (weighted) factor with a part that the rows do not determine (p,)."""
     length = np.linalg.norm(matrix, axis=0)
     nothing = length <= 1e-13 * length.max(initial=0.0)
     if nothing.all():

@@ -34,8 +34,8 @@ LOWEST_ROW_RATE = 20.0
 #: Samples that the bandwidth is chosen from, in pieces spread over a long recording: by positions, by predictions.
 _PILOT_SAMPLES, _JUDGED_SAMPLES = 5_000, 12_000
 _PIECES = 4
-#: Length of a piece times the lowest bandwidth it is smoothed at, at least: half of it remains where its ends are left out.
-_SHORTEST_PIECE = 3.0
+#: Length of a piece times the lowest bandwidth it is smoothed at, at least: what remains without its ends is judged by a dozen rows.
+_SHORTEST_PIECE = 4.5
 
 
 @dataclass(frozen=True, repr=False)
@@ -274,6 +274,7 @@ def _judges(fitted: list[Segment], bandwidth: float) -> list[Segment]:
         pieces = max(round(2 * _PIECES * len(r.times) / total), 1) if share < 1.0 else 1
         shortest = _SHORTEST_PIECE / min(bandwidth, LOWEST) / usual_step(r.times)
         length = min(max(int(share * len(r.times) / pieces), int(shortest)), len(r.times))
+        pieces = min(pieces, len(r.times) // length)
         out += [r.part(a, a + length) for a in np.linspace(0, len(r.times) - length, pieces).astype(int)]
     return out
 

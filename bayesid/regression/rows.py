@@ -154,7 +154,8 @@ def _from_grid(row_model: RowModel, segment: Segment, first: int, last: int, sta
         weights.add(panel, k, rows)
         halfway.add(panel, k, guessed)
     exact = _panel(row_model, segment, state, slice(len(grid), len(state.times)), buffer)
-    if not _accurate(guessed[:, :, :rank], exact[:, :, :rank]):
+    exact[:, :, interpolated] = effects[len(grid) :]
+    if not _accurate(guessed, exact):
         return None
     sampled = segment.measured(first, last)[:, :, None]
     if not row_model.interpolated.all():

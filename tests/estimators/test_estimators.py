@@ -4,11 +4,12 @@ from scipy.signal import lfilter
 
 from bayesid.errors import InputError
 from bayesid.estimators import LeastSquares, Ridge, TruncatedSVD, fit
+from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import prepare
 from bayesid.regression.regression import Regression
 from bayesid.robot.robot import load_robot
 from bayesid.signals.filters import LowPass
-from tests.robots import ur5, write
+from tests.robots import panda, ur5, write
 from tests.simulated import Motion, Sensor, experiment, fourier, recording
 
 NAMES = ["fx", "mx"]
@@ -164,3 +165,19 @@ def test_estimates_print_as_text_html_and_json():
     estimate = fit(Regression.from_arrays(*make(np.random.default_rng(0))))
     assert "p1" in str(estimate) and "<table>" in estimate._repr_html_()
     assert estimate.to_dict()["base_parameters"][0]["name"] == "p1"
+
+
+@pytest.mark.parametrize("method", ["ols", "wls", "gls", "huber", "student", "tls", "sdp"])
+def test_columns_that_cannot_be_told_apart_make_no_other_surer(method, tmp_path):
+    """A rotor at the first joint has the column of a base parameter: the others are known as without it, not better."""
+    robot = load_robot(write(tmp_path, panda()))
+    table = recording(robot, None, fourier(robot, 3, 30.0, 125.0), torque_std=0.1)
+    made = experiment(robot, [Motion("a", "identification", table)])
+    options = [FitOptions("torque", effects=effects, bandwidth=8.0) for effects in ((), ("rotor_inertia@joint1",))]
+    plain, both = (fit(prepare(made, each).regression, method) for each in options)
+    hidden = both.undetermined[: both.base.rank]
+    assert 0 < hidden.sum() < 6 and both.undetermined[-1] and not plain.undetermined.any()
+    if method != "sdp":  # its values are pulled to the nominal ones
+        np.testing.assert_allclose(both.values[~hidden], plain.values[~hidden], atol=float(0.05 * plain.std.max()))
+        np.testing.assert_allclose(both.std[~hidden], plain.std[~hidden], rtol=0.05)
+    assert np.all(both.std[~hidden] > 0.9 * plain.std[~hidden]) and np.isnan(both.std[hidden]).all()

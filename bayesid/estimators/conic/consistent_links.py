@@ -170,6 +170,8 @@ def _inverse_root(regression: Regression, estimate: Estimate) -> tuple[np.ndarra
     if covariance is None:
         return np.zeros(0, int), np.zeros((0, 0))
     kept = np.flatnonzero(~estimate.undetermined[:rank] & np.isfinite(np.diag(covariance)))
+    if not len(kept):
+        return kept, np.zeros((0, 0))
     std = standard_deviations(covariance)[kept]
     # Recordings without any noise: nothing is known better than to rounding.
     size = np.abs(estimate.values[kept]) if regression.nominal_scale is None else regression.nominal_scale[kept]

@@ -41,7 +41,7 @@ from bayesid.estimators.robust.segments import (
 from bayesid.estimators.robust.trimmed import trimmed
 from bayesid.estimators.weights import Weights, learn_weights
 from bayesid.regression.blocks import Block
-from bayesid.regression.linalg import determined_inverse, solve, undetermined
+from bayesid.regression.linalg import UNSEEN, in_determined, pseudo_inverse, solve, undetermined
 from bayesid.regression.regression import Regression
 from bayesid.regression.row_cache import RowCache
 from bayesid.signals.noise import NoiseModel
@@ -139,13 +139,13 @@ class RobustFit:
             weighted(self.plain.blocks(), self.residual, self.accepted_rows.astype(float)),
             lambda b: noise[b.group].colour_transposed(b.matrix * scale[b.group][:, None] ** 2),
         )
-        inverse = determined_inverse(self.factor.matrix, hidden)
+        inverse = pseudo_inverse(self.factor.matrix, UNSEEN)
         bread = inverse @ inverse.T / self._slope(inverse)
         covariance = bread @ middle @ bread
         if self.regression.known_poles is None:  # what encoder errors make of rows is known as the filters leave it
             growth = np.sqrt(encoder_growth(self.clean, self.learned, scale, inverse))
             covariance *= np.outer(growth, growth)
-        return covariance
+        return in_determined(covariance, hidden)
 
     def _slope(self, inverse: np.ndarray) -> float:
         """How much slower the equations change with the parameters than with fixed weights, mean over all directions.
