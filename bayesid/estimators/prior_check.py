@@ -17,7 +17,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.linalg import solve
 from scipy.stats import chi2
 
 from bayesid.dynamics.base_parameters import BaseParameters
@@ -224,13 +223,15 @@ def compared(
     difference, total = values[k] - prior, covariance[np.ix_(k, k)] + spread
     size = or_one(standard_deviations(total))
     z = difference / size
-    squared = float(z @ solve(total / np.outer(size, size), z, assume_a="pos"))
+    spreads, directions = np.linalg.eigh(total / np.outer(size, size))
+    told = spreads > 1e-12 * spreads[-1]  # in other directions, neither says anything
+    squared = float(np.sum((directions[:, told].T @ z) ** 2 / spreads[told]))
     worst = int(np.argmax(np.abs(z)))
     at = int(k[worst])
     return PriorCheck(
         distance=squared**0.5,
         base_parameters=len(k),
-        probability=float(chi2.sf(squared, len(k))),
+        probability=float(chi2.sf(squared, np.count_nonzero(told))),
         largest=Disagreement(
             _words(base, at), base.units[at], float(prior[worst]), float(standard_deviations(spread)[worst]),
             float(values[at]), float(standard_deviations(covariance)[at]),

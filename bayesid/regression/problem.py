@@ -34,7 +34,7 @@ LOWEST_ROW_RATE = 20.0
 #: Samples that the bandwidth is chosen from, in pieces spread over a long recording: by positions, by predictions.
 _PILOT_SAMPLES, _JUDGED_SAMPLES = 5_000, 12_000
 _PIECES = 4
-#: Length of a piece times the lowest bandwidth it is smoothed at, at least: what remains without its ends is judged by a dozen rows.
+#: Length of a piece times the lowest bandwidth it is smoothed at, at least: without its ends, a dozen rows remain to judge by.
 _SHORTEST_PIECE = 4.5
 
 
