@@ -261,7 +261,7 @@ def _whitened(
     for block, white in whitened(few_of(noted(), row_count(problem.row_model, segments)), noise):
         for panel in replace(block, rows=white).panels():
             x = panel.rows.reshape(-1, white.shape[2])
-            share = np.zeros(len(x)) if covariance is None else np.sum(x @ covariance * x, axis=1)
+            share = np.zeros(len(x)) if covariance is None else np.maximum(np.sum(x @ covariance * x, axis=1), 0.0)
             parts.append(share.reshape(panel.rows.shape[:2]))
     variance, residual = np.concatenate(parts), np.concatenate([white for _, white in whitened(left, noise)])
     expected = float(np.sqrt(1.0 + variance.mean()))
