@@ -2,8 +2,8 @@
 
 Samples are handled in chunks that fit the processor's cache and on all cores; what comes out is a thin stream of
 rows. Two ways lead there: with the accelerations of the smoothed trajectory, or without any through the
-paper's filters. A smoothed trajectory is smooth: where samples are many, its regressors are computed on a coarser grid of
-times and interpolated, which is two thirds of the work saved.
+paper's filters. Where samples are many, regressors of a smoothed trajectory are computed on a coarser grid of times and
+interpolated, if a check between those times shows that to be accurate.
 """
 
 from __future__ import annotations
@@ -133,7 +133,7 @@ def _from_samples(row_model: RowModel, segment: Segment, first: int, last: int, 
 def _from_grid(row_model: RowModel, segment: Segment, first: int, last: int, start: float, spacing: float) -> _Part | None:
     """A chunk's part with regressors computed at fewer times than there are samples, and interpolated; None: not accurate enough.
 
-    Readings, and effects that jump, are taken at all samples.
+    Readings, and effects that are not interpolated with the regressor, such as friction, are taken at all samples.
     """
     times, rank = segment.times[first:last], row_model.base.rank
     cells = int((times[-1] - times[0]) / spacing) + 1
@@ -159,8 +159,8 @@ def _from_grid(row_model: RowModel, segment: Segment, first: int, last: int, sta
         return None
     sampled = segment.measured(first, last)[:, :, None]
     if not row_model.interpolated.all():
-        jumping = row_model.effect_columns(segment, row_model.state(segment, first, last), False)
-        sampled = np.concatenate([jumping, sampled], axis=2)
+        friction = row_model.effect_columns(segment, row_model.state(segment, first, last), False)
+        sampled = np.concatenate([friction, sampled], axis=2)
     others = np.zeros((len(rows), rows.shape[1], sampled.shape[2]))
     project(times, sampled, start, row_model.step, begin, others, energy)
     rows[:, :, np.append(rank + np.flatnonzero(~row_model.interpolated), width - 1)] += others
