@@ -257,11 +257,11 @@ def test_draws_are_an_option(robot):
 @pytest.mark.slow
 @pytest.mark.parametrize("case", ["puma, 5 Hz", "ur5, 5 Hz"])
 def test_encoder_noise_study(case):
-    """A part of the study: the bias goes and the intervals cover, whatever the instruments."""
+    """A part of the study: the bias goes and the intervals cover, whatever the instruments; those of `ols` do not hold it."""
     result = encoder_noise.study(count=48, cases=(case,))["cases"][case]
     fits = result["fits"]
     assert fits["ols"]["bias"] > 6.0 * fits["ols"]["chance"]
-    assert fits["ols"]["coverage"]["mean"] < 0.8
+    assert fits["ols"]["coverage"]["lowest"] < 0.1 * result["band"][0]
     for name in ("tls", "iv, commanded trajectory"):
         # What chance alone would show is not counted as bias.
         assert max(fits[name]["bias"] ** 2 - fits[name]["chance"] ** 2, 0.0) ** 0.5 < 0.2 * fits["ols"]["bias"]
