@@ -24,6 +24,8 @@ from bayesid.diagnosis.span import Span, orthonormal
 from bayesid.diagnosis.surroundings import joint_inertia, mean_places, moving
 from bayesid.effects import Effect, ExternalContact, Linearisation, Surroundings, Term
 
+#: Derivatives are exact to this share of the readings: 1e-16 over a step of 1e-4, and a hundred times that for a joint's play.
+_ROUNDING = 1e-10
 #: By effects: values that are tried (m), and what each changes of whitened rows, links projected out (rows, m).
 _Trials = dict[Effect, tuple[tuple[tuple[float, ...], ...], np.ndarray]]
 
@@ -170,7 +172,9 @@ class Library:
     @cached_property
     def _span(self) -> Span:
         """What all columns together explain."""
-        return Span.of(np.hstack([np.zeros((len(self.projector.q), 0)), *(b.rows for b in self.blocks)]))
+        columns = np.hstack([np.zeros((len(self.projector.q), 0)), *(b.rows for b in self.blocks)])
+        size = np.sqrt(sum(np.sum(s.whiten(s.measured_readings) ** 2) for s in self.projector.data.segments))
+        return Span.of(columns, rounding=_ROUNDING * size)
 
     def _tried(self, fit: Fit, taken: set[str], changes_of: _Trials) -> Iterator[tuple[Term, float]]:
         """Effects with the best of the values that are tried exactly: no small amplitude stands for them."""

@@ -103,6 +103,27 @@ class Choice:
                 return more
         return None
 
+    def with_one_instead(self, kept: list[int], others: Sequence[int], possible: Possible, before: np.ndarray) -> list[int]:
+        """An effect in place of those that it excludes, where the data demand it most and held-out recordings confirm it.
+
+        Of one of these, if it explains more than that one does: otherwise it is a rival, see `replaced`.
+        """
+        cost, now, best = self.sums.cost([*self.users, *kept]), self.squares(kept), (self.settings.accept, kept)
+        for k in others:
+            out = [x for x in kept if self.effects[k].excludes(self.effects[x])]
+            more_than_one = len(out) > 1 or any(self.effects[k].comes_after(self.effects[x]) for x in out)
+            if not more_than_one or any(self.effects[k].spec == self.effects[x].spec for x in out):
+                continue
+            more = [*(x for x in kept if x not in out), k]
+            gain = 0.5 * (cost - self.sums.cost([*self.users, *more])) - self.price_of([k]) + self.price_of(out)
+            if gain >= best[0] and possible(more, k) and self.proof(now, self.squares(more), before) > 0.0:
+                best = gain, more
+        return best[1]
+
+    def price_of(self, effects: Sequence[int]) -> float:
+        """Log evidence that the parameters of effects cost."""
+        return sum(map(self.sums.price, effects))
+
     def with_a_family(self, kept: list[int], others: Sequence[int], possible: Possible, before: np.ndarray) -> list[int]:
         """One kind of effect added at every joint that shows it, where the data demand them together.
 
@@ -117,7 +138,7 @@ class Choice:
         cost, now, best = self.sums.cost([*self.users, *kept]), self.squares(kept), (self.settings.accept, kept)
         for members in families.values():
             more = [*kept, *members.values()]
-            gain = 0.5 * (cost - self.sums.cost([*self.users, *more])) - sum(map(self.sums.price, members.values()))
+            gain = 0.5 * (cost - self.sums.cost([*self.users, *more])) - self.price_of(list(members.values()))
             if gain >= best[0] and all(possible(more, k) for k in members.values()):
                 if self.proof(now, self.squares(more), before) > 0.0:
                     best = gain, more
@@ -164,14 +185,19 @@ class Choice:
         adding = {self.effects[k].spec for k, gain in zip(others, gains, strict=True) if gain > 0.0}
         return frozenset({self.effects[k].spec for k in kept} | {t.effect.spec for x in rivals for t, _ in x} | adding)
 
-    def replaced(self, kept: list[int], others: Sequence[int], possible: Possible) -> list[int]:
-        """Effects exchanged for others that do better in their place; clearly better, where that takes more parameters."""
+    def replaced(self, kept: list[int], others: Sequence[int], possible: Possible, before: np.ndarray) -> list[int]:
+        """Effects exchanged for others that do better in their place, if held-out recordings confirm these there.
+
+        Clearly better, where that takes more parameters.
+        """
         for k in list(kept):
-            size = len(self.effects[k].parameters)
+            size, without = len(self.effects[k].parameters), self.squares([x for x in kept if x != k])
             for other, lack in self.rivals(kept, k, others, possible, 0.0):
                 if lack < -self.settings.rival or len(self.effects[other].parameters) <= size:
-                    kept = [other if x == k else x for x in kept]
-                    break
+                    changed = [other if x == k else x for x in kept]
+                    if self.proof(without, self.squares(changed), before) > 0.0:
+                        kept = changed
+                        break
         return kept
 
     def standing(self, rest: Sequence[int], index: int, others: Sequence[int]) -> tuple[list[float], list[int]]:

@@ -7,14 +7,14 @@ without it is above zero. What is left of the gap then is the remainder.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bayesid.diagnosis.candidates import column_terms
+from bayesid.diagnosis.candidates import column_terms, make_library, surroundings
 from bayesid.diagnosis.channel_groups import ChannelGroup, channel_groups
-from bayesid.diagnosis.choice import Choice
+from bayesid.diagnosis.choice import LEAST_GAP, Choice
 from bayesid.diagnosis.fit import begin, finish, fit, is_another
 from bayesid.diagnosis.held_out import held_out_sums, left_by, scaled
 from bayesid.diagnosis.projector import make_projector
@@ -22,7 +22,7 @@ from bayesid.diagnosis.rivals import Found
 from bayesid.diagnosis.search import Search
 from bayesid.diagnosis.significance import distance, stands_out
 from bayesid.diagnosis.white_noise import noise_share, with_white_noise
-from bayesid.effects import Effect, Term
+from bayesid.effects import Effect, Linearisation, Term
 
 
 @dataclass(frozen=True)
@@ -91,10 +91,14 @@ def proven_effects(s: Search, seed: int) -> InPart | None:
     seed
         Of the bootstrap over blocks of time.
     """
-    first = _proven(s, seed, None)
-    # Values have moved since the columns were taken: once more about them, and then with those that came near.
-    second = first and _proven(first.search, seed, None)
-    last = second and _proven(second.search, seed, second.near)
+    part = _proven(s, seed, None)
+    # Values have moved since the columns were taken, and the less is left, the smaller the effects that stand out of it: anew
+    # about what was found, until no more comes of it, and then with those effects that came near.
+    for _ in range(s.projector.data.settings.sweeps):
+        before, part = part, part and _proven(part.search, seed, None)
+        if before is None or part is None or part.remainder > before.remainder - LEAST_GAP:
+            break
+    last = part and _proven(part.search, seed, part.near)
     if last is not None and last.remainder > 1.0 - s.projector.data.settings.mostly_closed:
         last = _where_they_act(last, seed)
     return last and replace(last, search=with_white_noise(last.search))
@@ -127,6 +131,7 @@ def _proven(s: Search, seed: int, among: frozenset[str] | None) -> InPart | None
         # Whether its values make it another effect only an exact fit tells, as the search makes them.
         and (not x[0].effect.may_be_another or x[0].effect.spec in found)
     ]  # fmt: skip
+    library += [x for x in _exact(s) if among is None or x[0].effect.spec in among]
     sums = held_out_sums(data, s.projector.root, s.best, [t for t, _ in library], np.sqrt(left[1] / left[0]))
     settings = data.settings
     choice = Choice(
@@ -153,7 +158,8 @@ def _proven(s: Search, seed: int, among: frozenset[str] | None) -> InPart | None
         start = kept
         while (more := choice.with_one_more(kept, others, possible, before)) is not None:
             kept = more
-        kept = choice.without_unproven(choice.replaced(choice.from_columns(kept, others), others, possible), before)
+        kept = choice.with_one_instead(choice.from_columns(kept, others), others, possible, before)
+        kept = choice.without_unproven(choice.replaced(kept, others, possible, before), before)
         if kept == start:
             break
     if not kept:
@@ -169,6 +175,28 @@ def _proven(s: Search, seed: int, among: frozenset[str] | None) -> InPart | None
         rivals.append([(term(k, [*(x for x in kept if x != own), k]), lack) for k, lack in near])
     model = (*attempt[:known], *(term(k, kept) for k in kept))
     return _concluded(s, choice, kept, model, rivals, before)
+
+
+def _exact(s: Search) -> Iterator[tuple[Term, Linearisation]]:
+    """Effects that may be no more than another one, at the shapes that fit exactly beside those of the best attempt."""
+    data, around = s.projector.data, surroundings(s.projector.data)
+    users, taken = s.best.terms[: len(s.base.terms)], {t.effect for t in s.best.terms}
+    for effect in (e for name in data.experiment.library.classes for e in data.places(name)):
+        linear = np.array([p.linear for p in effect.quantities])
+        if effect in taken or not (effect.may_be_another and linear.any() and effect.sought(around)):
+            continue
+        held = (*users, *(t for t in s.best.terms[len(users) :] if not effect.excludes(t.effect)))
+        without = fit(s.projector, held, s.best)
+        proposals = make_library(s.projector, s.base, without, [effect]).propose(without)
+        fits = [fit(s.projector, (*held, t), without) for p in proposals for t in (p.term, *p.others)]
+        top = max(fits, key=lambda f: f.score, default=None)
+        if top is not None and np.isfinite(top.score):
+            at = np.array(top.terms[-1].values)
+            yield top.terms[-1], Linearisation(
+                at,
+                lambda a, at=at, linear=linear: np.where(linear, a, at),
+                lambda v, linear=linear: np.where(linear, v, 0.0),
+            )
 
 
 def _concluded(

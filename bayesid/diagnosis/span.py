@@ -29,10 +29,19 @@ class Span:
     more: Span | None = None
 
     @classmethod
-    def of(cls, columns: np.ndarray, least: float = _LEAST) -> Span:
-        """Of columns (rows, k), each in its own unit, but for singular values below a share of the largest."""
+    def of(cls, columns: np.ndarray, least: float = _LEAST, rounding: float = 0.0) -> Span:
+        """Of columns (rows, k), each in its own unit, but for singular values below a share of the largest.
+
+        Parameters
+        ----------
+        columns, least
+            The columns and the share.
+        rounding
+            How long a column may be that is but rounding; and so much of all others may be. It makes no direction.
+        """
         length = np.linalg.norm(columns, axis=0)
         there = np.flatnonzero(length > 0.0)
+        length = np.maximum(length, rounding / least)
         root = np.zeros((columns.shape[1], 0))
         if len(there):
             _, s, vt = np.linalg.svd(np.linalg.qr(columns[:, there] / length[there], mode="r"))

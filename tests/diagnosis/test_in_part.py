@@ -11,11 +11,14 @@ import pytest
 from scipy.signal import butter, sosfilt
 
 from bayesid import diagnose
+from bayesid.diagnosis.candidates import make_library
 from bayesid.diagnosis.channel_groups import ChannelGroup, _together
 from bayesid.diagnosis.choice import Choice
+from bayesid.diagnosis.fit import fit
 from bayesid.diagnosis.held_out import HeldOutSums, held_out_sums, left_by, scaled
 from bayesid.diagnosis.in_part import InPart
 from bayesid.diagnosis.prepare import prepare_data
+from bayesid.diagnosis.projector import make_projector
 from bayesid.diagnosis.remarks import remarks
 from bayesid.diagnosis.rows import model_rows, residual_rows
 from bayesid.diagnosis.settings import DEFAULT
@@ -30,6 +33,7 @@ from bayesid.robot.examples import PAPER_LOCKED, puma_two_joint_urdf
 from bayesid.robot.robot import Robot, load_robot
 from bayesid.simulation.simulation import simulate
 from bayesid.simulation.trajectories import fourier_trajectory
+from tests.robots import ur5, write
 
 HIDDEN = {
     "coulomb_friction@joint1": {"level": 5.0},
@@ -81,8 +85,8 @@ def test_the_gap_is_in_units_of_a_noise_that_is_alike_at_all_frequencies(diagnos
     np.testing.assert_allclose(shown, np.tile(np.diag(level), (len(shown), 1, 1)), rtol=0.01)  # as found models pass it on
     level = np.diag(shown[0])
     assert np.ptp(measured.segments[0].covariance[:, 0, 0]) > 0.0
-    for fit, told in ((diagnosis.search.base, diagnosis.gap.before), (diagnosis.search.best, diagnosis.gap.after)):
-        left = [s.measured_readings - s.spectrum(data.predict(s, fit.links, fit.terms)) for s in data.unseen]
+    for model, told in ((diagnosis.search.base, diagnosis.gap.before), (diagnosis.search.best, diagnosis.gap.after)):
+        left = [s.measured_readings - s.spectrum(data.predict(s, model.links, model.terms)) for s in data.unseen]
         assert np.sqrt(np.mean(np.concatenate(left) ** 2 / level)) == pytest.approx(told, rel=1e-6)
 
 
@@ -231,6 +235,61 @@ def test_a_kind_of_friction_is_added_at_all_joints_that_show_it_if_they_are_dema
     choice = _Told(cast(HeldOutSums, sums), effects, (), 0.0, DEFAULT, 0)
     assert sorted(choice.with_a_family([], range(4), lambda *_: True, np.zeros(1))) == added
     assert choice.with_a_family([], range(4), lambda _, k: k != 1, np.zeros(1)) == []
+
+
+COUPLED = tuple(
+    EffectLibrary().parse(
+        ["viscous_friction@joint1", "viscous_friction@joint2", "coulomb_friction@joint2", "coupled_friction@joint1->joint2"],
+        ("joint1", "joint2"), ("tau1", "tau2"),
+    )
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(("kept", "gain", "then"), [
+    ([0, 1, 2], 13.0, [0, 3]), ([0, 1, 2], 11.0, [0, 1, 2]), ([0, 1], 13.0, [0, 3]), ([0], 30.0, [0]), ([0, 3], 30.0, [0, 3]),
+])  # fmt: skip
+def test_an_effect_takes_the_place_of_those_that_it_excludes(kept, gain, then):
+    """Coupled friction for all friction of the joint whose motor it is, if it adds what any effect must; not for nothing."""
+    sums = SimpleNamespace(
+        cost=lambda effects: -2.0 * (gain + 6.0 if 3 in effects else 6.0 * len(set(effects) & {1, 2})),
+        price=lambda _: 6.0,
+        squares=lambda effects: np.array([-float(3 in effects)]),
+    )
+    choice = _Told(cast(HeldOutSums, sums), COUPLED, (), 0.0, DEFAULT, 0)
+    assert sorted(choice.with_one_instead(kept, [3], lambda *_: True, np.zeros(1))) == then
+    assert choice.with_one_instead(kept, [3], lambda *_: False, np.zeros(1)) == kept
+
+
+@pytest.mark.parametrize(("confirmed", "then"), [(True, [1]), (False, [0])])
+def test_an_effect_is_exchanged_for_a_better_one_only_if_held_out_recordings_confirm_that(confirmed, then):
+    """Spring instead of Coulomb friction, which explains more."""
+    gains = {0: 20.0, 1: 30.0}
+    sums = SimpleNamespace(
+        evidence=lambda effects, others: np.array([gains[k] if not len(effects) else 0.0 for k in others]),
+        squares=lambda effects: np.array([-float(confirmed and 1 in effects)]),
+    )
+    effects = (CoulombFriction("joint1", 0), Spring("joint1", 0))
+    choice = _Told(cast(HeldOutSums, sums), effects, (), 0.0, DEFAULT, 0)
+    assert choice.replaced([0], [1], lambda *_: True, np.zeros(1)) == then
+
+
+def test_a_derivative_that_is_but_rounding_is_no_direction(tmp_path):
+    """As that of a wrong zero of a joint whose axis is vertical: the richest model leaves the same of the same readings."""
+    arm = Experiment("arm", load_robot(write(tmp_path, ur5())), (), None, inertia_rel_std=0.05, position_resolution=1e-5)
+    recorded = simulate(arm, [fourier_trajectory(arm.robot, seed=1, duration=8.0, rate=100.0)], perturb=0.05, seed=3)
+    left = []
+    for seed in range(2):
+        noise = 1.0 + 1e-14 * np.random.default_rng(seed).normal(size=recorded.motions[0].table.torques.shape)
+        (motion,) = recorded.motions
+        table = replace(motion.table, torques=motion.table.torques * noise)
+        again = replace(recorded, motions=(replace(motion, table=table),))
+        data = prepare_data(again, "torque", (), None, 0, frozenset(), DEFAULT)
+        projector = make_projector(data, ())
+        base = fit(projector, ())
+        library = make_library(projector, base)
+        rows, directions = library.unexplained(base)
+        left.append(rows @ rows / (projector.rows - directions))
+    assert left[0] == pytest.approx(left[1], rel=5e-5)
 
 
 class _Told(Choice):

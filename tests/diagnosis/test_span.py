@@ -44,3 +44,15 @@ def test_nothing_spans_nothing():
     assert span.rank == 0
     np.testing.assert_array_equal(span.project_out(np.arange(5.0)), np.arange(5.0))
     assert span.with_more(np.zeros((5, 2))).rank == 0
+
+
+def test_columns_that_are_but_rounding_make_no_direction():
+    """One that is all rounding, and two that differ by no more than that."""
+    rng = np.random.default_rng(4)
+    column, noise = rng.normal(size=(200, 1)), 1e-10 * rng.normal(size=(200, 3)) / np.sqrt(200)
+    weak = 1e-6 * column + noise[:, 1:]
+    columns = np.hstack([rng.normal(size=(200, 2)), noise[:, :1], weak])
+    assert Span.of(columns).rank == 5
+    assert Span.of(columns, rounding=3e-10).rank == 3
+    left = Span.of(columns, rounding=3e-10).project_out(column[:, 0])
+    assert np.linalg.norm(left) < 1e-3 * np.linalg.norm(column)
