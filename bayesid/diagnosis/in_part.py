@@ -92,13 +92,14 @@ def proven_effects(s: Search, seed: int) -> InPart | None:
         Of the bootstrap over blocks of time.
     """
     part = _proven(s, seed, None)
+    exact = tuple(_exact(part.search)) if part else ()
     # Values have moved since the columns were taken, and the less is left, the smaller the effects that stand out of it: anew
     # about what was found, until no more comes of it, and then with those effects that came near.
     for _ in range(s.projector.data.settings.sweeps):
-        before, part = part, part and _proven(part.search, seed, None)
+        before, part = part, part and _proven(part.search, seed, None, exact)
         if before is None or part is None or part.remainder > before.remainder - LEAST_GAP:
             break
-    last = part and _proven(part.search, seed, part.near)
+    last = part and _proven(part.search, seed, part.near, exact)
     if last is not None and last.remainder > 1.0 - s.projector.data.settings.mostly_closed:
         last = _where_they_act(last, seed)
     return last and replace(last, search=with_white_noise(last.search))
@@ -120,8 +121,8 @@ def _where_they_act(part: InPart, seed: int) -> InPart:
     return part if again is None or (not again.groups and again.remainder > 1.0 - mostly) else again
 
 
-def _proven(s: Search, seed: int, among: frozenset[str] | None) -> InPart | None:
-    """Effects chosen by columns about the best attempt, of all or some of the library, and fitted exactly."""
+def _proven(s: Search, seed: int, among: frozenset[str] | None, exact: Sequence[tuple[Term, Linearisation]] = ()) -> InPart | None:
+    """Effects chosen by columns about the best attempt, of all or some of the library and ``exact``, and fitted exactly."""
     left = tuple(left_by(s.projector.data, f) for f in (s.base, s.best))
     data, known, attempt = scaled(s.projector.data, left[1]), len(s.base.terms), s.best.terms
     found = {t.effect.spec for t in attempt}
@@ -131,7 +132,7 @@ def _proven(s: Search, seed: int, among: frozenset[str] | None) -> InPart | None
         # Whether its values make it another effect only an exact fit tells, as the search makes them.
         and (not x[0].effect.may_be_another or x[0].effect.spec in found)
     ]  # fmt: skip
-    library += [x for x in _exact(s) if among is None or x[0].effect.spec in among]
+    library += [x for x in exact if x[0].effect.spec not in found and (among is None or x[0].effect.spec in among)]
     sums = held_out_sums(data, s.projector.root, s.best, [t for t, _ in library], np.sqrt(left[1] / left[0]))
     settings = data.settings
     choice = Choice(
@@ -186,9 +187,10 @@ def _exact(s: Search) -> Iterator[tuple[Term, Linearisation]]:
         if effect in taken or not (effect.may_be_another and linear.any() and effect.sought(around)):
             continue
         held = (*users, *(t for t in s.best.terms[len(users) :] if not effect.excludes(t.effect)))
-        without = fit(s.projector, held, s.best)
+        steps = data.settings.exchange_steps
+        without = fit(s.projector, held, s.best, steps)
         proposals = make_library(s.projector, s.base, without, [effect]).propose(without)
-        fits = [fit(s.projector, (*held, t), without) for p in proposals for t in (p.term, *p.others)]
+        fits = [fit(s.projector, (*held, t), without, steps) for p in proposals for t in (p.term, *p.others)]
         top = max(fits, key=lambda f: f.score, default=None)
         if top is not None and np.isfinite(top.score):
             at = np.array(top.terms[-1].values)
