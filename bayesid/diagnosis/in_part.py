@@ -24,6 +24,9 @@ from bayesid.diagnosis.significance import distance, stands_out
 from bayesid.diagnosis.white_noise import noise_share, with_white_noise
 from bayesid.effects import Effect, Linearisation, Term
 
+#: An effect at the values where its columns are taken, and how amplitudes become values.
+_Candidate = tuple[Term, Linearisation]
+
 
 @dataclass(frozen=True)
 class Share:
@@ -121,7 +124,7 @@ def _where_they_act(part: InPart, seed: int) -> InPart:
     return part if again is None or (not again.groups and again.remainder > 1.0 - mostly) else again
 
 
-def _proven(s: Search, seed: int, among: frozenset[str] | None, exact: Sequence[tuple[Term, Linearisation]] = ()) -> InPart | None:
+def _proven(s: Search, seed: int, among: frozenset[str] | None, exact: Sequence[_Candidate] = ()) -> InPart | None:
     """Effects chosen by columns about the best attempt, of all or some of the library and ``exact``, and fitted exactly."""
     left = tuple(left_by(s.projector.data, f) for f in (s.base, s.best))
     data, known, attempt = scaled(s.projector.data, left[1]), len(s.base.terms), s.best.terms
@@ -178,7 +181,7 @@ def _proven(s: Search, seed: int, among: frozenset[str] | None, exact: Sequence[
     return _concluded(s, choice, kept, model, rivals, before)
 
 
-def _exact(s: Search) -> Iterator[tuple[Term, Linearisation]]:
+def _exact(s: Search) -> Iterator[_Candidate]:
     """Effects that may be no more than another one, at the shapes that fit exactly beside those of the best attempt."""
     data, around = s.projector.data, surroundings(s.projector.data)
     users, taken = s.best.terms[: len(s.base.terms)], {t.effect for t in s.best.terms}
