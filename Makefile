@@ -27,11 +27,13 @@ demo: $(READY)
 
 # A process a core, each with one thread: threads of two processes would wait for each other. A module stays in one process,
 # so that what its tests share is made once.
+PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
+
 test: $(READY)
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
+	$(PYTEST)
 
 test-slow: $(READY)
-	$(BIN)/python -m pytest -m slow
+	$(PYTEST) -m slow
 
 bench: $(READY) $(FIGAROH)/ready $(NUMPYRO)/ready
 	$(BIN)/python tests/benchmarks/run.py
