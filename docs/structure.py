@@ -22,10 +22,8 @@ from matplotlib.patches import FancyArrowPatch, FancyBboxPatch
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-DOCS = Path(__file__).resolve().parent
-ROOT = DOCS.parent
-sys.path.append(str(ROOT))
-from tests.studies.page import fill  # noqa: E402
+sys.path.append(str(Path(__file__).resolve().parents[1]))
+from tests.studies.page import fill
 
 PAGE, PICTURE = DOCS / "architecture.md", DOCS / "structure.svg"
 SHOWN_MODULES = 8

@@ -25,7 +25,7 @@ from bayesid.diagnosis.surroundings import joint_inertia, mean_places, moving
 from bayesid.effects import Effect, ExternalContact, Linearisation, Surroundings, Term
 
 #: Derivatives are exact to this share of the readings: 1e-16 over a step of 1e-4, and a hundred times that for a joint's play.
-_ROUNDING = 1e-10
+_DERIVATIVES = 1e-10
 #: By effects: values that are tried (m), and what each changes of whitened rows, links projected out (rows, m).
 _Trials = dict[Effect, tuple[tuple[tuple[float, ...], ...], np.ndarray]]
 
@@ -166,15 +166,20 @@ class Library:
         projector = self.projector
         model = projector.columns(model_rows(projector.data, projector.data.segments, fit.links, fit.terms))
         left = projector.project_out(np.concatenate([fit.residual, -projector.prior_residual(fit.coordinates)]))
-        both = self._span.with_more(model)
+        both = self._span.with_more(model, self._rounding)
         return both.project_out(left)[: projector.length], both.rank
 
     @cached_property
     def _span(self) -> Span:
         """What all columns together explain."""
         columns = np.hstack([np.zeros((len(self.projector.q), 0)), *(b.rows for b in self.blocks)])
-        size = np.sqrt(sum(np.sum(s.whiten(s.measured_readings) ** 2) for s in self.projector.data.segments))
-        return Span.of(columns, rounding=_ROUNDING * size)
+        return Span.of(columns, rounding=self._rounding)
+
+    @cached_property
+    def _rounding(self) -> float:
+        """How exact a derivative is, in whitened rows."""
+        segments = self.projector.data.segments
+        return _DERIVATIVES * float(np.sqrt(sum(np.sum(s.whiten(s.measured_readings) ** 2) for s in segments)))
 
     def _tried(self, fit: Fit, taken: set[str], changes_of: _Trials) -> Iterator[tuple[Term, float]]:
         """Effects with the best of the values that are tried exactly: no small amplitude stands for them."""
@@ -244,7 +249,7 @@ def make_library(
     """
     data, at = projector.data, found or base
     around = surroundings(data)
-    effects = _everywhere(data) if effects is None else tuple(effects)
+    effects = everywhere(data) if effects is None else tuple(effects)
     found_, rows = [], []
     for effect in effects:
         for about in effect.linearisations(around) if effect.sought(around) else ():
@@ -266,13 +271,13 @@ def column_terms(data: DiagnosisData) -> list[tuple[Term, Linearisation]]:
     around, users = surroundings(data), {t.effect.spec for t in data.terms}
     return [
         (Term(effect, tuple(map(float, about.at))), about)
-        for effect in _everywhere(data)
+        for effect in everywhere(data)
         if effect.spec not in users and effect.sought(around)
         for about in effect.linearisations(around)
     ]
 
 
-def _everywhere(data: DiagnosisData) -> tuple[Effect, ...]:
+def everywhere(data: DiagnosisData) -> tuple[Effect, ...]:
     """Every effect that acts on the channels compared, at every place."""
     return tuple(effect for name in data.experiment.library.classes for effect in data.places(name))
 

@@ -90,7 +90,7 @@ class Choice:
 
     def with_one_more(self, kept: list[int], others: Sequence[int], possible: Possible, before: np.ndarray) -> list[int] | None:
         """The effect added that the data demand most, if held-out recordings confirm it."""
-        open_ = self.beside(kept, others)
+        open_ = [k for k in self.beside(kept, others) if not self._contains_others(k)]
         if not open_:
             return None
         gains = self.sums.evidence([*self.users, *kept], open_)
@@ -106,7 +106,8 @@ class Choice:
     def with_one_instead(self, kept: list[int], others: Sequence[int], possible: Possible, before: np.ndarray) -> list[int]:
         """An effect in place of those that it excludes, where the data demand it most and held-out recordings confirm it.
 
-        Of one of these, if it explains more than that one does: otherwise it is a rival, see `replaced`.
+        In place of a single one only where it contains that one (`Effect.comes_after`), as coupled friction contains friction of
+        its joint; other exchanges of one for one are `replaced`.
         """
         cost, now, best = self.sums.cost([*self.users, *kept]), self.squares(kept), (self.settings.accept, kept)
         for k in others:
@@ -119,6 +120,11 @@ class Choice:
             if gain >= best[0] and possible(more, k) and self.proof(now, self.squares(more), before) > 0.0:
                 best = gain, more
         return best[1]
+
+    def _contains_others(self, index: int) -> bool:
+        """Whether an effect contains others that may be kept instead; only `with_one_instead` weighs it against all of these."""
+        own, others = self.effects[index], (e for k, e in enumerate(self.effects) if k not in self.users)
+        return any(own.comes_after(other) and own.excludes(other) for other in others)
 
     def price_of(self, effects: Sequence[int]) -> float:
         """Log evidence that the parameters of effects cost."""
@@ -192,7 +198,8 @@ class Choice:
         """
         for k in list(kept):
             size, without = len(self.effects[k].parameters), self.squares([x for x in kept if x != k])
-            for other, lack in self.rivals(kept, k, others, possible, 0.0):
+            plain = [x for x in others if not self._contains_others(x)]
+            for other, lack in self.rivals(kept, k, plain, possible, 0.0):
                 if lack < -self.settings.rival or len(self.effects[other].parameters) <= size:
                     changed = [other if x == k else x for x in kept]
                     if self.proof(without, self.squares(changed), before) > 0.0:

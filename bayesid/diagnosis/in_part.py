@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bayesid.diagnosis.candidates import column_terms, make_library, surroundings
+from bayesid.diagnosis.candidates import column_terms, everywhere, make_library, surroundings
 from bayesid.diagnosis.channel_groups import ChannelGroup, channel_groups
 from bayesid.diagnosis.choice import LEAST_GAP, Choice
 from bayesid.diagnosis.fit import begin, finish, fit, is_another
@@ -99,8 +99,13 @@ def proven_effects(s: Search, seed: int) -> InPart | None:
     # Values have moved since the columns were taken, and the less is left, the smaller the effects that stand out of it: anew
     # about what was found, until no more comes of it, and then with those effects that came near.
     for _ in range(s.projector.data.settings.sweeps):
-        before, part = part, part and _proven(part.search, seed, None, exact)
-        if before is None or part is None or part.remainder > before.remainder - LEAST_GAP:
+        again = part and _proven(part.search, seed, None, exact)
+        if part is None or again is None:
+            part = again  # what was proven does not stand alone
+            break
+        better = part.remainder - again.remainder
+        part = again if better > 0.0 else part
+        if better <= LEAST_GAP:
             break
     last = part and _proven(part.search, seed, part.near, exact)
     if last is not None and last.remainder > 1.0 - s.projector.data.settings.mostly_closed:
@@ -185,16 +190,17 @@ def _exact(s: Search) -> Iterator[_Candidate]:
     """Effects that may be no more than another one, at the shapes that fit exactly beside those of the best attempt."""
     data, around = s.projector.data, surroundings(s.projector.data)
     users, taken = s.best.terms[: len(s.base.terms)], {t.effect for t in s.best.terms}
-    for effect in (e for name in data.experiment.library.classes for e in data.places(name)):
+    for effect in everywhere(data):
         linear = np.array([p.linear for p in effect.quantities])
-        if effect in taken or not (effect.may_be_another and linear.any() and effect.sought(around)):
+        if effect in taken or not (_confirmable(effect) and effect.may_be_another and linear.any() and effect.sought(around)):
             continue
         held = (*users, *(t for t in s.best.terms[len(users) :] if not effect.excludes(t.effect)))
         steps = data.settings.exchange_steps
         without = fit(s.projector, held, s.best, steps)
         proposals = make_library(s.projector, s.base, without, [effect]).propose(without)
         fits = [fit(s.projector, (*held, t), without, steps) for p in proposals for t in (p.term, *p.others)]
-        top = max(fits, key=lambda f: f.score, default=None)
+        best = max(fits, key=lambda f: f.score, default=None)
+        top = best and fit(s.projector, best.terms, best)
         if top is not None and np.isfinite(top.score):
             at = np.array(top.terms[-1].values)
             yield top.terms[-1], Linearisation(

@@ -37,7 +37,7 @@ class Span:
         columns, least
             The columns and the share.
         rounding
-            How long a column may be that is but rounding; and so much of all others may be. It makes no direction.
+            Absolute error of every column, in the unit of the columns; directions no longer than this are left out.
         """
         length = np.linalg.norm(columns, axis=0)
         there = np.flatnonzero(length > 0.0)
@@ -45,7 +45,7 @@ class Span:
         root = np.zeros((columns.shape[1], 0))
         if len(there):
             _, s, vt = np.linalg.svd(np.linalg.qr(columns[:, there] / length[there], mode="r"))
-            keep = s > least * s[0]
+            keep = s > least * max(s[0], float(rounding > 0.0))
             root = np.zeros((columns.shape[1], int(keep.sum())))
             root[there] = (vt[: len(s)][keep] / s[keep, None]).T / length[there, None]
         return cls(columns, root)
@@ -64,10 +64,10 @@ class Span:
         left = values - self.columns @ (self.root @ self.along(values))
         return self.more.project_out(left) if self.more else left
 
-    def with_more(self, columns: np.ndarray) -> Span:
-        """The space with further columns (rows, k) in it."""
+    def with_more(self, columns: np.ndarray, rounding: float = 0.0) -> Span:
+        """The space with further columns (rows, k) in it; ``rounding`` as for `of`."""
         length = np.linalg.norm(columns, axis=0)
-        units = columns[:, length > 0.0] / length[length > 0.0]
+        units = columns[:, length > 0.0] / np.maximum(length[length > 0.0], rounding / _LEAST)
         left = self.project_out(self.project_out(units))
         # Of what is explained already only rounding is left.
         new = np.linalg.norm(left, axis=0) > _LEAST

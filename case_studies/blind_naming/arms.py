@@ -16,7 +16,7 @@ import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests"))
-import robots  # noqa: E402
+import robots
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
 

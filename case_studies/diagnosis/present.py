@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 sys.path.append(str(Path(__file__).parents[2]))
-from tests.studies.page import BLUE, GREEN, GREY, ORANGE, STYLE, fill, plain, table  # noqa: E402, F401
+from tests.studies.page import BLUE, GREEN, GREY, ORANGE, STYLE, fill, plain, table
 
 ROBOTS = {"kuka-lwr4": "KUKA LWR4+", "ur10": "UR10"}
 MODELS = {"rigid": "rigid bodies", "friction": "friction and offsets known"}

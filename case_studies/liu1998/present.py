@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 sys.path.append(str(Path(__file__).parents[2]))
-from tests.studies.page import BLUE, GREY, ORANGE, STYLE, fill, plain, table  # noqa: E402, F401
+from tests.studies.page import BLUE, GREY, ORANGE, STYLE, fill, plain, table
 
 
 def tables(results: dict) -> dict[str, str]:

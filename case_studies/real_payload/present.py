@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 sys.path.append(str(Path(__file__).parents[2]))
-from tests.studies.page import BLUE, GREEN, GREY, ORANGE, STYLE, fill, plain, table  # noqa: E402, F401
+from tests.studies.page import BLUE, GREEN, GREY, ORANGE, STYLE, fill, plain, table
 
 TRUTH = 2.805  # kg, weighed by those who recorded it
 

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 import bayesid.design.bounds.bands as bands
 
 sys.path.append(str(Path(__file__).parents[2]))
-from tests.studies.page import BLUE, GREEN, GREY, ORANGE, STYLE, fill, plain, table  # noqa: E402, F401
+from tests.studies.page import BLUE, GREEN, GREY, ORANGE, STYLE, fill, plain, table
 
 COLOURS = {
     "computed torque, drawing": ORANGE, "computed torque, identified": GREY, "robust, ellipsoid": BLUE, "robust, ball": GREEN,

@@ -19,9 +19,8 @@ import bayesid
 from bayesid.robot.examples import puma560_urdf
 from bayesid.robot.robot import load_robot
 
-ROOT = Path(__file__).resolve().parent.parent.parent
-sys.path.insert(0, str(ROOT))
-from tests.studies.page import DOCS, write_page  # noqa: E402
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+from tests.studies.page import DOCS, write_page
 
 PAGE = """\
 # How long a diagnosis takes

@@ -41,22 +41,22 @@ from numpy.typing import NDArray
 
 try:
     # ruff: isort: off
-    from figaroh.identification.base_identification import (  # pyright: ignore[reportMissingImports]
+    from figaroh.identification.base_identification import (
         BaseIdentification,
     )
-    from figaroh.identification.identification_tools import (  # pyright: ignore[reportMissingImports]
+    from figaroh.identification.identification_tools import (
         get_standard_parameters,
         relative_stdev,
     )
-    from figaroh.tools.qrdecomposition import QRDecomposer  # pyright: ignore[reportMissingImports]
-    from figaroh.tools.regressor import (  # pyright: ignore[reportMissingImports]
+    from figaroh.tools.qrdecomposition import QRDecomposer
+    from figaroh.tools.regressor import (
         RegressorBuilder,
         RegressorConfig,
         build_regressor_reduced,
         get_index_eliminate,
     )
-    from figaroh.tools.robot import create_robot  # pyright: ignore[reportMissingImports]
-    from figaroh.tools.solver import LinearSolver  # pyright: ignore[reportMissingImports]
+    from figaroh.tools.robot import create_robot
+    from figaroh.tools.solver import LinearSolver
     # ruff: isort: on
 except ModuleNotFoundError as error:
     sys.exit(

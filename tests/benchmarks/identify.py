@@ -20,15 +20,15 @@ from pathlib import Path
 
 import numpy as np
 
-HERE = Path(__file__).resolve().parent
-sys.path[:0] = [str(HERE.parent.parent), str(HERE)]
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-import bayesid  # noqa: E402
-from bayesid.recordings.experiment import Experiment, Motion, Sensor  # noqa: E402
-from bayesid.recordings.table import Table  # noqa: E402
-from bayesid.robot.robot import load_robot  # noqa: E402
-from bayesid.validation.prediction import relative_error  # noqa: E402
-from tests.studies.page import DOCS, write_numbers, write_page  # noqa: E402
+import bayesid
+from bayesid.recordings.experiment import Experiment, Motion, Sensor
+from bayesid.recordings.table import Table
+from bayesid.robot.robot import load_robot
+from bayesid.validation.prediction import relative_error
+from tests.studies.page import DOCS, write_numbers, write_page
 
 FITTED, VALIDATED = 100_000, 20_000
 PAGE = """\

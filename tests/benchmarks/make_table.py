@@ -7,8 +7,6 @@ samples are one period of Pinocchio's ``rnea``, repeated; the noise is fresh eve
 """
 
 # Pinocchio's names come from its compiled module.
-# pyright: reportAttributeAccessIssue=false
-
 import argparse
 from pathlib import Path
 
@@ -109,7 +107,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     table = make_table(options.urdf, options.samples, options.seed)
-    np.savez(options.output, **table)  # pyright: ignore[reportArgumentType]
+    np.savez(options.output, **table)
 
 
 if __name__ == "__main__":

@@ -16,11 +16,11 @@ import jax
 
 jax.config.update("jax_enable_x64", True)
 
-import jax.numpy as jnp  # noqa: E402
-import numpy as np  # noqa: E402
-import numpyro  # noqa: E402
-import numpyro.distributions as dist  # noqa: E402
-from numpyro.infer import NUTS  # noqa: E402
+import jax.numpy as jnp
+import numpy as np
+import numpyro
+import numpyro.distributions as dist
+from numpyro.infer import NUTS
 
 ROW = np.array([0, 0, 0, 0, 1, 1, 1, 2, 2, 3])
 COLUMN = np.array([0, 1, 2, 3, 1, 2, 3, 2, 3, 3])

@@ -19,16 +19,15 @@ from pathlib import Path
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-ROOT = Path(__file__).resolve().parent.parent.parent
-sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from bayesid.estimators import Bounds  # noqa: E402
-from bayesid.estimators.conic.data import LinkData  # noqa: E402
-from bayesid.estimators.conic.prior_strength import link_prior  # noqa: E402
-from bayesid.estimators.conic.region import conic  # noqa: E402
-from bayesid.estimators.conic.solver import solve_conic  # noqa: E402
-from tests.estimators.test_physical import by_cvxpy  # noqa: E402
-from tests.physical_cases import arm, flat_bodies  # noqa: E402
+from bayesid.estimators import Bounds
+from bayesid.estimators.conic.data import LinkData
+from bayesid.estimators.conic.prior_strength import link_prior
+from bayesid.estimators.conic.region import conic
+from bayesid.estimators.conic.solver import solve_conic
+from tests.estimators.test_physical import by_cvxpy
+from tests.physical_cases import arm, flat_bodies
 
 
 def clock(work):

@@ -6,8 +6,6 @@ to 5 are the base wrench. Nothing is stored, filtered or solved.
 """
 
 # Pinocchio's names come from its compiled module.
-# pyright: reportAttributeAccessIssue=false
-
 import argparse
 import json
 import statistics

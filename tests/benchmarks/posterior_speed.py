@@ -26,21 +26,20 @@ from textwrap import wrap
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-HERE = Path(__file__).resolve().parent
-ROOT = HERE.parent.parent
-sys.path[:0] = [str(ROOT), str(HERE.parent)]
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 NUMPYRO = ROOT / ".venv-numpyro" / "bin" / "python"
 
-import bayesid  # noqa: E402
-from bayesid.posterior import Likelihood, PosteriorModel, choose_engine, coordinates  # noqa: E402
-from bayesid.posterior.diagnostics import convergence  # noqa: E402
-from bayesid.posterior.ensemble import Ensemble  # noqa: E402
-from bayesid.recordings.experiment import Motion, Sensor  # noqa: E402
-from bayesid.regression.options import FitOptions  # noqa: E402
-from bayesid.regression.problem import prepare  # noqa: E402
-from bayesid.robot.prior import Prior  # noqa: E402
-from bayesid.robot.robot import load_robot  # noqa: E402
-from bayesid.simulation.simulation import perturbed_links  # noqa: E402
+import bayesid
+from bayesid.posterior import Likelihood, PosteriorModel, choose_engine, coordinates
+from bayesid.posterior.diagnostics import convergence
+from bayesid.posterior.ensemble import Ensemble
+from bayesid.recordings.experiment import Motion, Sensor
+from bayesid.regression.options import FitOptions
+from bayesid.regression.problem import prepare
+from bayesid.robot.prior import Prior
+from bayesid.robot.robot import load_robot
+from bayesid.simulation.simulation import perturbed_links
 
 TRUST = 0.3
 CHAINS, CHAINS_NUTS = 4, 2

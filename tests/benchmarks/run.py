@@ -17,11 +17,10 @@ import sys
 import tempfile
 from pathlib import Path
 
-HERE = Path(__file__).resolve().parent
-ROOT = HERE.parent.parent
-sys.path[:0] = [str(ROOT), str(HERE)]
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from tests.robots import ur5  # noqa: E402 -- here, so that a script that cannot start says so at once
+from tests.robots import ur5
 
 FIGAROH = ROOT / ".venv-figaroh" / "bin" / "python"
 

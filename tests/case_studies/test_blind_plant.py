@@ -11,12 +11,12 @@ import pytest
 import bayesid
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "case_studies" / "blind_naming"))
-import arms  # noqa: E402
-import cases  # noqa: E402
-import make  # noqa: E402
-import plant  # noqa: E402
-import practice  # noqa: E402
-from plant import Effect, Motion, Sensor, respond  # noqa: E402
+import arms
+import cases
+import make
+import plant
+import practice
+from plant import Effect, Motion, Sensor, respond
 
 
 @pytest.fixture(scope="module")

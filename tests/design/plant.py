@@ -1,7 +1,5 @@
 """Readings of planned motions from Pinocchio's inverse dynamics, for tests of what is expected of them."""
 
-# pyright: reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Classes and ranks against the null space of Pinocchio's own regressors, advice against motions that follow it."""
 
-# pyright: reportAttributeAccessIssue=false
-
 import json
 from dataclasses import replace
 

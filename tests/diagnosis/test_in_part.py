@@ -16,8 +16,8 @@ from bayesid.diagnosis.channel_groups import ChannelGroup, _together
 from bayesid.diagnosis.choice import Choice
 from bayesid.diagnosis.fit import fit
 from bayesid.diagnosis.held_out import HeldOutSums, held_out_sums, left_by, scaled
-from bayesid.diagnosis.in_part import InPart
-from bayesid.diagnosis.prepare import prepare_data
+from bayesid.diagnosis.in_part import InPart, _exact
+from bayesid.diagnosis.prepare import known_terms, prepare_data
 from bayesid.diagnosis.projector import make_projector
 from bayesid.diagnosis.remarks import remarks
 from bayesid.diagnosis.rows import model_rows, residual_rows
@@ -245,19 +245,47 @@ COUPLED = tuple(
 )  # fmt: skip
 
 
-@pytest.mark.parametrize(("kept", "gain", "then"), [
-    ([0, 1, 2], 13.0, [0, 3]), ([0, 1, 2], 11.0, [0, 1, 2]), ([0, 1], 13.0, [0, 3]), ([0], 30.0, [0]), ([0, 3], 30.0, [0, 3]),
+@pytest.mark.parametrize(("kept", "gain", "confirmed", "then"), [
+    ([0, 1, 2], 13.0, True, [0, 3]), ([0, 1, 2], 11.0, True, [0, 1, 2]), ([0, 1, 2], 13.0, False, [0, 1, 2]),
+    ([0, 1], 13.0, True, [0, 3]), ([0], 30.0, True, [0]), ([0, 3], 30.0, True, [0, 3]),
 ])  # fmt: skip
-def test_an_effect_takes_the_place_of_those_that_it_excludes(kept, gain, then):
+def test_an_effect_takes_the_place_of_those_that_it_excludes(kept, gain, confirmed, then):
     """Coupled friction for all friction of the joint whose motor it is, if it adds what any effect must; not for nothing."""
     sums = SimpleNamespace(
         cost=lambda effects: -2.0 * (gain + 6.0 if 3 in effects else 6.0 * len(set(effects) & {1, 2})),
         price=lambda _: 6.0,
-        squares=lambda effects: np.array([-float(3 in effects)]),
+        squares=lambda effects: np.array([-float(confirmed and 3 in effects)]),
     )
     choice = _Told(cast(HeldOutSums, sums), COUPLED, (), 0.0, DEFAULT, 0)
     assert sorted(choice.with_one_instead(kept, [3], lambda *_: True, np.zeros(1))) == then
     assert choice.with_one_instead(kept, [3], lambda *_: False, np.zeros(1)) == kept
+
+
+def test_an_effect_that_contains_others_is_neither_added_nor_exchanged_for_one_of_them():
+    """Coupled friction explains more than viscous friction of its joint alone: Coulomb friction has to have its chance."""
+    gains = {0: 0.0, 1: 60.0, 2: 15.0, 3: 83.0}
+    sums = SimpleNamespace(
+        evidence=lambda _, others: np.array([gains[k] for k in others]), squares=lambda kept: np.array([-float(len(kept))]),
+        price=lambda _: 0.0, cost=lambda kept: -2.0 * sum(gains[k] for k in kept),
+    )  # fmt: skip
+    choice = _Told(cast(HeldOutSums, sums), COUPLED, (), 0.0, DEFAULT, 0)
+    assert choice.with_one_more([], range(4), lambda *_: True, np.zeros(1)) == [1]
+    assert choice.replaced([1], [0, 2, 3], lambda *_: True, np.zeros(1)) == [1]
+    beside_users = replace(choice, users=(1, 2))  # what the user's model has stays beside it
+    assert beside_users.with_one_more([], [0, 3], lambda *_: True, np.zeros(1)) == [3]
+
+
+def test_a_gear_is_found_exactly_where_there_is_one(diagnosis):
+    """Of a motor that the first joint turns, too; none where friction is of each joint alone."""
+    assert list(_exact(diagnosis.search)) == []
+    arm = replace(diagnosis.data.experiment, motions=())
+    values = {"coupling": 0.7, "viscous": 5.0, "coulomb": 3.0, "inertia": 0.1}
+    motions = [fourier_trajectory(arm.robot, seed=1, duration=10.0, rate=100.0)]
+    recorded = simulate(arm, motions, effects={"coupled_friction@joint1->joint2": values}, perturb=0.05, seed=3)
+    found = diagnose(recorded).search
+    ((term, about),) = _exact(replace(found, best=found.base))
+    assert term.values[0] == pytest.approx(0.7, abs=0.05)
+    np.testing.assert_allclose(about.to_values(np.array([9.0, 1.0, 2.0, 3.0])), [term.values[0], 1.0, 2.0, 3.0])
 
 
 @pytest.mark.parametrize(("confirmed", "then"), [(True, [1]), (False, [0])])
@@ -273,7 +301,8 @@ def test_an_effect_is_exchanged_for_a_better_one_only_if_held_out_recordings_con
     assert choice.replaced([0], [1], lambda *_: True, np.zeros(1)) == then
 
 
-def test_a_derivative_that_is_but_rounding_is_no_direction(tmp_path):
+@pytest.mark.parametrize("effects", [(), ("encoder_offset@joint1",)])
+def test_a_derivative_that_is_but_rounding_is_no_direction(effects, tmp_path):
     """As that of a wrong zero of a joint whose axis is vertical: the richest model leaves the same of the same readings."""
     arm = Experiment("arm", load_robot(write(tmp_path, ur5())), (), None, inertia_rel_std=0.05, position_resolution=1e-5)
     recorded = simulate(arm, [fourier_trajectory(arm.robot, seed=1, duration=8.0, rate=100.0)], perturb=0.05, seed=3)
@@ -282,10 +311,11 @@ def test_a_derivative_that_is_but_rounding_is_no_direction(tmp_path):
         noise = 1.0 + 1e-14 * np.random.default_rng(seed).normal(size=recorded.motions[0].table.torques.shape)
         (motion,) = recorded.motions
         table = replace(motion.table, torques=motion.table.torques * noise)
-        again = replace(recorded, motions=(replace(motion, table=table),))
-        data = prepare_data(again, "torque", (), None, 0, frozenset(), DEFAULT)
-        projector = make_projector(data, ())
-        base = fit(projector, ())
+        again = replace(recorded, motions=(replace(motion, table=table),), effects=effects)
+        terms, held = known_terms(again, "torque", effects)
+        data = prepare_data(again, "torque", terms, None, 0, held, DEFAULT)
+        projector = make_projector(data, data.terms)
+        base = fit(projector, data.terms)
         library = make_library(projector, base)
         rows, directions = library.unexplained(base)
         left.append(rows @ rows / (projector.rows - directions))

@@ -54,5 +54,7 @@ def test_columns_that_are_but_rounding_make_no_direction():
     columns = np.hstack([rng.normal(size=(200, 2)), noise[:, :1], weak])
     assert Span.of(columns).rank == 5
     assert Span.of(columns, rounding=3e-10).rank == 3
+    assert Span.of(noise, rounding=3e-10).rank == 0
+    assert Span.of(columns[:, :2]).with_more(noise, 3e-10).rank == 2
     left = Span.of(columns, rounding=3e-10).project_out(column[:, 0])
     assert np.linalg.norm(left) < 1e-3 * np.linalg.norm(column)

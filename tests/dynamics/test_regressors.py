@@ -1,7 +1,5 @@
 """Regressors against Pinocchio's inverse dynamics, and the momentum form against the dynamics form."""
 
-# pyright: reportAttributeAccessIssue=false
-
 import xml.etree.ElementTree as ET
 
 import numpy as np

@@ -261,7 +261,8 @@ def test_encoder_noise_study(case):
     result = encoder_noise.study(count=48, cases=(case,))["cases"][case]
     fits = result["fits"]
     assert fits["ols"]["bias"] > 6.0 * fits["ols"]["chance"]
-    assert fits["ols"]["coverage"]["lowest"] < 0.1 * result["band"][0]
+    # Its intervals hold the scatter that encoder noise makes, in all parameters, but not the bias, in some.
+    assert fits["ols"]["coverage"]["mean"] < 0.9 and fits["ols"]["coverage"]["lowest"] < 0.1 * result["band"][0]
     for name in ("tls", "iv, commanded trajectory"):
         # What chance alone would show is not counted as bias.
         assert max(fits[name]["bias"] ** 2 - fits[name]["chance"] ** 2, 0.0) ** 0.5 < 0.2 * fits["ols"]["bias"]

@@ -31,7 +31,7 @@ def noise_free(robot, sensor=SENSOR, **options):
 
 
 @pytest.mark.parametrize("l, d", [(1.0, 50.0), (5.0, 50.0), (20.0, 50.0), (50.0, 100.0)])
-def test_noise_free_puma_predicts_another_motion(l, d, tmp_path):  # noqa: E741
+def test_noise_free_puma_predicts_another_motion(l, d, tmp_path):
     robot = puma2(tmp_path)
     problem = prepare(noise_free(robot), FitOptions(low_pass=LowPass(l, d)))
     estimate = fit(problem.regression, "ols")

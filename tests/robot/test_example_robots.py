@@ -1,6 +1,5 @@
 """The test robots and the example PUMA: they load, are possible bodies, and have the published structure."""
 
-# pyright: reportAttributeAccessIssue=false
 # (Pinocchio publishes its names at run time.)
 
 import xml.etree.ElementTree as ET

@@ -1,7 +1,5 @@
 """Ten parameters: round trips, change of frame against Pinocchio, metric and consistency."""
 
-# pyright: reportAttributeAccessIssue=false
-
 import numpy as np
 import pinocchio as pin
 import pytest

@@ -1,7 +1,5 @@
 """load_robot against Pinocchio: merged and split links, joint order, limits, messages."""
 
-# pyright: reportAttributeAccessIssue=false
-
 import numpy as np
 import pinocchio as pin
 import pytest

@@ -17,7 +17,7 @@ def test_low_pass_equals_the_continuous_filters():
 
 
 @pytest.mark.parametrize("l, d", [(1.0, 50.0), (20.0, 50.0), (50.0, 100.0)])
-def test_filtered_rate_equals_filtered_derivative(l, d):  # noqa: E741
+def test_filtered_rate_equals_filtered_derivative(l, d):
     """Equation 14 of the paper: the derivative under the filter needs no differentiation."""
     times = np.arange(0, 10, 0.001)
     momentum, rate = np.sin(2 * times) + 0.5, 2 * np.cos(2 * times)
@@ -46,6 +46,6 @@ def test_pieces_give_the_same_as_the_whole(cut, seed):
 
 
 @pytest.mark.parametrize("l, d", [(0.0, 50.0), (1.0, -1.0), (np.nan, 50.0), (1.0, np.inf)])
-def test_impossible_bandwidths_are_refused(l, d):  # noqa: E741
+def test_impossible_bandwidths_are_refused(l, d):
     with pytest.raises(InputError, match="low-pass"):
         LowPass(l, d)

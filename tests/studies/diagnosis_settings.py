@@ -21,14 +21,13 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
-ROOT = Path(__file__).resolve().parents[2]
-sys.path.append(str(ROOT / "case_studies" / "blind_naming"))
+sys.path.append(str(Path(__file__).resolve().parents[2] / "case_studies" / "blind_naming"))
 
-from judge import CLAIMS, within  # noqa: E402
+from judge import CLAIMS, within
 
-import bayesid  # noqa: E402
-from bayesid.diagnosis.settings import DEFAULT, Settings  # noqa: E402
-from tests.studies.page import DOCS, write_page  # noqa: E402
+import bayesid
+from bayesid.diagnosis.settings import DEFAULT, Settings
+from tests.studies.page import DOCS, write_page
 
 MOVED = 0.3
 QUICK = ("accept", "unexplained", "race_share", "mostly_closed")

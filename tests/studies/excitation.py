@@ -30,22 +30,21 @@ import numpy as np
 import pandas as pd
 import pinocchio as pin
 
-ROOT = Path(__file__).resolve().parent.parent.parent
-sys.path[:0] = [str(ROOT / "tests")]
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-import bayesid  # noqa: E402
-from bayesid.design.excitation.fit import random_feasible  # noqa: E402
-from bayesid.design.excitation.options import ExcitationOptions  # noqa: E402
-from bayesid.design.excitation.plan import make_task  # noqa: E402
-from bayesid.dynamics.base_parameters import structural_base  # noqa: E402
-from bayesid.dynamics.channels import torque_channels  # noqa: E402
-from bayesid.dynamics.regressors import Kernel  # noqa: E402
-from bayesid.recordings.experiment import Experiment, Motion, Sensor  # noqa: E402
-from bayesid.recordings.table import Table  # noqa: E402
-from bayesid.robot.robot import Robot, load_robot  # noqa: E402
-from bayesid.simulation.trajectories import recorded_trajectories  # noqa: E402
-from tests.robots import ROBOTS, write  # noqa: E402
-from tests.studies import page  # noqa: E402
+import bayesid
+from bayesid.design.excitation.fit import random_feasible
+from bayesid.design.excitation.options import ExcitationOptions
+from bayesid.design.excitation.plan import make_task
+from bayesid.dynamics.base_parameters import structural_base
+from bayesid.dynamics.channels import torque_channels
+from bayesid.dynamics.regressors import Kernel
+from bayesid.recordings.experiment import Experiment, Motion, Sensor
+from bayesid.recordings.table import Table
+from bayesid.robot.robot import Robot, load_robot
+from bayesid.simulation.trajectories import recorded_trajectories
+from tests.robots import ROBOTS, write
+from tests.studies import page
 
 ARMS = ("puma560", "ur5", "panda")
 RANDOM, SEED = 1000, 31_130_000

@@ -20,21 +20,20 @@ from typing import Any
 
 import numpy as np
 
-ROOT = Path(__file__).resolve().parent.parent.parent
-sys.path[:0] = [str(ROOT / "tests")]
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from scipy.stats import binom  # noqa: E402
+from scipy.stats import binom
 
-from bayesid.dynamics.nearest_links import nearest_links  # noqa: E402
-from bayesid.estimators import Physical, fit  # noqa: E402
-from bayesid.regression.options import FitOptions  # noqa: E402
-from bayesid.regression.problem import prepare  # noqa: E402
-from bayesid.robot.inertia import from_mass_com_inertia, is_physically_consistent  # noqa: E402
-from bayesid.robot.robot import load_robot  # noqa: E402
-from bayesid.simulation.simulation import perturbed_links  # noqa: E402
-from tests.robots import ROBOTS, write  # noqa: E402
-from tests.simulated import Motion, experiment, fourier, recording  # noqa: E402
-from tests.studies import page  # noqa: E402
+from bayesid.dynamics.nearest_links import nearest_links
+from bayesid.estimators import Physical, fit
+from bayesid.regression.options import FitOptions
+from bayesid.regression.problem import prepare
+from bayesid.robot.inertia import from_mass_com_inertia, is_physically_consistent
+from bayesid.robot.robot import load_robot
+from bayesid.simulation.simulation import perturbed_links
+from tests.robots import ROBOTS, write
+from tests.simulated import Motion, experiment, fourier, recording
+from tests.studies import page
 
 #: Arm, noise [N m], spread of the links about the nominal ones, which links have no extent.
 CASES = (

@@ -162,7 +162,7 @@ def test_every_parameter_is_covered_by_intervals_hardly_wider_than_need_be(full,
     for fit in JUDGED:
         assert low <= min(arm["fits"][fit]["coverage"]), fit
         # Wider than need be by a tenth at most: one complete model in twenty seems to scatter beyond its noise by chance.
-        assert 0.9 < np.mean(arm["fits"][fit]["z_std"]) < 1.05, fit
+        assert 0.9 < min(arm["fits"][fit]["z_std"]) and np.mean(arm["fits"][fit]["z_std"]) < 1.05, fit
     assert max(arm["fits"]["default"]["coverage"]) <= high
     assert max(arm["fits"][CONTROL]["coverage"]) < 0.5
 
