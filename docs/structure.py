@@ -25,6 +25,8 @@ from scipy.sparse.csgraph import connected_components
 sys.path.append(str(Path(__file__).resolve().parents[1]))
 from tests.studies.page import fill
 
+DOCS = Path(__file__).resolve().parent
+ROOT = DOCS.parent
 PAGE, PICTURE = DOCS / "architecture.md", DOCS / "structure.svg"
 SHOWN_MODULES = 8
 

@@ -76,7 +76,7 @@ def model_options(command):
     return command
 
 
-def low_pass(l: float | None, d: float | None) -> LowPass | None:  # noqa: E741
+def low_pass(l: float | None, d: float | None) -> LowPass | None:
     """The paper's filters, or None where neither option is given."""
     from bayesid.signals.filters import LowPass
 

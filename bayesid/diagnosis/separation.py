@@ -76,7 +76,8 @@ def visible(library: Library) -> tuple[Visible, ...]:
         usual = np.array(block.effect.typical(robot), float)
         by = int(np.flatnonzero(usual)[0]) if usual.any() else 0
         size = abs(float(usual[by]))
-        nearest = max((i for i, s in enumerate(specs) if s != specs[k]), key=lambda i: whole[i, k], default=None)  # noqa: B023
+        others = [i for i, s in enumerate(specs) if s != specs[k]]
+        nearest = others[int(np.argmax(whole[others, k]))] if others else None
         share = 0.0 if nearest is None else float(np.clip(whole[nearest, k], 0.0, 1.0))
         seen = detected / float(lengths[k]) * size if lengths[k] > 0 and size > 0 else None
         seen = None if seen is None or seen > _ABSURD * size else seen

@@ -121,7 +121,10 @@ class Segment:
         if self.still or self.instant:
             return _transform(samples, self._scene_weight[:, channels], len(self.frequencies)) * scale
         fading = self._fading
-        wide = lambda x: x.reshape(x.shape + (1,) * (samples.ndim - x.ndim))  # noqa: E731
+
+        def wide(x: np.ndarray) -> np.ndarray:
+            return x.reshape(x.shape + (1,) * (samples.ndim - x.ndim))
+
         weighted = samples * wide(self._scene_weight[:, channels])
         rate = samples[fading.after] - samples[fading.before]
         weighted[fading.at] -= wide(fading.rates[:, channels]) * rate + wide(fading.values[:, channels]) * samples[fading.at]

@@ -110,7 +110,8 @@ def variable(readout: Readout, name: str) -> np.ndarray:
         return readout.segment.times
     if _is_reading(name):
         return readout.true[:, readout.names.index(name)]
-    kind, number = _OF_JOINT.fullmatch(name).groups()  # pyright: ignore[reportOptionalMemberAccess]
+    kind = name.rstrip("0123456789")
+    number = name.removeprefix(kind)
     q, v, a = (x[:, int(number) - 1] for x in (readout.positions, readout.velocities, readout.accelerations))
     return {"q": q, "v": v, "a": a}[kind] if kind != "dir" else direction(v, a, readout.segment.cell)
 
@@ -178,7 +179,7 @@ def expression_effect(name: str, table: Mapping[str, Any], joints: int, source: 
     linear = _linear(list(stated), formulas.values())
     torque = [r for r in formulas if r.startswith("tau")]
     own_joint = len(formulas) == len(torque) == 1
-    number = _OF_JOINT.fullmatch(torque[0])[2] if own_joint else None  # pyright: ignore[reportOptionalSubscript]
+    number = torque[0].removeprefix("tau") if own_joint else ""
     said = " and ".join(f"{reading} + {f.text.strip()}" for reading, f in formulas.items())
     body = {
         "name": name,

@@ -222,9 +222,12 @@ class LoadEffect(Effect):
 
     def load_columns(self, robot: Robot, segment: MotionSegment, states: np.ndarray, values: Sequence[float]) -> Loads:
         """Derivatives of `loads` with respect to the parameters, (N, 6, k) each; a class may have them in closed form."""
-        wrenches = lambda v: [wrench for _, wrench in self.loads(robot, segment, states, v)]  # noqa: E731
+
+        def wrenches(v: Sequence[float]) -> np.ndarray:
+            return np.stack([wrench for _, wrench in self.loads(robot, segment, states, v)])
+
         bodies = [body for body, _ in self.loads(robot, segment, states, values)]
-        return list(zip(bodies, differences(self, values, lambda v: np.stack(wrenches(v))), strict=True)) if bodies else []
+        return list(zip(bodies, differences(self, values, wrenches), strict=True)) if bodies else []
 
 
 class RotorEffect(Effect):

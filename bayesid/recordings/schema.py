@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from pathlib import Path, PurePosixPath, PureWindowsPath
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tomli_w
 from pydantic import AfterValidator, ConfigDict, Field
@@ -74,7 +74,8 @@ class EffectValues(Section):
     """``[model.values."effect@where"]``: starting values by parameter name; ``fixed`` keeps them."""
 
     model_config = ConfigDict(extra="allow", strict=True, frozen=True, allow_inf_nan=False)
-    __pydantic_extra__: dict[str, Number]  # pyright: ignore[reportIncompatibleVariableOverride]
+    if not TYPE_CHECKING:  # what pydantic reads is narrower than what its own class declares
+        __pydantic_extra__: dict[str, Number]
 
     fixed: bool = False
 
@@ -94,7 +95,8 @@ class ExpressionSection(Section):
     """``[model.expressions.NAME]``: an effect of the user's own, as formulas by the reading that they add to."""
 
     model_config = ConfigDict(extra="allow", strict=True, frozen=True, allow_inf_nan=False)
-    __pydantic_extra__: dict[str, str]  # pyright: ignore[reportIncompatibleVariableOverride]
+    if not TYPE_CHECKING:  # as above
+        __pydantic_extra__: dict[str, str]
 
     summary: str = ""
     parameters: dict[str, ExpressionParameter] = {}

@@ -218,8 +218,7 @@ def _groups(header: list[str], source: str, joints: int, wrench: bool) -> tuple[
 
 def _meant(column: str, header: list[str]) -> str:
     """The header's name for a missing column, where it differs by capitals or separators only."""
-    plain = lambda name: re.sub(r"[^a-z0-9]", "", name.lower())  # noqa: E731
-    near = [name for name in header if plain(name) == column]
+    near = [name for name in header if re.sub(r"[^a-z0-9]", "", name.lower()) == column]
     return f'did you mean "{cut(near[0])}"? ' if near else ""
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import importlib
 import os
 import threading
 from collections import deque
@@ -12,7 +13,6 @@ from contextlib import AbstractContextManager, ExitStack
 from itertools import chain, islice
 from typing import TypeVar
 
-import scipy.linalg  # noqa: F401 -- its library must be there when the libraries are looked up
 from threadpoolctl import ThreadpoolController
 
 _A = TypeVar("_A")
@@ -71,6 +71,7 @@ def _submit(pool: ThreadPoolExecutor, job: Callable, *arguments) -> Future:
 
 @functools.cache
 def _libraries() -> ThreadpoolController:
+    importlib.import_module("scipy.linalg")  # its own library of linear algebra has to be there to be found
     return ThreadpoolController()
 
 

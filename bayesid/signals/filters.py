@@ -33,7 +33,7 @@ class LowPass:
         Bandwidths [rad/s]; the paper used l = 1, d = 50.
     """
 
-    l: float  # noqa: E741 -- the paper's symbol, and the name of the command-line option
+    l: float
     d: float
 
     def __post_init__(self):
@@ -102,7 +102,7 @@ def low_pass(
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")
-def _low_pass(l, d, times, last_time, rate, last_rate, rest, last_rest, first, second, moving, out):  # noqa: E741
+def _low_pass(l, d, times, last_time, rate, last_rate, rest, last_rest, first, second, moving, out):
     for k in range(len(times)):
         step = times[k] - (last_time if k == 0 else times[k - 1])
         c, e = 0.5 * l * step, 0.5 * d * step

@@ -143,7 +143,10 @@ class Study:
         weight = [
             np.sqrt(VALUES * (part.motion.t[1] - part.motion.t[0]) * np.diff(part.rows)[0]) / self.floor for part in self.parts
         ]
-        stack = lambda arrays: np.concatenate([(a * w).ravel() for a, w in zip(arrays, weight, strict=True)])  # noqa: E731
+
+        def stack(arrays):
+            return np.concatenate([(a * w).ravel() for a, w in zip(arrays, weight, strict=True)])
+
         target = stack(signals)
         base = np.zeros((len(target), 0))
         if self.prior is not None:
@@ -152,10 +155,16 @@ class Study:
             )
             base = np.vstack([y, self.prior])
         extra = len(base) - len(target) if base.shape[1] else 0
-        pad = lambda x: np.concatenate([x, np.zeros(extra)])  # noqa: E731
+
+        def pad(x):
+            return np.concatenate([x, np.zeros(extra)])
+
         scale = np.linalg.norm(base, axis=0)
         basis = np.linalg.qr(base / np.where(scale, scale, 1.0))[0] if base.shape[1] else np.zeros((len(target), 0))
-        clear = lambda x: x - basis @ (basis.T @ x)  # noqa: E731
+
+        def clear(x):
+            return x - basis @ (basis.T @ x)
+
         rest = clear(pad(target))
         whole = float(rest @ rest)
         left = {}

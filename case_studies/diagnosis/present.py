@@ -11,7 +11,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 sys.path.append(str(Path(__file__).parents[2]))
-from tests.studies.page import BLUE, GREEN, GREY, ORANGE, STYLE, fill, plain, table
+from tests.studies.page import BLUE, GREEN, GREY, ORANGE, STYLE, table
+from tests.studies.page import fill as fill
+from tests.studies.page import plain as plain
 
 ROBOTS = {"kuka-lwr4": "KUKA LWR4+", "ur10": "UR10"}
 MODELS = {"rigid": "rigid bodies", "friction": "friction and offsets known"}

@@ -9,7 +9,9 @@ import matplotlib as mpl
 from matplotlib.figure import Figure
 
 sys.path.append(str(Path(__file__).parents[2]))
-from tests.studies.page import BLUE, GREY, ORANGE, STYLE, fill, plain, table
+from tests.studies.page import BLUE, GREY, ORANGE, STYLE, table
+from tests.studies.page import fill as fill
+from tests.studies.page import plain as plain
 
 ANSWERS = {
     "nominal": "the CAD model as it is",

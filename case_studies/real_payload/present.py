@@ -13,7 +13,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 sys.path.append(str(Path(__file__).parents[2]))
-from tests.studies.page import BLUE, GREEN, GREY, ORANGE, STYLE, fill, plain, table
+from tests.studies.page import BLUE, GREEN, GREY, ORANGE, STYLE, table
+from tests.studies.page import fill as fill
+from tests.studies.page import plain as plain
 
 TRUTH = 2.805  # kg, weighed by those who recorded it
 

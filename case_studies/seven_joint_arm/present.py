@@ -13,7 +13,9 @@ from matplotlib.figure import Figure
 import bayesid.design.bounds.bands as bands
 
 sys.path.append(str(Path(__file__).parents[2]))
-from tests.studies.page import BLUE, GREEN, GREY, ORANGE, STYLE, fill, plain, table
+from tests.studies.page import BLUE, GREEN, GREY, ORANGE, STYLE, table
+from tests.studies.page import fill as fill
+from tests.studies.page import plain as plain
 
 COLOURS = {
     "computed torque, drawing": ORANGE, "computed torque, identified": GREY, "robust, ellipsoid": BLUE, "robust, ball": GREEN,

@@ -13,14 +13,13 @@ import json
 import time
 
 import jax
-
-jax.config.update("jax_enable_x64", True)
-
 import jax.numpy as jnp
 import numpy as np
 import numpyro
 import numpyro.distributions as dist
 from numpyro.infer import NUTS
+
+numpyro.enable_x64()
 
 ROW = np.array([0, 0, 0, 0, 1, 1, 1, 2, 2, 3])
 COLUMN = np.array([0, 1, 2, 3, 1, 2, 3, 2, 3, 3])

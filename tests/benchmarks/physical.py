@@ -29,6 +29,8 @@ from bayesid.estimators.conic.solver import solve_conic
 from tests.estimators.test_physical import by_cvxpy
 from tests.physical_cases import arm, flat_bodies
 
+ROOT = Path(__file__).resolve().parents[2]
+
 
 def clock(work):
     """Seconds and result."""

@@ -28,7 +28,6 @@ from threadpoolctl import threadpool_limits
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-NUMPYRO = ROOT / ".venv-numpyro" / "bin" / "python"
 
 import bayesid
 from bayesid.posterior import Likelihood, PosteriorModel, choose_engine, coordinates
@@ -41,6 +40,9 @@ from bayesid.robot.prior import Prior
 from bayesid.robot.robot import load_robot
 from bayesid.simulation.simulation import perturbed_links
 
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parent.parent
+NUMPYRO = ROOT / ".venv-numpyro" / "bin" / "python"
 TRUST = 0.3
 CHAINS, CHAINS_NUTS = 4, 2
 #: Arm, NUTS's target of acceptance, and description of every posterior. Where nothing is curved, its default is best.

@@ -22,6 +22,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from tests.robots import ur5
 
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parent.parent
 FIGAROH = ROOT / ".venv-figaroh" / "bin" / "python"
 
 

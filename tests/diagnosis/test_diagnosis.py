@@ -263,7 +263,10 @@ def test_a_diverged_model_is_refused(record, monkeypatch):
     [body] = [e for e in data.places("inertia_error") if e.where == "joint2"]
     library = candidates.make_library(nuisance, base := fit.fit(nuisance, ()))
     proposals = [p for p in library.propose(base) if p.name == body.spec]
-    endless = lambda *given: np.full((nuisance.rows, sum(len(t.values) for t in given[-1])), np.inf)  # noqa: E731
+
+    def endless(*given):
+        return np.full((nuisance.rows, sum(len(t.values) for t in given[-1])), np.inf)
+
     monkeypatch.setattr(fit, "model_rows", endless)
     for term in (Term(effect, (1e-4,)), Term(body, body.starts)):
         diverged = fit.fit(nuisance, (term,))

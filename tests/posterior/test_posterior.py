@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from numpy.random import mtrand
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.stats import ks_2samp
 
@@ -135,10 +136,9 @@ def test_student_noise_agrees_with_emcee_on_the_marginal_density():
     def density(x):
         return model.log_joint(x[:, :1], np.exp(x[:, 1:3]), np.exp(x[:, 3])) + x[:, 3]
 
-    rng = np.random.RandomState(0)  # noqa: NPY002 - emcee's
-    start = posterior.to_theta()[0, :12] + 0.05 * rng.normal(size=(12, 4))
+    start = posterior.to_theta()[0, :12] + 0.05 * np.random.default_rng(0).normal(size=(12, 4))
     sampler = emcee.EnsembleSampler(12, 4, density, vectorize=True)
-    sampler.random_state = rng.get_state()
+    sampler.random_state = mtrand.RandomState(0).get_state()  # emcee's own kind of generator
     sampler.run_mcmc(start, 1500)
     other = sampler.get_chain(discard=300, flat=True)
     own = posterior.to_theta().reshape(-1, 4)

@@ -125,7 +125,10 @@ def written(work: Path, names: list[str], cases: list[dict[str, Any]], docs: Pat
         if not all(key in made for key in keys.values()):
             return None
         right = sum(is_right(c, made[keys[c["case"]]]) for c in cases)
-        named = lambda said: (said["verdict"], sorted((e["name"], e["where"]) for e in said["effects"]))  # noqa: E731
+
+        def named(said):
+            return said["verdict"], sorted((e["name"], e["where"]) for e in said["effects"])
+
         return {"right": str(right), "changed": str(sum(named(made[keys[k]]) != named(plain[k]) for k in plain))}
 
     rows = [{"name": n, "value": f"{getattr(DEFAULT, n):g}", "down": side(n, -1), "up": side(n, 1)} for n in names]

@@ -46,6 +46,8 @@ from bayesid.simulation.trajectories import recorded_trajectories
 from tests.robots import ROBOTS, write
 from tests.studies import page
 
+ROOT = Path(__file__).resolve().parents[2]
+
 ARMS = ("puma560", "ur5", "panda")
 RANDOM, SEED = 1000, 31_130_000
 TIAGO = ("torso_lift_joint", *(f"arm_{k}_joint" for k in range(1, 8)))

@@ -152,7 +152,10 @@ def write(rows: list[dict[str, Any]], docs: Path) -> None:
     """The page and its numbers."""
     result = write_numbers({"cases": rows, "wrist": wrist_errors()}, docs / "named-in-part.json", 4)
     rows = result["cases"]
-    percent = lambda x: "–" if x is None else f"{100 * x:.1f} %"  # noqa: E731
+
+    def percent(x):
+        return "–" if x is None else f"{100 * x:.1f} %"
+
     lines, names = [], []
     for r in rows:
         places = [n.partition("@")[2] for n in r["names"] if n.partition("@")[0] in KINDS]

@@ -35,6 +35,8 @@ from tests.robots import ROBOTS, write
 from tests.simulated import Motion, experiment, fourier, recording
 from tests.studies import page
 
+ROOT = Path(__file__).resolve().parents[2]
+
 #: Arm, noise [N m], spread of the links about the nominal ones, which links have no extent.
 CASES = (
     ("ur5", 0.1, 0.2, "none"), ("ur5", 5.0, 0.2, "none"), ("ur5", 5.0, 0.5, "none"), ("panda", 1.0, 0.2, "none"),

@@ -133,7 +133,10 @@ def shares(
             z.append(ratio)
             touched.append(np.array(move) > TOUCHED)
     ins, zs, hit = (np.concatenate(x) if x else np.zeros(0, bool) for x in (inside, z, touched))
-    mean = lambda x: float(np.mean(x)) if len(x) else float("nan")  # noqa: E731
+
+    def mean(x):
+        return float(np.mean(x)) if len(x) else float("nan")
+
     most = float(np.quantile(zs[hit], 0.9)) if hit.any() else float("nan")
     return mean(ins[~hit]), mean(ins[hit]), most, int(np.sum(~hit)), int(np.sum(hit))
 

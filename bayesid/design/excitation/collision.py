@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import coal  # pyright: ignore[reportMissingImports]
+import coal
 import numpy as np
 import pinocchio as pin
 
@@ -186,7 +186,10 @@ def _adjacent(robot: Robot, one: int, other: int) -> bool:
     """Whether two bodies never move against each other, or are neighbours at a joint; -1: the root, -2: the ground."""
     if -2 in (one, other):
         return one < 0 and other < 0
-    up = lambda k: -1 if k < 0 else int(robot.parent[k])  # noqa: E731
+
+    def up(k: int) -> int:
+        return -1 if k < 0 else int(robot.parent[k])
+
     return one == other or (one >= 0 and up(one) == other) or (other >= 0 and up(other) == one)
 
 
