@@ -118,7 +118,8 @@ class Settings:
     exchanged_proposals: int = 4
     alike_proposals: int = 2
     single_proposals: int = 4
-    #: Rounds of exchanges, and passes of names in part; most settle in the first. Families fitted at once in one round. Set by looking at cases.
+    #: Rounds of exchanges, and passes of names in part; most settle in the first. Families fitted at once in one round. Set by
+    #: looking at cases.
     sweeps: int = 3
     families_at_once: int = 3
     #: An effect that leaves more than this share of an unexplained residual is a surrogate. Set by looking at cases.
