@@ -112,8 +112,8 @@ class Choice:
         cost, now, best = self.sums.cost([*self.users, *kept]), self.squares(kept), (self.settings.accept, kept)
         for k in others:
             out = [x for x in kept if self.effects[k].excludes(self.effects[x])]
-            more_than_one = len(out) > 1 or any(self.effects[k].comes_after(self.effects[x]) for x in out)
-            if not more_than_one or any(self.effects[k].spec == self.effects[x].spec for x in out):
+            contains_them = len(out) > 1 or any(self.effects[k].comes_after(self.effects[x]) for x in out)
+            if not contains_them or any(self.effects[k].spec == self.effects[x].spec for x in out):
                 continue
             more = [*(x for x in kept if x not in out), k]
             gain = 0.5 * (cost - self.sums.cost([*self.users, *more])) - self.price_of([k]) + self.price_of(out)
