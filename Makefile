@@ -39,6 +39,8 @@ bench: $(READY) $(FIGAROH)/ready $(NUMPYRO)/ready
 	$(BIN)/python tests/benchmarks/run.py
 	$(BIN)/python tests/benchmarks/identify.py
 	$(BIN)/python tests/benchmarks/posterior_speed.py
+	$(BIN)/python tests/benchmarks/diagnosis.py
+	$(BIN)/python tests/benchmarks/startup.py
 
 lint: $(READY)
 	$(BIN)/ruff check

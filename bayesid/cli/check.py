@@ -19,9 +19,7 @@ from bayesid.results.files import check_output
 @UNUSED_SEED
 def check(experiment: Path, effects_from: tuple[Path, ...], out: Path | None) -> None:
     """Read and validate an experiment folder; say what is in it."""
-    if gc.isenabled():  # the search for cyclic garbage would take a twentieth of a run of a second
-        gc.disable()
-        click.get_current_context().call_on_close(gc.enable)
+    gc.disable()  # the search for cyclic garbage takes a twentieth of a run of a second; `main` turns it on again
     check_output(out or OUTPUTS, "check")
     with show_progress() as progress:
         result = bayesid.check(load(experiment, None, effects_from), progress=progress)

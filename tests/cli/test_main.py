@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import subprocess
@@ -68,6 +69,23 @@ def test_handlers_of_signals_are_put_back():
     before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
     assert main(["--version"]) == 0
     assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == before
+
+
+@pytest.mark.parametrize("collecting", [True, False])
+def test_the_search_for_cyclic_garbage_is_as_before(collecting, folder):
+    """`check` turns it off for its own second."""
+    (gc.enable if collecting else gc.disable)()
+    try:
+        assert main(["check", str(folder), "--out", str(folder.parent / "out")]) == 0
+        assert gc.isenabled() == collecting
+    finally:
+        gc.enable()
+
+
+def test_a_process_that_ends_does_not_search_for_cyclic_garbage():
+    script = "import gc, sys; from bayesid.cli import main; sys.argv[1:] = ['--version']; main(); print(gc.get_freeze_count())"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert int(done.stdout.split()[-1]) > 10_000
 
 
 @pytest.mark.skipif(os.name != "posix", reason="signals of POSIX")

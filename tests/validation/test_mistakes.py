@@ -163,6 +163,21 @@ def test_changes_of_units_alone_are_no_evidence(tmp_path: Path) -> None:
     assert len({(c.name, c.where) for c in every}) == len(every)
 
 
+@pytest.mark.parametrize("channel", ["wrench", "torque"])
+def test_no_fit_reaches_beyond_the_highest_score(channel: str, tmp_path: Path) -> None:
+    """So nothing is lost with candidates whose highest score is too low; with this noise, some are worth a fit and some not."""
+    whole = arm(tmp_path) if channel == "torque" else on_sensor(tmp_path)
+    samples = low_passed(whole, channel)
+    assert samples is not None
+    noise = 0.05 * samples.readings.std(axis=0) * np.random.default_rng(0).normal(size=samples.readings.shape)
+    explainer = Explainer(whole.robot, make_channels(whole, channel), replace(samples, readings=samples.readings + noise))
+    worth = explainer.independent_samples(explainer.fit()[0])
+    every = candidates(whole, channel, np.abs(samples.positions).max(axis=0))
+    for c in every[:: max(1, len(every) // 25)]:
+        score = max(fit.score(worth) for fit in explainer.fit(c.readings, c.joints, c.gravity))
+        assert score <= explainer.highest_score(c.readings, worth) + 1e-9
+
+
 @pytest.mark.parametrize("kept", [1, 30, 150])
 def test_little_data_and_absurd_numbers_do_no_harm(kept: int, tmp_path: Path) -> None:
     def short(t: Table) -> Table:

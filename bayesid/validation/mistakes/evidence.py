@@ -51,7 +51,7 @@ class Fit:
 
     def score(self, worth: float) -> float:
         """Log evidence by the Bayesian information criterion, of so many independent samples [nats]."""
-        return worth * self.log_likelihood - 0.5 * self.count * float(np.log(max(worth, 2.0)))
+        return _score(self.log_likelihood, self.count, worth)
 
 
 class Explainer:
@@ -100,7 +100,6 @@ class Explainer:
         variation = np.sqrt(change**2 @ self.variation**2)
         floor = self.floor(variation)
         products = np.einsum("ncm,nc->cm", design, target, optimize=True)
-        jacobian = float(np.linalg.slogdet(change)[1])
         back = np.linalg.inv(change) ** 2
         fits = []
         for k, expand in enumerate(self._families):
@@ -112,12 +111,17 @@ class Explainer:
                 factors = _non_negative(expand.T @ whole @ expand, expand.T @ (weights @ products), ridge)
                 residual = target - design @ (expand @ factors)
                 left = np.sqrt(np.mean(residual**2, axis=0))
-            # The density is that of the readings as recorded: a change that shrinks them explains nothing by that.
-            likelihood = jacobian - float(np.log(np.maximum(left, floor)).sum())
+            likelihood = _log_likelihood(change, np.maximum(left, floor))
             if k == len(self._counts):
                 self._counts.append(int(np.count_nonzero(factors)))
             fits.append(Fit(left / variation, np.sqrt(back @ left**2), residual, likelihood, self._counts[k]))
         return fits
+
+    def highest_score(self, readings: np.ndarray | None, worth: float) -> float:
+        """What `Fit.score` of changed readings cannot exceed: every channel explained to its floor, by the fewest numbers."""
+        change = np.eye(len(self.channels)) if readings is None else readings
+        floor = self.floor(np.sqrt(change**2 @ self.variation**2))
+        return _score(_log_likelihood(change, floor), min(self._counts, default=0), worth)
 
     def floor(self, variation: np.ndarray) -> np.ndarray:
         """Residuals (c,) that are no evidence, for channels of this variation (c,)."""
@@ -196,3 +200,15 @@ def _non_negative(squares: np.ndarray, products: np.ndarray, ridge: float) -> np
     out = np.zeros(len(size))
     out[seen] = nnls(root, solve_triangular(root, products[seen] / size[seen], trans=1))[0] / size[seen]
     return out
+
+
+def _log_likelihood(change: np.ndarray, left: np.ndarray) -> float:
+    """Of one sample, by what is left of each channel (c,).
+
+    The density is that of the readings as recorded: a change (c, c) that shrinks them explains nothing by that.
+    """
+    return float(np.linalg.slogdet(change)[1]) - float(np.log(left).sum())
+
+
+def _score(log_likelihood: float, count: int, worth: float) -> float:
+    return worth * log_likelihood - 0.5 * count * float(np.log(max(worth, 2.0)))

@@ -64,13 +64,16 @@ def _in_channel(experiment: Experiment, channel: str) -> list[Mistake]:
         return max(((fit.score(worth), fit) for fit in fits), key=lambda pair: pair[0])
 
     now, null = best_of(unchanged)
+    needed = max(NEEDED, worth * WORSE)
     reach = np.abs(samples.positions).max(axis=0)
     tried = []
     for candidate in _worth_trying(candidates(experiment, channel, reach), explainer, unchanged):
+        if explainer.highest_score(candidate.readings, worth) - now < max(NEEDED, needed - _ALIKE):
+            continue  # could be neither named nor listed beside what is
         score, fit = best_of(explainer.fit(candidate.readings, candidate.joints, candidate.gravity))
         tried.append((score - now, candidate, fit))
     tried.sort(key=lambda t: -t[0])
-    if not tried or tried[0][0] < max(NEEDED, worth * WORSE):
+    if not tried or tried[0][0] < needed:
         # Of readings that no robot explains at all, not even the size means anything.
         return implausible_size(explainer) if np.median(null.errors) < 0.5 else []
     best, candidate, fit = tried[0]
