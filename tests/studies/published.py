@@ -39,6 +39,7 @@ SHOWN = {
     "docs/physical-speed.json": ("milliseconds/*", "times_faster*"),
     "docs/posterior-speed.json": ("*/bayesid/rate", "*/bayesid_over_*", "whole/*/seconds"),
     "docs/real-robots.json": ("*/thirty_lines", "*/methods/*/unseen", "*/methods/*/halves"),
+    "docs/startup.json": ("*",),
     "docs/tell.json": ("ambiguous", "settled", "among", "settled_among"),
     "docs/sbc.json": ("cases/*/smallest_probability", "cases/*/mean_rank"),
     "docs/unmodelled.json": ("fits/*/untouched", "fits/*/touched", "fits/*/z"),
