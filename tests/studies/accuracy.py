@@ -161,6 +161,9 @@ the norm predicted, all base parameters in standard deviations.
 {{ biases }}
 
 {{ beyond }}
+In brackets: the error, and how far the differences of single recordings scatter about their mean, over the same norm. A
+prediction is of one recording. Where teeth with play cross changes with the motion's details, so that recordings of one
+motion that begin a part of a sample later differ by as much, however little noise there is.
 
 Not scaled, and not small, are effects whose bias stays below {{ largest }} at their usual size: cross-talk between
 forces, for one, hardly biases, but moves the weights of its channels.
@@ -182,7 +185,10 @@ def write_study(result: dict[str, Any], docs: Path) -> None:
             f"| {NAMES[name]} | {len(errors)} | {100 * np.median(errors):.1f} % | {100 * np.quantile(errors, 0.9):.1f} % | "
             f"{int(np.sum(errors <= 0.2))} |"
         )
-        beyond += [f"`{b['effect']}` on the {name} ({100 * b['error']:.0f} %)" for b in arm["biases"] if b["error"] > 0.2]
+        for b in arm["biases"]:
+            if b["error"] > 0.2:
+                scatter = b["chance"] * b["twins"] ** 0.5
+                beyond.append(f"`{b['effect']}` on the {name} ({100 * b['error']:.0f} %; {100 * scatter:.0f} %)")
         covers.append(
             f"| {NAMES[name]} | {100 * arm['coverage']:.1f} ± {196 * arm['coverage_error']:.1f} % | "
             f"{100 * arm['lowest']:.1f} % | {100 * arm['highest']:.1f} % | "
