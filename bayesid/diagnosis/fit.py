@@ -29,6 +29,8 @@ WIDTHS = np.array([0.02, 0.05, 0.1, 0.2, 0.5, 1.0])
 ALIVE = 1e-5
 #: A column in sigmas per SI unit this small is rounding: a million newtons or radians would not be seen.
 _ROUNDING = 1e-6
+#: A parameter with this share in a direction that the data do not show is not determined; less is rounding of that direction.
+_HIDDEN = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +55,8 @@ class Fit:
         See the module.
     covariance
         Of the effects' free parameters in the order of ``terms`` (k, k), the links' uncertainty included.
+    determined
+        Whether the data tell each of them from the others (k,).
     free
         (term, parameter) of each of them.
     coordinates
@@ -69,9 +73,24 @@ class Fit:
     parameters: int
     score: float
     covariance: np.ndarray
+    determined: np.ndarray
     free: tuple[tuple[int, int], ...]
     coordinates: np.ndarray
     residual: np.ndarray
+
+    def std(self, index: int, dispersion: float) -> np.ndarray:
+        """Standard deviations of one term's free parameters; infinite where the data do not determine them.
+
+        Parameters
+        ----------
+        index
+            Of the term.
+        dispersion
+            That the covariance is multiplied by.
+        """
+        at = [column for column, (owner, _) in enumerate(self.free) if owner == index]
+        std = np.sqrt(np.maximum(dispersion * np.diag(self.covariance)[at], 0.0))
+        return np.where(self.determined[at], std, np.inf)
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,11 +200,12 @@ def finish(now: Iterate) -> Fit:
     length = np.linalg.norm(kept, axis=0)
     safe = np.where(_alive(length, jacobian), length, np.inf)
     values, vectors = _eigen(kept / safe)
+    determined = np.sum(vectors**2, axis=1) > 1.0 - _HIDDEN**2
     covariance = (vectors / values) @ vectors.T / np.outer(safe, safe)
     covariance = _widened(projector, covariance, kept, rows)
     cost = price(data, projector.rows, terms, free, kept)
     score = -0.5 * chi2 - 0.5 * projector.volume - cost if possible and not is_another(data, terms) else -np.inf
-    return Fit(projector, terms, links, offset, chi2, len(values), score, covariance, free, now.coordinates, rows)
+    return Fit(projector, terms, links, offset, chi2, len(values), score, covariance, determined, free, now.coordinates, rows)
 
 
 def is_another(data: DiagnosisData, terms: Sequence[Term]) -> bool:

@@ -230,10 +230,9 @@ def _concluded(
     steps = [before, *(choice.squares(kept[: n + 1]) for n in range(len(kept)))]
     found, shares = [], []
     for n, k in enumerate(kept):
-        at = [column for column, (owner, _) in enumerate(best.free) if owner == known + n]
-        one, std = best.terms[known + n], np.sqrt(np.maximum(np.diag(best.covariance)[at], 0.0))
+        one = best.terms[known + n]
         term = Term(one.effect, one.effect.canonical(one.values))
-        found.append(Found(term, choice.evidence(kept, k), std, tuple(rivals[n])))
+        found.append(Found(term, choice.evidence(kept, k), best.std(known + n, 1.0), tuple(rivals[n])))
         without = choice.squares([x for x in kept if x != k])
         shares.append(Share(*choice.share(steps[n], steps[n + 1], before), *choice.share(without, steps[-1], before)))
     # Residuals in units of the noise, as everywhere else; the covariance beside what stays unexplained.

@@ -120,13 +120,7 @@ def with_rivals(pruned: Pruned) -> tuple[State, tuple[Found, ...]]:
 def _alone(state: State, index: int) -> Found:
     """An effect with its evidence from the estimate and its covariance."""
     best = state.best
-    return Found(_canonical(best.terms[index]), standing(best, index, state.dispersion), _std(state, index))
-
-
-def _std(state: State, index: int) -> np.ndarray:
-    """Standard deviations of one effect's values."""
-    at = [column for column, (owner, _) in enumerate(state.best.free) if owner == index]
-    return np.sqrt(np.maximum(state.dispersion * np.diag(state.best.covariance)[at], 0.0))
+    return Found(_canonical(best.terms[index]), standing(best, index, state.dispersion), best.std(index, state.dispersion))
 
 
 def _found(pruned: Pruned, *, exchange: bool) -> tuple[State, tuple[Found, ...], Fit | None]:
@@ -154,7 +148,7 @@ def _found(pruned: Pruned, *, exchange: bool) -> tuple[State, tuple[Found, ...],
             lacks[f.terms[-1].effect.spec] = (rival, (best.score - f.score) / dispersion + bonus - own)
         near = [(t, lack) for t, lack in lacks.values() if lack < settings.rival and not _contains(without, t, term)]
         gain = (best.score - without.score) / dispersion
-        out.append(Found(_canonical(named), gain, _std(state, i), tuple(near)))
+        out.append(Found(_canonical(named), gain, best.std(i, dispersion), tuple(near)))
     return replace(state, models=models), tuple(out), None
 
 

@@ -268,10 +268,11 @@ def _frozen(table: Table, j: int, stalled: np.ndarray, resolution: float | None)
             count = resolution or float(steps[steps > 0.0].min())
             frozen = abs(np.trapezoid(v, t[a : b + 1])) > max(20.0 * count, MATCH) and np.abs(v).mean() > 0.05 * top
         else:
-            jumps = b < len(steps) and steps[b] > 5.0 * usual
+            # A joint at rest cannot be somewhere else one sample later.
+            jumps = b < len(steps) and steps[b] > 5.0 * usual and t[b + 1] - t[b] < GAP * table.step
             arrives = top > 0.0 and a > 0 and _mean_speed(t, q, a - _WINDOW, a) > 0.2 * top
             leaves = b == len(steps) or jumps or (top > 0.0 and _mean_speed(t, q, b, b + _WINDOW) > 0.2 * top)
-            frozen = leaves and arrives or (a == 0 and jumps)
+            frozen = jumps or (leaves and arrives)
         if frozen:
             return f"{q[a]:.6g} from {t[a]:.6g} to {t[b]:.6g} s"
     return ""

@@ -79,7 +79,8 @@ def described_lines(description: Description, names: tuple[str, ...]) -> list[st
 
 def use_line(description: Description) -> str:
     """The command that identifies with the draft."""
-    return f"bayesid identify ... --model {DRAFT}, or --effects-from {DRAFT} and {description.term.effect.spec} among --effects"
+    effect = description.term.effect.spec
+    return f"bayesid identify ... --model {DRAFT} (beside the report), or --effects-from {DRAFT} and {effect} among --effects"
 
 
 def description_dict(description: Description, names: tuple[str, ...]) -> dict[str, Any]:

@@ -192,7 +192,8 @@ def summary(diagnosis: Findings) -> str:
     for k, f in enumerate(d.found):
         share = f"; closes {share_range(d, k)}" if d.part is not None else ""
         for key, value, half, _, unit in parameter_rows(f):
-            lines.append(f"    {f.term.effect.spec}: {key} {value}{'' if half == DASH else f' ± {half}'} {unit}".rstrip() + share)
+            text = f"{value} {unit}".rstrip() + " (not determined)" if half == DASH else f"{value} ± {half} {unit}".rstrip()
+            lines.append(f"    {f.term.effect.spec}: {key} {text}{share}")
             share = ""
     if d.part is not None:
         lines.append(f"  {part_sentence(d)}")

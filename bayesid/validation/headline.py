@@ -56,7 +56,7 @@ def judged(prediction: Prediction) -> Judgement:
         return Judgement("good", f"what is left is the sensor's noise ({white:.3g} times){where}")
     times = f"{white:.3g} times the sensor's noise"
     if error <= CLOSE:
-        return Judgement("fair", f"what is left is {times}: something small is missing in the model{wrong}")
+        return Judgement("fair", f"what is left is {times}: something is missing in the model, small beside the readings{wrong}")
     if error <= POOR:
         return Judgement("fair" if not wrong else "bad", f"what is left is {times}: something is missing in the model{wrong}")
     return Judgement("bad", f"what is left is {times}: the model predicts this motion poorly{wrong}")

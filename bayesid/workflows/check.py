@@ -53,7 +53,7 @@ def check(experiment: Experiment | str | Path, progress: Progress = quiet) -> In
         raise InputError(f"experiment.toml: [model] effects: {error}") from None
     try:
         with one_blas_thread():
-            problem = prepare(experiment, FitOptions(channel, effects=()))
+            problem = prepare(experiment, FitOptions(channel))
         bandwidth, reason, position_std = problem.smoother.bandwidth, problem.smoother.reason, problem.smoother.position_std
     except InputError as error:
         reason = str(error)

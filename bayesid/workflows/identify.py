@@ -31,7 +31,7 @@ from bayesid.validation.noise_floor import NoiseFloor, noise_floor
 from bayesid.validation.prediction import Prediction, predict
 from bayesid.workflows.progress import Clock, Progress, quiet
 from bayesid.workflows.urdf_links import missing_rotors, urdf_links
-from bayesid.workflows.warnings import incomplete, listed, not_settled, repeated_motion, unpredicted, wrong_signs
+from bayesid.workflows.warnings import incomplete, listed, mistaken, not_settled, repeated_motion, unpredicted
 
 
 def identify(
@@ -216,7 +216,7 @@ def _warnings(
     unexcited: Sequence[str],
 ) -> tuple[str, ...]:
     """What the user should know, most important first."""
-    out = [*conflicts(check), *not_settled(problem, estimate), *wrong_signs(problem, estimate)]
+    out = [*conflicts(check), *not_settled(problem, estimate), *mistaken(problem, estimate, validation)]
     for p in validation:
         if p.repeats:
             out.append(repeated_motion(p))

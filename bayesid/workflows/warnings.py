@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -45,10 +45,11 @@ def incomplete(dispersion: float | None, channels: Mapping[str, float] | None = 
     )
 
 
-def wrong_signs(problem: Problem, estimate: Estimate) -> list[str]:
-    """That masses or friction have a sign that nothing has, and which mistake in the data would explain it.
+def mistaken(problem: Problem, estimate: Estimate, validation: Sequence[Prediction]) -> list[str]:
+    """Which mistake in the data would explain a bad fit, and that masses or friction have a sign that nothing has.
 
-    The search for mistakes takes a second; it is made where a sign is wrong, and where the URDF has no masses to compare with.
+    The search for mistakes takes a part of a second; it is made where a sign is wrong, where a held-out motion is not predicted
+    well, and where the URDF has no masses to compare with.
     """
     base, rank = estimate.base, estimate.base.rank
     negative = estimate.solution < -_CERTAIN * estimate.full_std
@@ -61,7 +62,7 @@ def wrong_signs(problem: Problem, estimate: Estimate) -> list[str]:
     units = [*base.units, *estimate.effect_units]
     shown = [f"{names[k]} = {estimate.solution[k]:.3g} +- {estimate.full_std[k]:.2g} {units[k]}" for k in np.flatnonzero(never)]
     masses = problem.experiment.robot.nominal[:, 0]
-    if not shown and masses.any():
+    if not shown and masses.any() and all(judged(p).mood == "good" for p in validation):
         return []
     from bayesid.validation.mistakes.search import find_mistakes
 

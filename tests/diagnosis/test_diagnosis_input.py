@@ -126,3 +126,16 @@ def test_a_payload_that_links_can_hide_is_explained(robot):
     assert [f.term.effect.where for f in found.found] == ["joint2"]
     assert found.gap.before < 1.05 * found.gap.floor
     assert any("What speaks for it is the links' prior" in r for r in found.remarks)
+
+
+def test_what_a_known_effect_hides_is_not_determined(robot):
+    """Where a spring rests cannot be told from an offset of the same joint's torque; how stiff it is can."""
+    plant = {"spring@joint2": {"stiffness": 20.0, "rest": 0.3}, "torque_offset@joint2": {"offset": 0.5}}
+    whole = replace(recorded(robot, both(robot), plant), effects=("torque_offset",))
+    found = bayesid.diagnose(whole, "torque")
+    (spring,) = (f for f in found.found if f.term.effect.spec == "spring@joint2")
+    values = dict(zip(spring.term.effect.parameters, zip(spring.term.values, spring.std, strict=True), strict=True))
+    stiffness, std = values["stiffness"]
+    assert abs(stiffness - 20.0) < 3.0 * std < 3.0
+    assert values["rest"][1] == np.inf
+    assert "(not determined)" in next(line for line in str(found).splitlines() if "rest" in line)

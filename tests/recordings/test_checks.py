@@ -44,6 +44,13 @@ def freeze_without_velocities(frame: pd.DataFrame) -> pd.DataFrame:
     return freeze(frame).drop(columns=["v1", "v2"])
 
 
+def freeze_where_slow(frame: pd.DataFrame) -> pd.DataFrame:
+    """From where the joint hardly moves: only the jump at the end tells."""
+    slowest = int(np.argmin(np.abs(np.gradient(frame["q2"])[100:200]))) + 100
+    frame.loc[slowest : slowest + 150, "q2"] = frame.loc[slowest, "q2"]
+    return frame.drop(columns=["v1", "v2"])
+
+
 def stall(frame: pd.DataFrame) -> pd.DataFrame:
     frame.loc[201:206, "q1":] = frame.loc[200, "q1":].to_numpy()
     return frame
@@ -75,6 +82,7 @@ DOUBTS: list[tuple[str, Callable[[Path], None], tuple[str, ...]]] = [
     ("clipped channel", table(clip), ("column fx", "stays at 5", "places", "clipped")),
     ("frozen encoder", table(freeze, "validation.csv"), ("column q2: elbow stands", "from 2 to 2.9 s", "frozen")),
     ("frozen encoder, no velocities", table(freeze_without_velocities, "validation.csv"), ("column q2: elbow stands", "2.9 s")),
+    ("frozen where slow", table(freeze_where_slow, "validation.csv"), ("column q2: elbow stands", "frozen")),
     ("logger stall", table(stall, "validation.csv"), ("validation.csv: 6 rows repeat", "2.01 to 2.06 s")),
     ("encoder slips", table(slip, "validation.csv"), ("column q1: shoulder jumps by 1.4", "2.99 s", "encoder")),
     ("never moves", table(lambda d: d.assign(q1=0.3, v1=0.0), "validation.csv"), ("column q1: shoulder never moves",)),

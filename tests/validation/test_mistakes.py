@@ -203,6 +203,19 @@ def test_identify_warns_of_masses_and_friction_with_a_sign_that_nothing_has(tmp_
     assert "Friction that cannot be negative" in wrong.warnings[1] and "coulomb_friction@joint3" in wrong.warnings[1]
 
 
+def test_identify_names_a_mistake_where_a_held_out_motion_is_not_predicted(tmp_path: Path) -> None:
+    """With the positions of two joints exchanged no mass need be negative."""
+    robot = load_robot(write(tmp_path, ur5()))
+    motions = [
+        bayesid.fourier_trajectory(robot, "fitted", "identification", duration=10.0, seed=1),
+        bayesid.fourier_trajectory(robot, "unseen", "validation", duration=8.0, seed=2),
+    ]
+    right = bayesid.simulate(robot, motions, recorder=bayesid.Recorder(torque_std=0.3, resolution=1e-4), perturb=0.1, seed=1)
+    exchanged = changed(right, times(np.eye(6)[[0, 2, 1, 3, 4, 5]], "positions"))
+    said = [any("xchange" in line for line in bayesid.identify(e, "torque").warnings) for e in (right, exchanged)]
+    assert said == [False, True]
+
+
 @pytest.mark.parametrize("centre", [0.0, 0.8, 1.5])
 @pytest.mark.parametrize("amplitude", [0.02, 0.1, 0.3])
 def test_a_small_motion_without_noise_keeps_its_unit(tmp_path, centre, amplitude):
