@@ -129,18 +129,42 @@ def _where_they_act(part: InPart, seed: int) -> InPart:
     return part if again is None or (not again.groups and again.remainder > 1.0 - mostly) else again
 
 
-def _proven(s: Search, seed: int, among: frozenset[str] | None, exact: Sequence[_Candidate] = ()) -> InPart | None:
+def _proven(
+    s: Search, seed: int, among: frozenset[str] | None, exact: Sequence[_Candidate] = (), banned: frozenset[str] = frozenset()
+) -> InPart | None:
+    """Effects chosen and fitted exactly, and chosen again without those that an exact fit takes to the end of what is plausible.
+
+    Such a one stands in for another: Stribeck friction that reaches to the highest speeds is Coulomb friction. It stays where
+    more of the gap stays without it.
+    """
+    found = _chosen(s, seed, among, exact, banned)
+    ended = frozenset(f.term.effect.spec for f in found.search.found if _has_ended(f.term)) if found else frozenset()
+    other = _proven(s, seed, among, exact, banned | ended) if ended else None
+    return found if other is None or found is None or other.remainder > found.remainder + LEAST_GAP else other
+
+
+def _has_ended(term: Term) -> bool:
+    """Whether a parameter that readings are not linear in lies at the end of what is plausible."""
+    effect, values = term.effect, np.array(term.values)
+    shape = np.array([not p.linear for p in effect.quantities])
+    return bool(np.any(shape & ((values <= effect.lower) | (values >= effect.upper))))
+
+
+def _chosen(
+    s: Search, seed: int, among: frozenset[str] | None, exact: Sequence[_Candidate], banned: frozenset[str]
+) -> InPart | None:
     """Effects chosen by columns about the best attempt, of all or some of the library and ``exact``, and fitted exactly."""
     left = tuple(left_by(s.projector.data, f) for f in (s.base, s.best))
     data, known, attempt = scaled(s.projector.data, left[1]), len(s.base.terms), s.best.terms
     found = {t.effect.spec for t in attempt}
     library = [
         x for x in column_terms(data)
-        if _confirmable(x[0].effect) and (among is None or x[0].effect.spec in among)
+        if _confirmable(x[0].effect) and (among is None or x[0].effect.spec in among) and x[0].effect.spec not in banned
         # Whether its values make it another effect only an exact fit tells, as the search makes them.
         and (not x[0].effect.may_be_another or x[0].effect.spec in found)
     ]  # fmt: skip
-    library += [x for x in exact if x[0].effect.spec not in found and (among is None or x[0].effect.spec in among)]
+    apart = found | banned
+    library += [x for x in exact if x[0].effect.spec not in apart and (among is None or x[0].effect.spec in among)]
     sums = held_out_sums(data, s.projector.root, s.best, [t for t, _ in library], np.sqrt(left[1] / left[0]))
     settings = data.settings
     choice = Choice(
@@ -161,7 +185,8 @@ def _proven(s: Search, seed: int, among: frozenset[str] | None, exact: Sequence[
         return bool(np.all((values >= effect.lower) & (values <= effect.upper)))
 
     before = choice.squares([])
-    kept = choice.without_unproven([k for k in range(known, len(attempt)) if _confirmable(attempt[k].effect)], before)
+    own = [k for k in range(known, len(attempt)) if _confirmable(attempt[k].effect) and attempt[k].effect.spec not in banned]
+    kept = choice.without_unproven(own, before)
     others = range(len(attempt), len(choice.effects))
     for _ in range(settings.sweeps):
         start = kept

@@ -11,6 +11,7 @@ import pytest
 from scipy.signal import butter, sosfilt
 
 from bayesid import diagnose
+from bayesid.diagnosis import in_part
 from bayesid.diagnosis.candidates import make_library
 from bayesid.diagnosis.channel_groups import ChannelGroup, _together
 from bayesid.diagnosis.choice import Choice
@@ -21,12 +22,13 @@ from bayesid.diagnosis.prepare import known_terms, prepare_data
 from bayesid.diagnosis.projector import make_projector
 from bayesid.diagnosis.remarks import remarks
 from bayesid.diagnosis.rows import model_rows, residual_rows
+from bayesid.diagnosis.search import Search
 from bayesid.diagnosis.settings import DEFAULT
 from bayesid.diagnosis.surroundings import moving
 from bayesid.diagnosis.verdict import named_in_part
-from bayesid.effects import EffectLibrary, MotionSegment
+from bayesid.effects import EffectLibrary, MotionSegment, Term
 from bayesid.effects.drives import Spring
-from bayesid.effects.friction import CoulombFriction
+from bayesid.effects.friction import CoulombFriction, StribeckFriction
 from bayesid.recordings.experiment import Experiment
 from bayesid.report.diagnosis import diagnosis_report
 from bayesid.robot.examples import PAPER_LOCKED, puma_two_joint_urdf
@@ -302,6 +304,20 @@ def test_an_effect_is_exchanged_for_a_better_one_only_if_held_out_recordings_con
     effects = (CoulombFriction("joint1", 0), Spring("joint1", 0))
     choice = _Told(cast(HeldOutSums, sums), effects, (), 0.0, DEFAULT, 0)
     assert choice.replaced([0], [1], lambda *_: True, np.zeros(1)) == then
+
+
+@pytest.mark.parametrize(("velocity", "remainder", "then"), [(2.0, 0.02, "other"), (2.0, 0.04, "own"), (0.1, 0.02, "own")])
+def test_an_effect_at_the_end_of_what_is_plausible_stands_in_for_another(velocity, remainder, then, monkeypatch):
+    """It is left out unless more of the gap stays without it."""
+
+    def part(velocity: float, remainder: float) -> SimpleNamespace:
+        found = SimpleNamespace(term=Term(StribeckFriction("joint1", 0), (5.0, velocity)))
+        return SimpleNamespace(search=SimpleNamespace(found=(found,)), remainder=remainder)
+
+    parts = {frozenset(): part(velocity, 0.03), frozenset({"stribeck_friction@joint1"}): part(0.1, remainder)}
+    monkeypatch.setattr(in_part, "_chosen", lambda _s, _seed, _among, _exact, banned: parts[banned])
+    chosen = in_part._proven(cast(Search, None), 0, None)
+    assert chosen is list(parts.values())[then == "other"]
 
 
 @pytest.mark.parametrize("effects", [(), ("encoder_offset@joint1",)])
