@@ -118,7 +118,15 @@ class Explainer:
         return fits
 
     def highest_score(self, readings: np.ndarray | None, worth: float) -> float:
-        """What `Fit.score` of changed readings cannot exceed: every channel explained to its floor, by the fewest numbers."""
+        """What `Fit.score` of changed readings cannot exceed: every channel explained to its floor, by the fewest numbers [nats].
+
+        Parameters
+        ----------
+        readings
+            Matrix that the readings are multiplied by (c, c), as `fit` takes it.
+        worth
+            How many independent samples the data are worth.
+        """
         change = np.eye(len(self.channels)) if readings is None else readings
         floor = self.floor(np.sqrt(change**2 @ self.variation**2))
         return _score(_log_likelihood(change, floor), min(self._counts, default=0), worth)
@@ -211,4 +219,5 @@ def _log_likelihood(change: np.ndarray, left: np.ndarray) -> float:
 
 
 def _score(log_likelihood: float, count: int, worth: float) -> float:
+    """By the Bayesian information criterion [nats]."""
     return worth * log_likelihood - 0.5 * count * float(np.log(max(worth, 2.0)))
