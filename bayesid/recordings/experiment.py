@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -25,6 +26,9 @@ from bayesid.recordings.schema import (
 from bayesid.recordings.table import WRENCH_COLUMNS, Table
 from bayesid.recordings.table_reader import read_table
 from bayesid.robot.robot import Robot
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 __all__ = ["WRENCH_COLUMNS", "Experiment", "Motion", "Sensor", "Table", "load_experiment"]
 
@@ -156,6 +160,36 @@ class Experiment:
         sensor = f", sensor in {place}" if place else "" if self.sensor is None else ", sensor under the base"
         motions = f"{len(self.motions)} motion{'s' * (len(self.motions) != 1)}"
         return f"<{type(self).__name__} {self.name}: {self.robot.name} with {self.robot.n} joints{sensor}, {motions}>"
+
+    def __getitem__(self, name: str) -> Motion:
+        """The motion of a name.
+
+        Raises
+        ------
+        KeyError
+            There is none; the message lists those that there are.
+        """
+        motions = {motion.name: motion for motion in self.motions}
+        if name not in motions:
+            raise KeyError(f"no motion is named {name!r}; there are {', '.join(motions) or 'none'}")
+        return motions[name]
+
+    def __iter__(self) -> Iterator[Motion]:
+        """The motions one after the other."""
+        return iter(self.motions)
+
+    def to_dataframe(self) -> DataFrame:
+        """The motions, a row each: name, role, kind, number of samples, duration [s], rate [Hz] and names of the readings."""
+        from pandas import DataFrame
+
+        return DataFrame(
+            {
+                "motion": m.name, "role": m.role, "kind": m.kind, "samples": len(m.table), "duration_s": m.table.duration,
+                "rate_hz": 1.0 / m.table.step if m.table.step else None,
+                "readings": ", ".join(name for name, _ in m.table.channels()),
+            }
+            for m in self.motions
+        )  # fmt: skip
 
     @property
     def identification(self) -> tuple[Motion, ...]:

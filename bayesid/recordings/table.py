@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from bayesid.errors import InputError
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 WRENCH_COLUMNS = ("fx", "fy", "fz", "mx", "my", "mz")
 GAP = 5.0  # a step this many times the median one is a gap: nothing may be filtered across it
@@ -75,6 +79,36 @@ class Table:
         """Return the number of samples."""
         return len(self.times)
 
+    def __getitem__(self, rows: slice | int | np.ndarray) -> Table:
+        """Some samples as a table of their own.
+
+        Parameters
+        ----------
+        rows
+            Anything that picks rows of an array, times still rising: ``table[:100]``, ``table[::10]``, a mask (N,).
+
+        Raises
+        ------
+        InputError
+            The times that are picked do not rise.
+        """
+        picked = np.atleast_1d(np.arange(len(self))[rows])
+        arrays = {name: getattr(self, name) for name in ("times", *JOINT_GROUPS, "wrench")}
+        return replace(self, **{name: array[picked] for name, array in arrays.items() if array is not None})
+
+    def to_dataframe(self) -> DataFrame:
+        """The samples, a row each, in the columns of a recorded table: ``t``, ``q1``, ..., ``fx``, ..., ``mz`` [SI units]."""
+        from pandas import DataFrame  # takes longer to import than most tables take to read
+
+        columns: dict[str, np.ndarray] = {"t": self.times}
+        for field, prefix in JOINT_GROUPS.items():
+            array = getattr(self, field)
+            if array is not None:
+                columns |= {f"{prefix}{j + 1}": array[:, j] for j in range(array.shape[1])}
+        if self.wrench is not None:
+            columns |= {name: self.wrench[:, k] for k, name in enumerate(WRENCH_COLUMNS)}
+        return DataFrame(columns)
+
     @property
     def step(self) -> float:
         """The usual time between samples (their median) [s]; 0 for a single sample."""
@@ -111,16 +145,7 @@ def usual_step(times: np.ndarray) -> float:
 
 def write_table(table: Table, path: Path) -> None:
     """Write a table as CSV, with digits enough to read the same numbers back."""
-    import pandas as pd  # takes longer to import than most tables take to read
-
-    columns: dict[str, np.ndarray] = {"t": table.times}
-    for field, prefix in JOINT_GROUPS.items():
-        array = getattr(table, field)
-        if array is not None:
-            columns |= {f"{prefix}{j + 1}": array[:, j] for j in range(array.shape[1])}
-    if table.wrench is not None:
-        columns |= {name: table.wrench[:, k] for k, name in enumerate(WRENCH_COLUMNS)}
-    pd.DataFrame(columns).to_csv(path, index=False, lineterminator="\n")
+    table.to_dataframe().to_csv(path, index=False, lineterminator="\n")
 
 
 def check_increasing(times: np.ndarray, source: str, place: Callable[[int], str]) -> None:

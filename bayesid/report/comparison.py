@@ -16,7 +16,7 @@ from bayesid.results.entry import Entry
 from bayesid.results.text import DASH, HALF, chance, channel_text, number, percent
 from bayesid.validation.agreement import HausmanTest
 from bayesid.validation.headline import judged
-from bayesid.validation.prediction import BAND, band_error
+from bayesid.validation.prediction import BAND
 
 _SHOWN_MOTIONS = 4
 #: Two residuals closer than this do not tell two estimators apart.
@@ -89,7 +89,7 @@ def _row(result: Comparison, entry: Entry) -> dict[str, Any]:
         "refused": entry.refusal,
         "baseline": any(entry is b for b in result.baselines),
         "motions": [
-            {"error": percent(band_error(p)), "white": number(p.whitened_rms, 3), "mood": judged(p).mood}
+            {"error": percent(p.relative_error), "white": number(p.whitened_rms, 3), "mood": judged(p).mood}
             for p in entry.proof[:TEXT_MOTIONS]
         ],
         "links_mood": "" if entry.impossible is None else "bad" if entry.impossible or entry.conflicting else "good",
@@ -108,7 +108,7 @@ def _score(entry: Entry) -> float:
 
 def _error(entry: Entry) -> float:
     """Relative error over all proof motions: root mean square."""
-    return float(np.sqrt(np.mean([band_error(p) ** 2 for p in entry.proof])))
+    return float(np.sqrt(np.mean([p.relative_error**2 for p in entry.proof])))
 
 
 def _lead(result: Comparison) -> str:
@@ -179,7 +179,7 @@ def errors_figure(result: Comparison) -> Figure:
         ps = [e.proof[k] for e in entries]
         motions.append(
             (ps[0].motion, ps[0].channel_names,
-             100 * np.array([p.nrmse for p in ps]), 100 * np.array([band_error(p) for p in ps]),
+             100 * np.array([p.nrmse for p in ps]), 100 * np.array([p.relative_error for p in ps]),
              np.array([p.whitened_rms_by_channel for p in ps]), np.array([p.whitened_rms for p in ps]))
         )  # fmt: skip
     return proof_side_by_side([e.name for e in entries], len(result.baselines), motions)
@@ -226,7 +226,7 @@ def _motion_errors(result: Comparison, index: int) -> dict[str, Any]:
                    for p in ps]}
         for c, (name, unit) in enumerate(zip(ps[0].channel_names, ps[0].channel_units, strict=True))
     ]  # fmt: skip
-    whole = [{"nrmse": percent(band_error(p)), "white": number(p.whitened_rms, 3), "mood": judged(p).mood} for p in ps]
+    whole = [{"nrmse": percent(p.relative_error), "white": number(p.whitened_rms, 3), "mood": judged(p).mood} for p in ps]
     return {"title": ps[0].motion, "names": [e.name for e in entries], "channels": channels, "whole": whole,
             "repeats": f"This motion repeats the fitted ‘{ps[0].repeats}’." if ps[0].repeats else ""}  # fmt: skip
 

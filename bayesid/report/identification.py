@@ -23,7 +23,7 @@ from bayesid.results.text import DASH, HALF, chance, channel_text, ends, number,
 from bayesid.robot import inertia
 from bayesid.validation.headline import judged, still_predictable
 from bayesid.validation.noise_floor import RESIDUALS
-from bayesid.validation.prediction import BAND, TOLERATED, Prediction, band_error, relative_error
+from bayesid.validation.prediction import BAND, TOLERATED, Prediction
 
 #: Figures of at most so many motions of each role are shown.
 SHOWN_MOTIONS = 6
@@ -115,12 +115,12 @@ def _verdict(result: Identification) -> str:
         )
     if not result.validation:
         return f"{count} There is no validation motion, so nothing shows yet how well they hold for a motion that was not fitted."
-    worst = max(result.validation, key=lambda p: (_MOODS.index(judged(p).mood), band_error(p)))
+    worst = max(result.validation, key=lambda p: (_MOODS.index(judged(p).mood), p.relative_error))
     unseen = "the motion" if len(result.validation) == 1 else f"the worst of {len(result.validation)} motions"
     text = (
         f"{count} On {unseen} not used for the fit (‘{worst.motion}’), the {channel_text(problem.channel)} "
-        f"{'are' if problem.channel != 'wrench' else 'is'} predicted with an error of {percent(band_error(worst), 2)} of "
-        f"the signal below {number(BAND, 2)} Hz ({_sizes(worst)}; {percent(relative_error(worst), 2)} on raw samples); "
+        f"{'are' if problem.channel != 'wrench' else 'is'} predicted with an error of {percent(worst.relative_error, 2)} of "
+        f"the signal below {number(BAND, 2)} Hz ({_sizes(worst)}; {percent(worst.relative_error_raw, 2)} on raw samples); "
         f"{judged(worst).text}. {still_predictable(worst)}"
     ).rstrip()
     if worst.repeats:
@@ -136,7 +136,10 @@ def _cards(result: Identification) -> list[dict[str, str]]:
         mood = judged(p).mood
         left = "what the fit left (sensor noise unknown)" if p.noise_source == RESIDUALS else "the sensor's noise"
         cards += [
-            {"value": percent(band_error(p)), "mood": mood, "text": f"error of the signal on ‘{p.motion}’, below {BAND:.2g} Hz"},
+            {
+                "value": percent(p.relative_error), "mood": mood,
+                "text": f"error of the signal on ‘{p.motion}’, below {BAND:.2g} Hz",
+            },
             {"value": f"{number(p.whitened_rms, 3)} ×", "mood": mood, "text": f"{left}: the residual on ‘{p.motion}’"},
         ]
     moved = result.urdf.moved
@@ -199,8 +202,8 @@ def _motion(prediction: Prediction, role: str, index: int) -> dict[str, Any]:
     title = f"{prediction.motion} ({'validation: not fitted' if role == 'validation' else 'fitted'})"
     what = "poses, numbered" if prediction.poses else f"motion of {number(prediction.times[-1] - prediction.times[0], 3)} s"
     text = (
-        f"Error {percent(band_error(prediction), 3)} of the signal below {number(BAND, 2)} Hz, {_sizes(prediction)} "
-        f"({percent(relative_error(prediction), 3)} on raw samples); {judged(prediction).text}. "
+        f"Error {percent(prediction.relative_error, 3)} of the signal below {number(BAND, 2)} Hz, {_sizes(prediction)} "
+        f"({percent(prediction.relative_error_raw, 3)} on raw samples); {judged(prediction).text}. "
         f"{still_predictable(prediction)}"
     ).rstrip()
     if prediction.repeats:
@@ -233,7 +236,8 @@ def _errors(p: Prediction, role: str) -> dict[str, Any]:
     return {
         "title": f"{p.motion} ({'validation: not fitted' if role == 'validation' else 'fitted'})",
         "channels": channels,
-        "relative": percent(relative_error(p)),
+        "relative": percent(p.relative_error),
+        "relative_raw": percent(p.relative_error_raw),
         "white": number(p.whitened_rms, 3),
         "mood": judged(p).mood,
         "coverage": percent(p.coverage),

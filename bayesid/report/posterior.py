@@ -14,7 +14,7 @@ from bayesid.report.prediction_figures import measured_against_predicted, residu
 from bayesid.results.posterior import ExperimentPosterior
 from bayesid.results.text import DASH, channel_text, number, percent, with_half
 from bayesid.validation.headline import judged, still_predictable
-from bayesid.validation.prediction import BAND, Prediction, band_error, relative_error
+from bayesid.validation.prediction import BAND, Prediction
 
 _SHOWN_MOTIONS = 3
 _RANKED = 4
@@ -85,7 +85,7 @@ def _lead(result: ExperimentPosterior) -> str:
     if result.validation:
         worst = max(result.validation, key=lambda p: p.whitened_rms)
         text += (
-            f"‘{worst.motion}’, which was not fitted, is predicted to {percent(band_error(worst))} of the signal; "
+            f"‘{worst.motion}’, which was not fitted, is predicted to {percent(worst.relative_error)} of the signal; "
             f"{judged(worst).text}. {still_predictable(worst)} {percent(worst.coverage)} of the readings lie within their 95 % "
             "predictive intervals."
         )
@@ -102,7 +102,7 @@ def _cards(result: ExperimentPosterior) -> list[dict[str, str]]:
     ]
     for p in sorted(result.validation, key=lambda p: -p.whitened_rms)[:1]:
         cards.append(
-            {"value": f"{percent(band_error(p))}", "mood": judged(p).mood, "text": f"error of the signal on ‘{p.motion}’"}
+            {"value": f"{percent(p.relative_error)}", "mood": judged(p).mood, "text": f"error of the signal on ‘{p.motion}’"}
         )
         cards.append({"value": percent(p.coverage), "mood": "", "text": "of its readings inside 95 % predictive intervals"})
     return cards
@@ -172,7 +172,7 @@ def _motion(prediction: Prediction, index: int) -> dict[str, Any]:
 
 def _error(p: Prediction, role: str) -> dict[str, str]:
     return {
-        "motion": p.motion, "role": role, "relative": percent(relative_error(p)), "white": number(p.whitened_rms, 3),
+        "motion": p.motion, "role": role, "relative": percent(p.relative_error), "white": number(p.whitened_rms, 3),
         "mood": judged(p).mood, "coverage": percent(p.coverage),
     }  # fmt: skip
 

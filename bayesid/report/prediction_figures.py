@@ -47,7 +47,7 @@ def residuals(prediction: Prediction) -> Figure:
         figure, axes = make_grid(count, 1, 0.95, sharex=True)
     else:
         figure, axes = make_grid(count, 2, 0.95, sharex="col", width_ratios=(1.7, 1.0))
-    x, (left,) = _with_breaks(prediction, prediction.measured - prediction.predicted)
+    x, (left,) = _with_breaks(prediction, prediction.residuals)
     level = None if spectrum is None or spectrum.filtered else noise_in_band(spectrum)
     for k, (name, unit) in enumerate(zip(prediction.channel_names, prediction.channel_units, strict=True)):
         ax = axes[k, 0]

@@ -19,7 +19,7 @@ from bayesid.results.files import Result
 from bayesid.results.text import DASH, chance, channel_text, html_table, number, percent, text_table, with_interval
 from bayesid.validation.agreement import Gap, HausmanTest
 from bayesid.validation.predicted_readings import PredictedReadings, predict_readings
-from bayesid.validation.prediction import BAND, band_error
+from bayesid.validation.prediction import BAND
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -211,7 +211,7 @@ def comparison_text(result: Comparison, *, html: bool = False) -> str:
         row = overview(result, entry)
         cells = [entry.name]
         for p in entry.proof[:TEXT_MOTIONS]:
-            cells += [percent(band_error(p)), number(p.whitened_rms, 3)]
+            cells += [percent(p.relative_error), number(p.whitened_rms, 3)]
         cells += [row["links"]] * known
         if result.reference:
             cells += [row["width"], row["rms"], row["largest"]]

@@ -28,7 +28,7 @@ from bayesid.validation.cross_checks import Agreement
 from bayesid.validation.headline import over_noise, still_predictable
 from bayesid.validation.noise_floor import NoiseFloor
 from bayesid.validation.predicted_readings import PredictedReadings, predict_readings
-from bayesid.validation.prediction import BAND, Prediction, band_error, predict, relative_error
+from bayesid.validation.prediction import BAND, Prediction, predict
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -202,7 +202,7 @@ class Identification(PlotsPredictions, Result):
                 "row_rate_hz": 1.0 / self.problem.row_model.step,
                 "reason": smoother.reason,
                 "bandwidths_tried": None if tried is None else {
-                    "bandwidth_hz": tried.bandwidths.tolist(), "relative_error": np.sqrt(tried.error).tolist(),
+                    "bandwidth_hz": tried.bandwidths.tolist(), "error_over_first": np.sqrt(tried.error).tolist(),
                 },
             },
             **self.estimate.to_dict(),
@@ -292,8 +292,8 @@ def summary(result: Identification) -> str:
     ]
     for prediction in (*result.fitted, *result.validation):
         lines.append(
-            f"  {prediction.role} '{prediction.motion}': error {100 * band_error(prediction):.3g} % of the signal below "
-            f"{BAND:.2g} Hz ({100 * relative_error(prediction):.3g} % raw), residual {over_noise(prediction)}"
+            f"  {prediction.role} '{prediction.motion}': error {100 * prediction.relative_error:.3g} % of the signal below "
+            f"{BAND:.2g} Hz ({100 * prediction.relative_error_raw:.3g} % raw), residual {over_noise(prediction)}"
         )
         if prediction.flexible is not None:
             lines.append(f"    {still_predictable(prediction)}")

@@ -64,7 +64,7 @@ class UrdfLinks:
                 "links_at_the_edge": list(moved.on_boundary),
                 "conflicts": [{"label": label, "sigma": sigma} for label, sigma in moved.conflicts],
             },
-            "relative_error": {motion: {"estimate": a, "urdf": b} for motion, (a, b) in self.errors.items()},
+            "relative_error_of_rows": {motion: {"estimate": a, "urdf": b} for motion, (a, b) in self.errors.items()},
             "dynamics": self.friction,
             "negative_friction": list(self.left_out),
         }  # fmt: skip

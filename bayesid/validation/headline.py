@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesid.validation.noise_floor import RESIDUALS
-from bayesid.validation.prediction import TOLERATED, Prediction, band_error
+from bayesid.validation.prediction import TOLERATED, Prediction
 
 #: Relative errors below which a prediction is close, and above which it predicts little.
 CLOSE, POOR = 0.1, 0.3
@@ -39,7 +39,7 @@ class Judgement:
 
 def judged(prediction: Prediction) -> Judgement:
     """The verdict on one motion that was not fitted."""
-    error, white = band_error(prediction), prediction.whitened_rms
+    error, white = prediction.relative_error, prediction.whitened_rms
     worst = int(np.argmax(prediction.nrmse))
     share = float(prediction.nrmse[worst])
     wrong = f"; {prediction.channel_names[worst]} is wrong by {100 * share:.0f} % of its signal" if share > _NAMED else ""

@@ -113,8 +113,23 @@ class Prediction:
     spectrum: Spectrum | None = None
     flexible: FlexibleGap | None = None
 
+    @property
+    def relative_error(self) -> float:
+        """The headline: error norm over signal norm of all channels together, in the zero-phase band of 10 Hz."""
+        return _together(self.rmse, self.nrmse)
+
+    @property
+    def relative_error_raw(self) -> float:
+        """Error norm over signal norm of all channels together, on raw samples."""
+        return _together(self.rmse_raw, self.nrmse_raw)
+
+    @property
+    def residuals(self) -> np.ndarray:
+        """What was measured less what was predicted, in the band (k, c) [unit of the channel]."""
+        return self.measured - self.predicted
+
     def __repr__(self) -> str:
-        return f"<Prediction of {self.motion}: {len(self.channel_names)} channels, error {100 * relative_error(self):.3g} %>"
+        return f"<Prediction of {self.motion}: {len(self.channel_names)} channels, error {100 * self.relative_error:.3g} %>"
 
     def to_dict(self) -> dict:
         """An entry of ``validation`` in ``estimate.json``."""
@@ -129,7 +144,8 @@ class Prediction:
             "rmse_raw": by_channel(self.rmse_raw),
             "nrmse_raw": by_channel(self.nrmse_raw),
             "band_hz": BAND,
-            "relative_error": relative_error(self),
+            "relative_error": self.relative_error,
+            "relative_error_raw": self.relative_error_raw,
             "whitened_rms": float(self.whitened_rms),
             "whitened_rms_by_channel": by_channel(self.whitened_rms_by_channel),
             "expected_rms": float(self.expected_rms),
@@ -140,18 +156,11 @@ class Prediction:
         }
 
 
-def relative_error(prediction: Prediction) -> float:
-    """Error norm over signal norm of all channels together, raw samples."""
-    known = prediction.nrmse_raw > 0
-    signal = np.where(known, prediction.rmse_raw / np.where(known, prediction.nrmse_raw, 1), 0)
-    return float(np.linalg.norm(prediction.rmse_raw) / max(np.linalg.norm(signal), 1e-300))
-
-
-def band_error(prediction: Prediction) -> float:
-    """Error norm over signal norm of all channels together, in the band."""
-    known = prediction.nrmse > 0
-    signal = np.where(known, prediction.rmse / np.where(known, prediction.nrmse, 1), 0)
-    return float(np.linalg.norm(prediction.rmse) / max(np.linalg.norm(signal), 1e-300))
+def _together(rmse: np.ndarray, nrmse: np.ndarray) -> float:
+    """Error norm over signal norm of all channels together, from those of each channel (c,)."""
+    known = nrmse > 0
+    signal = np.where(known, rmse / np.where(known, nrmse, 1), 0)
+    return float(np.linalg.norm(rmse) / max(np.linalg.norm(signal), 1e-300))
 
 
 def predict(problem: Problem, estimate: Estimate, motion: Motion, floor: NoiseFloor | None = None) -> Prediction:

@@ -30,7 +30,7 @@ from bayesid.signals.filters import LowPass
 from bayesid.validation.agreement import HausmanTest, gaps, hausman
 from bayesid.validation.baselines import nominal_estimates
 from bayesid.validation.noise_floor import NoiseFloor, noise_floor
-from bayesid.validation.prediction import band_error, predict
+from bayesid.validation.prediction import predict
 from bayesid.workflows.progress import Progress, quiet
 from bayesid.workflows.urdf_links import urdf_links
 from bayesid.workflows.warnings import incomplete, repeated_motion
@@ -241,7 +241,9 @@ def _warnings(
         yardstick = nominal.validation[k]
         beaten = {
             what: ", ".join(e.name for e in done if error(e.validation[k]) >= error(yardstick))
-            for what, error in (("in units of the noise", lambda q: q.whitened_rms), ("in per cent of the signal", band_error))
+            for what, error in (
+                ("in units of the noise", lambda q: q.whitened_rms), ("in per cent of the signal", lambda q: q.relative_error)
+            )
         }
         model = "nominal model with its effects fitted" if len(baselines) > 1 else "nominal model"
         for names in dict.fromkeys(n for n in beaten.values() if n):

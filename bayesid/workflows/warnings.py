@@ -9,7 +9,7 @@ import numpy as np
 from bayesid.estimators import Estimate
 from bayesid.regression.problem import Problem
 from bayesid.validation.headline import judged
-from bayesid.validation.prediction import BAND, Prediction, band_error
+from bayesid.validation.prediction import BAND, Prediction
 
 _CERTAIN = 3.0  # standard deviations below zero
 
@@ -26,7 +26,7 @@ def unpredicted(prediction: Prediction) -> list[str]:
     if judgement.mood == "good":
         return []
     return [
-        f"Motion '{prediction.motion}' is predicted with an error of {100 * band_error(prediction):.3g} % of the signal below "
+        f"Motion '{prediction.motion}' is predicted with an error of {100 * prediction.relative_error:.3g} % of the signal below "
         f"{BAND:.2g} Hz: {judgement.text}. `bayesid diagnose` looks for what is missing."
     ]
 

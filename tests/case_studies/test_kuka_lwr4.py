@@ -13,7 +13,6 @@ from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.estimators.conic.physical import Physical
 from bayesid.regression.regression import PriorKnowledge
 from bayesid.robot.inertia import PARAMETERS
-from bayesid.validation.prediction import band_error
 
 STUDY = Path(__file__).parents[2] / "case_studies" / "kuka_lwr4"
 MODULES = ("run", "present")
@@ -41,7 +40,7 @@ def test_physical_links_beat_cad_and_least_squares_does_not(study, experiment, f
 def test_errors_are_the_comparison_s(study, found):
     for entry in found.values():
         # The study sees at most 4000 evenly picked samples of the motion.
-        assert study.relative(*study.squares(entry)[:2]) == pytest.approx(band_error(entry.validation[0]), rel=1e-2)
+        assert study.relative(*study.squares(entry)[:2]) == pytest.approx(entry.validation[0].relative_error, rel=1e-2)
 
 
 def test_resampling_counts_are_those_of_a_loop(study):

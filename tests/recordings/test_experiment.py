@@ -24,6 +24,7 @@ from bayesid.recordings.table_reader import read_table
 from bayesid.recordings.writer import write_experiment
 from bayesid.robot.robot import load_robot
 from tests.malformed import DATA, FOLDERS, recording, table, toml, write_good
+from tests.simulated import experiment, puma2
 
 
 @pytest.fixture
@@ -357,3 +358,33 @@ def test_recordings_load_without_doubts(path: Path) -> None:
     assert experiment.warnings == ()
     assert experiment.identification and experiment.validation
     assert all(len(motion.table) for motion in experiment.motions)
+
+
+def test_an_experiment_is_a_collection_of_its_motions(tmp_path: Path) -> None:
+    """A motion by its name, all one after the other, and a row each in a table."""
+    table = Table(0.01 * np.arange(50), np.zeros((50, 2)), torques=np.ones((50, 2)))
+    motions = [Motion("one", "identification", table), Motion("two", "validation", table[::5])]
+    loaded = experiment(puma2(tmp_path), motions)
+    assert loaded["two"] is motions[1] and list(loaded) == motions
+    with pytest.raises(KeyError, match="no motion is named 'three'; there are one, two"):
+        loaded["three"]
+    rows = loaded.to_dataframe()
+    assert list(rows["motion"]) == ["one", "two"] and list(rows["samples"]) == [50, 10]
+    assert rows["rate_hz"].tolist() == pytest.approx([100.0, 20.0]) and set(rows["readings"]) == {"tau1, tau2"}
+
+
+def test_samples_of_a_table_are_picked_as_those_of_an_array(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    table = Table(0.01 * np.arange(50), rng.normal(size=(50, 2)), wrench=rng.normal(size=(50, 6)), source="arm.csv")
+    first, mask = table[:20], table.positions[:, 0] > 0
+    assert len(first) == 20 and first.velocities is None and first.source == "arm.csv"
+    np.testing.assert_array_equal(first.wrench, table.wrench[:20])
+    np.testing.assert_array_equal(table[mask].positions, table.positions[mask])
+    np.testing.assert_array_equal(table[-1].times, table.times[-1:])
+    with pytest.raises(IndexError):
+        table[50]
+    with pytest.raises(InputError, match="times must strictly increase"):
+        table[::-1]
+    frame = table.to_dataframe()
+    assert list(frame.columns) == ["t", "q1", "q2", "fx", "fy", "fz", "mx", "my", "mz"]
+    np.testing.assert_array_equal(frame[["q1", "q2"]], table.positions)

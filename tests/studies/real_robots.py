@@ -34,7 +34,7 @@ from bayesid.recordings.experiment import Experiment, Motion
 from bayesid.recordings.table import Table
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import prepare
-from bayesid.validation.prediction import BAND, Prediction, band_error
+from bayesid.validation.prediction import BAND, Prediction
 from bayesid.workflows.sample import as_estimate
 from tests.studies.page import DOCS, plain, write_page
 
@@ -239,7 +239,7 @@ def told(result: bayesid.Identification) -> dict[str, Any]:
         "warnings": len(result.warnings),
     }
     if unseen:
-        out |= {"unseen": band_error(unseen[0]), "over_noise": unseen[0].whitened_rms}
+        out |= {"unseen": unseen[0].relative_error, "over_noise": unseen[0].whitened_rms}
         if unseen[0].flexible is not None:
             out |= {"predictable": [unseen[0].flexible.removed, unseen[0].flexible.std]}
     return out

@@ -143,6 +143,20 @@ def test_states_that_cannot_be_are_refused(result, q, message):
         result.predict(q, q, q)
 
 
+def test_the_error_printed_is_the_one_stored_and_that_of_the_readings(result):
+    """All channels together, in the band; every sample of these motions is kept, so plain norms tell it."""
+    written, printed = result.to_dict(), str(result)
+    for prediction, entry in zip((*result.fitted, *result.validation), (*written["fit"], *written["validation"]), strict=True):
+        error = np.linalg.norm(prediction.residuals) / np.linalg.norm(prediction.measured)
+        assert prediction.relative_error == pytest.approx(error, rel=1e-9) == entry["relative_error"]
+        assert entry["relative_error_raw"] == prediction.relative_error_raw > error
+        table = result.problem.experiment[prediction.motion].table
+        known = result.predict(*fourier(result.problem.experiment.robot, 1 if prediction.role == "identification" else 2)[1:])
+        raw = np.linalg.norm(table.torques - known.values) / np.linalg.norm(table.torques)
+        assert prediction.relative_error_raw == pytest.approx(raw, rel=0.05)  # measured states there, exact ones here
+        assert f"error {100 * error:.3g} %" in repr(prediction) and f"error {100 * error:.3g} % of the signal" in printed
+
+
 def test_the_table_has_what_the_json_has(result):
     table, document = result.to_dataframe(), result.to_dict()
     assert list(table.columns) == ["name", "label", "value", "std", "low", "high", "unit", "class"]
