@@ -5,22 +5,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
-from scipy.stats import norm
 
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.estimators.details import Details
+from bayesid.estimators.parameters import HasParameters, Parameters, central_interval
+from bayesid.estimators.rounding import LEVEL
 from bayesid.regression.linalg import standard_deviations
 from bayesid.regression.regression import Regression
 from bayesid.signals.noise import NoiseModel
 
-if TYPE_CHECKING:
-    from pandas import DataFrame
-
-#: Central probability of ``low`` to ``high``.
-LEVEL = 0.95
+__all__ = ["LEVEL", "Estimate", "Estimator", "largest_autocorrelation"]
 
 
 class Estimator(Protocol):
@@ -37,7 +34,7 @@ class Estimator(Protocol):
 
 
 @dataclass(frozen=True)
-class Estimate:
+class Estimate(HasParameters):
     """Estimated base parameters, effect parameters and how sure they are.
 
     Attributes
@@ -126,14 +123,12 @@ class Estimate:
     @property
     def full_low(self) -> np.ndarray:
         """Lower ends of the central 95 % intervals of ``solution`` (p,), cut off where nothing is possible."""
-        ends = self.solution - norm.ppf(0.5 + LEVEL / 2) * self.full_std
-        return ends if self.possible is None else np.clip(ends, *self.possible)
+        return central_interval(self.solution, self.full_std, possible=self.possible)[0]
 
     @property
     def full_high(self) -> np.ndarray:
         """Upper ends of the central 95 % intervals of ``solution`` (p,), cut off where nothing is possible."""
-        ends = self.solution + norm.ppf(0.5 + LEVEL / 2) * self.full_std
-        return ends if self.possible is None else np.clip(ends, *self.possible)
+        return central_interval(self.solution, self.full_std, possible=self.possible)[1]
 
     @property
     def low(self) -> np.ndarray:
@@ -145,15 +140,6 @@ class Estimate:
         """Upper ends of the intervals of the base parameters (r,)."""
         return self.full_high[: self.base.rank]
 
-    def _spreads(self) -> list[str]:
-        """Intervals as text (p,): half their width, both ends where one is cut off, empty where there is none."""
-        out = []
-        for std, low, high in zip(self.full_std, self.full_low, self.full_high, strict=True):
-            whole = np.isclose(high - low, 2 * 1.959964 * std, rtol=1e-6)
-            text = f"± {1.96 * std:<10.3g}" if whole else f"in [{low:.3g}, {high:.3g}]"
-            out.append(text if np.isfinite(std) else "")
-        return out
-
     @property
     def classes(self) -> tuple[str, ...]:
         """``alone``, ``combination``, ``weak`` or ``prior`` for each base parameter."""
@@ -163,11 +149,13 @@ class Estimate:
             for i in range(self.base.rank)
         )
 
-    def to_dataframe(self) -> DataFrame:
-        """Base parameters, then effect parameters (class ``effect``), as a table; see `parameter_table` for its columns."""
-        return parameter_table(
-            [*self.names, *self.effect_names], [*self.base.labels, *self.effect_names], self.solution, self.full_std,
-            [*self.base.units, *self.effect_units], [*self.classes, *["effect"] * len(self.effect_names)],
+    def parameters(self, level: float = LEVEL) -> Parameters:
+        """Base parameters, then effect parameters, with central intervals of a probability, cut off where nothing is possible."""
+        names = list(self.effect_names)
+        return Parameters(
+            [*self.names, *names], [*self.base.labels, *names], self.solution, self.full_std,
+            *central_interval(self.solution, self.full_std, level, self.possible),
+            [*self.base.units, *self.effect_units], [*self.classes, *["effect"] * len(names)],
         )  # fmt: skip
 
     def __repr__(self) -> str:
@@ -178,48 +166,24 @@ class Estimate:
 
     def __str__(self) -> str:
         """Table of the base and effect parameters."""
-        lines = [f"{self.method}: {self.base.rank} base parameters, {self.rows} rows"]
-        names = [*self.base.labels, *self.effect_names]
-        units = [*self.base.units, *self.effect_units]
-        width = min(max(map(len, names), default=0), 60)
-        for name, value, spread, unit in zip(names, self.solution, self._spreads(), units, strict=True):
-            lines.append(f"  {name[:60]:<{width}}  {value:>11.5g} {spread or '  (no interval)'} {unit}")
-        if self.interval == "none":
-            lines.append(f"  no intervals: {self.interval_reason}")
-        return "\n".join(lines)
+        lines = [f"{self.method}: {self.base.rank} base parameters, {self.rows} rows", *self.parameters().to_text()]
+        return "\n".join([*lines, *self.no_intervals])
 
     def _repr_html_(self) -> str:
         """The same as an HTML table for notebooks."""
-        names = [*self.base.labels, *self.effect_names]
-        units = [*self.base.units, *self.effect_units]
-        rows = ""
-        for name, value, text, unit in zip(names, self.solution, self._spreads(), units, strict=True):
-            spread = text.removeprefix("± ").strip()
-            rows += f"<tr><td>{escape(name)}</td><td>{value:.5g}</td><td>{spread}</td><td>{unit}</td></tr>"
-        return f"<table><tr><th>{self.method}</th><th>value</th><th>± 95 %</th><th>unit</th></tr>{rows}</table>"
+        return self.parameters().to_html(self.method) + "".join(f"<p>{escape(text)}</p>" for text in self.no_intervals)
+
+    @property
+    def no_intervals(self) -> tuple[str, ...]:
+        """Why there are no intervals, a line; empty where there are."""
+        return (f"  no intervals: {self.interval_reason}",) if self.interval == "none" else ()
 
     def to_dict(self) -> dict[str, Any]:
         """The estimate's part of ``estimate.json``."""
         covariance = None if self.covariance is None else self.covariance.tolist()
-        base = [
-            {
-                "name": name,
-                "unit": unit,
-                "value": float(value),
-                "std": _number(std),
-                "low": _number(low),
-                "high": _number(high),
-                "class": kind,
-                "label": label,
-            }
-            for name, unit, value, std, low, high, kind, label in zip(
-                self.names, self.base.units, self.values, self.std, self.low, self.high, self.classes, self.base.labels,
-                strict=True,
-            )
-        ]  # fmt: skip
         result: dict[str, Any] = {
             "method": self.method,
-            "base_parameters": base,
+            "base_parameters": self.parameters().to_list()[: self.base.rank],
             "interval": self.interval,
             "covariance": covariance,
             "full_covariance": None if self.full_covariance is None else self.full_covariance.tolist(),
@@ -234,33 +198,6 @@ class Estimate:
         if self.interval_reason:
             result["interval_reason"] = self.interval_reason
         return result
-
-
-def parameter_table(
-    names: Sequence[str], labels: Sequence[str], values: np.ndarray, std: np.ndarray, units: Sequence[str],
-    classes: Sequence[str], low: np.ndarray | None = None, high: np.ndarray | None = None,
-) -> DataFrame:
-    """Parameters as a table: ``name``, ``label``, ``value``, ``std``, ``low``, ``high``, ``unit``, ``class``, a row each.
-
-    Parameters
-    ----------
-    names, labels, units, classes
-        Texts (p,).
-    values, std
-        (p,); nan where there is no honest standard deviation.
-    low, high
-        Ends of the central 95 % intervals (p,); default those of a normal distribution.
-    """
-    from pandas import DataFrame
-
-    half = norm.ppf(0.5 + LEVEL / 2) * std
-    return DataFrame(
-        {
-            "name": list(names), "label": list(labels), "value": values, "std": std,
-            "low": values - half if low is None else low, "high": values + half if high is None else high,
-            "unit": list(units), "class": list(classes),
-        }
-    )  # fmt: skip
 
 
 def _number(value: float) -> float | None:

@@ -5,21 +5,19 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cached_property
 from html import escape
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from bayesid.dynamics.base_parameters import BaseParameters
-from bayesid.estimators.estimator import LEVEL, parameter_table
+from bayesid.estimators.parameters import HasParameters, Parameters, tails
 from bayesid.estimators.prior_check import PriorCheck, conflicts
+from bayesid.estimators.rounding import LEVEL
 from bayesid.posterior import density
 from bayesid.posterior.convert import Groups, to_arviz
 from bayesid.posterior.diagnostics import Convergence
 from bayesid.posterior.model import PosteriorModel
 from bayesid.posterior.run import Chains
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
 
 #: A parameter whose standard deviation stays above this share of the prior's is driven by the prior.
 PRIOR_DRIVEN = 0.9
@@ -27,7 +25,7 @@ _PRIOR_DRAWS = 4000
 
 
 @dataclass(frozen=True, eq=False)
-class Posterior:
+class Posterior(HasParameters):
     """Draws from the posterior of a `PosteriorModel`.
 
     Attributes
@@ -122,12 +120,12 @@ class Posterior:
     @property
     def low(self) -> np.ndarray:
         """Lower ends of the central 95 % intervals of the base parameters (r,)."""
-        return np.quantile(self.base_draws, 0.5 - LEVEL / 2, axis=(0, 1))
+        return np.quantile(self.base_draws, tails()[0], axis=(0, 1))
 
     @property
     def high(self) -> np.ndarray:
         """Upper ends of the central 95 % intervals of the base parameters (r,)."""
-        return np.quantile(self.base_draws, 0.5 + LEVEL / 2, axis=(0, 1))
+        return np.quantile(self.base_draws, tails()[1], axis=(0, 1))
 
     @cached_property
     def prior_std(self) -> tuple[np.ndarray, np.ndarray]:
@@ -228,14 +226,10 @@ class Posterior:
     def to_dict(self) -> dict[str, Any]:
         """The posterior's part of ``posterior.json``."""
         model, covariance = self.model, self.covariance
-        share = self.prior_share
-        base = [
-            {"name": n, "unit": u, "value": float(v), "std": float(s), "low": float(lo), "high": float(hi), "class": c,
-             "label": label, "prior_share": float(p), "prior_driven": bool(p > PRIOR_DRIVEN)}
-            for n, u, v, s, lo, hi, c, label, p in zip(
-                self.names, self.base.units, self.values, self.std, self.low, self.high, self.classes, self.base.labels, share,
-                strict=True)
-        ]  # fmt: skip
+        parameters = self.parameters().to_list()
+        base, effects = parameters[: self.base.rank], parameters[self.base.rank :]
+        for entry, share in zip(base, self.prior_share, strict=True):
+            entry |= {"prior_share": float(share), "prior_driven": bool(share > PRIOR_DRIVEN)}
         links = self.link_draws
         d = self.diagnosis
         return {
@@ -250,7 +244,7 @@ class Posterior:
             "base_map": self.base.matrix.tolist(),
             "link_parameter_names": list(self.base.parameter_names),
             "link_parameters": None if links is None else _summaries(self.base.parameter_names, links, self.link_prior_share),
-            "effect_parameters": _summaries(model.effect_names, self.effect_draws, units=model.effect_units),
+            "effect_parameters": effects,
             "scales": _summaries(model.scale_names, self.scales) if model.scale_names else [],
             "degrees_of_freedom": None if self.dof is None else _summaries(("nu",), self.dof[..., None])[0],
             "sampler": {
@@ -266,14 +260,14 @@ class Posterior:
             },
         }
 
-    def to_dataframe(self) -> DataFrame:
-        """Base parameters, then effect parameters, by their draws, as `bayesid.estimators.estimator.parameter_table`."""
-        names, draws = self.model.effect_names, self.effect_draws
-        return parameter_table(
-            [*self.names, *names], [*self.base.labels, *names], self.columns.mean(axis=(0, 1)),
-            np.concatenate([self.std, draws.std(axis=(0, 1))]), [*self.base.units, *self.model.effect_units],
-            [*self.classes, *["effect"] * len(names)],
-            *(np.quantile(self.columns, 0.5 + side * LEVEL / 2, axis=(0, 1)) for side in (-1, 1)),
+    def parameters(self, level: float = LEVEL) -> Parameters:
+        """Base parameters, then effect parameters, by their draws, with central intervals of a probability."""
+        names, draws = list(self.model.effect_names), self.columns
+        low, high = np.quantile(draws, tails(level), axis=(0, 1))
+        mean, std = draws.mean(axis=(0, 1)), draws.reshape(-1, draws.shape[-1]).std(axis=0, ddof=1)
+        return Parameters(
+            [*self.names, *names], [*self.base.labels, *names], mean, std, low, high,
+            [*self.base.units, *self.model.effect_units], [*self.classes, *["effect"] * len(names)],
         )  # fmt: skip
 
     def __repr__(self) -> str:
@@ -289,42 +283,21 @@ class Posterior:
             f"posterior: {self.base.rank} base parameters, {shape[0]} chains of {shape[1]} draws ({self.chains.engine}), "
             f"largest R-hat {d.r_hat.max():.4f}, smallest ESS {d.ess.min():.0f}"
         ]
-        width = min(max(map(len, [*self.base.labels, *self.model.effect_names]), default=0), 60)
-        for name, value, std, low, high, unit, note in self._table():
-            lines.append(f"  {name[:60]:<{width}}  {value:>11.5g} ± {std:<10.3g} [{low:>11.5g}, {high:>11.5g}] {unit}{note}")
-        return "\n".join(lines)
+        return "\n".join([*lines, *self.parameters().to_text()])
 
     def _repr_html_(self) -> str:
         """The same as an HTML table for notebooks."""
-        rows = "".join(
-            f"<tr><td>{escape(n)}</td><td>{v:.5g}</td><td>{s:.3g}</td><td>{lo:.5g} … {hi:.5g}</td>"
-            f"<td>{u}</td><td>{note}</td></tr>"
-            for n, v, s, lo, hi, u, note in self._table()
-        )
-        head = "<tr><th>posterior</th><th>mean</th><th>std</th><th>95 %</th><th>unit</th><th></th></tr>"
         told = "".join(f"<p>{escape(text)}</p>" for text in conflicts(self.prior_check))
-        return f"{told}<table>{head}{rows}</table>"
-
-    def _table(self):
-        e = self.effect_draws
-        ends = [np.array([np.quantile(e[..., k], q) for k in range(e.shape[2])]) for q in (0.5 - LEVEL / 2, 0.5 + LEVEL / 2)]
-        notes = ["  prior-driven" if share > PRIOR_DRIVEN else "" for share in self.prior_share]
-        yield from zip(self.base.labels, self.values, self.std, self.low, self.high, self.base.units, notes, strict=True)
-        yield from zip(
-            self.model.effect_names, e.mean(axis=(0, 1)), e.std(axis=(0, 1)), *ends, self.model.effect_units,
-            [""] * e.shape[2], strict=True,
-        )  # fmt: skip
+        return told + self.parameters().to_html("posterior")
 
 
-def _summaries(names, draws: np.ndarray, share: np.ndarray | None = None, units=None) -> list[dict[str, Any]]:
+def _summaries(names, draws: np.ndarray, share: np.ndarray | None = None) -> list[dict[str, Any]]:
     """Mean, standard deviation and central 95 % interval by name."""
-    low, high = np.quantile(draws, [0.5 - LEVEL / 2, 0.5 + LEVEL / 2], axis=(0, 1)) if len(names) else (np.zeros(0), np.zeros(0))
+    low, high = np.quantile(draws, tails(), axis=(0, 1)) if len(names) else (np.zeros(0), np.zeros(0))
     out = []
     for k, name in enumerate(names):
         entry = {"name": name, "value": float(draws[..., k].mean()), "std": float(draws[..., k].std()),
                  "low": float(low[k]), "high": float(high[k])}  # fmt: skip
-        if units is not None:
-            entry["unit"] = units[k]
         if share is not None:
             entry |= {"prior_share": float(share[k]), "prior_driven": bool(share[k] > PRIOR_DRIVEN)}
         out.append(entry)

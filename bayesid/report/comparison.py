@@ -13,7 +13,7 @@ from bayesid.report.notation import short_names
 from bayesid.report.page import render, run_times, svg, versions
 from bayesid.results.comparison import TEXT_MOTIONS, Comparison, in_sigmas, overview, values_table
 from bayesid.results.entry import Entry
-from bayesid.results.text import DASH, HALF, chance, channel_text, number, percent
+from bayesid.results.text import DASH, chance, channel_text, number, percent
 from bayesid.validation.agreement import HausmanTest
 from bayesid.validation.headline import judged
 from bayesid.validation.prediction import BAND
@@ -194,8 +194,8 @@ def values_figure(result: Comparison, name: str) -> Figure:
     std = reference.std[shown]
     hidden = np.array([e.undetermined[: e.base.rank][shown] for e in estimates])
     difference = np.array([(e.values - reference.values)[shown] / std for e in estimates])
-    half = np.array([HALF * e.std[shown] / std for e in estimates])
-    return values_side_by_side(names, list(result.estimates), np.where(hidden, np.nan, difference), half, name)
+    ends = np.array([[(end - reference.values)[shown] / std for end in (e.low, e.high)] for e in estimates]).swapaxes(0, 1)
+    return values_side_by_side(names, list(result.estimates), np.where(hidden, np.nan, difference), ends, name)
 
 
 def _matrix(result: Comparison) -> list[dict[str, Any]]:

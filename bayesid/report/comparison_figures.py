@@ -19,7 +19,7 @@ _ONE_LINE = 9
 
 @styled
 def values_side_by_side(
-    names: Sequence[str], estimators: Sequence[str], difference: np.ndarray, half: np.ndarray, reference: str
+    names: Sequence[str], estimators: Sequence[str], difference: np.ndarray, ends: np.ndarray, reference: str
 ) -> Figure:
     """Each base parameter by each estimator, with intervals, around the reference.
 
@@ -29,9 +29,9 @@ def values_side_by_side(
         Of the parameters (r,).
     estimators
         Their names (e,).
-    difference, half
-        Value less the reference's value, and half the 95 % interval, in standard deviations of the reference
-        (e, r); nan where there is none.
+    difference, ends
+        Value less the reference's value (e, r), and the same of both ends of the 95 % interval (2, e, r), in standard deviations
+        of the reference; nan where there is none.
     reference
         Its name.
     """
@@ -41,7 +41,7 @@ def values_side_by_side(
     slot = min(0.8 / many, 0.2)
     margin = 0.35 + 0.062 * max(map(len, names), default=0)
     figure, axes = make_grid(1, columns, per_column * max(0.085 * many + 0.08, 0.26), left=margin, gap=margin, sharex=True)
-    reach = np.abs(difference) + np.nan_to_num(half)
+    reach = np.abs(np.concatenate([difference[None], ends]))
     reach = reach[np.isfinite(reach)]
     usual, longest = np.percentile(reach, [90, 100]) if len(reach) else (3.0, 3.0)
     # Everything, unless a few lie so far out that the others would be dots.
@@ -53,9 +53,9 @@ def values_side_by_side(
         ax.axvline(0.0, color=GREY, lw=0.8)
         for e, name in enumerate(estimators):
             colour, at = CYCLE[e % len(CYCLE)], y + (e - 0.5 * (many - 1)) * slot
-            d, h = difference[e, part], half[e, part]
-            sure = np.isfinite(h) & np.isfinite(d)
-            ax.hlines(at[sure], (d - h)[sure], (d + h)[sure], color=colour, lw=1.6, alpha=0.5)
+            d, (low, high) = difference[e, part], ends[:, e, part]
+            sure = np.isfinite(high - low) & np.isfinite(d)
+            ax.hlines(at[sure], low[sure], high[sure], color=colour, lw=1.6, alpha=0.5)
             inside = np.abs(d) <= limit
             ax.plot(d[inside], at[inside], "o", ms=3.6, mew=0, color=colour, label=name)
             for k in np.flatnonzero(np.abs(d) > limit):

@@ -19,7 +19,7 @@ from bayesid.report.notation import notation, short_names
 from bayesid.report.page import physical, render, run_times, svg, versions
 from bayesid.report.prediction_figures import measured_against_predicted, residuals
 from bayesid.results.identification import Identification
-from bayesid.results.text import DASH, HALF, chance, channel_text, ends, number, percent, with_half, with_interval
+from bayesid.results.text import DASH, HALF, chance, channel_text, ends, number, percent, with_interval
 from bayesid.robot import inertia
 from bayesid.validation.headline import judged, still_predictable
 from bayesid.validation.noise_floor import RESIDUALS
@@ -31,6 +31,8 @@ STATIC = {"motion": "subtracted sample by sample", "joint": "fitted along", "non
 #: Residuals up to so many times the noise count as good and as fair.
 _GOOD, _FAIR = TOLERATED, 1.5
 _MOODS = ("good", "fair", "bad")
+#: What the text of an interval is made of.
+_INTERVAL = ("value", "std", "low", "high")
 
 
 def identification_report(result: Identification) -> str:
@@ -165,8 +167,8 @@ def intervals_figure(regression: Regression, estimate: Estimate) -> Figure:
     """Base parameters against the nominal model, with their 95 % intervals."""
     nominal, scale = _reference(regression, estimate)
     names = [f"{name}  ({k + 1})" for k, name in enumerate(short_names(estimate.base))]
-    beside = estimate.low - nominal, estimate.high - nominal
-    return parameter_intervals(names, estimate.values - nominal, HALF * estimate.std, scale, estimate.classes, ends=beside)
+    between = np.array([estimate.low - nominal, estimate.high - nominal])
+    return parameter_intervals(names, estimate.values - nominal, between, scale, estimate.classes)
 
 
 def _parameters(regression: Regression, estimate: Estimate) -> list[dict[str, Any]]:
@@ -189,7 +191,7 @@ def _effects(effects: list[dict[str, Any]]) -> list[dict[str, Any]]:
     rows = []
     for effect in effects:
         for k, (key, parameter) in enumerate(effect["parameters"].items()):
-            value, half = with_interval(*(parameter[part] for part in ("value", "std", "low", "high")))
+            value, half = with_interval(*(parameter[part] for part in _INTERVAL))
             name = effect["name"].replace("_", " ")
             rows.append(
                 {"first": k == 0, "name": name if k == 0 else "", "where": effect["where"] if k == 0 else "",
@@ -305,9 +307,8 @@ def _both_ways(result: Identification) -> dict[str, Any] | None:
     subtracted = result.problem.static == "motion"
     tables = []
     for estimate in (result.estimate, other):
-        half = HALF * estimate.std
-        tables.append({n: (*with_half(v, h), lab, u) for n, v, h, lab, u in zip(
-            estimate.base.names, estimate.values, half, estimate.base.labels, estimate.base.units, strict=True)})  # fmt: skip
+        own = estimate.parameters().to_list()[: estimate.base.rank]
+        tables.append({p["name"]: (*with_interval(*(p[k] for k in _INTERVAL)), p["label"], p["unit"]) for p in own})
     first, second = tables if subtracted else tables[::-1]
     rows = []
     for name in dict.fromkeys([*first, *second]):

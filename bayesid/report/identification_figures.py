@@ -18,12 +18,9 @@ WEAK = 1.96
 def parameter_intervals(
     names: Sequence[str],
     change: np.ndarray,
-    half: np.ndarray,
+    ends: np.ndarray,
     scale: np.ndarray,
     classes: Sequence[str],
-    *,
-    ends: tuple[np.ndarray, np.ndarray] | None = None,
-    relative_to: str = "nominal model",
 ) -> Figure:
     """Base parameters as dots with 95 % intervals, in units of their natural size, and how sure each one is.
 
@@ -33,24 +30,20 @@ def parameter_intervals(
         Short names (r,).
     change
         Value less reference (r,) [SI].
-    half
-        Half the width of the 95 % interval (r,) [SI], nan where there is none.
+    ends
+        Both ends of the 95 % interval, less the reference (2, r) [SI], nan where there is none.
     scale
         Natural size of each parameter (r,) [SI], positive.
     classes
         Keys of `CLASSES` (r,).
-    ends
-        Ends of the intervals, less the reference (r,), where they are not half a width from the value.
-    relative_to
-        What ``change`` is counted from.
     """
     count = len(names)
     figure, axes = make_grid(1, 2, 0.3 + 0.2 * count, left=0.3 + 0.062 * max(map(len, names), default=0), gap=0.4,
                          sharey=True, width_ratios=(1.9, 1.0))  # fmt: skip
     left, right = axes[0]
     y = np.arange(count)
-    position, width = change / scale, half / scale
-    low, high = (position - width, position + width) if ends is None else (ends[0] / scale, ends[1] / scale)
+    position, (low, high) = change / scale, ends / scale
+    width = 0.5 * (high - low)
     # The well determined ones set the scale: weak ones would press them all to zero.
     good = np.isin(classes, ("alone", "combination"))
     reach = (np.abs(position) + np.nan_to_num(width))[good if good.any() else slice(None)]
@@ -73,7 +66,7 @@ def parameter_intervals(
         right.hlines(y[shown], 1e-30, 100 * width[shown], color="#cbd5e1", lw=0.9)
         right.plot(100 * width[shown], y[shown], "o", ms=4.5, color=colour, mew=0)
     left.axvline(0.0, color="#334155", lw=0.9)
-    left.set(xlim=(-limit, limit), ylim=(count - 0.3, -0.7), xlabel=f"change against the {relative_to}, in natural sizes")
+    left.set(xlim=(-limit, limit), ylim=(count - 0.3, -0.7), xlabel="change against the nominal model, in natural sizes")
     left.set_yticks(y, names)
     left.grid(axis="y", visible=False)
     left.set_title("Value and 95 % interval")

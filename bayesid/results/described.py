@@ -14,12 +14,10 @@ from bayesid.diagnosis.description.draft import unit_of
 from bayesid.recordings.experiment import Experiment
 from bayesid.recordings.schema import dump_model
 from bayesid.results.fitted_model import fitted_model
-from bayesid.results.text import number, percent, with_half
+from bayesid.results.text import HALF, number, percent, with_half
 
 #: The file that it is written into beside a diagnosis.
 DRAFT = "draft_effect.toml"
-#: Half the width of a 95 % interval in standard deviations.
-_HALF = 1.96
 #: Names that a sentence lists.
 _LISTED = 4
 
@@ -31,7 +29,7 @@ def terms_of(description: Description, names: tuple[str, ...]) -> list[tuple[str
         candidate = chosen.candidate
         for channel in candidate.channels:
             for text in candidate.shape.texts:
-                value, half = with_half(description.term.values[at], _HALF * float(description.std[at]))
+                value, half = with_half(description.term.values[at], HALF * float(description.std[at]))
                 rows.append((names[channel], text, value, half, unit_of(names[channel], candidate.shape)))
                 at += 1
     return rows

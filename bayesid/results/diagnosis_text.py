@@ -13,10 +13,8 @@ from bayesid.diagnosis.rivals import Found
 from bayesid.effects import Effect
 from bayesid.results.described import described_lines
 from bayesid.results.findings import Findings
-from bayesid.results.text import DASH, channel_text, interval, number, percent, with_half
+from bayesid.results.text import DASH, HALF, channel_text, interval, number, percent, with_half
 
-#: Half the width of a 95 % interval in standard deviations.
-HALF = 1.96
 #: Disagreements that a terminal shows.
 _SHOWN = 4
 #: So many effects are spelt out in a sentence, and so many channels of what stays; more are told by kind.

@@ -73,15 +73,8 @@ class Entry:
         if self.estimate is None:
             return {"name": self.name, "status": "refused", "reason": self.refusal}
         estimate = self.estimate
-        own = slice(estimate.base.rank, None)
         document = {k: v for k, v in estimate.to_dict().items() if k not in ("base_map", "link_parameter_names", "rank")}
-        effects = [
-            {"name": n, "value": float(v), "std": float(s), "low": float(low), "high": float(high), "unit": u}
-            for n, u, v, s, low, high in zip(
-                estimate.effect_names, estimate.effect_units, estimate.solution[own], estimate.full_std[own],
-                estimate.full_low[own], estimate.full_high[own], strict=True,
-            )
-        ]
+        effects = estimate.parameters().to_list()[estimate.base.rank :]
         proof = {
             "link_parameters": None if self.links is None else self.links.tolist(),
             "physically_consistent": self.physically_consistent,

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, replace
 from functools import cached_property
+from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,8 +15,9 @@ from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.effects import Term
 from bayesid.errors import InputError
 from bayesid.estimators import Estimate
-from bayesid.estimators.estimator import parameter_table
+from bayesid.estimators.parameters import HasParameters, Parameters, central_interval
 from bayesid.estimators.prior_check import PriorCheck, conflicts
+from bayesid.estimators.rounding import LEVEL
 from bayesid.recordings.schema import EffectParameters
 from bayesid.regression.parallel import in_order, one_blas_thread
 from bayesid.regression.problem import Problem
@@ -22,7 +25,6 @@ from bayesid.results.bodies import impossible_bodies
 from bayesid.results.figures import PlotsPredictions, figures_of
 from bayesid.results.files import Result
 from bayesid.results.fitted_model import fitted_model
-from bayesid.results.text import HALF
 from bayesid.results.urdf_links import UrdfLinks
 from bayesid.validation.cross_checks import Agreement
 from bayesid.validation.headline import over_noise, still_predictable
@@ -32,13 +34,12 @@ from bayesid.validation.prediction import BAND, Prediction, predict
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-    from pandas import DataFrame
 
 SCHEMA = 1
 
 
 @dataclass(frozen=True)
-class Identification(PlotsPredictions, Result):
+class Identification(PlotsPredictions, HasParameters, Result):
     """What `identify` found.
 
     Attributes
@@ -111,6 +112,16 @@ class Identification(PlotsPredictions, Result):
         return self.estimate.std
 
     @property
+    def low(self) -> np.ndarray:
+        """Lower ends of their 95 % intervals (r,)."""
+        return self.estimate.low
+
+    @property
+    def high(self) -> np.ndarray:
+        """Upper ends of their 95 % intervals (r,)."""
+        return self.estimate.high
+
+    @property
     def covariance(self) -> np.ndarray | None:
         """Their covariance (r, r)."""
         return self.estimate.covariance
@@ -156,14 +167,31 @@ class Identification(PlotsPredictions, Result):
         e = self.estimate
         return predict_readings(self.problem, e.solution, e.full_covariance, e.undetermined, q, v, a, times)
 
-    def to_dataframe(self) -> DataFrame:
-        """Base parameters, then effects as in ``estimate.json``, as `bayesid.estimators.estimator.parameter_table`."""
-        e, fitted = self.estimate, self._fitted_effects()
-        names = [name for term, _ in fitted for name in term.effect.column_names]
-        units = [unit for term, _ in fitted for unit in term.effect.units]
-        return parameter_table(
-            [*e.names, *names], [*e.base.labels, *names], np.concatenate([e.values, *(term.values for term, _ in fitted)]),
-            np.concatenate([e.std, *(std for _, std in fitted)]), [*e.base.units, *units], [*e.classes, *["effect"] * len(names)],
+    def parameters(self, level: float = LEVEL) -> Parameters:
+        """Base parameters, then every effect as in ``estimate.json``, with central intervals of a probability.
+
+        Raises
+        ------
+        InputError
+            The level is no probability.
+        """
+        base, effects = self.estimate.parameters(level), self._fitted_effects()
+        rank, free = self.base.rank, self.problem.row_model.free
+        limits = np.full((2, len(free)), np.nan)
+        limits[:, free] = base.low[rank:], base.high[rank:]
+        values, stds, first = [base.values[:rank]], [base.std[:rank]], 0
+        for term, std in effects:
+            own = slice(first, first := first + len(std))
+            if term.effect.absorbs_weight and self.offset is not None:
+                limits[:, own] = central_interval(np.array(term.values), std, level)
+            values.append(np.array(term.values))
+            stds.append(std)
+        names = [name for term, _ in effects for name in term.effect.column_names]
+        units = [unit for term, _ in effects for unit in term.effect.units]
+        return Parameters(
+            [*self.names, *names], [*self.base.labels, *names], np.concatenate(values), np.concatenate(stds),
+            np.concatenate([base.low[:rank], limits[0]]), np.concatenate([base.high[:rank], limits[1]]),
+            [*self.base.units, *units], [*self.estimate.classes, *["effect"] * len(names)],
         )  # fmt: skip
 
     def plot_intervals(self) -> Figure:
@@ -179,11 +207,14 @@ class Identification(PlotsPredictions, Result):
 
     def __str__(self) -> str:
         """Summary with the table of parameters."""
-        return f"{summary(self)}\n\n{self.estimate}"
+        e = self.estimate
+        head = f"{e.method}: {e.base.rank} base parameters, {e.rows} rows"
+        return "\n".join([summary(self), "", head, *self.parameters().to_text(), *e.no_intervals])
 
     def _repr_html_(self) -> str:
         """The same for notebooks."""
-        return f"<pre>{summary(self)}</pre>{self.estimate._repr_html_()}"
+        reasons = "".join(f"<p>{escape(text)}</p>" for text in self.estimate.no_intervals)
+        return f"<pre>{escape(summary(self))}</pre>{self.parameters().to_html(self.estimate.method)}{reasons}"
 
     def to_dict(self) -> dict[str, Any]:
         """``estimate.json``."""
@@ -237,24 +268,17 @@ class Identification(PlotsPredictions, Result):
 
     def effects(self) -> list[dict[str, Any]]:
         """Every effect of the model with values, standard deviations and 95 % intervals (None without) and units."""
-        free = self.problem.row_model.free
-        limits = np.full((2, len(free)), np.nan)
-        limits[:, free] = [e[self.base.rank :] for e in (self.estimate.full_low, self.estimate.full_high)]
-        out, first = [], 0
-        for term, stds in self._fitted_effects():
-            effect = term.effect
-            low, high = limits[:, first : first + len(stds)]
-            first += len(stds)
-            if effect.absorbs_weight and self.offset is not None:
-                low, high = np.array(term.values) - HALF * stds, np.array(term.values) + HALF * stds
-            parameters = {
-                key: {"value": value, "std": _known(std), "low": _known(a), "high": _known(b), "unit": unit}
-                for key, value, std, a, b, unit in zip(
-                    effect.parameters, term.values, stds, low, high, effect.units, strict=True
-                )
+        entries = iter(self.parameters().to_list()[self.base.rank :])
+        return [
+            {
+                "name": term.effect.name, "where": term.effect.where,
+                "parameters": {
+                    key: {k: entry[k] for k in ("value", "std", "low", "high", "unit")}
+                    for key, entry in zip(term.effect.parameters, itertools.islice(entries, len(term.values)), strict=True)
+                },
             }
-            out.append({"name": effect.name, "where": effect.where, "parameters": parameters})
-        return out
+            for term, _ in self._fitted_effects()
+        ]  # fmt: skip
 
     @property
     def model(self) -> tuple[tuple[str, ...], EffectParameters]:
@@ -276,10 +300,6 @@ class Identification(PlotsPredictions, Result):
             found = self.offset if effect.absorbs_weight and self.offset is not None else (values[own], stds[own])
             out.append((Term(effect, tuple(found[0])), found[1]))
         return out
-
-
-def _known(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
 
 
 def summary(result: Identification) -> str:

@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import norm
 
 from bayesid.effects import MotionSegment, Point, linearised
 from bayesid.errors import InputError
-from bayesid.estimators.estimator import LEVEL
+from bayesid.estimators.parameters import central_interval
 from bayesid.regression.problem import Problem
 from bayesid.regression.row_model import RowModel
 from bayesid.regression.segment import Segment
@@ -45,12 +44,12 @@ class PredictedReadings:
     @property
     def low(self) -> np.ndarray:
         """Lower ends of the 95 % band, reading by reading (N, c)."""
-        return self.values - norm.ppf(0.5 + LEVEL / 2) * self.std
+        return central_interval(self.values, self.std)[0]
 
     @property
     def high(self) -> np.ndarray:
         """Upper ends of the 95 % band, reading by reading (N, c)."""
-        return self.values + norm.ppf(0.5 + LEVEL / 2) * self.std
+        return central_interval(self.values, self.std)[1]
 
     def __repr__(self) -> str:
         gravity = "" if self.gravity else ", without gravity"

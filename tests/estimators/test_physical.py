@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import warnings
 from dataclasses import replace
 
@@ -213,7 +214,7 @@ def test_intervals_end_where_no_robot_is_possible(tmp_path):
     assert (estimate.full_low >= low).all() and (estimate.full_low[rank:][friction] == 0.0).any()
     whole = estimate.solution - 1.959964 * estimate.full_std
     np.testing.assert_allclose(estimate.full_low[np.isinf(low)], whole[np.isinf(low)], rtol=1e-5, atol=1e-9)
-    assert " in [0, " in str(estimate)
+    assert re.search(r" in 0(\.0+)? … ", str(estimate))
     # Thousands of possible robots: none leaves the range, and each of its ends is one's that is almost empty.
     rng, size = np.random.default_rng(0), regression.base.matrix.shape[1]
     roots = rng.normal(size=(4000, size // 10, 4, 4)) * 10.0 ** rng.uniform(-3, 1, (4000, 1, 1, 4))

@@ -82,23 +82,28 @@ def assert_readable(figure):
         assert min(overlap) < 1.5, f"'{one}' and '{other}' overlap"
 
 
+def around(values, half):
+    """Ends of intervals (2, r)."""
+    return np.array([values - half, values + half])
+
+
 @pytest.mark.parametrize("count", [1, 4, 12, 60])
 def test_intervals_of_few_and_many_parameters_are_readable(count):
     rng = np.random.default_rng(count)
     classes = [("alone", "combination", "weak", "prior")[k % 4] for k in range(count)]
     half = np.where(np.array(classes) == "prior", np.nan, 10.0 ** rng.uniform(-4, 1, count))
     names = [f"m{k} r{k}x … ({k + 1})" for k in range(count)]
-    assert_readable(parameter_intervals(names, rng.normal(size=count), half, np.ones(count), classes))
+    assert_readable(parameter_intervals(names, (change := rng.normal(size=count)), around(change, half), np.ones(count), classes))
 
 
 def test_intervals_without_any_interval_say_so():
-    figure = parameter_intervals(["a", "b"], np.array([0.1, -5.0]), np.full(2, np.nan), np.ones(2), ["alone", "alone"])
+    figure = parameter_intervals(["a", "b"], np.array([0.1, -5.0]), np.full((2, 2), np.nan), np.ones(2), ["alone", "alone"])
     assert "no honest interval" in to_svg(figure, "x")
 
 
 def test_weak_parameters_do_not_press_the_others_to_zero():
     change, half = np.array([0.02, -0.01, 400.0]), np.array([0.01, 0.01, 900.0])
-    figure = parameter_intervals(["a", "b", "c"], change, half, np.ones(3), ["alone", "alone", "weak"])
+    figure = parameter_intervals(["a", "b", "c"], change, around(change, half), np.ones(3), ["alone", "alone", "weak"])
     assert figure.axes[0].get_xlim()[1] < 0.05
 
 
@@ -162,6 +167,7 @@ def test_svg_is_reproducible_and_refers_only_to_itself():
 
 def test_a_dollar_in_a_name_begins_no_formula():
     """Half a formula is an error in matplotlib."""
-    figure = parameter_intervals(["$q_{1$", "$x_{1$"], np.zeros(2), np.ones(2), np.ones(2), ["alone", "alone"])
+    one, names = np.ones(2), ["$q_{1$", "$x_{1$"]
+    figure = parameter_intervals(names, 0 * one, around(0 * one, one), one, ["alone", "alone"])
     svg = to_svg(figure, "one")
     assert "$q_{1$" in svg and "$x_{1$" in svg

@@ -170,6 +170,82 @@ def test_the_table_has_what_the_json_has(result):
     assert result.estimate.to_dataframe().equals(table)  # no offset here that weight hides in
 
 
+def interval_read(text: str) -> tuple[float, float]:
+    """Ends of a printed interval, ``1.84 ± 0.22`` or ``0.04 in 0 … 0.17``."""
+    number = r"(−?[\d.]+(?:·10[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+)?)"
+
+    def plain(text: str) -> float:
+        value, _, power = text.replace("−", "-").partition("·10")
+        return float(value) * 10.0 ** int(power.translate(str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")) or 0)
+
+    if found := re.search(rf"{number} ± {number}", text):
+        value, half = map(plain, found.groups())
+        return value - half, value + half
+    found = re.search(rf"{number} in {number} … {number}", text)
+    assert found, text
+    return plain(found[2]), plain(found[3])
+
+
+def test_one_interval_in_print_html_json_table_and_figure(result):
+    """Where bodies and friction that can exist end an interval, as `sdp` does, it ends there in all of them."""
+    estimate = result.estimate
+    possible = np.tile([[-np.inf], [np.inf]], len(estimate.solution))
+    possible[0, ::2] = (estimate.solution - 0.5 * estimate.full_std)[::2]
+    possible[1, 1::4] = (estimate.solution + 0.2 * estimate.full_std)[1::4]
+    found = replace(result, estimate=replace(estimate, possible=possible))
+    document, table = found.to_dict(), found.to_dataframe().set_index("label")
+    entries = {p["label"]: p for p in document["base_parameters"]}
+    for e in document["effects"]:
+        entries |= {f"{e['name']}@{e['where']}.{key}": value for key, value in e["parameters"].items()}
+    assert set(entries) == set(table.index)
+    cut = 0
+    html = re.sub(r"<[^>]+>", " ", found._repr_html_().replace("</tr>", "\n"))
+    for label, entry in entries.items():
+        if entry["std"] is None:
+            continue
+        one = found[label]
+        assert (one.value, one.std, one.low, one.high) == tuple(entry[k] for k in ("value", "std", "low", "high"))
+        for key in ("value", "std", "low", "high"):
+            assert table.loc[label, key] == entry[key]
+        cut += not np.isclose(entry["high"] - entry["low"], 2 * 1.959964 * entry["std"], rtol=1e-6)
+        for text in (str(found), html):
+            (line,) = (x for x in text.splitlines() if re.match(rf"\s*{re.escape(label[:60])}\s+−?\d", x))
+            ends = interval_read(re.sub(r"\s+", " ", line))
+            assert ends == pytest.approx((entry["low"], entry["high"]), abs=0.1 * entry["std"])
+    assert cut > 6
+    drawn = [c.get_segments() for c in found.plot_intervals().axes[0].collections]
+    shown = {k: s for group in drawn for s in group for k in [round(s[0][1])]}
+    nominal, scale = (getattr(found.problem.regression, k) for k in ("nominal", "nominal_scale"))
+    for k in np.flatnonzero(np.isfinite(found.std)):
+        ends = (np.array([found.low[k], found.high[k]]) - nominal[k]) / scale[k]
+        np.testing.assert_allclose(shown[k][:, 0], ends, rtol=1e-6)
+
+
+def test_intervals_of_another_probability_and_parameters_by_their_labels(result, posterior):
+    wide, narrow = result.conf_int(0.99), result.conf_int(0.5)
+    sure = np.isfinite(result.std)
+    for table, z in ((wide, 2.575829), (narrow, 0.674490)):
+        np.testing.assert_allclose(table["high"][: len(sure)][sure], (result.values + z * result.std)[sure], rtol=1e-5)
+    assert list(wide.index[: len(sure)]) == list(result.base.labels)
+    k = int(np.argmax(sure))
+    assert result[result.names[k]].value == result[result.base.labels[k]].value == result.values[k]
+    draws = posterior.base_draws[..., 0].ravel()
+    np.testing.assert_allclose(posterior.conf_int(0.5).iloc[0], np.quantile(draws, [0.25, 0.75]), rtol=1e-5)
+    with pytest.raises(KeyError, match="no parameter is called 'mass'; there are .*viscous_friction@joint1"):
+        result["mass"]
+    with pytest.raises(bayesid.InputError, match="level = 95"):
+        result.conf_int(95)
+
+
+def test_tables_hold_no_rounding_errors(result):
+    """A value far below what is known of it reads zero, in text and in tables."""
+    solution = result.estimate.solution.copy()
+    k = int(np.argmax(np.isfinite(result.std)))
+    solution[k] = 3e-14
+    tiny = replace(result.estimate, solution=solution)
+    assert tiny.to_dataframe()["value"][k] == 0.0 and "e-14" not in str(tiny) and "10⁻¹⁴" not in str(tiny)
+
+
 @pytest.fixture(scope="module")
 def comparison(result):
     return bayesid.compare(result.problem.experiment, methods=["ols", "wls", "ridge"])

@@ -1,0 +1,234 @@
+"""Parameters with their intervals, as every result shows and writes them: the one place that makes ``low`` and ``high``."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from html import escape
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.stats import norm
+
+from bayesid.errors import InputError
+from bayesid.estimators.rounding import DASH, LEVEL, with_interval, without_rounding_errors
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+#: Characters of a label in a terminal.
+_WIDEST = 60
+
+
+def tails(level: float = LEVEL) -> tuple[float, float]:
+    """Probabilities below the lower and below the upper end of a central interval.
+
+    Raises
+    ------
+    InputError
+        The level is no probability.
+    """
+    if not 0.0 < level < 1.0:
+        raise InputError(f"level = {level}: give a probability between 0 and 1, such as 0.95")
+    return 0.5 - level / 2, 0.5 + level / 2
+
+
+def central_interval(
+    values: np.ndarray, std: np.ndarray, level: float = LEVEL, possible: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Ends of the central intervals of normal laws.
+
+    Parameters
+    ----------
+    values, std
+        Any shape; nan in ``std`` where there is no honest one, which gives nan.
+    level
+        Probability inside.
+    possible
+        Smallest and largest values that can be (2, ...), where intervals end; None: any.
+
+    Raises
+    ------
+    InputError
+        The level is no probability.
+    """
+    half = norm.ppf(tails(level)[1]) * np.asarray(std)
+    ends = values - half, values + half
+    return ends if possible is None else (np.clip(ends[0], *possible), np.clip(ends[1], *possible))
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter with its interval.
+
+    Attributes
+    ----------
+    name, label
+        In full, and for reading.
+    value, std, low, high
+        Estimate, standard deviation and ends of the central interval; nan where no honest one exists.
+    unit
+        Of all four.
+    kind
+        ``alone``, ``combination``, ``weak``, ``prior`` or ``effect``.
+    """
+
+    name: str
+    label: str
+    value: float
+    std: float
+    low: float
+    high: float
+    unit: str
+    kind: str
+
+    def __repr__(self) -> str:
+        value, spread = with_interval(self.value, self.std, self.low, self.high)
+        return f"<{self.label}: {joined(value, spread)} {self.unit}>"
+
+
+@dataclass(frozen=True, eq=False)
+class Parameters:
+    """Parameters of a result with their central intervals, base parameters first.
+
+    Attributes
+    ----------
+    names, labels, units, classes
+        Texts (p,); the class of what is no base parameter is ``effect``.
+    values, std, low, high
+        (p,); nan where there is no honest interval.
+    """
+
+    names: Sequence[str]
+    labels: Sequence[str]
+    values: np.ndarray
+    std: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    units: Sequence[str]
+    classes: Sequence[str]
+
+    def __post_init__(self) -> None:
+        """Leave no rounding errors that look like values."""
+        object.__setattr__(self, "values", without_rounding_errors(self.values, self.std))
+
+    def __len__(self) -> int:
+        """Return the number of parameters."""
+        return len(self.names)
+
+    def __getitem__(self, name: str) -> Parameter:
+        """The parameter of a name or a label.
+
+        Raises
+        ------
+        KeyError
+            There is none; the message lists the labels.
+        """
+        for known in (self.names, self.labels):
+            if name in known:
+                k = list(known).index(name)
+                value, std, low, high = (float(x[k]) for x in (self.values, self.std, self.low, self.high))
+                return Parameter(self.names[k], self.labels[k], value, std, low, high, self.units[k], self.classes[k])
+        raise KeyError(f"no parameter is called {name!r}; there are {'; '.join(self.labels)}")
+
+    def to_dataframe(self) -> DataFrame:
+        """A row a parameter: ``name``, ``label``, ``value``, ``std``, ``low``, ``high``, ``unit``, ``class``."""
+        from pandas import DataFrame
+
+        return DataFrame(
+            {
+                "name": list(self.names), "label": list(self.labels),
+                "value": self.values, "std": self.std, "low": self.low, "high": self.high,
+                "unit": list(self.units), "class": list(self.classes),
+            }
+        )  # fmt: skip
+
+    def to_list(self) -> list[dict[str, Any]]:
+        """For JSON: name, unit, value, ``std``, ``low``, ``high``, class and label of each; None where there is no number."""
+        numbers = zip(*([_known(x) for x in v] for v in (self.values, self.std, self.low, self.high)), strict=True)
+        return [
+            {"name": name, "unit": unit, "value": value, "std": std, "low": low, "high": high, "class": kind, "label": label}
+            for name, unit, (value, std, low, high), kind, label in zip(
+                self.names, self.units, numbers, self.classes, self.labels, strict=True
+            )
+        ]
+
+    def to_text(self) -> list[str]:
+        """A line a parameter: label, value and interval to its second digit, unit, and a note where the prior decides."""
+        rows = [(label[:_WIDEST], *cells) for label, cells in zip(self.labels, self._cells(), strict=True)]
+        label, value, spread, unit = (max((len(row[k]) for row in rows), default=0) for k in range(4))
+        return [
+            f"  {a:<{label}}  {b:>{value}} {c:<{spread}} {d:<{unit}} {note}".rstrip()
+            for (a, b, c, d), note in zip(rows, self._notes(), strict=True)
+        ]
+
+    def to_html(self, title: str) -> str:
+        """The same as an HTML table for notebooks."""
+        rows = "".join(
+            "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in (label, *cells, note)) + "</tr>"
+            for label, cells, note in zip(self.labels, self._cells(), self._notes(), strict=True)
+        )
+        head = "".join(f"<th>{escape(cell)}</th>" for cell in (title, "value", "95 %", "unit", ""))
+        return f"<table><tr>{head}</tr>{rows}</table>"
+
+    def _cells(self) -> list[tuple[str, str, str]]:
+        out = []
+        for value, std, low, high, unit in zip(self.values, self.std, self.low, self.high, self.units, strict=True):
+            shown, spread = with_interval(value, std, low, high)
+            out.append((shown, _sign(spread), unit))
+        return out
+
+    def _notes(self) -> list[str]:
+        known = np.isfinite(self.std)
+        return ["prior-driven" if kind == "prior" and sure else "" for kind, sure in zip(self.classes, known, strict=True)]
+
+
+class HasParameters:
+    """What results with parameters have in common; they give `parameters`."""
+
+    def parameters(self, level: float = LEVEL) -> Parameters:
+        """Base parameters, then effect parameters, with central intervals of a probability.
+
+        Raises
+        ------
+        InputError
+            The level is no probability.
+        """
+        raise NotImplementedError
+
+    def __getitem__(self, name: str) -> Parameter:
+        """A base or effect parameter with its 95 % interval, by its name or label: ``result["m2 r2x"]``.
+
+        Raises
+        ------
+        KeyError
+            There is none; the message lists the labels.
+        """
+        return self.parameters()[name]
+
+    def conf_int(self, level: float = LEVEL) -> DataFrame:
+        """Central intervals of a probability: ``low`` and ``high``, a row a parameter by its label, nan where there is none.
+
+        Raises
+        ------
+        InputError
+            The level is no probability.
+        """
+        return self.parameters(level).to_dataframe().set_index("label").loc[:, ["low", "high"]]
+
+    def to_dataframe(self) -> DataFrame:
+        """Base parameters, then effect parameters (class ``effect``), as `Parameters.to_dataframe`."""
+        return self.parameters().to_dataframe()
+
+
+def joined(value: str, spread: str) -> str:
+    """``1.84 ± 0.22``, ``0.04 in 0 … 0.17`` or the value alone."""
+    return f"{value} {_sign(spread)}" if spread != DASH else value
+
+
+def _sign(spread: str) -> str:
+    return "(no interval)" if spread == DASH else f"in {spread}" if "…" in spread else f"± {spread}"
+
+
+def _known(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None

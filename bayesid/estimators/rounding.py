@@ -1,0 +1,77 @@
+"""Numbers as text with the digits that their uncertainty allows."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.stats import norm
+
+DASH = "–"
+#: Central probability of the intervals that are told.
+LEVEL = 0.95
+#: Half a central 95 % interval of a normal distribution in standard deviations.
+HALF = float(norm.ppf(0.5 + LEVEL / 2))
+
+
+def number(value: float | None, digits: int = 4) -> str:
+    """A number with so many significant digits, with a power of ten only where it is very small or large."""
+    if value is None or not np.isfinite(value):
+        return DASH
+    if value == 0:
+        return "0"
+    exponent = int(np.floor(np.log10(abs(float(f"{value:.{digits - 1}e}")))))
+    if -4 <= exponent < 6:
+        return f"{value:.{max(digits - 1 - exponent, 0)}f}".replace("-", "−")
+    return f"{value / 10.0**exponent:.{digits - 1}f}·10{_raised(exponent)}".replace("-", "−")
+
+
+def _raised(exponent: int) -> str:
+    return str(exponent).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+
+
+def with_half(value: float, half: float | None) -> tuple[str, str]:
+    """A value and half its interval, both to the interval's second digit."""
+    if half is None or not np.isfinite(half) or half <= 0:
+        return number(value), DASH
+    return _alike(value, half, half=half)
+
+
+def interval(value: float, half: float) -> str:
+    """The interval's ends, to the second digit of half its width."""
+    return ends(value - half, value + half)
+
+
+def ends(low: float, high: float) -> str:
+    """Both ends of an interval, to the second digit of half its width."""
+    half = 0.5 * (high - low)
+    if not np.isfinite(half):
+        return DASH
+    return " … ".join(_alike(low, high, half=half) if half > 0 else (number(low), number(high)))
+
+
+def with_interval(value: float, std: float | None, low: float, high: float) -> tuple[str, str]:
+    """As `with_half`; both ends in place of half the width where they are not as far from the value as a normal law's."""
+    if std is None or not np.isfinite([std, low, high]).all() or std <= 0:
+        return number(value), DASH
+    if np.allclose([value - low, high - value], HALF * std, rtol=1e-6, atol=0.0):
+        return with_half(value, HALF * std)
+    return _alike(value, value, half=0.5 * (high - low) or HALF * std)[0], ends(low, high)
+
+
+def without_rounding_errors(values: np.ndarray, std: np.ndarray) -> np.ndarray:
+    """Numbers (p,), zero where that is all they are: within a millionth of their standard deviations (p,).
+
+    Where there is none, within the precision of the largest number.
+    """
+    precision = 1e-12 * np.max(np.abs(values), initial=0.0)
+    return np.where(np.abs(values) > np.where(np.isfinite(std) & (std > 0), 1e-6 * np.nan_to_num(std), precision), values, 0.0)
+
+
+def _alike(one: float, other: float, *, half: float) -> tuple[str, str]:
+    """Two numbers to the second digit of ``half``, both with the same power of ten."""
+    last = int(np.floor(np.log10(half))) - 1
+    size = int(np.floor(np.log10(max(abs(one), abs(other), half))))
+    plain = -4 <= size < 6 and last >= -7
+    scale, places, power = (1.0, -last, "") if plain else (10.0**size, size - last, f"·10{_raised(size)}")
+    places = max(places, 0)
+    first, second = (f"{round(v / scale, places) + 0.0:.{places}f}{power}".replace("-", "−") for v in (one, other))
+    return first, second
