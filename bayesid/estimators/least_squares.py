@@ -6,7 +6,8 @@ All minimise ``||W (y - X b)||`` for rows y = X b + e with cov e = Sigma:
   allows for the colour that filters give, and for encoder errors where they matter (`bayesid.estimators.encoder_errors`).
 * ``wls``: W = 1 / the standard deviation of each channel. The same sandwich.
 * ``gls``: W'W = Sigma^-1, the efficient one; covariance ``(X' Sigma^-1 X)^-1``. It gives most weight to what has
-  little noise, so where the model lacks something it is biased: then W is that of ``wls``.
+  little noise, so where the model lacks something it is biased: then W is that of ``wls``, the estimate is that of ``wls``
+  to the last digit, and it says so.
 * ``ridge``, ``tsvd``: biased towards the nominal model, or zero without one; no interval would hold for them.
 """
 
@@ -39,6 +40,18 @@ from bayesid.regression.linalg import (
 from bayesid.regression.regression import Regression
 
 _WEIGHTS = ("none", "channel", "noise")
+#: What an estimator that weights by the noise says where it weights by channel instead.
+CHANNEL_INSTEAD = (
+    "{} is the same as wls here, to the last digit: something is missing in the model, and weights by the colour of the noise "
+    "would give most weight to whatever frequency is quiet, model error or not. So rows are weighted by channel."
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LeastSquaresDetails(Details):
+    """How the rows were weighted: ``none``, ``channel`` or ``noise``, as in `LeastSquares`."""
+
+    weights: str
 
 
 @dataclass(frozen=True)
@@ -60,7 +73,9 @@ class LeastSquares:
         bread = inverse @ inverse.T
         middle = covariance_middle(regression, weights, scale, factor)
         covariance = in_determined(bread if middle is None else bread @ middle @ bread, hidden)
-        return make_estimate(self.name, regression, weights, factor, solution, covariance, hidden)
+        estimate = make_estimate(self.name, regression, weights, factor, solution, covariance, hidden)
+        told = () if kind == self.weights else (CHANNEL_INSTEAD.format(self.name),)
+        return replace(estimate, details=LeastSquaresDetails(**completeness(weights), weights=kind, warnings=told))
 
 
 @dataclass(frozen=True, kw_only=True)

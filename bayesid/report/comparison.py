@@ -85,7 +85,6 @@ def _row(result: Comparison, entry: Entry) -> dict[str, Any]:
     test = next((t for t in result.tests if t.method == entry.name), None)
     return {
         **overview(result, entry),
-        "name": entry.name,
         "refused": entry.refusal,
         "baseline": any(entry is b for b in result.baselines),
         "motions": [

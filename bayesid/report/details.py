@@ -27,6 +27,7 @@ _NAMES = {
     "rejected_windows": "Rejected times",
     "shift_from_least_squares": "Largest shift from least squares, in its standard deviations",
     "trust": "Trust in the nominal model",
+    "weights": "Rows weighted by",
 }
 
 

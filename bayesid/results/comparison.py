@@ -13,7 +13,7 @@ from bayesid.estimators import Estimate
 from bayesid.estimators.weights import Weights
 from bayesid.regression.problem import Problem
 from bayesid.regression.regression import Regression
-from bayesid.results.entry import Entry
+from bayesid.results.entry import Entry, equal_estimates
 from bayesid.results.figures import figures_of
 from bayesid.results.files import Result
 from bayesid.results.text import DASH, chance, channel_text, html_table, number, percent, text_table, with_interval
@@ -73,6 +73,10 @@ class Comparison(Result):
     def estimates(self) -> dict[str, Estimate]:
         """Estimates by the names of their estimators, without those that refused."""
         return {e.name: e.estimate for e in self.entries if e.estimate is not None}
+
+    def same_as(self, name: str) -> tuple[str, ...]:
+        """Names of the other estimators whose values and covariance equal those of this one to the last digit."""
+        return tuple(n for names in equal_estimates(self.entries) if name in names for n in names if n != name)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -167,7 +171,9 @@ class Comparison(Result):
             "rank": base.rank,
             "base_map": base.matrix.tolist(),
             "link_parameter_names": list(base.parameter_names),
-            "methods": [e.to_dict() for e in self.entries],
+            "methods": [
+                {**e.to_dict(), **({"same_as": list(same)} if (same := self.same_as(e.name)) else {})} for e in self.entries
+            ],
             "baselines": [{"name": e.name, "description": e.description, **e.proof_to_dict()} for e in self.baselines],
             "agreement": {
                 "reference": self.reference,
@@ -209,7 +215,7 @@ def comparison_text(result: Comparison, *, html: bool = False) -> str:
     rows = []
     for entry in (*result.baselines, *(e for e in result.entries if e.estimate is not None)):
         row = overview(result, entry)
-        cells = [entry.name]
+        cells = [row["name"]]
         for p in entry.proof[:TEXT_MOTIONS]:
             cells += [percent(p.relative_error), number(p.whitened_rms, 3)]
         cells += [row["links"]] * known
@@ -268,6 +274,7 @@ def overview(result: Comparison, entry: Entry) -> dict[str, str]:
     if entry.conflicting and entry.urdf is not None and entry.urdf.moved is not None:
         links += f", {number(entry.urdf.moved.distance, 2)} σ away"
     return {
+        "name": " = ".join((entry.name, *(() if own is None else result.same_as(entry.name)))),
         "links": links,
         "width": width,
         "rms": DASH if gap is None else in_sigmas(gap.rms),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -90,3 +91,14 @@ class Entry:
         if not self.proof:
             return {}
         return {"validation": [p.to_dict() for p in self.validation], "fit": [p.to_dict() for p in self.fitted]}
+
+
+def equal_estimates(entries: Sequence[Entry]) -> list[tuple[str, ...]]:
+    """Names of estimators whose values and covariance are equal to the last digit, a tuple for each set of two or more."""
+    groups: dict[tuple[bytes, bytes | None], list[str]] = {}
+    for entry in entries:
+        if entry.estimate is not None:
+            covariance = entry.estimate.full_covariance
+            key = entry.estimate.solution.tobytes(), None if covariance is None else covariance.tobytes()
+            groups.setdefault(key, []).append(entry.name)
+    return [tuple(names) for names in groups.values() if len(names) > 1]

@@ -13,7 +13,8 @@ import numpy as np
 
 from bayesid.dynamics.nearest_links import nearest_links
 from bayesid.errors import BayesidError, EstimationError, InputError
-from bayesid.estimators import DEFAULT_METHOD, METHODS, Estimator, LeastSquares, estimator, fit
+from bayesid.estimators import DEFAULT_METHOD, METHODS, Estimator, estimator, fit
+from bayesid.estimators.least_squares import LeastSquaresDetails
 from bayesid.estimators.nonlinear import settled
 from bayesid.estimators.weights import Weights, learn_weights
 from bayesid.recordings.experiment import Experiment, as_experiment
@@ -23,7 +24,7 @@ from bayesid.regression.problem import Problem, prepare
 from bayesid.regression.regression import Regression
 from bayesid.results.bodies import impossible_bodies
 from bayesid.results.comparison import Comparison
-from bayesid.results.entry import Entry
+from bayesid.results.entry import Entry, equal_estimates
 from bayesid.results.figures import figures_of
 from bayesid.results.files import Files, files_of
 from bayesid.signals.filters import LowPass
@@ -117,8 +118,9 @@ def compare(
         seconds["prediction"] = time.perf_counter() - started - sum(seconds.values())
     reference = _reference(entries)
     estimates = {e.name: e.estimate for e in entries if e.estimate is not None}
-    best = [name for name, m in chosen if name in estimates and isinstance(m, LeastSquares) and m.weights == "noise"]
-    efficient = best[0] if best else None
+    # Where the model lacks something, gls weights by channel and is no more efficient than wls.
+    details = {name: e.details for name, e in estimates.items()}
+    efficient = next((n for n, d in details.items() if isinstance(d, LeastSquaresDetails) and d.weights == "noise"), None)
     tests = () if efficient is None else tuple(
         hausman(n, e, efficient, estimates[efficient]) for n, e in estimates.items() if n != efficient
     )  # fmt: skip
@@ -257,6 +259,10 @@ def _warnings(
         )
     if not weights.complete:
         out.append(incomplete(weights.dispersion, weights.dispersion_by_channel))
+    for names in equal_estimates(done):
+        *others, last = names
+        because = [w for e in done if e.name in names and e.estimate is not None for w in e.estimate.details.warnings]
+        out.append(because[0] if because else f"{', '.join(others)} and {last} are the same here, to the last digit.")
     apart = [t for t in tests if t.contradiction]
     if apart:
         names, largest = ", ".join(t.method for t in apart), max(t.probability or 0.0 for t in apart)

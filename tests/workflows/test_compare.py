@@ -217,6 +217,31 @@ def test_a_missing_effect_makes_estimators_contradict_each_other():
     assert found.tests[0].contradiction and any("Hausman" in w for w in found.warnings)
 
 
+def test_two_names_of_one_estimate_are_told():
+    # A coefficient that wanders between stretches: no noise explains it, so gls weights by channel as wls does.
+    rng = np.random.default_rng(3)
+    x = rng.normal(size=(1600, 2, 3))
+    wandering = 1.0 + 0.3 * np.repeat(rng.normal(size=8), 200)
+    y = x @ [0.0, -2.0, 3.0] + wandering[:, None] * x[:, :, 0] + rng.normal(size=(1600, 2)) * [0.1, 0.3]
+    found = bayesid.compare(bayesid.Regression.from_arrays(x, y), ["ols", "wls", "gls"])
+    assert not found.weights.complete
+    assert np.array_equal(found["gls"].solution, found["wls"].solution)
+    assert np.array_equal(found["gls"].full_covariance, found["wls"].full_covariance)
+    assert [found.same_as(name) for name in ("ols", "wls", "gls")] == [(), ("gls",), ("wls",)]
+    assert [m.get("same_as") for m in found.to_dict()["methods"]] == [None, ["gls"], ["wls"]]
+    assert [m["details"]["weights"] for m in found.to_dict()["methods"]] == ["none", "channel", "channel"]
+    assert sum("gls is the same as wls here" in w for w in found.warnings) == 1 and found["gls"].details.warnings
+    assert "gls = wls" in str(found) and not found.tests and not found["wls"].details.warnings
+
+
+def test_estimators_that_differ_are_not_called_the_same():
+    rng = np.random.default_rng(4)
+    x = rng.normal(size=(800, 2, 3))
+    found = bayesid.compare(bayesid.Regression.from_arrays(x, x @ [1.0, -2.0, 3.0] + rng.normal(size=(800, 2)) * [0.1, 1.0]))
+    assert found.weights.complete and found["gls"].details.weights == "noise"
+    assert not any(found.same_as(e.name) for e in found.entries) and " = " not in str(found).split("value ±")[0]
+
+
 def test_regressions_of_ones_own_have_no_robot(tmp_path):
     rng = np.random.default_rng(1)
     regression = bayesid.Regression.from_arrays(
