@@ -5,6 +5,8 @@ Every check returns its warnings, one line each, that say which file, column and
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from bayesid.errors import InputError
@@ -57,7 +59,7 @@ def check_channels(table: Table) -> list[str]:
         All six wrench channels, or all torques, are zero throughout; torques have lost their signs.
     """
     for array, names in ((table.wrench, "fx ... mz"), (table.torques, "tau1 ...")):
-        if array is not None and not array.any():
+        if array is not None and not np.nan_to_num(array).any():
             raise InputError(f"{table.source}: columns {names}: 0 in every row; record them, or leave them out")
     unsigned = _without_sign(table)
     if unsigned:
@@ -78,10 +80,11 @@ def _without_sign(table: Table) -> list[str]:
     """
     if table.torques is None or len(table) < 4 * _REACH or (table.torques < 0.0).any():
         return []
-    if table.torques.shape[1] > 2:
-        return ["tau1", "...", f"tau{table.torques.shape[1]}"]
+    if len(table.torque_joints) > 2:
+        return [f"tau{table.torque_joints[0] + 1}", "...", f"tau{table.torque_joints[-1] + 1}"]
     found = []
-    for j, values in enumerate(table.torques.T):
+    for j in table.torque_joints:
+        values = table.torques[:, j]
         noise = float(np.median(np.abs(np.diff(values, 3)))) / (0.6745 * np.sqrt(20.0))  # as of white noise
         low = _REACH + np.flatnonzero(values[_REACH:-_REACH] < max(2.0 * noise, 0.01 * values.max()))
         before, after = values[low - _REACH], values[low + _REACH]
@@ -134,7 +137,7 @@ def check_static(table: Table, static: Table, resolution: float | None) -> list[
 
 
 def check_intervals(
-    table: Table, key: str, period: float | None, parked: list[list[float]], resolution: float | None
+    table: Table, stated: str, period: float | None, parked: Sequence[tuple[float, float]], resolution: float | None
 ) -> list[str]:
     """Check the stated ``period`` and ``parked`` times against the recording.
 
@@ -142,8 +145,8 @@ def check_intervals(
     ----------
     table
         The recording.
-    key
-        Where the two are stated, ``[motion.0]``.
+    stated
+        Where the two are, ``experiment.toml: [motion.0]``.
     period, parked
         As stated [s].
     resolution
@@ -157,7 +160,7 @@ def check_intervals(
     warnings: list[str] = []
     first, last, slack = float(table.times[0]), float(table.times[-1]), 0.5 * table.step
     for start, end in parked:
-        place = f"experiment.toml: {key} parked: [{start:g}, {end:g}]"
+        place = f"{stated} parked: [{start:g}, {end:g}]"
         if not start < end:
             raise InputError(f"{place} does not end after its start; write [start, end] in seconds")
         if start < first - slack or end > last + slack:
@@ -173,7 +176,7 @@ def check_intervals(
             warnings.append(f"{place}: q{j + 1} moves by {travel[j]:.3g} in that time; does it stand? correct the interval")
     if period is None:
         return warnings
-    place = f"experiment.toml: {key} period: {period:g} s"
+    place = f"{stated} period: {period:g} s"
     if period > table.duration + 2.0 * slack:
         raise InputError(
             f"{place} is longer than the recording ({table.source} lasts {table.duration:g} s); correct or remove it"

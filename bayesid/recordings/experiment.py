@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from bayesid.effects.library import EffectLibrary
 from bayesid.errors import InputError
-from bayesid.recordings import checks, motion_checks
-from bayesid.recordings.robot_section import read_robot
+from bayesid.recordings.complaints import listed, suggest
+from bayesid.recordings.examination import examine
+from bayesid.recordings.finding import Finding
+from bayesid.recordings.motion import Motion
+from bayesid.recordings.robot_section import read_robot, robot_doubts
 from bayesid.recordings.schema import (
     EffectParameters,
     ExperimentFile,
@@ -25,47 +29,13 @@ from bayesid.recordings.schema import (
 )
 from bayesid.recordings.table import WRENCH_COLUMNS, Table
 from bayesid.recordings.table_reader import read_table
-from bayesid.robot.robot import Robot
+from bayesid.robot.robot import Robot, load_robot
+from bayesid.robot.urdf_file import read_urdf
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
 __all__ = ["WRENCH_COLUMNS", "Experiment", "Motion", "Sensor", "Table", "load_experiment"]
-
-
-@dataclass(frozen=True, eq=False)
-class Motion:
-    """One recording and what is known about it.
-
-    Attributes
-    ----------
-    name, role, kind
-        As in experiment.toml; a motion of role ``validation`` is never fitted.
-    table
-        The samples.
-    static
-        Readings with the robot stopped: row by row those of `table` (`stop_and_go`), or separate poses.
-    period
-        The motion repeats with it [s].
-    parked
-        (start, end) times in which the robot stands still [s].
-    """
-
-    name: str
-    role: Literal["identification", "validation"]
-    table: Table
-    kind: Literal["trajectory", "poses"] = "trajectory"
-    static: Table | None = None
-    period: float | None = None
-    parked: tuple[tuple[float, float], ...] = ()
-
-    def __repr__(self) -> str:
-        return f"<Motion {self.name} ({self.role}): {self.table!r}>"
-
-    @property
-    def stop_and_go(self) -> bool:
-        """Whether the static table holds the motion's own positions, row by row."""
-        return self.static is not None and len(self.static) == len(self.table)
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +91,9 @@ class Experiment:
     folder
         Where it was read from, None if it was made in memory.
     warnings
-        What looked doubtful on reading, one line each.
+        What looked doubtful about the recordings, one line each, with the findings first.
+    findings
+        What of it is certain.
     library
         The effects that there are: the package's and the user's own.
     """
@@ -139,10 +111,17 @@ class Experiment:
     locked: dict[str, float] = field(default_factory=dict)
     folder: Path | None = None
     warnings: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
     library: EffectLibrary = field(default_factory=EffectLibrary)
 
     def __post_init__(self) -> None:
-        """Check that tables have the robot's joints and that names differ."""
+        """Check that tables have the robot's joints and that names differ, and examine the motions that have not been.
+
+        Raises
+        ------
+        InputError
+            What is recorded cannot be right, whether it comes from a file or from arrays.
+        """
         names = [motion.name for motion in self.motions]
         for name in names:
             if names.count(name) > 1:
@@ -154,12 +133,120 @@ class Experiment:
                         f"{table.source}: {table.positions.shape[1]} joints but the robot has {self.robot.n}; "
                         "give a table with one column of positions per joint"
                     )
+        motions, findings, doubts = [], list(self.findings), []
+        for index, motion in enumerate(self.motions):
+            if not motion.examined:
+                place = f"motion '{motion.name}':" if self.folder is None else f"experiment.toml: [motion.{index}]"
+                motion, found, more = examine(motion, self.robot, self.position_resolution, place)
+                findings += found
+                doubts += more
+            motions.append(motion)
+        object.__setattr__(self, "motions", tuple(motions))
+        object.__setattr__(self, "findings", tuple(findings))
+        certain = tuple(finding.text for finding in findings)
+        doubted = [text for text in self.warnings if text not in certain]
+        object.__setattr__(self, "warnings", (*certain, *doubted, *doubts))
 
     def __repr__(self) -> str:
         place = None if self.sensor is None else self.sensor.joint
         sensor = f", sensor in {place}" if place else "" if self.sensor is None else ", sensor under the base"
         motions = f"{len(self.motions)} motion{'s' * (len(self.motions) != 1)}"
         return f"<{type(self).__name__} {self.name}: {self.robot.name} with {self.robot.n} joints{sensor}, {motions}>"
+
+    @classmethod
+    def from_arrays(
+        cls,
+        urdf: str | Path | Robot,
+        t: ArrayLike,
+        q: ArrayLike,
+        *,
+        torques: ArrayLike | None = None,
+        wrench: ArrayLike | None = None,
+        velocities: ArrayLike | None = None,
+        commanded: ArrayLike | None = None,
+        validation: Mapping[str, ArrayLike] | Table | Sequence[Mapping[str, ArrayLike] | Table] = (),
+        sensor: Sensor | None = None,
+        joints: Sequence[str] | None = None,
+        locked: Mapping[str, float] | None = None,
+        gravity: Sequence[float] = (0.0, 0.0, -9.81),
+        effects: Sequence[str] = (),
+        inertia_rel_std: float | None = None,
+        position_resolution: float | None = None,
+        position_std: float | None = None,
+        gear_ratio: Mapping[str, float] | None = None,
+        kind: Literal["trajectory", "poses"] = "trajectory",
+        name: str = "arrays",
+    ) -> Experiment:
+        """Make an experiment of a URDF and one recording as arrays, lists or data frames; no file is written.
+
+        Readings are checked as those of files are: rows that hold a NaN or the time of the row before are left out and told.
+
+        Parameters
+        ----------
+        urdf
+            Path of the URDF, or a robot that was loaded with `bayesid.load_robot` (then with its joints and its gravity).
+        t
+            Times (N,) [s]; numpy's dates and durations count from the first.
+        q
+            Joint positions (N, n) [rad or m].
+        torques
+            Joint torques (N, n) [N m or N]; NaN throughout for a joint that has none.
+        wrench
+            Force, then moment about the sensor's origin, sensor frame: what the sensor applies to the robot (N, 6) [N, N m].
+        velocities, commanded
+            (N, n) [rad/s or m/s], [rad or m], where they were recorded.
+        validation
+            Recordings that are only predicted: ``dict(t=..., q=..., torques=...)``, a `Table`, or a list of them.
+        sensor
+            Where the wrench is measured; default: under the base, in the base's axes.
+        joints
+            Moving joints in the order of the columns of ``q``; default: every moving joint in the URDF's order.
+        locked
+            Position of every other moving joint [rad or m]; default 0.
+        gravity
+            In the base frame (3,) [m/s^2].
+        effects
+            What the model has beside rigid bodies, as ``[model] effects``.
+        inertia_rel_std, position_resolution, position_std, gear_ratio
+            As the attributes of the experiment.
+        kind
+            ``poses`` where every row is a separate pose at rest.
+        name
+            Of the experiment.
+
+        Raises
+        ------
+        InputError
+            The URDF or the arrays cannot be right; the message says which array, row and value, and what to do.
+        """
+        sensor = Sensor() if sensor is None and wrench is not None else sensor
+        warnings: list[str] = []
+        if isinstance(urdf, Robot):
+            robot = urdf
+        else:
+            robot = load_robot(urdf, joints, locked, gravity, None if sensor is None else sensor.joint)
+            warnings += robot_doubts(robot, read_urdf(Path(urdf)), locked or {}, "")
+        recording = dict(t=t, q=q, torques=torques, wrench=wrench, velocities=velocities, commanded=commanded)
+        held_out = [validation] if isinstance(validation, (Table, Mapping)) else list(validation)
+        motions = []
+        for k, given in enumerate([recording, *held_out]):
+            called = "identification" if k == 0 else "validation" if len(held_out) == 1 else f"validation{k}"
+            table = given if isinstance(given, Table) else _as_table(given, called)
+            if table.positions.shape[1] != robot.n:
+                raise InputError(
+                    f"{called}: q has {table.positions.shape[1]} columns but {robot.urdf.name} has {robot.n} moving joints "
+                    f"({listed(robot.joint_names)}); name those of the columns, joints=[...], and where others stand, "
+                    "locked={...}"
+                )
+            warnings += _check_present(table, sensor is not None, arrays=True)
+            motions.append(Motion(called, "identification" if k == 0 else "validation", table, kind))
+        experiment = cls(
+            name=name, robot=robot, motions=tuple(motions), sensor=sensor, effects=tuple(effects),
+            inertia_rel_std=inertia_rel_std, position_resolution=position_resolution, position_std=position_std,
+            gear_ratio=dict(gear_ratio or {}), locked=dict(locked or {}), warnings=tuple(warnings),
+            library=EffectLibrary().for_robot(robot.n),
+        )  # fmt: skip
+        return replace(experiment, warnings=(*experiment.warnings, *_check_roles(experiment.motions, "pass validation=...")))
 
     def __getitem__(self, name: str) -> Motion:
         """The motion of a name.
@@ -233,12 +320,12 @@ def load_experiment(folder: str | Path, library: EffectLibrary | None = None, *,
     """
     setup, file = _read_setup(Path(folder), library)
     motions, warnings = [], list(setup.warnings)
-    for index, section in enumerate(file.motion):
-        motion, doubts = _load_motion(Path(folder), file, section, f"[motion.{index}]", setup.robot, planned)
+    for section in file.motion:
+        motion, doubts = _read_motion(Path(folder), section, setup, planned)
         motions.append(motion)
         warnings += doubts
-    warnings += _check_roles(motions)
-    return replace(setup, motions=tuple(motions), warnings=tuple(warnings))
+    experiment = replace(setup, motions=tuple(motions), warnings=tuple(warnings))
+    return replace(experiment, warnings=(*experiment.warnings, *_check_roles(experiment.motions, "add one")))
 
 
 def as_experiment(given: object, also: str = "") -> Experiment:
@@ -308,49 +395,51 @@ def _read_setup(folder: Path, library: EffectLibrary | None) -> tuple[Experiment
     return experiment, file
 
 
-def _load_motion(
-    folder: Path, file: ExperimentFile, section: MotionSection, key: str, robot: Robot, planned: bool
-) -> tuple[Motion, list[str]]:
-    has_sensor, resolution = file.sensor is not None, file.robot.position_resolution
-    table, warnings = read_table(folder / section.table, section.table, robot.n, has_sensor)
+def _read_motion(folder: Path, section: MotionSection, setup: Experiment, planned: bool) -> tuple[Motion, list[str]]:
+    joints, has_sensor = setup.robot.n, setup.sensor is not None
+    table, warnings = read_table(folder / section.table, section.table, joints, has_sensor)
     if not (planned and table.wrench is None and table.torques is None):
-        warnings += _check_present(table, has_sensor)
-    warnings += checks.check_positions(table, robot)
-    warnings += checks.check_channels(table)
-    if section.kind == "trajectory":
-        warnings += motion_checks.check_trajectory(table, robot, resolution)
-    warnings += checks.check_intervals(table, key, section.period, section.parked, resolution)
+        warnings += _check_present(table, has_sensor, arrays=False)
     static = None
     if section.static is not None:
-        static, doubts = read_table(folder / section.static, section.static, robot.n, has_sensor)
-        warnings += doubts + checks.check_static(table, static, resolution)
-        warnings += checks.check_positions(static, robot) + checks.check_channels(static)
+        static, doubts = read_table(folder / section.static, section.static, joints, has_sensor)
+        warnings += doubts
     parked = tuple((float(start), float(end)) for start, end in section.parked)
-    motion = Motion(section.name, section.role, table, section.kind, static, section.period, parked)
-    return motion, warnings
+    return Motion(section.name, section.role, table, section.kind, static, section.period, parked), warnings
 
 
-def _check_present(table: Table, has_sensor: bool) -> list[str]:
+def _as_table(given: Mapping[str, Any], source: str) -> Table:
+    """A recording's arrays by the names of `Experiment.from_arrays`, as a table."""
+    names = {"t": "times", "q": "positions", **{k: k for k in ("torques", "wrench", "velocities", "commanded")}}
+    for key in given:
+        if key not in names:
+            raise InputError(f"{source}: {key}: no such array; {suggest(key, names)}")
+    for key in ("t", "q"):
+        if given.get(key) is None:
+            raise InputError(f"{source}: {key} is missing; give times t (N,) and joint positions q (N, n)")
+    return Table(**{names[key]: value for key, value in given.items()}, source=source)
+
+
+def _check_present(table: Table, has_sensor: bool, arrays: bool) -> list[str]:
     """Check that there is something to explain: a wrench where there is a sensor, or torques."""
+    wrench, torques = ("wrench", "torques") if arrays else ("columns fx ... mz", "columns tau1 ...")
+    given, be = ("a sensor is given", "is") if arrays else ("experiment.toml has a [sensor]", "are")
     if table.wrench is None and table.torques is None:
         if has_sensor:
-            raise InputError(
-                f"{table.source}: columns fx ... mz are missing although experiment.toml has a [sensor]; "
-                "add them, or torques tau1 ..."
-            )
-        raise InputError(
-            f"{table.source}: columns tau1 ... are missing and experiment.toml has no [sensor]; "
-            "add torques, or a wrench fx ... mz and a [sensor]"
-        )
+            raise InputError(f"{table.source}: {wrench} {be} missing although {given}; add {wrench}, or {torques}")
+        need = "give one of them" if arrays else "add torques, or a wrench fx ... mz and a [sensor]"
+        none = f"{torques} and {wrench} are missing" if arrays else f"{torques} are missing and experiment.toml has no [sensor]"
+        raise InputError(f"{table.source}: {none}; {need}")
     if table.wrench is None and has_sensor:
-        return [f"{table.source}: columns fx ... mz are missing although there is a [sensor]; add them, to use more than torques"]
+        return [f"{table.source}: {wrench} {be} missing although {given}; add {wrench}, to use more than torques"]
     return []
 
 
-def _check_roles(motions: list[Motion]) -> list[str]:
+def _check_roles(motions: Sequence[Motion], remedy: str) -> list[str]:
     warnings = []
     if not any(motion.role == "validation" for motion in motions):
-        warnings.append('experiment.toml: no motion has role "validation"; add one, to test the estimate on a held-out motion')
+        place = "experiment.toml: " if remedy == "add one" else ""
+        warnings.append(f'{place}no motion has role "validation"; {remedy}, to test the estimate on a held-out motion')
     for one, other in itertools.combinations(motions, 2):
         same = len(one.table) == len(other.table) and np.array_equal(one.table.positions, other.table.positions)
         if same and one.role != other.role and np.array_equal(one.table.times, other.table.times):

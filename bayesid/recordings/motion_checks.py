@@ -9,6 +9,7 @@ import numpy as np
 
 from bayesid.errors import InputError
 from bayesid.recordings.complaints import listed
+from bayesid.recordings.rows import holes_left
 from bayesid.recordings.table import GAP, Table
 from bayesid.recordings.timing import TOLD, Timing
 from bayesid.robot.robot import Robot
@@ -63,6 +64,7 @@ def check_trajectory(table: Table, robot: Robot, resolution: float | None) -> li
 
 def _steps(table: Table) -> list[str]:
     steps = np.diff(table.times)
+    steps[holes_left(table.dropped, len(table))] = table.step  # rows left out are told already
     gaps, lost = np.flatnonzero(steps > GAP * table.step), np.flatnonzero(steps > STEP_SLACK * table.step)
     start = f"{table.source}: column t: "
     timing, uneven = Timing.of(table), []
@@ -185,10 +187,12 @@ def _moving(table: Table, share: float) -> np.ndarray:
 def _stalled(table: Table) -> np.ndarray:
     """Return (N,): whether the row repeats the one before in every column but the time."""
     same = np.arange(len(table)) > 0
-    for array in (table.positions, table.velocities, table.torques, table.wrench):
+    for array in (table.positions, table.velocities):
         if array is not None:
             for column in array.T:
                 same[1:] &= np.diff(column) == 0.0
+    for _, column in table.channels():
+        same[1:] &= np.diff(column) == 0.0
     return same
 
 

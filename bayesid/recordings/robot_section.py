@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
 
 from bayesid.errors import InputError
@@ -54,30 +55,45 @@ def read_robot(folder: Path, section: RobotSection, sensor_joint: str | None) ->
                 f'"{name}" is not one of joints', file="experiment.toml", key="[robot] gear_ratio", value=name,
                 remedy=suggest(name, section.joints),
             )  # fmt: skip
-    return robot, [*urdf.warnings, *_doubts(urdf, section), *_weights(robot, section)]
+    return robot, robot_doubts(robot, urdf, section.locked, "experiment.toml: [robot] ")
 
 
-def _doubts(urdf: UrdfFile, section: RobotSection) -> list[str]:
-    """What experiment.toml makes of joints that the URDF means otherwise."""
+def robot_doubts(robot: Robot, urdf: UrdfFile, locked: Mapping[str, float], stated: str) -> list[str]:
+    """What is doubtful about a robot and its URDF, one line each.
+
+    Parameters
+    ----------
+    robot, urdf
+        The robot, and the file it was read from.
+    locked
+        Positions of joints that do not move [rad or m].
+    stated
+        Where these and the joints are, for messages.
+    """
+    return [*urdf.warnings, *_doubts(robot, urdf, locked, stated), *_weights(robot)]
+
+
+def _doubts(robot: Robot, urdf: UrdfFile, locked: Mapping[str, float], stated: str) -> list[str]:
+    """What is made of joints that the URDF means otherwise."""
     out = []
     for name, joint in urdf.joints.items():
         if joint.mimics is not None and joint.kind != "fixed":
-            remedy = "list it in [robot] joints if it moves, now it is locked"
-            if name in section.joints:
+            remedy = f"list it in {stated.rpartition(': ')[2]}joints if it moves, now it is locked"
+            if name in robot.joint_names:
                 remedy = "give it its own column of positions"
-            out.append(f"{section.urdf}: joint {name} mimics {joint.mimics}; here it does not follow; {remedy}")
-    for name, angle in section.locked.items():
+            out.append(f"{robot.urdf.name}: joint {name} mimics {joint.mimics}; here it does not follow; {remedy}")
+    for name, angle in locked.items():
         if urdf.joints[name].kind in ("revolute", "continuous") and abs(angle) > 2.0 * math.pi:
-            out.append(f"experiment.toml: [robot] locked: {name} = {angle:g} rad is over a turn; is it in degrees? write radians")
+            out.append(f"{stated}locked: {name} = {angle:g} rad is over a turn; is it in degrees? write radians")
     return out
 
 
-def _weights(robot: Robot, section: RobotSection) -> list[str]:
+def _weights(robot: Robot) -> list[str]:
     """Robots too light for the tolerances inside."""
     total = float(robot.nominal[:, 0].sum())
     if 0.0 < total < 1e-3:
         return [
-            f"{section.urdf}: all moving links weigh {total:g} kg together; intervals are not proved for so light a robot: "
+            f"{robot.urdf.name}: all moving links weigh {total:g} kg together; intervals are not proved for so light a robot: "
             "are the masses in kilograms? write kilograms"
         ]
     return []

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from bayesid.errors import InputError
+from bayesid.recordings.rows import usable_rows
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -38,6 +39,12 @@ class Table:
         Force, then moment about the sensor origin, sensor frame (N, 6) [N, N m], or None.
     source
         The file's name, for messages.
+    dropped, told
+        Rows of the recording that were left out on reading, for they had no reading or the time of the row before (k,), and
+        what is to be said of that, one line each.
+
+    Torques of a joint that has none are NaN in every row; `torque_joints` are the others. Any other NaN is a row without a
+    reading: such rows are left out when a table is made.
     """
 
     times: np.ndarray
@@ -47,29 +54,50 @@ class Table:
     torques: np.ndarray | None = None
     wrench: np.ndarray | None = None
     source: str = "table"
+    dropped: np.ndarray = field(default_factory=lambda: np.zeros(0, int), repr=False)
+    told: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        """Make every array a read-only float64 view and check that they fit together."""
-        positions = np.asarray(self.positions)
+        """Make every array a read-only float64 view, check that they fit together, and leave out rows without a reading."""
+        positions = _floats(self.positions, f"{self.source}: positions")
         if positions.ndim != 2:
             raise InputError(f"{self.source}: positions have shape {positions.shape}; give (samples, joints)")
+        count = np.size(np.asarray(self.times))
+        if len(positions) != count == positions.shape[1]:
+            raise InputError(f"{self.source}: positions have shape {positions.shape}; give {positions.T.shape}, samples first")
         rows, joints = positions.shape
+        if not rows:
+            raise InputError(f"{self.source}: has no rows; give one row per sample")
         shapes = {
             "times": (rows,), "positions": (rows, joints), "velocities": (rows, joints), "commanded": (rows, joints),
             "torques": (rows, joints), "wrench": (rows, 6),
         }  # fmt: skip
-        for field, shape in shapes.items():
-            given = getattr(self, field)
+        arrays: dict[str, np.ndarray] = {}
+        for name, shape in shapes.items():
+            given = getattr(self, name)
             if given is None:
                 continue
-            array = np.asarray(given, dtype=np.float64).view()
+            array = seconds(given, self.source) if name == "times" else _floats(given, f"{self.source}: {name}")
             if array.shape != shape:
-                raise InputError(f"{self.source}: {field} have shape {array.shape}; give {shape}")
-            if not np.isfinite(array).all():
-                row = int(np.argwhere(~np.isfinite(array))[0][0])
-                raise InputError(f"{self.source}: {field}, row {row}: not finite; leave out rows without a reading")
-            array.setflags(write=False)
-            object.__setattr__(self, field, array)
+                turned = ", samples first" if array.ndim == 2 and array.T.shape == shape else ""
+                raise InputError(f"{self.source}: {name} have shape {array.shape}; give {shape}{turned}")
+            if np.isinf(array).any():
+                row = int(np.argwhere(np.isinf(array))[0][0])
+                raise InputError(f"{self.source}: {name}, row {row}: not finite; leave out rows without a reading")
+            arrays[name] = array
+        if "torques" in arrays and np.isnan(arrays["torques"]).all():
+            del arrays["torques"]  # of no joint at all
+        dropped, told = usable_rows(arrays["times"], _columns(arrays), self.source, lambda row: f"row {row}")
+        if len(dropped):
+            arrays = {name: np.delete(array, dropped, axis=0) for name, array in arrays.items()}
+            object.__setattr__(self, "dropped", dropped)
+            object.__setattr__(self, "told", (*self.told, *told))
+        for name in shapes:
+            array = arrays.get(name)
+            if array is not None:
+                array = array.view()
+                array.setflags(write=False)
+            object.__setattr__(self, name, array)
         check_increasing(self.times, self.source, lambda row: f"row {row}")
 
     def __repr__(self) -> str:
@@ -101,10 +129,10 @@ class Table:
         from pandas import DataFrame  # takes longer to import than most tables take to read
 
         columns: dict[str, np.ndarray] = {"t": self.times}
-        for field, prefix in JOINT_GROUPS.items():
-            array = getattr(self, field)
+        for group, prefix in JOINT_GROUPS.items():
+            array = getattr(self, group)
             if array is not None:
-                columns |= {f"{prefix}{j + 1}": array[:, j] for j in range(array.shape[1])}
+                columns |= {f"{prefix}{j + 1}": array[:, j] for j in range(array.shape[1]) if not np.isnan(array[0, j])}
         if self.wrench is not None:
             columns |= {name: self.wrench[:, k] for k, name in enumerate(WRENCH_COLUMNS)}
         return DataFrame(columns)
@@ -119,13 +147,28 @@ class Table:
         """Time from the first to the last sample [s]."""
         return float(self.times[-1] - self.times[0]) if len(self) else 0.0
 
+    @property
+    def torque_joints(self) -> tuple[int, ...]:
+        """Indices of the joints whose torques were recorded."""
+        return () if self.torques is None else tuple(map(int, np.flatnonzero(~np.isnan(self.torques[0]))))
+
+    def without(self, rows: np.ndarray) -> Table:
+        """The table without more rows, by their indices in the recording as it was read (k,)."""
+        more = np.setdiff1d(rows, self.dropped)
+        kept = np.delete(np.arange(len(self) + len(self.dropped)), self.dropped)
+        arrays = {
+            name: None if (array := getattr(self, name)) is None else np.delete(array, np.searchsorted(kept, more), axis=0)
+            for name in ("times", "wrench", *JOINT_GROUPS)
+        }
+        return replace(self, **arrays, dropped=np.union1d(self.dropped, more))
+
     def channels(self) -> list[tuple[str, np.ndarray]]:
         """Name and readings (N,) of every wrench and torque column."""
         named: list[tuple[str, np.ndarray]] = []
         if self.wrench is not None:
             named += zip(WRENCH_COLUMNS, self.wrench.T, strict=True)
         if self.torques is not None:
-            named += [(f"tau{j + 1}", column) for j, column in enumerate(self.torques.T)]
+            named += [(f"tau{j + 1}", self.torques[:, j]) for j in self.torque_joints]
         return named
 
     def segments(self) -> list[slice]:
@@ -136,6 +179,36 @@ class Table:
             edges += (np.flatnonzero(steps > longest) + first + 1).tolist()
         edges.append(len(self))
         return [slice(a, b) for a, b in itertools.pairwise(edges)]
+
+
+def seconds(times: object, source: str) -> np.ndarray:
+    """Times as numbers (N,) [s]: dates and durations, whose unit is known, count from the first."""
+    given = np.asarray(times)
+    if given.dtype.kind in "mM" and given.ndim == 1:
+        empty, since = np.isnat(given), given - given[0]
+        return np.where(empty, np.nan, since / np.timedelta64(1, "s"))
+    return _floats(given, f"{source}: times")
+
+
+def _floats(given: object, what: str) -> np.ndarray:
+    """Numbers as a float64 array, a view where they are one already."""
+    try:
+        return np.asarray(given, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"{what}: are no array of numbers; give numbers, as many in every row") from None
+
+
+def _columns(arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Readings by the names of their columns, without torques of joints that have none."""
+    names = {**JOINT_GROUPS, "wrench": ""}
+    out: dict[str, np.ndarray] = {}
+    for group, prefix in names.items():
+        if group not in arrays:
+            continue
+        labels = WRENCH_COLUMNS if group == "wrench" else [f"{prefix}{j + 1}" for j in range(arrays[group].shape[1])]
+        given = zip(labels, arrays[group].T, strict=True)
+        out |= {name: column for name, column in given if group != "torques" or not np.isnan(column).all()}
+    return out
 
 
 def usual_step(times: np.ndarray) -> float:
@@ -149,13 +222,12 @@ def write_table(table: Table, path: Path) -> None:
 
 
 def check_increasing(times: np.ndarray, source: str, place: Callable[[int], str]) -> None:
-    """Refuse times (N,) that do not strictly increase; ``place`` names a row."""
-    wrong = np.flatnonzero(np.diff(times) <= 0.0)
+    """Refuse times (N,) that go back; ``place`` names a row."""
+    wrong = np.flatnonzero(np.diff(times) < 0.0)
     if len(wrong):
         row = int(wrong[0]) + 1
         before, here = float(times[row - 1]), float(times[row])
-        fault = "is repeated" if here == before else "goes back"
         raise InputError(
-            f"{source}: column t, {place(row)}: time {fault}, {here:g} after {before:g} "
+            f"{source}: column t, {place(row)}: time goes back, {here:g} after {before:g} "
             f"({len(wrong)} such rows); times must strictly increase: export them again or remove those rows"
         )

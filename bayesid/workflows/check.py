@@ -20,6 +20,7 @@ from bayesid.results.inspection import Inspection, MotionSummary, SensorSet
 from bayesid.signals.smoothing import smooth
 from bayesid.validation.mistakes.search import find_mistakes
 from bayesid.workflows.progress import Progress, quiet
+from bayesid.workflows.warnings import told_first
 
 _GROUPS = {"positions": "q", "velocities": "v", "commanded": "qr", "torques": "tau", "wrench": "wrench"}
 #: Samples of a long recording that speeds are taken from.
@@ -71,7 +72,7 @@ def check(experiment: Experiment | str | Path, progress: Progress = quiet) -> In
         bandwidth_reason=reason,
         position_std=position_std,
         mistakes=mistakes,
-        warnings=tuple([*(m.text for m in mistakes), *warnings, *experiment.warnings]),
+        warnings=told_first(experiment, [*(m.text for m in mistakes), *warnings]),
     )
 
 

@@ -34,7 +34,7 @@ from bayesid.validation.noise_floor import NoiseFloor, noise_floor
 from bayesid.validation.prediction import predict
 from bayesid.workflows.progress import Progress, quiet
 from bayesid.workflows.urdf_links import urdf_links
-from bayesid.workflows.warnings import incomplete, repeated_motion
+from bayesid.workflows.warnings import incomplete, repeated_motion, told_first
 
 #: What is compared when nothing is asked for, as far as it is there: plain, default and efficient least squares,
 #: and one estimator each against outliers, against encoder noise and for bodies that can exist.
@@ -271,6 +271,4 @@ def _warnings(
             f"{names} and {apart[0].efficient} differ by more than the noise explains (Hausman test, probability {size}): "
             "something is missing in the model or in the noise, and intervals do not cover it. `bayesid diagnose` looks for it."
         )
-    if problem is not None:
-        out += problem.experiment.warnings
-    return tuple(out)
+    return tuple(out) if problem is None else told_first(problem.experiment, out)

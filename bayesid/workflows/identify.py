@@ -31,7 +31,7 @@ from bayesid.validation.noise_floor import NoiseFloor, noise_floor
 from bayesid.validation.prediction import Prediction, predict
 from bayesid.workflows.progress import Clock, Progress, quiet
 from bayesid.workflows.urdf_links import missing_rotors, urdf_links
-from bayesid.workflows.warnings import incomplete, listed, mistaken, not_settled, repeated_motion, unpredicted
+from bayesid.workflows.warnings import incomplete, listed, mistaken, not_settled, repeated_motion, told_first, unpredicted
 
 
 def identify(
@@ -262,4 +262,4 @@ def _warnings(
             "No static run removes the sensor's offset, so it is estimated along: what looks like an offset, "
             "above all the total mass, cannot be identified. Where a scale says the mass, state it: --method sdp --bounds FILE."
         )
-    return tuple([*out, *problem.experiment.warnings])
+    return told_first(problem.experiment, out)

@@ -41,7 +41,7 @@ from bayesid.validation.flexible import flexible_gaps
 from bayesid.validation.noise_floor import noise_floor
 from bayesid.validation.prediction import Prediction, predict
 from bayesid.workflows.progress import Clock, Progress, quiet
-from bayesid.workflows.warnings import incomplete, listed, repeated_motion, unpredicted
+from bayesid.workflows.warnings import incomplete, listed, repeated_motion, told_first, unpredicted
 
 PRIORS = ("nominal", "flat")
 
@@ -308,4 +308,4 @@ def _warnings(posterior: Posterior, problem: Problem, validation: Sequence[Predi
             "The prior is flat on the base parameters, so links are not sampled and nothing keeps them possible; "
             "take --prior nominal --prior-std 0.3 for both."
         )
-    return tuple([*out, *problem.experiment.warnings])
+    return told_first(problem.experiment, out)

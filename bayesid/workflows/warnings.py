@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from bayesid.estimators import Estimate
+from bayesid.recordings.experiment import Experiment
 from bayesid.regression.problem import Problem
 from bayesid.validation.headline import judged
 from bayesid.validation.prediction import BAND, Prediction
@@ -29,6 +30,12 @@ def unpredicted(prediction: Prediction) -> list[str]:
         f"Motion '{prediction.motion}' is predicted with an error of {100 * prediction.relative_error:.3g} % of the signal below "
         f"{BAND:.2g} Hz: {judgement.text}. `bayesid diagnose` looks for what is missing."
     ]
+
+
+def told_first(experiment: Experiment, told: Iterable[str]) -> tuple[str, ...]:
+    """What is certain about the recordings, then what a verb has to say, then what is doubtful about the recordings."""
+    certain = [finding.text for finding in experiment.findings]
+    return tuple([*certain, *told, *(text for text in experiment.warnings if text not in certain)])
 
 
 def incomplete(dispersion: float | None, channels: Mapping[str, float] | None = None) -> str:

@@ -76,6 +76,14 @@ def milligrams(folder: Path) -> None:
     path.write_text(number.sub(lambda m: f'{m[1]}="{float(m[2]) * 1e-6!r}"', path.read_text()))
 
 
+def no_reading(frame: pd.DataFrame) -> pd.DataFrame:
+    return frame.assign(q2=frame["q2"].where(~frame.index.isin(range(200, 221))))
+
+
+def doubled(frame: pd.DataFrame) -> pd.DataFrame:
+    return pd.concat([frame, frame.iloc[50:401:50]]).sort_values("t", kind="stable")
+
+
 DOUBTS: list[tuple[str, Callable[[Path], None], tuple[str, ...]]] = [
     ("gap", table(gap, "validation.csv"), ("validation.csv: column t", "gap at 1.99 to 2.3 s", "0.01 s")),
     ("lost samples", table(lost, "validation.csv"), ("validation.csv: column t", "2 steps lack a sample", "1.49 s")),
@@ -89,6 +97,13 @@ DOUBTS: list[tuple[str, Callable[[Path], None], tuple[str, ...]]] = [
     ("beyond a limit", table(beyond, "validation.csv"), ("column q2: elbow", "-2.5 to 2.5 rad")),
     ("velocity off by 1.5", table(lambda d: d.assign(v1=1.5 * d["v1"])), ("column v1: 1.5 times", "q1 of shoulder")),
     ("dead channel", table(lambda d: d.assign(my=0.25), "validation.csv"), ("column my: 0.25 in every row",)),
+    ("one empty cell", cell(7, "fz", None), ("identification.csv: column fz: 1 row without a reading (line 9, 0.07 s)",)),
+    ("nan in several columns", lambda f: cell(55, "mx", "nan")(f) or cell(70, "q1", "NaN")(f),
+     ("columns q1, mx: 2 rows without a reading (the first: line 57, 0.55 s)",)),
+    ("nan in the static table", cell(12, "fx", "nan", "static.csv"), ("static.csv: column fx: 1 row", "line 14")),
+    ("a run without readings", table(no_reading, "validation.csv"), ("validation.csv: column q2: 21 rows", "line 202, 2 s")),
+    ("doubled stamps", table(doubled, "validation.csv"), ("validation.csv: column t: 8 rows at the time", "line 53, 0.5 s")),
+    ("one velocity missing", table(lambda d: d.drop(columns="v1")), ("columns v2 are not used", "v1 is missing")),
     ("moving while parked", toml("[[0.0, 0.5]]", "[[0.0, 0.5], [1.0, 2.0]]"), ("[motion.0] parked: [1, 2]", "stand?")),
     ("no such period", toml("parked", "period = 1.1\nparked"), ("[motion.0] period: 1.1 s", "does not repeat")),
     ("gravity of the Moon", toml("-9.81", "-1.62"), ("[robot] gravity", "1.62")),
@@ -155,12 +170,51 @@ def test_messages_do_not_copy_what_a_table_holds(folder: Path) -> None:
     assert len(str(caught.value)) < 200 and "x" * 50 not in str(caught.value)
 
 
-def test_a_wrapped_angle_is_called_so(folder: Path) -> None:
-    toml('lower="-3.141592653589793"', 'lower="-9"', "robot.urdf")(folder)
-    table(lambda d: d.assign(q1=d["q1"].where(d.index < 300, d["q1"] - 2.0 * math.pi)))(folder)
-    table(lambda d: d.assign(q1=pd.read_csv(folder / "identification.csv")["q1"]), "static.csv")(folder)
-    (warning,) = load_experiment(folder).warnings
-    assert "q1: shoulder jumps by 6.2" in warning and "unwrap" in warning
+def test_rows_that_are_left_out_are_left_out_of_the_static_run_too(folder: Path) -> None:
+    whole = load_experiment(folder).motions[0]
+    cell(12, "fx", "nan", "static.csv")(folder)
+    cell(70, "q1", "nan")(folder)
+    motion = load_experiment(folder).motions[0]
+    assert motion.static is not None and whole.static is not None and motion.stop_and_go
+    rows = np.delete(np.arange(401), [12, 70])
+    np.testing.assert_array_equal(motion.table.wrench, whole.table.wrench[rows])
+    np.testing.assert_array_equal(motion.static.wrench, whole.static.wrench[rows])
+
+
+def test_a_run_without_readings_cuts_the_recording(folder: Path) -> None:
+    table(no_reading, "validation.csv")(folder)
+    assert load_experiment(folder).validation[0].table.segments() == [slice(0, 200), slice(200, 380)]
+
+
+def wrap(frame: pd.DataFrame) -> pd.DataFrame:
+    """Both angles as an encoder of one turn counts them, from a start near its end."""
+    turned = frame[["q1", "q2"]] + [2.9, -3.0]
+    return frame.assign(**np.mod(turned + np.pi, 2.0 * np.pi) - np.pi)
+
+
+def test_an_angle_that_wraps_is_unwrapped_and_told_once(folder: Path) -> None:
+    for joint in ("-3.141592653589793", "-2.5"):
+        toml(f'lower="{joint}" upper="{joint[1:]}"', 'lower="-9" upper="9"', "robot.urdf")(folder)
+    expected = pd.read_csv(folder / "identification.csv")[["q1", "q2"]] + [2.9, -3.0]
+    for name in ("identification.csv", "static.csv"):
+        table(wrap, name)(folder)
+    assert (np.abs(np.diff(pd.read_csv(folder / "identification.csv")["q1"])) > 6.0).sum() > 1
+    experiment = load_experiment(folder)
+    motion = experiment.motions[0]
+    assert motion.static is not None
+    for read in (motion.table.positions, motion.static.positions):
+        np.testing.assert_allclose(read, expected, atol=1e-4)
+    assert [f.text for f in experiment.findings] == list(experiment.warnings) and len(experiment.warnings) == 2
+    told = experiment.warnings[0]
+    assert told.startswith("identification.csv: columns q1, q2: shoulder, elbow") and "unwrapped" in told
+
+
+def test_a_whole_turn_outside_the_limits_is_taken_off(folder: Path) -> None:
+    expected = load_experiment(folder).validation[0].table.positions
+    table(lambda d: d.assign(q2=np.mod(d["q2"], 2.0 * np.pi)), "validation.csv")(folder)
+    experiment = load_experiment(folder)
+    np.testing.assert_allclose(experiment.validation[0].table.positions, expected, atol=1e-12)
+    assert len(experiment.warnings) == 1 and "q2" in experiment.warnings[0]
 
 
 def test_the_same_motion_cannot_validate_unnoticed(folder: Path) -> None:

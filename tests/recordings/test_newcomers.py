@@ -121,7 +121,7 @@ CASES: list[tuple[str, Damage, tuple[str, ...]]] = [
     ("role misspelt", toml('role = "validation"', 'role = "test"'), ("experiment.toml", "role", "test", "validation")),
     ("effect misspelt", toml("sensor_offset", "ofset"), ("experiment.toml", "ofset", "sensor_offset")),
     # Gaps and cells.
-    ("an empty cell", lines(lambda t: [*t[:9], re.sub(r",[^,]*$", ",", t[9]), *t[10:]]), ("line 10", "empty cell", "leave")),
+    ("an empty cell", lines(lambda t: [*t[:9], re.sub(r",[^,]*$", ",", t[9]), *t[10:]]), ("line 10", "without a reading")),
     ("decimal commas", lines(lambda t: [t[0], *(x.replace(".", ",") for x in t[1:])]), ("identification.csv", "line 2", "point")),
     ("semicolons", lines(lambda t: [x.replace(",", ";") for x in t]), ("identification.csv", "semicolons", "commas")),
     ("a second missing", both(lambda d: d.drop(index=range(100, 200))), ("identification.csv", "gap at", "pieces between gaps")),

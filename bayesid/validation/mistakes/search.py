@@ -29,7 +29,8 @@ def find_mistakes(experiment: Experiment) -> tuple[Mistake, ...]:
     """Mistakes of signs, orders, units and frames that would explain what no robot can do; usually none.
 
     Gravity, masses, friction and power have signs: a robot that can exist, with friction that brakes, does not explain
-    readings of which one has the wrong sign. Every candidate is undone in turn and the best such robot is fitted to a few
+    readings of which one has the wrong sign. Nothing is guessed where a finding about the recording explains its readings
+    (`bayesid.recordings.finding`). Every candidate is undone in turn and the best such robot is fitted to a few
     hundred low-passed samples; one is named where the data become far more probable by it.
 
     Parameters
@@ -38,9 +39,10 @@ def find_mistakes(experiment: Experiment) -> tuple[Mistake, ...]:
         The recordings; those that are fitted are looked at.
     """
     found: list[Mistake] = []
+    explained = {channel for finding in experiment.findings for channel in finding.silences}
     with one_blas_thread():
         for channel in ("wrench", "torque"):
-            if channel == "wrench" and experiment.sensor is None:
+            if channel in explained or (channel == "wrench" and experiment.sensor is None):
                 continue
             try:
                 with np.errstate(over="ignore", invalid="ignore"):

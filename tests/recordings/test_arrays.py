@@ -1,0 +1,145 @@
+"""Experiments from arrays: the same numbers as from files, and the same checks."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import bayesid
+from bayesid.errors import InputError
+from bayesid.recordings.experiment import Experiment, Motion, Sensor, load_experiment
+from bayesid.recordings.table import Table
+from bayesid.recordings.writer import write_experiment
+from tests.malformed import write_good
+from tests.simulated import experiment, fourier, puma2, recording
+
+Q, TAU = ["q1", "q2"], ["tau1", "tau2"]
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, pd.DataFrame, pd.DataFrame]:
+    """A folder with a robot that carries no sensor, and its two recordings as data frames."""
+    folder = tmp_path_factory.mktemp("arrays")
+    (folder / "model").mkdir()
+    robot = puma2(folder / "model")
+    motions = [
+        Motion(
+            name, role, recording(robot, None, fourier(robot, seed, duration=12.0), seed=seed, torque_std=0.05, resolution=1e-4)
+        )
+        for name, role, seed in (("identification", "identification", 1), ("validation", "validation", 2))
+    ]
+    write_experiment(experiment(robot, motions, None, position_resolution=1e-4), folder / "arm")
+    return folder / "arm", *(pd.read_csv(folder / "arm" / f"{motion.name}.csv") for motion in motions)
+
+
+def made(arm: tuple[Path, pd.DataFrame, pd.DataFrame], change=lambda frame: frame, **more) -> Experiment:
+    folder, first, later = arm
+    first = change(first.copy())
+    given = dict(
+        torques=first[TAU], validation=dict(t=later.t, q=later[Q], torques=later[TAU]), joints=["joint1", "joint2"],
+        locked=load_experiment(folder).locked, position_resolution=1e-4, name="arm",
+    )  # fmt: skip
+    return Experiment.from_arrays(folder / "robot.urdf", first["t"], first[Q], **(given | more))
+
+
+def test_arrays_and_files_give_the_same_estimate(arm) -> None:
+    from_file, from_arrays = bayesid.identify(arm[0]), bayesid.identify(made(arm))
+    np.testing.assert_array_equal(from_arrays.values, from_file.values)
+    np.testing.assert_array_equal(from_arrays.covariance, from_file.covariance)
+    assert from_arrays.warnings == from_file.warnings
+
+
+@pytest.mark.parametrize("kind", [list, np.asarray, pd.DataFrame])
+def test_lists_arrays_and_frames_are_one(arm, kind) -> None:
+    _, first, _ = arm
+    t = list(first.t) if kind is list else first.t
+    q, tau = (first[names].values.tolist() if kind is list else kind(first[names]) for names in (Q, TAU))
+    table = Table(t, q, torques=tau)
+    np.testing.assert_array_equal(table.positions, first[Q])
+    np.testing.assert_array_equal(table.torques, first[TAU])
+    assert all(type(array) is np.ndarray for array in (table.times, table.positions, table.torques))
+
+
+def test_dates_and_durations_count_from_the_first(arm) -> None:
+    _, first, _ = arm
+    dates = pd.Timestamp("2026-03-01") + pd.to_timedelta(first.t, unit="s")
+    for times in (dates, pd.DatetimeIndex(dates), dates.to_numpy(), pd.to_timedelta(first.t, unit="s")):
+        np.testing.assert_allclose(Table(times, first[Q]).times, first.t - first.t[0], atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda d: d.assign(t=1e3 * d.t), "identification: column t.*milliseconds"),
+        (lambda d: d.assign(**np.rad2deg(4.0 * d[Q])), "identification: column q1.*degrees"),
+        (lambda d: d.iloc[::-1], "row 1: time goes back"),
+        (lambda d: d.assign(tau1=0.0, tau2=0.0), "0 in every row"),
+        (lambda d: d.assign(tau1=np.inf), "torques, row 0: not finite"),
+        (lambda d: d.head(10), "10 rows are no trajectory"),
+    ],
+)
+def test_what_a_file_is_refused_for_arrays_are(change, says: str, arm) -> None:
+    with pytest.raises(InputError, match=says):
+        made(arm, change)
+    frame = change(arm[1].copy())  # and put together by hand
+    with pytest.raises(InputError):
+        motion = Motion("identification", "identification", Table(frame.t, frame[Q], torques=frame[TAU]))
+        Experiment("by hand", load_experiment(arm[0]).robot, (motion,))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (dict(joints=None), "q has 2 columns but robot.urdf has 6 moving joints"),
+        (dict(torques=None), "torques and wrench are missing; give one"),
+        (dict(torques=None, sensor=Sensor()), "wrench is missing although a sensor is given"),
+        (dict(torques=np.zeros((5, 2))), "torques have shape"),
+        (dict(validation=dict(t=[0.0], q=[[0.0, 0.0]], tau=[[1.0, 1.0]])), "validation: tau: no such array"),
+        (dict(validation=dict(t=[0.0])), "validation: q is missing"),
+        (dict(kind="pose"), "kind = 'pose'"),
+    ],
+)
+def test_wrong_arguments_are_told_in_python_s_words(arguments: dict, says: str, arm) -> None:
+    with pytest.raises(InputError, match=says) as caught:
+        made(arm, **arguments)
+    assert "experiment.toml" not in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_holes_and_repeats_are_left_out_and_told_once(arm) -> None:
+    def damaged(frame: pd.DataFrame) -> pd.DataFrame:
+        frame.loc[200:260, "q2"] = np.nan
+        frame.loc[700, "t"] = frame.loc[699, "t"]
+        return frame
+
+    found = made(arm, damaged)
+    table, whole = found.motions[0].table, made(arm).motions[0].table
+    rows = np.delete(np.arange(len(whole)), [*range(200, 261), 700])
+    np.testing.assert_array_equal(table.positions, whole.positions[rows])
+    assert [s.stop - s.start for s in table.segments()] == [200, len(rows) - 200]
+    assert len(found.findings) == 2 and found.warnings == tuple(f.text for f in found.findings)
+    assert bayesid.check(found).warnings == found.warnings
+    estimate, reference = bayesid.identify(found), bayesid.identify(made(arm))
+    assert estimate.warnings[:2] == found.warnings
+    np.testing.assert_allclose(estimate.values, reference.values, atol=5.0 * float(np.max(reference.std)))
+
+
+def test_an_experiment_changed_in_part_is_not_examined_again(arm) -> None:
+    from dataclasses import replace
+
+    one = made(arm, lambda d: d.assign(q1=d.q1.where(d.index != 5)))
+    again = replace(one, motions=one.motions[:1], effects=("viscous_friction",))
+    assert again.warnings == one.warnings and again.motions[0].table is one.motions[0].table
+
+
+def test_a_wrench_without_a_sensor_is_one_under_the_base(tmp_path: Path) -> None:
+    folder = write_good(tmp_path / "arm")
+    frame = pd.read_csv(folder / "identification.csv")
+    given = Experiment.from_arrays(
+        folder / "robot.urdf", frame.t, frame[Q], wrench=frame[["fx", "fy", "fz", "mx", "my", "mz"]],
+        joints=["shoulder", "elbow"], locked={"wrist": 0.1},
+    )  # fmt: skip
+    assert given.sensor is not None and given.sensor.joint is None
+    assert given.warnings == ('no motion has role "validation"; pass validation=..., to test the estimate on a held-out motion',)
