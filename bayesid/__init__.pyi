@@ -1,3 +1,4 @@
+from .design.excitation.options import ExcitationOptions
 from .effects.library import EffectLibrary
 from .effects.own import load_effects
 from .errors import BayesidError, BayesidWarning, EstimationError, InputError
@@ -12,9 +13,11 @@ from .estimators.least_squares import LeastSquares, Ridge, TruncatedSVD
 from .estimators.robust.m_estimators import Huber, Student
 from .posterior.diagnostics import ConvergenceError
 from .posterior.result import Posterior
+from .posterior.run import Sampler
 from .recordings.experiment import Experiment, Motion, Sensor, load_experiment
 from .recordings.table import Table
 from .recordings.writer import write_experiment
+from .regression.options import FitOptions
 from .regression.regression import Regression
 from .results.accuracy import Accuracy
 from .results.bounds import ControllerBounds
@@ -65,8 +68,10 @@ __all__ = [
     "EstimationError",
     "Estimator",
     "Excitation",
+    "ExcitationOptions",
     "Experiment",
     "ExperimentPosterior",
+    "FitOptions",
     "Huber",
     "Identifiability",
     "Identification",
@@ -84,6 +89,7 @@ __all__ = [
     "Regression",
     "Ridge",
     "Robot",
+    "Sampler",
     "Sensor",
     "Simulation",
     "Student",

@@ -86,7 +86,7 @@ def _options(command):
 @EFFECTS_FROM
 @OUT
 @SEED
-def excite(experiment, model, effects_from, out, joints, blocks, quantities, tell, **options) -> None:
+def excite(experiment, model, effects_from, out, joints, blocks, quantities, tell, warm_start, seed, **options) -> None:
     """An exciting trajectory within limits: trajectory.csv; needs experiment.toml and the URDF only."""
     check_output(out or OUTPUTS, "excite")
     library = own_effects(effects_from)
@@ -94,24 +94,19 @@ def excite(experiment, model, effects_from, out, joints, blocks, quantities, tel
     setup = load_setup(experiment, library) if tell is None else load_experiment(experiment, library, planned=True)
     setup = setup if model is None else setup.with_model(model)
     folder = output_folder(out, setup.name, "excite")
-    options["joints"] = None if joints is None else tuple(joints)
+    chosen = ExcitationOptions(
+        joints=joints, blocks=blocks or (), quantities=quantities or (), **options
+    )
     with show_progress() as progress:
         if tell is None:
-            named = {"blocks": tuple(blocks or ()), "quantities": tuple(quantities or ())}
-            result = bayesid.excite(setup, progress=progress, **named, **options)
+            result = bayesid.excite(setup, chosen, warm_start=warm_start, seed=seed, progress=progress)
         else:
-            result = _told(setup, tell, blocks, quantities, progress, options)
+            others = {"--warm-start": warm_start, "--blocks": blocks, "--quantity": quantities}
+            for name in (name for name, given in others.items() if given):
+                raise InputError(f"{name} is given with --tell; leave one of them out")
+            result = bayesid.tell(setup, tell, chosen, seed=seed, progress=progress)
         progress("report")
         report = result.write(folder)
     click.echo(str(result))
     click.echo(f"trajectory: {folder / 'trajectory.csv'}")
     click.echo(f"report: {report}")
-
-
-def _told(setup, effects, blocks, quantities, progress, options):
-    """The motion that tells effects apart, by the options that say something of it."""
-    others = {"--warm-start": options.pop("warm_start"), "--blocks": blocks, "--quantity": quantities}
-    for name, given in others.items():
-        if given:
-            raise InputError(f"{name} is given with --tell; leave one of them out")
-    return bayesid.tell(setup, effects, progress=progress, **options)

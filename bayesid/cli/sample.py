@@ -37,7 +37,7 @@ from bayesid.results.files import check_output, checkpoint_of
 @STATIC
 @OUT
 @SEED
-def sample(experiment, filter_l, filter_d, model, effects_from, out, resume, **options) -> None:
+def sample(experiment, filter_l, filter_d, model, effects_from, out, engine, longest, resume, **options) -> None:
     """Draws from the posterior, with convergence checks and held-out validation."""
     check_output(out or OUTPUTS, "sample")
     filters = low_pass(filter_l, filter_d)
@@ -46,9 +46,8 @@ def sample(experiment, filter_l, filter_d, model, effects_from, out, resume, **o
     kept = checkpoint_of(folder)
     try:
         with show_progress() as progress:
-            result = bayesid.sample(
-                loaded, low_pass=filters, checkpoint=kept, resume=resume, progress=progress, **options
-            )
+            sampler = bayesid.Sampler(engine=engine, longest=longest, checkpoint=kept, resume=resume)
+            result = bayesid.sample(loaded, low_pass=filters, sampler=sampler, progress=progress, **options)
             progress("report")
             report = result.write(folder)
     except KeyboardInterrupt:

@@ -13,6 +13,7 @@ from importlib import import_module
 import click
 
 import bayesid
+from bayesid.arguments import on_command_line
 from bayesid.errors import BayesidError, InputError
 
 #: What each verb does; its command stands in the module of its name.
@@ -79,7 +80,7 @@ def run(arguments: Sequence[str]) -> int:
     """
     telling = _Telling()
     try:
-        with commands.make_context("bayesid", list(arguments), obj=telling) as context:
+        with on_command_line(), commands.make_context("bayesid", list(arguments), obj=telling) as context:
             commands.invoke(context)
         if sys.stdout is not None:
             sys.stdout.flush()

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bayesid.arguments import call
 from bayesid.design.identifiability import Plan, SetReport, report_of, richest_base, unseen
 from bayesid.design.reading_noise import ReadingNoise
 from bayesid.design.visibility import WEAK
@@ -189,7 +190,7 @@ def _sizes(plan: Plan, main: SetReport, noise: ReadingNoise) -> list[Advice]:
     if middle > _ALIKE:
         text = (
             f"{_sentence(beside)} would make standard deviations {middle:.2g} times smaller in the middle, at most "
-            f"{ratios[worst]:.2g} times ({brief(worst)}): move faster and further, or let `bayesid excite` find the motion."
+            f"{ratios[worst]:.2g} times ({brief(worst)}): move faster and further, or let `{call('excite')}` find the motion."
         )
         out.append(Advice("motion", text))
     elif middle * _ALIKE < 1.0:
@@ -208,7 +209,7 @@ def _noise(plan: Plan, main: SetReport, sheet: ReadingNoise) -> list[Advice]:
     text = (
         "A fit leaves more of the readings than the sensor's noise: with the data sheet's alone, standard deviations would be "
         f"{ratio:.2g} times smaller in the middle, and {best.well_known} of {best.rank} smaller than the size of a body. "
-        "The model lacks something: `bayesid diagnose` looks for it."
+        f"The model lacks something: `{call('diagnose')}` looks for it."
     )
     return [Advice("noise", text, best.well_known - main.well_known)]
 

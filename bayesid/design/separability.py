@@ -18,6 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import ndtr
 
+from bayesid.arguments import argument
 from bayesid.design.expected import rows_of
 from bayesid.design.identifiability import Plan
 from bayesid.design.reading_noise import ReadingNoise
@@ -127,16 +128,21 @@ def pair_of(plan: Plan, specs: Sequence[str]) -> tuple[Effect, ...]:
         try:
             found = experiment.library.parse([spec], experiment.robot.joint_names, every, experiment.gear_ratio)
         except InputError as error:
-            raise InputError(f"--tell: {error}") from None
+            raise InputError(f"{argument('tell')}: {error}") from None
         effect = next(iter(found))
         if len(found) > 1:
-            raise InputError(f"--tell {spec}: could be at {len(found)} places; name one, as in {effect.spec}")
+            raise InputError(f"{argument('tell', spec)}: could be at {len(found)} places; name one, as in {effect.spec}")
         if effect.spec in [e.spec for e in model]:
-            raise InputError(f"--tell {spec}: is in the model already; take it out of [model] effects to tell it from others")
+            raise InputError(
+                f"{argument('tell', spec)}: is in the model already; take it out of [model] effects to tell it from others"
+            )
         if effect not in out:
             out.append(effect)
     if len(out) < 2:
-        raise InputError(f"--tell {','.join(specs)}: give at least two different effects, as in --tell sensor_delay,base_tilt")
+        raise InputError(
+            f"{argument('tell', specs)}: give at least two different effects, as in "
+            f"{argument('tell', ('sensor_delay', 'base_tilt'))}"
+        )
     return tuple(out)
 
 

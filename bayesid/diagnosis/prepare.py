@@ -7,6 +7,7 @@ from collections.abc import Collection, Sequence
 import numpy as np
 from scipy.fft import next_fast_len
 
+from bayesid.arguments import argument
 from bayesid.diagnosis.data import DiagnosisData
 from bayesid.diagnosis.noise import has_readings, readings_of, smoothed, with_noise_of
 from bayesid.diagnosis.settings import DEFAULT, Settings
@@ -75,16 +76,20 @@ def prepare_data(
     names = [m.name for m in experiment.identification] if motions is None else list(motions)
     known = {m.name for m in experiment.motions}
     if motions is not None and not names:
-        raise InputError(f"--motions names none; write one or more of {', '.join(sorted(known))}")
+        raise InputError(f"{argument('motions')} names none; write one or more of {', '.join(sorted(known))}")
     for name in names:
         if name not in known:
-            raise InputError(f"--motions {name}: no such motion in experiment.toml; it has {', '.join(sorted(known))}")
+            raise InputError(f"{argument('motions', name)}: no such motion in experiment.toml; it has {', '.join(sorted(known))}")
     usable = [m for m in experiment.motions if m.kind == "trajectory" and has_readings(m.table, channel)]
     chosen = [m for m in usable if m.name in names]
     if not chosen and any(m.name in names and m.kind == "poses" for m in experiment.motions):
-        raise InputError("only poses at rest are to be fitted, and a diagnosis needs a trajectory; name one with --motions")
+        raise InputError(
+            f"only poses at rest are to be fitted, and a diagnosis needs a trajectory; name one with {argument('motions')}"
+        )
     if not chosen:
-        raise InputError(f"no motion with readings for --channel {channel} can be fitted; add one with role identification")
+        raise InputError(
+            f"no motion with readings for {argument('channel', channel)} can be fitted; add one with role identification"
+        )
     unseen = [m for m in usable if m.role == "validation" and m.name not in names]
     rate = min(1.0 / usual_step(m.table.times) for m in [*chosen, *unseen])
     clearest, *each = _clear(experiment, [*chosen, *unseen], settings)

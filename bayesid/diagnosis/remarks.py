@@ -7,6 +7,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from scipy.stats import chi2
 
+from bayesid.arguments import argument
 from bayesid.diagnosis.data import WHITE
 from bayesid.diagnosis.in_part import InPart
 from bayesid.diagnosis.residual_floor import SOURCES
@@ -119,7 +120,8 @@ def _of_the_model(search: Search, found: Sequence[Found], gap: Gap | None) -> li
     parts = {t.effect.name for t in data.terms}
     if idle := [spec for spec in data.experiment.effects if spec.split("@")[0] not in parts]:
         out.append(
-            f"{', '.join(idle)} of the model cannot be seen in what is compared (--channel {data.channel}), and took no part."
+            f"{', '.join(idle)} of the model cannot be seen in what is compared ({argument('channel', data.channel)}), "
+            "and took no part."
         )
     if (start := max(abs(x.times[0]) for x in data.segments)) > settings.late_start:
         out.append(

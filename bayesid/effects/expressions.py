@@ -14,6 +14,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from bayesid.arguments import argument
 from bayesid.dynamics.channels import WRENCH_NAMES
 from bayesid.effects.effect import Parameter
 from bayesid.effects.families import ReadingEffect, Readout
@@ -99,7 +100,9 @@ class ExpressionEffect(ReadingEffect):
             else:
                 full = self._full(name)
                 if _is_reading(full) and full not in readout.names:
-                    raise InputError(f"effect '{self.name}': {full} is not among the readings used; choose another --channel")
+                    raise InputError(
+                        f"effect '{self.name}': {full} is not among the readings used; choose another {argument('channel')}"
+                    )
                 out[name] = variable(readout, full)
         return out
 

@@ -6,9 +6,10 @@ import warnings
 from dataclasses import fields, is_dataclass, replace
 from difflib import get_close_matches
 
+import numpy as np
 from scipy.stats import chi2
 
-from bayesid.errors import BayesidWarning, InputError
+from bayesid.errors import BayesidWarning, EstimationError, InputError
 from bayesid.estimators.conic.bounds import Bounds, load_bounds
 from bayesid.estimators.conic.physical import Physical
 from bayesid.estimators.details import Details, OwnDetails
@@ -45,9 +46,15 @@ def estimator(method: str | Estimator) -> Estimator:
     Raises
     ------
     InputError
-        No estimator has this name.
+        No estimator has this name, or the object has no name or no ``fit``.
     """
+    if isinstance(method, type):
+        raise InputError(f"method {method.__name__} is a class: pass one of it, {method.__name__}(...)")
     if not isinstance(method, str):
+        lacks = [] if isinstance(getattr(method, "name", None), str) else ["a name: write name = \"my-estimator\" into its class"]
+        lacks += [] if callable(getattr(method, "fit", None)) else ["fit(regression) that returns a bayesid.Estimate"]
+        if lacks:
+            raise InputError(f"method {type(method).__name__} is no estimator: it lacks {' and '.join(lacks)}")
         return method
     if method not in METHODS:
         close = get_close_matches(method, METHODS, 1)
@@ -72,6 +79,8 @@ def fit(regression: Regression, method: str | Estimator = DEFAULT_METHOD, prior:
     ------
     InputError
         No estimator has this name, it takes no prior, or the regression is none.
+    EstimationError
+        An estimator of one's own returns no `Estimate`, or one without a finite solution.
     """
     if not isinstance(regression, Regression):
         given = type(regression).__name__
@@ -83,11 +92,25 @@ def fit(regression: Regression, method: str | Estimator = DEFAULT_METHOD, prior:
             raise InputError(f"method '{chosen.name}' takes no prior; leave it out, or choose {' or '.join(takes)}")
         chosen = replace(chosen, prior=prior)
     estimate = chosen.fit(regression)
+    _require_estimate(chosen, estimate, regression)
     doubt = _stated_noise_doubted(regression, estimate)
     if doubt:
         warnings.warn(f"{chosen.name}: {doubt}", BayesidWarning, stacklevel=2)
         estimate = replace(estimate, details=replace(estimate.details, warnings=(*estimate.details.warnings, doubt)))
     return estimate
+
+
+def _require_estimate(method: Estimator, estimate: object, regression: Regression) -> None:
+    """Refuse what an estimator of one's own returns, where it is no estimate of this regression."""
+    if not isinstance(estimate, Estimate):
+        raise EstimationError(
+            f"method '{method.name}': fit returned a {type(estimate).__name__}, not a bayesid.Estimate; change one that another "
+            "estimator made, as in dataclasses.replace(bayesid.fit(regression, \"wls\"), solution=...)"
+        )
+    count = len(regression.column_names)
+    if np.shape(estimate.solution) != (count,) or not np.isfinite(estimate.solution).all():
+        got = f"of shape {np.shape(estimate.solution)}" if np.shape(estimate.solution) != (count,) else "that is not finite"
+        raise EstimationError(f"method '{method.name}': gave a solution {got}; it needs {count} finite numbers, one a parameter")
 
 
 def _stated_noise_doubted(regression: Regression, estimate: Estimate) -> str:

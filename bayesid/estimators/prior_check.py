@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import chi2
 
+from bayesid.arguments import argument, call
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.estimators.conic.data import compressed
 from bayesid.estimators.conic.physical import PhysicalDetails
@@ -108,14 +109,15 @@ class PriorCheck:
         one, chance = self.largest, "below 1e-12" if self.probability < 1e-12 else f"{self.probability:.2g}"
         trust = "" if self.rel_std is None else f" at a relative standard deviation of {self.rel_std:.3g}"
         chosen = "" if self.stated else ", the one that suits the data best"
+        less = f"inertia_rel_std, {argument('prior_std')}"
         remedy = (
-            "What weighs one against the other is doubtful then. Check the readings (`bayesid check`) and the URDF, look for "
-            "what is missing in the model (`bayesid diagnose`), or trust the links less (inertia_rel_std, --prior-std)."
+            f"What weighs one against the other is doubtful then. Check the readings (`{call('check')}`) and the URDF, look for "
+            f"what is missing in the model (`{call('diagnose')}`), or trust the links less ({less})."
         )
         if self.warps_explain:
             remedy = (
                 "Links scaled, shifted and warped by that share would explain the data: it is the prior's metric that takes a "
-                "thin link's middle off its axis for almost impossible. Trust the links less (inertia_rel_std, --prior-std)."
+                f"thin link's middle off its axis for almost impossible. Trust the links less ({less})."
             )
         return (
             f"Prior and data contradict each other{trust}{chosen}: {one.label} is {one.prior:.3g} +- {one.prior_std:.2g} "

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from bayesid.arguments import argument
 from bayesid.errors import InputError
 
 
@@ -52,11 +53,12 @@ def load_checkpoint(path: Path, mark: str) -> dict[str, Any] | None:
         content = {"kept": kept, **json.loads(rest, object_hook=_decode)} if digest == _digest(kept, rest) else None
     except Exception:  # zip, zlib, numpy and JSON each have errors of their own for a damaged file
         content = None
+    remedy = f"leave out {argument('resume', True)} or delete it"
     if content is None:
-        raise InputError("is damaged or was changed", file=str(path), remedy="leave out --resume or delete it")
+        raise InputError("is damaged or was changed", file=str(path), remedy=remedy)
     if content["mark"] != mark:
         raise InputError(
-            "belongs to another run (data, model, draws or seed differ)", file=str(path), remedy="leave out --resume or delete it"
+            "belongs to another run (data, model, draws or seed differ)", file=str(path), remedy=remedy
         )
     return content
 

@@ -12,6 +12,7 @@ from functools import cached_property
 import numpy as np
 from scipy.linalg import solve_triangular
 
+from bayesid.arguments import argument
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.errors import InputError
 from bayesid.posterior import coordinates
@@ -122,7 +123,7 @@ class PosteriorModel:
             more = f" and {hidden.sum() - _SHOWN} more" if hidden.sum() > _SHOWN else ""
             remedy = "leave them out"
             if self.prior is None:
-                remedy = "take a prior (--prior nominal --prior-std 0.3) or leave effects out"
+                remedy = f"take a prior ({argument('prior', 'nominal')}, {argument('prior_std', 0.3)}) or leave effects out"
             raise InputError(
                 f"these motions say nothing about {', '.join(shown)}{more}, which a flat prior leaves open; {remedy}"
             )

@@ -1,9 +1,8 @@
-"""Run chains until they have converged, with progress, checkpoints and a limit."""
+"""Run chains until they have converged, with checkpoints and a limit."""
 
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from hashlib import sha256
@@ -11,8 +10,8 @@ from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
-from tqdm import tqdm
 
+from bayesid.arguments import argument
 from bayesid.errors import InputError
 from bayesid.posterior.checkpoint import load_checkpoint, save_checkpoint
 from bayesid.posterior.diagnostics import Convergence, convergence
@@ -27,6 +26,32 @@ _FEWEST, _JUDGED = 50, 1600
 
 
 S = TypeVar("S")
+
+
+@dataclass(frozen=True)
+class Sampler:
+    """How draws are made, for `bayesid.sample`.
+
+    Attributes
+    ----------
+    engine
+        ``hmc`` (exact trajectories between walls, Gibbs for the noise) or ``emcee``; None: the one that suits.
+    moves
+        Of emcee: ``laplace``; ``de`` and ``stretch`` alone in few dimensions only.
+    chains
+        Independent chains that the draws come from.
+    longest
+        How many times longer to run while chains have not converged, before giving up.
+    checkpoint, resume
+        File that keeps an unfinished run, and whether to go on from it.
+    """
+
+    engine: str | None = None
+    moves: str = "laplace"
+    chains: int = 4
+    longest: int = 32
+    checkpoint: str | Path | None = None
+    resume: bool = False
 
 
 class Engine(Protocol[S]):
@@ -100,7 +125,7 @@ def choose_engine(model: PosteriorModel, engine: str | None = None, moves: str =
         return ReflectiveGibbs(model)
     if engine == "emcee":
         return Ensemble(model, moves)
-    raise InputError(f"engine '{engine}': choose one of {', '.join(ENGINES)}")
+    raise InputError(f"{argument('engine', engine)}: choose one of {', '.join(ENGINES)}")
 
 
 def run(
@@ -113,7 +138,6 @@ def run(
     longest: int = 32,
     checkpoint: Path | None = None,
     resume: bool = False,
-    bar: bool = False,
     tell: Callable[[str], None] | None = None,
     stop_after: int | None = None,
 ) -> Chains:
@@ -137,8 +161,8 @@ def run(
         File that the run is saved in after every tenth; None: nowhere.
     resume
         Go on from the checkpoint, if there is one.
-    bar, tell
-        Whether a bar is shown on a terminal; called with how far the run is, in words.
+    tell
+        Called with how far the run is, in words.
     stop_after
         Stop after so many rounds, as an interruption would; for tests.
 
@@ -150,11 +174,11 @@ def run(
         Also by ``stop_after``; the checkpoint holds what was done.
     """
     if chains < 2:
-        raise InputError(f"chains = {chains}: at least 2 are needed to see whether they agree")
+        raise InputError(f"{argument('chains', chains)}: at least 2 are needed to see whether they agree")
     if draws < _FEWEST * chains:
-        raise InputError(f"draws = {draws}: give at least {_FEWEST * chains}, {_FEWEST} for each of {chains} chains")
+        raise InputError(f"{argument('draws', draws)}: give at least {_FEWEST * chains}, {_FEWEST} for each of {chains} chains")
     if longest < 1:
-        raise InputError(f"longest = {longest}: give at least 1")
+        raise InputError(f"{argument('longest', longest)}: give at least 1")
     asked = -(-draws // chains)
     each = max(asked, -(-_JUDGED // chains))
     wanted = max(-(-each // engine.walkers), 2)
@@ -168,31 +192,25 @@ def run(
         states = [engine.restored(state) for state in saved["states"]]
         kept, thin, rounds = saved["kept"], saved["thin"], saved["rounds"]
     size = max(-(-wanted // _ROUNDS), 1)
-    show = bar and sys.stderr.isatty()
-    with tqdm(total=wanted, initial=kept.shape[1], desc="sampling", unit="step", disable=not show, leave=False) as shown:
-        while True:
-            while kept.shape[1] < wanted:
-                if stop_after is not None and rounds >= stop_after:
-                    raise KeyboardInterrupt
-                count = min(size, wanted - kept.shape[1])
-                kept = np.concatenate([kept, np.stack([engine.advance(s, count, thin) for s in states])], axis=1)
-                rounds += 1
-                shown.update(count)
-                if tell is not None:
-                    apart = f", draws {thin} times farther apart" if thin > 1 else ""
-                    tell(f"sampling{apart}: {100 * kept.shape[1] // wanted} %")
-                if checkpoint is not None:
-                    fields = [vars(state) for state in states]
-                    save_checkpoint(checkpoint, mark, {"states": fields, "kept": kept, "thin": thin, "rounds": rounds})
-            flat = np.swapaxes(kept, 1, 2).reshape(chains, -1, kept.shape[-1])[:, :each]
-            diagnosis = convergence(*_monitored(model, flat))
-            if diagnosis.passed or thin >= longest:
-                even = np.linspace(0, each - 1, asked).astype(int)
-                return Chains(flat[:, even], engine.name, thin, states, diagnosis)
-            kept, thin = kept[:, 1::2], 2 * thin
-            shown.reset(total=wanted)
-            shown.set_description(f"sampling, draws {thin} times farther apart")
-            shown.update(kept.shape[1])
+    while True:
+        while kept.shape[1] < wanted:
+            if stop_after is not None and rounds >= stop_after:
+                raise KeyboardInterrupt
+            count = min(size, wanted - kept.shape[1])
+            kept = np.concatenate([kept, np.stack([engine.advance(s, count, thin) for s in states])], axis=1)
+            rounds += 1
+            if tell is not None:
+                apart = f", draws {thin} times farther apart" if thin > 1 else ""
+                tell(f"sampling{apart}: {100 * kept.shape[1] // wanted} %")
+            if checkpoint is not None:
+                fields = [vars(state) for state in states]
+                save_checkpoint(checkpoint, mark, {"states": fields, "kept": kept, "thin": thin, "rounds": rounds})
+        flat = np.swapaxes(kept, 1, 2).reshape(chains, -1, kept.shape[-1])[:, :each]
+        diagnosis = convergence(*_monitored(model, flat))
+        if diagnosis.passed or thin >= longest:
+            even = np.linspace(0, each - 1, asked).astype(int)
+            return Chains(flat[:, even], engine.name, thin, states, diagnosis)
+        kept, thin = kept[:, 1::2], 2 * thin
 
 
 def _monitored(model: PosteriorModel, draws: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:

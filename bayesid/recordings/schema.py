@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tomli_w
 from pydantic import AfterValidator, ConfigDict, Field
 
+from bayesid.arguments import argument
 from bayesid.errors import InputError
 from bayesid.recordings.toml_file import File, Keys, Name, NonNegative, Number, Positive, Section, Vector3, read_toml
 
@@ -222,7 +223,8 @@ def check_keys(file: ExperimentFile) -> list[str]:
     for effect in file.model.values:
         if effect not in listed and effect.partition("@")[0] not in listed:
             warnings.append(
-                f'experiment.toml: [model.values."{effect}"]: effects does not list it; add it there, unless --effects is to'
+                f'experiment.toml: [model.values."{effect}"]: effects does not list it; add it there, unless '
+                f'{argument("effects")} is to'
             )
     return warnings
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
+from bayesid.arguments import argument, names, with_given
+from bayesid.errors import InputError
 from bayesid.signals.filters import LowPass
 
 #: Refusal of a verb, to be named, that was given a regression and choices that were made when its rows were.
@@ -12,10 +14,16 @@ NOT_FOR_REGRESSIONS = (
     "{}: channel, low_pass, motions, effects, static and bandwidth belong to an experiment; leave them out with a Regression"
 )
 
+#: What may be done with a stop-and-go run.
+STATIC = ("motion", "joint")
+
 
 @dataclass(frozen=True)
 class FitOptions:
-    """Which readings, motions and effects are fitted, and how readings become rows.
+    """Which readings, motions and effects are fitted, and how readings become rows: what the verbs share.
+
+    Pass it as ``options`` to `bayesid.identify`, `bayesid.compare`, `bayesid.sample`, `bayesid.bounds` and `bayesid.accuracy`;
+    other verbs take it as far as they have such options. What is given one by one beside it stands in its place.
 
     Attributes
     ----------
@@ -36,7 +44,55 @@ class FitOptions:
 
     channel: str | None = None
     low_pass: LowPass | None = None
-    motions: Sequence[str] | None = None
-    effects: Sequence[str] | None = None
+    motions: str | Sequence[str] | None = None
+    effects: str | Sequence[str] | None = None
     static: str = "motion"
     bandwidth: float | None = None
+
+    def __post_init__(self) -> None:
+        """Take a string for one name.
+
+        Raises
+        ------
+        InputError
+            ``static`` is neither ``motion`` nor ``joint``.
+        """
+        object.__setattr__(self, "motions", names(self.motions))
+        object.__setattr__(self, "effects", names(self.effects))
+        if self.static not in STATIC:
+            raise InputError(f"{argument('static', self.static)}: choose one of {', '.join(STATIC)}")
+
+    def given(self) -> dict[str, object]:
+        """What differs from what is usual, by name."""
+        usual = FitOptions()
+        return {f.name: getattr(self, f.name) for f in fields(self) if getattr(self, f.name) != getattr(usual, f.name)}
+
+
+def fit_options(
+    options: FitOptions | None,
+    channel: str | None = None,
+    low_pass: LowPass | None = None,
+    motions: str | Sequence[str] | None = None,
+    effects: str | Sequence[str] | None = None,
+    static: str | None = None,
+    bandwidth: float | None = None,
+) -> FitOptions:
+    """The options with what was given one by one, that is not None, in their place."""
+    return with_given(
+        options or FitOptions(), channel=channel, low_pass=low_pass, motions=motions, effects=effects, static=static,
+        bandwidth=bandwidth,
+    )  # fmt: skip
+
+
+def some_options(verb: str, options: FitOptions | None, **given: object) -> FitOptions:
+    """As `fit_options` for a verb that has only those that are named here.
+
+    Raises
+    ------
+    InputError
+        Another one is set.
+    """
+    others = [name for name in (options or FitOptions()).given() if name not in given]
+    if others:
+        raise InputError(f"{verb} takes no {' and no '.join(others)}; of FitOptions it has {', '.join(given)}")
+    return with_given(options or FitOptions(), **given)

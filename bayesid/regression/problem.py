@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bayesid.arguments import argument
 from bayesid.effects import Point
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, Motion
@@ -109,9 +110,8 @@ def prepare(experiment: Experiment, options: FitOptions | None = None) -> Proble
     readable = [m for m in experiment.motions if m in chosen or has_readings(m, channel)]
     segments = {m.name: motion_segments(experiment, channels, m, k, channel, subtract) for k, m in enumerate(readable)}
     fitted = [r for m in chosen for r in segments[m.name]]
-    structure = model_structure(
-        experiment, channels, specs, fitted, "experiment.toml: [model] effects" if options.effects is None else "--effects"
-    )
+    where = "experiment.toml: [model] effects" if options.effects is None else argument("effects")
+    structure = model_structure(experiment, channels, specs, fitted, where)
     base = structure.base
     if not base.rank:
         raise InputError(
@@ -244,12 +244,12 @@ def _choose(experiment: Experiment, motions: Sequence[str] | None) -> list[Motio
         return list(experiment.identification)
     by_name = {m.name: m for m in experiment.motions}
     if not motions:
-        raise InputError(f"--motions names none; write one or more of {', '.join(by_name)}")
+        raise InputError(f"{argument('motions')} names none; write one or more of {', '.join(by_name)}")
     for name in motions:
         if name not in by_name:
-            raise InputError(f"--motions {name}: no such motion in experiment.toml; it has {', '.join(by_name)}")
+            raise InputError(f"{argument('motions', name)}: no such motion in experiment.toml; it has {', '.join(by_name)}")
         if list(motions).count(name) > 1:
-            raise InputError(f"--motions {name}: is named twice, which would count its readings twice; name it once")
+            raise InputError(f"{argument('motions', name)}: is named twice, which would count its readings twice; name it once")
     return [by_name[name] for name in motions]
 
 
@@ -295,7 +295,7 @@ def _chosen(smoother: Smoother, choice: BandwidthChoice | None) -> Smoother:
 def smoother_of(experiment: Experiment, segments: Sequence[Segment], bandwidth: float | None = None) -> Smoother:
     """How the positions of moving segments are smoothed: at the bandwidth given [Hz], else by cross-validation."""
     if bandwidth is not None and not (np.isfinite(bandwidth) and bandwidth > 0):
-        raise InputError(f"--bandwidth {bandwidth}: give a positive frequency in Hz")
+        raise InputError(f"{argument('bandwidth', bandwidth)}: give a positive frequency in Hz")
     pieces = []
     for r in segments:
         starts, length = [0], len(r.times)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
+from bayesid.arguments import argument
 from bayesid.dynamics.channels import Channels, stack_channels, torque_channels, wrench_channels
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, Motion
@@ -28,11 +29,11 @@ def make_channels(experiment: Experiment, channel: str) -> Channels:
         The wrench is asked for and there is no sensor.
     """
     if channel not in CHANNELS:
-        raise InputError(f"--channel {channel}: choose one of {', '.join(CHANNELS)}")
+        raise InputError(f"{argument('channel', channel)}: choose one of {', '.join(CHANNELS)}")
     if channel == "torque":
         return torque_channels(experiment.robot)
     if experiment.sensor is None:
-        raise InputError("experiment.toml: [sensor] is missing; add it, or use --channel torque")
+        raise InputError(f"experiment.toml: [sensor] is missing; add it, or use {argument('channel', 'torque')}")
     rotation = pin.rpy.rpyToMatrix(*map(float, experiment.sensor.rpy))
     wrench = wrench_channels(experiment.robot, rotation, experiment.sensor.translation)
     if channel == "wrench":
@@ -52,8 +53,8 @@ def require_readings(motion: Motion, channel: str) -> None:
         torque_missing = channel != "wrench" and motion.table.torques is None
         columns = "tau1 ... taun" if torque_missing else "fx ... mz"
         raise InputError(
-            f"{motion.table.source}: columns {columns} are missing, which --channel {channel} needs; "
-            f"add them, choose another --channel or leave motion '{motion.name}' out with --motions"
+            f"{motion.table.source}: columns {columns} are missing, which {argument('channel', channel)} needs; "
+            f"add them, choose another {argument('channel')} or leave motion '{motion.name}' out with {argument('motions')}"
         )
 
 

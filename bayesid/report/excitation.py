@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from bayesid.arguments import argument
 from bayesid.report.excitation_figures import beside_random, limit_shares, motion
 from bayesid.report.page import render, run_times, versions
 from bayesid.results.excitation import Excitation, duration_text
@@ -75,7 +76,7 @@ def _warnings(result: Excitation) -> list[str]:
     hidden = result.possible - result.base.rank
     if hidden:
         missing = f"{hidden} of {result.possible} base parameters are not determined"
-        out.append(f"{missing}: give more --harmonics or a longer --duration.")
+        out.append(f"{missing}: give more {argument('harmonics')} or a longer {argument('duration')}.")
     return out
 
 

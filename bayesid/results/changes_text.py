@@ -6,6 +6,7 @@ from html import escape
 
 import numpy as np
 
+from bayesid.arguments import argument, call
 from bayesid.diagnosis.changes.findings import Change, Comparison, Value
 from bayesid.diagnosis.changes.hypotheses import EVERYWHERE, Hypothesis
 from bayesid.results.text import DASH, HALF, channel_text, html_table, interval, number, percent, with_half
@@ -102,7 +103,8 @@ def next_experiment(comparison: Comparison) -> str:
         text = f"To tell {names}: record the same motion at half and at full speed, and with other joints moving."
         # What the reference's model has, and what all joints share, is not for `excite --tell`.
         plain = [h.spec for a, rivals in pairs[:1] for h in (a, *rivals) if not h.known and h.where != EVERYWHERE]
-        return text + (f" bayesid excite --tell {','.join(plain)} plans the motion that does it best." if len(plain) > 1 else "")
+        planned = f" {call('excite')} with {argument('tell', plain)} plans the motion that does it best."
+        return text + (planned if len(plain) > 1 else "")
     if c.verdict not in ("named_in_part", "unknown"):
         return ""
     return (

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from bayesid.arguments import argument
 from bayesid.errors import InputError
 from bayesid.recordings.complaints import cut
 from bayesid.recordings.whole import whole_folder
@@ -99,12 +100,14 @@ def check_output(folder: str | Path, verb: str = "") -> Path:
         for part in [folder, *folder.absolute().parents]:
             if part.exists():
                 if not part.is_dir():
-                    raise InputError(f"--out {folder}: {part} is a file; name a folder")
+                    raise InputError(f"{argument('folder', str(folder))}: {part} is a file; name a folder")
                 os.rmdir(tempfile.mkdtemp(dir=part, prefix=".bayesid-"))
                 break
         _check_ours(folder, (*WRITTEN[verb], REPORT) if verb else ())
     except OSError as error:
-        raise InputError(f"--out {cut(str(folder), 120)}: cannot be written ({error.strerror}); name another folder") from None
+        raise InputError(
+            f"{argument('folder', cut(str(folder), 120))}: cannot be written ({error.strerror}); name another folder"
+        ) from None
     return folder
 
 
@@ -158,7 +161,9 @@ def write_results(
         for path in left_over:  # such as a draft of what is explained now
             path.unlink(missing_ok=True)
     except OSError as error:
-        raise InputError(f"--out {folder}: cannot be written ({error.strerror or error}); name another folder") from None
+        raise InputError(
+            f"{argument('folder', str(folder))}: cannot be written ({error.strerror or error}); name another folder"
+        ) from None
     return folder / REPORT
 
 
@@ -203,7 +208,7 @@ def amend(path: Path, added: Mapping[str, Any], report: Callable[[str], str]) ->
     changed
         Whether the report is still as it was written, and was changed, too.
     """
-    document = read_document(path, "--estimate")
+    document = read_document(path, argument("estimate"))
     page, hashes = path.parent / REPORT, dict(document.get("files") or {})
     ours = page.is_file() and hashes.get(REPORT) == _hash(page)
     with whole_folder(path.parent) as made:
@@ -225,7 +230,8 @@ def _check_ours(folder: Path, names: Iterable[str]) -> None:
     for name in there:
         if name not in ours:
             raise InputError(
-                f"{folder / name} is there and is not as a run of bayesid wrote it; name another --out, or move that file away"
+                f"{folder / name} is there and is not as a run of bayesid wrote it; name another {argument('folder')}, or move "
+                "that file away"
             )
 
 

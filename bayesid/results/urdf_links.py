@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from bayesid.arguments import call
 from bayesid.estimators.conic.consistent_links import ConsistentLinks
 from bayesid.estimators.estimator import LEVEL
 
@@ -93,7 +94,7 @@ class UrdfLinks:
             out.append(
                 "No bodies that can exist have base parameters inside the estimate's uncertainty: those of identified.urdf "
                 f"are {moved.distance:.3g} sigma away, jointly ({_radius(moved)}){edge}{furthest}. Something is missing in the "
-                "model, such as friction or rotor inertia: `bayesid diagnose` looks for it."
+                f"model, such as friction or rotor inertia: `{call('diagnose')}` looks for it."
             )
         for motion, (estimate, links) in self.errors.items():
             if links > (1.0 + LARGEST_GROWTH) * estimate:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bayesid.arguments import call
 from bayesid.validation.noise_floor import RESIDUALS
 from bayesid.validation.prediction import TOLERATED, Prediction
 
@@ -72,7 +73,8 @@ def still_predictable(prediction: Prediction) -> str:
         return f"A flexible model of position, speed and acceleration would remove {share}, which is within chance."
     if not gap.certain:
         return "A flexible model of position, speed and acceleration finds nothing more that depends smoothly on them."
-    lack = "something predictable is missing (see `bayesid diagnose`)" if gap.removed > WORTH else "little predictable is missing"
+    missing = f"something predictable is missing (see `{call('diagnose')}`)"
+    lack = missing if gap.removed > WORTH else "little predictable is missing"
     share = f"{100 * gap.removed:.2g} % of this error"
     return f"A flexible model of position, speed and acceleration would still remove {share}: {lack}."
 

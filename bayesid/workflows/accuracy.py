@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from bayesid.arguments import argument, call
 from bayesid.design.accuracy.bench import Bench, make_bench
 from bayesid.design.accuracy.certificate import Certificate, certify, check_certifiable
 from bayesid.design.accuracy.sensor_choice import choose_sensor
@@ -18,7 +19,7 @@ from bayesid.design.accuracy.sweeps import Sweeps, sweep
 from bayesid.errors import InputError
 from bayesid.estimators import DEFAULT_METHOD, METHODS, Estimator, estimator
 from bayesid.recordings.experiment import Experiment, as_experiment
-from bayesid.regression.options import FitOptions
+from bayesid.regression.options import FitOptions, fit_options
 from bayesid.regression.parallel import one_blas_thread
 from bayesid.results.accuracy import Accuracy
 from bayesid.results.figures import figures_of
@@ -45,10 +46,11 @@ def accuracy(
     certificate: int = 0,
     sensors: str | Path | Sequence[Candidate] | None = None,
     nominal: bool = False,
+    options: FitOptions | None = None,
     low_pass: LowPass | None = None,
-    motions: Sequence[str] | None = None,
-    effects: Sequence[str] | None = None,
-    static: str = "motion",
+    motions: str | Sequence[str] | None = None,
+    effects: str | Sequence[str] | None = None,
+    static: str | None = None,
     bandwidth: float | None = None,
     seed: int = 0,
     kept: str | Path | None = None,
@@ -61,7 +63,7 @@ def accuracy(
     ----------
     experiment
         Loaded, its folder, or what `bayesid.identify` found of it; then the options of the fit are its own.
-    channel, low_pass, motions, effects, static, bandwidth
+    channel, options, low_pass, motions, effects, static, bandwidth
         As in `bayesid.identify`.
     method
         Name of an estimator, or an object with ``fit(regression)``; default that of the identification, or
@@ -87,13 +89,15 @@ def accuracy(
         Bad input; the message says what to do.
     """
     if runs and runs < _FEWEST_RUNS:
-        raise InputError(f"--runs {runs}: give at least {_FEWEST_RUNS}, or 0 to vary nothing")
+        raise InputError(f"{argument('runs', runs)}: give at least {_FEWEST_RUNS}, or 0 to vary nothing")
     if certificate < 0 or runs < 0:
-        raise InputError(f"--{'runs' if runs < 0 else 'twins'} {min(runs, certificate)}: give a positive number, or 0 for none")
+        raise InputError(
+            f"{argument('runs', runs) if runs < 0 else argument('certificate', certificate)}: give a positive number, or 0"
+        )
     clock = Clock(progress)
     with one_blas_thread():
         clock("reading")
-        options = FitOptions(channel, low_pass, motions, effects, static, bandwidth)
+        options = fit_options(options, channel, low_pass, motions, effects, static, bandwidth)
         bench = _bench(experiment, method, options, nominal, clock)
         if certificate:
             check_certifiable(bench, certificate)
@@ -158,10 +162,12 @@ def check_estimate(path: str | Path, experiment: Experiment, method: Estimator) 
     """
     path = Path(path)
     path = path / "estimate.json" if path.is_dir() else path
-    document = read_document(path, "--estimate")
+    document = read_document(path, argument("estimate"))
     for key, own in (("experiment", experiment.name), ("method", method.name)):
         if document.get(key) != own:
-            raise InputError(f"--estimate {path}: its {key} is {document.get(key)!r}, not {own!r}; give the same {key} here")
+            raise InputError(
+                f"{argument('estimate', str(path))}: its {key} is {document.get(key)!r}, not {own!r}; give the same {key} here"
+            )
     return path
 
 
@@ -175,14 +181,15 @@ def add_certificate(path: Path, result: Accuracy) -> bool:
     """
     found, base = result.certificate, result.bench.problem.row_model.base
     assert found is not None
-    listed = read_document(path, "--estimate").get("base_parameters", ())
+    listed = read_document(path, argument("estimate")).get("base_parameters", ())
     values = {p["name"]: p["value"] for p in listed}
     own = dict(zip(found.names, result.bench.estimate.values, strict=True))
     scale = dict(zip(found.names, np.nan_to_num(result.std), strict=True))
     if values.keys() != own.keys() or any(abs(values[n] - own[n]) > _SAME * scale[n] + 1e-9 * abs(own[n]) for n in own):
         raise InputError(
-            f"--estimate {path}: is another estimate than that of these recordings and options; give the options that it "
-            "was made with, or run bayesid identify again"
+            f"{argument('estimate', str(path))}: is another estimate than that of these recordings and options; give the "
+            "options that it "
+            f"was made with, or run {call('identify')} again"
         )
     from bayesid.report.certificate import with_certificate
 
@@ -219,7 +226,7 @@ def _warnings(bench: Bench, varied: Sweeps | None, found: Certificate | None) ->
         out.append(
             f"The intervals of {len(short)} of {len(found.names)} base parameters hold the truth less often than 95 % intervals "
             f"should ({', '.join(short[:3])}{' …' if len(short) > 3 else ''}): take them for longer than they are printed, or "
-            "choose another --method."
+            f"choose another {argument('method')}."
         )
     details = bench.estimate.details
     if details.model_complete is False:
@@ -227,7 +234,7 @@ def _warnings(bench: Bench, varied: Sweeps | None, found: Certificate | None) ->
         out.append(
             "What the model misses is in the twins as noise of the same spectrum, without its dependence on the motion: real "
             "errors may be larger than simulated ones, and neither repeats nor a better sensor take it away. Look for the "
-            "missing effect first (`bayesid diagnose`)."
+            f"missing effect first (`{call('diagnose')}`)."
         )
     if varied is not None and varied.formula is not None:
         doubt = _FAR / np.sqrt(2.0 * (varied.runs - 1))

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.io import savemat
 
+from bayesid.arguments import argument
 from bayesid.design.bounds.bands import Band, band, spread
 from bayesid.design.bounds.knowledge import Known, inflation_of, known_from
 from bayesid.design.bounds.model import ReadingModel, left_out_effects, sensor_model, torque_model
@@ -21,6 +22,7 @@ from bayesid.errors import InputError
 from bayesid.estimators import DEFAULT_METHOD, Estimator
 from bayesid.posterior.result import PRIOR_DRIVEN
 from bayesid.recordings.experiment import Experiment, Motion, as_experiment
+from bayesid.regression.options import FitOptions, fit_options
 from bayesid.regression.parallel import one_blas_thread
 from bayesid.regression.problem import Problem
 from bayesid.regression.readings import make_channels
@@ -32,6 +34,7 @@ from bayesid.results.posterior import ExperimentPosterior
 from bayesid.robot.limits import motion_limits
 from bayesid.robot.robot import Robot
 from bayesid.robot.urdf import write_urdf
+from bayesid.signals.filters import LowPass
 from bayesid.simulation.trajectories import Trajectory
 from bayesid.simulation.trajectory_file import read_trajectory
 from bayesid.workflows.bounds_told import assumptions, warnings
@@ -56,8 +59,14 @@ def bounds(
     prior_std: float | None = None,
     configurations: int = CONFIGURATIONS,
     seed: int = 0,
+    channel: str | None = None,
+    options: FitOptions | None = None,
+    low_pass: LowPass | None = None,
+    motions: str | Sequence[str] | None = None,
+    effects: str | Sequence[str] | None = None,
+    static: str | None = None,
+    bandwidth: float | None = None,
     progress: Progress = quiet,
-    **options: Any,
 ) -> ControllerBounds:
     """Bounds for the design of a controller: of parameters, mass matrix, Coriolis terms, gravity and torques.
 
@@ -82,10 +91,10 @@ def bounds(
         Joint positions that the workspace is looked at in.
     seed
         Of everything random.
+    channel, options, low_pass, motions, effects, static, bandwidth
+        As in `bayesid.identify`; for experiments.
     progress
         Called with the name of every stage.
-    **options
-        ``channel``, ``low_pass``, ``motions``, ``effects``, ``static`` and ``bandwidth`` of `bayesid.identify`, for experiments.
 
     Raises
     ------
@@ -94,13 +103,13 @@ def bounds(
     """
     clock = Clock(progress)
     if urdfs < 0 or configurations < 1:
-        raise InputError(f"urdfs = {urdfs}, configurations = {configurations}: give at least 0 and 1")
+        raise InputError(f"{argument('urdfs', urdfs)}, {argument('configurations', configurations)}: give at least 0 and 1")
     if prior_std is not None and not (np.isfinite(prior_std) and prior_std > 0):
-        raise InputError(f"--prior-std {prior_std}: give a positive number, such as 0.3")
+        raise InputError(f"{argument('prior_std', prior_std)}: give a positive number, such as 0.3")
     done = isinstance(source, (ExperimentPosterior, Identification))
-    chosen = {key: value for key, value in options.items() if value is not None}
-    if done and (run is not None or method is not None or chosen):
-        named = ", ".join(chosen) or ("run" if run is not None else "method")
+    chosen = fit_options(options, channel, low_pass, motions, effects, static, bandwidth)
+    if done and (run is not None or method is not None or chosen.given()):
+        named = ", ".join(chosen.given()) or ("run" if run is not None else "method")
         raise InputError(f"{named}: is for experiments; a {type(source).__name__} was fitted already")
     clock("reading")
     if not isinstance(source, (ExperimentPosterior, Identification)):
@@ -122,13 +131,13 @@ def bounds(
 
 
 def _fitted(
-    experiment: Experiment, method: str | Estimator | None, prior_std: float | None, seed: int, clock: Clock, options: Mapping
+    experiment: Experiment, method: str | Estimator | None, prior_std: float | None, seed: int, clock: Clock, options: FitOptions
 ) -> ExperimentPosterior | Identification:
     """The experiment sampled, or identified where a method is named or nothing is said of its links."""
     trusted = bool(prior_std or experiment.inertia_rel_std) and bool((experiment.robot.nominal[:, 0] > 0.0).any())
     if method is None and trusted:
-        return sample(experiment, draws=DRAWS, prior_std=prior_std, seed=seed, progress=clock.progress, **options)
-    return identify(experiment, method=method or DEFAULT_METHOD, progress=clock.progress, **options)
+        return sample(experiment, draws=DRAWS, prior_std=prior_std, seed=seed, progress=clock.progress, options=options)
+    return identify(experiment, method=method or DEFAULT_METHOD, progress=clock.progress, options=options)
 
 
 def _known(source: ExperimentPosterior | Identification, prior_std: float | None, seed: int) -> Known:
@@ -163,7 +172,7 @@ def _bounded(
 ) -> ControllerBounds:
     problem, experiment = known.problem, known.problem.experiment
     if urdfs > len(known.links.links):
-        raise InputError(f"--urdfs {urdfs}: there are {len(known.links.links)} draws; ask for fewer")
+        raise InputError(f"{argument('urdfs', urdfs)}: there are {len(known.links.links)} draws; ask for fewer")
     moves = [planned] if planned is not None else _recorded(problem)
     clock("parameters")
     torque = torque_model(known, seed)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from bayesid.arguments import call
 from bayesid.design.bounds.bands import FAR
 from bayesid.results.bounds import ControllerBounds
 from bayesid.results.text import percent
@@ -62,7 +63,7 @@ def warnings(result: ControllerBounds, dropped: Sequence[str]) -> list[str]:
     if known.inflation > 1.0:
         out.append(
             f"Something is missing in the model: a motion that was not fitted is predicted worse than its uncertainty says. All "
-            f"covariances are therefore {known.inflation:.3g} times as large. `bayesid diagnose` looks for what is missing."
+            f"covariances are therefore {known.inflation:.3g} times as large. `{call('diagnose')}` looks for what is missing."
         )
     if w.nominal_eigenvalue <= 0.0:
         out.append(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from bayesid.arguments import argument, call
 from bayesid.dynamics.nearest_links import nearest_links
 from bayesid.errors import BayesidError, EstimationError, InputError
 from bayesid.estimators import DEFAULT_METHOD, METHODS, Estimator, estimator, fit
@@ -18,7 +19,7 @@ from bayesid.estimators.least_squares import LeastSquaresDetails
 from bayesid.estimators.nonlinear import settled
 from bayesid.estimators.weights import Weights, learn_weights
 from bayesid.recordings.experiment import Experiment, as_experiment
-from bayesid.regression.options import NOT_FOR_REGRESSIONS, FitOptions
+from bayesid.regression.options import NOT_FOR_REGRESSIONS, FitOptions, fit_options
 from bayesid.regression.parallel import one_blas_thread
 from bayesid.regression.problem import Problem, prepare
 from bayesid.regression.regression import Regression
@@ -43,13 +44,14 @@ DEFAULT_SET = ("ols", "wls", "gls", "huber", "iv", "sdp")
 
 def compare(
     experiment: Experiment | Regression | str | Path,
-    methods: Sequence[str | Estimator] | None = None,
+    methods: str | Estimator | Sequence[str | Estimator] | None = None,
     channel: str | None = None,
     *,
+    options: FitOptions | None = None,
     low_pass: LowPass | None = None,
-    motions: Sequence[str] | None = None,
-    effects: Sequence[str] | None = None,
-    static: str = "motion",
+    motions: str | Sequence[str] | None = None,
+    effects: str | Sequence[str] | None = None,
+    static: str | None = None,
     bandwidth: float | None = None,
     progress: Progress = quiet,
 ) -> Comparison:
@@ -63,8 +65,8 @@ def compare(
         Loaded, or its folder; or a regression of one's own, which has no motions to validate on.
     methods
         Names of estimators or objects that follow the interface; default `DEFAULT_SET`.
-    channel, low_pass, motions, effects, static, bandwidth
-        As in `identify`; not for a regression.
+    channel, options, low_pass, motions, effects, static, bandwidth
+        As in `bayesid.identify`; not for a regression.
     progress
         Called with the name of every stage.
 
@@ -76,7 +78,7 @@ def compare(
         No estimator could work with these data.
     """
     chosen = _chosen(methods)
-    options = FitOptions(channel, low_pass, motions, effects, static, bandwidth)
+    options = fit_options(options, channel, low_pass, motions, effects, static, bandwidth)
     started = time.perf_counter()
     seconds: dict[str, float] = {}
     with one_blas_thread():
@@ -154,21 +156,19 @@ def _(result: Comparison) -> Files:
     return Files({"comparison.json": result.to_dict()}, {}, comparison_report(result))
 
 
-def _chosen(methods: Sequence[str | Estimator] | None) -> list[tuple[str, Estimator]]:
+def _chosen(methods: str | Estimator | Sequence[str | Estimator] | None) -> list[tuple[str, Estimator]]:
     """Estimators with names that differ."""
-    if isinstance(methods, str):
-        methods = [methods]
     if methods is None:
-        methods = [m for m in DEFAULT_SET if m in METHODS]
+        methods = DEFAULT_SET
+    elif isinstance(methods, str) or not isinstance(methods, Iterable):
+        methods = [methods]
     if not methods:
-        raise InputError(f"--methods is empty; choose of {', '.join(METHODS)}")
+        raise InputError(f"{argument('methods')} is empty; choose of {', '.join(METHODS)}")
     out: dict[str, Estimator] = {}
     for method in methods:
         if isinstance(method, str) and method in out:
             continue  # asked for twice
         one = estimator(method)
-        if not hasattr(one, "name") or not callable(getattr(one, "fit", None)):
-            raise InputError(f"method {one!r} is no estimator: it needs a name and fit(regression)")
         name, count = one.name, 1
         while name in out:
             count += 1
@@ -190,8 +190,6 @@ def _attempt(name: str, method: Estimator, regression: Regression) -> Entry:
     description = lines[0] if lines else ""
     try:
         estimate = fit(regression, method)
-        if estimate.solution.shape != (len(regression.column_names),) or not np.isfinite(estimate.solution).all():
-            raise EstimationError(f"gave no finite solution of {len(regression.column_names)} parameters")
     except (BayesidError, ArithmeticError, np.linalg.LinAlgError) as error:
         refusal = " ".join(str(error).split()) or type(error).__name__
         return Entry(name, description, None, refusal, time.perf_counter() - started)
@@ -269,6 +267,7 @@ def _warnings(
         size = f"{'' if len(apart) == 1 else 'at most '}{largest:.1g}"
         out.append(
             f"{names} and {apart[0].efficient} differ by more than the noise explains (Hausman test, probability {size}): "
-            "something is missing in the model or in the noise, and intervals do not cover it. `bayesid diagnose` looks for it."
+            "something is missing in the model or in the noise, and intervals do not cover it. "
+            f"`{call('diagnose')}` looks for it."
         )
     return tuple(out) if problem is None else told_first(problem.experiment, out)

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from bayesid.arguments import argument
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, Sensor
 from bayesid.results.files import check_output
@@ -139,7 +140,7 @@ def demo(out: str | Path, seed: int = 0, progress: Progress = quiet) -> Demo:
     out = check_output(out)
     folder = out / "experiment"
     if folder.exists() and not _ours(folder):
-        raise InputError(f"{folder}: is there already and no earlier demo's; name another --out")
+        raise InputError(f"{folder}: is there already and no earlier demo's; name another {argument('folder')}")
     with tempfile.TemporaryDirectory() as temporary:
         progress("simulating")
         experiment = demo_experiment(Path(temporary), seed)

@@ -26,6 +26,7 @@ from bayesid.diagnosis.verdict import evidence_of, named_in_part, verdict
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, as_experiment
 from bayesid.recordings.schema import write_model
+from bayesid.regression.options import FitOptions, some_options
 from bayesid.regression.parallel import one_blas_thread
 from bayesid.regression.readings import default_channel
 from bayesid.results.changes import Changes
@@ -43,10 +44,11 @@ def diagnose(
     channel: str | None = None,
     *,
     reference: None = None,
-    motions: Sequence[str] | None = None,
-    effects: Sequence[str] | None = None,
+    options: FitOptions | None = None,
+    motions: str | Sequence[str] | None = None,
+    effects: str | Sequence[str] | None = None,
     seed: int = 0,
-    settings: Settings = DEFAULT,
+    settings: Settings | None = None,
     progress: Progress = quiet,
 ) -> Diagnosis: ...
 
@@ -57,10 +59,11 @@ def diagnose(
     channel: str | None = None,
     *,
     reference: Experiment | str | Path,
-    motions: Sequence[str] | None = None,
-    effects: Sequence[str] | None = None,
+    options: FitOptions | None = None,
+    motions: str | Sequence[str] | None = None,
+    effects: str | Sequence[str] | None = None,
     seed: int = 0,
-    settings: Settings = DEFAULT,
+    settings: Settings | None = None,
     progress: Progress = quiet,
 ) -> Changes: ...
 
@@ -70,10 +73,11 @@ def diagnose(
     channel: str | None = None,
     *,
     reference: Experiment | str | Path | None = None,
-    motions: Sequence[str] | None = None,
-    effects: Sequence[str] | None = None,
+    options: FitOptions | None = None,
+    motions: str | Sequence[str] | None = None,
+    effects: str | Sequence[str] | None = None,
     seed: int = 0,
-    settings: Settings = DEFAULT,
+    settings: Settings | None = None,
     progress: Progress = quiet,
 ) -> Diagnosis | Changes:
     """Find where model and data disagree, name the missing effect, add it and show on held-out motions that the gap shrank.
@@ -92,23 +96,34 @@ def diagnose(
     reference
         The same robot in its known state. Then its posterior is the prior, its ``[model]`` the model, and what is named is what
         changed since; of the URDF only the geometry counts.
+    options
+        ``channel``, ``motions`` and ``effects`` at once; those that are given beside it stand in its place.
     motions
-        Which to fit; default those with role ``identification``.
+        Names of those to fit; default those with role ``identification``.
     effects
         Replaces ``[model] effects``.
     seed
         Of everything random: the encoders' repeated rounding and the bootstrap over the held-out motions.
     settings
-        All thresholds.
+        Thresholds other than the usual ones, a `bayesid.diagnosis.settings.Settings` such as ``Settings(band=20.0)``.
     progress
         Called with a few words, such as ``rivals``, whenever a phase begins, from the thread of the caller; what it returns is
         ignored, what it raises ends the diagnosis.
+
+    Returns
+    -------
+    diagnosis
+        What is missing in the model; with ``reference`` instead the `bayesid.Changes` since it. Both have ``verdict``,
+        ``to_dict`` and ``write``.
 
     Raises
     ------
     InputError
         Bad input; the message says what to do.
     """
+    chosen = some_options("diagnose", options, channel=channel, motions=motions, effects=effects)
+    channel, motions, effects = chosen.channel, chosen.motions, chosen.effects
+    settings = settings or DEFAULT
     if reference is not None:
         return changes(experiment, reference, channel, motions, effects, seed, settings, progress)
     since = time.perf_counter()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 import tomli_w
 
+from bayesid.arguments import argument, with_given
 from bayesid.design.excitation.blocks import check_blocks, scripted_blocks
 from bayesid.design.excitation.criteria import CRITERIA
 from bayesid.design.excitation.options import ExcitationOptions
@@ -36,11 +37,38 @@ from bayesid.workflows.progress import Clock, Progress, quiet
 
 def excite(
     setup: Experiment | Robot | str | Path,
+    options: ExcitationOptions | None = None,
     *,
     warm_start: Trajectory | str | Path | None = None,
     seed: int = 0,
+    channel: str | None = None,
+    static: bool | None = None,
+    criterion: str | None = None,
+    quantities: str | Sequence[str] | None = None,
+    kind: str | None = None,
+    duration: float | None = None,
+    period: float | None = None,
+    harmonics: int | None = None,
+    rate: float | None = None,
+    joints: str | Sequence[str] | None = None,
+    share: float | None = None,
+    torque_share: float | None = None,
+    sensor_share: float | None = None,
+    acceleration: float | Sequence[float] | None = None,
+    sensor_range: Sequence[float] | None = None,
+    mount_frequency: float | None = None,
+    collisions: bool | None = None,
+    margin: float | None = None,
+    ground: float | None = None,
+    diagnosability: float | None = None,
+    blocks: str | Sequence[str] | None = None,
+    stops: int | None = None,
+    settle: float | None = None,
+    read: float | None = None,
+    starts: int | None = None,
+    randoms: int | None = None,
+    seconds: float | None = None,
     progress: Progress = quiet,
-    **options: Any,
 ) -> Excitation:
     """Find the motion within limits that determines a robot's parameters best.
 
@@ -48,15 +76,18 @@ def excite(
     ----------
     setup
         An experiment or its folder, whose tables need not exist yet; or a robot, with a sensor under its base.
+    options
+        Everything that is asked for at once; keywords stand in the place of its parts.
     warm_start
         A motion to start from: a table with columns ``t, q1 ...``, the name of one of the experiment's motions, or a trajectory.
     seed
         Of everything random.
+    channel, static, criterion, quantities, kind, duration, period, harmonics, rate, joints
+    share, torque_share, sensor_share, acceleration, sensor_range, mount_frequency, collisions, margin, ground
+    diagnosability, blocks, stops, settle, read, starts, randoms, seconds
+        As in `bayesid.ExcitationOptions`, which explains them.
     progress
         Called with the name of every stage.
-    **options
-        Those of `bayesid.design.excitation.options.ExcitationOptions`: ``channel``, ``criterion``, ``duration``, ``period``,
-        ``harmonics``, ``rate``, ``joints``, ``share``, ``torque_share``, ``acceleration``, ``sensor_range``, ...
 
     Raises
     ------
@@ -68,11 +99,14 @@ def excite(
     clock = Clock(progress)
     clock("reading")
     experiment = as_setup(setup)
-    known = {item.name for item in fields(ExcitationOptions)}
-    for name in options:
-        if name not in known:
-            raise InputError(f"excite has no option '{name}'; it has {', '.join(sorted(known))}")
-    chosen = ExcitationOptions(**options)
+    chosen = with_given(
+        options or ExcitationOptions(), channel=channel, static=static, criterion=criterion, quantities=quantities, kind=kind,
+        duration=duration, period=period, harmonics=harmonics, rate=rate, joints=joints, share=share,
+        torque_share=torque_share, sensor_share=sensor_share, acceleration=acceleration,
+        sensor_range=sensor_range, mount_frequency=mount_frequency, collisions=collisions, margin=margin,
+        ground=ground, diagnosability=diagnosability, blocks=blocks, stops=stops, settle=settle, read=read,
+        starts=starts, randoms=randoms, seconds=seconds,
+    )  # fmt: skip
     warm = _warm(warm_start, experiment) if isinstance(warm_start, (str, Path)) else warm_start
     with one_blas_thread():
         clock("searching")
@@ -93,7 +127,9 @@ def _warm(given: str | Path, experiment: Experiment) -> Trajectory:
     named = [m for m in experiment.motions if m.name == str(given)]
     if not named:
         there = ", ".join(m.name for m in experiment.motions) or "none"
-        raise InputError(f"--warm-start {given}: no such file, and no motion of that name; recorded motions: {there}")
+        raise InputError(
+            f"{argument('warm_start', str(given))}: no such file, and no motion of that name; recorded motions: {there}"
+        )
     return recorded_trajectories(replace(experiment, motions=tuple(named)))[0]
 
 

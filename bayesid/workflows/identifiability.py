@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from bayesid.arguments import argument, names
 from bayesid.design.advice import advise, duration
 from bayesid.design.expected import Expected, expected_factors
 from bayesid.design.identifiability import Plan, SetReport, report_of, set_report, with_differences
@@ -20,7 +21,7 @@ from bayesid.design.visibility import shown
 from bayesid.errors import InputError
 from bayesid.estimators.weights import learn_weights
 from bayesid.recordings.experiment import Experiment, Motion, Sensor, load_experiment, load_setup
-from bayesid.regression.options import NOT_FOR_REGRESSIONS, FitOptions
+from bayesid.regression.options import NOT_FOR_REGRESSIONS, FitOptions, some_options
 from bayesid.regression.parallel import one_blas_thread
 from bayesid.regression.readings import default_channel
 from bayesid.regression.regression import Regression
@@ -44,10 +45,11 @@ def identifiability(
     given: Experiment | Robot | Regression | str | Path,
     trajectories: Planned | Sequence[Planned] | None = None,
     *,
-    sensor_sets: Sequence[str] | None = None,
+    sensor_sets: str | Sequence[str] | None = None,
     noise: Mapping[str, float] | None = None,
-    motions: Sequence[str] | None = None,
-    effects: Sequence[str] | None = None,
+    options: FitOptions | None = None,
+    motions: str | Sequence[str] | None = None,
+    effects: str | Sequence[str] | None = None,
     bandwidth: float | None = None,
     tell: Sequence[str] | None = None,
     progress: Progress = quiet,
@@ -66,6 +68,8 @@ def identifiability(
     noise
         Standard deviation of one sample, by ``force``, ``moment``, ``torque`` or the channel's name; default what a fit leaves of
         recorded readings, else the data sheet's, else an assumed one.
+    options
+        ``motions``, ``effects`` and ``bandwidth`` at once; those that are given beside it stand in its place.
     motions
         Which motions of the experiment count; default those with role ``identification``.
     effects
@@ -83,18 +87,19 @@ def identifiability(
         Bad input; the message says what to do.
     """
     clock = Clock(progress)
+    chosen = some_options("identifiability", options, motions=motions, effects=effects, bandwidth=bandwidth)
     with one_blas_thread():
         clock("reading")
         if isinstance(given, Regression):
-            if any(given is not None for given in (trajectories, sensor_sets, noise, motions, effects, bandwidth, tell)):
+            if chosen.given() or any(given is not None for given in (trajectories, sensor_sets, noise, tell)):
                 raise InputError(NOT_FOR_REGRESSIONS.format("identifiability"))
             return _of_regression(given, clock)
-        sets = _sets(sensor_sets)
+        sets = _sets(names(sensor_sets))
         experiment, planned = _experiment(given, trajectories)
-        asked = _motions(experiment, planned, motions)
-        if effects is not None:
-            experiment = replace(experiment, effects=tuple(effects))
-        return _of_motions(experiment, asked, sets, noise, bandwidth, tell, clock)
+        asked = _motions(experiment, planned, chosen.motions)
+        if chosen.effects is not None:
+            experiment = replace(experiment, effects=tuple(chosen.effects))
+        return _of_motions(experiment, asked, sets, noise, chosen.bandwidth, names(tell), clock)
 
 
 @figures_of.register
@@ -113,13 +118,14 @@ def _(result: Identifiability) -> Files:
     return Files({"identifiability.json": result.to_dict()}, {}, identifiability_report(result))
 
 
-def _sets(names: Sequence[str] | None) -> list[SensorSet]:
-    if names is not None and not names:
-        raise InputError(f"--sensor-sets names none; choose from {', '.join(SENSOR_SETS)}, or leave it out for all")
-    for name in names or ():
+def _sets(asked: Sequence[str] | None) -> list[SensorSet]:
+    """The sensor sets of these names, or all."""
+    if asked is not None and not asked:
+        raise InputError(f"{argument('sensor_sets')} names none; choose from {', '.join(SENSOR_SETS)}, or leave it out for all")
+    for name in asked or ():
         if name not in SENSOR_SETS:
-            raise InputError(f"--sensor-sets {name}: choose from {', '.join(SENSOR_SETS)}")
-    return [s for s in SENSOR_SETS.values() if names is None or s.name in names]
+            raise InputError(f"{argument('sensor_sets', name)}: choose from {', '.join(SENSOR_SETS)}")
+    return [s for s in SENSOR_SETS.values() if asked is None or s.name in asked]
 
 
 def _experiment(
@@ -158,22 +164,24 @@ def _planned(given: object, robot: Robot) -> Trajectory:
 
 
 def _motions(
-    experiment: Experiment, planned: list[Motion | Trajectory] | None, names: Sequence[str] | None
+    experiment: Experiment, planned: list[Motion | Trajectory] | None, asked: Sequence[str] | None
 ) -> list[Motion | Trajectory]:
     """The motions that are asked about."""
     there: list[Motion | Trajectory] = list(experiment.motions) if planned is None else planned
-    if names is not None:
+    if asked is not None:
         known = {m.name: m for m in there}
-        if not names:
-            raise InputError(f"--motions names none; write one or more of {', '.join(known)}")
-        for name in names:
+        if not asked:
+            raise InputError(f"{argument('motions')} names none; write one or more of {', '.join(known)}")
+        for name in asked:
             if name not in known:
-                raise InputError(f"--motions {name}: no such motion; there are {', '.join(known)}")
-        there = [known[name] for name in dict.fromkeys(names)]
+                raise InputError(f"{argument('motions', name)}: no such motion; there are {', '.join(known)}")
+        there = [known[name] for name in dict.fromkeys(asked)]
     elif planned is None:
         there = list(experiment.identification)
     if not there:
-        raise InputError('no motion is to be fitted; give one the role "identification", name it with --motions, or plan one')
+        raise InputError(
+            f'no motion is to be fitted; give one the role "identification", name it with {argument("motions")}, or plan one'
+        )
     return there
 
 
@@ -207,8 +215,8 @@ def _of_motions(
         which = " and the ".join(_READ[k] for k in assumed)
         warnings.insert(
             0,
-            f"The noise of the {which} is assumed: state it with --noise, for standard deviations that hold; ranks and "
-            "classes hardly depend on it.",
+            f"The noise of the {which} is assumed: state it with {argument('noise')}, for standard deviations that hold; ranks "
+            "and classes hardly depend on it.",
         )
     beside = set(main.noise.values()) == {"readings"} and {sheet.sources[k] for k in main.noise} == {"data sheet"}
     advice = advise(plan, reports, main, noise, sheet if beside else None)
@@ -235,11 +243,11 @@ def _recorded(
     warnings: list[str],
 ) -> tuple[ReadingNoise, float | None]:  # fmt: skip
     """Noise and bandwidth as a fit of the readings has them, where there are any."""
-    names = [m.name for m in motions]
-    if not set(names) <= {m.name for m in experiment.motions}:
+    recorded = [m.name for m in motions]
+    if not set(recorded) <= {m.name for m in experiment.motions}:
         return noise, bandwidth
     try:
-        noise, problems = recorded_noise(experiment, noise, FitOptions(motions=names, bandwidth=bandwidth))
+        noise, problems = recorded_noise(experiment, noise, FitOptions(motions=recorded, bandwidth=bandwidth))
     except InputError as error:
         warnings.append(f"identify will refuse these readings, so their noise is not learned from them: {error}")
         return noise, bandwidth

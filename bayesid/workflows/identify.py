@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from bayesid.arguments import argument, call
 from bayesid.dynamics.base_parameters import structural_base
 from bayesid.estimators import DEFAULT_METHOD, Estimate, Estimator, estimator
 from bayesid.estimators.conic.consistent_links import channel_grams
@@ -17,7 +18,7 @@ from bayesid.estimators.nonlinear import solve
 from bayesid.estimators.prior_check import PriorCheck, against_nominal, conflicts
 from bayesid.recordings.experiment import Experiment, as_experiment
 from bayesid.recordings.schema import write_model
-from bayesid.regression.options import FitOptions
+from bayesid.regression.options import FitOptions, fit_options
 from bayesid.regression.parallel import both, in_order, one_blas_thread
 from bayesid.regression.problem import Problem, prepare, weight_columns
 from bayesid.results.figures import figures_of
@@ -39,10 +40,11 @@ def identify(
     channel: str | None = None,
     method: str | Estimator = DEFAULT_METHOD,
     *,
+    options: FitOptions | None = None,
     low_pass: LowPass | None = None,
-    motions: Sequence[str] | None = None,
-    effects: Sequence[str] | None = None,
-    static: str = "motion",
+    motions: str | Sequence[str] | None = None,
+    effects: str | Sequence[str] | None = None,
+    static: str | None = None,
     bandwidth: float | None = None,
     unconstrained_urdf: bool = False,
     progress: Progress = quiet,
@@ -57,14 +59,17 @@ def identify(
         ``wrench``, ``torque`` or ``both``; default the wrench where there is a sensor, else the torques.
     method
         Name of an estimator, or an object with ``fit(regression)``.
+    options
+        All of ``channel``, ``low_pass``, ``motions``, ``effects``, ``static`` and ``bandwidth`` at once; those that are given
+        beside it stand in its place.
     low_pass
         The paper's filters; default: rows straight from the smoothed trajectory.
     motions
-        Which motions to fit; default those with role ``identification``.
+        Names of the motions to fit; default those with role ``identification``.
     effects
         Replaces ``[model] effects``.
     static
-        ``motion`` subtracts a stop-and-go run, ``joint`` fits it along.
+        ``motion`` (default) subtracts a stop-and-go run, ``joint`` fits it along.
     bandwidth
         Of the joint motion [Hz]; default chosen from the positions.
     unconstrained_urdf
@@ -78,7 +83,7 @@ def identify(
         Bad input; the message says what to do.
     """
     method = estimator(method)
-    options = FitOptions(channel, low_pass, motions, effects, static, bandwidth)
+    options = fit_options(options, channel, low_pass, motions, effects, static, bandwidth)
     clock = Clock(progress)
     with one_blas_thread():
         clock("reading")
@@ -230,15 +235,15 @@ def _warnings(
     if smoother.at_end and smoother.bandwidth >= 0.999 * smoother.automatic and smoother.reason != "as given":
         out.append(
             f"The bandwidth of the motion is {smoother.bandwidth:.3g} Hz, the end of the range searched: the positions hold more "
-            "than motion and white encoder noise up to there. Compare with --bandwidth 10; a difference says that the estimate "
-            "depends on it."
+            f"than motion and white encoder noise up to there. Compare with {argument('bandwidth', 10)}; a difference says that "
+            "the estimate depends on it."
         )
     for a in agreements:
         if a.contradiction:
             out.append(
                 f"{a.first[0].upper()}{a.first[1:]} and {a.second} contradict each other: {a.rms:.3g} sigma rms over "
                 f"{a.compared} numbers; most in {a.worst}. They are not noise apart; do not average them, but fit them "
-                "apart, and look for what changed in between (`bayesid diagnose`)."
+                f"apart, and look for what changed in between (`{call('diagnose')}`)."
             )
     if estimate.details.model_complete is False:
         out.append(incomplete(estimate.details.dispersion, estimate.details.dispersion_by_channel))
@@ -255,11 +260,13 @@ def _warnings(
     if estimate.links is not None and not problem.regression.knowledge.states_masses:
         out.append(
             f"The URDF states no masses: {estimate.method} takes links near to cylinders between the joints, within a factor of "
-            "ten, where the data say nothing. Write the masses of a data sheet into the URDF, or bound them (--bounds FILE)."
+            "ten, where the data say nothing. Write the masses of a data sheet into the URDF, or bound them "
+            f"({argument('bounds', 'FILE')})."
         )
     if problem.row_model.base.weight_in_offset:
         out.append(
             "No static run removes the sensor's offset, so it is estimated along: what looks like an offset, "
-            "above all the total mass, cannot be identified. Where a scale says the mass, state it: --method sdp --bounds FILE."
+            "above all the total mass, cannot be identified. Where a scale says the mass, state it "
+            f"({argument('bounds', 'FILE')})."
         )
     return told_first(problem.experiment, out)

@@ -11,6 +11,7 @@ from typing import Any, TypedDict, Unpack, overload
 import numpy as np
 from scipy.linalg import cholesky
 
+from bayesid.arguments import argument, with_given
 from bayesid.errors import InputError
 from bayesid.estimators import Estimate
 from bayesid.estimators.estimator import largest_autocorrelation
@@ -22,11 +23,11 @@ from bayesid.posterior.diagnostics import ConvergenceError
 from bayesid.posterior.model import PosteriorModel
 from bayesid.posterior.predictive import predictive_groups
 from bayesid.posterior.result import PRIOR_DRIVEN, Posterior
-from bayesid.posterior.run import Chains, choose_engine, run
+from bayesid.posterior.run import Chains, Sampler, choose_engine, run
 from bayesid.recordings.experiment import Experiment, as_experiment
 from bayesid.regression.blocks import Block
 from bayesid.regression.linalg import condition_number
-from bayesid.regression.options import NOT_FOR_REGRESSIONS, FitOptions
+from bayesid.regression.options import NOT_FOR_REGRESSIONS, FitOptions, fit_options
 from bayesid.regression.parallel import one_blas_thread
 from bayesid.regression.problem import Problem, prepare
 from bayesid.regression.regression import Regression
@@ -49,24 +50,20 @@ PRIORS = ("nominal", "flat")
 class SampleChoices(TypedDict, total=False):
     """The keywords of `sample`, for its two signatures; explained there."""
 
-    channel: str | None
     prior: str | Prior | None
     prior_std: float | None
     noise: str
-    engine: str | None
-    moves: str
-    chains: int
-    longest: int
+    chains: int | None
     keep_going: bool
+    sampler: Sampler | None
+    channel: str | None
+    options: FitOptions | None
     low_pass: LowPass | None
-    motions: Sequence[str] | None
-    effects: Sequence[str] | None
-    static: str
+    motions: str | Sequence[str] | None
+    effects: str | Sequence[str] | None
+    static: str | None
     bandwidth: float | None
-    checkpoint: str | Path | None
-    resume: bool
     progress: Progress
-    bar: bool
 
 
 @overload
@@ -84,24 +81,20 @@ def sample(
     draws: int = 2000,
     seed: int = 0,
     *,
-    channel: str | None = None,
     prior: str | Prior | None = None,
     prior_std: float | None = None,
     noise: str = "gaussian",
-    engine: str | None = None,
-    moves: str = "laplace",
-    chains: int = 4,
-    longest: int = 32,
+    chains: int | None = None,
     keep_going: bool = False,
+    sampler: Sampler | None = None,
+    channel: str | None = None,
+    options: FitOptions | None = None,
     low_pass: LowPass | None = None,
-    motions: Sequence[str] | None = None,
-    effects: Sequence[str] | None = None,
-    static: str = "motion",
+    motions: str | Sequence[str] | None = None,
+    effects: str | Sequence[str] | None = None,
+    static: str | None = None,
     bandwidth: float | None = None,
-    checkpoint: str | Path | None = None,
-    resume: bool = False,
     progress: Progress = quiet,
-    bar: bool = False,
 ) -> Posterior:
     """Draws from the posterior over base parameters, the links behind them, effects and the noise.
 
@@ -109,10 +102,8 @@ def sample(
     ----------
     experiment
         Loaded, its folder, or a regression of one's own.
-    draws, seed, chains
-        Draws in all, from so many independent chains; the same seed gives the same draws.
-    channel, low_pass, motions, effects, static, bandwidth
-        As in `bayesid.identify`; for experiments.
+    draws, seed
+        Draws in all; the same seed gives the same draws.
     prior
         ``nominal``: links near the nominal ones, and bodies that can exist only; ``flat``: on the base parameters,
         without bounds; or a `Prior`. Default: nominal where the experiment says how far its links are trusted.
@@ -120,18 +111,16 @@ def sample(
         That trust: relative standard deviation of every mass, such as 0.3; default the experiment's.
     noise
         ``gaussian``, or ``student`` for outliers that strike all channels of an instant.
-    engine
-        ``hmc`` (exact trajectories between walls, Gibbs for the noise) or ``emcee``; default: the one that suits.
-    moves
-        Of emcee: ``laplace``; ``de`` and ``stretch`` alone in few dimensions only.
-    longest
-        How many times longer to run while chains have not converged, before giving up.
+    chains
+        Independent chains that the draws come from; default those of ``sampler``.
     keep_going
         Return draws that have not converged, with a warning, instead of refusing.
-    checkpoint, resume
-        File that keeps an unfinished run, and whether to go on from it.
-    progress, bar
-        Called with the name of every stage; whether a bar is shown on a terminal.
+    sampler
+        How draws are made: engine, length, and the file that keeps an unfinished run.
+    channel, options, low_pass, motions, effects, static, bandwidth
+        As in `bayesid.identify`; for experiments.
+    progress
+        Called with the name of every stage.
 
     Raises
     ------
@@ -141,7 +130,8 @@ def sample(
         The chains did not converge; its ``partial`` holds what there is.
     """
     clock = Clock(progress)
-    options = FitOptions(channel, low_pass, motions, effects, static, bandwidth)
+    sampler = with_given(sampler or Sampler(), chains=chains)
+    options = fit_options(options, channel, low_pass, motions, effects, static, bandwidth)
     with one_blas_thread():
         clock("reading")
         problem = None
@@ -161,15 +151,17 @@ def sample(
         check = None if chosen is None else against_prior(regression, chosen, trust)
         clock("sampling")
         result = run(
-            model, choose_engine(model, engine, moves), draws=draws, chains=chains, seed=seed, longest=longest,
-            checkpoint=None if checkpoint is None else Path(checkpoint), resume=resume, bar=bar, tell=progress,
+            model, choose_engine(model, sampler.engine, sampler.moves), draws=draws, chains=sampler.chains, seed=seed,
+            longest=sampler.longest, checkpoint=None if sampler.checkpoint is None else Path(sampler.checkpoint),
+            resume=sampler.resume, tell=progress,
         )  # fmt: skip
         clock("prediction")
         posterior = _with_predictions(model, result, seed, check, regression, problem, trust, clock)
     if not result.diagnosis.passed and not keep_going:
         error = ConvergenceError(
-            f"the chains did not converge in {longest} times the usual length: {result.diagnosis.complaint()}; "
-            "draw longer (--longest), use engine hmc, or look at the draws with --keep-going"
+            f"the chains did not converge in {sampler.longest} times the usual length: {result.diagnosis.complaint()}; "
+            f"draw longer ({argument('longest', 2 * sampler.longest)}), take {argument('engine', 'hmc')}, or look at the draws "
+            f"with {argument('keep_going', True)}"
         )
         error.partial = posterior
         raise error
@@ -199,22 +191,28 @@ def _prior(regression: Regression, prior: str | Prior | None, std: float | None)
         return prior, None
     stated = regression.knowledge.inertia_rel_std
     if std is not None and not (np.isfinite(std) and std > 0):
-        raise InputError(f"--prior-std {std}: give a positive number, such as 0.3")
+        raise InputError(f"{argument('prior_std', std)}: give a positive number, such as 0.3")
     if prior is None:
         prior = "nominal" if regression.knowledge.states_masses and (std or stated) else "flat"
     if prior not in PRIORS:
-        raise InputError(f"--prior {prior}: choose one of {', '.join(PRIORS)}")
+        raise InputError(f"{argument('prior', prior)}: choose one of {', '.join(PRIORS)}")
     if prior == "flat":
         if std is not None:
-            raise InputError(f"--prior-std {std} is for the nominal prior; leave it out with --prior flat")
+            raise InputError(
+                f"{argument('prior_std', std)} is for the nominal prior; leave it out with {argument('prior', 'flat')}"
+            )
         return None, None
     if regression.knowledge.nominal_links is None:
-        raise InputError("--prior nominal: there are no nominal links; pass a Prior of your own")
+        raise InputError(f"{argument('prior', 'nominal')}: there are no nominal links; pass a Prior of your own")
     if not regression.knowledge.states_masses:
-        raise InputError("--prior nominal: the URDF states no masses; write them there, or take --prior flat")
+        raise InputError(
+            f"{argument('prior', 'nominal')}: the URDF states no masses; write them there, or take {argument('prior', 'flat')}"
+        )
     trust = std or stated
     if not trust:
-        raise InputError("--prior nominal: the experiment states no inertia_rel_std; add --prior-std 0.3")
+        raise InputError(
+            f"{argument('prior', 'nominal')}: the experiment states no inertia_rel_std; add {argument('prior_std', 0.3)}"
+        )
     return Prior.nominal(regression.knowledge.nominal_links, trust), trust
 
 
@@ -285,7 +283,7 @@ def _warnings(posterior: Posterior, problem: Problem, validation: Sequence[Predi
     out = conflicts(posterior.prior_check)
     if not posterior.diagnosis.passed:
         out.append(f"The chains did not converge: {posterior.diagnosis.complaint()}. Do not use these draws as a posterior; "
-                   "draw longer (--longest), or take --engine hmc.")
+                   f"draw longer, such as {argument('longest', 64)}, or take {argument('engine', 'hmc')}.")
     for p in validation:
         out += unpredicted(p)
         if p.repeats:
@@ -306,6 +304,6 @@ def _warnings(posterior: Posterior, problem: Problem, validation: Sequence[Predi
     if posterior.model.prior is None:
         out.append(
             "The prior is flat on the base parameters, so links are not sampled and nothing keeps them possible; "
-            "take --prior nominal --prior-std 0.3 for both."
+            f"take {argument('prior', 'nominal')} and {argument('prior_std', 0.3)} for both."
         )
     return told_first(problem.experiment, out)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from bayesid.arguments import argument
 from bayesid.design.bounds.consistent import PRIOR_DRAWS, prior_links
 from bayesid.design.bounds.knowledge import Known, inflation_of, known_from
 from bayesid.errors import InputError
@@ -23,7 +24,7 @@ ESTIMATE, POSTERIOR = "estimate.json", "posterior.json"
 
 
 def known_from_run(
-    experiment: Experiment, run: Path, options: Mapping[str, Any], prior_std: float | None, count: int, seed: int
+    experiment: Experiment, run: Path, options: FitOptions, prior_std: float | None, count: int, seed: int
 ) -> tuple[Known, tuple[str, ...]]:
     """What is known after a run, and the warnings it had.
 
@@ -34,7 +35,7 @@ def known_from_run(
     run
         Its folder, or its ``estimate.json`` or ``posterior.json``.
     options
-        ``effects``, ``static`` and ``bandwidth``, where the run was given others than the experiment has.
+        Their effects, static and bandwidth count where the run was given others than the experiment has.
     prior_std, count, seed
         As in `bayesid.design.bounds.knowledge.known_from`.
 
@@ -46,7 +47,7 @@ def known_from_run(
     file = run if run.suffix == ".json" else next((run / n for n in (ESTIMATE, POSTERIOR) if (run / n).is_file()), run / ESTIMATE)
     document = _read(file)
     model = file.parent / "model.toml"
-    if "effects" not in options and file.name == ESTIMATE and model.is_file():
+    if options.effects is None and file.name == ESTIMATE and model.is_file():
         experiment = experiment.with_model(model)
     try:
         return _known(experiment, file, document, options, prior_std, count, seed)
@@ -61,18 +62,18 @@ def prior_text(noise: str, flat: bool) -> str:
 
 def _read(file: Path) -> dict[str, Any]:
     if not file.is_file():
-        raise InputError(f"{file}: no such file; name a folder that bayesid identify or bayesid sample wrote")
+        raise InputError(f"{file}: no such file; name a folder that identify or sample wrote")
     try:
         document = json.loads(file.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise InputError(f"{file}: cannot be read ({error}); run it again") from None
     if not isinstance(document, dict) or "base_parameters" not in document:
-        raise InputError(f"{file}: is not as a run of bayesid writes it; name a folder of bayesid identify or bayesid sample")
+        raise InputError(f"{file}: is not as a run of bayesid writes it; name a folder of identify or sample")
     return document
 
 
 def _known(
-    experiment: Experiment, file: Path, document: dict[str, Any], options: Mapping[str, Any], prior_std: float | None, count: int,
+    experiment: Experiment, file: Path, document: dict[str, Any], options: FitOptions, prior_std: float | None, count: int,
     seed: int,
 ) -> tuple[Known, tuple[str, ...]]:
     if document["experiment"] != experiment.name:
@@ -85,8 +86,8 @@ def _known(
     names = [*listed, *(p["name"] for p in document["effect_parameters"])] if posterior else document["full_covariance_names"]
     if list(names) != [*base.names, *effects]:
         raise InputError(
-            f"{file}: its parameters are not those of this experiment and model; give the --effects and --static of that run, or "
-            "run it again"
+            f"{file}: its parameters are not those of this experiment and model; give the {argument('effects')} and "
+            f"{argument('static')} of that run, or run it again"
         )
     validation = tuple(document["validation"])
     told = tuple(document["warnings"])
@@ -111,7 +112,7 @@ def _known(
     ), told  # fmt: skip
 
 
-def _problem(experiment: Experiment, document: dict[str, Any], options: Mapping[str, Any]) -> Problem:
+def _problem(experiment: Experiment, document: dict[str, Any], options: FitOptions) -> Problem:
     """The experiment made ready as that run did."""
     filters = document["filter"]
     static = document.get("static", "none")
@@ -119,8 +120,8 @@ def _problem(experiment: Experiment, document: dict[str, Any], options: Mapping[
         experiment,
         FitOptions(
             document["channel"], None if filters["l"] is None else LowPass(filters["l"], filters["d"]), document["motions"],
-            options.get("effects"), options.get("static") or ("joint" if static == "joint" else "motion"),
-            options.get("bandwidth") or filters.get("bandwidth_hz"),
+            options.effects, "joint" if "joint" in (static, options.static) else "motion",
+            options.bandwidth or filters.get("bandwidth_hz"),
         ),
     )  # fmt: skip
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
+from bayesid.arguments import argument, names, with_given
 from bayesid.design.excitation.options import ExcitationOptions
 from bayesid.design.tell.choose import tell_effects
 from bayesid.diagnosis.data import DiagnosisData
@@ -28,11 +28,22 @@ from bayesid.workflows.progress import Clock, Progress, quiet
 def tell(
     experiment: Experiment | str | Path,
     effects: Sequence[str],
+    options: ExcitationOptions | None = None,
     *,
-    motions: Sequence[str] | None = None,
+    motions: str | Sequence[str] | None = None,
     seed: int = 0,
+    channel: str | None = None,
+    duration: float | None = None,
+    period: float | None = None,
+    harmonics: int | None = None,
+    rate: float | None = None,
+    joints: str | Sequence[str] | None = None,
+    share: float | None = None,
+    torque_share: float | None = None,
+    acceleration: float | Sequence[float] | None = None,
+    sensor_range: Sequence[float] | None = None,
+    collisions: bool | None = None,
     progress: Progress = quiet,
-    **options: Any,
 ) -> Told:
     """Find the motion within limits that best tells effects apart, and how probably it decides.
 
@@ -42,43 +53,47 @@ def tell(
         Loaded, or its folder. What recorded motions tell already counts, and noise is as in them; without any it is as stated.
     effects
         Two or more: ``name@where``, or ``name`` where there is one place.
+    options
+        Readings, limits and length of the motion, as for `bayesid.excite`; keywords stand in the place of its parts.
     motions
-        Which recordings count; default those with role ``identification``.
+        Names of the recordings that count; default those with role ``identification``.
     seed
         Of everything random.
+    channel, duration, period, harmonics, rate, joints, share, torque_share, acceleration, sensor_range, collisions
+        As in `bayesid.ExcitationOptions`, which explains them.
     progress
         Called with the name of every stage.
-    **options
-        Limits and length of the motion, as for `excite`: ``channel``, ``duration``, ``joints``, ``share``, ``torque_share``,
-        ``acceleration``, ``sensor_range``, ``collisions``, ...
 
     Raises
     ------
     InputError
         Bad input, or limits that leave no room; the message says what to do.
     """
+    chosen = with_given(
+        options or ExcitationOptions(), channel=channel, duration=duration, period=period, harmonics=harmonics, rate=rate,
+        joints=joints, share=share, torque_share=torque_share, acceleration=acceleration, sensor_range=sensor_range,
+        collisions=collisions,
+    )  # fmt: skip
     clock = Clock(progress)
     with one_blas_thread():
         clock("reading")
         experiment = (
             load_experiment(experiment, planned=True) if isinstance(experiment, (str, Path)) else as_experiment(experiment)
         )
-        known = {item.name for item in fields(ExcitationOptions)}
-        for name in options:
-            if name not in known:
-                raise InputError(f"tell has no option '{name}'; it has {', '.join(sorted(known))}")
-        chosen = ExcitationOptions(**options)
         channel = chosen.channel or default_channel(experiment)
         clock("noise of sensors and encoders")
         recorded = any(m.kind == "trajectory" and has_readings(m.table, channel) for m in experiment.motions)
         if not recorded:  # for its noise alone
             experiment = simulate(experiment, [fourier_trajectory(experiment.robot, seed=seed)], effects=(), seed=seed)
-        data = _data(experiment, channel, motions if recorded else None, seed)
+        data = _data(experiment, channel, names(motions) if recorded else None, seed)
         clock("the motion that tells them apart")
         asked = replace(chosen, channel=channel)
-        telling = tell_effects(data, effects, recorded=recorded, options=asked, seed=seed)
+        telling = tell_effects(data, names(effects) or (), recorded=recorded, options=asked, seed=seed)
     if telling is None:
-        raise InputError("no motion within all limits was found: widen --share, --torque-share or --acceleration")
+        raise InputError(
+            f"no motion within all limits was found: widen {argument('share')}, {argument('torque_share')} or "
+            f"{argument('acceleration')}"
+        )
     recordings = tuple(dict.fromkeys(s.motion for s in data.segments)) if recorded else ()
     return Told(experiment.name, channel, recordings, telling, clock.stop())
 

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
+from bayesid.arguments import call
 from bayesid.estimators import Estimate
 from bayesid.recordings.experiment import Experiment
 from bayesid.regression.problem import Problem
@@ -28,7 +29,7 @@ def unpredicted(prediction: Prediction) -> list[str]:
         return []
     return [
         f"Motion '{prediction.motion}' is predicted with an error of {100 * prediction.relative_error:.3g} % of the signal below "
-        f"{BAND:.2g} Hz: {judgement.text}. `bayesid diagnose` looks for what is missing."
+        f"{BAND:.2g} Hz: {judgement.text}. `{call('diagnose')}` looks for what is missing."
     ]
 
 
@@ -48,7 +49,7 @@ def incomplete(dispersion: float | None, channels: Mapping[str, float] | None = 
     return (
         "Something is missing in the model: the fit scatters more between stretches of the recording, or between weightings, "
         f"than noise explains. Intervals count the scatter{wider}; for motions unlike the fitted ones they do not hold. "
-        "`bayesid diagnose` looks for the missing effect."
+        f"`{call('diagnose')}` looks for the missing effect."
     )
 
 

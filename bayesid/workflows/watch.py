@@ -14,6 +14,7 @@ from bayesid.diagnosis.changes.reference import learn_reference
 from bayesid.diagnosis.settings import DEFAULT, Settings
 from bayesid.errors import BayesidError, InputError
 from bayesid.recordings.experiment import Experiment, as_experiment
+from bayesid.regression.options import FitOptions, some_options
 from bayesid.regression.parallel import one_blas_thread
 from bayesid.results.files import Files, files_of, strict
 from bayesid.results.watch import Watch, Watched
@@ -22,13 +23,14 @@ from bayesid.workflows.progress import Progress, quiet
 
 def watch(
     reference: Experiment | str | Path,
-    recordings: Sequence[Experiment | str | Path],
+    recordings: Experiment | str | Path | Sequence[Experiment | str | Path],
     channel: str | None = None,
     *,
-    motions: Sequence[str] | None = None,
-    effects: Sequence[str] | None = None,
+    options: FitOptions | None = None,
+    motions: str | Sequence[str] | None = None,
+    effects: str | Sequence[str] | None = None,
     seed: int = 0,
-    settings: Settings = DEFAULT,
+    settings: Settings | None = None,
     progress: Progress = quiet,
     tell: Callable[[Watched], object] = lambda _: None,
 ) -> Watch:
@@ -37,8 +39,8 @@ def watch(
     Parameters
     ----------
     reference, recordings
-        Loaded, or their folders; recordings in the order of time.
-    channel, motions, effects, seed, settings, progress
+        Loaded, or their folders; recordings in the order of time, or a single one.
+    channel, options, motions, effects, seed, settings, progress
         As for `bayesid.diagnose` with a reference.
     tell
         Called with every recording as soon as it is compared.
@@ -59,23 +61,25 @@ def watch(
     falsely as rarely as a single recording does, each of n recordings has to bring log(n) more in log evidence (Bonferroni).
     """
     since = time.perf_counter()
+    chosen = some_options("watch", options, channel=channel, motions=motions, effects=effects)
+    settings = settings or DEFAULT
     progress("reading")
     before = as_experiment(reference)
-    series = [as_experiment(r) for r in recordings]
+    series = [as_experiment(r) for r in ([recordings] if isinstance(recordings, (Experiment, str, Path)) else recordings)]
     if not series:
         raise InputError("watch: there are no recordings; name at least one folder after the reference")
     accept = settings.accept + log(len(series))
     done: list[Watched] = []
     with one_blas_thread():
         progress("reference")
-        learn = functools.cache(functools.partial(learn_reference, before, channel, effects))
+        learn = functools.cache(functools.partial(learn_reference, before, chosen.channel, chosen.effects))
         learn()
         try:
             for k, (after, name) in enumerate(zip(series, _names(series), strict=True), 1):
                 progress(f"recording {k} of {len(series)}: {name}")
                 try:
                     found = compare_with_learned(
-                        learn, after, motions=motions, seed=seed, settings=replace(settings, accept=accept)
+                        learn, after, motions=chosen.motions, seed=seed, settings=replace(settings, accept=accept)
                     )
                     done.append(Watched(name, found))
                 except BayesidError as error:

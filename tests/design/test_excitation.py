@@ -296,17 +296,17 @@ def test_trajectory_can_be_simulated_and_identified(tmp_path):
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (dict(criterion="x"), "--criterion x"),
-        (dict(duration=20.0, period=7.0), "--period 7"),
-        (dict(harmonics=1), "--harmonics 1"),
-        (dict(rate=3.0), "--rate 3"),
-        (dict(joints=("nope",)), "--joints nope"),
-        (dict(share=1.5), "--share 1.5"),
-        (dict(sensor_range=(100.0,)), "--sensor-range"),
+        (dict(criterion="x"), 'criterion="x"'),
+        (dict(duration=20.0, period=7.0), "period=7"),
+        (dict(harmonics=1), "harmonics=1"),
+        (dict(rate=3.0), "rate=3"),
+        (dict(joints=("nope",)), 'joints="nope"'),
+        (dict(share=1.5), "share=1.5"),
+        (dict(sensor_range=(100.0,)), "sensor_range"),
         (dict(sensor_range=(50.0, 500.0)), "fz reads at least"),
-        (dict(mount_frequency=2.0), "--mount-frequency 2"),
-        (dict(acceleration=(1.0, 2.0)), "--acceleration 1,2"),
-        (dict(channel="torque", static=True), "--static"),
+        (dict(mount_frequency=2.0), "mount_frequency=2"),
+        (dict(acceleration=(1.0, 2.0)), r"acceleration=\[1, 2\]"),
+        (dict(channel="torque", static=True), "static=True"),
     ],
 )
 def test_bad_options_are_told_in_one_line(options, said, tmp_path):

@@ -77,7 +77,7 @@ def test_motion_for_a_quantity_tells_more_of_it(tmp_path):
         (("payload@joint9",), "no such joint"),
         (("m",), "write payload@JOINT"),
         (("payload@joint1",), "do not determine a mass"),
-        ((), "--quantity"),
+        ((), "quantities"),
     ],
 )
 def test_what_is_no_quantity_is_told(quantities, said, tmp_path):

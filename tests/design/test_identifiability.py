@@ -225,10 +225,10 @@ def test_bad_input_is_told_in_one_line(tmp_path):
     other = load("ur5", tmp_path)
     for call, said in (
         (lambda: bayesid.identifiability(3), "a int is given"),
-        (lambda: bayesid.identifiability(robot, sensor_sets=["force"]), "--sensor-sets force"),
-        (lambda: bayesid.identifiability(robot, sensor_sets=[]), "--sensor-sets names none"),
-        (lambda: bayesid.identifiability(robot, motions=[]), "--motions names none"),
-        (lambda: bayesid.identifiability(robot, motions=["none"]), "--motions none"),
+        (lambda: bayesid.identifiability(robot, sensor_sets=["force"]), 'sensor_sets="force"'),
+        (lambda: bayesid.identifiability(robot, sensor_sets=[]), "sensor_sets names none"),
+        (lambda: bayesid.identifiability(robot, motions=[]), "motions names none"),
+        (lambda: bayesid.identifiability(robot, motions=["none"]), 'motions="none"'),
         (lambda: bayesid.identifiability(robot, noise={"force": -1.0}), "noise force"),
         (lambda: bayesid.identifiability(robot, [3]), "a int is given among the trajectories"),
         (lambda: bayesid.identifiability(robot, fourier_trajectory(other)), "6 joints but the robot has 2"),

@@ -73,7 +73,7 @@ def test_the_probability_is_that_of_simulated_evidence(tmp_path):
     "specs, said",
     [
         (["viscous_friction@joint2"], "give at least two"), (["viscous_friction", "base_tilt"], "could be at 2 places"),
-        (["nothing", "base_tilt"], "--tell: effect 'nothing'"), (["base_tilt", "base_tilt"], "give at least two"),
+        (["nothing", "base_tilt"], "tell: effect 'nothing'"), (["base_tilt", "base_tilt"], "give at least two"),
     ],
 )  # fmt: skip
 def test_effects_that_cannot_be_told_are_refused(specs, said, tmp_path):

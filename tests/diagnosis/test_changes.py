@@ -199,10 +199,10 @@ def test_what_to_record_next():
         return next_experiment(cast(Comparison, SimpleNamespace(verdict=verdict, changes=changes)))
 
     load, hose = change("payload", "joint2"), change("tether", "joint1")
-    assert "bayesid excite --tell payload@joint2,tether@joint1 plans" in found("ambiguous", (load, [hose]))
+    assert 'bayesid.excite with tell=["payload@joint2", "tether@joint1"] plans' in found("ambiguous", (load, [hose]))
     dry = change("coulomb_friction", "joint2", known=True)
     text = found("ambiguous", (load, [dry]))
-    assert "payload@joint2 from coulomb_friction@joint2" in text and "--tell" not in text
+    assert "payload@joint2 from coulomb_friction@joint2" in text and "tell=" not in text
     assert "one joint at a time" in found("named_in_part", (load, [])) and found("named", (load, [])) == ""
 
 

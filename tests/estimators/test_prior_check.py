@@ -128,7 +128,8 @@ def test_a_right_prior_raises_no_alarm(tmp_path, method):
 
 
 def test_sample_says_a_conflict_first(tmp_path):
-    wrong, right = (bayesid.sample(puma(tmp_path, factor), draws=400, keep_going=True, longest=1) for factor in (0.3, 1.0))
+    options = dict(draws=400, keep_going=True, sampler=bayesid.Sampler(longest=1))
+    wrong, right = (bayesid.sample(puma(tmp_path, factor), **options) for factor in (0.3, 1.0))
     assert wrong.prior_check is not None and right.prior_check is not None
     assert str(wrong).splitlines()[0] == f"warning: {wrong.prior_check.text()}"
     assert wrong.warnings[0] == wrong.prior_check.text()

@@ -188,13 +188,13 @@ def test_engines_and_numbers_out_of_range_are_refused():
     model = PosteriorModel.of(regression(0))
     wide = PosteriorModel.of(regression(0, samples=100, p=26))
     for case, match in (
-        (lambda: choose_engine(model, "gibbs"), "engine 'gibbs': choose one of hmc, emcee"),
+        (lambda: choose_engine(model, "gibbs"), 'engine="gibbs".: choose one of hmc, emcee'),
         (lambda: choose_engine(model, "emcee", "walk"), "moves 'walk'"),
         (lambda: choose_engine(wide, "emcee", "stretch"), "do not mix in 28 dimensions"),
         (lambda: choose_engine(one_body(noise="student", keep=True), "emcee"), "Gaussian noise only"),
-        (lambda: sampled(model, draws=100), "draws = 100: give at least 200"),
-        (lambda: sampled(model, chains=1), "chains = 1"),
-        (lambda: sampled(model, longest=0), "longest = 0"),
+        (lambda: sampled(model, draws=100), "draws=100: give at least 200"),
+        (lambda: sampled(model, chains=1), "chains=1"),
+        (lambda: sampled(model, longest=0), "longest=0"),
     ):
         with pytest.raises(InputError, match=match):
             case()
@@ -239,7 +239,7 @@ def test_a_damaged_checkpoint_is_refused(damage, tmp_path):
     else:
         with path.open("wb") as file:
             np.savez(file, kept=parts["kept"])
-    with pytest.raises(InputError, match="is damaged or was changed; leave out --resume or delete it"):
+    with pytest.raises(InputError, match="is damaged or was changed; leave out sampler=Sampler.resume=True. or delete it"):
         load_checkpoint(path, "mark")
 
 

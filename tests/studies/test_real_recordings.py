@@ -62,7 +62,8 @@ def test_posterior_of_a_model_without_friction_is_the_estimate(shared):
     experiment = bayesid.load_experiment(shared("data/kuka-lwr4"))
     regression = prepare(experiment, FitOptions(motions=["measurements_1"])).regression
     estimate = bayesid.fit(regression, "wls")
-    posterior = bayesid.sample(experiment, prior="flat", motions=["measurements_1"], draws=1000, keep_going=True, longest=8)
+    options = dict(prior="flat", draws=1000, keep_going=True, sampler=bayesid.Sampler(longest=8))
+    posterior = bayesid.sample(experiment, motions=["measurements_1"], **options)
     found = as_estimate(posterior, regression)
     assert np.sqrt(np.mean(((found.values - estimate.values) / estimate.std) ** 2)) < 0.1
     assert np.all(np.abs(np.log(found.std / estimate.std)) < 0.2)

@@ -12,6 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
+from bayesid.arguments import argument
 from bayesid.dynamics.nearest_links import nearest_links
 from bayesid.effects import Term, middle_of
 from bayesid.errors import InputError
@@ -131,7 +132,7 @@ def make_bench(
         problem, estimate = solve(prepare(experiment, options), method)
     row_model, robot = problem.row_model, experiment.robot
     if all(s.poses for name in problem.fitted for s in problem.segments[name]):
-        raise InputError("accuracy: only poses at rest are fitted, and it varies a motion; name one with --motions")
+        raise InputError(f"accuracy: only poses at rest are fitted, and it varies a motion; name one with {argument('motions')}")
     rank = row_model.base.rank
     if nominal:
         links = robot.nominal.ravel()

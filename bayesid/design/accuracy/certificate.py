@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import beta, binom
 
+from bayesid.arguments import argument, call
 from bayesid.design.accuracy.bench import Bench
 from bayesid.design.accuracy.fits import fit_twin
 from bayesid.design.accuracy.twins import own_setting, twin
@@ -112,9 +113,11 @@ def check_certifiable(bench: Bench, count: int) -> None:
     """Refuse what no certificate can be made of: a method without intervals, or too few twins."""
     if bench.estimate.full_covariance is None or bench.estimate.interval == "none":
         reason = bench.estimate.interval_reason or "none is honest"
-        raise InputError(f"--certificate: method {bench.method.name} prints no intervals ({reason}); choose another --method")
+        raise InputError(
+            f"certificate: method {bench.method.name} prints no intervals ({reason}); choose another {argument('method')}"
+        )
     if count < FEWEST:
-        raise InputError(f"--twins {count}: give at least {FEWEST}; 400 tell coverage to about 1 %")
+        raise InputError(f"{argument('certificate', count)}: give at least {FEWEST}; 400 tell coverage to about 1 %")
 
 
 def certify(
@@ -177,7 +180,9 @@ def _counted(bench: Bench, found: np.ndarray, seed: int) -> Certificate:
     usable = np.isfinite(found[:, 0]).all(axis=1)
     fine = found[usable]
     if len(fine) < FEWEST:
-        raise EstimationError(f"only {len(fine)} of {len(found)} twins could be fitted; check the recordings with bayesid check")
+        raise EstimationError(
+            f"only {len(fine)} of {len(found)} twins could be fitted; check the recordings with {call('check')}"
+        )
     error, std, inside = fine[:, 0], fine[:, 1], fine[:, 2]
     known = np.isfinite(inside)
     counted = known.sum(axis=0)

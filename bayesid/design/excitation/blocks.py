@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bayesid.arguments import argument
 from bayesid.design.excitation.plan import Plan
 from bayesid.dynamics.base_parameters import structural_base
 from bayesid.dynamics.regressors import dynamics_regressor
@@ -80,7 +81,7 @@ def check_blocks(kinds: Sequence[str]) -> None:
     """
     for kind in kinds:
         if kind not in (*BLOCKS, "all"):
-            raise InputError(f"--blocks {kind}: choose some of {', '.join(BLOCKS)}, or all")
+            raise InputError(f"{argument('blocks', kind)}: choose some of {', '.join(BLOCKS)}, or all")
 
 
 def _fits(plan: Plan, motion: Trajectory) -> bool:

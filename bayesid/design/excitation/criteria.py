@@ -20,6 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bayesid.arguments import argument
 from bayesid.errors import InputError
 
 CRITERIA = {
@@ -88,9 +89,12 @@ class Criterion:
             There is no such criterion, or ``quantity`` without any.
         """
         if self.name not in CRITERIA:
-            raise InputError(f"--criterion {self.name}: choose one of {', '.join(CRITERIA)}")
+            raise InputError(f"{argument('criterion', self.name)}: choose one of {', '.join(CRITERIA)}")
         if (self.quantities is None) == (self.name == "quantity"):
-            raise InputError("--criterion quantity goes with --quantity: name the quantities, or choose another criterion")
+            raise InputError(
+                f"{argument('criterion', 'quantity')} goes with {argument('quantities')}: name the quantities, or choose "
+                "another criterion"
+            )
 
     def __call__(self, information: np.ndarray) -> Value:
         """Value and gradient (r, r), both of the scaled information matrix (r, r)."""

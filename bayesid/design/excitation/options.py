@@ -7,6 +7,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
+from bayesid.arguments import argument, names
 from bayesid.errors import InputError
 from bayesid.robot.limits import motion_limits
 from bayesid.robot.robot import Robot
@@ -65,24 +66,24 @@ class ExcitationOptions:
     channel: str | None = None
     static: bool = False
     criterion: str = "d"
-    quantities: tuple[str, ...] = ()
+    quantities: str | Sequence[str] = ()
     kind: str = "fourier"
     duration: float = 20.0
     period: float | None = None
     harmonics: int = 5
     rate: float = 125.0
-    joints: tuple[str, ...] | None = None
+    joints: str | Sequence[str] | None = None
     share: float = 0.9
     torque_share: float = 0.7
     sensor_share: float = 0.8
-    acceleration: tuple[float, ...] | None = None
-    sensor_range: tuple[float, ...] | None = None
+    acceleration: float | Sequence[float] | None = None
+    sensor_range: Sequence[float] | None = None
     mount_frequency: float | None = None
     collisions: bool = True
     margin: float = 0.02
     ground: float | None = None
     diagnosability: float | None = None
-    blocks: tuple[str, ...] = ()
+    blocks: str | Sequence[str] = ()
     stops: int | None = None
     settle: float = 0.3
     read: float = 0.2
@@ -91,45 +92,56 @@ class ExcitationOptions:
     seconds: float = 60.0
 
     def __post_init__(self) -> None:
-        """Check every number by itself and against the others.
+        """Take a string for one name; check every number by itself and against the others.
 
         Raises
         ------
         InputError
             Which option, which value, and what to do.
         """
+        for name in ("quantities", "joints", "blocks"):
+            object.__setattr__(self, name, names(getattr(self, name)))
         for name in _POSITIVE:
             value = getattr(self, name)
             if value is not None and not (np.isfinite(value) and value > 0):
-                raise InputError(f"{_option(name)} {value}: give a number above 0")
+                raise InputError(f"{argument(name, value)}: give a number above 0")
         for name in _SHARES:
             if getattr(self, name) > 1.0:
-                raise InputError(f"{_option(name)} {getattr(self, name)}: give a share of the limits, up to 1")
+                raise InputError(f"{argument(name, getattr(self, name))}: give a share of the limits, up to 1")
         if self.kind not in ("fourier", "liu1998"):
-            raise InputError(f"--kind {self.kind}: choose fourier or liu1998")
+            raise InputError(f"{argument('kind', self.kind)}: choose fourier or liu1998")
         if not 2 <= self.harmonics <= _MOST_HARMONICS:
-            raise InputError(f"--harmonics {self.harmonics}: give 2 to {_MOST_HARMONICS}; one alone does not start at rest")
+            raise InputError(
+                f"{argument('harmonics', self.harmonics)}: give 2 to {_MOST_HARMONICS}; one alone does not start at rest"
+            )
         if self.starts < 1 or self.randoms < 1:
-            raise InputError(f"--starts {self.starts} and --randoms {self.randoms}: give at least 1 of each")
+            raise InputError(
+                f"{argument('starts', self.starts)} and {argument('randoms', self.randoms)}: give at least 1 of each"
+            )
         if self.diagnosability is not None and not (np.isfinite(self.diagnosability) and self.diagnosability >= 0):
-            raise InputError(f"--diagnosability {self.diagnosability}: give a weight, 0 or more")
+            raise InputError(f"{argument('diagnosability', self.diagnosability)}: give a weight, 0 or more")
         if not (np.isfinite(self.margin) and self.margin >= 0):
-            raise InputError(f"--margin {self.margin}: give a distance in metres, 0 or more")
+            raise InputError(f"{argument('margin', self.margin)}: give a distance in metres, 0 or more")
         if self.periods < 1 or abs(self.periods * self.repeats_after - self.duration) > 1e-6 * self.duration:
             raise InputError(
-                f"--period {self.repeats_after:g}: --duration {self.duration:g} is no multiple of it; "
-                f"give --duration {max(self.periods, 1) * self.repeats_after:g}"
+                f"{argument('period', self.repeats_after)}: {argument('duration', self.duration)} is no multiple of it; "
+                f"give {argument('duration', max(self.periods, 1) * self.repeats_after)}"
             )
         if self.duration * self.rate > _MOST_SAMPLES:
-            raise InputError(f"--duration {self.duration:g} at --rate {self.rate:g}: give at most {_MOST_SAMPLES:,} samples")
+            raise InputError(
+                f"{argument('duration', self.duration)} at {argument('rate', self.rate)}: give at most {_MOST_SAMPLES:,} samples"
+            )
         lowest = 10.0 * self.harmonics / self.repeats_after
         if self.rate < lowest:
-            raise InputError(f"--rate {self.rate:g}: give at least {lowest:g}, ten samples in a period of the highest harmonic")
+            raise InputError(
+                f"{argument('rate', self.rate)}: give at least {lowest:g}, ten samples in a period of the highest harmonic"
+            )
         highest = self.harmonics / self.repeats_after
         if self.mount_frequency is not None and highest > self.mount_frequency / BELOW_RESONANCE * (1 + 1e-9):
             raise InputError(
-                f"--mount-frequency {self.mount_frequency:g}: harmonics reach {highest:g} Hz, above a fifth of it; "
-                f"give --period {BELOW_RESONANCE * self.harmonics / self.mount_frequency:g} or longer, or fewer --harmonics"
+                f"{argument('mount_frequency', self.mount_frequency)}: harmonics reach {highest:g} Hz, above a fifth of it; "
+                f"give {argument('period', BELOW_RESONANCE * self.harmonics / self.mount_frequency)} or longer, or fewer "
+                f"{argument('harmonics')}"
             )
 
     @property
@@ -149,11 +161,7 @@ class ExcitationOptions:
         return {item.name: getattr(self, item.name) for item in fields(self)}
 
 
-def _option(name: str) -> str:
-    return "--" + name.replace("_", "-")
-
-
-def largest_accelerations(robot: Robot, given: Sequence[float] | None) -> np.ndarray:
+def largest_accelerations(robot: Robot, given: float | Sequence[float] | None) -> np.ndarray:
     """Acceleration limit of every joint (n,) [per second squared]: as given, else full speed in a quarter of a second.
 
     Raises
@@ -163,7 +171,7 @@ def largest_accelerations(robot: Robot, given: Sequence[float] | None) -> np.nda
     """
     if given is None:
         return motion_limits(robot)[2] / _TO_FULL_SPEED
-    return numbers("--acceleration", given, robot.n)
+    return numbers("acceleration", given, robot.n)
 
 
 def sensor_ranges(given: Sequence[float] | None) -> np.ndarray:
@@ -178,10 +186,10 @@ def sensor_ranges(given: Sequence[float] | None) -> np.ndarray:
         return np.full(6, np.inf)
     if len(given) == 2:
         given = [given[0]] * 3 + [given[1]] * 3
-    return numbers("--sensor-range", given, 6, "two numbers, force and moment, or six")
+    return numbers("sensor_range", given, 6, "two numbers, force and moment, or six")
 
 
-def numbers(option: str, given: Sequence[float], count: int, several: str = "") -> np.ndarray:
+def numbers(name: str, given: float | Sequence[float], count: int, several: str = "") -> np.ndarray:
     """So many numbers above 0; one stands for all.
 
     Raises
@@ -189,8 +197,8 @@ def numbers(option: str, given: Sequence[float], count: int, several: str = "") 
     InputError
         There are others.
     """
-    values = np.array(given, float)
+    values = np.atleast_1d(np.array(given, float))
     if values.shape not in ((1,), (count,)) or not (np.isfinite(values) & (values > 0)).all():
         wanted = several or f"one number or {count}"
-        raise InputError(f"{option} {','.join(f'{v:g}' for v in values.ravel())}: give {wanted}, each above 0")
+        raise InputError(f"{argument(name, values.ravel().tolist())}: give {wanted}, each above 0")
     return np.broadcast_to(values, (count,)).copy()

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bayesid.arguments import argument
 from bayesid.design.excitation.collision import clearance
 from bayesid.design.excitation.diagnosability import Diagnosability, diagnosability
 from bayesid.design.excitation.information import Information
@@ -70,11 +71,11 @@ def sensor_set_of(experiment: Experiment, options: ExcitationOptions) -> SensorS
     """What is read: the channel asked for, or the wrench where there is a sensor."""
     channel = options.channel or default_channel(replace(experiment, motions=()))
     if channel not in ("wrench", "torque", "both"):
-        raise InputError(f"--channel {channel}: choose one of wrench, torque, both")
+        raise InputError(f"{argument('channel', channel)}: choose one of wrench, torque, both")
     if channel == "wrench":
         return SENSOR_SETS["wrench-static" if options.static or options.kind == "liu1998" else "wrench-offset"]
     if options.static:
-        raise InputError(f"--static goes with the wrench: leave it out with --channel {channel}")
+        raise InputError(f"{argument('static', True)} goes with the wrench: leave it out with {argument('channel', channel)}")
     return SENSOR_SETS["torque" if channel == "torque" else "both-offset"]
 
 
@@ -108,7 +109,7 @@ def make_task(experiment: Experiment, options: ExcitationOptions, seed: int = 0)
         if unlimited:
             notes.append(f"The URDF states no {name} limit of {', '.join(unlimited)}: those of a small arm are taken.")
     if options.acceleration is None:
-        notes.append("Acceleration limits are assumed: full speed in 0.25 s; --acceleration gives others.")
+        notes.append(f"Acceleration limits are assumed: full speed in 0.25 s; {argument('acceleration')} gives others.")
     bodies, told = clearance(robot, experiment.locked, options.margin, options.ground, seed) if options.collisions else (None, ())
     loads, more = _loads(experiment, options)
     limits = Limits(
@@ -116,7 +117,8 @@ def make_task(experiment: Experiment, options: ExcitationOptions, seed: int = 0)
         options.share * largest_accelerations(robot, options.acceleration), loads, bodies, moving,
     )  # fmt: skip
     if bodies is None:
-        why = "the URDF has no collision geometry of bodies that could meet" if options.collisions else "--no-collisions"
+        left_out = argument("collisions", False)
+        why = "the URDF has no collision geometry of bodies that could meet" if options.collisions else left_out
         notes.append(f"No collision is checked: {why}.")
     rank = information.base.rank
     asked = tuple(parse_quantity(text, experiment, information) for text in options.quantities)
@@ -226,11 +228,11 @@ def _moving(experiment: Experiment, options: ExcitationOptions) -> np.ndarray:
     if options.joints is None:
         return np.arange(len(names))
     if not options.joints:
-        raise InputError(f"--joints names none; write some of {', '.join(names)}")
+        raise InputError(f"{argument('joints')} names none; write some of {', '.join(names)}")
     known = {name: k for k, name in enumerate(names)} | {f"joint{k + 1}": k for k in range(len(names))}
     for name in options.joints:
         if name not in known:
-            raise InputError(f"--joints {name}: no such joint; write some of {', '.join(names)}")
+            raise InputError(f"{argument('joints', name)}: no such joint; write some of {', '.join(names)}")
     return np.array(sorted({known[name] for name in options.joints}))
 
 
@@ -239,10 +241,12 @@ def _loads(experiment: Experiment, options: ExcitationOptions) -> tuple[tuple[Lo
     robot, loads, notes = experiment.robot, [], []
     ranges = sensor_ranges(options.sensor_range)
     if np.isfinite(ranges).any() and experiment.sensor is None:
-        raise InputError("--sensor-range: experiment.toml has no [sensor]; add it, or leave the option out")
+        raise InputError(f"{argument('sensor_range')}: experiment.toml has no [sensor]; add it, or leave it out")
     if not states_masses(robot):
         if np.isfinite(ranges).any():
-            raise InputError("--sensor-range: the URDF states no masses, so that nobody knows the load; write them there")
+            raise InputError(
+                f"{argument('sensor_range')}: the URDF states no masses, so that nobody knows the load; write them there"
+            )
         return (), ["The URDF states no masses: neither joint torques nor the sensor's load are limited."]
     if np.isfinite(robot.effort_limit).any():
         channels, most = torque_channels(robot), options.torque_share * robot.effort_limit
@@ -253,7 +257,7 @@ def _loads(experiment: Experiment, options: ExcitationOptions) -> tuple[tuple[Lo
         channels, most = make_channels(experiment, "wrench"), options.sensor_share * ranges
         loads.append(Load("wrench", channels, most, robot.nominal, Kernel.of(robot, channels)))
     elif experiment.sensor is not None:
-        notes.append("No --sensor-range is given: what the sensor reads is not limited.")
+        notes.append(f"No {argument('sensor_range')} is given: what the sensor reads is not limited.")
     return tuple(loads), notes
 
 
@@ -278,7 +282,10 @@ def _explain(task: Task, seed: int) -> None:
             raise InputError(
                 f"no pose keeps the {load.kind} within its limit: {load.channels.names[c]} reads at least "
                 f"{worst[:, c].min() * load.most[c]:.4g} at rest and may read {load.most[c]:.4g}; raise "
-                + ("--sensor-range or --sensor-share" if load.kind == "wrench" else "--torque-share or the URDF's effort limit")
+                + (
+                    f"{argument('sensor_range')} or {argument('sensor_share')}" if load.kind == "wrench"
+                    else f"{argument('torque_share')} or the URDF's effort limit"
+                )
             )
     if limits.clearance is not None:
         near = limits.clearance.ratios(q) > 1.0
@@ -287,5 +294,6 @@ def _explain(task: Task, seed: int) -> None:
     most = max(broken, key=lambda k: broken[k], default="joint limits")
     raise InputError(
         f"no motion within all limits was found; most poses break the limit of {most} "
-        f"({100 * broken.get(most, 0.0):.0f} % of random ones): widen it, or start from a motion that fits (--warm-start)"
+        f"({100 * broken.get(most, 0.0):.0f} % of random ones): widen it, or start from a motion that fits "
+        f"({argument('warm_start')})"
     )

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
+from bayesid.arguments import argument
 from bayesid.design.excitation.criteria import Criterion
 from bayesid.design.excitation.information import Information, typical_sizes
 from bayesid.dynamics.base_parameters import regroup
@@ -77,7 +78,8 @@ def parse_quantity(text: str, experiment: Experiment, information: Information) 
     if text not in kept:
         shown = ", ".join(kept[:6])
         raise InputError(
-            f"--quantity {text}: write payload@JOINT, torque@FILE.csv, or a parameter that leads a base parameter: {shown}, ..."
+            f"{argument('quantities', text)}: write payload@JOINT, torque@FILE.csv, or a parameter that leads a base parameter: "
+            f"{shown}, ..."
         )
     functions = np.zeros((base.rank, 1))
     functions[kept.index(text)] = 1.0
@@ -108,7 +110,10 @@ def criterion_of(name: str, quantities: Sequence[Quantity], information: Informa
         return Criterion(name), information
     first = quantities[0].information
     if any(q.information is not first for q in quantities):
-        raise InputError("--criterion quantity: a payload is judged with the links known; name it alone, or take --criterion d")
+        raise InputError(
+            f"{argument('criterion', 'quantity')}: a payload is judged with the links known; name it alone, or take "
+            f"{argument('criterion', 'd')}"
+        )
     # Each in units of what is known beforehand, so that several units add up.
     return Criterion(name, np.hstack([q.scaled / np.linalg.norm(q.scaled) for q in quantities])), first
 
@@ -123,7 +128,10 @@ def _torque(text: str, file: str, experiment: Experiment, information: Informati
     functions = whole[:, base.independent]
     if np.abs(whole - functions @ base.matrix).max() > _OUTSIDE * np.abs(whole).max():
         reading = information.sensor_set.title
-        raise InputError(f"--quantity {text}: {reading} do not determine these torques; take --channel torque or both")
+        raise InputError(
+            f"{argument('quantities', text)}: {reading} do not determine these torques; take {argument('channel', 'torque')} or "
+            "both"
+        )
     # The factor of F'F has the same sum of variances as the many rows F.
     factor = np.linalg.qr(functions, mode="r") / np.sqrt(len(functions))
     return Quantity(text, "N m", information, factor.T)
@@ -133,7 +141,7 @@ def _payload(text: str, where: str, experiment: Experiment, information: Informa
     robot = experiment.robot
     names = {name: k for k, name in enumerate(robot.joint_names)} | {f"joint{k + 1}": k for k in range(robot.n)}
     if where not in names:
-        raise InputError(f"--quantity {text}: no such joint; write one of {', '.join(robot.joint_names)}")
+        raise InputError(f"{argument('quantities', text)}: no such joint; write one of {', '.join(robot.joint_names)}")
     own = np.arange(10 * names[where], 10 * names[where] + 10)
     sensor_set, channels = information.sensor_set, information.channels
     offset = sensor_set.offset == "fitted"
@@ -152,7 +160,9 @@ def _payload(text: str, where: str, experiment: Experiment, information: Informa
     mass = np.eye(10)[0]
     functions = np.linalg.lstsq(base.matrix.T, mass, rcond=None)[0]
     if np.linalg.norm(base.matrix.T @ functions - mass) > _OUTSIDE:
-        raise InputError(f"--quantity {text}: {sensor_set.title} do not determine a mass there; name a joint farther out")
+        raise InputError(
+            f"{argument('quantities', text)}: {sensor_set.title} do not determine a mass there; name a joint farther out"
+        )
     spread = base.matrix * typical_sizes(robot)[own]
     kernel = Kernel.of(robot, channels, own[base.independent])
     own_information = replace(information, base=base, scale=np.linalg.cholesky(spread @ spread.T), kernel=kernel)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from bayesid.arguments import argument
 from bayesid.design.excitation.limits import Limits
 from bayesid.design.excitation.series import FourierSeries
 from bayesid.errors import InputError
@@ -77,10 +78,10 @@ def stop_and_go(
     """
     samples = int(round(series.period * rate))
     if stops is not None and not 2 <= stops <= samples:
-        raise InputError(f"--stops {stops}: give 2 to {samples}, the samples of a period")
+        raise InputError(f"{argument('stops', stops)}: give 2 to {samples}, the samples of a period")
     for name, value in (("settle", settle), ("read", read)):
         if not (np.isfinite(value) and value >= 0):
-            raise InputError(f"--{name} {value}: give a time in seconds, 0 or more")
+            raise InputError(f"{argument(name, value)}: give a time in seconds, 0 or more")
     count = samples if stops is None else stops
     rows = np.round(np.linspace(0, samples, count, endpoint=False)).astype(int)
     q = series.at(rows / rate)[0]

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bayesid.arguments import argument
 from bayesid.design.tell.evidence import Rival
 from bayesid.design.tell.predicted import predicted
 from bayesid.diagnosis.candidates import Library, make_library
@@ -134,17 +135,25 @@ def parse_effects(data: DiagnosisData, specs: Sequence[str]) -> tuple[Effect, ..
     for spec in specs:
         found = experiment.library.parse([spec], experiment.robot.joint_names, data.channels.names, experiment.gear_ratio)
         if not found:
-            raise InputError(f"--tell {spec}: acts on no reading of --channel {data.channel}; name another or choose its channel")
+            raise InputError(
+                f"{argument('tell', spec)}: acts on no reading of {argument('channel', data.channel)}; name another or choose "
+                "its channel"
+            )
         if len(found) > 1:
             places = ", ".join([e.spec for e in found][:3])
-            raise InputError(f"--tell {spec}: could be at {len(found)} places; name one, as in {places}")
+            raise InputError(f"{argument('tell', spec)}: could be at {len(found)} places; name one, as in {places}")
         effect = next(iter(found))
         if any(t.effect == effect for t in data.terms):
-            raise InputError(f"--tell {spec}: is in the model already; take it out of [model] effects to tell it from others")
+            raise InputError(
+                f"{argument('tell', spec)}: is in the model already; take it out of [model] effects to tell it from others"
+            )
         if effect not in out:
             out.append(effect)
     if len(out) < 2:
-        raise InputError(f"--tell {','.join(specs)}: give at least two different effects, as in --tell sensor_delay,base_tilt")
+        raise InputError(
+            f"{argument('tell', specs)}: give at least two different effects, as in "
+            f"{argument('tell', ('sensor_delay', 'base_tilt'))}"
+        )
     return tuple(out)
 
 

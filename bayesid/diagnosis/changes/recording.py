@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bayesid.arguments import argument
 from bayesid.diagnosis.changes.proposals import with_proposals
 from bayesid.diagnosis.changes.reference import Reference, with_bodies
 from bayesid.errors import InputError
@@ -87,7 +88,7 @@ def read_recording(reference: Reference, experiment: Experiment, motions: Sequen
     model = problem.row_model
     if model.base.rank != before.row_model.base.rank or len(estimate.solution) != len(reference.solution):
         raise InputError(
-            f"--reference {before.experiment.name}: only one of the two has static readings; leave them out of both"
+            f"{argument('reference', before.experiment.name)}: only one of the two has static readings; leave them out of both"
         )
     segments = [s for name in problem.fitted for s in problem.segments[name]]
     blocks = list(make_blocks(with_proposals(model, reference.point, reference.proposals), segments))
@@ -147,17 +148,19 @@ def check_same(before: Experiment, after: Experiment) -> None:
     one, other = before.robot, with_bodies(after).robot
     if one.joint_names != other.joint_names:
         raise InputError(
-            f"--reference {before.name}: joints {', '.join(one.joint_names)}, but {after.name} has "
+            f"{argument('reference', before.name)}: joints {', '.join(one.joint_names)}, but {after.name} has "
             f"{', '.join(other.joint_names)}; name a recording of the same robot"
         )
     if (part := _differs(one, other)) is not None:
         raise InputError(
-            f"--reference {before.name}: {part} not as in {after.name}; name a recording of the same robot"
+            f"{argument('reference', before.name)}: {part} not as in {after.name}; name a recording of the same robot"
         )
     a, b = before.sensor, after.sensor
     moved = a is not None and b is not None and np.abs(np.subtract([a.translation, a.rpy], [b.translation, b.rpy])).max() > _SAME
     if (a is None) != (b is None) or (a is not None and b is not None and a.joint != b.joint) or moved:
-        raise InputError(f"--reference {before.name}: [sensor] is not as in {after.name}; state the same in both experiment.toml")
+        raise InputError(
+            f"{argument('reference', before.name)}: [sensor] is not as in {after.name}; state the same in both experiment.toml"
+        )
 
 
 def _differs(one: Robot, other: Robot) -> str | None:

@@ -20,6 +20,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.stats import chi2
 
+from bayesid.arguments import call
 from bayesid.errors import BayesidWarning, EstimationError, InputError
 from bayesid.estimators.conic.bounds import Bounds
 from bayesid.estimators.conic.certificate import Certificate, PhysicsTest, explain
@@ -216,7 +217,7 @@ def _contradiction(physics: PhysicsTest) -> str:
     return (
         "The data contradict physics: no body that can exist fits them to their noise (chance at most "
         f"{physics.probability_at_most:.2g}). The model misses something, which the intervals do not cover; "
-        "`bayesid diagnose` looks for it."
+        f"`{call('diagnose')}` looks for it."
     )
 
 

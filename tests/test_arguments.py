@@ -1,0 +1,128 @@
+"""Public functions show what they take, take a string for one name, and speak the language of who calls them."""
+
+import inspect
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import bayesid
+from bayesid import cli
+from bayesid.arguments import argument, call, names, on_command_line, with_given
+from bayesid.design.excitation.options import ExcitationOptions
+from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
+
+PUBLIC = [name for name in bayesid.__all__ if inspect.isfunction(getattr(bayesid, name))]
+SENSOR = Sensor(translation=np.array([0.0, 0.0, -0.1]))
+VERBS = ["accuracy", "bounds", "check", "compare", "diagnose", "excite", "identifiability", "identify", "sample", "tell", "watch"]
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory):
+    """A two-joint robot whose torques hold friction that no model states, recorded in two motions."""
+    robot = puma2(tmp_path_factory.mktemp("puma"))
+    motions = []
+    for k, name in enumerate(("identification", "validation")):
+        table = recording(robot, SENSOR, fourier(robot, k + 1), seed=k, force_std=0.5, torque_std=0.1, resolution=2e-5)
+        velocity = np.gradient(table.positions, table.times, axis=0)
+        motions.append(Motion(name, name, replace(table, torques=table.torques + 5.0 * np.tanh(velocity / 0.05))))
+    return experiment(robot, motions, SENSOR)
+
+
+@pytest.mark.parametrize("name", PUBLIC)
+def test_a_public_function_shows_what_it_takes(name):
+    function = getattr(bayesid, name)
+    parameters = inspect.signature(function).parameters
+    assert [p for p in parameters.values() if p.kind is p.VAR_KEYWORD] == []
+    assert [n for n, p in parameters.items() if len(repr(p.default)) > 80] == []
+    if name in VERBS:
+        assert [n for n in parameters if n not in function.__doc__] == []
+
+
+def test_every_part_of_a_motion_that_is_asked_for_is_a_keyword():
+    assert set(inspect.signature(ExcitationOptions).parameters) < set(inspect.signature(bayesid.excite).parameters)
+
+
+def test_an_argument_is_named_as_it_is_written():
+    said = [argument("prior_std", 0.3), argument("methods"), argument("motions", ["a", "b"]), argument("channel", "torque"),
+            argument("collisions", False), argument("certificate", 7), argument("longest", 64), call("diagnose")]  # fmt: skip
+    assert said == ["prior_std=0.3", "methods", 'motions=["a", "b"]', 'channel="torque"', "collisions=False", "certificate=7",
+                    "sampler=Sampler(longest=64)", "bayesid.diagnose"]  # fmt: skip
+    with on_command_line():
+        said = [argument("prior_std", 0.3), argument("methods"), argument("motions", ["a", "b"]), argument("channel", "torque"),
+                argument("collisions", False), argument("certificate", 7), argument("longest", 64), call("diagnose")]  # fmt: skip
+    assert said == ["--prior-std 0.3", "--methods", "--motions a,b", "--channel torque", "--no-collisions", "--twins 7",
+                    "--longest 64", "bayesid diagnose"]  # fmt: skip
+    assert argument("runs", 2) == "runs=2"
+
+
+def test_a_message_speaks_the_language_of_who_calls(arm, tmp_path, capsys):
+    folder = str(tmp_path / "arm")
+    bayesid.write_experiment(arm, folder)
+    with pytest.raises(bayesid.InputError, match="^runs=2: give at least 5"):
+        bayesid.accuracy(folder, runs=2)
+    assert cli.main(["accuracy", folder, "--runs", "2", "--out", str(tmp_path / "out")]) == 2
+    assert "--runs 2: give at least 5" in capsys.readouterr().err
+    with pytest.raises(bayesid.InputError, match='^channel="torques": choose one of'):
+        bayesid.identify(folder, channel="torques")
+    result = bayesid.identify(folder, "torque")  # without its friction: something is missing
+    assert "`bayesid.diagnose`" in " ".join(result.warnings) and "`bayesid diagnose`" not in " ".join(result.warnings)
+    assert cli.main(["identify", folder, "--channel", "torque", "--out", str(tmp_path / "out")]) == 0
+    assert "`bayesid diagnose`" in capsys.readouterr().out
+
+
+def test_options_go_in_one_by_one_or_as_one_object(arm):
+    options = bayesid.FitOptions(channel="torque", effects="viscous_friction", motions="identification")
+    assert (options.effects, options.motions) == (("viscous_friction",), ("identification",))
+    one = bayesid.identify(arm, options=options)
+    each = bayesid.identify(arm, channel="torque", effects="viscous_friction", motions="identification")
+    assert one.estimate.effect_names == ("viscous_friction@joint1.coefficient", "viscous_friction@joint2.coefficient")
+    np.testing.assert_array_equal(one.estimate.solution, each.estimate.solution)
+    beside = bayesid.identify(arm, options=options, effects=())  # what is given beside it stands in its place
+    assert beside.estimate.effect_names == () and beside.problem.channel == "torque"
+    assert [e.name for e in bayesid.compare(arm, "ols", options=options).entries] == ["ols"]
+    with pytest.raises(bayesid.InputError, match="diagnose takes no bandwidth; of FitOptions it has channel, motions, effects"):
+        bayesid.diagnose(arm, options=replace(options, bandwidth=5.0))
+    with pytest.raises(bayesid.InputError, match='static="both": choose one of motion, joint'):
+        bayesid.FitOptions(static="both")
+
+
+def test_names_and_options():
+    assert names(None) is None and names("wls") == ("wls",) and names(["a", "b"]) == ("a", "b") and names(()) == ()
+    options = ExcitationOptions(joints="joint1", duration=10.0)
+    assert options.joints == ("joint1",)
+    assert with_given(options, duration=None, rate=50.0) == replace(options, rate=50.0)
+
+
+class Nameless:
+    def fit(self, regression):
+        return bayesid.fit(regression, "wls")
+
+
+class Returns:
+    name = "mine"
+
+    def __init__(self, change):
+        self.change = change
+
+    def fit(self, regression):
+        return self.change(bayesid.fit(regression, "wls"))
+
+
+@pytest.mark.parametrize(
+    ("method", "said"),
+    [
+        (Nameless(), "method Nameless is no estimator: it lacks a name"),
+        (object(), "lacks a name: .* and fit\\(regression\\)"),
+        (bayesid.Ridge, "method Ridge is a class: pass one of it, Ridge\\(...\\)"),
+        (Returns(lambda e: e.solution), "method 'mine': fit returned a ndarray, not a bayesid.Estimate"),
+        (Returns(lambda e: None), "fit returned a NoneType"),
+        (Returns(lambda e: replace(e, solution=e.solution[:3])), "gave a solution of shape \\(3,\\); it needs 4 finite numbers"),
+        (Returns(lambda e: replace(e, solution=np.nan * e.solution)), "gave a solution that is not finite"),
+    ],
+)
+def test_an_estimator_of_ones_own_is_told_what_it_lacks(method, said):
+    rng = np.random.default_rng(1)
+    regression = bayesid.Regression.from_arrays(rng.normal(size=(50, 2, 4)), rng.normal(size=(50, 2)))
+    with pytest.raises(bayesid.BayesidError, match=said):
+        bayesid.fit(regression, method)
