@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from bayesid.recordings import checks, motion_checks
 from bayesid.recordings.finding import Finding
+from bayesid.recordings.held import held_columns, held_findings
 from bayesid.recordings.motion import Motion
 from bayesid.recordings.wraps import unwrapped
 from bayesid.robot.robot import Robot
@@ -45,7 +46,9 @@ def examine(motion: Motion, robot: Robot, resolution: float | None, place: str) 
     findings += [Finding(text) for text in certain if text]
     doubts += checks.check_positions(table, robot) + checks.check_channels(table)
     if motion.kind == "trajectory":
-        doubts += motion_checks.check_trajectory(table, robot, resolution)
+        held = held_columns(table)
+        findings += held_findings(table, held)
+        doubts += motion_checks.check_trajectory(table, robot, resolution, [h.column for h in held])
     doubts += checks.check_intervals(table, place, motion.period, motion.parked, resolution)
     if static is not None:
         doubts += checks.check_static(table, static, resolution)

@@ -5,6 +5,8 @@ Every check returns its warnings, one line each, that say which file, column and
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import numpy as np
 
 from bayesid.errors import InputError
@@ -21,10 +23,14 @@ FROZEN_TIME = 0.5  # an encoder standing longer than this [s] while the joint mo
 _DEGREE = 180.0 / np.pi
 _NEAR = 1.2  # factor within which a scale is recognised
 _FEW = 2  # frozen encoders more than this are told in one line
+_CLOCKS = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}
+_EPOCH = (3e8, 1e10)  # seconds since 1970, of computers' dates
+_USUAL_STEP = 4e-3  # in the middle of those of robots' logs, 1 ms to 20 ms [s]
+_END = 0.05  # of a joint's range, within which its end stop is
 _WINDOW = 5  # samples before and after a place over which a speed is taken
 
 
-def check_trajectory(table: Table, robot: Robot, resolution: float | None) -> list[str]:
+def check_trajectory(table: Table, robot: Robot, resolution: float | None, held: Collection[str] = ()) -> list[str]:
     """Check a motion sampled in time: steps, velocities, encoders, and channels that stall or clip.
 
     Parameters
@@ -35,6 +41,8 @@ def check_trajectory(table: Table, robot: Robot, resolution: float | None) -> li
         The robot it is from.
     resolution
         One encoder count [rad or m], where known.
+    held
+        Columns whose samples are known to be held: that their values repeat is no doubt of its own.
 
     Raises
     ------
@@ -48,18 +56,28 @@ def check_trajectory(table: Table, robot: Robot, resolution: float | None) -> li
         )
     if table.velocities is None and table.step >= 0.5:
         raise InputError(
-            f"{table.source}: column t: steps of {table.step:g} s are no trajectory; if t is in milliseconds write "
-            'seconds, or write kind = "poses" if each row is a pose at rest'
+            f"{table.source}: column t: steps of {table.step:g} s are no trajectory; {_clock(table)}; write seconds, or "
+            'kind = "poses" if each row is a pose at rest'
         )
     stalled = _stalled(table)
-    warnings = [*_steps(table), *_stalls(table, stalled)]
+    warnings = [*_steps(table), *([] if held else _stalls(table, stalled))]
     for j in range(robot.n):
         warnings += _velocity(table, robot, j)
         warnings += _jumps(table, robot, j)
     warnings += _encoders(table, robot, stalled, resolution)
     for name, values in table.channels():
-        warnings += _clipped(table, name, values)
+        warnings += [] if name in held else _clipped(table, name, values)
     return warnings
+
+
+def _clock(table: Table) -> str:
+    """In which unit times are of which the steps are too long for seconds: that of a date, else of the likeliest rate."""
+    if (np.diff(table.times) == 1.0).all():
+        return "t seems to count the rows"
+    date = {unit: factor for unit, factor in _CLOCKS.items() if _EPOCH[0] < table.times[0] / factor < _EPOCH[1]}
+    unit = min(date or _CLOCKS, key=lambda name: abs(np.log(table.step / _CLOCKS[name] / _USUAL_STEP)))
+    since = " since 1970" if date else ""
+    return f"t seems to be in {unit}{since}, steps of {table.step / _CLOCKS[unit]:.3g} s"
 
 
 def _steps(table: Table) -> list[str]:
@@ -223,6 +241,8 @@ def _encoders(table: Table, robot: Robot, stalled: np.ndarray, resolution: float
     held = [j for j in range(robot.n) if _is_held(table.positions[:, j], resolution)]
     moving = [j for j in range(robot.n) if j not in held]
     frozen = {j: where for j in moving if (where := _frozen(table, j, stalled, resolution))}
+    stops = {j: end for j, where in frozen.items() if (end := _end_stop(table, robot, j, where))}
+    frozen = {j: where for j, where in frozen.items() if j not in stops}
     warnings = []
     if held:
         named = listed([f"q{j + 1}" for j in held]), listed([robot.joint_names[j] for j in held])
@@ -231,18 +251,20 @@ def _encoders(table: Table, robot: Robot, stalled: np.ndarray, resolution: float
         warnings.append(
             f"{table.source}: {columns} {named[0]}: {named[1]} {verb} ([robot] locked) or expect nothing about {them}"
         )
+    for j, end in stops.items():
+        place = f"{table.source}: column q{j + 1}: {robot.joint_names[j]}"
+        warnings.append(f"{place} {end}; leave those times out")
     if len(frozen) > _FEW:
         columns, names = listed([f"q{j + 1}" for j in frozen]), listed([robot.joint_names[j] for j in frozen])
         first = next(iter(frozen))
         warnings.append(
             f"{table.source}: columns {columns}: {names} stand still for a time while they seem to move, q{first + 1} at "
-            f"{frozen[first]}; were they held, or are encoders frozen?"
+            f"{_when(table, first, frozen[first])}; were they held, or are encoders frozen?"
         )
     elif frozen:
-        warnings += [
-            f"{table.source}: column q{j + 1}: {robot.joint_names[j]} stands at {where} as if frozen; check that encoder"
-            for j, where in frozen.items()
-        ]
+        for j, rows in frozen.items():
+            place = f"{table.source}: column q{j + 1}: {robot.joint_names[j]}"
+            warnings.append(f"{place} stands at {_when(table, j, rows)} as if frozen; check that encoder")
     return warnings
 
 
@@ -256,8 +278,25 @@ def _is_held(q: np.ndarray, resolution: float | None) -> bool:
     return bool(np.ptp(q) <= 2.0 * count * (1.0 + 1e-6))
 
 
-def _frozen(table: Table, j: int, stalled: np.ndarray, resolution: float | None) -> str:
-    """Where and when a joint's reading stands still although the joint moves; empty where it does not."""
+def _when(table: Table, j: int, rows: tuple[int, int]) -> str:
+    a, b = rows
+    return f"{table.positions[a, j]:.6g} from {table.times[a]:.6g} to {table.times[b]:.6g} s"
+
+
+def _end_stop(table: Table, robot: Robot, j: int, rows: tuple[int, int]) -> str:
+    """That a joint that stands is at the end of its range, where it went no further in the whole recording; empty if not."""
+    q, at = table.positions[:, j], float(table.positions[rows[0], j])
+    for limit, end, which in ((robot.lower[j], q.min(), "lower"), (robot.upper[j], q.max(), "upper")):
+        if at == end and abs(at - limit) < _END * (robot.upper[j] - robot.lower[j]) < np.inf:
+            return (
+                f"stands at {_when(table, j, rows)} and goes no further: it seems to be on its {which} end stop "
+                f"({robot.urdf.name} allows {limit:.6g}), which bears a part of the load"
+            )
+    return ""
+
+
+def _frozen(table: Table, j: int, stalled: np.ndarray, resolution: float | None) -> tuple[int, int] | None:
+    """First and last row in which a joint's reading stands still although the joint moves; None where it does not."""
     t, q = table.times, table.positions[:, j]
     steps = np.abs(np.diff(q))
     starts, stops = _runs(steps == 0.0)
@@ -278,8 +317,8 @@ def _frozen(table: Table, j: int, stalled: np.ndarray, resolution: float | None)
             leaves = b == len(steps) or jumps or (top > 0.0 and _mean_speed(t, q, b, b + _WINDOW) > 0.2 * top)
             frozen = jumps or (leaves and arrives)
         if frozen:
-            return f"{q[a]:.6g} from {t[a]:.6g} to {t[b]:.6g} s"
-    return ""
+            return a, b
+    return None
 
 
 def _mean_speed(t: np.ndarray, q: np.ndarray, a: int, b: int) -> float:

@@ -6,11 +6,16 @@ import math
 from collections.abc import Mapping
 from pathlib import Path
 
+import numpy as np
+
 from bayesid.errors import InputError
-from bayesid.recordings.complaints import suggest
+from bayesid.recordings.complaints import listed, suggest
 from bayesid.recordings.schema import RobotSection
 from bayesid.robot.robot import Robot, load_robot
+from bayesid.robot.typical import states_masses
 from bayesid.robot.urdf_file import UrdfFile, read_urdf
+
+_LENGTH = 0.01  # between joints that are not at one place, as those of a wrist are [m]
 
 
 def read_robot(folder: Path, section: RobotSection, sensor_joint: str | None) -> tuple[Robot, list[str]]:
@@ -70,7 +75,28 @@ def robot_doubts(robot: Robot, urdf: UrdfFile, locked: Mapping[str, float], stat
     stated
         Where these and the joints are, for messages.
     """
-    return [*urdf.warnings, *_doubts(robot, urdf, locked, stated), *_weights(robot)]
+    return [*urdf.warnings, *_missing(robot, urdf), *_doubts(robot, urdf, locked, stated), *_weights(robot)]
+
+
+def _missing(robot: Robot, urdf: UrdfFile) -> list[str]:
+    """Links without an ``<inertial>`` that have a shape or a length, in a robot whose other links have masses."""
+    if not states_masses(robot):
+        return []  # told of the whole file
+    links, found = {str(link.get("name")): link for link in urdf.root.findall("link")}, []
+    for j, name in enumerate(robot.joint_names):
+        link = links[urdf.joints[name].child]
+        drawn = link.find("visual") is not None or link.find("collision") is not None
+        rods = robot.rods[robot.rod_joint == j]
+        long = robot.nominal[j, 0] == 0.0 and bool((np.linalg.norm(rods[:, 1] - rods[:, 0], axis=1) > _LENGTH).any())
+        if link.find("inertial") is None and (drawn or long):
+            found.append(str(link.get("name")))
+    if not found:
+        return []
+    one, them = (f"link {found[0]}", "it") if len(found) == 1 else (f"links {listed(found)}", "them")
+    return [
+        f"{robot.urdf.name}: {one}: no <inertial>, so the nominal robot lacks the mass of {them}, and a prior takes {them} for a "
+        "gram; write the <inertial>, or leave inertia_rel_std out"
+    ]
 
 
 def _doubts(robot: Robot, urdf: UrdfFile, locked: Mapping[str, float], stated: str) -> list[str]:

@@ -76,6 +76,22 @@ def milligrams(folder: Path) -> None:
     path.write_text(number.sub(lambda m: f'{m[1]}="{float(m[2]) * 1e-6!r}"', path.read_text()))
 
 
+def against_the_stop(folder: Path) -> None:
+    """A joint that is driven against its lower stop: it moves until there and goes no further."""
+    toml('lower="-2.5"', 'lower="-0.31"', "robot.urdf")(folder)
+    for name in ("identification.csv", "static.csv", "validation.csv"):
+        table(lambda d: d.assign(q2=0.5 * d["q2"]).drop(columns=["v1", "v2"], errors="ignore"), name)(folder)
+    table(lambda d: d.assign(q2=(2.0 * d["q2"]).clip(lower=-0.3)), "validation.csv")(folder)
+
+
+def no_inertial(folder: Path) -> None:
+    """The link beyond the elbow keeps its shape, and loses its mass."""
+    path = folder / "robot.urdf"
+    text = path.read_text()
+    at = text.index('<link name="lower"')
+    path.write_text(text[:at] + re.sub(r"<inertial>.*?</inertial>", "<visual />", text[at:], count=1, flags=re.DOTALL))
+
+
 def no_reading(frame: pd.DataFrame) -> pd.DataFrame:
     return frame.assign(q2=frame["q2"].where(~frame.index.isin(range(200, 221))))
 
@@ -85,6 +101,8 @@ def doubled(frame: pd.DataFrame) -> pd.DataFrame:
 
 
 DOUBTS: list[tuple[str, Callable[[Path], None], tuple[str, ...]]] = [
+    ("an end stop", against_the_stop, ("validation.csv: column q2: elbow stands at -0.3", "lower end stop", "-0.31")),
+    ("no inertial", no_inertial, ("robot.urdf: link lower: no <inertial>",)),
     ("gap", table(gap, "validation.csv"), ("validation.csv: column t", "gap at 1.99 to 2.3 s", "0.01 s")),
     ("lost samples", table(lost, "validation.csv"), ("validation.csv: column t", "2 steps lack a sample", "1.49 s")),
     ("clipped channel", table(clip), ("column fx", "stays at 5", "places", "clipped")),
