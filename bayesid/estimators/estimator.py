@@ -12,9 +12,9 @@ import numpy as np
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.estimators.details import Details
 from bayesid.estimators.parameters import HasParameters, Parameters, central_interval
-from bayesid.estimators.rounding import LEVEL
 from bayesid.regression.linalg import standard_deviations
 from bayesid.regression.regression import Regression
+from bayesid.rounding import LEVEL
 from bayesid.signals.noise import NoiseModel
 
 __all__ = ["LEVEL", "Estimate", "Estimator", "largest_autocorrelation"]

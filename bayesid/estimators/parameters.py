@@ -11,7 +11,7 @@ import numpy as np
 from scipy.stats import norm
 
 from bayesid.errors import InputError
-from bayesid.estimators.rounding import DASH, LEVEL, with_interval, without_rounding_errors
+from bayesid.rounding import DASH, LEVEL, with_interval, without_rounding_errors
 
 if TYPE_CHECKING:
     from pandas import DataFrame

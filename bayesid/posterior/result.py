@@ -5,19 +5,23 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cached_property
 from html import escape
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bayesid.drawing import Plots, figures_of
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.estimators.parameters import HasParameters, Parameters, tails
 from bayesid.estimators.prior_check import PriorCheck, conflicts
-from bayesid.estimators.rounding import LEVEL
 from bayesid.posterior import density
 from bayesid.posterior.convert import Groups, to_arviz
 from bayesid.posterior.diagnostics import Convergence
 from bayesid.posterior.model import PosteriorModel
 from bayesid.posterior.run import Chains
+from bayesid.rounding import LEVEL
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 #: A parameter whose standard deviation stays above this share of the prior's is driven by the prior.
 PRIOR_DRIVEN = 0.9
@@ -25,7 +29,7 @@ _PRIOR_DRAWS = 4000
 
 
 @dataclass(frozen=True, eq=False)
-class Posterior(HasParameters):
+class Posterior(Plots, HasParameters):
     """Draws from the posterior of a `PosteriorModel`.
 
     Attributes
@@ -42,6 +46,7 @@ class Posterior(HasParameters):
         How far the data are from the prior; None with a flat one.
     """
 
+    verb = "sample"
     model: PosteriorModel
     chains: Chains
     seed: int = 0
@@ -259,6 +264,20 @@ class Posterior(HasParameters):
                 "smallest_ess_tail": float(d.ess_tail.min()),
             },
         }
+
+    def plot_marginals(self, *, ax: Any = None) -> Figure:
+        """Draw posterior, prior and nominal value of every base parameter.
+
+        Parameters
+        ----------
+        ax
+            matplotlib's Axes to draw into, one for each base parameter; default a figure of its own.
+        """
+        return figures_of(self)["marginals"](ax=ax)
+
+    def plot(self, *, ax: Any = None) -> Figure:
+        """Draw the marginals; as `plot_marginals`."""
+        return self.plot_marginals(ax=ax)
 
     def parameters(self, level: float = LEVEL) -> Parameters:
         """Base parameters, then effect parameters, by their draws, with central intervals of a probability."""

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from bayesid.drawing import Plots
 from bayesid.effects.library import EffectLibrary
 from bayesid.errors import InputError
 from bayesid.recordings.complaints import listed, suggest
@@ -33,6 +34,7 @@ from bayesid.robot.robot import Robot, load_robot
 from bayesid.robot.urdf_file import read_urdf
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
     from pandas import DataFrame
 
 __all__ = ["WRENCH_COLUMNS", "Experiment", "Motion", "Sensor", "Table", "load_experiment"]
@@ -69,7 +71,7 @@ class Sensor:
 
 
 @dataclass(frozen=True, eq=False)
-class Experiment:
+class Experiment(Plots):
     """A robot and every recording made with it.
 
     Attributes
@@ -98,6 +100,7 @@ class Experiment:
         The effects that there are: the package's and the user's own.
     """
 
+    verb = "check"
     name: str
     robot: Robot
     motions: tuple[Motion, ...]
@@ -264,6 +267,20 @@ class Experiment:
     def __iter__(self) -> Iterator[Motion]:
         """The motions one after the other."""
         return iter(self.motions)
+
+    def plot(self, motion: str | None = None, *, channels: Sequence[str] | str | None = None, ax: Any = None) -> Figure:
+        """Draw the recording of a motion, the first by default; as `Motion.plot`.
+
+        Raises
+        ------
+        InputError
+            The experiment has no motion, or as there.
+        KeyError
+            There is no motion of that name.
+        """
+        if not self.motions:
+            raise InputError(f"experiment {self.name} has no motion to draw")
+        return (self.motions[0] if motion is None else self[motion]).plot(channels=channels, ax=ax)
 
     def to_dataframe(self) -> DataFrame:
         """The motions, a row each: name, role, kind, number of samples, duration [s], rate [Hz] and names of the readings."""

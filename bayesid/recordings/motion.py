@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Any, Literal
 
+from bayesid.drawing import Plots, figures_of
 from bayesid.errors import InputError
 from bayesid.recordings.table import Table
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class Motion(Plots):
     """One recording and what is known about it.
 
     Attributes
@@ -29,6 +34,7 @@ class Motion:
         Whether its tables have passed the checks of recorded data; an `Experiment` examines the motions that have not.
     """
 
+    verb = "check"
     name: str
     role: Literal["identification", "validation"]
     table: Table
@@ -53,6 +59,24 @@ class Motion:
 
     def __repr__(self) -> str:
         return f"<Motion {self.name} ({self.role}): {self.table!r}>"
+
+    def plot(self, *, channels: Sequence[str] | str | None = None, ax: Any = None) -> Figure:
+        """Draw positions and readings over time, a panel for each group of columns.
+
+        Parameters
+        ----------
+        channels
+            Columns to be drawn, such as ``["q1", "fx"]``; default all.
+        ax
+            matplotlib's Axes to draw into, one for each group drawn (positions, forces, moments, torques); default a figure of
+            its own.
+
+        Raises
+        ------
+        InputError
+            There is no such column, or there are fewer or more axes than groups.
+        """
+        return figures_of(self)["recording"](channels, ax)
 
     @property
     def stop_and_go(self) -> bool:

@@ -122,7 +122,8 @@ class Table:
         """
         picked = np.atleast_1d(np.arange(len(self))[rows])
         arrays = {name: getattr(self, name) for name in ("times", *JOINT_GROUPS, "wrench")}
-        return replace(self, **{name: array[picked] for name, array in arrays.items() if array is not None})
+        kept = {name: array[picked] for name, array in arrays.items() if array is not None}
+        return replace(self, **kept, dropped=np.zeros(0, int))
 
     def to_dataframe(self) -> DataFrame:
         """The samples, a row each, in the columns of a recorded table: ``t``, ``q1``, ..., ``fx``, ..., ``mz`` [SI units]."""

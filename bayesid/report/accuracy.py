@@ -69,13 +69,13 @@ def accuracy_report(result: Accuracy) -> str:
     )  # fmt: skip
 
 
-def bias_map(result: Accuracy) -> Figure:
+def bias_map(result: Accuracy, ax: Any = None) -> Figure:
     """Bias of every base parameter by the effects that bias most."""
     biased = [s for s in result.susceptibility if s.largest >= NO_BIAS]
     shown = worst_places(biased, _MAPPED_PLACES)[:SHOWN_EFFECTS]
     base = result.bench.problem.row_model.base
     matrix = np.array([s.sigmas for s in shown]).reshape(len(shown), base.rank)
-    return susceptibility_figure([s.effect.spec for s in shown], short_names(base), matrix)
+    return susceptibility_figure([s.effect.spec for s in shown], short_names(base), matrix, ax)
 
 
 def _lead(result: Accuracy) -> str:

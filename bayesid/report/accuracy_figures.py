@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,7 +13,7 @@ from matplotlib.figure import Figure
 from bayesid.design.accuracy.certificate import Certificate
 from bayesid.design.accuracy.sweeps import Level, Sweep, Sweeps
 from bayesid.estimators.estimator import LEVEL
-from bayesid.report.figures import GREY, NOISE, PREDICTED, add_legend, make_grid, plain_log, styled
+from bayesid.report.figures import GREY, NOISE, PREDICTED, Drawing, add_legend, make_grid, plain_log, styled
 
 _BLUE, _RED = "#1d4ed8", "#c2410c"
 _HEAT = "YlOrRd"
@@ -25,28 +26,33 @@ _PANELS = 3
 
 
 @styled
-def sweeps_figure(sweeps: Sweeps) -> Figure:
-    """Error over the user's own by factor: curves where a factor has numbers, dots where it has none."""
+def sweeps_figure(sweeps: Sweeps, ax: Any = None) -> Figure:
+    """Error over the user's own by factor: curves where a factor has numbers, dots in one last panel where it has none."""
     curves = [s for s in sweeps.sweeps if s.levels[s.own].value is not None]
     others = [s for s in sweeps.sweeps if s.levels[s.own].value is None]
     rows = [(s, k, v) for s in others for k, v in enumerate(s.levels) if v.source != "refused"]
+    if ax is not None:
+        figure, axes = make_grid(len(curves) + bool(rows), 1, 1.0, ax=ax)
+        for panel, s in zip(axes.ravel(), curves, strict=False):
+            _curve(panel, s, sweeps)
+        if rows:
+            _dots(axes.ravel()[-1], rows, sweeps)
+        add_legend(axes, *axes.flat[0].get_legend_handles_labels())
+        return figure
     lines = -(-len(curves) // _PANELS)
     height, dots = 1.75, 0.27 * len(rows) + 0.1
     top, bottom, space = 0.75, 0.5, 0.85
     total = top + lines * (height + space) + (dots + 0.35 if rows else 0.0) + bottom
-    figure = Figure(figsize=(10.4, total))
+    figure = Drawing(figsize=(10.4, total))
     left, width, gap = 0.62, 2.75, 0.52
     for i, s in enumerate(curves):
         row, column = divmod(i, _PANELS)
         at = (left + column * (width + gap), total - top - row * (height + space) - height, width, height)
-        ax = figure.add_axes((at[0] / 10.4, at[1] / total, at[2] / 10.4, at[3] / total))
-        _curve(ax, s, sweeps)
+        _curve(figure.add_axes((at[0] / 10.4, at[1] / total, at[2] / 10.4, at[3] / total)), s, sweeps)
     if rows:
         names = 4.35
-        ax = figure.add_axes((names / 10.4, bottom / total, (10.2 - names) / 10.4, dots / total))
-        _dots(ax, rows, sweeps)
-    first = figure.axes[0]
-    add_legend(figure, *first.get_legend_handles_labels())
+        _dots(figure.add_axes((names / 10.4, bottom / total, (10.2 - names) / 10.4, dots / total)), rows, sweeps)
+    add_legend(np.array(figure.axes, object), *figure.axes[0].get_legend_handles_labels())
     return figure
 
 
@@ -137,7 +143,7 @@ def _dots(ax: Axes, rows: list[tuple[Sweep, int, Level]], sweeps: Sweeps) -> Non
 
 
 @styled
-def susceptibility_figure(effects: Sequence[str], parameters: Sequence[str], sigmas: np.ndarray) -> Figure:
+def susceptibility_figure(effects: Sequence[str], parameters: Sequence[str], sigmas: np.ndarray, ax: Any = None) -> Figure:
     """Bias of each base parameter by each effect left out, as a map.
 
     Parameters
@@ -149,7 +155,8 @@ def susceptibility_figure(effects: Sequence[str], parameters: Sequence[str], sig
     """
     matrix = np.abs(sigmas)
     left, right = 0.35 + 0.068 * max(map(len, effects), default=0), 1.0
-    figure, ax, below = _over_parameters(parameters, 0.19 * max(len(effects), 1), left, right)
+    own = ax is None
+    figure, ax, below = _over_parameters(parameters, 0.19 * max(len(effects), 1), left, right, ax)
     values = np.where(matrix >= _WHITE, matrix, np.nan)
     top = max(float(np.nanmax(matrix, initial=10.0)), 10.0)
     edges = np.arange(len(parameters) + 1) - 0.5, np.arange(len(effects) + 1) - 0.5
@@ -159,16 +166,16 @@ def susceptibility_figure(effects: Sequence[str], parameters: Sequence[str], sig
     ax.grid(visible=False)
     ax.set_title("Bias by an effect of usual size that the model lacks [standard deviations]")
     width, total = figure.get_size_inches()
-    bar = figure.add_axes(((width - 0.75) / width, below / total, 0.14 / width, 1 - (_TOP + below) / total))
-    figure.colorbar(mesh, cax=bar)
-    plain_log(bar.yaxis)
+    place = ((width - 0.75) / width, below / total, 0.14 / width, 1 - (_TOP + below) / total)
+    bar = figure.colorbar(mesh, cax=figure.add_axes(place)) if own else figure.colorbar(mesh, ax=ax)
+    plain_log(bar.ax.yaxis)
     return figure
 
 
 @styled
-def certificate_figure(certificate: Certificate, parameters: Sequence[str]) -> Figure:
+def certificate_figure(certificate: Certificate, parameters: Sequence[str], ax: Any = None) -> Figure:
     """Coverage of each base parameter, by their names (r,), with its 95 % interval, beside the band of exact intervals."""
-    figure, ax, _ = _over_parameters(parameters, 2.2, 0.7, 0.2)
+    figure, ax, _ = _over_parameters(parameters, 2.2, 0.7, 0.2, ax)
     x = np.arange(len(parameters))
     low, high = 100 * certificate.intervals
     share, band = 100 * certificate.coverage, 100 * np.array(certificate.band)
@@ -186,14 +193,17 @@ def certificate_figure(certificate: Certificate, parameters: Sequence[str]) -> F
     return figure
 
 
-def _over_parameters(parameters: Sequence[str], height: float, left: float, right: float) -> tuple[Figure, Axes, float]:
+def _over_parameters(
+    parameters: Sequence[str], height: float, left: float, right: float, ax: Any
+) -> tuple[Figure, Axes, float]:
     """A panel over base parameters, named below it unless they are too many; its margins and the one below in inches."""
     many = len(parameters) > _NAMED
     below = 0.45 if many else 0.3 + 0.072 * max(map(len, parameters), default=0)
-    figure, axes = make_grid(1, 1, height, left=left, right=right, top=_TOP)
-    width, total = figure.get_size_inches()[0], _TOP + height + below
-    figure.set_size_inches(width, total)
-    figure.subplots_adjust(left=left / width, right=1 - right / width, top=1 - _TOP / total, bottom=below / total)
+    figure, axes = make_grid(1, 1, height, left=left, right=right, top=_TOP, ax=ax)
+    if ax is None:
+        width, total = figure.get_size_inches()[0], _TOP + height + below
+        figure.set_size_inches(width, total)
+        figure.subplots_adjust(left=left / width, right=1 - right / width, top=1 - _TOP / total, bottom=below / total)
     ax = axes[0, 0]
     ax.set_xlim(-0.5, len(parameters) - 0.5)
     if many:

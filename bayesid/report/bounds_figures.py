@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -11,7 +12,7 @@ from matplotlib.ticker import MaxNLocator
 from bayesid.design.bounds.bands import Band
 from bayesid.design.bounds.region import Region
 from bayesid.design.bounds.remainder import Remainder
-from bayesid.report.figures import CLASSES, DENSE, GREY, NOISE, PREDICTED, add_legend, make_grid, styled, tidy_time
+from bayesid.report.figures import CLASSES, DENSE, GREY, NOISE, PREDICTED, add_legend, make_grid, picked, styled, tidy_time
 
 _BLUE = CLASSES["alone"]
 #: From so many parameters they stand in two columns.
@@ -19,15 +20,17 @@ _TWO_COLUMNS = 14
 
 
 @styled
-def band_figure(band: Band) -> Figure:
+def band_figure(band: Band, channels: Sequence[str] | str | None = None, ax: Any = None) -> Figure:
     """Readings of a trajectory with their bands; below each, half the simultaneous band, which is often too thin to be seen."""
-    count = len(band.names)
-    columns = 2 if count > 1 else 1
+    chosen = picked(band.names, channels)
+    count = len(chosen)
+    columns = 2 if count > 1 and ax is None else 1
     rows = -(-count // columns)
-    figure, axes = make_grid(2 * rows, columns, 0.85, sharex=True, height_ratios=(1.5, 0.8) * rows)
+    figure, axes = make_grid(2 * rows, columns, 0.85, ax=ax, sharex=True, height_ratios=(1.5, 0.8) * rows)
     dense = len(band.times) > DENSE
-    for k, (name, unit) in enumerate(zip(band.names, band.units, strict=True)):
-        ax, below = axes[2 * (k // columns), k % columns], axes[2 * (k // columns) + 1, k % columns]
+    for at, k in enumerate(chosen):
+        name, unit = band.names[k], band.units[k]
+        ax, below = axes[2 * (at // columns), at % columns], axes[2 * (at // columns) + 1, at % columns]
         low, high = band.low[:, k], band.high[:, k]
         ax.fill_between(band.times, low, high, color=_BLUE, alpha=0.25, lw=0, label="95 %, whole trajectory")
         ax.plot(band.times, band.values[:, k], color=PREDICTED, lw=0.9, label="predicted", rasterized=dense)
@@ -50,7 +53,7 @@ def band_figure(band: Band) -> Figure:
         visible[-1].tick_params(labelbottom=True)
     handles, labels = axes[0, 0].get_legend_handles_labels()
     more = axes[1, 0].get_legend_handles_labels()
-    add_legend(figure, [*handles, *more[0]], [*labels, *more[1]])
+    add_legend(axes, [*handles, *more[0]], [*labels, *more[1]])
     return figure
 
 
@@ -82,7 +85,7 @@ def region_figure(names: Sequence[str], region: Region, nominal: np.ndarray) -> 
         ax.set_xlabel("distance from the centre [standard deviations]")
         ax.grid(axis="y", visible=False)
         ax.tick_params(axis="y", length=0)
-    add_legend(figure, *axes[0, 0].get_legend_handles_labels())
+    add_legend(axes, *axes[0, 0].get_legend_handles_labels())
     return figure
 
 

@@ -38,9 +38,9 @@ def with_certificate(page: str, certificate: Certificate, base: BaseParameters) 
     return re.sub(f"{_BEGIN}.*?{_END}", lambda _: section, page, count=1, flags=re.DOTALL)
 
 
-def coverage_figure(certificate: Certificate, base: BaseParameters) -> Figure:
+def coverage_figure(certificate: Certificate, base: BaseParameters, ax: Any = None) -> Figure:
     """Coverage of every base parameter."""
-    return certificate_figure(certificate, short_names(base))
+    return certificate_figure(certificate, short_names(base), ax)
 
 
 def _rows(certificate: Certificate, base: BaseParameters) -> list[dict[str, Any]]:

@@ -24,6 +24,8 @@ from bayesid.results.changes_text import (
 from bayesid.results.text import DASH, channel_text, number, percent
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from bayesid.results.changes import Changes
 
 #: Bars in the picture of the evidence.
@@ -57,6 +59,18 @@ def changes_report(result: Changes) -> str:
         remainder=percent(c.proof.remainder), hidden=_hidden(c), gains=percent(GAIN_SHARE, 2),
         friction=percent(FRICTION_SHARE, 2), how=_how(result),
     )  # fmt: skip
+
+
+def evidence_figure(result: Changes, ax: Any = None) -> Figure:
+    """Log evidence of each change on its own, those that are named apart."""
+    from bayesid.report.diagnosis_figures import evidence
+
+    c = result.comparison
+    named = {x.change.spec for x in c.changes}
+    ranked = sorted(((e, h.spec) for h, e in c.scores), reverse=True)[:_BARS]
+    shown = [(e, spec) for e, spec in ranked if e > 0] or ranked[:1]
+    kinds = ["named" if spec in named else "other" for _, spec in shown]
+    return evidence([spec for _, spec in shown], np.array([e for e, _ in shown]), kinds, c.settings.accept, ax)
 
 
 def _steps(c: Comparison) -> list[tuple[str, float]]:

@@ -170,7 +170,7 @@ def _baseline(name: str) -> str:
     return "the nominal model" if name == "nominal" else "the nominal model with fitted effects"
 
 
-def errors_figure(result: Comparison) -> Figure:
+def errors_figure(result: Comparison, ax: Any = None) -> Figure:
     """What each estimator's predictions miss, motion by motion."""
     entries = [e for e in (*result.baselines, *result.entries) if e.estimate is not None]
     motions = []
@@ -181,10 +181,10 @@ def errors_figure(result: Comparison) -> Figure:
              100 * np.array([p.nrmse for p in ps]), 100 * np.array([p.relative_error for p in ps]),
              np.array([p.whitened_rms_by_channel for p in ps]), np.array([p.whitened_rms for p in ps]))
         )  # fmt: skip
-    return proof_side_by_side([e.name for e in entries], len(result.baselines), motions)
+    return proof_side_by_side([e.name for e in entries], len(result.baselines), motions, ax)
 
 
-def values_figure(result: Comparison, name: str) -> Figure:
+def values_figure(result: Comparison, name: str, ax: Any = None) -> Figure:
     """Base parameters by each estimator around those of the reference of a name."""
     reference = result[name]
     shown = np.flatnonzero(reference.std > 0)
@@ -194,7 +194,7 @@ def values_figure(result: Comparison, name: str) -> Figure:
     hidden = np.array([e.undetermined[: e.base.rank][shown] for e in estimates])
     difference = np.array([(e.values - reference.values)[shown] / std for e in estimates])
     ends = np.array([[(end - reference.values)[shown] / std for end in (e.low, e.high)] for e in estimates]).swapaxes(0, 1)
-    return values_side_by_side(names, list(result.estimates), np.where(hidden, np.nan, difference), ends, name)
+    return values_side_by_side(names, list(result.estimates), np.where(hidden, np.nan, difference), ends, name, ax)
 
 
 def _matrix(result: Comparison) -> list[dict[str, Any]]:

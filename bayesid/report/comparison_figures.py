@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from bayesid.report.charts import CYCLE
-from bayesid.report.figures import GREY, NOISE, add_legend, make_grid, plain_log, styled
+from bayesid.report.figures import GREY, NOISE, add_legend, given_axes, make_grid, plain_log, styled
 from bayesid.validation.prediction import BAND
 
 #: From so many parameters they stand in two columns.
@@ -19,7 +20,7 @@ _ONE_LINE = 9
 
 @styled
 def values_side_by_side(
-    names: Sequence[str], estimators: Sequence[str], difference: np.ndarray, ends: np.ndarray, reference: str
+    names: Sequence[str], estimators: Sequence[str], difference: np.ndarray, ends: np.ndarray, reference: str, ax: Any = None
 ) -> Figure:
     """Each base parameter by each estimator, with intervals, around the reference.
 
@@ -36,11 +37,12 @@ def values_side_by_side(
         Its name.
     """
     count, many = len(names), len(estimators)
-    columns = 2 if count > _TWO_COLUMNS else 1
+    columns = 2 if count > _TWO_COLUMNS and ax is None else 1
     per_column = -(-count // columns)
     slot = min(0.8 / many, 0.2)
     margin = 0.35 + 0.062 * max(map(len, names), default=0)
-    figure, axes = make_grid(1, columns, per_column * max(0.085 * many + 0.08, 0.26), left=margin, gap=margin, sharex=True)
+    height = per_column * max(0.085 * many + 0.08, 0.26)
+    figure, axes = make_grid(1, columns, height, left=margin, gap=margin, sharex=True, ax=ax)
     reach = np.abs(np.concatenate([difference[None], ends]))
     reach = reach[np.isfinite(reach)]
     usual, longest = np.percentile(reach, [90, 100]) if len(reach) else (3.0, 3.0)
@@ -67,15 +69,18 @@ def values_side_by_side(
         ax.set_xlabel(f"value less that of {reference} [standard deviations of {reference}]")
         ax.grid(axis="y", visible=False)
         ax.tick_params(axis="y", length=0)
-    add_legend(figure, *axes[0, 0].get_legend_handles_labels())
+    add_legend(axes, *axes[0, 0].get_legend_handles_labels())
     return figure
 
 
 @styled
 def proof_side_by_side(
-    estimators: Sequence[str], baselines: int, motions: Sequence[tuple[str, Sequence[str], *tuple[np.ndarray, ...]]]
+    estimators: Sequence[str], baselines: int, motions: Sequence[tuple[str, Sequence[str], *tuple[np.ndarray, ...]]],
+    ax: Any = None,
 ) -> Figure:
     """What each estimator's prediction misses, motion by motion: in per cent of the signal and in units of the noise.
+
+    Into one axis a motion of the user's own, in per cent alone.
 
     Parameters
     ----------
@@ -90,28 +95,30 @@ def proof_side_by_side(
     y = np.arange(len(estimators))
     margin = 0.35 + 0.066 * max(map(len, estimators))
     lines = 1 if len(motions[0][1]) <= _ONE_LINE else 2
-    figure, axes = make_grid(len(motions), 2, 0.24 * len(estimators) + 0.1, left=margin, top=0.5 * lines, gap=0.35,
-                             sharey=True, sharex="col")  # fmt: skip
+    columns = 1 if ax is not None and len(given_axes(ax)) == len(motions) else 2
+    figure, axes = make_grid(len(motions), columns, 0.24 * len(estimators) + 0.1, left=margin, top=0.5 * lines, gap=0.35,
+                             sharey=True, sharex="col", ax=ax)  # fmt: skip
     for row, (title, channels, *parts) in zip(axes, motions, strict=True):
-        for ax, each, whole in zip(row, parts[::2], parts[1::2], strict=True):
+        titles = f"{title}: error below {BAND:g} Hz [% of the signal]", "what is left, in units of the noise"
+        for ax, title, each, whole in zip(row, titles, parts[::2], parts[1::2], strict=False):
             for c, channel in enumerate(channels):
                 ax.plot(each[:, c], y, "|", ms=8, mew=1.4, color=CYCLE[c % len(CYCLE)], label=channel)
             ax.plot(whole, y, "o", ms=6, color="#0f172a", mew=0, label="all channels")
             if baselines:
                 ax.axhspan(-0.5, baselines - 0.5, color="#f1f5f9", lw=0, zorder=0)
             ax.set_ylim(len(y) - 0.4, -0.6)
-            ax.tick_params(axis="y", length=0)
-        row[0].set_yticks(y, list(estimators))
-        row[0].set_title(f"{title}: error below {BAND:g} Hz [% of the signal]")
-        row[1].set_title("what is left, in units of the noise")
-        row[1].axvline(1.0, color=NOISE, lw=1.4, zorder=0)
-    for column, floor in zip(axes.T, (None, 0.8), strict=True):
+            ax.set_yticks(y, list(estimators))
+            ax.tick_params(axis="y", length=0, labelleft=ax is row[0])
+            ax.set_title(title)
+        for ax in row[1:]:
+            ax.axvline(1.0, color=NOISE, lw=1.4, zorder=0)
+    for column, floor in zip(axes.T, (None, 0.8), strict=False):
         values = np.concatenate([line.get_xdata() for ax in column for line in ax.lines if line.get_marker() in ("|", "o")])
         values = np.asarray(values, float)[np.asarray(values, float) > 0]
         low, high = (values.min(), values.max()) if len(values) else (1.0, 1.0)
-        column[0].set_xscale("log")
-        column[0].set_xlim(min(low / 1.15, floor or np.inf), max(high * 1.15, low * 2.0))
         for ax in column:
+            ax.set_xscale("log")
+            ax.set_xlim(min(low / 1.15, floor or np.inf), max(high * 1.15, low * 2.0))
             plain_log(ax.xaxis)
-    add_legend(figure, *axes[0, 0].get_legend_handles_labels(), lines=lines)
+    add_legend(axes, *axes[0, 0].get_legend_handles_labels(), lines=lines)
     return figure

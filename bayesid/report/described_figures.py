@@ -29,5 +29,5 @@ def described(panels: Sequence[tuple[str, str, np.ndarray, np.ndarray, np.ndarra
         ax.plot(x[::thin], said[::thin], lw=0.9, color=PREDICTED, rasterized=True, label="the term")
         ax.set_title(title)
         ax.set_xlabel(variable)
-    add_legend(figure, *axes[0, 0].get_legend_handles_labels())
+    add_legend(axes, *axes[0, 0].get_legend_handles_labels())
     return figure

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from bayesid.diagnosis.data import WHITE, Episode
 from bayesid.diagnosis.locate import Disagreement
@@ -58,7 +59,6 @@ def diagnosis_report(diagnosis: Findings) -> str:
     changed = views.changed
     proposals = _proposals(d)
     shown = [p for p in proposals if p["evidence"] > 0][:_BARS]
-    floor = None if d.gap is None or d.part is not None else d.gap.floor
     seen = _seen(views)
     curves = [(f"{s.channel} [{s.unit}] below {s.below:g} Hz", s.times, s.values, s.noise) for s in views.signals]
     return render(
@@ -91,7 +91,7 @@ def diagnosis_report(diagnosis: Findings) -> str:
         shifts=[_shift(s) for s in d.shifts[:_SHIFTS]],
         more_shifts=max(len(d.shifts) - _SHIFTS, 0),
         exact=data.prior is None,
-        bars=svg(before_and_after(channels, views.by_channel, floor, changed), "bars"),
+        bars=svg(before_and_after(channels, views.by_channel, _floor(d), changed), "bars"),
         signals=svg(signals(curves, changed), "signals"),
         signal_motion=views.signals[0].motion,
         seen=seen,
@@ -185,6 +185,17 @@ def _place(w: Disagreement) -> dict[str, str]:
         "ratio": number(w.ratio, 3), "band": f"{low:.3g} – {high:.3g} Hz",
         "joint": w.joint or w.looks_like or DASH, "chance": chance(w.p_value),
     }  # fmt: skip
+
+
+def channels_figure(diagnosis: Findings, ax: Any = None) -> Figure:
+    """What is left of each channel in units of the noise, before and after."""
+    views = diagnosis_views(diagnosis)
+    return before_and_after(diagnosis.data.channels.names, views.by_channel, _floor(diagnosis), views.changed, ax)
+
+
+def _floor(d: Findings) -> float | None:
+    """What a complete model would leave; None where a part alone was named or nothing tells it."""
+    return None if d.gap is None or d.part is not None else d.gap.floor
 
 
 def _proposals(d: Findings) -> list[dict[str, Any]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.colors import LinearSegmentedColormap, LogNorm
@@ -94,7 +95,7 @@ def _spread(figure: Figure, rows: int, height: float) -> None:
 
 
 @styled
-def evidence(names: Sequence[str], values: np.ndarray, kinds: Sequence[str], needed: float) -> Figure:
+def evidence(names: Sequence[str], values: np.ndarray, kinds: Sequence[str], needed: float, ax: Any = None) -> Figure:
     """How much each effect alone would add to the model's log evidence.
 
     Parameters
@@ -109,7 +110,8 @@ def evidence(names: Sequence[str], values: np.ndarray, kinds: Sequence[str], nee
         Least log evidence that an effect has to bring.
     """
     count = len(names)
-    figure, axes = make_grid(1, 1, 0.21 * count + 0.15, left=0.35 + 0.066 * max(map(len, names)), right=0.8, top=0.4)
+    figure, axes = make_grid(1, 1, 0.21 * count + 0.15, left=0.35 + 0.066 * max(map(len, names)), right=0.8, top=0.4,
+                             ax=ax)  # fmt: skip
     ax = axes[0, 0]
     colours = {"named": AFTER, "rival": "#d97706", "other": "#cbd5e1"}
     labels = {"named": "in the model now", "rival": "cannot be told from it"}
@@ -133,12 +135,12 @@ def evidence(names: Sequence[str], values: np.ndarray, kinds: Sequence[str], nee
     ax.grid(axis="y", visible=False)
     ax.set_xlabel("log evidence gained by this effect alone, beside the model as it was")
     plain_log(ax.xaxis)
-    add_legend(figure, *ax.get_legend_handles_labels())
+    add_legend(axes, *ax.get_legend_handles_labels())
     return figure
 
 
 @styled
-def before_and_after(channels: Sequence[str], ratios: np.ndarray, floor: float | None, changed: bool) -> Figure:
+def before_and_after(channels: Sequence[str], ratios: np.ndarray, floor: float | None, changed: bool, ax: Any = None) -> Figure:
     """What is left of each channel in units of the noise, before, after, and what a complete model would leave.
 
     Parameters
@@ -152,7 +154,7 @@ def before_and_after(channels: Sequence[str], ratios: np.ndarray, floor: float |
     changed
         Whether there is an "after".
     """
-    figure, axes = make_grid(1, 1, 1.25, left=0.65, top=0.4)
+    figure, axes = make_grid(1, 1, 1.25, left=0.65, top=0.4, ax=ax)
     ax = axes[0, 0]
     x, width = np.arange(len(channels)), 0.36
     low = 0.5 * min(float(ratios.min()), 1.0)
@@ -172,7 +174,7 @@ def before_and_after(channels: Sequence[str], ratios: np.ndarray, floor: float |
     ax.tick_params(axis="x", length=0)
     ax.grid(axis="x", visible=False)
     plain_log(ax.yaxis)
-    add_legend(figure, *ax.get_legend_handles_labels())
+    add_legend(axes, *ax.get_legend_handles_labels())
     return figure
 
 
@@ -206,7 +208,7 @@ def signals(rows: Sequence[tuple[str, np.ndarray, np.ndarray, float]], changed: 
     if changed:
         more = axes[0, 1].get_legend_handles_labels()
         handles, labels = [*handles, more[0][1]], [*labels, more[1][1]]
-    add_legend(figure, handles, labels)
+    add_legend(axes, handles, labels)
     return figure
 
 

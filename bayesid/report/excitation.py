@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from bayesid.arguments import argument
-from bayesid.report.excitation_figures import beside_random, limit_shares, motion
+from bayesid.report.excitation_figures import beside_random, limit_shares, motion, motion_panels
 from bayesid.report.page import render, run_times, versions
 from bayesid.results.excitation import Excitation, duration_text
 from bayesid.results.text import DASH, number, percent
@@ -18,13 +18,18 @@ _TITLES = {
 }  # fmt: skip
 
 
-def excitation_report(result: Excitation) -> str:
-    """The report of ``excite``: an HTML page with all figures inside."""
+def panels_of(result: Excitation) -> list[tuple[str, str, list[str], np.ndarray]]:
+    """Panels of the motion, as `bayesid.report.excitation_figures.motion_panels`."""
     t = result.trajectory
     units = ("m",) if result.prismatic.all() else ("rad",) if not result.prismatic.any() else ("rad", "m")
     titles = (("joint positions", ""), ("joint velocities", "/s"), ("joint accelerations", "/s²"))
     values = (t.positions, t.velocities, t.accelerations)
     parts = [(title, " or ".join(u + per for u in units), v) for (title, per), v in zip(titles, values, strict=True)]
+    return motion_panels(parts, result.loads)
+
+
+def excitation_report(result: Excitation) -> str:
+    """The report of ``excite``: an HTML page with all figures inside."""
     shares = [(_TITLES[u.kind], u.where, u.ratio) for u in result.limits if u.kind != "collision"]
     axis = {"d": "mean logarithm of the eigenvalues of the information, larger is better"}.get(
         result.criterion, "logarithm of the criterion, larger is better"
@@ -35,7 +40,7 @@ def excitation_report(result: Excitation) -> str:
         warning_list=_warnings(result),
         lead=_lead(result),
         card_list=_cards(result),
-        motion=motion(t.times, parts, result.loads),
+        motion=motion(result.trajectory.times, panels_of(result)),
         shares=limit_shares(shares),
         random=beside_random(result.value, result.random, axis) if len(result.random) else None,
         limits=[

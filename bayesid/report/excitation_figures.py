@@ -14,32 +14,34 @@ _PLOTTED = 1000
 _ROW, _BEST, _OTHER, _OVER = 15.0, "#1d4ed8", "#94a3b8", "#b91c1c"
 
 
-def motion(
-    times: np.ndarray,
-    parts: Sequence[tuple[str, str, np.ndarray]],
-    loads: Mapping[str, tuple[tuple[str, ...], np.ndarray]],
-) -> Markup:
-    """The motion in time: joint positions and rates, joint torques and the sensor's readings.
+def motion(times: np.ndarray, panels: Sequence[tuple[str, str, list[str], np.ndarray]]) -> Markup:
+    """The motion in time (N,) [s]; panels as `motion_panels` makes them."""
+    stride = max(-(-len(times) // _PLOTTED), 1)
+    thinned = [(title, unit, names, values[::stride]) for title, unit, names, values in panels]
+    return recording(times[::stride], thinned, [], False)
+
+
+def motion_panels(
+    parts: Sequence[tuple[str, str, np.ndarray]], loads: Mapping[str, tuple[tuple[str, ...], np.ndarray]]
+) -> list[tuple[str, str, list[str], np.ndarray]]:
+    """Title, unit, names and values of each panel: joint positions and rates, joint torques and the sensor's readings.
 
     Parameters
     ----------
-    times
-        (N,) [s].
     parts
         Title, unit and values (N, n) of positions, velocities and accelerations.
     loads
         Names and values (N, c), by ``torque`` and ``wrench``.
     """
-    stride = max(-(-len(times) // _PLOTTED), 1)
     names = [f"q{j + 1}" for j in range(parts[0][2].shape[1])]
-    panels = [(title, unit, names, values[::stride]) for title, unit, values in parts]
+    panels = [(title, unit, names, values) for title, unit, values in parts]
     if "torque" in loads:
-        panels.append(("joint torques of the nominal links", "N m", list(loads["torque"][0]), loads["torque"][1][::stride]))
+        panels.append(("joint torques of the nominal links", "N m", list(loads["torque"][0]), loads["torque"][1]))
     if "wrench" in loads:
         channels, values = loads["wrench"]
-        panels.append(("forces on the sensor", "N", list(channels[:3]), values[::stride, :3]))
-        panels.append(("moments on the sensor", "N m", list(channels[3:]), values[::stride, 3:]))
-    return recording(times[::stride], panels, [], False)
+        panels.append(("forces on the sensor", "N", list(channels[:3]), values[:, :3]))
+        panels.append(("moments on the sensor", "N m", list(channels[3:]), values[:, 3:]))
+    return panels
 
 
 def limit_shares(rows: Sequence[tuple[str, str, float]]) -> Markup:

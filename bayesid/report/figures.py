@@ -9,7 +9,7 @@ from __future__ import annotations
 import functools
 import io
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, ParamSpec
 
 import matplotlib as mpl
@@ -17,6 +17,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLocator
+
+from bayesid.errors import InputError
 
 MEASURED, PREDICTED, NOISE, GREY = "#a9bbd6", "#b91c1c", "#0f766e", "#64748b"
 #: Colours of the classes of base parameters.
@@ -54,6 +56,16 @@ _STYLE: dict[Any, Any] = {
     "text.parse_math": False,  # names are the user's: a $ in one begins no formula
 }
 _P = ParamSpec("_P")
+
+
+class Drawing(Figure):
+    """A figure that a notebook shows by itself, whether or not ``%matplotlib inline`` or pyplot was ever loaded."""
+
+    def _repr_png_(self) -> bytes:
+        buffer = io.BytesIO()
+        with mpl.rc_context(_STYLE):
+            self.savefig(buffer, format="png")
+        return buffer.getvalue()
 
 
 def styled(draw: Callable[_P, Figure]) -> Callable[_P, Figure]:
@@ -101,12 +113,34 @@ def to_svg(figure: Figure, name: str) -> str:
 
 def make_grid(
     rows: int, columns: int, height: float, *, left: float = 0.7, right: float = 0.2, top: float = 0.5, gap: float = 0.75,
-    **options: Any,
+    ax: Any = None, **options: Any,
 ) -> tuple[Figure, np.ndarray]:  # fmt: skip
-    """A figure with panels of a height; margins in inches. An automatic layout would take most of a report's time."""
+    """A figure with panels of a height; margins in inches. An automatic layout would take most of a report's time.
+
+    Parameters
+    ----------
+    rows, columns, height, left, right, top, gap
+        Of a new figure; ``options`` go to its ``subplots``.
+    ax
+        The user's own Axes, row by row, to be used in place of a new figure.
+
+    Raises
+    ------
+    InputError
+        There are fewer or more of the user's axes than panels.
+    """
+    if ax is not None:
+        given = given_axes(ax)
+        if len(given) != rows * columns:
+            shape = f"{rows} rows of {columns}" if columns > 1 else str(rows)
+            raise InputError(f"ax holds {len(given)} axes and the figure has {shape} panels; give one for each, row by row")
+        whole = given[0].get_figure(root=True)
+        if whole is None:
+            raise InputError("ax was removed from its figure; give axes that are in one")
+        return whole, np.array(given, object).reshape(rows, columns)
     bottom, space = 0.45, 0.33
     total = top + rows * height + (rows - 1) * space + bottom
-    figure = Figure(figsize=(_WIDTH, total))
+    figure = Drawing(figsize=(_WIDTH, total))
     width = (_WIDTH - left - right - (columns - 1) * gap) / columns
     figure.subplots_adjust(
         left=left / _WIDTH, right=1.0 - right / _WIDTH, top=1.0 - top / total, bottom=bottom / total,
@@ -115,10 +149,45 @@ def make_grid(
     return figure, figure.subplots(rows, columns, squeeze=False, **options)
 
 
-def add_legend(figure: Figure, handles: list, labels: list, lines: int = 1) -> None:
-    """One legend for all panels, in the figure's upper right corner."""
-    if handles:
+def given_axes(ax: Any) -> Sequence[Axes]:
+    """The user's own axes, one or many in any shape, row by row.
+
+    Raises
+    ------
+    InputError
+        Something else is among them.
+    """
+    axes = [ax] if isinstance(ax, Axes) else list(np.asarray(ax, object).ravel())
+    for one in axes:
+        if not isinstance(one, Axes):
+            raise InputError(f"ax holds a {type(one).__name__}; give Axes of matplotlib, as plt.subplots() makes them")
+    return axes
+
+
+def picked(names: Sequence[str], channels: Sequence[str] | str | None) -> list[int]:
+    """Places of the channels asked for; all of them by default.
+
+    Raises
+    ------
+    InputError
+        There is no such channel.
+    """
+    asked = names if channels is None else [channels] if isinstance(channels, str) else channels
+    for name in asked:
+        if name not in names:
+            raise InputError(f"channels: there is no '{name}' here; choose of {', '.join(names)}")
+    if not len(asked):
+        raise InputError(f"channels: none is named; choose of {', '.join(names)}")
+    return [list(names).index(name) for name in asked]
+
+
+def add_legend(axes: np.ndarray, handles: list, labels: list, lines: int = 1) -> None:
+    """One legend for all panels: in the upper right corner of a figure of its own, in the first of the user's axes."""
+    figure = axes.flat[0].figure
+    if handles and isinstance(figure, Drawing):
         figure.legend(handles, labels, loc="upper right", ncols=-(-len(handles) // lines), borderaxespad=0.1, handletextpad=0.6)
+    elif handles:
+        axes.flat[0].legend(handles, labels, loc="best")
 
 
 def tidy_time(ax: Axes, x: np.ndarray, poses: bool) -> None:

@@ -51,9 +51,9 @@ def identifiability_report(result: Identifiability) -> str:
     )
 
 
-def expected_figure(report: SetReport) -> Figure:
+def expected_figure(report: SetReport, ax: Any = None) -> Figure:
     """Expected standard deviations of a sensor set's combinations."""
-    return expected(report, short_names(report.shown.base))
+    return expected(report, short_names(report.shown.base), ax)
 
 
 def _kicker(result: Identifiability) -> str:

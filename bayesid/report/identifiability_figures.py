@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.colors import ListedColormap
@@ -27,7 +28,7 @@ _ROW = 0.2  # inches
 
 
 @styled
-def classes(reports: Sequence[SetReport], main: SetReport) -> Figure:
+def classes(reports: Sequence[SetReport], main: SetReport, ax: Any = None) -> Figure:
     """The class of every link parameter, a panel for each sensor set: bodies downwards, their ten parameters across.
 
     Parameters
@@ -40,13 +41,15 @@ def classes(reports: Sequence[SetReport], main: SetReport) -> Figure:
     kinds = tuple(LOOKS)
     names = [p.name for p in main.parameters]
     bodies, across = by_body(names)
-    rows = -(-len(reports) // _COLUMNS)
+    across_page = min(len(reports), _COLUMNS) if ax is None else 1
+    rows = -(-len(reports) // across_page)
     longest = max(map(len, bodies))
     height = max(_ROW * len(bodies), 0.5)
     figure, axes = make_grid(
-        rows, min(len(reports), _COLUMNS), height, left=0.25 + 0.075 * longest, top=0.75 + 0.2 * (rows - 1), gap=0.25
+        rows, across_page, height, left=0.25 + 0.075 * longest, top=0.75 + 0.2 * (rows - 1), gap=0.25, ax=ax
     )
-    figure.subplots_adjust(hspace=0.5 / height, top=1.0 - 0.75 / figure.get_figheight())
+    if ax is None:
+        figure.subplots_adjust(hspace=0.5 / height, top=1.0 - 0.75 / figure.get_figheight())
     for k, ax in enumerate(axes.ravel()):
         if k >= len(reports):
             ax.set_visible(False)
@@ -60,7 +63,7 @@ def classes(reports: Sequence[SetReport], main: SetReport) -> Figure:
         ax.invert_yaxis()
         ax.grid(False)
         ax.set_xticks(np.arange(columns) + 0.5, across, fontsize=7)
-        ax.set_yticks(np.arange(len(bodies)) + 0.5, bodies if k % _COLUMNS == 0 else [""] * len(bodies), fontsize=8)
+        ax.set_yticks(np.arange(len(bodies)) + 0.5, bodies if k % across_page == 0 else [""] * len(bodies), fontsize=8)
         ax.tick_params(length=0)
         ax.spines[:].set_visible(False)
         most = report.rank_of_any_motion
@@ -68,12 +71,12 @@ def classes(reports: Sequence[SetReport], main: SetReport) -> Figure:
         ax.set_title(f"{'● ' if report is main else ''}{report.sensor_set.title}: {rank}", fontsize=8.5)
     used = {p.kind for r in reports for p in r.parameters}
     handles = [Patch(facecolor=LOOKS[k][0], edgecolor="#94a3b8", linewidth=0.5) for k in kinds if k in used]
-    add_legend(figure, handles, [f"{LETTERS[k]}: {WORDS[k]}" for k in kinds if k in used], lines=2)
+    add_legend(axes, handles, [f"{LETTERS[k]}: {WORDS[k]}" for k in kinds if k in used], lines=2)
     return figure
 
 
 @styled
-def expected(report: SetReport, names: Sequence[str]) -> Figure:
+def expected(report: SetReport, names: Sequence[str], ax: Any = None) -> Figure:
     """Expected standard deviation of every combination, relative to its size where that is known, the surest first.
 
     Parameters
@@ -87,7 +90,7 @@ def expected(report: SetReport, names: Sequence[str]) -> Figure:
     sized = all(b.size for b in bases)
     values = np.array([b.std / b.size if sized and b.size else b.std for b in bases])
     order = np.argsort(values)
-    figure, axes = make_grid(1, 1, max(0.165 * len(bases), 0.6), left=1.2, top=0.45)
+    figure, axes = make_grid(1, 1, max(0.165 * len(bases), 0.6), left=1.2, top=0.45, ax=ax)
     ax = axes[0, 0]
     colours = [CLASSES[bases[k].kind] for k in order]
     ax.barh(np.arange(len(bases)), values[order], color=colours, height=0.72, left=0.0)
@@ -103,6 +106,6 @@ def expected(report: SetReport, names: Sequence[str]) -> Figure:
     plain_log(ax.xaxis)
     used = {b.kind for b in bases}
     shown = [k for k in (ALONE, COMBINATION, WEAK) if k in used]
-    add_legend(figure, [Patch(color=CLASSES[k]) for k in shown], [WORDS[k] for k in shown])
+    add_legend(axes, [Patch(color=CLASSES[k]) for k in shown], [WORDS[k] for k in shown])
     ax.tick_params(axis="y", length=0)
     return figure

@@ -163,12 +163,12 @@ def _reference(regression: Regression, estimate: Estimate) -> tuple[np.ndarray, 
     return nominal, np.where(np.isfinite(scale) & (scale > 1e-9 * own), scale, own)
 
 
-def intervals_figure(regression: Regression, estimate: Estimate) -> Figure:
+def intervals_figure(regression: Regression, estimate: Estimate, ax: Any = None) -> Figure:
     """Base parameters against the nominal model, with their 95 % intervals."""
     nominal, scale = _reference(regression, estimate)
     names = [f"{name}  ({k + 1})" for k, name in enumerate(short_names(estimate.base))]
     between = np.array([estimate.low - nominal, estimate.high - nominal])
-    return parameter_intervals(names, estimate.values - nominal, between, scale, estimate.classes)
+    return parameter_intervals(names, estimate.values - nominal, between, scale, estimate.classes, ax)
 
 
 def _parameters(regression: Regression, estimate: Estimate) -> list[dict[str, Any]]:

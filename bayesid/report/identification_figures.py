@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from bayesid.regression.bandwidth import BandwidthChoice
-from bayesid.report.figures import CLASSES, GREY, NOISE, PREDICTED, add_legend, make_grid, plain_log, styled
+from bayesid.report.figures import CLASSES, GREY, NOISE, PREDICTED, add_legend, given_axes, make_grid, plain_log, styled
 
 #: Half a 95 % interval, in natural sizes, from which a parameter counts as weak: a standard deviation of one.
 WEAK = 1.96
@@ -21,8 +23,9 @@ def parameter_intervals(
     ends: np.ndarray,
     scale: np.ndarray,
     classes: Sequence[str],
+    ax: Any = None,
 ) -> Figure:
-    """Base parameters as dots with 95 % intervals, in units of their natural size, and how sure each one is.
+    """Base parameters as dots with 95 % intervals, in units of their natural size, and how sure each is; into one axis, no more.
 
     Parameters
     ----------
@@ -38,10 +41,10 @@ def parameter_intervals(
         Keys of `CLASSES` (r,).
     """
     count = len(names)
-    figure, axes = make_grid(1, 2, 0.3 + 0.2 * count, left=0.3 + 0.062 * max(map(len, names), default=0), gap=0.4,
-                         sharey=True, width_ratios=(1.9, 1.0))  # fmt: skip
-    left, right = axes[0]
-    y = np.arange(count)
+    panels = 1 if ax is not None and len(given_axes(ax)) == 1 else 2
+    figure, axes = make_grid(1, panels, 0.3 + 0.2 * count, left=0.3 + 0.062 * max(map(len, names), default=0), gap=0.4,
+                         sharey=True, width_ratios=(1.9, 1.0)[:panels], ax=ax)  # fmt: skip
+    left, y = axes[0, 0], np.arange(count)
     position, (low, high) = change / scale, ends / scale
     width = 0.5 * (high - low)
     # The well determined ones set the scale: weak ones would press them all to zero.
@@ -62,31 +65,39 @@ def parameter_intervals(
         for k in at[np.abs(position[at]) > limit]:
             side = np.sign(position[k])
             left.plot(0.985 * side * limit, y[k], ">" if side > 0 else "<", ms=5.5, color=colour, mew=0)
-        shown = sure[width[sure] > 0]
-        right.hlines(y[shown], 1e-30, 100 * width[shown], color="#cbd5e1", lw=0.9)
-        right.plot(100 * width[shown], y[shown], "o", ms=4.5, color=colour, mew=0)
     left.axvline(0.0, color="#334155", lw=0.9)
     left.set(xlim=(-limit, limit), ylim=(count - 0.3, -0.7), xlabel="change against the nominal model, in natural sizes")
     left.set_yticks(y, names)
     left.grid(axis="y", visible=False)
     left.set_title("Value and 95 % interval")
-    right.set_title("How sure")
-    right.set_xlabel("half interval [% of natural size]")
-    right.grid(axis="y", visible=False)
-    positive = 100 * width[np.isfinite(width) & (width > 0)]
-    if len(positive):
-        right.set_xscale("log")
-        right.set_xlim(10 ** np.floor(np.log10(positive.min()) - 0.1), 10 ** np.ceil(np.log10(positive.max()) + 0.1))
-        right.axvline(100.0 * WEAK, color=CLASSES["weak"], lw=0.9, ls="--")
-        plain_log(right.xaxis)
-    else:
-        right.set(title="", xlabel="", xticks=[], frame_on=False)
-        right.text(0.5, 0.5, "no honest interval", transform=right.transAxes, ha="center", color=GREY)
     left.tick_params(axis="y", length=0)
-    right.tick_params(axis="y", length=0)
-    handles, labels = left.get_legend_handles_labels()
-    add_legend(figure, handles, labels)
+    if panels == 2:
+        _how_sure(axes[0, 1], 100 * width, classes)
+    add_legend(axes, *left.get_legend_handles_labels())
     return figure
+
+
+def _how_sure(ax: Axes, width: np.ndarray, classes: Sequence[str]) -> None:
+    """Half of each interval (r,) [% of the natural size], downwards."""
+    positive = np.flatnonzero(np.isfinite(width) & (width > 0))
+    ax.set(ylim=(len(width) - 0.3, -0.7))
+    ax.tick_params(axis="y", length=0, labelleft=False)
+    if not len(positive):
+        ax.set(xticks=[], frame_on=False)
+        ax.text(0.5, 0.5, "no honest interval", transform=ax.transAxes, ha="center", color=GREY)
+        return
+    shown = width[positive]
+    ax.hlines(positive, 1e-30, shown, color="#cbd5e1", lw=0.9)
+    for kind, colour in CLASSES.items():
+        own = np.array(classes)[positive] == kind
+        ax.plot(shown[own], positive[own], "o", ms=4.5, color=colour, mew=0)
+    ax.set_title("How sure")
+    ax.set_xlabel("half interval [% of natural size]")
+    ax.grid(axis="y", visible=False)
+    ax.set_xscale("log")
+    ax.set_xlim(10 ** np.floor(np.log10(shown.min()) - 0.1), 10 ** np.ceil(np.log10(shown.max()) + 0.1))
+    ax.axvline(100.0 * WEAK, color=CLASSES["weak"], lw=0.9, ls="--")
+    plain_log(ax.xaxis)
 
 
 @styled

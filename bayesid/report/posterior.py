@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from bayesid.posterior.result import Posterior
 from bayesid.report.notation import short_names
 from bayesid.report.page import render, run_times, svg, versions
 from bayesid.report.posterior_figures import marginals, narrowing, ranks
@@ -55,12 +56,13 @@ def posterior_report(result: ExperimentPosterior) -> str:
     )
 
 
-def marginals_figure(result: ExperimentPosterior) -> Figure:
+def marginals_figure(result: Posterior, ax: Any = None) -> Figure:
     """Posterior, prior and nominal value of every base parameter."""
     flat = result.base_draws.reshape(-1, result.base.rank)
     prior = result.model.prior_draws(_PRIOR_DRAWS, np.random.default_rng(result.seed))
     pushed = None if prior is None else prior @ result.base.matrix.T
-    return marginals(short_names(result.base), flat, pushed, result.problem.regression.nominal)
+    nominal = result.problem.regression.nominal if isinstance(result, ExperimentPosterior) else None
+    return marginals(short_names(result.base), flat, pushed, nominal, ax)
 
 
 def _link_names(names) -> list[str]:

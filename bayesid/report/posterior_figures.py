@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -17,7 +18,9 @@ _RANKS = 20
 
 
 @styled
-def marginals(names: Sequence[str], draws: np.ndarray, prior: np.ndarray | None, nominal: np.ndarray | None) -> Figure:
+def marginals(
+    names: Sequence[str], draws: np.ndarray, prior: np.ndarray | None, nominal: np.ndarray | None, ax: Any = None
+) -> Figure:
     """Marginal posterior of every base parameter beside its prior.
 
     Parameters
@@ -31,9 +34,10 @@ def marginals(names: Sequence[str], draws: np.ndarray, prior: np.ndarray | None,
     nominal
         (r,), or None.
     """
-    rows = -(-len(names) // _COLUMNS)
-    figure, axes = make_grid(rows, _COLUMNS, 1.0, left=0.2, gap=0.22)
-    figure.subplots_adjust(hspace=0.6)
+    columns = _COLUMNS if ax is None else 1
+    figure, axes = make_grid(-(-len(names) // columns), columns, 1.0, left=0.2, gap=0.22, ax=ax)
+    if ax is None:
+        figure.subplots_adjust(hspace=0.6)
     for k, ax in enumerate(axes.ravel()):
         if k >= len(names):
             ax.set_visible(False)
@@ -64,7 +68,7 @@ def marginals(names: Sequence[str], draws: np.ndarray, prior: np.ndarray | None,
     handles: dict[str, object] = {}
     for ax in axes.ravel():
         handles |= {label: handle for handle, label in zip(*ax.get_legend_handles_labels(), strict=True)}
-    add_legend(figure, list(handles.values()), list(handles))
+    add_legend(axes, list(handles.values()), list(handles))
     return figure
 
 
@@ -118,5 +122,5 @@ def ranks(names: Sequence[str], draws: np.ndarray) -> Figure:
         ax.set_title(names[k] if len(names[k]) < 34 else names[k][:31] + "...", fontsize=8)
         ax.set(ylim=(0, 2.0 * level), xlim=(0, chains * count), xlabel="rank", yticks=[])
         ax.xaxis.set_major_locator(MaxNLocator(3))
-    add_legend(figure, *axes[0, 0].get_legend_handles_labels())
+    add_legend(axes, *axes[0, 0].get_legend_handles_labels())
     return figure

@@ -2,55 +2,75 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from bayesid.recordings.table import WRENCH_COLUMNS
-from bayesid.report.figures import DENSE, MEASURED, NOISE, PREDICTED, add_legend, make_grid, plain_log, styled, tidy_time
+from bayesid.report.figures import (
+    DENSE,
+    MEASURED,
+    NOISE,
+    PREDICTED,
+    add_legend,
+    given_axes,
+    make_grid,
+    picked,
+    plain_log,
+    styled,
+    tidy_time,
+)
 from bayesid.validation.prediction import BAND, Prediction, Spectrum
 
 
 @styled
-def measured_against_predicted(prediction: Prediction) -> Figure:
+def measured_against_predicted(
+    prediction: Prediction, channels: Sequence[str] | str | None = None, ax: Any = None
+) -> Figure:
     """Each channel of one motion, measured and predicted: the paper's figure 5."""
-    count = len(prediction.channel_names)
-    columns = 2 if count > 1 else 1
+    chosen = picked(prediction.channel_names, channels)
+    count = len(chosen)
+    columns = 2 if count > 1 and ax is None else 1
     rows = -(-count // columns)
-    figure, axes = make_grid(rows, columns, 1.15, sharex=True)
+    figure, axes = make_grid(rows, columns, 1.15, sharex=True, ax=ax)
     # A wrench: forces on the left, moments on the right. Anything else: row by row.
-    order = axes.T.ravel() if prediction.channel_names == WRENCH_COLUMNS else axes.ravel()
+    order = axes.T.ravel() if tuple(prediction.channel_names[k] for k in chosen) == WRENCH_COLUMNS else axes.ravel()
     x, (measured, predicted) = _with_breaks(prediction, prediction.measured, prediction.predicted)
     dense = len(x) > DENSE
-    for k, (ax, name, unit) in enumerate(zip(order, prediction.channel_names, prediction.channel_units, strict=False)):
+    for k, ax in zip(chosen, order, strict=False):
         if prediction.poses:
             ax.plot(x, measured[:, k], "o", ms=6, mfc="none", mew=1.6, color="#64748b", label="measured")
             ax.plot(x, predicted[:, k], "x", ms=5, mew=1.4, color=PREDICTED, label="predicted")
         else:
             ax.plot(x, measured[:, k], color=MEASURED, lw=3.2, label="measured", rasterized=dense)
             ax.plot(x, predicted[:, k], color=PREDICTED, lw=0.9, label="predicted", rasterized=dense)
-        ax.set_title(f"{name} [{unit}]")
+        ax.set_title(f"{prediction.channel_names[k]} [{prediction.channel_units[k]}]")
         ax.yaxis.set_major_locator(MaxNLocator(4))
         tidy_time(ax, x, prediction.poses)
     for ax in order[count:]:
         ax.set_visible(False)
     _label_lowest(axes, "pose" if prediction.poses else "time [s]")
-    add_legend(figure, *order[0].get_legend_handles_labels())
+    add_legend(axes, *order[0].get_legend_handles_labels())
     return figure
 
 
 @styled
-def residuals(prediction: Prediction) -> Figure:
-    """What is left of each channel, in time and in frequency, beside the noise."""
-    spectrum, count = prediction.spectrum, len(prediction.channel_names)
-    if spectrum is None:
-        figure, axes = make_grid(count, 1, 0.95, sharex=True)
-    else:
-        figure, axes = make_grid(count, 2, 0.95, sharex="col", width_ratios=(1.7, 1.0))
-    x, (left,) = _with_breaks(prediction, prediction.residuals)
+def residuals(prediction: Prediction, channels: Sequence[str] | str | None = None, ax: Any = None) -> Figure:
+    """What is left of each channel, in time and in frequency, beside the noise; into one axis a channel, in time alone."""
+    chosen = picked(prediction.channel_names, channels)
+    spectrum, count = prediction.spectrum, len(chosen)
     level = None if spectrum is None or spectrum.filtered else noise_in_band(spectrum)
-    for k, (name, unit) in enumerate(zip(prediction.channel_names, prediction.channel_units, strict=True)):
-        ax = axes[k, 0]
+    if spectrum is None or (ax is not None and len(given_axes(ax)) == count):
+        spectrum = None
+        figure, axes = make_grid(count, 1, 0.95, sharex=True, ax=ax)
+    else:
+        figure, axes = make_grid(count, 2, 0.95, sharex="col", width_ratios=(1.7, 1.0), ax=ax)
+    x, (left,) = _with_breaks(prediction, prediction.residuals)
+    for row, k in zip(axes, chosen, strict=True):
+        name, unit, ax = prediction.channel_names[k], prediction.channel_units[k], row[0]
         if prediction.poses:
             ax.vlines(x, 0.0, left[:, k], color=PREDICTED, lw=1.2)
             ax.plot(x, left[:, k], "o", ms=4, color=PREDICTED, mew=0)
@@ -63,7 +83,7 @@ def residuals(prediction: Prediction) -> Figure:
         ax.yaxis.set_major_locator(MaxNLocator(4, symmetric=True))
         tidy_time(ax, x, prediction.poses)
         if spectrum is not None:
-            ax = axes[k, 1]
+            ax = row[1]
             ax.loglog(spectrum.frequencies, spectrum.residual[:, k], color=PREDICTED, lw=0.9)
             ax.loglog(spectrum.frequencies, spectrum.noise[:, k], color=NOISE, lw=1.8, label="noise model")
             ax.set_title(f"{name} [{unit}/√Hz]")
@@ -76,7 +96,7 @@ def residuals(prediction: Prediction) -> Figure:
         axes[-1, 1].set_xlabel("frequency [Hz]")
         more = axes[0, 1].get_legend_handles_labels()
         handles, labels = [*handles, *more[0]], [*labels, *more[1]]
-    add_legend(figure, handles, labels)
+    add_legend(axes, handles, labels)
     return figure
 
 

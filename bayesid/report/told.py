@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import numpy as np
 from markupsafe import Markup
 
 from bayesid.design.tell.choose import Telling
-from bayesid.report.excitation_figures import motion
+from bayesid.report.excitation_figures import motion, motion_panels
 from bayesid.report.page import render, run_times, versions
 from bayesid.results.telling import chance, duration
 from bayesid.results.text import number, percent
@@ -21,12 +22,17 @@ def pair_rows(telling: Telling) -> list[dict[str, str]]:
     ]  # fmt: skip
 
 
-def motion_plot(telling: Telling) -> Markup:
-    """Positions, velocities and accelerations of the joints."""
+def panels_of(telling: Telling) -> list[tuple[str, str, list[str], np.ndarray]]:
+    """Panels of the motion: positions, velocities and accelerations of the joints."""
     t = telling.trajectory
     parts = [("joint positions", "rad or m", t.positions), ("joint velocities", "per s", t.velocities),
              ("joint accelerations", "per s²", t.accelerations)]  # fmt: skip
-    return motion(t.times, parts, {})
+    return motion_panels(parts, {})
+
+
+def motion_plot(telling: Telling) -> Markup:
+    """The same as a figure of a report."""
+    return motion(telling.trajectory.times, panels_of(telling))
 
 
 def told_report(result: Told) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,6 +12,8 @@ from bayesid.report.watch_figures import course, sizes
 from bayesid.results.text import HALF, channel_text, number, percent
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from bayesid.results.watch import Watch
 
 _MOODS = {"nothing_missing": "good", "unknown": "bad", "not_compared": "bad"}
@@ -32,6 +34,16 @@ def watch_report(result: Watch) -> str:
         how=[("Recordings", f"{len(entries)} of {result.planned}"), ("Run time", f"{number(result.seconds, 3)} s"),
              versions("numpy", "scipy", "pin")],
     )  # fmt: skip
+
+
+def gap_figure(result: Watch, ax: Any = None) -> Figure:
+    """What the reference leaves of each recording in turn, in what the recording's own fit leaves."""
+    from bayesid.report.curve_figures import course_figure
+
+    entries = result.recordings
+    changed = np.array([bool(w.changes) or w.verdict == "unknown" for w in entries], bool)
+    title = "What the reference leaves, in what the recording's own fit leaves"
+    return course_figure([w.name for w in entries], np.array([w.gap for w in entries]), changed, title, ax)
 
 
 def _sizes(result: Watch) -> list:

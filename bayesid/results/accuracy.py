@@ -12,9 +12,9 @@ from bayesid.design.accuracy.certificate import Certificate
 from bayesid.design.accuracy.sensor_choice import SensorChoice
 from bayesid.design.accuracy.susceptibility import Susceptibility
 from bayesid.design.accuracy.sweeps import Level, Sweep, Sweeps
+from bayesid.drawing import figures_of
 from bayesid.errors import InputError
 from bayesid.results.accuracy_text import accuracy_text
-from bayesid.results.figures import figures_of
 from bayesid.results.files import Result, strict
 
 if TYPE_CHECKING:
@@ -47,6 +47,7 @@ class Accuracy(Result):
         Run time by stage.
     """
 
+    verb = "accuracy"
     bench: Bench
     std: np.ndarray
     sweeps: Sweeps | None
@@ -102,22 +103,26 @@ class Accuracy(Result):
             raise InputError(f"no factor '{name}' was varied; there are {', '.join(found) or 'none, as runs = 0'}")
         return found[name]
 
-    def plot_sweeps(self) -> Figure:
-        """Errors over each factor; InputError where nothing was simulated."""
-        return self._figure("sweeps", self.sweeps is not None, "give runs")
+    def plot_sweeps(self, *, ax: Any = None) -> Figure:
+        """Draw the errors over each factor, into one axis a factor; InputError where nothing was simulated."""
+        return self._figure("sweeps", self.sweeps is not None, "give runs", ax)
 
-    def plot_susceptibility(self) -> Figure:
-        """Bias of every base parameter by every effect left out, as a map."""
-        return self._figure("susceptibility", bool(self.susceptibility), "the model has every effect there is")
+    def plot_susceptibility(self, *, ax: Any = None) -> Figure:
+        """Draw the bias of every base parameter by every effect left out, as a map."""
+        return self._figure("susceptibility", bool(self.susceptibility), "the model has every effect there is", ax)
 
-    def plot_certificate(self) -> Figure:
-        """Coverage of every base parameter; InputError where none was asked for."""
-        return self._figure("certificate", self.certificate is not None, "give certificate=400")
+    def plot_certificate(self, *, ax: Any = None) -> Figure:
+        """Draw the coverage of every base parameter; InputError where none was asked for."""
+        return self._figure("certificate", self.certificate is not None, "give certificate=400", ax)
 
-    def _figure(self, name: str, there: bool, remedy: str) -> Figure:
+    def plot(self, *, ax: Any = None) -> Figure:
+        """Draw the errors over each factor where they were simulated, else what effects left out do."""
+        return self.plot_susceptibility(ax=ax) if self.sweeps is None else self.plot_sweeps(ax=ax)
+
+    def _figure(self, name: str, there: bool, remedy: str, ax: Any) -> Figure:
         if not there:
             raise InputError(f"there is nothing to draw: {remedy}")
-        return figures_of(self)[name]()
+        return figures_of(self)[name](ax=ax)
 
     def to_dict(self) -> dict[str, Any]:
         """``accuracy.json``."""

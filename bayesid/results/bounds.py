@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
 from typing import TYPE_CHECKING, Any
@@ -16,10 +16,10 @@ from bayesid.design.bounds.region import Region
 from bayesid.design.bounds.remainder import InsideJoints, Remainder
 from bayesid.design.bounds.robust import ellipsoid_term, norm_term, tracking_bound
 from bayesid.design.bounds.workspace import Workspace, mass_eigenvalues
+from bayesid.drawing import figures_of
 from bayesid.errors import InputError
 from bayesid.estimators.estimator import LEVEL
 from bayesid.results.bounds_text import HEAD, facts, joints, trajectories
-from bayesid.results.figures import figures_of
 from bayesid.results.files import Result
 from bayesid.results.text import html_table, text_table
 
@@ -98,6 +98,7 @@ class ControllerBounds(Result):
         Of everything random.
     """
 
+    verb = "bounds"
     known: Known
     parameters: Region
     torque_model: ReadingModel
@@ -244,15 +245,38 @@ class ControllerBounds(Result):
 
     # ---- as data --------------------------------------------------------------------------------------------------
 
-    def plot_torque(self, trajectory: str | None = None) -> Figure:
-        """Torques of a trajectory with their bands; default the first."""
-        return self._plot("torque", trajectory)
+    def plot_torque(
+        self, trajectory: str | None = None, *, channels: Sequence[str] | str | None = None, ax: Any = None
+    ) -> Figure:
+        """Draw the torques of a trajectory with their bands.
 
-    def plot_wrench(self, trajectory: str | None = None) -> Figure:
-        """Wrench of a trajectory with its bands; default the first."""
-        return self._plot("wrench", trajectory)
+        Parameters
+        ----------
+        trajectory
+            Its name; default the first.
+        channels
+            Which readings, such as ``["tau1"]``; default all.
+        ax
+            matplotlib's Axes to draw into, two for each channel: the band, and half its width; default a figure of its own.
 
-    def _plot(self, channel: str, name: str | None) -> Figure:
+        Raises
+        ------
+        InputError
+            There is no such trajectory or channel, or the number of axes is another.
+        """
+        return self._plot("torque", trajectory, channels, ax)
+
+    def plot_wrench(
+        self, trajectory: str | None = None, *, channels: Sequence[str] | str | None = None, ax: Any = None
+    ) -> Figure:
+        """Draw the wrench of a trajectory with its bands; as `plot_torque`."""
+        return self._plot("wrench", trajectory, channels, ax)
+
+    def plot(self, *, ax: Any = None) -> Figure:
+        """Draw the torques of the first trajectory; as `plot_torque`."""
+        return self.plot_torque(ax=ax)
+
+    def _plot(self, channel: str, name: str | None, channels: Sequence[str] | str | None, ax: Any) -> Figure:
         known: Mapping[str, TrajectoryBands] = {t.name: t for t in self.trajectories}
         if not known:
             raise InputError("no trajectory has bands, as no motion of the experiment moves; pass trajectory= to bounds")
@@ -261,8 +285,7 @@ class ControllerBounds(Result):
         shown = getattr(known[name] if name is not None else self.trajectories[0], channel)
         if shown is None:
             raise InputError("the experiment has no [sensor], so it has no wrench; describe it in experiment.toml")
-        draw: Callable[[Band], Figure] = figures_of(self)["band"]
-        return draw(shown)
+        return figures_of(self)["band"](shown, channels, ax)
 
     def to_dict(self) -> dict[str, Any]:
         """``bounds.json``."""

@@ -29,6 +29,7 @@ class Changes(Result):
         Run time.
     """
 
+    verb = "changes"
     comparison: Comparison
     seconds: float = 0.0
 

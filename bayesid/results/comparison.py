@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bayesid.drawing import figures_of
 from bayesid.errors import InputError
 from bayesid.estimators import Estimate
 from bayesid.estimators.weights import Weights
 from bayesid.regression.problem import Problem
 from bayesid.regression.regression import Regression
 from bayesid.results.entry import Entry, equal_estimates
-from bayesid.results.figures import figures_of
 from bayesid.results.files import Result
 from bayesid.results.text import DASH, chance, channel_text, html_table, number, percent, text_table, with_interval
 from bayesid.validation.agreement import Gap, HausmanTest
@@ -58,6 +58,7 @@ class Comparison(Result):
         Run time by stage.
     """
 
+    verb = "compare"
     regression: Regression
     problem: Problem | None
     weights: Weights
@@ -121,20 +122,30 @@ class Comparison(Result):
         tables = {name: e.to_dataframe() for name, e in self.estimates.items()}
         return concat(tables, names=["method"]).reset_index(level="method").reset_index(drop=True)
 
-    def plot_errors(self) -> Figure:
-        """What each estimator's predictions miss, motion by motion.
+    def plot_errors(self, *, ax: Any = None) -> Figure:
+        """Draw what each estimator's predictions miss, motion by motion.
+
+        Parameters
+        ----------
+        ax
+            matplotlib's Axes to draw into: one a motion, or two where the second shows the noise; default a figure of its own.
 
         Raises
         ------
         InputError
-            A regression of one's own was compared, which has no motions to predict.
+            A regression of one's own was compared, which has no motions to predict; or the number of axes is another.
         """
         if self.problem is None:
             raise InputError("a regression of one's own has no motions to predict; compare estimators on an experiment")
-        return figures_of(self)["errors"]()
+        return figures_of(self)["errors"](ax=ax)
 
-    def plot_values(self) -> Figure:
-        """Base parameters by each estimator with their 95 % intervals, around those of the reference.
+    def plot_values(self, *, ax: Any = None) -> Figure:
+        """Draw the base parameters by each estimator with their 95 % intervals, around those of the reference.
+
+        Parameters
+        ----------
+        ax
+            matplotlib's Axes to draw into, one; default a figure of its own.
 
         Raises
         ------
@@ -143,7 +154,11 @@ class Comparison(Result):
         """
         if self.reference is None:
             raise InputError("no estimator here has intervals to compare by; add wls to the methods")
-        return figures_of(self)["values"]()
+        return figures_of(self)["values"](ax=ax)
+
+    def plot(self, *, ax: Any = None) -> Figure:
+        """Draw the errors, or the values where there are no motions; as `plot_errors` and `plot_values`."""
+        return self.plot_values(ax=ax) if self.problem is None else self.plot_errors(ax=ax)
 
     def __repr__(self) -> str:
         of = "a regression" if self.problem is None else self.problem.experiment.name

@@ -10,6 +10,8 @@ from bayesid.results.findings import Findings
 class Diagnosis(Findings, Result):
     """What `diagnose` found: `Findings` that can be printed and written."""
 
+    verb = "diagnose"
+
     def __repr__(self) -> str:
         named = f": {', '.join(f.term.effect.spec for f in self.found)}" if self.found else ""
         return f"<Diagnosis of {self.data.experiment.name}: {self.verdict}{named}>"

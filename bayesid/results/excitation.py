@@ -118,6 +118,7 @@ class Excitation(Result):
         Run time of every stage.
     """
 
+    verb = "excite"
     name: str
     joint_names: tuple[str, ...]
     prismatic: np.ndarray

@@ -1,29 +1,17 @@
-"""The figures of results, as matplotlib figures; matplotlib is imported when one is drawn."""
+"""Figures of results with predictions of motions."""
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Protocol
 
+from bayesid.drawing import Plots, figures_of
 from bayesid.errors import InputError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from bayesid.validation.prediction import Prediction
-
-
-@functools.singledispatch
-def figures_of(result: object) -> Mapping[str, Callable[..., Any]]:
-    """Functions that draw a result's figures, by what they show; each verb registers its own, as for `files_of`.
-
-    Raises
-    ------
-    TypeError
-        No verb has registered this type of result.
-    """
-    raise TypeError(f"{type(result).__name__} has no figures: no verb in bayesid.workflows registers them")
 
 
 class HasPredictions(Protocol):
@@ -40,27 +28,44 @@ class HasPredictions(Protocol):
         ...
 
 
-class PlotsPredictions:
+class PlotsPredictions(Plots):
     """Figures of the predictions in ``fitted`` and ``validation``."""
 
-    def plot_predictions(self: HasPredictions, motion: str | None = None) -> Figure:
-        """Readings of a motion, measured and predicted, channel by channel.
+    def plot_predictions(
+        self: HasPredictions, motion: str | None = None, *, channels: Sequence[str] | str | None = None, ax: Any = None
+    ) -> Figure:
+        """Draw the readings of a motion, measured and predicted, channel by channel.
 
         Parameters
         ----------
         motion
             Its name; default the first that was not fitted, or the first fitted one where there is none.
+        channels
+            Which readings, such as ``["fx", "mz"]``; default all.
+        ax
+            matplotlib's Axes to draw into, one for each channel; default a figure of its own.
 
         Raises
         ------
         InputError
-            There is no such motion.
+            There is no such motion or channel, or there are fewer or more axes than channels.
         """
-        return figures_of(self)["predictions"](_predicted(self, motion))
+        return figures_of(self)["predictions"](_predicted(self, motion), channels, ax)
 
-    def plot_residuals(self: HasPredictions, motion: str | None = None) -> Figure:
-        """What was measured less what was predicted, in time and as a spectrum beside the noise; as `plot_predictions`."""
-        return figures_of(self)["residuals"](_predicted(self, motion))
+    def plot(
+        self: HasPredictions, motion: str | None = None, *, channels: Sequence[str] | str | None = None, ax: Any = None
+    ) -> Figure:
+        """Draw measured and predicted readings; as `plot_predictions`."""
+        return figures_of(self)["predictions"](_predicted(self, motion), channels, ax)
+
+    def plot_residuals(
+        self: HasPredictions, motion: str | None = None, *, channels: Sequence[str] | str | None = None, ax: Any = None
+    ) -> Figure:
+        """Draw what was measured less what was predicted, in time and as a spectrum beside the noise; as `plot_predictions`.
+
+        With one axis a channel, in time alone; with two, row by row, the spectrum stands in the second.
+        """
+        return figures_of(self)["residuals"](_predicted(self, motion), channels, ax)
 
 
 def _predicted(result: HasPredictions, motion: str | None) -> Prediction:

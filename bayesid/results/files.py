@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import hashlib
 import json
 import os
@@ -15,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from bayesid.arguments import argument
+from bayesid.drawing import Plots, registered_by_verb
 from bayesid.errors import InputError
 from bayesid.recordings.complaints import cut
 from bayesid.recordings.whole import whole_folder
@@ -56,7 +56,7 @@ class Files(NamedTuple):
     report: str
 
 
-@functools.singledispatch
+@registered_by_verb
 def files_of(result: object) -> Files:
     """The files of a result; each verb registers its own, so that results need to know nothing of reports.
 
@@ -68,8 +68,8 @@ def files_of(result: object) -> Files:
     raise TypeError(f"{type(result).__name__} has no files: no verb in bayesid.workflows registers them")
 
 
-class Result:
-    """What every verb returns: plain data that can be shown, made into a dictionary and written."""
+class Result(Plots):
+    """What every verb returns: plain data that can be shown, drawn, made into a dictionary and written."""
 
     def write(self, folder: str | Path) -> Path:
         """Write the verb's files and ``report.html``, all or none; returns the report's path."""

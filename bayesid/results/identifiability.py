@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 from bayesid.design.findings import Findings
 from bayesid.design.identifiability import SetReport
 from bayesid.design.visibility import WORDS, LinkExpectation
+from bayesid.drawing import figures_of
 from bayesid.posterior.result import PRIOR_DRIVEN
-from bayesid.results.figures import figures_of
 from bayesid.results.files import Result, strict
 from bayesid.results.identifiability_text import as_html, as_text
 
@@ -22,6 +22,8 @@ SCHEMA = 1
 @dataclass(frozen=True, eq=False, repr=False)
 class Identifiability(Findings, Result):
     """What motions can and cannot determine, for each sensor set."""
+
+    verb = "identifiability"
 
     def __repr__(self) -> str:
         return f"<Identifiability of {self.name}: rank {self.main.rank} from {self.main.sensor_set.title}>"
@@ -36,13 +38,13 @@ class Identifiability(Findings, Result):
         """The report of a sensor set, ``torque`` for example."""
         return {r.sensor_set.name: r for r in self.sensor_sets}[name]
 
-    def plot_classes(self) -> Figure:
-        """Every link parameter's class, a panel for each sensor set."""
-        return figures_of(self)["classes"]()
+    def plot_classes(self, *, ax: Any = None) -> Figure:
+        """Draw every link parameter's class, a panel (and one of the axes given) for each sensor set."""
+        return figures_of(self)["classes"](ax=ax)
 
-    def plot_expected(self) -> Figure:
-        """Expected standard deviation of every combination over its size, for the readings that would be used."""
-        return figures_of(self)["expected"]()
+    def plot_expected(self, *, ax: Any = None) -> Figure:
+        """Draw the expected standard deviation of every combination over its size, for the readings that would be used."""
+        return figures_of(self)["expected"](ax=ax)
 
     def to_dict(self) -> dict[str, Any]:
         """``identifiability.json``."""

@@ -11,21 +11,22 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayesid.design.accuracy.certificate import Certificate
+from bayesid.drawing import figures_of
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.effects import Term
 from bayesid.errors import InputError
 from bayesid.estimators import Estimate
 from bayesid.estimators.parameters import HasParameters, Parameters, central_interval
 from bayesid.estimators.prior_check import PriorCheck, conflicts
-from bayesid.estimators.rounding import LEVEL
 from bayesid.recordings.schema import EffectParameters
 from bayesid.regression.parallel import in_order, one_blas_thread
 from bayesid.regression.problem import Problem
 from bayesid.results.bodies import impossible_bodies
-from bayesid.results.figures import PlotsPredictions, figures_of
+from bayesid.results.figures import PlotsPredictions
 from bayesid.results.files import Result
 from bayesid.results.fitted_model import fitted_model
 from bayesid.results.urdf_links import UrdfLinks
+from bayesid.rounding import LEVEL
 from bayesid.validation.cross_checks import Agreement
 from bayesid.validation.headline import over_noise, still_predictable
 from bayesid.validation.noise_floor import NoiseFloor
@@ -73,6 +74,7 @@ class Identification(PlotsPredictions, HasParameters, Result):
         Noise that no model can remove, where something tells it.
     """
 
+    verb = "identify"
     problem: Problem
     estimate: Estimate
     urdf: UrdfLinks
@@ -194,9 +196,15 @@ class Identification(PlotsPredictions, HasParameters, Result):
             [*self.base.units, *units], [*self.estimate.classes, *["effect"] * len(names)],
         )  # fmt: skip
 
-    def plot_intervals(self) -> Figure:
-        """Base parameters against the nominal model, with their 95 % intervals."""
-        return figures_of(self)["intervals"]()
+    def plot_intervals(self, *, ax: Any = None) -> Figure:
+        """Draw the base parameters against the nominal model, with their 95 % intervals.
+
+        Parameters
+        ----------
+        ax
+            matplotlib's Axes to draw into: one, or two where the second shows how sure each is; default a figure of its own.
+        """
+        return figures_of(self)["intervals"](ax=ax)
 
     def __repr__(self) -> str:
         p = self.problem

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -12,6 +13,9 @@ from bayesid.recordings.experiment import Experiment, Motion
 from bayesid.recordings.timing import TOLD, Timing
 from bayesid.results.files import Result
 from bayesid.validation.mistakes.mistake import Mistake
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 SCHEMA = 1
 
@@ -113,6 +117,7 @@ class Inspection(Result):
         What looks doubtful, most important first.
     """
 
+    verb = "check"
     experiment: Experiment
     motions: tuple[MotionSummary, ...]
     sensor_sets: tuple[SensorSet, ...]
@@ -122,6 +127,10 @@ class Inspection(Result):
     position_std: np.ndarray
     mistakes: tuple[Mistake, ...]
     warnings: tuple[str, ...]
+
+    def plot(self, motion: str | None = None, *, channels: Sequence[str] | str | None = None, ax: Any = None) -> Figure:
+        """Draw the recording of a motion, the first by default; as `Experiment.plot`."""
+        return self.experiment.plot(motion, channels=channels, ax=ax)
 
     @property
     def name(self) -> str:

@@ -9,13 +9,13 @@ import numpy as np
 
 from bayesid.posterior.result import Posterior
 from bayesid.regression.problem import Problem
-from bayesid.results.figures import PlotsPredictions, figures_of
+from bayesid.results.figures import PlotsPredictions
 from bayesid.results.files import Result
 from bayesid.validation.predicted_readings import PredictedReadings, predict_readings
 from bayesid.validation.prediction import Prediction
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    pass
 
 SCHEMA = 1
 
@@ -53,10 +53,6 @@ class ExperimentPosterior(PlotsPredictions, Posterior, Result):
         nothing = np.zeros(columns.shape[1], bool)
         covariance = np.atleast_2d(np.cov(columns.T))
         return predict_readings(self.problem, columns.mean(axis=0), covariance, nothing, q, v, a, times)
-
-    def plot_marginals(self) -> Figure:
-        """Posterior, prior and nominal value of every base parameter."""
-        return figures_of(self)["marginals"]()
 
     def to_dict(self) -> dict[str, Any]:
         """``posterior.json``."""

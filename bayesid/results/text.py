@@ -6,7 +6,7 @@ from html import escape
 
 import numpy as np
 
-from bayesid.estimators.rounding import DASH, HALF, ends, interval, number, with_half, with_interval
+from bayesid.rounding import DASH, HALF, ends, interval, number, with_half, with_interval
 
 __all__ = [
     "DASH", "HALF", "chance", "channel_text", "ends", "html_table", "interval", "number", "percent", "text_table", "with_half",

@@ -33,6 +33,7 @@ class Told(Result):
         Run time of every stage.
     """
 
+    verb = "tell"
     name: str
     channel: str
     recordings: tuple[str, ...]

@@ -111,6 +111,7 @@ class Watch(Result):
         Run time.
     """
 
+    verb = "watch"
     reference: str
     folder: str | None
     recordings: tuple[Watched, ...]

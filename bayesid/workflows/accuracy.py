@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,13 +16,13 @@ from bayesid.design.accuracy.sensor_choice import choose_sensor
 from bayesid.design.accuracy.sensor_file import Candidate, read_sensors
 from bayesid.design.accuracy.susceptibility import susceptibility
 from bayesid.design.accuracy.sweeps import Sweeps, sweep
+from bayesid.drawing import Figures, figures_of
 from bayesid.errors import InputError
 from bayesid.estimators import DEFAULT_METHOD, METHODS, Estimator, estimator
 from bayesid.recordings.experiment import Experiment, as_experiment
 from bayesid.regression.options import FitOptions, fit_options
 from bayesid.regression.parallel import one_blas_thread
 from bayesid.results.accuracy import Accuracy
-from bayesid.results.figures import figures_of
 from bayesid.results.files import Files, amend, files_of, read_document
 from bayesid.results.identification import Identification
 from bayesid.signals.filters import LowPass
@@ -124,12 +124,12 @@ def accuracy(
 
 
 @figures_of.register
-def _(result: Accuracy) -> Mapping[str, Callable[..., Any]]:
+def _(result: Accuracy) -> Figures:
     from bayesid.report.accuracy import bias_map
     from bayesid.report.accuracy_figures import sweeps_figure
     from bayesid.report.certificate import coverage_figure
 
-    figures: dict[str, Callable[..., Any]] = {"susceptibility": partial(bias_map, result)}
+    figures: dict[str, Any] = {"susceptibility": partial(bias_map, result)}
     if result.sweeps is not None:
         figures["sweeps"] = partial(sweeps_figure, result.sweeps)
     if result.certificate is not None:

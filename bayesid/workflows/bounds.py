@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ from bayesid.design.bounds.model import ReadingModel, left_out_effects, sensor_m
 from bayesid.design.bounds.remainder import inside_joints, remainder
 from bayesid.design.bounds.robust import effort_ratio
 from bayesid.design.bounds.workspace import CONFIGURATIONS, sobol_configurations, workspace_bounds
+from bayesid.drawing import Figures, figures_of
 from bayesid.effects import MotionSegment
 from bayesid.errors import InputError
 from bayesid.estimators import DEFAULT_METHOD, Estimator
@@ -27,7 +28,6 @@ from bayesid.regression.parallel import one_blas_thread
 from bayesid.regression.problem import Problem
 from bayesid.regression.readings import make_channels
 from bayesid.results.bounds import ControllerBounds, TrajectoryBands
-from bayesid.results.figures import figures_of
 from bayesid.results.files import Files, files_of, strict
 from bayesid.results.identification import Identification
 from bayesid.results.posterior import ExperimentPosterior
@@ -265,7 +265,7 @@ def _states(problem: Problem, motions: Sequence[str]) -> list[MotionSegment]:
 
 
 @figures_of.register
-def _(result: ControllerBounds) -> Mapping[str, Callable[..., Any]]:
+def _(result: ControllerBounds) -> Figures:
     from bayesid.report.bounds_figures import band_figure
 
     return {"band": band_figure}

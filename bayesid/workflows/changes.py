@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 from bayesid.diagnosis.changes.findings import compare_with_reference
 from bayesid.diagnosis.settings import Settings
+from bayesid.drawing import Figures, figures_of
 from bayesid.recordings.experiment import Experiment, as_experiment
 from bayesid.recordings.schema import write_model
 from bayesid.regression.parallel import one_blas_thread
@@ -36,6 +38,13 @@ def changes(
             before, after, channel, effects=effects, motions=motions, seed=seed, settings=settings
         )
     return Changes(found, time.perf_counter() - since)
+
+
+@figures_of.register
+def _(result: Changes) -> Figures:
+    from bayesid.report.changes import evidence_figure
+
+    return {"evidence": partial(evidence_figure, result)}
 
 
 @files_of.register

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
+from bayesid.drawing import Figures, figures_of
 from bayesid.dynamics.base_parameters import structural_base
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, Motion, as_experiment
@@ -74,6 +76,13 @@ def check(experiment: Experiment | str | Path, progress: Progress = quiet) -> In
         mistakes=mistakes,
         warnings=told_first(experiment, [*(m.text for m in mistakes), *warnings]),
     )
+
+
+@figures_of.register
+def _(result: Motion) -> Figures:
+    from bayesid.report.curve_figures import recording_figure
+
+    return {"recording": partial(recording_figure, result)}
 
 
 @files_of.register

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from bayesid.arguments import argument, call
+from bayesid.drawing import Figures, figures_of
 from bayesid.dynamics.nearest_links import nearest_links
 from bayesid.errors import BayesidError, EstimationError, InputError
 from bayesid.estimators import DEFAULT_METHOD, METHODS, Estimator, estimator, fit
@@ -26,7 +26,6 @@ from bayesid.regression.regression import Regression
 from bayesid.results.bodies import impossible_bodies
 from bayesid.results.comparison import Comparison
 from bayesid.results.entry import Entry, equal_estimates
-from bayesid.results.figures import figures_of
 from bayesid.results.files import Files, files_of
 from bayesid.signals.filters import LowPass
 from bayesid.validation.agreement import HausmanTest, gaps, hausman
@@ -141,7 +140,7 @@ def compare(
 
 
 @figures_of.register
-def _(result: Comparison) -> Mapping[str, Callable[..., Any]]:
+def _(result: Comparison) -> Figures:
     from bayesid.report.comparison import errors_figure, values_figure
 
     values = {} if result.reference is None else {"values": partial(values_figure, result, result.reference)}

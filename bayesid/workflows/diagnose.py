@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import overload
 
@@ -23,6 +24,7 @@ from bayesid.diagnosis.shifts import base_shifts
 from bayesid.diagnosis.stability import stability
 from bayesid.diagnosis.validation import residual_spectra, validate
 from bayesid.diagnosis.verdict import evidence_of, named_in_part, verdict
+from bayesid.drawing import Figures, figures_of
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, as_experiment
 from bayesid.recordings.schema import write_model
@@ -206,6 +208,13 @@ def _with_description(result: Diagnosis, seed: int, progress: Progress) -> Diagn
     s = result.search
     starts = [s.best] if result.found else [s.base, *([s.best] if len(s.best.terms) > len(s.base.terms) else [])]
     return replace(result, description=describe(s.base, starts, s.library, seed))
+
+
+@figures_of.register
+def _(result: Diagnosis) -> Figures:
+    from bayesid.report.diagnosis import channels_figure
+
+    return {"channels": partial(channels_figure, result)}
 
 
 @files_of.register

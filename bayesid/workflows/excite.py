@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from bayesid.design.excitation.stops import StopAndGo, stop_and_go
 from bayesid.design.expected import expect
 from bayesid.design.reading_noise import white_noise
 from bayesid.design.visibility import shown
+from bayesid.drawing import Figures, figures_of
 from bayesid.dynamics.regressors import Kernel
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, Sensor, load_experiment, load_setup
@@ -225,6 +227,14 @@ def limit_uses(plan: Plan) -> list[LimitUse]:
 
 def _rows(where, reached, limit, unit, ratio) -> list[tuple[str, float, float, str, float]]:
     return [(w, float(a), float(b), u, float(c)) for w, a, b, u, c in zip(where, reached, limit, unit, ratio, strict=True)]
+
+
+@figures_of.register
+def _(result: Excitation) -> Figures:
+    from bayesid.report.curve_figures import panels_figure
+    from bayesid.report.excitation import panels_of
+
+    return {"motion": partial(panels_figure, result.trajectory.times, panels_of(result))}
 
 
 @files_of.register

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -18,6 +17,7 @@ from bayesid.design.reading_noise import ReadingNoise, recorded_noise, white_noi
 from bayesid.design.sensor_sets import SENSOR_SETS, SensorSet
 from bayesid.design.separability import pair_of, separations
 from bayesid.design.visibility import shown
+from bayesid.drawing import Figures, figures_of
 from bayesid.errors import InputError
 from bayesid.estimators.weights import learn_weights
 from bayesid.recordings.experiment import Experiment, Motion, Sensor, load_experiment, load_setup
@@ -25,7 +25,6 @@ from bayesid.regression.options import NOT_FOR_REGRESSIONS, FitOptions, some_opt
 from bayesid.regression.parallel import one_blas_thread
 from bayesid.regression.readings import default_channel
 from bayesid.regression.regression import Regression
-from bayesid.results.figures import figures_of
 from bayesid.results.files import Files, files_of
 from bayesid.results.identifiability import Identifiability
 from bayesid.robot.robot import Robot
@@ -103,7 +102,7 @@ def identifiability(
 
 
 @figures_of.register
-def _(result: Identifiability) -> Mapping[str, Callable[..., Any]]:
+def _(result: Identifiability) -> Figures:
     from bayesid.report.identifiability import expected_figure
     from bayesid.report.identifiability_figures import classes
 

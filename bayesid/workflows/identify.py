@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from bayesid.arguments import argument, call
+from bayesid.drawing import Figures, figures_of
 from bayesid.dynamics.base_parameters import structural_base
 from bayesid.estimators import DEFAULT_METHOD, Estimate, Estimator, estimator
 from bayesid.estimators.conic.consistent_links import channel_grams
@@ -21,7 +21,6 @@ from bayesid.recordings.schema import write_model
 from bayesid.regression.options import FitOptions, fit_options
 from bayesid.regression.parallel import both, in_order, one_blas_thread
 from bayesid.regression.problem import Problem, prepare, weight_columns
-from bayesid.results.figures import figures_of
 from bayesid.results.files import Files, files_of
 from bayesid.results.identification import Identification
 from bayesid.robot.urdf import write_urdf
@@ -136,7 +135,7 @@ def identify(
 
 
 @figures_of.register
-def _(result: Identification) -> Mapping[str, Callable[..., Any]]:
+def _(result: Identification) -> Figures:
     from bayesid.report.identification import intervals_figure
     from bayesid.report.prediction_figures import measured_against_predicted, residuals
 

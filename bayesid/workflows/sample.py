@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, TypedDict, Unpack, overload
+from typing import TypedDict, Unpack, overload
 
 import numpy as np
 from scipy.linalg import cholesky
 
 from bayesid.arguments import argument, with_given
+from bayesid.drawing import Figures, figures_of
 from bayesid.errors import InputError
 from bayesid.estimators import Estimate
 from bayesid.estimators.estimator import largest_autocorrelation
@@ -32,7 +33,6 @@ from bayesid.regression.parallel import one_blas_thread
 from bayesid.regression.problem import Problem, prepare
 from bayesid.regression.regression import Regression
 from bayesid.regression.rows import make_blocks
-from bayesid.results.figures import figures_of
 from bayesid.results.files import Files, files_of
 from bayesid.results.posterior import ExperimentPosterior
 from bayesid.robot.prior import Prior
@@ -169,11 +169,18 @@ def sample(
 
 
 @figures_of.register
-def _(result: ExperimentPosterior) -> Mapping[str, Callable[..., Any]]:
+def _(result: ExperimentPosterior) -> Figures:
     from bayesid.report.posterior import marginals_figure
     from bayesid.report.prediction_figures import measured_against_predicted, residuals
 
     return {"predictions": measured_against_predicted, "residuals": residuals, "marginals": partial(marginals_figure, result)}
+
+
+@figures_of.register
+def _(result: Posterior) -> Figures:
+    from bayesid.report.posterior import marginals_figure
+
+    return {"marginals": partial(marginals_figure, result)}
 
 
 @files_of.register

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from bayesid.arguments import argument, names, with_given
@@ -13,6 +14,7 @@ from bayesid.diagnosis.data import DiagnosisData
 from bayesid.diagnosis.noise import has_readings
 from bayesid.diagnosis.prepare import known_terms, prepare_data
 from bayesid.diagnosis.settings import DEFAULT
+from bayesid.drawing import Figures, figures_of
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, as_experiment, load_experiment
 from bayesid.regression.parallel import one_blas_thread
@@ -102,6 +104,14 @@ def _data(experiment: Experiment, channel: str, motions: Sequence[str] | None, s
     """The recordings as a diagnosis looks at them."""
     terms, held = known_terms(experiment, channel, None)
     return prepare_data(experiment, channel, terms, motions, seed, held, DEFAULT)
+
+
+@figures_of.register
+def _(result: Told) -> Figures:
+    from bayesid.report.curve_figures import panels_figure
+    from bayesid.report.told import panels_of
+
+    return {"motion": partial(panels_figure, result.telling.trajectory.times, panels_of(result.telling))}
 
 
 @files_of.register

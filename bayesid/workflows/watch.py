@@ -6,12 +6,14 @@ import functools
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from math import log
 from pathlib import Path
 
 from bayesid.diagnosis.changes.findings import compare_with_learned
 from bayesid.diagnosis.changes.reference import learn_reference
 from bayesid.diagnosis.settings import DEFAULT, Settings
+from bayesid.drawing import Figures, figures_of
 from bayesid.errors import BayesidError, InputError
 from bayesid.recordings.experiment import Experiment, as_experiment
 from bayesid.regression.options import FitOptions, some_options
@@ -102,6 +104,13 @@ def _names(series: Sequence[Experiment]) -> list[str]:
         name if names.count(name) == 1 else f"{name} ({k})" if folder is None else str(folder)
         for k, (name, folder) in enumerate(zip(names, folders, strict=True), 1)
     ]
+
+
+@figures_of.register
+def _(result: Watch) -> Figures:
+    from bayesid.report.watch import gap_figure
+
+    return {"gap": partial(gap_figure, result)}
 
 
 @files_of.register

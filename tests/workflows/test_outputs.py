@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 import pytest
+from matplotlib import pyplot as plt
 from matplotlib.figure import Figure
 
 import bayesid
@@ -294,6 +295,40 @@ def test_figures_are_matplotlibs_and_show_what_was_asked_for(comparison, posteri
     assert isinstance(posterior.plot_marginals(), Figure) and len(posterior.plot_marginals().axes) >= result.base.rank
     assert [t.get_text() for t in comparison.plot_errors().axes[0].get_yticklabels()][-3:] == ["ols", "wls", "ridge"]
     assert isinstance(comparison.plot_values(), Figure)
+
+
+def test_figures_are_drawn_into_axes_of_ones_own(comparison, result):
+    figure, axes = plt.subplots(2, 2)
+    one, two = axes[0, 0], axes[0]
+    assert result.plot_predictions(channels="tau2", ax=one) is figure and one.get_title(loc="left") == "tau2 [N m]"
+    (found,) = result.validation
+    assert np.isin(one.lines[0].get_ydata(), found.measured[:, 1]).all() and not axes[0, 1].lines
+    result.plot_residuals(channels=["tau2", "tau1"], ax=two)
+    assert [ax.get_title(loc="left") for ax in two] == ["tau2 [N m]", "tau1 [N m]"]
+    result.plot_residuals(ax=axes)  # row by row: in time, and as a spectrum
+    assert [ax.get_xscale() for ax in axes.ravel()] == ["linear", "log"] * 2
+    figure, one = plt.subplots()
+    recorded = result.problem.experiment["validation"]
+    for draw in (result.plot_intervals, comparison.plot_errors, comparison.plot_values, recorded.plot):
+        one.clear()
+        options = {"channels": ["q1", "q2"]} if draw.__name__ == "plot" else {}
+        assert draw(ax=one, **options) is figure and len(one.lines) and figure.axes == [one]
+    plt.close("all")
+    with pytest.raises(bayesid.InputError, match="no 'fx' here; choose of tau1, tau2"):
+        result.plot_residuals(channels=["fx"])
+    with pytest.raises(bayesid.InputError, match="ax holds 1 axes and the figure has 2 panels"):
+        result.plot(ax=one)
+    with pytest.raises(bayesid.InputError, match="ax holds a Figure; give Axes"):
+        result.plot(ax=figure)
+
+
+def test_figures_show_themselves_and_can_be_kept(result, tmp_path):
+    """A notebook asks for an image, whether or not pyplot or its inline backend was loaded."""
+    figure = result.plot(channels="tau1")
+    image = figure._repr_png_()
+    assert image.startswith(b"\x89PNG") and len(image) > 10_000
+    figure.savefig(tmp_path / "kept.pdf")
+    assert (tmp_path / "kept.pdf").stat().st_size > 5_000
 
 
 def test_results_need_neither_matplotlib_nor_pandas_until_they_are_asked():

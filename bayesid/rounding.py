@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from statistics import NormalDist
+
 import numpy as np
-from scipy.stats import norm
 
 DASH = "–"
 #: Central probability of the intervals that are told.
 LEVEL = 0.95
 #: Half a central 95 % interval of a normal distribution in standard deviations.
-HALF = float(norm.ppf(0.5 + LEVEL / 2))
+HALF = NormalDist().inv_cdf(0.5 + LEVEL / 2)
 
 
 def number(value: float | None, digits: int = 4) -> str:

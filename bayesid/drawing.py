@@ -1,0 +1,77 @@
+"""What verbs register for their results, such as figures and files, found when it is first asked for."""
+
+from __future__ import annotations
+
+import functools
+import importlib
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias, TypeVar
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_T = TypeVar("_T")
+#: Functions that draw, by what they show.
+Figures: TypeAlias = Mapping[str, Callable[..., Any]]
+
+
+def registered_by_verb(function: Callable[[Any], _T]) -> functools._SingleDispatchCallable[_T]:
+    """A function of a result that each verb registers for the type that it returns, in its module of `bayesid.workflows`.
+
+    So results need to know nothing of reports and figures. The module is loaded where it is not yet, as for a result that
+    was unpickled: the result names it in ``verb``.
+    """
+
+    @functools.singledispatch
+    @functools.wraps(function)
+    def dispatched(result: Any) -> _T:
+        if verb := getattr(type(result), "verb", ""):
+            importlib.import_module(f"bayesid.workflows.{verb}")
+        found = dispatched.dispatch(type(result))
+        return (function if found is dispatched.dispatch(object) else found)(result)
+
+    return dispatched
+
+
+@registered_by_verb
+def figures_of(result: object) -> Figures:
+    """Functions that draw a result's figures, by what they show; the first is that of ``plot()``.
+
+    Raises
+    ------
+    TypeError
+        No verb has registered this type of result.
+    """
+    raise TypeError(f"{type(result).__name__} has no figures: no verb in bayesid.workflows registers them")
+
+
+class Plots:
+    """What can be drawn.
+
+    Attributes
+    ----------
+    verb
+        The module of `bayesid.workflows` that registers its figures.
+    """
+
+    verb: ClassVar[str] = ""
+
+    def plot(self, *, ax: Any = None) -> Figure:
+        """Draw the figure that says most.
+
+        Parameters
+        ----------
+        ax
+            matplotlib's Axes to draw into, one for each panel; default a figure of its own.
+
+        Returns
+        -------
+        Figure
+            matplotlib's; a notebook shows it, ``savefig`` keeps it.
+
+        Raises
+        ------
+        InputError
+            There is nothing to draw, or there are fewer or more axes than panels.
+        """
+        return next(iter(figures_of(self).values()))(ax=ax)
