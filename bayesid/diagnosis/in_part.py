@@ -227,12 +227,7 @@ def _exact(s: Search) -> Iterator[_Candidate]:
         best = max(fits, key=lambda f: f.score, default=None)
         top = best and fit(s.projector, best.terms, best)
         if top is not None and np.isfinite(top.score):
-            at = np.array(top.terms[-1].values)
-            yield top.terms[-1], Linearisation(
-                at,
-                lambda a, at=at, linear=linear: np.where(linear, a, at),
-                lambda v, linear=linear: np.where(linear, v, 0.0),
-            )
+            yield top.terms[-1], Linearisation.holding(np.array(top.terms[-1].values), ~linear)
 
 
 def _concluded(

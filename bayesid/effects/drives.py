@@ -162,6 +162,16 @@ class TorqueRipple(JointTorqueEffect):
         return (float(np.hypot(sine, cosine)), order, float(np.arctan2(cosine, sine)))
 
 
+def _rest(a: np.ndarray) -> np.ndarray:
+    """Stiffness k and rest position q0 of k and k q0."""
+    return np.array([a[0], a[1] / a[0] if a[0] else 0.0])
+
+
+def _pull(values: np.ndarray) -> np.ndarray:
+    """And back."""
+    return np.array([values[0], values[0] * values[1]])
+
+
 class Spring(JointTorqueEffect):
     name = "spring"
     summary = "a spring across a joint"
@@ -178,8 +188,4 @@ class Spring(JointTorqueEffect):
     def linearisations(self, around):
         # k (q - q0) is linear in k and k q0, whose columns are the derivatives at k = 1, q0 = 0.
         at = np.array([1.0, 0.0])
-        return (
-            Linearisation(
-                at, lambda a: np.array([a[0], a[1] / a[0] if a[0] else 0.0]), lambda v: np.array([v[0], v[0] * v[1]])
-            ),
-        )
+        return (Linearisation(at, _rest, _pull),)

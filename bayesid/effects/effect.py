@@ -280,13 +280,7 @@ class Effect(ABC):
             at = np.array(point, float)
             away = at if not linear.any() else np.zeros(len(at))
             held = ~linear if linear.any() else np.zeros(len(at), bool)
-            out.append(
-                Linearisation(
-                    at,
-                    lambda a, at=at, away=away, held=held: np.where(held, at, away + a),
-                    lambda v, away=away, held=held: np.where(held, 0.0, v - away),
-                )
-            )
+            out.append(Linearisation.holding(at, held, away))
         return out
 
     def is_another(self, values: Sequence[float]) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from math import inf
 
 import numpy as np
@@ -119,11 +120,12 @@ class Tether(LoadEffect):
         # at k = 1 with the anchor at the origin.
         centre = around.mean_places[self.joint or 0]
         at = np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-        return (
-            Linearisation(
-                at, lambda a: _tethers(a, centre), lambda v: np.array([v[0], 0.0, *(v[0] * v[2:5]), 0.0, 0.0, 0.0])
-            ),
-        )
+        return (Linearisation(at, partial(_tethers, centre=centre), _pulls),)
+
+
+def _pulls(values: np.ndarray) -> np.ndarray:
+    """Amplitudes of k and k anchor."""
+    return np.array([values[0], 0.0, *(values[0] * values[2:5]), 0.0, 0.0, 0.0])
 
 
 def _tethers(a: np.ndarray, centre: np.ndarray) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from math import inf
 
 import numpy as np
@@ -93,9 +94,19 @@ class Backlash(PlayEffect):
         # Without play the torque at which teeth are firm says nothing: it is tried.
         effort = sizes.effort(around.robot, self.joint)
         return tuple(
-            Linearisation(at, lambda a, at=at: at + [a[0], 0.0], lambda v: np.array([v[0], 0.0]))
+            Linearisation(at, partial(_firm_at, at), _play_alone)
             for at in (np.array([0.0, share * effort]) for share in FIRM_SHARES)
         )
+
+
+def _firm_at(at: np.ndarray, a: np.ndarray) -> np.ndarray:
+    """A play, and the torque that was tried."""
+    return at + [a[0], 0.0]
+
+
+def _play_alone(values: np.ndarray) -> np.ndarray:
+    """The play's amplitude."""
+    return np.array([values[0], 0.0])
 
 
 class BaseTilt(GravityEffect):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -61,3 +62,16 @@ class Linearisation:
     at: np.ndarray
     to_values: Callable[[np.ndarray], np.ndarray]
     to_amplitudes: Callable[[np.ndarray], np.ndarray]
+
+    @classmethod
+    def holding(cls, at: np.ndarray, held: np.ndarray, away: np.ndarray | float = 0.0) -> Linearisation:
+        """Amplitudes are what values differ from ``away``, but for those that are held where the columns are taken."""
+        return cls(at, partial(_values, at, held, away), partial(_amplitudes, held, away))
+
+
+def _values(at: np.ndarray, held: np.ndarray, away: np.ndarray | float, amplitudes: np.ndarray) -> np.ndarray:
+    return np.where(held, at, away + amplitudes)
+
+
+def _amplitudes(held: np.ndarray, away: np.ndarray | float, values: np.ndarray) -> np.ndarray:
+    return np.where(held, 0.0, values - away)

@@ -34,6 +34,10 @@ class Results:
         self._kept: dict[Hashable, Any] = {}
         self._lock = threading.Lock()
 
+    def __reduce__(self):
+        """A copy begins empty."""
+        return Results, (self._most,)
+
     def get(self, key: Hashable, make: Callable[[], Any]) -> Any:
         """The result of this key; made, outside the lock, where it is not there. Of two made at once the first stays."""
         with self._lock:

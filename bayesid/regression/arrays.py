@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -106,39 +106,88 @@ def blocks_of(rows: np.ndarray, times: np.ndarray, motions: np.ndarray, labels: 
     ]
 
 
-def instruments_of(blocks: list[Block], beside: np.ndarray, noise: RegressorNoise | None) -> Instruments:
-    """Instruments (samples, channels, p) for the rows of blocks."""
+@dataclass(frozen=True, eq=False)
+class GivenErrors:
+    """Draws of the regressor's errors that were given beside its blocks.
 
-    def pairs(regressors: Iterable[Block] = blocks) -> Iterator[Pair]:
+    Attributes
+    ----------
+    blocks
+        The regression's.
+    errors
+        (draws, samples, channels, p).
+    """
+
+    blocks: list[Block]
+    errors: np.ndarray
+
+    def perturbed(self, draw: int, sign: float) -> Iterator[Block]:
+        """The blocks with the errors of a draw, times the sign, added."""
         first = 0
-        for block in regressors:
-            rows = np.concatenate([beside[first : first + len(block.rows)], block.rows[:, :, -1:]], axis=2)
-            yield Pair(block, replace(block, rows=rows))
-            first += len(block.rows)
-
-    drawn = None if noise is None else lambda draw: pairs(noise.perturbed(draw, 1.0))
-    return Instruments(pairs, lambda: {"instruments": ["as given"]}, drawn)
-
-
-def noise_of(blocks: list[Block], errors: np.ndarray) -> RegressorNoise:
-    """The law of the regressor's errors from draws (draws, samples, channels, p)."""
-
-    def perturbed(draw: int, sign: float) -> Iterator[Block]:
-        first = 0
-        for block in blocks:
+        for block in self.blocks:
             rows = block.rows.copy()
-            rows[:, :, :-1] += sign * errors[draw, first : first + len(rows)]
+            rows[:, :, :-1] += sign * self.errors[draw, first : first + len(rows)]
             first += len(rows)
             yield replace(block, rows=rows)
 
-    def simulated(draw: int | None) -> Iterable[Block]:
-        return blocks if draw is None else perturbed(draw, 1.0)
+    def simulated(self, draw: int | None) -> Iterable[Block]:
+        """The blocks themselves (None), or with the errors of a draw."""
+        return self.blocks if draw is None else self.perturbed(draw, 1.0)
 
-    def misread(draws: int, solution: np.ndarray) -> list[list[np.ndarray]]:
-        ends = np.cumsum([len(block.rows) for block in blocks])[:-1]
-        return [np.split(drawn @ solution, ends) for drawn in errors[:draws]]
+    def pieces(self) -> list[Block]:
+        """The blocks."""
+        return self.blocks
 
-    described = {"regressor_noise": "as given"}
-    return RegressorNoise(
-        perturbed, simulated, lambda: blocks, misread, lambda: bool(errors.any()), lambda: described, len(errors)
-    )
+    def misread(self, draws: int, solution: np.ndarray) -> list[list[np.ndarray]]:
+        """What the errors of each draw add to ``X b``, block by block."""
+        ends = np.cumsum([len(block.rows) for block in self.blocks])[:-1]
+        return [np.split(drawn @ solution, ends) for drawn in self.errors[:draws]]
+
+    def present(self) -> bool:
+        """Whether there are any."""
+        return bool(self.errors.any())
+
+    def described(self) -> dict[str, str]:
+        """Where they come from."""
+        return {"regressor_noise": "as given"}
+
+    def law(self) -> RegressorNoise:
+        """The law that they are drawn from."""
+        return RegressorNoise(
+            self.perturbed, self.simulated, self.pieces, self.misread, self.present, self.described, len(self.errors)
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class GivenInstruments:
+    """Instruments (samples, channels, p) that were given for the rows of blocks, and the law of the regressor's errors."""
+
+    blocks: list[Block]
+    beside: np.ndarray
+    noise: RegressorNoise | None
+
+    def pairs(self, regressors: Iterable[Block] | None = None) -> Iterator[Pair]:
+        """Blocks, default the regression's, beside their instruments."""
+        first = 0
+        for block in self.blocks if regressors is None else regressors:
+            rows = np.concatenate([self.beside[first : first + len(block.rows)], block.rows[:, :, -1:]], axis=2)
+            yield Pair(block, replace(block, rows=rows))
+            first += len(block.rows)
+
+    def drawn(self, draw: int) -> Iterator[Pair]:
+        """`pairs` with the errors of a draw."""
+        assert self.noise is not None
+        return self.pairs(self.noise.perturbed(draw, 1.0))
+
+    def described(self) -> dict[str, list[str]]:
+        """Where they come from."""
+        return {"instruments": ["as given"]}
+
+    def instruments(self) -> Instruments:
+        """As estimators take them."""
+        return Instruments(self.pairs, self.described, None if self.noise is None else self.drawn)
+
+
+def as_given(blocks: list[Block]) -> list[Block]:
+    """Blocks that are there already, as a source of rows."""
+    return blocks

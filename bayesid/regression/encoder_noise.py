@@ -8,14 +8,15 @@ same motion whose errors are independent of this one's.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from bayesid.regression.blocks import Block, Instruments, Pair, RegressorNoise
-from bayesid.regression.parallel import once
+from bayesid.regression.parallel import Once
 from bayesid.regression.row_model import RowModel
 from bayesid.regression.rows import make_blocks
 from bayesid.regression.segment import Segment
@@ -100,71 +101,121 @@ def errors_of(row_model: RowModel, segments: Sequence[Segment], smoother: Smooth
     odd ones: the noise of each is independent of the other's as long as it is independent from sample to sample, and each
     serves as the instrument of the other.
     """
-    kinds = [_kind(row_model, r) for r in segments]
+    e = _Encoders.of(row_model, segments, smoother)
+    law = RegressorNoise(e.perturbed, e.simulated, e.pieces, e.misread, e.present, e.described)
+    return law, Instruments(e.pairs, e.instruments_described, e.drawn_pairs)
 
-    noise = once(lambda: measure(segments, row_model.bandwidth, smoother.position_std))
 
-    def as_smooth(r: Segment) -> Segment:
-        """A segment as it might truly have been: as smooth as the data allow."""
-        bandwidth = min(smoother.automatic or row_model.bandwidth, row_model.bandwidth)
-        return r if r.poses else replace(r, positions=smooth(r.times, r.positions, bandwidth)[0])
+@dataclass(frozen=True, eq=False)
+class _Encoders:
+    """Encoder noise of segments and what it makes of their rows.
 
-    quiet = once(lambda: [as_smooth(r) for r in segments])
-    quiet_pieces = once(lambda: [as_smooth(r) for r in _pieces(row_model, segments)])
+    Attributes
+    ----------
+    row_model, segments, smoother
+        As `errors_of` takes them.
+    kinds
+        What serves as the instrument of each segment.
+    noise
+        The size of the noise.
+    quiet, quiet_pieces
+        The segments, and evenly spread pieces of long ones, as they might truly have been.
+    """
 
-    def again(taken: Sequence[Segment], true: Sequence[Segment], draw: int, sign: float = 1.0) -> list[Segment]:
+    row_model: RowModel
+    segments: Sequence[Segment]
+    smoother: Smoother
+    kinds: tuple[str, ...]
+    noise: Once[EncoderNoise]
+    quiet: Once[list[Segment]]
+    quiet_pieces: Once[list[Segment]]
+
+    @classmethod
+    def of(cls, row_model: RowModel, segments: Sequence[Segment], smoother: Smoother) -> _Encoders:
+        """Nothing is measured or smoothed before it is needed."""
+        smooth_all = partial(_as_smooth, min(smoother.automatic or row_model.bandwidth, row_model.bandwidth))
+        return cls(
+            row_model, segments, smoother, tuple(_kind(row_model, r) for r in segments),
+            Once(partial(measure, segments, row_model.bandwidth, smoother.position_std)), Once(partial(smooth_all, segments)),
+            Once(partial(_smooth_pieces, smooth_all, row_model, segments)),
+        )  # fmt: skip
+
+    def again(self, taken: Sequence[Segment], true: Sequence[Segment], draw: int, sign: float = 1.0) -> list[Segment]:
         """Recordings with fresh noise on top of the positions, as the encoders make it of the true ones."""
         rng = np.random.default_rng(np.random.SeedSequence(entropy=_ENTROPY, spawn_key=(draw,)))
+        std, resolution = self.noise().std, self.smoother.resolution
         return [
-            replace(r, positions=r.positions + sign * _errors(s.positions, noise().std, smoother.resolution, rng))
+            replace(r, positions=r.positions + sign * _errors(s.positions, std, resolution, rng))
             for r, s in zip(taken, true, strict=True)
         ]
 
-    def pairs(taken: Sequence[Segment] = segments) -> Iterator[Pair]:
-        for r, kind in zip(taken, kinds, strict=True):
-            first, second = _both(row_model, r, kind)
-            for x, z in zip(make_blocks(row_model, [first]), make_blocks(row_model, [second]), strict=True):
-                yield Pair(x, z, symmetric=kind == "halves")
+    def present(self) -> bool:
+        """Whether there is any noise."""
+        return bool((self.noise().std > 0).any())
 
-    def doubt() -> dict[str, Any]:
-        worst = float(np.max(noise().correlation, initial=0.0))
-        return {"warnings": [_not_white(worst)]} if worst > LARGEST_CORRELATION else {}
+    def perturbed(self, draw: int, sign: float) -> Iterator[Block]:
+        """Rows of the recordings with the noise of a draw, times the sign, added."""
+        return make_blocks(self.row_model, self.again(self.segments, self.quiet(), draw, sign))
 
-    def noise_described() -> dict[str, Any]:
-        sizes = {"encoder_std": noise().std.tolist(), "encoder_correlation": noise().correlation.tolist()}
-        # Errors of known counts are simulated with the correlation that they have.
-        return sizes | ({} if smoother.resolution else doubt())
+    def simulated(self, draw: int | None) -> Iterator[Block]:
+        """Rows of the smooth motion, without noise (None) or with that of a draw."""
+        quiet = self.quiet()
+        return make_blocks(self.row_model, quiet if draw is None else self.again(quiet, quiet, draw))
 
-    def instruments_described() -> dict[str, Any]:
-        return {"instruments": [_SOURCES[k] for k in dict.fromkeys(kinds)], **(doubt() if "halves" in kinds else {})}
+    def pieces(self) -> Iterator[Block]:
+        """Rows of pieces of the smooth motion."""
+        return make_blocks(self.row_model, self.quiet_pieces())
 
-    def present() -> bool:
-        return bool((noise().std > 0).any())
-
-    def simulated(draw: int | None) -> Iterator[Block]:
-        return make_blocks(row_model, quiet() if draw is None else again(quiet(), quiet(), draw))
-
-    def pieces() -> Iterator[Block]:
-        return make_blocks(row_model, quiet_pieces())
-
-    def misread(draws: int, solution: np.ndarray) -> list[list[np.ndarray]]:
-        parts = quiet_pieces()
-        drawn = [again(parts, parts, k) for k in range(draws)]
+    def misread(self, draws: int, solution: np.ndarray) -> list[list[np.ndarray]]:
+        """What the noise of each draw adds to the modelled readings in the rows of `pieces`."""
+        parts = self.quiet_pieces()
+        drawn = [self.again(parts, parts, k) for k in range(draws)]
         rows: list[np.ndarray] = []
         for versions in zip(parts, *drawn, strict=True):
 
             def said(_: Segment, first: int, last: int, versions: tuple[Segment, ...] = versions) -> np.ndarray:
                 """Without errors and of every draw (N, channels, 1 + draws)."""
-                return np.stack([row_model.modelled(v, first, last, solution) for v in versions], axis=2)
+                return np.stack([self.row_model.modelled(v, first, last, solution) for v in versions], axis=2)
 
-            rows += [b.rows for b in make_blocks(row_model, versions[:1], said)]
+            rows += [b.rows for b in make_blocks(self.row_model, versions[:1], said)]
         return [[r[:, :, k] - r[:, :, 0] for r in rows] for k in range(1, draws + 1)]
 
-    def perturbed(draw: int, sign: float) -> Iterator[Block]:
-        return make_blocks(row_model, again(segments, quiet(), draw, sign))
+    def pairs(self, taken: Sequence[Segment] | None = None) -> Iterator[Pair]:
+        """Rows of segments, default the recorded ones, beside those of their instruments."""
+        for r, kind in zip(self.segments if taken is None else taken, self.kinds, strict=True):
+            first, second = _both(self.row_model, r, kind)
+            for x, z in zip(make_blocks(self.row_model, [first]), make_blocks(self.row_model, [second]), strict=True):
+                yield Pair(x, z, symmetric=kind == "halves")
 
-    law = RegressorNoise(perturbed, simulated, pieces, misread, present, noise_described)
-    return law, Instruments(pairs, instruments_described, lambda draw: pairs(again(quiet(), quiet(), draw)))
+    def drawn_pairs(self, draw: int) -> Iterator[Pair]:
+        """`pairs` of the smooth motion with the noise of a draw."""
+        return self.pairs(self.again(self.quiet(), self.quiet(), draw))
+
+    def described(self) -> dict[str, Any]:
+        """How large the noise is, and a doubt where it is not white."""
+        sizes = {"encoder_std": self.noise().std.tolist(), "encoder_correlation": self.noise().correlation.tolist()}
+        # Errors of known counts are simulated with the correlation that they have.
+        return sizes | ({} if self.smoother.resolution else self._doubt())
+
+    def instruments_described(self) -> dict[str, Any]:
+        """What the instruments are."""
+        sources = [_SOURCES[k] for k in dict.fromkeys(self.kinds)]
+        return {"instruments": sources, **(self._doubt() if "halves" in self.kinds else {})}
+
+    def _doubt(self) -> dict[str, Any]:
+        worst = float(np.max(self.noise().correlation, initial=0.0))
+        return {"warnings": [_not_white(worst)]} if worst > LARGEST_CORRELATION else {}
+
+
+def _as_smooth(bandwidth: float, segments: Sequence[Segment]) -> list[Segment]:
+    """Segments as they might truly have been: as smooth as the data allow."""
+    return [r if r.poses else replace(r, positions=smooth(r.times, r.positions, bandwidth)[0]) for r in segments]
+
+
+def _smooth_pieces(
+    smooth_all: Callable[[Sequence[Segment]], list[Segment]], row_model: RowModel, segments: Sequence[Segment]
+) -> list[Segment]:
+    return smooth_all(_pieces(row_model, segments))
 
 
 def _errors(positions: np.ndarray, std: np.ndarray, resolution: float, rng: np.random.Generator) -> np.ndarray:

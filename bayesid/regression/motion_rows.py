@@ -28,6 +28,10 @@ class MotionRows:
         self._kept: dict[str, tuple[Block, ...]] = {}
         self._room, self._lock = CACHE_BYTES, Lock()
 
+    def __reduce__(self):
+        """A copy makes its rows anew."""
+        return MotionRows, (self.row_model, self.segments)
+
     def blocks(self, motions: Iterable[str]) -> Iterator[Block]:
         """Read the rows of motions, one after the other, in time order."""
         for name in motions:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager, ExitStack
 from itertools import chain, islice
-from typing import TypeVar
+from typing import Generic, TypeVar
 
 from threadpoolctl import ThreadpoolController
 
@@ -107,17 +107,21 @@ def in_order(work: Callable, jobs: Iterable) -> Iterator:
             yield waiting.popleft().result()
 
 
-def once(make: Callable[[], _A]) -> Callable[[], _A]:
-    """A function that gives what ``make`` gives, made at the first call; other threads wait for it."""
-    lock, made = threading.Lock(), []
+class Once(Generic[_A]):
+    """Gives what ``make`` gives, made at the first call; other threads wait for it. A copy makes it anew."""
 
-    def get() -> _A:
-        with lock:
-            if not made:
-                made.append(make())
-        return made[0]
+    def __init__(self, make: Callable[[], _A]):
+        self._make, self._lock, self._made = make, threading.Lock(), []
 
-    return get
+    def __call__(self) -> _A:
+        """What was made."""
+        with self._lock:
+            if not self._made:
+                self._made.append(self._make())
+        return self._made[0]
+
+    def __reduce__(self):
+        return Once, (self._make,)
 
 
 def both(one: Callable[[], _A], other: Callable[[], _B]) -> tuple[_A, _B]:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, Motion
 from bayesid.recordings.table import usual_step
 from bayesid.regression.bandwidth import LOWEST, BandwidthChoice, choose_bandwidth
+from bayesid.regression.blocks import Block
 from bayesid.regression.encoder_noise import errors_of
 from bayesid.regression.motion_rows import MotionRows, row_count
 from bayesid.regression.options import FitOptions
@@ -196,10 +198,10 @@ def _regression(
         motion_names=names,
         rows=RowCache(
             RowSource(
-                blocks=lambda: rows.blocks(motions),
+                blocks=partial(rows.blocks, tuple(motions)),
                 count=row_count(row_model, fitted),
                 width=len(row_model.channels.names) * (base.rank + row_model.extra_columns + 1),
-                pilot=lambda: make_blocks(row_model, _pilot_segments(row_model, fitted)),
+                pilot=partial(_pilot, row_model, fitted),
                 known_poles=_known_poles(row_model, fitted),
             )
         ),
@@ -221,6 +223,11 @@ def _known_poles(row_model: RowModel, fitted: list[Segment]) -> np.ndarray | Non
     if row_model.filters is None or not steps:
         return None
     return row_noise_poles(row_model.filters, float(np.median(steps)), row_model.step)
+
+
+def _pilot(row_model: RowModel, fitted: list[Segment]) -> Iterator[Block]:
+    """Rows of a long recording's pieces."""
+    return make_blocks(row_model, _pilot_segments(row_model, fitted))
 
 
 def _pilot_segments(row_model: RowModel, segments: list[Segment]) -> list[Segment]:

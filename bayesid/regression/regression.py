@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -220,16 +220,16 @@ class Regression:
         base = arrays.base_of(matrix, names, units)
         kept = base.independent
         blocks = arrays.blocks_of(np.concatenate([matrix[:, :, kept], target[:, :, None]], axis=2), clock, ids, labels)
-        noise = None if errors is None else arrays.noise_of(blocks, errors[:, :, :, kept])
+        noise = None if errors is None else arrays.GivenErrors(blocks, errors[:, :, :, kept]).law()
         poles = None
         if low_pass is not None:
             poles = low_pass.poles(float(np.median(np.diff(clock[: len(blocks[0].times)]))))
-        source = RowSource(lambda: blocks, samples, channels * (len(base.names) + 1), known_poles=poles)
+        source = RowSource(partial(arrays.as_given, blocks), samples, channels * (len(base.names) + 1), known_poles=poles)
         return cls(
             base, (), (), channel, ("",) * channels, tuple(str(k) for k in labels),
             RowCache(source, blocks=blocks),
             PriorKnowledge(bodies=tuple(tuple(b) for b in bodies)),
-            instruments=None if beside is None else arrays.instruments_of(blocks, beside[:, :, kept], noise),
+            instruments=None if beside is None else arrays.GivenInstruments(blocks, beside[:, :, kept], noise).instruments(),
             regressor_noise=noise,
             noise_std=known,
         )  # fmt: skip

@@ -73,6 +73,10 @@ class RowCache:
         self._derived: dict[str, Any] = {}
         self._making: dict[str, RLock] = {}
 
+    def __reduce__(self):
+        """A copy reads its rows anew."""
+        return RowCache, (self.source,)
+
     @property
     def kept(self) -> bool:
         """Whether all blocks are in memory."""

@@ -398,7 +398,7 @@ def test_a_prolonged_motion_is_the_same_path_for_longer(planned):
     assert np.allclose(twice.at(np.array([0.0, 16.0]))[1], 0.0, atol=1e-12)
 
 
-@pytest.mark.parametrize("options", [{"duration": -1.0}, {"colour": 3}, {"joints": ("joint7",)}])
+@pytest.mark.parametrize("options", [{"duration": -1.0}, {"joints": ("joint7",)}])
 def test_options_that_will_not_do(recorded, options):
     with pytest.raises(InputError):
         tell_verb(recorded, ["base_tilt", "sensor_rotation"], **options)
