@@ -9,9 +9,11 @@ import numpy as np
 
 from bayesid.estimators.conic.bounds import Bounds
 from bayesid.estimators.conic.data import LinkData
+from bayesid.estimators.conic.physical import evidence_of
 from bayesid.estimators.conic.prior_strength import LinkPrior, link_prior
 from bayesid.estimators.conic.problem import Conic
 from bayesid.estimators.conic.region import conic
+from bayesid.regression.linalg import undetermined
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import Problem, prepare
 from bayesid.robot import inertia
@@ -51,7 +53,8 @@ def flat_bodies(robot: Robot, rng: np.random.Generator, flat: int) -> np.ndarray
 
 
 def random_case(
-    arm: Arm, rng: np.random.Generator, bounded: bool | None = None, std: float | None = None, rel_std: float | None = None
+    arm: Arm, rng: np.random.Generator, bounded: bool | None = None, std: float | None = None, rel_std: float | None = None,
+    metric: str = "warped",
 ) -> tuple[LinkData, LinkPrior, Conic]:
     """Truth of bodies with and without extent, noise from tiny to huge, trust from tight to next to none."""
     robot, regression = arm.robot, arm.problem.regression
@@ -60,7 +63,9 @@ def random_case(
     factor = arm.factor / std
     target = factor @ (regression.base.matrix @ truth) + rng.normal(size=len(factor))
     data = LinkData.of(regression, factor, target, None)
-    trust = link_prior(regression, data, None, "pullback", 10.0 ** rng.uniform(-1.5, 2) if rel_std is None else rel_std)
+    evidence = evidence_of(factor, target, undetermined(factor), regression.base.rank)
+    strength = 10.0 ** rng.uniform(-1.5, 2) if rel_std is None else rel_std
+    trust = link_prior(regression, data, evidence, None, metric, strength)
     limits = Bounds()
     if rng.random() < 0.5 if bounded is None else bounded:
         bodies = truth.reshape(-1, 10)

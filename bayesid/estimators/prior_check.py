@@ -7,13 +7,12 @@ and ``b_prior = K mean``, both being right means
 
 The normal law leaves out that bodies must be able to exist, which hardly matters up to a relative standard deviation of 0.3.
 
-Where a prior is weighed against data (`sample`, `sdp`) it is that prior which is checked; for other estimators it is the nominal
-model with links scaled, shifted and warped by the stated share (`Prior.warped`), as `diagnose` has it.
+Every verb and estimator asks `compared`, so that a conflict has one size; `bayesid.estimators.against_prior` brings the data.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -21,19 +20,12 @@ from scipy.stats import chi2
 
 from bayesid.arguments import argument, call
 from bayesid.dynamics.base_parameters import BaseParameters
-from bayesid.estimators.conic.data import compressed
-from bayesid.estimators.conic.physical import PhysicalDetails
-from bayesid.estimators.estimator import Estimate
-from bayesid.estimators.least_squares import covariance_middle, likelihood_weights, weighted_factor
-from bayesid.estimators.weights import learn_weights
-from bayesid.regression.linalg import determined_inverse, or_one, standard_deviations, undetermined
-from bayesid.regression.regression import Regression
-from bayesid.robot.prior import Prior
+from bayesid.regression.linalg import or_one, pseudo_inverse, standard_deviations
 
 #: Prior and data contradict each other where a distance like theirs is less probable than this.
 CONFLICT = 1e-3
-#: Precision left where a prior says nothing, as a share of its largest in columns of unit size.
-_NOTHING = 1e-12
+#: Coefficients of combinations that are no more than rounding.
+_ROUNDING = 1e-9
 #: Base parameters by the data (r,), their covariance (r, r), and which of them the data say nothing about (r,) or more.
 Evidence = tuple[np.ndarray, np.ndarray, np.ndarray]
 _WORDS = {"m": "mass", "mcx": "first moment along x", "mcy": "first moment along y", "mcz": "first moment along z"}
@@ -87,8 +79,6 @@ class PriorCheck:
         Relative standard deviation of the nominal links; None with a prior of one's own.
     stated
         Whether it was stated beforehand; otherwise the data chose it, and do not fit even so where they contradict it.
-    warps_explain
-        Whether links scaled, shifted and warped by ``rel_std`` agree with the data where the pull-back metric does not.
     """
 
     distance: float
@@ -97,7 +87,6 @@ class PriorCheck:
     largest: Disagreement
     rel_std: float | None = None
     stated: bool = True
-    warps_explain: bool = False
 
     @property
     def conflict(self) -> bool:
@@ -114,11 +103,6 @@ class PriorCheck:
             f"What weighs one against the other is doubtful then. Check the readings (`{call('check')}`) and the URDF, look for "
             f"what is missing in the model (`{call('diagnose')}`), or trust the links less ({less})."
         )
-        if self.warps_explain:
-            remedy = (
-                "Links scaled, shifted and warped by that share would explain the data: it is the prior's metric that takes a "
-                f"thin link's middle off its axis for almost impossible. Trust the links less ({less})."
-            )
         return (
             f"Prior and data contradict each other{trust}{chosen}: {one.label} is {one.prior:.3g} +- {one.prior_std:.2g} "
             f"{one.unit} by the prior and {one.data:.3g} +- {one.data_std:.2g} {one.unit} by the data, {one.prior_sigmas:.3g} "
@@ -144,7 +128,6 @@ class PriorCheck:
             "base_parameters": self.base_parameters,
             "rel_std": self.rel_std,
             "rel_std_stated": self.stated,
-            "warps_explain": self.warps_explain,
             "largest": {**one.__dict__, "prior_sigmas": one.prior_sigmas, "sigmas": one.sigmas},
         }
 
@@ -154,74 +137,32 @@ def conflicts(check: PriorCheck | None) -> list[str]:
     return [check.text()] if check is not None and check.conflict else []
 
 
-def against_prior(regression: Regression, prior: Prior, rel_std: float | None = None) -> PriorCheck | None:
-    """Check a prior of the links against what the rows say by themselves; None where they determine nothing."""
-    evidence = of_data(regression)
-    found = compared(regression.base, *evidence, prior.mean, _covariance(prior.precision), rel_std)
-    return _or_warps(found, evidence, regression, prior.mean)
-
-
-def against_nominal(regression: Regression, estimate: Estimate) -> PriorCheck | None:
-    """Check an estimate's data against its prior, or against nominal links whose trust is stated; None without either."""
-    covariance = estimate.covariance
-    own = None if covariance is None else (estimate.values, covariance, estimate.undetermined)
-    details, known = estimate.details, regression.knowledge
-    if not known.states_masses:
-        return None
-    if isinstance(details, PhysicalDetails):
-        used = details.prior
-        # The estimate is part data, part prior: the check takes what the data alone say.
-        evidence, covariance = of_data(regression), _covariance(used.root.T @ used.root)
-        found = compared(regression.base, *evidence, used.mean, covariance, used.rel_std, stated=used.stated)
-        return _or_warps(found, evidence, regression, used.mean)
-    if known.nominal_links is None or not known.inertia_rel_std:
-        return None
-    # Nothing is weighed by it here: it is how nominal models err, not the metric that estimates are pulled by.
-    prior = Prior.warped(known.nominal_links, known.inertia_rel_std)
-    evidence = own or of_data(regression)
-    return compared(regression.base, *evidence, prior.mean, _covariance(prior.precision), known.inertia_rel_std)
-
-
-def of_data(regression: Regression) -> Evidence:
-    """Base parameters by the likelihood alone (r,), their covariance (r, r), and which the rows do not determine (r,).
-
-    Weighted as `sdp` and the posterior do: by the noise where the model is complete, else by channel, and then with the
-    scatter between stretches of the recording in the covariance.
-    """
-    rank, learned = regression.base.rank, learn_weights(regression)
-    kind = likelihood_weights(learned)
-    factor, scale = weighted_factor(regression, learned, kind)
-    middle = covariance_middle(regression, learned, scale, factor)
-    hidden = undetermined(factor.matrix)
-    matrix, target = compressed(factor.matrix, factor.target, middle)
-    inverse = determined_inverse(matrix, hidden)
-    return (inverse @ target)[:rank], (inverse @ inverse.T)[:rank, :rank], hidden[:rank]
-
-
 def compared(
-    base: BaseParameters, values: np.ndarray, covariance: np.ndarray, undetermined: np.ndarray, mean: np.ndarray,
-    prior_covariance: np.ndarray, rel_std: float | None = None, *, stated: bool = True,
+    base: BaseParameters, evidence: Evidence, mean: np.ndarray, root: np.ndarray, rel_std: float | None = None, *,
+    stated: bool = True,
 ) -> PriorCheck | None:
-    """Compare an estimate of the data alone with a prior.
+    """Compare an estimate of the data alone with a prior; None where there is nothing to compare.
 
     Parameters
     ----------
     base
         K, from link to base parameters.
-    values, covariance
-        Base parameters by the data (r,), (r, r).
-    undetermined
-        Which of them the data say nothing about (r,) or more.
-    mean, prior_covariance
-        Of the links (P,), (P, P).
+    evidence
+        Base parameters by the data (r,), their covariance (r, r), and which of them the data say nothing about (r,) or more.
+    mean, root
+        Of the links (P,), and W with ``W'W`` the prior's precision (q, P); zero columns where it says nothing.
     rel_std, stated
         See `PriorCheck`.
     """
-    k = np.flatnonzero(~undetermined[: base.rank])
+    values, covariance, undetermined = evidence
+    known = np.linalg.norm(root, axis=0) > 0
+    reaches = np.all((np.abs(base.matrix) <= _ROUNDING) | known, axis=1)  # of links that the prior speaks of alone
+    k = np.flatnonzero(~undetermined[: base.rank] & reaches)
     if not len(k):
         return None
     rows = base.matrix[k]
-    prior, spread = rows @ mean, rows @ prior_covariance @ rows.T
+    half = rows[:, known] @ pseudo_inverse(root[:, known])
+    prior, spread = rows @ mean, half @ half.T
     difference, total = values[k] - prior, covariance[np.ix_(k, k)] + spread
     size = or_one(standard_deviations(total))
     z = difference / size
@@ -243,26 +184,9 @@ def compared(
     )  # fmt: skip
 
 
-def _or_warps(check: PriorCheck | None, evidence: Evidence, regression: Regression, links: np.ndarray) -> PriorCheck | None:
-    """The same check, which says whether links warped by the same share agree with the data."""
-    if check is None or not check.conflict or check.rel_std is None:
-        return check
-    warped = Prior.warped(links, check.rel_std)
-    other = compared(regression.base, *evidence, warped.mean, _covariance(warped.precision), check.rel_std)
-    return replace(check, warps_explain=other is not None and not other.conflict)
-
-
 def _words(base: BaseParameters, k: int) -> str:
     """``mass of link2`` where a base parameter is one of one link, else its label."""
     link, _, kind = base.names[k].rpartition(".")
-    if np.count_nonzero(np.abs(base.matrix[k]) > 1e-9) > 1 or not link:
+    if np.count_nonzero(np.abs(base.matrix[k]) > _ROUNDING) > 1 or not link:
         return base.labels[k]
     return f"{_WORDS.get(kind, kind)} of {link}"
-
-
-def _covariance(precision: np.ndarray) -> np.ndarray:
-    """Inverse of a precision; where that is none, next to none stands in for it."""
-    size = or_one(standard_deviations(precision))
-    values, vectors = np.linalg.eigh(precision / np.outer(size, size))
-    half = vectors / np.sqrt(np.maximum(values, _NOTHING * values[-1])) / size[:, None]
-    return half @ half.T

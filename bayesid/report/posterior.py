@@ -183,8 +183,8 @@ def _how(result: ExperimentPosterior) -> list[tuple[str, str]]:
     model, chains, problem = result.model, result.chains, result.problem
     prior = "flat on the base parameters, no bounds on the links"
     if model.prior is not None:
-        prior = "normal about the nominal links by the constant pull-back metric"
-        prior += f", every mass within {percent(result.trust, 3)} (one standard deviation)" if result.trust else ""
+        prior = "about the nominal links"
+        prior += f", scaled, shifted and warped by {percent(result.trust, 3)} (one standard deviation)" if result.trust else ""
         prior += "; only bodies that can exist" if model.physical else ""
     engine = {
         "hmc": "exact Hamiltonian trajectories that bounce off the walls, Gibbs steps for the noise",

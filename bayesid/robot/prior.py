@@ -106,6 +106,19 @@ class Prior:
         return cls(plain.mean, precision, plain.bodies, physical)
 
     @property
+    def root(self) -> np.ndarray:
+        """W with ``W'W`` the precision (q, P); directions without any are left out."""
+        size = np.sqrt(np.diag(self.precision))
+        size[size == 0.0] = 1.0
+        scaled = self.precision / np.outer(size, size)
+        try:
+            return np.linalg.cholesky(0.5 * (scaled + scaled.T)).T * size
+        except np.linalg.LinAlgError:
+            values, vectors = np.linalg.eigh(0.5 * (scaled + scaled.T))
+            keep = values > 1e-13 * values[-1]
+            return np.sqrt(values[keep])[:, None] * vectors[:, keep].T * size
+
+    @property
     def covariance(self) -> np.ndarray:
         """(P, P).
 
@@ -134,6 +147,6 @@ def _warps(body: np.ndarray, size: float) -> np.ndarray:
     # The shift's square, m d d': second order, but as large as a slender body's own thickness.
     for i, j in zip(*np.triu_indices(3), strict=True):
         square = np.zeros((4, 4))
-        square[i, j] = square[j, i] = mass * radius**2 * size
+        square[i, j] = square[j, i] = mass * radius**2 * min(size, 1.0)  # beyond its own size, a second order means nothing
         changes.append(inertia.from_pseudo_inertia(square))
     return size**2 * np.einsum("gi,gj->ij", changes, changes)

@@ -13,9 +13,10 @@ from bayesid.arguments import argument, call
 from bayesid.drawing import Figures, figures_of
 from bayesid.dynamics.base_parameters import structural_base
 from bayesid.estimators import DEFAULT_METHOD, Estimate, Estimator, estimator
+from bayesid.estimators.against_prior import against_nominal
 from bayesid.estimators.conic.consistent_links import channel_grams
 from bayesid.estimators.nonlinear import solve
-from bayesid.estimators.prior_check import PriorCheck, against_nominal, conflicts
+from bayesid.estimators.prior_check import PriorCheck, conflicts
 from bayesid.recordings.experiment import Experiment, as_experiment
 from bayesid.recordings.schema import write_model
 from bayesid.regression.options import FitOptions, fit_options

@@ -15,10 +15,11 @@ from bayesid.arguments import argument, with_given
 from bayesid.drawing import Figures, figures_of
 from bayesid.errors import InputError
 from bayesid.estimators import Estimate
+from bayesid.estimators.against_prior import against_prior
 from bayesid.estimators.estimator import largest_autocorrelation
 from bayesid.estimators.factor import Factor, stack
 from bayesid.estimators.nonlinear import settled
-from bayesid.estimators.prior_check import PriorCheck, against_prior, conflicts
+from bayesid.estimators.prior_check import PriorCheck, conflicts
 from bayesid.posterior.convert import write_netcdf
 from bayesid.posterior.diagnostics import ConvergenceError
 from bayesid.posterior.model import PosteriorModel
@@ -220,7 +221,7 @@ def _prior(regression: Regression, prior: str | Prior | None, std: float | None)
         raise InputError(
             f"{argument('prior', 'nominal')}: the experiment states no inertia_rel_std; add {argument('prior_std', 0.3)}"
         )
-    return Prior.nominal(regression.knowledge.nominal_links, trust), trust
+    return Prior.warped(regression.knowledge.nominal_links, trust), trust
 
 
 def _with_predictions(

@@ -23,9 +23,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from bayesid.estimators import Bounds
 from bayesid.estimators.conic.data import LinkData
+from bayesid.estimators.conic.physical import evidence_of
 from bayesid.estimators.conic.prior_strength import link_prior
 from bayesid.estimators.conic.region import conic
 from bayesid.estimators.conic.solver import solve_conic
+from bayesid.regression.linalg import undetermined
 from tests.estimators.test_physical import by_cvxpy
 from tests.physical_cases import arm, flat_bodies
 
@@ -55,7 +57,8 @@ def main() -> None:
 
     def problem(matrix, target):
         data = LinkData.of(regression, matrix, target, None)
-        return data, link_prior(regression, data, None, "pullback", 0.3)
+        evidence = evidence_of(matrix, target, undetermined(matrix), regression.base.rank)
+        return data, link_prior(regression, data, evidence, None, "warped", 0.3)
 
     def compressed():
         r = np.linalg.qr(np.column_stack([rows, readings]), mode="r")

@@ -10,7 +10,8 @@ import pytest
 from scipy.stats import chi2, kstest
 
 import bayesid
-from bayesid.estimators.prior_check import CONFLICT, against_prior
+from bayesid.estimators.against_prior import against_prior
+from bayesid.estimators.prior_check import CONFLICT
 from bayesid.regression.regression import Regression
 from bayesid.robot import inertia
 from bayesid.robot.prior import Prior
@@ -118,6 +119,24 @@ def test_identify_says_a_conflict_first(tmp_path, method):
     assert saved["prior_against_data"]["conflict"] is True
     assert saved["prior_against_data"]["probability"] < CONFLICT
     assert list(saved).index("prior_against_data") < list(saved).index("base_parameters")
+
+
+def test_a_conflict_has_one_size_whoever_tells_it(tmp_path):
+    """One stated share is one standard deviation of the prior, in numbers that a few lines of NumPy give."""
+    wrong = puma(tmp_path, 0.3)
+    told = [bayesid.identify(wrong, method=m) for m in ("wls", "sdp")]
+    told.append(bayesid.sample(wrong, draws=400, keep_going=True, sampler=bayesid.Sampler(longest=1)))
+    checks = [result.prior_check for result in told]
+    base, links = told[0].base, wrong.robot.nominal
+    assert all(check is not None and check.conflict for check in checks)
+    expected = np.sqrt(np.diag(base.matrix @ Prior.warped(links, 0.1).covariance @ base.matrix.T))
+    for check in checks:
+        at = int(np.argmin(np.abs(base.matrix @ links.ravel() - check.largest.prior)))
+        assert check.largest.label == checks[0].largest.label
+        assert check.largest.prior_std == pytest.approx(expected[at], rel=1e-6)
+    # The data's side is that of the weights, so it differs a little between wls and the two others.
+    assert checks[1].distance == pytest.approx(checks[2].distance, rel=1e-9)
+    assert checks[0].distance == pytest.approx(checks[2].distance, rel=0.2)
 
 
 @pytest.mark.parametrize("method", ["wls", "sdp", "ridge"])

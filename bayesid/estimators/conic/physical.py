@@ -1,9 +1,9 @@
 """``sdp``: the parameters of bodies that can exist, nearest to what data and nominal model say together.
 
 With x the link parameters phi, then the effects, b = K phi the base parameters, (b_ls, V) the unconstrained estimate and
-its covariance, and phi0, M, s the nominal model, its metric and its prior relative standard deviation,
+its covariance, and phi0, s, C(s) the nominal model, its prior relative standard deviation and the covariance that this means,
 
-    min 1/2 ||(b, e) - (b, e)_ls||^2_{V^-1}  +  1/s^2 ||phi - phi0||^2_M
+    min 1/2 ||(b, e) - (b, e)_ls||^2_{V^-1}  +  1/2 ||phi - phi0||^2_{C(s)^-1}
     subject to  P_i(phi) >= 0  for every link, bounds, friction >= 0
 
 [Wensing2018]_, [Lee2020]_. The data's part is the triangular factor of whitened rows where the residuals are noise, else
@@ -34,6 +34,7 @@ from bayesid.estimators.conic.solver import Infeasible, solve_conic
 from bayesid.estimators.details import OPTIONAL, Details
 from bayesid.estimators.estimator import Estimate
 from bayesid.estimators.least_squares import completeness, covariance_middle, likelihood_weights, make_estimate, weighted_factor
+from bayesid.estimators.prior_check import Evidence
 from bayesid.estimators.weights import learn_weights
 from bayesid.regression.linalg import determined_inverse, undetermined
 from bayesid.regression.regression import Regression
@@ -58,7 +59,8 @@ class Physical:
     bounds
         What is known for sure beyond that bodies exist.
     metric
-        ``pullback`` (the prior's own), ``euclidean`` or ``entropic``: how the distance to the nominal links is measured.
+        How the distance to the nominal links is measured: ``warped`` (the prior's own: links scaled, shifted and warped),
+        ``pullback``, ``euclidean`` or ``entropic``.
     rel_std
         Prior relative standard deviation s of the nominal links, which sets the strength of the pull towards them; None: as
         the experiment or the prior states it, and where none is stated the value that makes the data most probable;
@@ -73,7 +75,7 @@ class Physical:
     name: str = "sdp"
     prior: Prior | None = None
     bounds: Bounds = field(default_factory=Bounds)
-    metric: str = "pullback"
+    metric: str = "warped"
     rel_std: float | None = None
     closest: float | None = None
     weights: str = "auto"
@@ -99,7 +101,8 @@ class Physical:
         middle = covariance_middle(regression, learned, scale, factor)
         matrix, target = compressed(factor.matrix, factor.target, middle)
         data = LinkData.of(regression, matrix, target, self.prior)
-        prior = link_prior(regression, data, self.prior, self.metric, self.rel_std)
+        evidence = evidence_of(matrix, target, hidden, regression.base.rank)
+        prior = link_prior(regression, data, evidence, self.prior, self.metric, self.rel_std)
         groups = _bounds(self, regression, data)
         solution, problem, physics, closest = _solved(self, data, prior, groups)
         if not solution.certified:
@@ -194,7 +197,7 @@ def _solved(
 ) -> tuple[Solution, Conic, PhysicsTest, Closest | None]:
     """The solution, the problem it solves, and what the data say of physics."""
     if method.closest is not None and method.metric == "entropic":
-        raise InputError("sdp: closest goes with the metrics pullback and euclidean; choose one of them")
+        raise InputError("sdp: closest goes with the metrics warped, pullback and euclidean; choose one of them")
     problem, closest = conic(data, prior, groups), None
     try:
         if method.metric == "entropic":
@@ -268,6 +271,22 @@ def _posterior(data: LinkData, problem: Conic, base: np.ndarray) -> np.ndarray:
     through[len(base) :, data.size :] = np.eye(n - data.size)
     half = solve_triangular(problem.factor, through.T, trans=1)
     return half.T @ half
+
+
+def evidence_of(matrix: np.ndarray, target: np.ndarray, hidden: np.ndarray, rank: int) -> Evidence:
+    """Base parameters by the data alone (r,), their covariance (r, r), and which the data do not determine (r,).
+
+    Parameters
+    ----------
+    matrix, target
+        As `compressed` gives them.
+    hidden
+        Columns that the data do not determine (p,).
+    rank
+        Number of base parameters.
+    """
+    inverse = determined_inverse(matrix, hidden)
+    return (inverse @ target)[:rank], (inverse @ inverse.T)[:rank, :rank], hidden[:rank]
 
 
 def _of_data(matrix: np.ndarray, hidden: np.ndarray) -> np.ndarray:

@@ -1,11 +1,12 @@
 """The prior of the links: its metric, and its relative standard deviation where nobody states one.
 
-The distance to the nominal links phi0 is ``(phi - phi0)' L (phi - phi0) / s^2`` with ``L = 2 M`` of the pull-back metric
-[Lee2020]_ (relative changes of the mass distribution), or a multiple of the unit matrix (Euclidean). s is the prior
+The distance to the nominal links phi0 is ``(phi - phi0)' C(s)^-1 (phi - phi0)`` with C(s) the covariance of links that are
+scaled, shifted and warped by a share s (`Prior.warped`), which is what s means wherever else it counts; or, with ``L = 2 M`` of
+the pull-back metric [Lee2020]_ or a multiple of the unit matrix (Euclidean), ``C(s)^-1 = L / s^2``. s is the prior
 relative standard deviation. Where it is not stated it is the one that makes the data most probable [Good1965]_: with y the
-data's distance from the nominal links, effects projected out, ``y ~ N(0, 1 + s^2 G G')``. Above one, links are further from the
+data's distance from the nominal links, effects projected out, ``y ~ N(0, 1 + G C(s) G')``. Above one, links are further from the
 nominal ones than those are large, in some directions (a mass that lies elsewhere) and not in others, which no single s
-describes: the nominal links then fill what the data leave open, and pull at nothing else.
+describes: the nominal links then fill what the data leave open, by the pull-back metric, and pull at nothing else.
 """
 
 from __future__ import annotations
@@ -14,18 +15,17 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.linalg import cholesky, null_space
+from scipy.linalg import cholesky, null_space, solve_triangular
 from scipy.optimize import fminbound
-from scipy.stats import chi2
 
 from bayesid.errors import InputError
 from bayesid.estimators.conic.data import LinkData
-from bayesid.regression.linalg import or_one, standard_deviations
+from bayesid.estimators.prior_check import Evidence, PriorCheck, compared
 from bayesid.regression.regression import Regression
 from bayesid.robot import inertia
 from bayesid.robot.prior import Prior
 
-METRICS = ("pullback", "euclidean", "entropic")
+METRICS = ("warped", "pullback", "euclidean", "entropic")
 #: Relative standard deviations tried when none is stated.
 _SMALLEST, _LARGEST = 1e-3, 1e2
 #: Below this probability of the distance to the nominal model even the best relative standard deviation explains nothing.
@@ -52,15 +52,15 @@ class LinkPrior:
     references
         Pseudo-inertia of each nominal body, thickened where it has no extent (b, 4, 4).
     metric
-        ``pullback``, ``euclidean`` or ``entropic``.
+        ``warped``, ``pullback``, ``euclidean`` or ``entropic``.
     rel_std
         s; None where a precision of one's own is given.
     stated
         Whether s was stated, not found from the data.
     rule
         Where s is from, in words.
-    probability
-        Of data as far from the nominal model as these, given s.
+    check
+        How far the data are from the nominal model, given s; None where they determine nothing.
     end
         ``smallest`` or ``largest`` where the search for s stopped at that end of its range, else None.
     """
@@ -72,8 +72,13 @@ class LinkPrior:
     rel_std: float | None
     stated: bool
     rule: str
-    probability: float = 1.0
+    check: PriorCheck | None = None
     end: str | None = None
+
+    @property
+    def probability(self) -> float:
+        """Probability of data as far from the nominal model as these."""
+        return 1.0 if self.check is None else self.check.probability
 
     @property
     def loosened(self) -> float:
@@ -92,8 +97,21 @@ class LinkPrior:
         }
 
 
-def link_prior(regression: Regression, data: LinkData, prior: Prior | None, metric: str, rel_std: float | None) -> LinkPrior:
+def link_prior(
+    regression: Regression, data: LinkData, evidence: Evidence, prior: Prior | None, metric: str, rel_std: float | None
+) -> LinkPrior:
     """Nominal model and strength from what is given: a prior, the regression's nominal links, or next to nothing.
+
+    Parameters
+    ----------
+    regression, data
+        What is fitted, and what its rows say of link parameters.
+    evidence
+        The same of base parameters.
+    prior
+        Of one's own; None: about the regression's nominal links.
+    metric, rel_std
+        As in `bayesid.estimators.conic.physical.Physical`.
 
     Raises
     ------
@@ -110,10 +128,10 @@ def link_prior(regression: Regression, data: LinkData, prior: Prior | None, metr
             raise InputError(f"the prior is for {len(prior.mean)} link parameters, the regression has {data.size}")
         mean = np.asarray(prior.mean, float)
         references = _references(mean, data.bodies)
-        if metric == "pullback" and rel_std is None:
-            root = _root(prior.precision)
-            probability = _probability(data, mean, root, 1.0)
-            return LinkPrior(mean, root, references, metric, None, True, "the prior's precision", probability)
+        if metric == "warped" and rel_std is None:
+            root = prior.root
+            check = compared(regression.base, evidence, mean, root)
+            return LinkPrior(mean, root, references, metric, None, True, "the prior's precision", check)
     elif known.states_masses:
         mean = known.nominal_links
         assert mean is not None
@@ -127,35 +145,43 @@ def link_prior(regression: Regression, data: LinkData, prior: Prior | None, metr
             mean[list(body)] = _TYPICAL
         references = _references(mean, data.bodies)
         rel_std = _TYPICAL_STD if rel_std is None else rel_std
-    unit = _unit_root(mean, data.bodies, metric)
     stated = known.inertia_rel_std if rel_std is None and prior is None else rel_std
     # Exactly known links leave nothing to estimate: whoever asks for an estimate does not take them for exact.
     found = stated is None or stated == 0
+
+
+    def checked(std: float) -> tuple[np.ndarray, PriorCheck | None]:
+        root = _scaled_root(mean, data.bodies, metric, std)
+        return root, compared(regression.base, evidence, mean, root, std, stated=not found)
+
     if found:
-        std, end = _most_probable(data, mean, unit)
+        std, end = _most_probable(data, mean, metric)
+        root, check = checked(std)
         rule = "the value that makes the data most probable"
         if end is not None:
             rule += f", at the {end} that is tried"
-        if _probability(data, mean, unit, std) < _UNEXPLAINED:
+        if check is not None and check.probability < _UNEXPLAINED:
             rule += "; no value explains how far the data are from the nominal model: an effect beside the links is missing"
         elif std > _DESCRIBES:
             far = f"{std:.2g} times as far from the nominal links as those are large"
             rule = f"found from the data, {far}: the nominal links fill only what data leave open"
             std = _LARGEST
+            root, check = checked(std)
     else:
         assert stated is not None
         std, rule, end = float(stated), "as stated", None
+        root, check = checked(std)
     if prior is None and not known.states_masses:
         guess = "bodies of about 1 kg and 0.1 m" if known.guessed_links is None else "cylinders of water between the joints"
         why = "no nominal model" if known.guessed_links is None else "the URDF states no masses"
         rule = f"{why}: {guess}, within a factor of ten"
-    return LinkPrior(mean, unit / std, references, metric, std, not found, rule, _probability(data, mean, unit, std), end)
+    return LinkPrior(mean, root, references, metric, std, not found, rule, check, end)
 
 
 def nominal_prior(mean: np.ndarray, bodies: tuple[tuple[int, ...], ...]) -> LinkPrior:
     """Nominal links with relative standard deviation one, by the constant pull-back metric."""
     return LinkPrior(
-        mean, _unit_root(mean, bodies, "pullback"), _references(mean, bodies), "pullback", 1.0, True, "relative distance"
+        mean, _scaled_root(mean, bodies, "pullback", 1.0), _references(mean, bodies), "pullback", 1.0, True, "relative distance"
     )
 
 
@@ -163,57 +189,40 @@ def _references(mean: np.ndarray, bodies) -> np.ndarray:
     return np.array([inertia.solid(mean[list(body)]) for body in bodies])
 
 
-def _unit_root(mean: np.ndarray, bodies, metric: str) -> np.ndarray:
-    """Root of the precision for s = 1."""
+def _scaled_root(mean: np.ndarray, bodies, metric: str, std: float) -> np.ndarray:
+    """Root of the precision at a relative standard deviation (10 b, P)."""
     size = np.sqrt(np.mean(mean**2)) if mean.any() else 1.0
     rows = np.zeros((10 * len(bodies), len(mean)))
     for k, body in enumerate(bodies):
         part = slice(10 * k, 10 * k + 10)
         if metric == "euclidean":
-            rows[part, list(body)] = np.eye(10) / size
+            rows[part, list(body)] = np.eye(10) / size / std
         else:
-            rows[part, list(body)] = _root(2.0 * inertia.pullback_metric(mean[list(body)]))
+            # A share above one is no change of a shape any more: what is left is to fill what data leave open, evenly.
+            like = Prior.warped if metric == "warped" and std <= _DESCRIBES else Prior.nominal
+            rows[part, list(body)] = like(mean[list(body)], std).root
     return rows
 
 
-def _root(precision: np.ndarray) -> np.ndarray:
-    """W with ``W'W = precision``; directions without any are left out."""
-    size = or_one(standard_deviations(precision), 0.0)
-    scaled = precision / np.outer(size, size)
-    try:
-        return cholesky(0.5 * (scaled + scaled.T)) * size
-    except np.linalg.LinAlgError:
-        values, vectors = np.linalg.eigh(0.5 * (scaled + scaled.T))
-        keep = values > 1e-13 * values[-1]
-        return np.sqrt(values[keep])[:, None] * vectors[:, keep].T * size
-
-
-def _distance(data: LinkData, mean: np.ndarray, unit: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Independent ``y_k ~ N(0, 1 + s^2 g_k)``: y (k,) and g (k,).
+def _most_probable(data: LinkData, mean: np.ndarray, metric: str) -> tuple[float, str | None]:
+    """Maximiser of the probability of the data over s, by a grid and a search in between, and the end where it lies.
 
     What the prior says nothing about, effects and free columns, is projected out.
     """
-    known = np.linalg.norm(unit, axis=0) > 0
+    known = np.linalg.norm(_scaled_root(mean, data.bodies, metric, 1.0), axis=0) > 0
     columns = np.concatenate([known, np.zeros(data.matrix.shape[1] - data.size, bool)])
     free = data.matrix[:, ~columns]
     y = data.target - data.matrix[:, : data.size][:, known] @ mean[known]
     length = np.maximum(np.linalg.norm(free, axis=0), 1e-300)
     rest = null_space((free / length).T, rcond=1e-11).T if free.shape[1] else np.eye(len(y))
-    # phi - phi0 = W^-1 n with n standard normal; W has full rank in the known columns.
-    spread = np.linalg.lstsq(unit[:, known].T, (rest @ data.matrix[:, columns]).T, rcond=None)[0].T
-    u, s, _ = np.linalg.svd(spread)
-    values = np.zeros(len(rest))
-    values[: len(s)] = s**2
-    return u.T @ (rest @ y), values
-
-
-def _most_probable(data: LinkData, mean: np.ndarray, unit: np.ndarray) -> tuple[float, str | None]:
-    """Maximiser of the probability of the data over s, by a grid and a search in between, and the end where it lies."""
-    y, g = _distance(data, mean, unit)
+    y, matrix = rest @ y, (rest @ data.matrix[:, columns]).T
 
     def cost(log_std: float) -> float:
-        variance = 1.0 + np.exp(2.0 * log_std) * g
-        return float(np.sum(np.log(variance) + y**2 / variance))
+        # phi - phi0 = W^-1 n with n standard normal; W has full rank in the known columns.
+        root = _scaled_root(mean, data.bodies, metric, float(np.exp(log_std)))[:, known]
+        spread = np.linalg.lstsq(root.T, matrix, rcond=None)[0]
+        lower = cholesky(np.eye(len(y)) + spread.T @ spread, lower=True)
+        return float(2.0 * np.sum(np.log(np.diag(lower))) + np.sum(solve_triangular(lower, y, lower=True) ** 2))
 
     grid = np.linspace(np.log(_SMALLEST), np.log(_LARGEST), 47)
     best = int(np.argmin([cost(x) for x in grid]))
@@ -225,9 +234,3 @@ def _most_probable(data: LinkData, mean: np.ndarray, unit: np.ndarray) -> tuple[
     if best == len(grid) - 1 and cost(grid[-1]) <= cost(found):
         return _LARGEST, "largest"
     return float(np.exp(found)), None
-
-
-def _probability(data: LinkData, mean: np.ndarray, unit: np.ndarray, std: float) -> float:
-    """Of data at least as far from the nominal model as these, if ``std`` is right."""
-    y, g = _distance(data, mean, unit)
-    return float(chi2.sf(np.sum(y**2 / (1.0 + std**2 * g)), len(y))) if len(y) else 1.0
