@@ -163,6 +163,39 @@ def restrict(problem: Problem, motions: Sequence[str]) -> Problem:
     return replace(problem, regression=regression, fitted=tuple(motions))
 
 
+def elsewhere(problem: Problem, other: Experiment) -> Problem:
+    """The same model, fitted as it was, with the motions of another experiment of the same robot to be predicted.
+
+    Parameters
+    ----------
+    problem
+        What was fitted; its robot and its sensor's pose stay.
+    other
+        Recordings of the same joints and readings.
+
+    Raises
+    ------
+    InputError
+        The joints differ, or no motion has the readings or is long enough.
+    """
+    own, row_model = problem.experiment.robot.joint_names, problem.row_model
+    if other.robot.joint_names != own:
+        raise InputError(
+            f"experiment {other.name} moves {', '.join(other.robot.joint_names)} and the estimate is of {', '.join(own)}: "
+            "give recordings of the same joints"
+        )
+    readable = [m for m in other.motions if has_readings(m, problem.channel)]
+    if not readable:
+        raise InputError(f"experiment {other.name}: no motion has the readings that were fitted ({problem.channel})")
+    subtract, channels = problem.static == "motion", row_model.channels
+    segments = {
+        m.name: motion_segments(other, channels, m, k, problem.channel, subtract) for k, m in enumerate(readable)
+    }
+    for motion in readable:
+        _require_length(motion, segments[motion.name], row_model)
+    return replace(problem, experiment=other, segments=segments, rows=MotionRows(row_model, segments))
+
+
 def relinearised(problem: Problem, point: Point) -> Problem:
     """The same problem with its readings linearised at another point."""
     row_model = replace(problem.row_model, point=point)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from html import escape
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -115,10 +115,36 @@ class Comparison(Result):
             for name, e in self.estimates.items()
         }
 
-    def to_dataframe(self) -> DataFrame:
-        """Parameters of all estimators below each other: ``method``, then the columns of `Estimate.to_dataframe`."""
-        from pandas import concat
+    def to_dataframe(self, of: Literal["parameters", "scores"] = "parameters") -> DataFrame:
+        """Tables of what was compared.
 
+        Parameters
+        ----------
+        of
+            ``parameters``: those of all estimators below each other, ``method`` and then the columns of
+            `Estimate.to_dataframe`. ``scores``: a row an estimator and motion, the nominal model's first: ``method``,
+            ``motion``, ``role``, ``relative_error`` (all channels together, in the band), ``relative_error_raw``,
+            ``whitened_rms``, ``expected_rms``, ``coverage`` and ``nrmse_fx`` ... by channel.
+
+        Raises
+        ------
+        InputError
+            It is neither.
+        """
+        from pandas import DataFrame, concat
+
+        if of == "scores":
+            entries = [e for e in (*self.baselines, *self.entries) if e.estimate is not None]
+            return DataFrame(
+                {
+                    "method": e.name, "motion": p.motion, "role": p.role, "relative_error": p.relative_error,
+                    "relative_error_raw": p.relative_error_raw, "whitened_rms": p.whitened_rms, "expected_rms": p.expected_rms,
+                    "coverage": p.coverage, **{f"nrmse_{n}": v for n, v in zip(p.channel_names, p.nrmse, strict=True)},
+                }
+                for e in entries for p in (*e.fitted, *e.validation)
+            )  # fmt: skip
+        if of != "parameters":
+            raise InputError(f"of = {of!r}: give 'parameters' or 'scores'")
         tables = {name: e.to_dataframe() for name, e in self.estimates.items()}
         return concat(tables, names=["method"]).reset_index(level="method").reset_index(drop=True)
 

@@ -6,6 +6,7 @@ import itertools
 from dataclasses import dataclass, replace
 from functools import cached_property
 from html import escape
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,6 +19,8 @@ from bayesid.errors import InputError
 from bayesid.estimators import Estimate
 from bayesid.estimators.parameters import HasParameters, Parameters, central_interval
 from bayesid.estimators.prior_check import PriorCheck, conflicts
+from bayesid.recordings.experiment import Experiment, as_experiment
+from bayesid.recordings.motion import Motion
 from bayesid.recordings.schema import EffectParameters
 from bayesid.regression.parallel import in_order, one_blas_thread
 from bayesid.regression.problem import Problem
@@ -31,7 +34,7 @@ from bayesid.validation.cross_checks import Agreement
 from bayesid.validation.headline import over_noise, still_predictable
 from bayesid.validation.noise_floor import NoiseFloor
 from bayesid.validation.predicted_readings import PredictedReadings, predict_readings
-from bayesid.validation.prediction import BAND, Prediction, predict
+from bayesid.validation.prediction import BAND, Prediction, predict, predict_elsewhere
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -168,6 +171,29 @@ class Identification(PlotsPredictions, HasParameters, Result):
         """
         e = self.estimate
         return predict_readings(self.problem, e.solution, e.full_covariance, e.undetermined, q, v, a, times)
+
+    def validate(self, other: Experiment | Motion | str | Path) -> tuple[Prediction, ...]:
+        """Predict recordings that were not part of this, of another day for example, with this estimate as it is.
+
+        Parameters
+        ----------
+        other
+            An experiment of the same robot with the same readings, its folder, or one recording.
+
+        Returns
+        -------
+        predictions
+            One for each motion that has the readings: `Prediction.relative_error`, ``whitened_rms``, ``residuals`` and more.
+
+        Raises
+        ------
+        InputError
+            The joints differ, or no motion has the readings that were fitted.
+        """
+        problem = self.problem
+        given = replace(problem.experiment, motions=(other,)) if isinstance(other, Motion) else as_experiment(other, "a Motion")
+        with one_blas_thread():
+            return predict_elsewhere(problem, self.estimate, given)
 
     def parameters(self, level: float = LEVEL) -> Parameters:
         """Base parameters, then every effect as in ``estimate.json``, with central intervals of a probability.

@@ -16,13 +16,13 @@ from bayesid.recordings.experiment import Experiment, Motion
 from bayesid.regression.blocks import Block
 from bayesid.regression.motion_rows import row_count
 from bayesid.regression.parallel import both, in_order
-from bayesid.regression.problem import Problem
+from bayesid.regression.problem import Problem, elsewhere
 from bayesid.regression.row_cache import few_of
 from bayesid.regression.rows import make_blocks
 from bayesid.regression.segment import Segment
 from bayesid.signals.noise import NoiseModel
 from bayesid.validation.flexible import BAND, FlexibleGap
-from bayesid.validation.noise_floor import RESIDUALS, NoiseFloor
+from bayesid.validation.noise_floor import RESIDUALS, NoiseFloor, noise_floor
 
 #: Whitened residuals on a motion that was not fitted above this say that something is missing in the model.
 TOLERATED = 1.15
@@ -219,6 +219,32 @@ def predict(problem: Problem, estimate: Estimate, motion: Motion, floor: NoiseFl
     )
 
 
+def predict_elsewhere(problem: Problem, estimate: Estimate, other: Experiment) -> tuple[Prediction, ...]:
+    """Predict every motion of another experiment of the same robot; nothing is fitted, so all count as validation.
+
+    Parameters
+    ----------
+    problem, estimate
+        The model and its parameters.
+    other
+        Recordings of the same joints and readings.
+
+    Raises
+    ------
+    InputError
+        They are not.
+    """
+    there = elsewhere(problem, other)
+    floor = noise_floor(there)
+    motions = [m for m in other.motions if m.name in there.segments]
+
+    def one(motion: Motion) -> Prediction:
+        repeats = repeated(problem.experiment, motion, problem.fitted)
+        return replace(predict(there, estimate, motion, floor), role="validation", repeats=repeats)
+
+    return tuple(in_order(one, motions))
+
+
 def _predicted(problem: Problem, estimate: Estimate, segment: Segment, a: int, b: int) -> np.ndarray:
     """Predicted raw samples a ... b - 1 (b - a, c)."""
 
@@ -319,12 +345,10 @@ def repeated(experiment: Experiment, motion: Motion, fitted: tuple[str, ...]) ->
     A "validation" on the motion that was fitted says little about any other motion: on repeats of its
     training motion a published estimate was off by 2 %, on another motion by 14 %.
     """
-    if motion.name in fitted or motion.kind == "poses":
+    others = [m for m in experiment.motions if m.name in fitted]
+    if motion.kind == "poses" or any(m is motion for m in others):
         return None
-    for other in experiment.motions:
-        if other.name in fitted and other.kind != "poses" and _same_path(motion, other):
-            return other.name
-    return None
+    return next((m.name for m in others if m.kind != "poses" and _same_path(motion, m)), None)
 
 
 def _same_path(one: Motion, other: Motion) -> bool:

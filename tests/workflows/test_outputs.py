@@ -268,6 +268,42 @@ def test_tables_of_a_comparison_and_a_posterior(comparison, posterior, result):
     assert list(drawn["name"]) == list(result.to_dataframe()["name"])
 
 
+def test_scores_of_a_comparison_are_a_row_an_estimator_and_motion(comparison):
+    scores, document = comparison.to_dataframe("scores"), comparison.to_dict()
+    assert len(scores) == (len(document["baselines"]) + 3) * 2  # a fitted motion and one that was not
+    written = {e["name"]: e for e in (*document["baselines"], *document["methods"])}
+    for row in scores.to_dict("records"):
+        predicted = (*written[row["method"]]["fit"], *written[row["method"]]["validation"])
+        (entry,) = (p for p in predicted if p["motion"] == row["motion"])
+        for key in ("relative_error", "relative_error_raw", "whitened_rms", "expected_rms"):
+            assert row[key] == entry[key]
+        assert row["coverage"] == entry["interval_coverage"] and row["nrmse_tau2"] == entry["nrmse"]["tau2"]
+    assert scores.pivot(index="method", columns="motion", values="relative_error").loc["wls", "validation"] < 0.02
+    with pytest.raises(bayesid.InputError, match="give 'parameters' or 'scores'"):
+        comparison.to_dataframe("values")
+
+
+def test_other_recordings_are_predicted_with_the_estimate_as_it_is(result, tmp_path):
+    """The same numbers as for a motion of the experiment itself; from a recording, an experiment and its folder."""
+    robot, (own,) = result.problem.experiment.robot, result.validation
+    (again,) = result.validate(result.problem.experiment["validation"])
+    assert again.relative_error == pytest.approx(own.relative_error, rel=1e-9) and again.role == "validation"
+    np.testing.assert_allclose(again.residuals, own.residuals, atol=1e-9)
+    other = experiment(robot, [rubbing(robot, 5, "identification"), rubbing(robot, 1, "validation")], effects=EFFECTS)
+    new, repeats = result.validate(other)
+    assert (new.motion, new.role, new.repeats) == ("identification", "validation", None)
+    assert new.relative_error < 0.02 and new.whitened_rms == pytest.approx(1.0, abs=0.2)
+    assert repeats.repeats == "identification"  # the path that was fitted, under another name
+    bayesid.write_experiment(other, tmp_path / "other")
+    assert result.validate(tmp_path / "other")[0].relative_error == pytest.approx(new.relative_error, rel=1e-6)
+    heavy = replace(other.motions[0], table=replace(other.motions[0].table, torques=1.2 * other.motions[0].table.torques))
+    assert result.validate(heavy)[0].relative_error == pytest.approx(0.2 / 1.2, abs=0.01)
+    with pytest.raises(bayesid.InputError, match="no motion has the readings that were fitted"):
+        result.validate(replace(heavy, table=replace(heavy.table, torques=None, wrench=np.ones((len(heavy.table), 6)))))
+    with pytest.raises(bayesid.InputError, match="pass the folder of an experiment, an Experiment or a Motion"):
+        result.validate(3)
+
+
 def test_every_estimator_and_the_posterior_predict(comparison, posterior, result):
     _, q, v, a = fourier(result.problem.experiment.robot, 7, duration=1.0)
     own, each, drawn = result.predict(q, v, a), comparison.predict(q, v, a), posterior.predict(q, v, a)
