@@ -6,12 +6,15 @@ Names, places and signs are those of the experiment format.
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import cached_property, lru_cache
 from importlib import import_module
+from importlib.abc import MetaPathFinder
 from importlib.metadata import entry_points
+from importlib.util import spec_from_file_location
 from typing import TYPE_CHECKING, Any
 
 from bayesid.dynamics.channels import WRENCH_NAMES
@@ -24,7 +27,21 @@ if TYPE_CHECKING:
 ENTRY_POINTS = "bayesid.effects"
 #: As many joints as a formula can number.
 ANY_JOINTS = 9999
+#: The name of the module of a file of effects is this and the path of its file as hexadecimal digits.
+MODULE = "_bayesid_effects_"
 _PLACES = ("sensor", "axis", "axis->axis", "base", "joint", "joint->joint", "robot", "joint|robot")
+
+
+class _EffectFiles(MetaPathFinder):
+    """Finds the files of effects by the names of their modules, so that a pickled effect finds its class in another process."""
+
+    def find_spec(self, fullname, path=None, target=None):
+        if not fullname.startswith(MODULE):
+            return None
+        return spec_from_file_location(fullname, bytes.fromhex(fullname.removeprefix(MODULE)).decode())
+
+
+sys.meta_path.append(_EffectFiles())
 
 
 @dataclass(frozen=True)

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import sys
-from hashlib import blake2b
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 
 from bayesid.effects.effect import Effect
-from bayesid.effects.library import EffectLibrary
+from bayesid.effects.library import MODULE, EffectLibrary
 from bayesid.errors import InputError
 
 
@@ -38,22 +37,20 @@ def load_effects(path: str | Path, library: EffectLibrary | None = None) -> Effe
     path = Path(path)
     if not path.is_file():
         raise InputError(f"{path}: no such file; give the Python file that holds your effects")
-    name = f"_bayesid_effects_{blake2b(str(path.resolve()).encode(), digest_size=8).hexdigest()}"
+    name = MODULE + str(path.resolve()).encode().hex()
     spec = spec_from_file_location(name, path)
     if spec is None or spec.loader is None:
         raise InputError(f"{path}: is no Python file; give one whose name ends in .py")
     module = module_from_spec(spec)
     before = sys.modules.get(name)
-    sys.modules[name] = module  # dataclasses look their module up there while it runs
+    sys.modules[name] = module  # dataclasses look their module up there while it runs, pickle later
     try:
         spec.loader.exec_module(module)
     except Exception as error:
-        raise InputError(f"{path}: {type(error).__name__}: {' '.join(str(error).split())}; mend the file") from error
-    finally:
-        if before is None:
-            del sys.modules[name]
-        else:
+        del sys.modules[name]
+        if before is not None:
             sys.modules[name] = before
+        raise InputError(f"{path}: {type(error).__name__}: {' '.join(str(error).split())}; mend the file") from error
     found = [
         c for c in vars(module).values() if isinstance(c, type) and issubclass(c, Effect) and c.__module__ == name and c.name
     ]  # fmt: skip

@@ -1,5 +1,7 @@
-"""Effects in a user's own file or package: what is taken, what is refused, and that nothing of it stays behind."""
+"""Effects in a user's own file or package: what is taken, what is refused, and that it goes to other processes."""
 
+import pickle
+import subprocess
 import sys
 from importlib.metadata import EntryPoint
 
@@ -30,7 +32,11 @@ def test_a_file_adds_to_one_library_only(tmp_path):
     (path := tmp_path / "mine.py").write_text(GOOD)
     own = bayesid.load_effects(path)
     assert set(own.classes) == {*EffectLibrary().classes, "cubic_spring"}
-    assert not [name for name in sys.modules if name.startswith("_bayesid_effects")]
+    copied = pickle.loads(pickle.dumps(own))
+    assert copied == own and copied.classes["cubic_spring"] is own.classes["cubic_spring"]
+    code = "import pickle, sys; print(*pickle.loads(sys.stdin.buffer.read()).classes)"  # another process reads the file itself
+    other = subprocess.run([sys.executable, "-c", code], input=pickle.dumps(own), capture_output=True, check=True)
+    assert other.stdout.decode().split() == [*own.classes]
     with pytest.raises(InputError, match="mine.py: an effect is called 'cubic_spring' already"):
         bayesid.load_effects(path, own)
 
