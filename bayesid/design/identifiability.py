@@ -256,7 +256,7 @@ def unseen(wider: BaseParameters, found: BaseParameters) -> tuple[str, ...]:
 
 def is_recorded(plan: Plan, sensor_set: SensorSet) -> bool:
     """Whether the motions have the readings of a sensor set, static runs included."""
-    recorded = [m for m in plan.motions if isinstance(m, Motion) and has_readings(m, sensor_set.channel)]
+    recorded = [m for m in plan.motions if isinstance(m, Motion) and has_readings(m.table, sensor_set.channel)]
     if len(recorded) < len(plan.motions) or sensor_set.offset == "known" and sensor_set.channel != "torque":
         return False
     if sensor_set.offset == "static run":

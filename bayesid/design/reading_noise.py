@@ -122,7 +122,8 @@ def recorded_noise(
     models, sources = {"wrench": otherwise.wrench, "torque": otherwise.torque}, dict(otherwise.sources)
     problems = {}
     for kind in models:
-        if (kind == "wrench" and experiment.sensor is None) or not motions or not all(has_readings(m, kind) for m in motions):
+        recorded = bool(motions) and all(has_readings(m.table, kind) for m in motions)
+        if (kind == "wrench" and experiment.sensor is None) or not recorded:
             continue
         problem = problems[kind] = settled(prepare(experiment, replace(options, channel=kind)))
         if sources[kind] == "given":

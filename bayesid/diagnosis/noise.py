@@ -13,7 +13,8 @@ from bayesid.diagnosis.noise_spectrum import measure
 from bayesid.diagnosis.repeats import find_rests
 from bayesid.diagnosis.spectra import Segment, low_passed, sensor_noise
 from bayesid.effects import MotionSegment, Term
-from bayesid.recordings.table import Table, usual_step
+from bayesid.recordings.table import usual_step
+from bayesid.regression.readings import has_readings, readings_of
 from bayesid.signals.smoothing import smooth
 
 
@@ -95,7 +96,7 @@ def _rests(data: DiagnosisData, count: np.ndarray) -> list[tuple[np.ndarray, np.
             # Rows of poses that were averaged one by one are no recording.
             pieces = [p for p in table.segments() if p.stop - p.start > 2]
             pieces = [p for p in pieces if abs(usual_step(table.times[p]) / step - 1.0) < 0.1]
-            parts += [(table.times[p], table.positions[p], readings_of(table, data.channel)[p]) for p in pieces]
+            parts += [(table.times[p], table.positions[p], readings_of(data.experiment, table, data.channel)[p]) for p in pieces]
     out = []
     for times, encoders, read in parts:
         for start, end in find_rests(times, encoders, count, data.settings):
@@ -127,15 +128,3 @@ def smoothed(
     if still:
         v, a = 0.0 * v, 0.0 * a
     return MotionSegment(grid, q, v, a, still, bandwidth, middle, clear, cell, None if still else (times, positions))
-
-
-def has_readings(table: Table, channel: str) -> bool:
-    """Whether a table has the readings of a channel."""
-    wrench, torque = table.wrench is not None, table.torques is not None
-    return {"wrench": wrench, "torque": torque, "both": wrench and torque}[channel]
-
-
-def readings_of(table: Table, channel: str) -> np.ndarray:
-    """A table's readings of a channel (N, c)."""
-    wanted = [table.wrench if channel != "torque" else None, table.torques if channel != "wrench" else None]
-    return np.hstack([a for a in wanted if a is not None])

@@ -9,14 +9,14 @@ from scipy.fft import next_fast_len
 
 from bayesid.arguments import argument
 from bayesid.diagnosis.data import DiagnosisData
-from bayesid.diagnosis.noise import has_readings, readings_of, smoothed, with_noise_of
+from bayesid.diagnosis.noise import smoothed, with_noise_of
 from bayesid.diagnosis.settings import DEFAULT, Settings
 from bayesid.diagnosis.spectra import Segment
 from bayesid.effects import Term, middle_of, starting_point
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, Motion
 from bayesid.recordings.table import usual_step
-from bayesid.regression.readings import default_channel, make_channels
+from bayesid.regression.readings import default_channel, has_readings, make_channels, readings_of
 from bayesid.robot.prior import Prior
 from bayesid.signals.resampling import resample_evenly, uneven
 from bayesid.signals.smoothing import choose_smoothers
@@ -98,8 +98,8 @@ def prepare_data(
     middle = middle_of(chosen[0].table.positions)
     share = settings.fitted_clear_share
     clear = dict(zip((m.name for m in [*chosen, *unseen]), each, strict=True))
-    fitted = [s for m in chosen for s in _segments(m, channel, bandwidth, middle, share * clear[m.name], settings)]
-    others = [s for m in unseen for s in _segments(m, channel, bandwidth, middle, clear[m.name], settings)]
+    fitted = [s for m in chosen for s in _segments(experiment, m, channel, bandwidth, middle, share * clear[m.name], settings)]
+    others = [s for m in unseen for s in _segments(experiment, m, channel, bandwidth, middle, clear[m.name], settings)]
     if not fitted:
         shortest = f"{settings.shortest_segment:g} s"
         raise InputError(f"the motions to fit have no segment of {shortest} without a gap; record longer ones")
@@ -132,7 +132,13 @@ def _clear(experiment: Experiment, motions: Sequence[Motion], settings: Settings
 
 
 def _segments(
-    motion: Motion, channel: str, bandwidth: float, middle: np.ndarray, clear: float, settings: Settings
+    experiment: Experiment,
+    motion: Motion,
+    channel: str,
+    bandwidth: float,
+    middle: np.ndarray,
+    clear: float,
+    settings: Settings,
 ) -> list[Segment]:
     """Gap-free recordings of a motion and of its static run."""
     tables = [(motion.table, False)]
@@ -145,7 +151,7 @@ def _segments(
             times = table.times[part]
             if times[-1] - times[0] < settings.shortest_segment:
                 continue
-            positions, read = table.positions[part], readings_of(table, channel)[part]
+            positions, read = table.positions[part], readings_of(experiment, table, channel)[part]
             if uneven(times):  # a frequency basis needs even times
                 both = np.hstack([positions, read])
                 times, both = resample_evenly(times, both, bandwidth)
@@ -155,8 +161,8 @@ def _segments(
             rate = settings.friction_rate if channel != "wrench" else settings.smooth_rate
             grid = even_grid(times, rate)
             scene = smoothed(times, positions, grid, bandwidth, still, middle, clear, float(grid[1] - grid[0]))
-            torques = tuple((read.shape[1] - scene.positions.shape[1] + j, j) for j in range(scene.positions.shape[1]))
-            torques = () if channel == "wrench" else torques
+            joints = () if channel == "wrench" else experiment.torque_joints
+            torques = tuple((read.shape[1] - len(joints) + k, j) for k, j in enumerate(joints))
             out.append(
                 Segment(motion.name, motion.role, times, positions, read, scene, still, torques, np.zeros(0), settings=settings)
             )

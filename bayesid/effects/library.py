@@ -204,7 +204,7 @@ class EffectLibrary:
         joint_names
             The URDF's names in the order of q1 ... qn; ``joint1`` ... ``jointn`` are understood too.
         channels
-            Names of the channels in use; an effect on other channels is left out.
+            Names of the channels in use; an effect that shows in none of them is left out.
         gear_ratio
             By the joint's name.
 
@@ -225,9 +225,8 @@ class EffectLibrary:
                 raise InputError(f"effect '{spec}': {_where_else(c, where, len(joint_names))}")
             if not place and c.at == "joint|robot":
                 found = [e for e in found if e.joint is not None]
-            if any(c.acts_on(channel) for channel in channels):
-                for effect in found:
-                    effects.setdefault(effect.spec, effect)
+            seen = {e.spec for e in self.places(name, joint_names, channels, gear_ratio)}
+            effects |= {e.spec: e for e in found if e.spec in seen and e.spec not in effects}
         return tuple(effects.values())
 
 

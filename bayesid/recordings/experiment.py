@@ -136,7 +136,7 @@ class Experiment(Plots):
                         f"{table.source}: {table.positions.shape[1]} joints but the robot has {self.robot.n}; "
                         "give a table with one column of positions per joint"
                     )
-        motions, findings, doubts = [], list(self.findings), []
+        given, motions, findings, doubts = self.motions, [], list(self.findings), []
         for index, motion in enumerate(self.motions):
             if not motion.examined:
                 place = f"motion '{motion.name}':" if self.folder is None else f"experiment.toml: [motion.{index}]"
@@ -145,6 +145,8 @@ class Experiment(Plots):
                 doubts += more
             motions.append(motion)
         object.__setattr__(self, "motions", tuple(motions))
+        if any(not motion.examined for motion in given):
+            findings += self._partial_torques()
         object.__setattr__(self, "findings", tuple(findings))
         certain = tuple(finding.text for finding in findings)
         doubted = [text for text in self.warnings if text not in certain]
@@ -155,6 +157,26 @@ class Experiment(Plots):
         sensor = f", sensor in {place}" if place else "" if self.sensor is None else ", sensor under the base"
         motions = f"{len(self.motions)} motion{'s' * (len(self.motions) != 1)}"
         return f"<{type(self).__name__} {self.name}: {self.robot.name} with {self.robot.n} joints{sensor}, {motions}>"
+
+    def _partial_torques(self) -> list[Finding]:
+        """That torques are used of some joints only, and what that means."""
+        if not any(motion.table.torques is not None for motion in self.motions):
+            return []
+        known = self.torque_joints
+        if not known:
+            raise InputError(
+                f"experiment {self.name}: no joint has torques in every recording of torques; record the same joints in each"
+            )
+        without = [j for j in range(self.robot.n) if j not in known]
+        if not without:
+            return []
+        columns, names = listed([f"tau{j + 1}" for j in without]), listed([self.robot.joint_names[j] for j in without])
+        return [
+            Finding(
+                f"column{'s' * (len(without) > 1)} {columns}: no torques of {names} in every recording; those of other joints "
+                "are used, which say nothing of friction and rotors there and less of the links; record them, to know more"
+            )
+        ]
 
     @classmethod
     def from_arrays(
@@ -304,6 +326,12 @@ class Experiment(Plots):
     def validation(self) -> tuple[Motion, ...]:
         """The motions that may only be predicted."""
         return tuple(motion for motion in self.motions if motion.role == "validation")
+
+    @property
+    def torque_joints(self) -> tuple[int, ...]:
+        """Indices of the joints whose torques every recording of torques has; all joints where no torques were recorded."""
+        known = [set(motion.table.torque_joints) for motion in self.motions if motion.table.torques is not None]
+        return tuple(sorted(set.intersection(*known))) if known else tuple(range(self.robot.n))
 
     def with_model(self, path: str | Path) -> Experiment:
         """Return this experiment with a model.toml in place of its ``[model]``.

@@ -109,7 +109,7 @@ def prepare(experiment: Experiment, options: FitOptions | None = None) -> Proble
     subtract = channel == "wrench" and options.static == "motion"
     specs = experiment.effects if options.effects is None else options.effects
     # Validation motions are read, too: the same rows are made from them later.
-    readable = [m for m in experiment.motions if m in chosen or has_readings(m, channel)]
+    readable = [m for m in experiment.motions if m in chosen or has_readings(m.table, channel)]
     segments = {m.name: motion_segments(experiment, channels, m, k, channel, subtract) for k, m in enumerate(readable)}
     fitted = [r for m in chosen for r in segments[m.name]]
     where = "experiment.toml: [model] effects" if options.effects is None else argument("effects")

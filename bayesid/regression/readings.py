@@ -9,6 +9,7 @@ from bayesid.arguments import argument
 from bayesid.dynamics.channels import Channels, stack_channels, torque_channels, wrench_channels
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, Motion
+from bayesid.recordings.table import Table
 from bayesid.regression.segment import Segment
 
 CHANNELS = ("wrench", "torque", "both")
@@ -31,25 +32,25 @@ def make_channels(experiment: Experiment, channel: str) -> Channels:
     if channel not in CHANNELS:
         raise InputError(f"{argument('channel', channel)}: choose one of {', '.join(CHANNELS)}")
     if channel == "torque":
-        return torque_channels(experiment.robot)
+        return torque_channels(experiment.robot).only(experiment.torque_joints)
     if experiment.sensor is None:
         raise InputError(f"experiment.toml: [sensor] is missing; add it, or use {argument('channel', 'torque')}")
     rotation = pin.rpy.rpyToMatrix(*map(float, experiment.sensor.rpy))
     wrench = wrench_channels(experiment.robot, rotation, experiment.sensor.translation)
     if channel == "wrench":
         return wrench
-    return stack_channels(wrench, torque_channels(experiment.robot))
+    return stack_channels(wrench, torque_channels(experiment.robot).only(experiment.torque_joints))
 
 
-def has_readings(motion: Motion, channel: str) -> bool:
-    """Whether a motion has the readings of a channel."""
-    wrench, torque = motion.table.wrench is not None, motion.table.torques is not None
+def has_readings(table: Table, channel: str) -> bool:
+    """Whether a table has the readings of a channel."""
+    wrench, torque = table.wrench is not None, table.torques is not None
     return {"wrench": wrench, "torque": torque, "both": wrench and torque}[channel]
 
 
 def require_readings(motion: Motion, channel: str) -> None:
     """Refuse a motion without the readings of a channel."""
-    if not has_readings(motion, channel):
+    if not has_readings(motion.table, channel):
         torque_missing = channel != "wrench" and motion.table.torques is None
         columns = "tau1 ... taun" if torque_missing else "fx ... mz"
         raise InputError(
@@ -62,27 +63,36 @@ def motion_segments(
     experiment: Experiment, channels: Channels, motion: Motion, index: int, channel: str, subtract: bool
 ) -> list[Segment]:
     """Gap-free segments of one motion, and its static readings where those are fitted along."""
-    readings, known = _readings(motion.table, channel), channels.static_wrench
+    readings, known = readings_of(experiment, motion.table, channel), channels.static_wrench
     gravity = offset = True
     rest = motion.static if channel == "wrench" and motion.static is not None and motion.static.wrench is not None else None
     if rest is not None and rest.wrench is not None and subtract and motion.stop_and_go:
         known = rest.wrench  # equation 21: free of offset and gravity
         gravity = offset = False
     table, poses = motion.table, motion.kind == "poses"
-    whole = Segment(
-        table.times, table.positions, readings, known, index, gravity, offset, poses, table.commanded, motion.period
-    )
+    whole = Segment(table.times, table.positions, readings, known, index, gravity, offset, poses, table.commanded, motion.period)
     out = [whole] if poses else [whole.part(p.start, p.stop) for p in table.segments()]
     if rest is not None and rest.wrench is not None and offset:
         out.append(
-            Segment(
-                rest.times, rest.positions, rest.wrench, channels.static_wrench, index, poses=True, commanded=rest.commanded
-            )
+            Segment(rest.times, rest.positions, rest.wrench, channels.static_wrench, index, poses=True, commanded=rest.commanded)
         )
     return out
 
 
-def _readings(table, channel: str) -> np.ndarray:
-    if channel == "both":
-        return np.hstack([table.wrench, table.torques])
-    return table.wrench if channel == "wrench" else table.torques
+def readings_of(experiment: Experiment, table: Table, channel: str) -> np.ndarray:
+    """A table's readings of a channel (N, c), of the joints whose torques the whole experiment has.
+
+    Raises
+    ------
+    InputError
+        It has none.
+    """
+    wanted = []
+    if channel != "torque":
+        wanted.append(table.wrench)
+    if channel != "wrench":
+        wanted.append(None if table.torques is None else table.torques[:, experiment.torque_joints])
+    there = [part for part in wanted if part is not None]
+    if len(there) < len(wanted):
+        raise InputError(f"{table.source}: readings of the channel {channel} are missing; add them")
+    return there[0] if len(there) == 1 else np.hstack(there)

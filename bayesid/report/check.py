@@ -200,6 +200,7 @@ def _figure(m: MotionSummary, prismatic: np.ndarray) -> Markup:
         panels.append(("forces", "N", list(WRENCH_COLUMNS[:3]), table.wrench[::stride, :3]))
         panels.append(("moments", "N m", list(WRENCH_COLUMNS[3:]), table.wrench[::stride, 3:]))
     if table.torques is not None:
-        panels.append(("joint torques", "N m", [f"tau{j}" for j in numbers], table.torques[::stride]))
+        joints = list(table.torque_joints)
+        panels.append(("joint torques", "N m", [f"tau{j + 1}" for j in joints], table.torques[::stride, joints]))
     breaks = [int(np.searchsorted(times, end)) for _, end in m.gaps]
     return recording(times, panels, [b for b in breaks if b < len(times)], poses)

@@ -133,7 +133,8 @@ def _readings(table: Table) -> list[tuple[tuple[str, ...], np.ndarray]]:
     """Names and values (N, c) of the wrench and of the torques, as far as they were recorded."""
     groups: list[tuple[tuple[str, ...], np.ndarray]] = [] if table.wrench is None else [(WRENCH_COLUMNS, table.wrench)]
     if table.torques is not None:
-        groups.append((tuple(f"tau{j + 1}" for j in range(table.torques.shape[1])), table.torques))
+        joints = list(table.torque_joints)
+        groups.append((tuple(f"tau{j + 1}" for j in joints), table.torques[:, joints]))
     return groups
 
 

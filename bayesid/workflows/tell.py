@@ -11,14 +11,13 @@ from bayesid.arguments import argument, names, with_given
 from bayesid.design.excitation.options import ExcitationOptions
 from bayesid.design.tell.choose import tell_effects
 from bayesid.diagnosis.data import DiagnosisData
-from bayesid.diagnosis.noise import has_readings
 from bayesid.diagnosis.prepare import known_terms, prepare_data
 from bayesid.diagnosis.settings import DEFAULT
 from bayesid.drawing import Figures, figures_of
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, as_experiment, load_experiment
 from bayesid.regression.parallel import one_blas_thread
-from bayesid.regression.readings import default_channel
+from bayesid.regression.readings import default_channel, has_readings
 from bayesid.results.files import Files, files_of, strict
 from bayesid.results.telling import write_motion
 from bayesid.results.told import TRAJECTORY, Told

@@ -78,7 +78,8 @@ def remainder(problem: Problem, model: ReadingModel) -> Remainder | None:
         Of the joint torques.
     """
     readable = [m for m in problem.experiment.motions if m.name in problem.segments and m.kind != "poses"]
-    with_torques = [m for m in readable if m.table.torques is not None]
+    every = problem.experiment.robot.n  # a bound is of all joints
+    with_torques = [m for m in readable if len(m.table.torque_joints) == every]
     judges = [m for m in with_torques if m.role == "validation" and m.name not in problem.fitted]
     chosen = judges or [m for m in with_torques if m.name in problem.fitted]
     left, speed, size = [], [], []

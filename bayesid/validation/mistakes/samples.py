@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayesid.recordings.experiment import Experiment, Motion
+from bayesid.recordings.experiment import Experiment
+from bayesid.regression.readings import has_readings, readings_of
 from bayesid.signals.smoothing import smooth
 
 #: Joint motion and readings are kept up to here [Hz]: gravity, inertia and friction of any arm show below.
@@ -62,10 +63,10 @@ def low_passed(experiment: Experiment, channel: str) -> Samples | None:
     pieces: list[_Piece] = []
     poses: list[tuple[int, np.ndarray, np.ndarray]] = []
     for index, motion in enumerate(experiment.motions):
-        read = _readings(motion, channel)
-        if read is None:
-            continue
         table = motion.table
+        if not has_readings(table, channel):
+            continue
+        read = readings_of(experiment, table, channel)
         if motion.kind == "poses":
             poses.append((index, table.positions, read))
         else:
@@ -104,10 +105,6 @@ def _smoothed(piece: _Piece, count: int) -> tuple[np.ndarray, ...]:
 
 def _duration(piece: _Piece) -> float:
     return float(piece[1][-1] - piece[1][0])
-
-
-def _readings(motion: Motion, channel: str) -> np.ndarray | None:
-    return motion.table.wrench if channel == "wrench" else motion.table.torques
 
 
 def _thinned(piece: _Piece, allowed: int) -> list[_Piece]:
