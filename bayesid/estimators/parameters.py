@@ -57,6 +57,13 @@ def central_interval(
     return ends if possible is None else (np.clip(ends[0], *possible), np.clip(ends[1], *possible))
 
 
+def with_ends(value: float, std: float, unit: str) -> dict[str, Any]:
+    """For JSON: a value with its standard deviation, the ends of its 95 % interval, None where there is none, and its unit."""
+    known = float(std) if np.isfinite(std) and std > 0 else np.nan
+    low, high = central_interval(np.array(float(value)), np.array(known))
+    return {"value": float(value), "std": _known(known), "low": _known(float(low)), "high": _known(float(high)), "unit": unit}
+
+
 @dataclass(frozen=True)
 class Parameter:
     """One parameter with its interval.

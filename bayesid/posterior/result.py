@@ -256,6 +256,7 @@ class Posterior(Plots, HasParameters):
                 "engine": self.chains.engine,
                 "chains": self.chains.draws.shape[0],
                 "draws": int(np.prod(self.chains.draws.shape[:2])),
+                "draws_per_chain": self.chains.draws.shape[1],
                 "steps_between_draws": self.chains.thin,
                 "seed": self.seed,
                 "converged": d.passed,

@@ -9,6 +9,7 @@ import numpy as np
 
 from bayesid.diagnosis.changes.findings import Change, Comparison
 from bayesid.diagnosis.changes.proof import Place
+from bayesid.estimators.parameters import with_ends
 from bayesid.recordings.experiment import Experiment
 from bayesid.recordings.schema import EffectParameters
 from bayesid.results.changes_text import next_experiment, notebook, summary, verdict_sentence
@@ -139,9 +140,7 @@ def change_dict(x: Change) -> dict[str, Any]:
     lead = x.found.lead
     return {
         "name": x.change.name, "where": x.change.where, "probability": x.probability, "log_bayes_factor": x.found.evidence,
-        "parameters": {
-            v.name: {"value": v.value, "std": _finite(v.std), "unit": v.unit, "reference": v.before} for v in x.values
-        },
+        "parameters": {v.name: {**with_ends(v.value, v.std, v.unit), "reference": v.before} for v in x.values},
         "ambiguous_with": [{"name": h.name, "where": h.where} for h, _ in x.found.rivals],
         "next_best": None if lead is None else {"name": lead[0].name, "where": lead[0].where, "behind": lead[1]},
         "share": _finite(x.share), "share_low": _finite(x.share_low),

@@ -219,6 +219,7 @@ class Comparison(Result):
             "agreement": {
                 "reference": self.reference,
                 "unit": None if self.reference is None else f"standard deviations of {self.reference}",
+                "interval_widths": {name: interval_width(self, e) for name, e in self.estimates.items()},
                 "pairs": [asdict(g) for g in self.gaps],
                 "hausman": [asdict(t) for t in self.tests],
             },
@@ -307,10 +308,8 @@ def overview(result: Comparison, entry: Entry) -> dict[str, str]:
     if own is not None and result.reference is not None:
         width = "none"
         if own.full_covariance is not None:
-            std = result[result.reference].std
-            both = (std > 0) & np.isfinite(own.std)
-            width = f"{number(float(np.median(own.std[both] / std[both])), 3)} ×" if both.any() else DASH
-            width += " *" * (own.interval == "credible")
+            ratio = interval_width(result, own)
+            width = (DASH if ratio is None else f"{number(ratio, 3)} ×") + " *" * (own.interval == "credible")
     links = DASH if entry.impossible is None else f"{len(entry.impossible)} impossible" if entry.impossible else "possible"
     if entry.conflicting and entry.urdf is not None and entry.urdf.moved is not None:
         links += f", {number(entry.urdf.moved.distance, 2)} σ away"
@@ -323,6 +322,15 @@ def overview(result: Comparison, entry: Entry) -> dict[str, str]:
         "test": DASH if test is None or test.probability is None else chance(test.probability),
         "time": DASH if own is None else f"{number(entry.seconds, 2)} s",
     }
+
+
+def interval_width(result: Comparison, estimate: Estimate) -> float | None:
+    """Median width of an estimate's intervals relative to those of the reference; None where there is nothing to compare."""
+    if result.reference is None:
+        return None
+    std = result[result.reference].std
+    both = (std > 0) & np.isfinite(estimate.std)
+    return float(np.median(estimate.std[both] / std[both])) if both.any() else None
 
 
 def in_sigmas(value: float | None) -> str:

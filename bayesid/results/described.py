@@ -11,6 +11,7 @@ import tomli_w
 from bayesid.diagnosis.description.choose import Chosen
 from bayesid.diagnosis.description.describe import Description
 from bayesid.diagnosis.description.draft import unit_of
+from bayesid.estimators.parameters import with_ends
 from bayesid.recordings.experiment import Experiment
 from bayesid.recordings.schema import dump_model
 from bayesid.results.fitted_model import fitted_model
@@ -91,7 +92,7 @@ def description_dict(description: Description, names: tuple[str, ...]) -> dict[s
         "file": DRAFT,
         "formulas": {k: v for k, v in d.table.items() if k not in ("parameters", "summary")},
         "parameters": {
-            key: {"value": float(value), "std": float(std), "unit": unit}
+            key: with_ends(value, std, unit)
             for key, value, std, unit in zip(effect.parameters, d.term.values, d.std, effect.units, strict=True)
         },
         "beside": [t.effect.spec for t in d.start.terms],

@@ -186,7 +186,7 @@ class Excitation(Result):
             "schema": SCHEMA, "experiment": self.name, "readings": self.readings,
             "criterion": {
                 "name": self.criterion, "value": self.value, "random": self.random, "history": self.history,
-                "best_random": self.random.max(initial=-np.inf),
+                "gain_over_best_random": self.gain, "best_random": self.random.max(initial=-np.inf),
             },
             "interrupted": self.interrupted, "options": self.options,
             "series": {

@@ -17,6 +17,7 @@ from bayesid.diagnosis.search import Found, Search
 from bayesid.diagnosis.stability import Stability
 from bayesid.diagnosis.validation import Gap
 from bayesid.effects import Term
+from bayesid.estimators.parameters import with_ends
 from bayesid.recordings.schema import EffectParameters
 from bayesid.results.described import description_dict, terms_of
 from bayesid.results.fitted_model import fitted_model
@@ -177,7 +178,7 @@ class Findings:
         effect = found.term.effect
         std = found.std
         parameters = {
-            key: {"value": float(value), "std": float(s) if np.isfinite(s) and s > 0 else None, "unit": unit}
+            key: with_ends(value, s, unit)
             for key, value, s, unit in zip(effect.parameters, found.term.values, std, effect.units, strict=True)
         }
         rivals = [{"name": t.effect.name, "where": t.effect.where} for t, _ in found.rivals]

@@ -11,7 +11,7 @@ from bayesid.design.visibility import WORDS, LinkExpectation
 from bayesid.drawing import figures_of
 from bayesid.posterior.result import PRIOR_DRIVEN
 from bayesid.results.files import Result, strict
-from bayesid.results.identifiability_text import as_html, as_text
+from bayesid.results.identifiability_text import as_html, as_text, counts
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -84,6 +84,7 @@ def _set(report: SetReport) -> dict[str, Any]:
         "better_than_size": report.well_known,
         "condition_number": report.condition_number,
         "parameters": [_link(link, report) for link in report.parameters],
+        "parameters_by_class": dict(counts(report)),
         "base_parameters": [
             {"name": b.name, "label": b.label, "unit": b.unit, "class": b.kind, "expected_std": b.std, "size": b.size,
              "relative_std": None if not b.size else b.std / b.size, "prior_share": b.prior_share,
