@@ -11,6 +11,7 @@ from bayesid.recordings.experiment import Experiment
 from bayesid.regression.parallel import one_blas_thread
 from bayesid.regression.readings import make_channels
 from bayesid.validation.mistakes.candidates import Candidate, candidates
+from bayesid.validation.mistakes.delay import delayed
 from bayesid.validation.mistakes.evidence import EXPLAINED, Explainer, Fit
 from bayesid.validation.mistakes.mistake import Mistake
 from bayesid.validation.mistakes.samples import low_passed
@@ -29,9 +30,10 @@ def find_mistakes(experiment: Experiment) -> tuple[Mistake, ...]:
     """Mistakes of signs, orders, units and frames that would explain what no robot can do; usually none.
 
     Gravity, masses, friction and power have signs: a robot that can exist, with friction that brakes, does not explain
-    readings of which one has the wrong sign. Nothing is guessed where a finding about the recording explains its readings
-    (`bayesid.recordings.finding`). Every candidate is undone in turn and the best such robot is fitted to a few
-    hundred low-passed samples; one is named where the data become far more probable by it.
+    readings of which one has the wrong sign. Every candidate is undone in turn and the best such robot is fitted to a few
+    hundred low-passed samples; one is named where the data become far more probable by it. Nothing is guessed where a finding
+    about the recording explains its readings (`bayesid.recordings.finding`), nor where they are late against the motion
+    (`bayesid.validation.mistakes.delay`).
 
     Parameters
     ----------
@@ -46,7 +48,8 @@ def find_mistakes(experiment: Experiment) -> tuple[Mistake, ...]:
                 continue
             try:
                 with np.errstate(over="ignore", invalid="ignore"):
-                    found += _in_channel(experiment, channel)
+                    late = delayed(experiment, channel)
+                    found += [late] if late else _in_channel(experiment, channel)
             except (InputError, np.linalg.LinAlgError, ValueError, RuntimeError):
                 # Too short or too uneven to be smoothed, or numbers of a size that no robot has: others say that better.
                 continue

@@ -1,0 +1,169 @@
+"""Readings and positions on two clocks: by how much one is late against the other, from what the robot's motion explains."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayesid.dynamics.regressors import Kernel
+from bayesid.recordings.experiment import Experiment
+from bayesid.regression.readings import has_readings, make_channels, readings_of
+from bayesid.signals.smoothing import smooth
+from bayesid.validation.mistakes.mistake import Mistake
+from bayesid.validation.mistakes.plausible import friction_columns, offset_columns
+from bayesid.validation.mistakes.samples import BANDWIDTH
+
+_STEP, _LONGEST = 0.01, 0.5  # of the delays that are tried [s]
+_SHARE = 0.1  # of the shortest piece, at most
+_SHORTEST, _LONG = 2.0, 0.25  # of pieces [s], and as a share of the longest
+_SAMPLES, _SMOOTHED = 400, 20_000
+_MARGIN = 0.75 / BANDWIDTH  # ends of a spline are loose [s]
+#: Log odds against no delay, and gain of a sample, that it needs: as any other mistake (`bayesid.validation.mistakes.search`).
+_NEEDED, _WORSE = 13.8, float(np.log(4.0 / 3.0))
+_EXPLAINED = 0.005  # share of its variation to which a channel is explained at most
+
+
+@dataclass(frozen=True)
+class Profile:
+    """What the motion leaves of readings that are taken so much later.
+
+    Attributes
+    ----------
+    delays
+        (k,) [s].
+    left
+        Rms of each channel (c, k) [unit of the channel].
+    gained
+        Log likelihood of a sample over that without a delay (k,) [nats].
+    worth
+        How many independent samples there are.
+    """
+
+    delays: np.ndarray
+    left: np.ndarray
+    gained: np.ndarray
+    worth: float
+
+
+def delay_profile(experiment: Experiment, channel: str) -> Profile | None:
+    """Explain the readings of each time after the motion by the motion; None where recordings are too short.
+
+    Least squares with bodies, friction and offsets of any size and sign: a wrong sign or unit is no delay.
+
+    Parameters
+    ----------
+    experiment
+        The recordings.
+    channel
+        ``wrench`` or ``torque``.
+    """
+    pieces = []
+    for index, motion in enumerate(experiment.motions):
+        if motion.kind == "trajectory" and has_readings(motion.table, channel):
+            table, read = motion.table, readings_of(experiment, motion.table, channel)
+            parts = [slice(p.start, min(p.stop, p.start + _SMOOTHED)) for p in table.segments()]
+            pieces += [(index, table.times[p], table.positions[p], read[p]) for p in parts]
+    lengths = [float(times[-1] - times[0]) for _, times, _, _ in pieces]
+    shortest = max(_SHORTEST, _LONG * max(lengths, default=0.0))
+    pieces = [piece for piece, length in zip(pieces, lengths, strict=True) if length >= shortest]
+    if not pieces:
+        return None
+    durations = [length for length in lengths if length >= shortest]
+    steps = int(min(_LONGEST, _SHARE * min(durations)) / _STEP)
+    delays = _STEP * np.arange(-steps, steps + 1)
+    motions, read, index = [], [], []
+    for (recording, times, positions, values), duration in zip(pieces, durations, strict=True):
+        count = max(int(_SAMPLES * duration / sum(durations)), 2)
+        edge = _MARGIN + delays[-1]
+        at = np.linspace(times[0] + edge, times[-1] - edge, count)
+        bandwidth = min(BANDWIDTH, 0.2 * (len(times) - 1) / duration)
+        middle, offset = positions.mean(axis=0), values.mean(axis=0)
+        q, v, a = smooth(times, positions - middle, bandwidth, at=at)
+        motions.append((q + middle, v, a))
+        when = (at + delays[:, None]).ravel()
+        order = np.argsort(when)
+        later = np.empty((len(when), values.shape[1]))
+        later[order] = smooth(times, values - offset, bandwidth, at=when[order])[0]
+        read.append((later + offset).reshape(len(delays), count, -1))
+        index.append(np.full(count, recording))
+    q, v, a = (np.concatenate([m[k] for m in motions]) for k in range(3))
+    design = _columns(experiment, channel, (q, v, a), np.concatenate(index))
+    return _profile(delays, design, np.concatenate(read, axis=1).transpose(1, 2, 0), len(delays) // 2)
+
+
+def _columns(experiment: Experiment, channel: str, motion: tuple[np.ndarray, ...], index: np.ndarray) -> np.ndarray:
+    """Columns of the bodies and of all that is beside them (N, c, p)."""
+    channels = make_channels(experiment, channel)
+    rigid = Kernel.of(experiment.robot, channels).dynamics(*motion)
+    if channel == "wrench":
+        return np.concatenate([rigid, offset_columns(index, len(channels))], axis=2)
+    return np.concatenate([rigid, friction_columns(*motion[1:])[:, list(experiment.torque_joints)]], axis=2)
+
+
+def _profile(delays: np.ndarray, design: np.ndarray, read: np.ndarray, none: int) -> Profile:
+    """Least squares of readings of every delay (N, c, k), channels weighted by what they leave without one."""
+    count, channels, _ = design.shape
+    variation = np.maximum(read[:, :, none].std(axis=0), 1e-9)
+    floor = np.maximum(_EXPLAINED * variation, 1e-3 * variation.max())
+    left, residual = variation, read
+    for _ in range(2):
+        weights = 1.0 / np.maximum(left, floor)
+        columns = (design * weights[:, None]).reshape(count * channels, -1)
+        size = np.linalg.norm(columns, axis=0)
+        seen = size > 1e-9 * size.max()
+        scaled = columns[:, seen] / size[seen]
+        power, vectors = np.linalg.eigh(scaled.T @ scaled)
+        known = power > 1e-10 * power[-1]
+        basis = scaled @ (vectors[:, known] / np.sqrt(power[known]))
+        target = (read * weights[:, None]).reshape(count * channels, -1)
+        residual = (target - basis @ (basis.T @ target)).reshape(read.shape) / weights[:, None]
+        left = np.sqrt(np.mean(residual[:, :, none] ** 2, axis=0))
+    every = np.sqrt(np.mean(residual**2, axis=0))
+    likelihood = -np.log(np.maximum(every, floor[:, None])).sum(axis=0)
+    best = int(np.argmax(likelihood))
+    return Profile(delays, every, likelihood - likelihood[none], _independent(residual[:, :, best]))
+
+
+def _independent(residual: np.ndarray) -> float:
+    """How many independent samples residuals (N, c) are worth, by how long they stay alike."""
+    counts = []
+    for column in residual.T - residual.mean(axis=0)[:, None]:
+        power, time = float(column @ column), 1.0
+        for lag in range(1, len(column)):
+            rho = float(column[lag:] @ column[:-lag]) / max(power, 1e-300)
+            if rho <= 0.0:
+                break
+            time += 2.0 * rho
+        counts.append(len(column) / time)
+    return float(np.median(counts))
+
+
+def delayed(experiment: Experiment, channel: str) -> Mistake | None:
+    """That the readings of a channel, or the positions, are late by a constant time; None where nothing says so."""
+    profile = delay_profile(experiment, channel)
+    if profile is None:
+        return None
+    best, none = int(np.argmax(profile.gained)), len(profile.delays) // 2
+    gained = float(profile.gained[best])
+    if not (0 < best < len(profile.delays) - 1) or gained < _WORSE or profile.worth * gained < _NEEDED:
+        return None
+    # The top of the parabola through the best delay and its neighbours, and the curvature there.
+    low, top, high = profile.gained[best - 1 : best + 2]
+    bend = max(2.0 * top - low - high, 1e-12)
+    delay = float(profile.delays[best] + 0.5 * _STEP * (high - low) / bend)
+    std = _STEP / np.sqrt(profile.worth * bend)
+    channels = make_channels(experiment, channel)
+    k = int(np.argmax(profile.left[:, none] / profile.left[:, best]))
+    read, columns = ("The wrench", " (fx ... mz) is") if channel == "wrench" else ("The joint torques", " (tau) are")
+    late = f"{read}{columns}" if delay > 0.0 else "The positions (q) are"
+    other, moved = ("the positions", read.lower()) if delay > 0.0 else (read.lower(), "the positions")
+    text = (
+        f"{late} {1e3 * abs(delay):.3g} +- {1e3 * max(std, 1e-4):.1g} ms late against {other}: with that undone, what the motion "
+        f"does not explain of {channels.names[k]} falls from {profile.left[k, none]:.2g} to {profile.left[k, best]:.2g} "
+        f"{channels.units[k]} rms; shift the times of {moved} by {-abs(delay):.3f} s and interpolate, or record on one clock"
+    )
+    return Mistake(
+        name=f"{channel}_delay", where="", text=text, channel=channel, evidence=profile.worth * gained,
+        before=tuple(map(float, profile.left[:, none])), after=tuple(map(float, profile.left[:, best])),
+    )  # fmt: skip

@@ -1,0 +1,103 @@
+"""Two clocks: a constant delay is found with its size and uncertainty, and nowhere where there is none."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import bayesid
+from bayesid.recordings.experiment import Experiment, Motion, Sensor, load_experiment
+from bayesid.recordings.table import Table
+from bayesid.validation.mistakes.delay import delay_profile, delayed
+from tests.malformed import DATA, FOLDERS
+from tests.simulated import experiment, fourier, puma2, recording
+
+WILD = DATA / "wild"
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory: pytest.TempPathFactory) -> Experiment:
+    robot = puma2(tmp_path_factory.mktemp("delay"))
+    sensor = Sensor(translation=np.array([0.0, 0.0, -0.1]))
+    noise = dict(force_std=2.0, torque_std=0.5, resolution=1e-4)
+    motions = [
+        Motion(name, role, recording(robot, sensor, fourier(robot, seed, duration=20.0), seed=seed, **noise))
+        for name, role, seed in (("identification", "identification", 1), ("validation", "validation", 2))
+    ]
+    return experiment(robot, motions, sensor)
+
+
+def later(table: Table, delay: float, field: str) -> Table:
+    """The recording whose readings come later by a time: each row holds what was true before."""
+    read = getattr(table, field)
+    moved = np.stack([np.interp(table.times - delay, table.times, column) for column in read.T], axis=1)
+    return replace(table, **{field: moved})
+
+
+def shifted(given: Experiment, delay: float, field: str) -> Experiment:
+    motions = tuple(replace(m, table=later(m.table, delay, field), examined=False) for m in given.motions)
+    return replace(given, motions=motions, warnings=(), findings=())
+
+
+@pytest.mark.parametrize(("channel", "field"), [("torque", "torques"), ("wrench", "wrench")])
+@pytest.mark.parametrize("delay", [-0.2, -0.045, 0.03, 0.071, 0.35])
+def test_a_delay_is_found_with_its_sign_and_size(channel: str, field: str, delay: float, arm: Experiment) -> None:
+    given = shifted(arm, delay, field)
+    found = delayed(given, channel)
+    assert found is not None and found.name == f"{channel}_delay"
+    told = re.search(r"([\d.]+) \+- ([\d.]+) ms late .* by -([\d.]+) s and interpolate", found.text)
+    assert told is not None
+    size, std, back = map(float, told.groups())
+    assert abs(size - 1e3 * abs(delay)) < max(5.0 * std, 1.0) and abs(1e3 * back - size) < 1.0
+    assert found.text.startswith("The positions (q) are" if delay < 0.0 else ("The joint torques", "The wrench"))
+    assert max(found.after) < max(found.before)
+
+
+@pytest.mark.parametrize("channel", ["torque", "wrench"])
+def test_readings_in_time_are_not_late_whatever_else_is_wrong(channel: str, arm: Experiment) -> None:
+    """Signs, units, and gravity that is taken out are no delay."""
+    field = "torques" if channel == "torque" else "wrench"
+    for factor in (1.0, -1.0, 1e-3):
+        motions = tuple(replace(m, table=replace(m.table, **{field: factor * getattr(m.table, field)})) for m in arm.motions)
+        assert delayed(replace(arm, motions=motions), channel) is None
+
+
+def test_check_says_it_and_guesses_nothing_from_the_same_readings(arm: Experiment) -> None:
+    found = bayesid.check(shifted(arm, 0.07, "wrench")).mistakes
+    assert [m.name for m in found] == ["wrench_delay"]
+
+
+def test_poses_and_short_recordings_say_nothing(arm: Experiment) -> None:
+    short = [
+        replace(m, table=Table(m.table.times[:100], m.table.positions[:100], torques=m.table.torques[:100])) for m in arm.motions
+    ]
+    assert delay_profile(replace(arm, motions=tuple(short)), "torque") is None
+    poses = tuple(replace(m, kind="poses") for m in arm.motions)
+    assert delay_profile(replace(arm, motions=poses), "torque") is None
+
+
+@pytest.mark.skipif(not FOLDERS, reason=f"no experiment folders under {DATA}; set BAYESID_DATA")
+@pytest.mark.parametrize("path", FOLDERS, ids=lambda path: path.name)
+def test_no_recording_is_late(path: Path) -> None:
+    given = load_experiment(path)
+    for channel in ("torque", *(("wrench",) if given.sensor is not None else ())):
+        assert delayed(given, channel) is None
+
+
+@pytest.mark.skipif(not WILD.is_dir(), reason=f"no recordings under {WILD}; set BAYESID_DATA")
+def test_undoing_it_brings_back_what_the_control_predicts() -> None:
+    late, control = (load_experiment(WILD / "09-log-oddities" / name) for name in ("tau-late-70ms", "control"))
+    found = delayed(late, "torque")
+    assert found is not None and delayed(control, "torque") is None
+    size = float(found.text.split(" ms late")[0].split(" +- ")[0].rsplit(" ", 1)[1]) / 1e3
+    assert size == pytest.approx(0.07, abs=0.01)
+    effects = ["viscous_friction", "coulomb_friction", "torque_offset"]
+    errors = [
+        bayesid.identify(e, effects=effects).validation[0].relative_error
+        for e in (control, late, shifted(late, -size, "torques"))
+    ]
+    assert errors[2] < 1.1 * errors[0] < errors[1]
