@@ -178,19 +178,18 @@ def elsewhere(problem: Problem, other: Experiment) -> Problem:
     InputError
         The joints differ, or no motion has the readings or is long enough.
     """
-    own, row_model = problem.experiment.robot.joint_names, problem.row_model
+    own, row_model, recorded = problem.experiment.robot.joint_names, problem.row_model, problem.experiment
     if other.robot.joint_names != own:
         raise InputError(
             f"experiment {other.name} moves {', '.join(other.robot.joint_names)} and the estimate is of {', '.join(own)}: "
             "give recordings of the same joints"
         )
-    readable = [m for m in other.motions if has_readings(m, problem.channel)]
+    needed = () if problem.channel == "wrench" else recorded.torque_joints
+    readable = [m for m in other.motions if has_readings(m.table, problem.channel) and {*needed} <= {*m.table.torque_joints}]
     if not readable:
         raise InputError(f"experiment {other.name}: no motion has the readings that were fitted ({problem.channel})")
     subtract, channels = problem.static == "motion", row_model.channels
-    segments = {
-        m.name: motion_segments(other, channels, m, k, problem.channel, subtract) for k, m in enumerate(readable)
-    }
+    segments = {m.name: motion_segments(recorded, channels, m, k, problem.channel, subtract) for k, m in enumerate(readable)}
     for motion in readable:
         _require_length(motion, segments[motion.name], row_model)
     return replace(problem, experiment=other, segments=segments, rows=MotionRows(row_model, segments))

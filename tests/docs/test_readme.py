@@ -18,6 +18,7 @@ from bayesid.cli import main
 from bayesid.effects import EffectLibrary
 from bayesid.recordings import schema
 from bayesid.validation.prediction import TOLERATED
+from tests.docs.notebook import Notebook
 from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
 
 ROOT = Path(__file__).parents[2]
@@ -63,16 +64,34 @@ def my_arm(tmp_path_factory) -> Path:
 
 
 @pytest.mark.parametrize("name", pages_with("python"))
-def test_python_snippets_run(name, my_arm, monkeypatch, capsys):
-    """Each page's snippets run one after the other, as in one notebook."""
+def test_python_blocks_run_as_cells_of_a_notebook(name, my_arm, tmp_path, monkeypatch):
+    """Each page's blocks run one after the other, and whatever they draw is in the notebook."""
     monkeypatch.chdir(my_arm)
     matplotlib.use("Agg")
-    scope: dict = {}
+    notebook = Notebook(tmp_path)
     for code in snippets(BY_NAME[name], "python"):
-        exec(compile(code, name, "exec"), scope)
-    assert capsys.readouterr().out
+        notebook.run(code)
+    notebook.write(tmp_path / f"{name}.ipynb")
+    assert any(cell["outputs"] for cell in notebook.cells)
+    assert all(image.startswith(b"\x89PNG") for image in notebook.images)
+    last_lines = {k: cell["source"].splitlines()[-1] for k, cell in enumerate(notebook.cells)}
+    drawn = [notebook.cells[k] for k, line in last_lines.items() if re.match(r"[\w.]+\.plot\w*\(", line)]
+    assert all(any("image/png" in output.get("data", {}) for output in cell["outputs"]) for cell in drawn)
+    if name == "howto-notebook.md":
+        assert len(notebook.images) == len(drawn) >= 5
+        assert "<Figure" not in "".join(output.get("text", "") for cell in notebook.cells for output in cell["outputs"])
     if name == "howto-own-effect.md":
-        _own_effect_was_found(scope, my_arm / "found")
+        _own_effect_was_found(notebook.scope, my_arm / "found")
+
+
+@pytest.mark.parametrize("page", [README, *sorted((ROOT / "docs").glob("howto-*.md"))], ids=lambda page: page.name)
+def test_every_block_of_a_page_is_tried(page):
+    """Python and command lines run (above and below), tables of settings are read, and text is output that a test looks at."""
+    kinds = [kind for kind, _ in _CODE.findall(page.read_text(encoding="utf-8"))]
+    fences = page.read_text(encoding="utf-8").count("\n```") // 2
+    assert len(kinds) == fences and set(kinds) <= {"python", "console", "toml", "text", "matlab"}
+    for code in snippets(page, "toml"):
+        assert tomllib.loads(code)
 
 
 def _own_effect_was_found(scope: dict, written: Path) -> None:
