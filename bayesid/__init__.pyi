@@ -28,6 +28,7 @@ from .results.excitation import Excitation
 from .results.identifiability import Identifiability
 from .results.identification import Identification, summary
 from .results.inspection import Inspection
+from .results.loaded import NeedsRecording, load
 from .results.posterior import ExperimentPosterior
 from .results.told import Told
 from .results.watch import Watch
@@ -81,6 +82,7 @@ __all__ = [
     "LeastSquares",
     "LowPass",
     "Motion",
+    "NeedsRecording",
     "OwnDetails",
     "Physical",
     "Posterior",
@@ -110,6 +112,7 @@ __all__ = [
     "fourier_trajectory",
     "identifiability",
     "identify",
+    "load",
     "load_bounds",
     "load_effects",
     "load_experiment",

@@ -181,9 +181,11 @@ class Estimate(HasParameters):
     def to_dict(self) -> dict[str, Any]:
         """The estimate's part of ``estimate.json``."""
         covariance = None if self.covariance is None else self.covariance.tolist()
+        parameters = self.parameters().to_list()
         result: dict[str, Any] = {
             "method": self.method,
-            "base_parameters": self.parameters().to_list()[: self.base.rank],
+            "base_parameters": parameters[: self.base.rank],
+            "effect_parameters": parameters[self.base.rank :],
             "interval": self.interval,
             "covariance": covariance,
             "full_covariance": None if self.full_covariance is None else self.full_covariance.tolist(),

@@ -13,6 +13,7 @@ from bayesid.report.notation import short_names
 from bayesid.report.page import render, run_times, svg, versions
 from bayesid.results.comparison import TEXT_MOTIONS, Comparison, in_sigmas, overview, values_table
 from bayesid.results.entry import Entry
+from bayesid.results.loaded import LoadedComparison
 from bayesid.results.text import DASH, chance, channel_text, number, percent
 from bayesid.validation.agreement import HausmanTest
 from bayesid.validation.headline import judged
@@ -170,9 +171,9 @@ def _baseline(name: str) -> str:
     return "the nominal model" if name == "nominal" else "the nominal model with fitted effects"
 
 
-def errors_figure(result: Comparison, ax: Any = None) -> Figure:
+def errors_figure(result: Comparison | LoadedComparison, ax: Any = None) -> Figure:
     """What each estimator's predictions miss, motion by motion."""
-    entries = [e for e in (*result.baselines, *result.entries) if e.estimate is not None]
+    entries = [e for e in (*result.baselines, *result.entries) if not e.refusal]
     motions = []
     for k in range(min(len(entries[0].proof), _SHOWN_MOTIONS)):
         ps = [e.proof[k] for e in entries]
@@ -184,7 +185,7 @@ def errors_figure(result: Comparison, ax: Any = None) -> Figure:
     return proof_side_by_side([e.name for e in entries], len(result.baselines), motions, ax)
 
 
-def values_figure(result: Comparison, name: str, ax: Any = None) -> Figure:
+def values_figure(result: Comparison | LoadedComparison, name: str, ax: Any = None) -> Figure:
     """Base parameters by each estimator around those of the reference of a name."""
     reference = result[name]
     shown = np.flatnonzero(reference.std > 0)

@@ -19,6 +19,7 @@ from bayesid.report.notation import notation, short_names
 from bayesid.report.page import physical, render, run_times, svg, versions
 from bayesid.report.prediction_figures import measured_against_predicted, residuals
 from bayesid.results.identification import Identification
+from bayesid.results.loaded import LoadedIdentification
 from bayesid.results.text import DASH, HALF, chance, channel_text, ends, number, percent, with_interval
 from bayesid.robot import inertia
 from bayesid.validation.headline import judged, still_predictable
@@ -153,7 +154,7 @@ def _cards(result: Identification) -> list[dict[str, str]]:
     return cards
 
 
-def _reference(regression: Regression, estimate: Estimate) -> tuple[np.ndarray, np.ndarray]:
+def _reference(regression: Regression | LoadedIdentification, estimate: Estimate) -> tuple[np.ndarray, np.ndarray]:
     """Nominal base parameters (zero without a model) and their natural sizes (r,)."""
     rank = estimate.base.rank
     nominal = np.zeros(rank) if regression.nominal is None else regression.nominal
@@ -163,7 +164,7 @@ def _reference(regression: Regression, estimate: Estimate) -> tuple[np.ndarray, 
     return nominal, np.where(np.isfinite(scale) & (scale > 1e-9 * own), scale, own)
 
 
-def intervals_figure(regression: Regression, estimate: Estimate, ax: Any = None) -> Figure:
+def intervals_figure(regression: Regression | LoadedIdentification, estimate: Estimate, ax: Any = None) -> Figure:
     """Base parameters against the nominal model, with their 95 % intervals."""
     nominal, scale = _reference(regression, estimate)
     names = [f"{name}  ({k + 1})" for k, name in enumerate(short_names(estimate.base))]

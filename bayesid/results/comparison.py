@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from html import escape
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,7 +14,8 @@ from bayesid.estimators import Estimate
 from bayesid.estimators.weights import Weights
 from bayesid.regression.problem import Problem
 from bayesid.regression.regression import Regression
-from bayesid.results.entry import Entry, equal_estimates
+from bayesid.results.entries import HasEntries
+from bayesid.results.entry import Entry
 from bayesid.results.files import Result
 from bayesid.results.text import DASH, chance, channel_text, html_table, number, percent, text_table, with_interval
 from bayesid.validation.agreement import Gap, HausmanTest
@@ -23,7 +24,6 @@ from bayesid.validation.prediction import BAND
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-    from pandas import DataFrame
 
 SCHEMA = 1
 #: Errors of at most so many motions stand in the overview.
@@ -31,7 +31,7 @@ TEXT_MOTIONS = 3
 
 
 @dataclass(frozen=True)
-class Comparison(Result):
+class Comparison(HasEntries, Result):
     """What `compare` found.
 
     Attributes
@@ -71,31 +71,9 @@ class Comparison(Result):
     seconds: dict[str, float]
 
     @property
-    def estimates(self) -> dict[str, Estimate]:
-        """Estimates by the names of their estimators, without those that refused."""
-        return {e.name: e.estimate for e in self.entries if e.estimate is not None}
-
-    def same_as(self, name: str) -> tuple[str, ...]:
-        """Names of the other estimators whose values and covariance equal those of this one to the last digit."""
-        return tuple(n for names in equal_estimates(self.entries) if name in names for n in names if n != name)
-
-    @property
     def names(self) -> tuple[str, ...]:
         """Names of the base parameters (r,)."""
         return self.regression.base.names
-
-    def __getitem__(self, name: str) -> Estimate:
-        """The estimate of a name.
-
-        Raises
-        ------
-        KeyError
-            No estimator of that name took part, or it refused; the message says why.
-        """
-        if name not in self.estimates:
-            refused = [e.refusal for e in self.entries if e.name == name]
-            raise KeyError(f"{name} refused: {refused[0]}" if refused else f"{name}; there are {', '.join(self.estimates)}")
-        return self.estimates[name]
 
     def predict(
         self, q: np.ndarray, v: np.ndarray, a: np.ndarray, times: np.ndarray | None = None
@@ -114,39 +92,6 @@ class Comparison(Result):
             name: predict_readings(problem, e.solution, e.full_covariance, e.undetermined, q, v, a, times)
             for name, e in self.estimates.items()
         }
-
-    def to_dataframe(self, of: Literal["parameters", "scores"] = "parameters") -> DataFrame:
-        """Tables of what was compared.
-
-        Parameters
-        ----------
-        of
-            ``parameters``: those of all estimators below each other, ``method`` and then the columns of
-            `Estimate.to_dataframe`. ``scores``: a row an estimator and motion, the nominal model's first: ``method``,
-            ``motion``, ``role``, ``relative_error`` (all channels together, in the band), ``relative_error_raw``,
-            ``whitened_rms``, ``expected_rms``, ``coverage`` and ``nrmse_fx`` ... by channel.
-
-        Raises
-        ------
-        InputError
-            It is neither.
-        """
-        from pandas import DataFrame, concat
-
-        if of == "scores":
-            entries = [e for e in (*self.baselines, *self.entries) if e.estimate is not None]
-            return DataFrame(
-                {
-                    "method": e.name, "motion": p.motion, "role": p.role, "relative_error": p.relative_error,
-                    "relative_error_raw": p.relative_error_raw, "whitened_rms": p.whitened_rms, "expected_rms": p.expected_rms,
-                    "coverage": p.coverage, **{f"nrmse_{n}": v for n, v in zip(p.channel_names, p.nrmse, strict=True)},
-                }
-                for e in entries for p in (*e.fitted, *e.validation)
-            )  # fmt: skip
-        if of != "parameters":
-            raise InputError(f"of = {of!r}: give 'parameters' or 'scores'")
-        tables = {name: e.to_dataframe() for name, e in self.estimates.items()}
-        return concat(tables, names=["method"]).reset_index(level="method").reset_index(drop=True)
 
     def plot_errors(self, *, ax: Any = None) -> Figure:
         """Draw what each estimator's predictions miss, motion by motion.

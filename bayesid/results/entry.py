@@ -75,7 +75,7 @@ class Entry:
             return {"name": self.name, "status": "refused", "reason": self.refusal}
         estimate = self.estimate
         document = {k: v for k, v in estimate.to_dict().items() if k not in ("base_map", "link_parameter_names", "rank")}
-        effects = estimate.parameters().to_list()[estimate.base.rank :]
+        effects = document.pop("effect_parameters")
         proof = {
             "link_parameters": None if self.links is None else self.links.tolist(),
             "physically_consistent": self.physically_consistent,

@@ -20,6 +20,8 @@ from bayesid.recordings.complaints import cut
 from bayesid.recordings.whole import whole_folder
 
 REPORT = "report.html"
+#: Keys of a written document that are not of the result's `to_dict`: what it is, how it prints, and the other files' hashes.
+BESIDE = ("result", "printed", "files")
 #: What each verb writes beside the report.
 WRITTEN = {
     "accuracy": ("accuracy.json",),
@@ -73,7 +75,7 @@ class Result(Plots):
 
     def write(self, folder: str | Path) -> Path:
         """Write the verb's files and ``report.html``, all or none; returns the report's path."""
-        return write_results(folder, *files_of(self))
+        return write_results(folder, *files_of(self), {"result": type(self).__name__, "printed": str(self).splitlines()})
 
     def _repr_html_(self) -> str:
         """The text of ``str()`` for notebooks."""
@@ -118,8 +120,9 @@ def checkpoint_of(folder: str | Path) -> Path:
 
 
 def write_results(
-    folder: str | Path, documents: Mapping[str, Any], files: Mapping[str, Callable[[Path], Any]], report: str
-) -> Path:
+    folder: str | Path, documents: Mapping[str, Any], files: Mapping[str, Callable[[Path], Any]], report: str,
+    beside: Mapping[str, Any] | None = None,
+) -> Path:  # fmt: skip
     """Write JSON documents, other files and the report; they appear together or not at all.
 
     Every document gets a key ``files``: the SHA-256 of each other file written with it. By that a later run knows which
@@ -135,6 +138,8 @@ def write_results(
         Functions that write a file at the given path, by file name.
     report
         Text of ``report.html``.
+    beside
+        Further keys of every document, of `BESIDE`.
 
     Returns
     -------
@@ -156,7 +161,7 @@ def write_results(
             (made / REPORT).write_text(report, encoding="utf-8")
             hashes = {name: _hash(made / name) for name in (*files, REPORT)}
             for name, document in documents.items():
-                text = json.dumps({**document, "files": hashes}, indent=1, allow_nan=False, ensure_ascii=False)
+                text = json.dumps({**document, **(beside or {}), "files": hashes}, indent=1, allow_nan=False, ensure_ascii=False)
                 (made / name).write_text(text + "\n", encoding="utf-8")
         for path in left_over:  # such as a draft of what is explained now
             path.unlink(missing_ok=True)

@@ -12,12 +12,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayesid.design.accuracy.certificate import Certificate
-from bayesid.drawing import figures_of
-from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.effects import Term
 from bayesid.errors import InputError
 from bayesid.estimators import Estimate
-from bayesid.estimators.parameters import HasParameters, Parameters, central_interval
+from bayesid.estimators.parameters import Parameters, central_interval
 from bayesid.estimators.prior_check import PriorCheck, conflicts
 from bayesid.recordings.experiment import Experiment, as_experiment
 from bayesid.recordings.motion import Motion
@@ -25,6 +23,7 @@ from bayesid.recordings.schema import EffectParameters
 from bayesid.regression.parallel import in_order, one_blas_thread
 from bayesid.regression.problem import Problem
 from bayesid.results.bodies import impossible_bodies
+from bayesid.results.estimated import HasEstimate
 from bayesid.results.figures import PlotsPredictions
 from bayesid.results.files import Result
 from bayesid.results.fitted_model import fitted_model
@@ -37,13 +36,13 @@ from bayesid.validation.predicted_readings import PredictedReadings, predict_rea
 from bayesid.validation.prediction import BAND, Prediction, predict, predict_elsewhere
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    pass
 
 SCHEMA = 1
 
 
 @dataclass(frozen=True)
-class Identification(PlotsPredictions, HasParameters, Result):
+class Identification(PlotsPredictions, HasEstimate, Result):
     """What `identify` found.
 
     Attributes
@@ -100,41 +99,6 @@ class Identification(PlotsPredictions, HasParameters, Result):
         motions = [m for m in problem.experiment.motions if m.name in problem.fitted]
         with one_blas_thread():
             return tuple(in_order(lambda motion: predict(problem, self.estimate, motion, self.floor), motions))
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the base parameters (r,)."""
-        return self.estimate.names
-
-    @property
-    def values(self) -> np.ndarray:
-        """Base parameters (r,)."""
-        return self.estimate.values
-
-    @property
-    def std(self) -> np.ndarray:
-        """Their standard deviations (r,)."""
-        return self.estimate.std
-
-    @property
-    def low(self) -> np.ndarray:
-        """Lower ends of their 95 % intervals (r,)."""
-        return self.estimate.low
-
-    @property
-    def high(self) -> np.ndarray:
-        """Upper ends of their 95 % intervals (r,)."""
-        return self.estimate.high
-
-    @property
-    def covariance(self) -> np.ndarray | None:
-        """Their covariance (r, r)."""
-        return self.estimate.covariance
-
-    @property
-    def base(self) -> BaseParameters:
-        """What they are combinations of."""
-        return self.estimate.base
 
     @property
     def link_parameters(self) -> np.ndarray:
@@ -222,16 +186,6 @@ class Identification(PlotsPredictions, HasParameters, Result):
             [*self.base.units, *units], [*self.estimate.classes, *["effect"] * len(names)],
         )  # fmt: skip
 
-    def plot_intervals(self, *, ax: Any = None) -> Figure:
-        """Draw the base parameters against the nominal model, with their 95 % intervals.
-
-        Parameters
-        ----------
-        ax
-            matplotlib's Axes to draw into: one, or two where the second shows how sure each is; default a figure of its own.
-        """
-        return figures_of(self)["intervals"](ax=ax)
-
     def __repr__(self) -> str:
         p = self.problem
         return (
@@ -252,6 +206,7 @@ class Identification(PlotsPredictions, HasParameters, Result):
 
     def to_dict(self) -> dict[str, Any]:
         """``estimate.json``."""
+        nominal = self.problem.regression.knowledge.nominal_links
         filters, smoother, tried = self.problem.row_model.filters, self.problem.smoother, self.problem.bandwidths
         return {
             "schema": SCHEMA,
@@ -272,6 +227,7 @@ class Identification(PlotsPredictions, HasParameters, Result):
             },
             **self.estimate.to_dict(),
             "link_parameters": self.link_parameters.tolist(),
+            "nominal_links": None if nominal is None else nominal.tolist(),
             "effects": self.effects(),
             "physically_consistent": self.physically_consistent,
             "identified_urdf": self.urdf.to_dict(),

@@ -139,6 +139,7 @@ class Prediction:
 
         return {
             "motion": self.motion,
+            "role": self.role,
             "rmse": by_channel(self.rmse),
             "nrmse": by_channel(self.nrmse),
             "rmse_raw": by_channel(self.rmse_raw),

@@ -2,13 +2,16 @@
 
 import copy
 import pickle
+import shutil
 from dataclasses import replace
 
 import joblib
 import numpy as np
+import pandas as pd
 import pytest
 
 import bayesid
+from bayesid.results.files import strict
 from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
 
 SENSOR = Sensor(translation=np.array([0.0, 0.0, -0.1]))
@@ -111,3 +114,116 @@ def test_a_result_is_pickled_copied_and_sent(results, kind):
     for back in (pickle.loads(pickle.dumps(result)), copy.deepcopy(result), sent(result)):
         assert type(back) is type(result) and back is not result
         assert_same(said(result), said(back))
+
+
+WRITTEN = {
+    "identification": "estimate.json", "comparison": "comparison.json", "posterior": "posterior.nc", "bounds": "bounds.json",
+    "diagnosis": "diagnosis.json", "changes": "diagnosis.json", "accuracy": "accuracy.json", "excitation": "excitation.json",
+    "identifiability": "identifiability.json", "telling": "excitation.json", "watch": "watch.json", "inspection": "check.json",
+}  # fmt: skip
+NUMBERS = ("names", "values", "std", "low", "high", "covariance", "link_parameters", "base_draws", "link_draws", "rho", "verdict")
+
+
+@pytest.fixture(scope="module")
+def loaded(results, tmp_path_factory):
+    """Every result, written and read back from its folder."""
+    out = {}
+    for kind in WRITTEN:
+        folder = tmp_path_factory.mktemp("out") / kind
+        results[kind].write(folder)
+        out[kind] = bayesid.load(folder)
+    return out
+
+
+@pytest.mark.parametrize("kind", WRITTEN)
+def test_a_result_is_loaded_from_its_folder_and_its_file(results, loaded, kind):
+    live, back = results[kind], loaded[kind]
+    # Whatever a JSON file cannot hold was made plain when it was written.
+    assert_same(strict(live.to_dict()), strict(back.to_dict()))
+    assert str(back) == str(live)
+    assert str(bayesid.load(back.path.with_name(WRITTEN[kind]))) == str(live)
+    told = [name for name in NUMBERS if hasattr(type(live), name) and (name != "names" or kind != "accuracy")]
+    for name in told:
+        assert_same(getattr(live, name), getattr(back, name), name)
+    assert back.warnings == list(live.warnings) if hasattr(live, "warnings") else "warnings" not in told
+    again = pickle.loads(pickle.dumps(back))
+    assert type(again) is type(back) and again.to_dict() == back.to_dict() and str(again) == str(back)
+    assert_same(copy.deepcopy(back).to_dict(), back.to_dict())
+
+
+def test_a_loaded_estimate_has_what_the_estimate_has(results, loaded):
+    live, back = results["identification"], loaded["identification"]
+    pd.testing.assert_frame_equal(live.to_dataframe(), back.to_dataframe())
+    pd.testing.assert_frame_equal(live.conf_int(0.8), back.conf_int(0.8))
+    assert repr(back["I2zz"]) == repr(live["I2zz"])
+    assert_same(live.estimate.to_dict(), back.estimate.to_dict())
+    assert str(back.estimate) == str(live.estimate)
+    assert_same(live.base.matrix, back.base.matrix)
+    assert list(back.base.independent) == list(live.base.independent)
+    (one,), (other,) = live.validation, back.validation
+    assert (other.motion, other.relative_error) == (one.motion, pytest.approx(one.relative_error))
+    assert_same(one.nrmse, other.nrmse)
+    assert_same(drawn(live.plot_intervals()), drawn(back.plot_intervals()))
+    assert back.plot() is not None
+
+
+def test_a_loaded_comparison_has_what_the_comparison_has(results, loaded):
+    live, back = results["comparison"], loaded["comparison"]
+    assert list(back.estimates) == list(live.estimates) == ["wls", "ols", "iv", "tls"]
+    for of in ("parameters", "scores"):
+        pd.testing.assert_frame_equal(live.to_dataframe(of), back.to_dataframe(of))
+    assert_same(live["iv"].to_dict(), back["iv"].to_dict())
+    for figure in ("plot_values", "plot_errors"):
+        assert_same(drawn(getattr(live, figure)()), drawn(getattr(back, figure)()))
+
+
+def test_a_loaded_posterior_has_its_draws(results, loaded, tmp_path):
+    live, back = results["posterior"], loaded["posterior"]
+    pd.testing.assert_frame_equal(live.to_dataframe(), back.to_dataframe())
+    pd.testing.assert_frame_equal(live.conf_int(0.5), back.conf_int(0.5))
+    assert_same(live.effect_draws, back.effect_draws)
+    assert back.plot_marginals() is not None and "posterior" in list(back.to_arviz().groups())[1]
+    alone = shutil.copy(back.path.with_name("posterior.nc"), tmp_path / "draws.nc")
+    bare = bayesid.load(alone)  # without posterior.json
+    assert_same(live.base_draws, bare.base_draws)
+    assert_same([live.values, live.low, live.covariance], [bare.values, bare.low, bare.covariance])
+    back.path.with_name("posterior.nc").unlink()
+    with pytest.raises(bayesid.InputError, match="posterior.nc: no such file, and the draws are in it; sample again"):
+        bayesid.load(back.path).conf_int(0.5)
+
+
+@pytest.mark.parametrize(
+    ("kind", "name"), [("identification", "predict"), ("identification", "plot_predictions"), ("comparison", "predict"),
+                       ("posterior", "log_density"), ("bounds", "torque"), ("diagnosis", "search"), ("watch", "sentences")]
+)  # fmt: skip
+def test_what_needs_the_recording_says_so(loaded, kind, name):
+    with pytest.raises(bayesid.NeedsRecording, match=f"does not hold what {name} of .* needs, which is the recording"):
+        getattr(loaded[kind], name)
+    assert not hasattr(loaded[kind], name) and not hasattr(loaded[kind], "nothing_of_that_name")
+
+
+def test_what_is_no_result_is_refused(loaded, arm, tmp_path):
+    folder = tmp_path / "arm"
+    bayesid.write_experiment(arm, folder)
+    both = tmp_path / "both"
+    both.mkdir()
+    for kind in ("identification", "comparison"):
+        shutil.copy(loaded[kind].path, both)
+    (tmp_path / "other.json").write_text("{}")
+    (tmp_path / "broken.json").write_text("{")
+    for path, said in (
+        (folder, "is an experiment, no result; bayesid.load_experiment reads it"),
+        (tmp_path / "nowhere.json", "No such file"),
+        (tmp_path, "holds no result of bayesid"),
+        (both, "holds estimate.json and comparison.json; name one of them"),
+        (tmp_path / "other.json", "is no document of bayesid"),
+        (tmp_path / "broken.json", "cannot be read as JSON"),
+        (folder / "robot.urdf", "name the folder, or its JSON or NetCDF file"),
+    ):
+        with pytest.raises(bayesid.InputError, match=said):
+            bayesid.load(path)
+
+
+def drawn(figure):
+    """Numbers of the lines of a figure."""
+    return [line.get_xydata().tolist() for ax in figure.axes for line in ax.lines]

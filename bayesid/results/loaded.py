@@ -1,0 +1,540 @@
+"""Results read back from the files that they were written to: what the files hold, with the methods of the result."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from functools import cached_property
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+import bayesid
+from bayesid.drawing import Plots, figures_of
+from bayesid.dynamics.base_parameters import BaseParameters
+from bayesid.errors import InputError
+from bayesid.estimators import Estimate
+from bayesid.estimators.details import Details, OwnDetails
+from bayesid.estimators.parameters import HasParameters, Parameters, central_interval, tails
+from bayesid.posterior.convert import load_arviz
+from bayesid.results.entries import HasEntries
+from bayesid.results.entry import Entry
+from bayesid.results.estimated import HasEstimate
+from bayesid.results.files import BESIDE
+from bayesid.robot.prior import Prior
+from bayesid.rounding import LEVEL
+from bayesid.validation.prediction import Prediction
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from pandas import DataFrame
+
+#: Files that hold a result, and which one where they do not say it.
+DOCUMENTS = {
+    "estimate.json": "Identification", "comparison.json": "Comparison", "posterior.json": "ExperimentPosterior",
+    "diagnosis.json": "Diagnosis", "bounds.json": "ControllerBounds", "accuracy.json": "Accuracy",
+    "identifiability.json": "Identifiability", "excitation.json": "Excitation", "watch.json": "Watch", "check.json": "Inspection",
+}  # fmt: skip
+DRAWS = "posterior.nc"
+
+
+class NeedsRecording(InputError, AttributeError):
+    """What a loaded result is asked for is not in its file: it needs the recording that the result is of."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Loaded(Plots):
+    """A result read back from its file.
+
+    It prints as the result did, ``to_dict()`` gives the same, and every key of that is an attribute: ``diagnosis.verdict``,
+    ``loaded.warnings``. What the file does not hold, such as predictions of other motions, needs the recording and says so.
+
+    Attributes
+    ----------
+    kind
+        Name of the result's class.
+    document
+        What `to_dict` gave.
+    printed
+        What ``print`` showed.
+    path
+        The file.
+    """
+
+    verb: ClassVar[str] = "load"
+    kind: str
+    document: Mapping[str, Any]
+    printed: str
+    path: Path
+
+    def to_dict(self) -> dict[str, Any]:
+        """The document, as the result's `to_dict`."""
+        return dict(self.document)
+
+    def plot(self, *, ax: Any = None) -> Figure:
+        """Draw the figure that says most of those that the file holds.
+
+        Raises
+        ------
+        NeedsRecording
+            It holds none.
+        """
+        if not (drawn := figures_of(self)):
+            raise self._lacks("plot")
+        return next(iter(drawn.values()))(ax=ax)
+
+    def __getattr__(self, name: str) -> Any:
+        """Keys of the document; anything else that the result has is not in its file."""
+        document = self.__dict__.get("document", {})
+        if name in document and not name.startswith("_"):
+            return document[name]
+        live = getattr(bayesid, self.__dict__.get("kind", ""), None)
+        if not name.startswith("_") and (hasattr(live, name) or name in getattr(live, "__dataclass_fields__", ())):
+            raise self._lacks(name)
+        raise AttributeError(f"a loaded {self.__dict__.get('kind', 'result')} has no '{name}'; it has {', '.join(document)}")
+
+    def _lacks(self, name: str) -> NeedsRecording:
+        return NeedsRecording(
+            f"{self.path}: does not hold what {name} of {self.kind} needs, which is the recording; run the verb again on the "
+            "experiment, or keep the result itself with pickle"
+        )
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__} {self.kind} of {self.document.get('experiment')}: {self.path.name}>"
+
+    def __str__(self) -> str:
+        """As the result printed."""
+        return self.printed or repr(self)
+
+    def _repr_html_(self) -> str:
+        return f"<pre>{escape(str(self))}</pre>"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class LoadedIdentification(HasEstimate, Loaded):
+    """What `bayesid.identify` found, read back: names, values, intervals, errors of predictions, links."""
+
+    @property
+    def estimate(self) -> Estimate:
+        """Base and effect parameters with their covariance."""
+        return _estimate(self.document, self.document["effect_parameters"])
+
+    @property
+    def link_parameters(self) -> np.ndarray:
+        """Ten parameters a body (10 b), those of ``identified.urdf``."""
+        return np.array(self.document["link_parameters"])
+
+    @property
+    def fitted(self) -> tuple[Prediction, ...]:
+        """Errors of the fitted motions."""
+        return _predictions(self.document["fit"])
+
+    @property
+    def validation(self) -> tuple[Prediction, ...]:
+        """Errors of the motions that were not fitted."""
+        return _predictions(self.document["validation"])
+
+    def parameters(self, level: float = LEVEL) -> Parameters:
+        """Base parameters, then effect parameters, with central intervals of a probability.
+
+        Raises
+        ------
+        InputError
+            The level is no probability.
+        """
+        effects = [
+            {"name": f"{e['name']}@{e['where']}.{key}", "label": f"{e['name']}@{e['where']}.{key}", "class": "effect", **entry}
+            for e in self.document["effects"] for key, entry in e["parameters"].items()
+        ]  # fmt: skip
+        return _parameters([*self.document["base_parameters"], *effects], level)
+
+    @property
+    def nominal(self) -> np.ndarray | None:
+        """Base parameters of the nominal model (r,), if there is one."""
+        links = self.document["nominal_links"]
+        return None if links is None else self.base.matrix @ np.array(links)
+
+    @property
+    def nominal_scale(self) -> np.ndarray | None:
+        """How uncertain ``nominal`` is when every body's mass distribution is so by its own size (r,)."""
+        links, k = self.document["nominal_links"], self.base.matrix
+        if links is None:
+            return None
+        return np.sqrt(np.einsum("ij,jk,ik->i", k, Prior.nominal(np.array(links), 2.0**0.5).covariance, k))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class LoadedComparison(HasEntries, Loaded):
+    """What `bayesid.compare` found, read back: estimates by name, errors of their predictions."""
+
+    @property
+    def entries(self) -> tuple[Entry, ...]:
+        """One for each estimator, in the order asked for."""
+        return tuple(self._entry(m) for m in self.document["methods"])
+
+    @property
+    def baselines(self) -> tuple[Entry, ...]:
+        """The nominal model, predicted without a fit, and with its effects fitted."""
+        return tuple(self._entry(b) for b in self.document["baselines"])
+
+    @property
+    def reference(self) -> str | None:
+        """Name of the estimator in whose standard deviations differences are counted."""
+        return self.document["agreement"]["reference"]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the base parameters (r,)."""
+        return next(iter(self.estimates.values())).names
+
+    def _entry(self, d: Mapping[str, Any]) -> Entry:
+        links, impossible = d.get("link_parameters"), d.get("impossible_bodies")
+        return Entry(
+            name=d["name"], description=d.get("description", ""),
+            estimate=_estimate({**self.document, **d}, d["effects"]) if "method" in d else None, refusal=d.get("reason", ""),
+            seconds=self.document["runtime_s"]["methods"].get(d["name"], 0.0), links=None if links is None else np.array(links),
+            impossible=None if impossible is None else tuple(impossible), fitted=_predictions(d.get("fit", ())),
+            validation=_predictions(d.get("validation", ())),
+        )  # fmt: skip
+
+    def plot_errors(self, *, ax: Any = None) -> Figure:
+        """Draw what each estimator's predictions miss; as `bayesid.Comparison.plot_errors`."""
+        return self._figure("errors", ax)
+
+    def plot_values(self, *, ax: Any = None) -> Figure:
+        """Draw the base parameters by each estimator; as `bayesid.Comparison.plot_values`."""
+        return self._figure("values", ax)
+
+    def _figure(self, name: str, ax: Any) -> Figure:
+        drawn = figures_of(self)
+        if name not in drawn:
+            raise InputError(f"{self.path}: holds no {name} to draw")
+        return drawn[name](ax=ax)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class LoadedPosterior(HasParameters, Loaded):
+    """What `bayesid.sample` found, read back: draws of ``posterior.nc``, summaries of ``posterior.json``."""
+
+    def to_arviz(self) -> Any:
+        """InferenceData (ArviZ 0.x) or DataTree (1.x) of ``posterior.nc``.
+
+        Raises
+        ------
+        InputError
+            The file is not there.
+        """
+        path = self.path.with_name(DRAWS) if self.path.suffix == ".json" else self.path
+        if not path.is_file():
+            raise InputError(f"{path}: no such file, and the draws are in it; sample again")
+        return load_arviz().from_netcdf(str(path))
+
+    @cached_property
+    def _group(self) -> Any:
+        return self.to_arviz()["posterior"]
+
+    @property
+    def base_draws(self) -> np.ndarray:
+        """Draws of the base parameters (chains, draws, r)."""
+        return self._drawn("base")
+
+    @property
+    def effect_draws(self) -> np.ndarray:
+        """Draws of the effect parameters (chains, draws, e)."""
+        return self._drawn("effect") if "effect" in self._group else self.base_draws[..., :0]
+
+    @property
+    def link_draws(self) -> np.ndarray | None:
+        """Draws of the link parameters (chains, draws, P); None with a flat prior."""
+        return self._drawn("link") if "link" in self._group else None
+
+    def _drawn(self, name: str) -> np.ndarray:
+        return np.asarray(self._group[name].values, float)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the base parameters (r,)."""
+        return tuple(p["name"] for p in self.document["base_parameters"])
+
+    @property
+    def values(self) -> np.ndarray:
+        """Posterior means of the base parameters (r,)."""
+        return self._column("value")
+
+    @property
+    def std(self) -> np.ndarray:
+        """Posterior standard deviations of the base parameters (r,)."""
+        return self._column("std")
+
+    @property
+    def low(self) -> np.ndarray:
+        """Lower ends of the central 95 % intervals of the base parameters (r,)."""
+        return self._column("low")
+
+    @property
+    def high(self) -> np.ndarray:
+        """Upper ends of the central 95 % intervals of the base parameters (r,)."""
+        return self._column("high")
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """Posterior covariance of the base parameters (r, r)."""
+        return np.array(self.document["covariance"])
+
+    @property
+    def base(self) -> BaseParameters:
+        """What the base parameters are combinations of."""
+        return _base(self.document)
+
+    @property
+    def fitted(self) -> tuple[Prediction, ...]:
+        """Errors of the fitted motions."""
+        return _predictions(self.document["fit"])
+
+    @property
+    def validation(self) -> tuple[Prediction, ...]:
+        """Errors of the motions that were not fitted."""
+        return _predictions(self.document["validation"])
+
+    def parameters(self, level: float = LEVEL) -> Parameters:
+        """Base parameters, then effect parameters, with central intervals of a probability, from the draws.
+
+        Raises
+        ------
+        InputError
+            The level is no probability, or another than 0.95 and ``posterior.nc`` is not there.
+        """
+        found = _parameters([*self.document["base_parameters"], *self.document["effect_parameters"]], LEVEL)
+        if level == LEVEL:
+            return found
+        low, high = np.quantile(np.concatenate([self.base_draws, self.effect_draws], axis=-1), tails(level), axis=(0, 1))
+        return Parameters(found.names, found.labels, found.values, found.std, low, high, found.units, found.classes)
+
+    def _column(self, key: str) -> np.ndarray:
+        return np.array([p[key] for p in self.document["base_parameters"]], float)
+
+    def plot_marginals(self, *, ax: Any = None) -> Figure:
+        """Draw the posterior of every base parameter; the prior is not in the file."""
+        return figures_of(self)["marginals"](ax=ax)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class LoadedBounds(Loaded):
+    """What `bayesid.bounds` found, read back: sets of the parameters of the joint torques, bounds of the workspace."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters of the joint torques (k,)."""
+        return tuple(p["name"] for p in self._torques["parameters"])
+
+    @property
+    def values(self) -> np.ndarray:
+        """Their centre (k,)."""
+        return self._column("value")
+
+    @property
+    def std(self) -> np.ndarray:
+        """Their standard deviations (k,); nan where there is none."""
+        return self._column("std")
+
+    @property
+    def low(self) -> np.ndarray:
+        """Lower ends of the box that holds them all at once (k,)."""
+        return self._column("low")
+
+    @property
+    def high(self) -> np.ndarray:
+        """Upper ends of the box that holds them all at once (k,)."""
+        return self._column("high")
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """Their covariance V (k, k)."""
+        return np.array(self._torques["covariance"], float)
+
+    @property
+    def ellipsoid(self) -> float:
+        """Radius rho_V of the ellipsoid ``(b - b_hat)' V^-1 (b - b_hat) <= rho_V^2``."""
+        return self.document["rho_V"]
+
+    def to_dataframe(self) -> DataFrame:
+        """A row a parameter of the joint torques, with the columns of ``parameters`` in ``bounds.json``."""
+        from pandas import DataFrame
+
+        return DataFrame(self._torques["parameters"])
+
+    @property
+    def _torques(self) -> Mapping[str, Any]:
+        return self.document["joint_torques"]
+
+    def _column(self, key: str) -> np.ndarray:
+        return np.array([p[key] for p in self._torques["parameters"]], float)
+
+
+_CLASSES: dict[str, type[Loaded]] = {
+    "Identification": LoadedIdentification, "Comparison": LoadedComparison, "ExperimentPosterior": LoadedPosterior,
+    "ControllerBounds": LoadedBounds,
+}  # fmt: skip
+
+
+def load(path: str | Path) -> Loaded:
+    """The result of a verb, read back from what it wrote.
+
+    Parameters
+    ----------
+    path
+        The folder, or the JSON or NetCDF file in it.
+
+    Returns
+    -------
+    loaded
+        Prints as the result did and has its names, values, intervals and tables, and the figures that the file holds the numbers
+        of; what needs the recording says so.
+
+    Raises
+    ------
+    InputError
+        There is no such file, or it is none that bayesid wrote.
+    """
+    path = Path(path)
+    file = _file_in(path) if path.is_dir() else path
+    if file.suffix == ".nc":
+        beside = file.with_name("posterior.json")
+        return LoadedPosterior("ExperimentPosterior", _of_draws(file), "", file) if not beside.is_file() else load(beside)
+    if file.suffix != ".json":
+        raise InputError(f"{file}: holds no result; name the folder, or its JSON or NetCDF file")
+    try:
+        document = json.loads(file.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{file}: {error.strerror or error}; name a folder that bayesid wrote") from None
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{file}: cannot be read as JSON ({error}); run the verb again") from None
+    kind = document.get("result") or DOCUMENTS.get(file.name) if isinstance(document, dict) else None
+    if kind is None or not {"schema", "experiment"} <= document.keys():
+        raise InputError(f"{file}: is no document of bayesid; name one of {', '.join(DOCUMENTS)} as a verb wrote it")
+    printed = "\n".join(document.get("printed", ()))
+    return _CLASSES.get(kind, Loaded)(kind, {k: v for k, v in document.items() if k not in BESIDE}, printed, file)
+
+
+def _file_in(folder: Path) -> Path:
+    """The document in a folder."""
+    there = [name for name in DOCUMENTS if (folder / name).is_file()] or [DRAWS] * (folder / DRAWS).is_file()
+    if len(there) == 1:
+        return folder / there[0]
+    if there:
+        raise InputError(f"{folder}: holds {' and '.join(there)}; name one of them")
+    if (folder / "experiment.toml").is_file():
+        raise InputError(f"{folder}: is an experiment, no result; bayesid.load_experiment reads it")
+    raise InputError(f"{folder}: holds no result of bayesid; name a folder that a verb wrote")
+
+
+def _of_draws(file: Path) -> dict[str, Any]:
+    """What the draws alone say, where ``posterior.json`` is not beside them."""
+    if not file.is_file():
+        raise InputError(f"{file}: no such file; name a folder that bayesid wrote")
+    group = load_arviz().from_netcdf(str(file))["posterior"]
+    if "base" not in group:
+        raise InputError(f"{file}: is no posterior of bayesid; name one as sample wrote it")
+
+    def entries(variable: str) -> list[dict[str, Any]]:
+        if variable not in group:
+            return []
+        array = group[variable]
+        names = [str(n) for n in array.coords[array.dims[-1]].values]
+        draws = np.asarray(array.values, float).reshape(-1, len(names))
+        low, high = np.quantile(draws, tails(), axis=0)
+        columns = zip(names, draws.mean(axis=0), draws.std(axis=0, ddof=1), low, high, strict=True)
+        return [
+            {"name": n, "label": n, "unit": "", "class": "effect" if variable == "effect" else "",
+             "value": float(v), "std": float(s), "low": float(lo), "high": float(hi)}
+            for n, v, s, lo, hi in columns
+        ]  # fmt: skip
+
+    draws = np.asarray(group["base"].values, float)
+    return {
+        "experiment": None, "base_parameters": entries("base"), "effect_parameters": entries("effect"),
+        "covariance": np.atleast_2d(np.cov(draws.reshape(-1, draws.shape[-1]).T)).tolist(),
+        **{key: value for key, value in group.attrs.items() if isinstance(value, (str, int, float))},
+    }  # fmt: skip
+
+
+def _base(document: Mapping[str, Any]) -> BaseParameters:
+    listed, matrix = document["base_parameters"], np.array(document["base_map"], float)
+    behind = tuple(document["link_parameter_names"])
+    names, labels, units = (tuple(p[key] for p in listed) for key in ("name", "label", "unit"))
+    independent = []
+    for row, name in zip(np.eye(len(listed)), names, strict=True):
+        alike = np.flatnonzero((matrix == row[:, None]).all(axis=0)).tolist()
+        independent.append(next((j for j in alike if name.startswith(behind[j])), alike[0]))
+    return BaseParameters(matrix, np.array(independent, int), behind, names, labels, units)
+
+
+def _estimate(d: Mapping[str, Any], effects: Sequence[Mapping[str, Any]]) -> Estimate:
+    """The estimate of a document, but for the noise that it was weighted with."""
+    listed = [*d["base_parameters"], *effects]
+    rank = len(d["base_parameters"])
+    said = d["details"]
+    own = {k: v for k, v in said.items() if k not in {f.name for f in fields(Details)}}
+    details = OwnDetails(
+        entries=own, model_complete=said.get("model_complete"), agreement_of_gls_and_wls=said.get("agreement_of_gls_and_wls"),
+        dispersion=said.get("dispersion"), dispersion_by_channel=said.get("dispersion_by_channel"),
+        warnings=tuple(said.get("warnings", ())),
+    )  # fmt: skip
+    values, std = _numbers(listed, "value"), _numbers(listed, "std")
+    covariance = None if d["full_covariance"] is None else np.array(d["full_covariance"], float)
+    kinds = [p["class"] for p in d["base_parameters"]]
+    untold = covariance is not None and np.isnan(std[rank:])
+    number = {k: np.nan if v is None else v for k, v in (("condition", d["condition_number"]), *d["residual"].items())}
+    return Estimate(
+        method=d["method"], base=_base(d), effect_names=tuple(p["name"] for p in effects),
+        effect_units=tuple(p["unit"] for p in effects), solution=values, full_covariance=covariance,
+        undetermined=np.append(np.array(kinds) == "prior", np.broadcast_to(untold, len(effects))).astype(bool),
+        weak=np.array([*(k == "weak" for k in kinds), *(False for _ in effects)], bool), interval=d["interval"], noise={},
+        rows=d["residual"]["rows"], condition_number=number["condition"], residual_rms=number["whitened_rms"],
+        whiteness=number["whiteness"], interval_reason=d.get("interval_reason", ""), details=details,
+        possible=_possible(listed),
+    )  # fmt: skip
+
+
+def _parameters(listed: Sequence[Mapping[str, Any]], level: float) -> Parameters:
+    values, std = _numbers(listed, "value"), _numbers(listed, "std")
+    ends = _numbers(listed, "low"), _numbers(listed, "high")
+    if level != LEVEL:
+        ends = central_interval(values, std, level, _possible(listed))
+    names, labels, units, kinds = ([p[key] for p in listed] for key in ("name", "label", "unit", "class"))
+    return Parameters(names, labels, values, std, *ends, units, kinds)
+
+
+def _possible(listed: Sequence[Mapping[str, Any]]) -> np.ndarray:
+    """Where intervals were cut off (2, p), as nothing beyond is possible."""
+    values, std = _numbers(listed, "value"), _numbers(listed, "std")
+    low, high = central_interval(values, std)
+    slack = 1e-9 * (np.abs(values) + std)
+    own = _numbers(listed, "low"), _numbers(listed, "high")
+    return np.array([np.where(own[0] > low + slack, own[0], -np.inf), np.where(own[1] < high - slack, own[1], np.inf)])
+
+
+def _numbers(listed: Sequence[Mapping[str, Any]], key: str) -> np.ndarray:
+    return np.array([p[key] for p in listed], float)
+
+
+def _predictions(listed: Sequence[Mapping[str, Any]]) -> tuple[Prediction, ...]:
+    """Errors of predictions; the samples are not in the file."""
+    out = []
+    for d in listed:
+        names = tuple(d["rmse"])
+        none = np.empty((0, len(names)))
+        rmse, rmse_raw, nrmse, nrmse_raw, whitened = (
+            np.array(list(d[key].values()), float)
+            for key in ("rmse", "rmse_raw", "nrmse", "nrmse_raw", "whitened_rms_by_channel")
+        )
+        out.append(
+            Prediction(
+                d["motion"], d["role"], names, ("",) * len(names), none[:, 0], none, none, rmse, rmse_raw, nrmse, nrmse_raw,
+                d["whitened_rms"], whitened, d["interval_coverage"], d["expected_rms"], d["noise_source"], d["repeats"],
+            )
+        )  # fmt: skip
+    return tuple(out)
