@@ -31,15 +31,7 @@ from bayesid.estimators.factor import Factor, reduce_whitened
 from bayesid.estimators.least_squares import completeness, make_estimate, nominal_start, target_from_nominal, weighted_factor
 from bayesid.estimators.weights import Weights, learn_weights, noise_of_residuals
 from bayesid.regression.blocks import Block, Pair, RegressorNoise
-from bayesid.regression.linalg import (
-    UNSEEN,
-    at_least,
-    in_determined,
-    pseudo_inverse,
-    solve,
-    standard_deviations,
-    undetermined,
-)
+from bayesid.regression.linalg import UNSEEN, at_least, pseudo_inverse, solve, standard_deviations, undetermined
 from bayesid.regression.regression import Regression
 from bayesid.signals.noise import NoiseModel
 
@@ -170,7 +162,7 @@ class TotalLeastSquares:
             # The equations' right side at the solution differs from draw to draw; its mean by that over their number.
             left = np.array([s - (np.eye(p) - d) @ -step for d, s in drawn])
             meat = meat + np.cov(left.T, ddof=1).reshape(p, p) / count
-        covariance = in_determined(start.root @ inverse @ meat @ inverse @ start.root.T, start.hidden)
+        covariance = start.root @ inverse @ meat @ inverse @ start.root.T
         estimate = make_estimate(
             self.name, regression, replace(start.weights, noise=noise_of_fit(regression, start, solution)), start.factor,
             solution, covariance, start.hidden,

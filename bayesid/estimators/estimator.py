@@ -48,7 +48,8 @@ class Estimate(HasParameters):
     solution
         Base parameters, then effect parameters (p,).
     full_covariance
-        Of ``solution`` (p, p); None where no honest one exists.
+        Of ``solution`` (p, p); None where no honest one exists. Singular where the data determine only sums of parameters,
+        such as a link's and a rotor's inertia about one axis: that of the sums is in it, along what they leave open it is zero.
     undetermined
         Columns of ``solution`` that the data say nothing about (p,).
     weak

@@ -31,7 +31,6 @@ from bayesid.regression.linalg import (
     UNSEEN,
     column_lengths,
     condition_number,
-    in_determined,
     pseudo_inverse,
     solve,
     standard_deviations,
@@ -72,7 +71,7 @@ class LeastSquares:
         inverse = pseudo_inverse(factor.matrix, UNSEEN)
         bread = inverse @ inverse.T
         middle = covariance_middle(regression, weights, scale, factor)
-        covariance = in_determined(bread if middle is None else bread @ middle @ bread, hidden)
+        covariance = bread if middle is None else bread @ middle @ bread
         estimate = make_estimate(self.name, regression, weights, factor, solution, covariance, hidden)
         told = () if kind == self.weights else (CHANNEL_INSTEAD.format(self.name),)
         return replace(estimate, details=LeastSquaresDetails(**completeness(weights), weights=kind, warnings=told))

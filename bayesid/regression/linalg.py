@@ -43,8 +43,8 @@ def determined_inverse(matrix: np.ndarray, hidden: np.ndarray) -> np.ndarray:
     """Pseudo-inverse of a factor (k, p) in the determined columns, zero in the hidden ones (p, k).
 
     What hidden columns share with the determined ones is fitted all the same, so it is part of the inverse: without those columns
-    the others would seem to be known better than they are. A covariance made of several factors takes `pseudo_inverse` and ends
-    with `in_determined`.
+    the others would seem to be known better than they are. The covariance of an estimate takes `pseudo_inverse`
+    itself, which keeps what is known of sums of hidden columns.
 
     Parameters
     ----------
@@ -54,11 +54,6 @@ def determined_inverse(matrix: np.ndarray, hidden: np.ndarray) -> np.ndarray:
         Columns that the rows do not determine (p,), see `undetermined`.
     """
     return np.where(hidden[:, None], 0.0, pseudo_inverse(matrix, UNSEEN))
-
-
-def in_determined(covariance: np.ndarray, hidden: np.ndarray) -> np.ndarray:
-    """A covariance (p, p) with zeros in hidden rows and columns (p,)."""
-    return np.where(hidden[:, None] | hidden, 0.0, covariance)
 
 
 def undetermined(matrix: np.ndarray, tolerance: float = UNSEEN) -> np.ndarray:

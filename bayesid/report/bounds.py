@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 
 from bayesid.design.bounds.bands import FAR, Band
-from bayesid.report.bounds_figures import band_figure, region_figure, remainder_figure
+from bayesid.design.bounds.remainder import HALF
+from bayesid.report.bounds_figures import band_figure, parameter_figure, remainder_figure
 from bayesid.report.notation import short_names
 from bayesid.report.page import render, run_times, svg, versions
 from bayesid.results.bounds import ControllerBounds, TrajectoryBands
@@ -20,7 +21,6 @@ def bounds_report(result: ControllerBounds) -> str:
     known, region, w = result.known, result.region, result.workspace
     robot, rank = known.problem.experiment.robot, result.torque_model.base.rank
     names = [*short_names(result.torque_model.base), *region.names[rank:]]
-    nominal = np.concatenate([result.torque_model.base.matrix @ robot.nominal.ravel(), np.full(len(names) - rank, np.nan)])
     left = result.remainder
     head, rows = joints(w, result.inside)
     return render(
@@ -33,7 +33,7 @@ def bounds_report(result: ControllerBounds) -> str:
         warning_list=result.warnings,
         lead=_lead(result),
         card_list=_cards(result),
-        region=svg(region_figure(names, region, nominal), "region"),
+        region=svg(parameter_figure(names, region, result.torque_per_unit), "region"),
         parameters=_parameters(result),
         factor=number(region.factor, 3),
         bonferroni=number(region.bonferroni, 3),
@@ -66,12 +66,15 @@ def _lead(result: ControllerBounds) -> str:
     region, w = result.region, result.workspace
     driven = int(region.prior_driven.sum())
     text = (
-        f"With probability 95 % all {len(region.values)} parameters of the joint torques are in one ellipsoid of rho_V = "
-        f"{number(region.ellipsoid, 4)}; the model's mass matrix is {number(w.ratio[0], 4)} to {number(w.ratio[1], 4)} times the "
+        f"{result.headline} All {len(region.values)} parameters of the joint torques are in one ellipsoid of rho_V = "
+        f"{number(region.ellipsoid, 3)}; the model's mass matrix is {number(w.ratio[0], 3)} to {number(w.ratio[1], 3)} times the "
         f"true one over the workspace. All {len(result.links)} robots drawn within the uncertainty can exist, and their mass "
         "matrices are positive definite. "
     )
-    text += f"{driven} of the parameters are driven by the prior. " if driven else "The data determine all of the parameters. "
+    sums = int(region.undetermined.sum())
+    text += f"{driven} of the parameters are driven by the prior. " if driven else ""
+    text += f"Of {sums} parameters the data tell sums only, which is all that torques take of them. " if sums else ""
+    text += "The data determine all of the parameters. " if not driven and not sums else ""
     return text + ("" if result.inside.complete else "What is inside the joints, rotors and friction, is not in these bounds.")
 
 
@@ -79,14 +82,15 @@ def _cards(result: ControllerBounds) -> list[dict[str, str]]:
     w, region = result.workspace, result.region
     cards = [
         {"value": number(region.rho, 3), "mood": "", "text": "rho, radius of the ball (SI units)"},
-        {"value": number(region.ellipsoid, 4), "mood": "", "text": "rho_V, radius of the ellipsoid"},
+        {"value": number(region.ellipsoid, 3), "mood": "", "text": "rho_V, radius of the ellipsoid"},
         {"value": number(w.alpha, 3), "mood": "good" if w.alpha < 0.5 else "fair" if w.alpha < 1 else "bad",
          "text": "alpha of computed torque, to be below 1"},
     ]
     if result.trajectories:
         name, t = result.trajectories[0].name, result.trajectories[0].torque
-        widest = float((t.factor * t.std).max() / max(float(np.abs(t.values).max()), 1e-300))
-        cards.append({"value": percent(widest, 2), "mood": "", "text": f"half band of the torques of ‘{name}’, of the largest"})
+        widest = float((HALF * t.std).mean() / max(float(np.abs(t.values).mean()), 1e-300))
+        text = f"mean half width of the 95 % band, sample by sample, of the torques of ‘{name}’"
+        cards.append({"value": percent(widest, 2), "mood": "", "text": text})
     if result.remainder is not None:
         share = float(result.remainder.share.max())
         cards.append({"value": percent(share, 2), "mood": "", "text": "of the worst joint’s torque is not explained"})
@@ -96,13 +100,13 @@ def _cards(result: ControllerBounds) -> list[dict[str, str]]:
 def _parameters(result: ControllerBounds) -> list[dict[str, Any]]:
     region, rows = result.region, []
     columns = zip(
-        region.labels, region.units, region.values, region.std, region.low, region.high, region.prior_driven, strict=True
+        region.labels, region.units, region.values, region.std, region.low, region.high, region.determined_by, strict=True
     )
-    for k, (label, unit, value, std, low, high, driven) in enumerate(columns):
+    for k, (label, unit, value, std, low, high, kind) in enumerate(columns):
         shown, spread = with_half(value, std)
         rows.append(
             {"index": k + 1, "label": label, "unit": unit, "value": shown, "std": spread, "interval": ends(low, high),
-             "kind": "prior" if driven else "data"}
+             "kind": kind}
         )  # fmt: skip
     return rows
 
@@ -110,9 +114,9 @@ def _parameters(result: ControllerBounds) -> list[dict[str, Any]]:
 def _workspace(result: ControllerBounds) -> list[tuple[str, str, str]]:
     w = result.workspace
     return [
-        ("eigenvalues of the model’s mass matrix relative to the true", f"{number(w.ratio[0], 4)} … {number(w.ratio[1], 4)}", ""),
+        ("eigenvalues of the model’s mass matrix relative to the true", f"{number(w.ratio[0], 3)} … {number(w.ratio[1], 3)}", ""),
         ("alpha = ‖1 − M⁻¹ M̂‖ in the norm of M", number(w.alpha, 3), "below 1 for computed torque"),
-        ("eigenvalues of the mass matrix", f"{number(w.eigenvalues[0], 3)} … {number(w.eigenvalues[1], 4)} kg m²",
+        ("eigenvalues of the mass matrix", f"{number(w.eigenvalues[0], 3)} … {number(w.eigenvalues[1], 3)} kg m²",
          "for the tracking bound"),
         ("smallest eigenvalue of any draw", f"{number(w.smallest_drawn, 3)} kg m²", "above 0: positive definite"),
         ("‖C(q, v) v‖ / ‖v‖² of the model", f"{number(w.coriolis, 3)} N m s²", ""),
@@ -137,10 +141,11 @@ def _trajectory(t: TrajectoryBands, index: int) -> dict[str, Any]:
 
 def _channels(b: Band) -> list[dict[str, str]]:
     largest, half = np.abs(b.values).max(axis=0), b.factor * b.std.max(axis=0)
+    usual, lacks = HALF * b.std.mean(axis=0), HALF * b.model_error.mean(axis=0)
     return [
-        {"name": n, "unit": u, "largest": number(x, 3), "half": number(h, 2), "extrapolation": number(e, 2),
-         "mood": "bad" if e > FAR else ""}
-        for n, u, x, h, e in zip(b.names, b.units, largest, half, b.extrapolation, strict=True)
+        {"name": n, "unit": u, "largest": number(x, 3), "usual": number(m, 2), "lacks": number(r, 2), "half": number(h, 2),
+         "extrapolation": number(e, 2), "mood": "bad" if e > FAR else ""}
+        for n, u, x, m, r, h, e in zip(b.names, b.units, largest, usual, lacks, half, b.extrapolation, strict=True)
     ]  # fmt: skip
 
 
@@ -149,8 +154,7 @@ def _how(result: ControllerBounds) -> list[tuple[str, str]]:
     ranges = ", ".join(f"{number(a, 3)} … {number(b, 3)}" for a, b in zip(w.lower, w.upper, strict=True))
     return [
         ("From", f"the {known.source} ({known.method})"),
-        ("Covariance", f"{number(known.dispersion, 3)} times that of noise alone for what the model lacks, and "
-         f"{number(known.inflation, 3)} times that again for motions that were not fitted"),
+        ("Covariance", f"{number(known.dispersion * known.held_out_scale, 3)} times that of noise alone"),
         ("Law of the parameters", "normal" if result.region.draws is None else f"{len(result.region.draws)} draws"),
         ("Workspace", f"{w.configurations} points of a Sobol sequence in joint ranges {ranges} rad (or m); {w.draws} draws; "
          f"seed {result.seed}"),

@@ -1,4 +1,4 @@
-"""Figures of ``bounds``: readings with bands, sets of parameters, bounds by joint."""
+"""Figures of ``bounds``: readings with bands, what uncertain parameters do to torques, what is left by speed."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from matplotlib.ticker import MaxNLocator
 from bayesid.design.bounds.bands import Band
 from bayesid.design.bounds.region import Region
 from bayesid.design.bounds.remainder import Remainder
-from bayesid.report.figures import CLASSES, DENSE, GREY, NOISE, PREDICTED, add_legend, make_grid, picked, styled, tidy_time
+from bayesid.report.figures import CLASSES, DENSE, GREY, PREDICTED, add_legend, make_grid, picked, styled, tidy_time
 
 _BLUE = CLASSES["alone"]
-#: From so many parameters they stand in two columns.
-_TWO_COLUMNS = 14
+#: Parameters that are shown, those whose uncertainty makes most torque.
+_PARAMETERS = 20
 
 
 @styled
@@ -58,34 +58,25 @@ def band_figure(band: Band, channels: Sequence[str] | str | None = None, ax: Any
 
 
 @styled
-def region_figure(names: Sequence[str], region: Region, nominal: np.ndarray) -> Figure:
-    """Every parameter with its simultaneous and its own 95 % interval, and the nominal value, in standard deviations."""
-    count = len(names)
-    columns = 2 if count > _TWO_COLUMNS else 1
-    per_column = -(-count // columns)
-    margin = 0.35 + 0.062 * max(map(len, names), default=0)
-    figure, axes = make_grid(1, columns, max(per_column * 0.22, 0.8), left=margin, gap=margin, sharex=True)
-    limit = 1.6 * region.factor
-    away = (nominal - region.values) / np.where(region.std > 0, region.std, np.inf)
-    for column, ax in enumerate(axes[0]):
-        part = slice(column * per_column, min((column + 1) * per_column, count))
-        y = np.arange(part.stop - part.start)
-        driven = region.prior_driven[part]
-        ax.axvspan(-1.96, 1.96, color=NOISE, alpha=0.15, lw=0, label="95 % of each alone")
-        for kind, colour, label in ((~driven, _BLUE, "95 % of all at once"), (driven, "#d97706", "driven by the prior")):
-            if kind.any():
-                ax.hlines(y[kind], -region.factor, region.factor, color=colour, lw=2.2, label=label)
-        inside = np.abs(away[part]) <= limit
-        ax.plot(away[part][inside], y[inside], "o", ms=4, mfc="white", mec=GREY, label="nominal model")
-        for k in np.flatnonzero(~inside):
-            side = np.sign(away[part][k])
-            ax.plot(0.97 * side * limit, y[k], ">" if side > 0 else "<", ms=4.5, mew=0, color=GREY)
-        ax.set_yticks(y, list(names[part]))
-        ax.set(xlim=(-limit, limit), ylim=(len(y) - 0.45, -0.55))
-        ax.set_xlabel("distance from the centre [standard deviations]")
-        ax.grid(axis="y", visible=False)
-        ax.tick_params(axis="y", length=0)
-    add_legend(axes, *axes[0, 0].get_legend_handles_labels())
+def parameter_figure(names: Sequence[str], region: Region, torque_per_unit: np.ndarray) -> Figure:
+    """What each parameter moves in the fitted motions, and what its uncertainty does, in torque; the least certain first."""
+    moves = np.abs(region.values) * torque_per_unit
+    unsure = np.where(region.undetermined, 0.0, np.nan_to_num(region.factor * region.std)) * torque_per_unit
+    order = np.argsort(-unsure, kind="stable")[:_PARAMETERS]
+    margin = 0.35 + 0.062 * max((len(names[k]) for k in order), default=0)
+    figure, axes = make_grid(1, 1, max(len(order) * 0.22, 0.8), left=margin)
+    ax, y = axes[0, 0], np.arange(len(order))
+    for kind, colour, label in ((False, _BLUE, "uncertain, 95 %, all at once"), (True, "#d97706", "... driven by the prior")):
+        at = region.prior_driven[order] == kind
+        if at.any():
+            ax.barh(y[at], unsure[order][at], height=0.62, color=colour, alpha=0.55, lw=0, label=label)
+    ax.plot(moves[order], y, "o", ms=4, mfc="white", mec=GREY, label="moved by the value itself")
+    ax.set_yticks(y, [names[k] for k in order])
+    ax.set(xlim=(0.0, None), ylim=(len(y) - 0.45, -0.55))
+    ax.set_xlabel("root mean square torque in the fitted motions, at the joint it moves most [N m or N]")
+    ax.grid(axis="y", visible=False)
+    ax.tick_params(axis="y", length=0)
+    add_legend(axes, *ax.get_legend_handles_labels())
     return figure
 
 

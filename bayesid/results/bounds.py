@@ -10,21 +10,24 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayesid.design.bounds.bands import FAR, Band, band
+from bayesid.design.bounds.inside_joints import InsideJoints
 from bayesid.design.bounds.knowledge import Known
 from bayesid.design.bounds.model import ReadingModel, checked_states
 from bayesid.design.bounds.region import Region
-from bayesid.design.bounds.remainder import InsideJoints, Remainder
+from bayesid.design.bounds.remainder import Remainder
 from bayesid.design.bounds.robust import ellipsoid_term, norm_term, tracking_bound
 from bayesid.design.bounds.workspace import Workspace, mass_eigenvalues
 from bayesid.drawing import figures_of
 from bayesid.errors import InputError
 from bayesid.estimators.estimator import LEVEL
-from bayesid.results.bounds_text import HEAD, facts, joints, trajectories
+from bayesid.estimators.parameters import Parameter
+from bayesid.results.bounds_text import facts, headline, joints, trajectories
 from bayesid.results.files import Result
 from bayesid.results.text import html_table, text_table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from pandas import DataFrame
 
 SCHEMA = 1
 
@@ -76,12 +79,16 @@ class ControllerBounds(Result):
         Joint torques and the sensor's wrench, with the sets of their parameters; the second None without a sensor.
     trained
         Largest standard deviation of each torque, and of each part of the wrench, in the motions that were fitted.
+    torque_per_unit
+        Root mean square torque that one unit of each parameter makes in the fitted motions, at the joint it moves most (k,) [N m
+        or N, over the parameter's unit].
     effort_ratio
         How many times more torque Spong's term with the ball takes than with the ellipsoid, median over states.
     workspace
         Bounds of mass matrix, Coriolis terms and gravity.
-    remainder
-        What torques of motions that were not fitted leave; None where there are none.
+    remainder, wrench_remainder
+        What the model leaves of torques, and of the sensor's wrench, that no parameter explains: of motions that were not fitted,
+        else of the fitted ones; None where there are none.
     inside
         What is inside the joints.
     trajectories
@@ -104,9 +111,11 @@ class ControllerBounds(Result):
     torque_model: ReadingModel
     wrench_model: ReadingModel | None
     trained: tuple[np.ndarray, np.ndarray]
+    torque_per_unit: np.ndarray
     effort_ratio: float
     workspace: Workspace
     remainder: Remainder | None
+    wrench_remainder: Remainder | None
     inside: InsideJoints
     trajectories: tuple[TrajectoryBands, ...]
     urdfs: int
@@ -126,6 +135,26 @@ class ControllerBounds(Result):
     def values(self) -> np.ndarray:
         """Centre of the parameters of the joint torques (k,)."""
         return self.region.values
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of these parameters (k,)."""
+        return self.region.names
+
+    @property
+    def std(self) -> np.ndarray:
+        """Their standard deviations (k,), nan where the data tell no more than a sum with others."""
+        return self.region.std
+
+    @property
+    def low(self) -> np.ndarray:
+        """Lower ends of the box that holds all of them at once (k,); nan as in ``std``."""
+        return self.region.low
+
+    @property
+    def high(self) -> np.ndarray:
+        """Upper ends of that box (k,)."""
+        return self.region.high
 
     @property
     def covariance(self) -> np.ndarray:
@@ -164,7 +193,7 @@ class ControllerBounds(Result):
         """
         model = self.torque_model
         q, v, a = checked_states(model.robot, q, v, a)
-        return band(model, q, v, a, times, self.trained[0], self.seed)
+        return band(model, q, v, a, times, self.trained[0], self.remainder, self.seed)
 
     def wrench(self, q: np.ndarray, v: np.ndarray, a: np.ndarray, times: np.ndarray | None = None) -> Band:
         """Wrench on the sensor, weight included and its offset not; as `torque`.
@@ -177,7 +206,7 @@ class ControllerBounds(Result):
         if self.wrench_model is None:
             raise InputError("the experiment has no [sensor], so it has no wrench; describe it in experiment.toml")
         q, v, a = checked_states(self.wrench_model.robot, q, v, a)
-        return band(self.wrench_model, q, v, a, times, self.trained[1], self.seed)
+        return band(self.wrench_model, q, v, a, times, self.trained[1], self.wrench_remainder, self.seed)
 
     def control_columns(
         self, q: np.ndarray, v: np.ndarray, reference_v: np.ndarray, reference_a: np.ndarray
@@ -287,23 +316,42 @@ class ControllerBounds(Result):
             raise InputError("the experiment has no [sensor], so it has no wrench; describe it in experiment.toml")
         return figures_of(self)["band"](shown, channels, ax)
 
+    def to_dataframe(self) -> DataFrame:
+        """Parameters of the joint torques as a table, ``low`` and ``high`` of the box that holds all of them at once.
+
+        ``class`` is ``data``, ``prior`` where the nominal model drives the bounds, ``sum`` where the data tell no more than a sum
+        with others: ``std``, ``low`` and ``high`` are nan there.
+        """
+        return self.region.table().to_dataframe()
+
+    def __getitem__(self, name: str) -> Parameter:
+        """One parameter of the joint torques, by its name or label, with the box's ends.
+
+        Raises
+        ------
+        KeyError
+            There is none of this name.
+        """
+        return self.region.table()[name]
+
     def to_dict(self) -> dict[str, Any]:
         """``bounds.json``."""
         k = self.known
         return {
             "schema": SCHEMA, "experiment": k.problem.experiment.name, "level": LEVEL, "seed": self.seed,
             "source": k.source, "method": k.method, "channel": k.problem.channel, "motions": list(k.problem.fitted),
-            "covariance_inflation": k.inflation, "dispersion": k.dispersion,
+            "held_out_scale": k.held_out_scale, "headline": self.headline, "dispersion": k.dispersion,
             "identified": self.parameters.to_dict(),
             "joint_torques": {
                 **self.region.to_dict(), "base_map": self.torque_model.base.matrix.tolist(),
                 "link_parameter_names": list(self.torque_model.base.parameter_names),
-                "effort_ball_over_ellipsoid": self.effort_ratio,
+                "effort_ball_over_ellipsoid": self.effort_ratio, "torque_per_unit": self.torque_per_unit.tolist(),
             },
             "rho": self.rho, "rho_V": self.ellipsoid,
             "workspace": self.workspace.to_dict(),
             "other_uncertainty": None if self.remainder is None else self.remainder.to_dict(),
-            "inside_joints": self.inside.to_dict(),
+            "other_uncertainty_of_wrench": None if self.wrench_remainder is None else self.wrench_remainder.to_dict(),
+            "identified_urdf": k.dynamics.to_dict(), "inside_joints": self.inside.to_dict(),
             "trained_std": {"torque": self.trained[0].tolist(), "wrench": self.trained[1].tolist()},
             "trajectories": [t.to_dict() for t in self.trajectories],
             "links_drawn": len(self.links), "sampled_urdfs": self.urdfs,
@@ -315,7 +363,9 @@ class ControllerBounds(Result):
         region, w = self.region, self.workspace
         out: dict[str, Any] = {
             "names": np.array(region.names, object), "units": np.array(region.units, object), "b_hat": region.values,
-            "V": region.covariance, "std": region.std, "box_low": region.low, "box_high": region.high, "rho": self.rho,
+            "V": region.covariance, "basis": region.basis, "to_basis": region.to_basis, "V_basis": region.basis_covariance,
+            "V_basis_factor": np.linalg.cholesky(region.basis_covariance), "std": region.std,
+            "box_low": region.low, "box_high": region.high, "rho": self.rho,
             "rho_V": self.ellipsoid,
             "base_map": self.torque_model.base.matrix, "base_columns": self.torque_model.base.independent + 1,
             "link_parameter_names": np.array(self.torque_model.base.parameter_names, object), "links_hat": self.known.centre,
@@ -348,9 +398,15 @@ class ControllerBounds(Result):
         tables = [html_table([self._title(), ""], plain), html_table(*joints(self.workspace, self.inside))]
         return told + "".join([*tables, html_table(*trajectories(self._torques()))])
 
+    @property
+    def headline(self) -> str:
+        """What the bounds hold of, and what that is conditional on."""
+        return headline(self.remainder, self.known.problem.fitted)
+
     def _title(self) -> str:
         known = self.known
-        return f"{known.problem.experiment.name}: bounds for controllers from the {known.source} ({known.method}); {HEAD}"
+        source = f"{known.source} ({known.method})"
+        return f"{known.problem.experiment.name}: bounds for controllers from the {source}. {self.headline}"
 
     def _torques(self) -> list[tuple[str, Band]]:
         return [(t.name, t.torque) for t in self.trajectories]
@@ -361,7 +417,8 @@ def _for_matlab(t: TrajectoryBands) -> dict[str, Any]:
     for channel, shown in (("torque", t.torque), ("wrench", t.wrench)):
         if shown is not None:
             out[channel] = {
-                "names": np.array(shown.names, object), "value": shown.values, "std": shown.std, "low": shown.low,
-                "high": shown.high, "factor": shown.factor, "extrapolation": shown.extrapolation,
+                "names": np.array(shown.names, object), "value": shown.values, "std": shown.std,
+                "model_error": shown.model_error, "low": shown.low, "high": shown.high, "pointwise_low": shown.pointwise_low,
+                "pointwise_high": shown.pointwise_high, "factor": shown.factor, "extrapolation": shown.extrapolation,
             }  # fmt: skip
     return out

@@ -2,21 +2,40 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
 from bayesid.design.bounds.bands import Band
+from bayesid.design.bounds.inside_joints import InsideJoints
 from bayesid.design.bounds.region import Region
-from bayesid.design.bounds.remainder import InsideJoints, Remainder
+from bayesid.design.bounds.remainder import Remainder
 from bayesid.design.bounds.workspace import Workspace
 from bayesid.results.text import number, percent
 
 #: Head and rows.
 Table = tuple[list[str], list[list[str]]]
 
-#: What holds for every number.
-HEAD = "each bound holds with probability 95 %"
+
+
+def headline(left: Remainder | None, fitted: Sequence[str]) -> str:
+    """What the bounds hold with probability 95 % of, and what that is conditional on."""
+    sets = "Sets of parameters hold with probability 95 %, given that the model is right"
+    if left is None:
+        return f"{sets}; no torques were recorded, so bands hold what parameters leave open and nothing that the model lacks."
+    named = ", ".join(left.motions)
+    if left.complete:
+        where = "which were not fitted" if left.held_out else "which were fitted"
+        return f"{sets}; so do bands: noise and parameters explain all that is left of {named}, {where}."
+    if left.held_out:
+        return (
+            f"{sets}. Bands of torques hold 95 % of the samples of motions like {named}, not fitted: what is left there, "
+            "which no parameter explains, is in them."
+        )
+    return (
+        f"{sets}. Bands of torques hold 95 % of the samples of motions like {', '.join(fitted)}, with the robot as warm and worn "
+        "as it was then: no motion was held out, so nothing shows another kind of motion or another day."
+    )
 
 
 def facts(region: Region, effort_ratio: float, w: Workspace, left: Remainder | None) -> list[tuple[str, str]]:
@@ -30,7 +49,8 @@ def facts(region: Region, effort_ratio: float, w: Workspace, left: Remainder | N
         ("torque of the ball over that of the ellipsoid", f"{number(effort_ratio, 2)} times (median)"),
         (
             "mass matrix",
-            f"M_hat is {number(w.ratio[0], 4)} to {number(w.ratio[1], 4)} times M; alpha {number(w.alpha, 3)}"
+            f"M_hat is {number(w.ratio[0], 3)} to {number(w.ratio[1], 3)} times M; alpha {number(w.alpha, 3)}"
+            + (" (of identified.urdf)" if w.of_urdf else "")
             + ("" if w.alpha < 1.0 else ", not below 1: computed torque has no guarantee"),
         ),
         ("Coriolis", f"error {number(w.coriolis_error, 2)} of {number(w.coriolis, 3)} [N m s²]"),
@@ -50,15 +70,20 @@ def joints(w: Workspace, inside: InsideJoints) -> Table:
     head = ["joint", "inertia", "error", "gravity", "error", "usual rotor inertia", "usual friction"]
     rows = []
     for j, name in enumerate(inside.joints):
-        rotor = "identified" if not np.isfinite(inside.rotor[j]) else f"{percent(inside.rotor_share[j], 2)} of inertia"
+        rotor = "identified" if not np.isfinite(inside.rotor[j]) else f"{number(inside.rotor_share[j], 2)} × inertia"
         share = inside.friction_share[j]
         known = not (np.isfinite(inside.coulomb[j]) or np.isfinite(inside.viscous[j]))
-        friction = f"{percent(share, 2)} of gravity" if np.isfinite(share) else number(inside.coulomb[j], 2)
+        friction = f"{number(share, 2)} × gravity" if np.isfinite(share) else number(inside.coulomb[j], 2)
         rows.append(
-            [name, f"{number(w.inertia[j, 0], 3)} … {number(w.inertia[j, 1], 3)}", percent(w.inertia_error[j], 2),
+            [name, f"{number(w.inertia[j, 0], 3)} … {number(w.inertia[j, 1], 3)}", share_of(w.inertia_error[j]),
              number(gravity[j], 3), number(error[j], 2), rotor, "identified" if known else friction]
         )  # fmt: skip
     return head, rows
+
+
+def share_of(error: float) -> str:
+    """A relative error as per cent, as far as it is one."""
+    return percent(error, 2) if error <= 1.0 else "over 100 %"
 
 
 def trajectories(bands: Iterable[tuple[str, Band]]) -> Table:

@@ -10,6 +10,7 @@ import numpy as np
 from bayesid.arguments import call
 from bayesid.estimators.conic.consistent_links import ConsistentLinks
 from bayesid.estimators.estimator import LEVEL
+from bayesid.robot.urdf import JointDynamics
 
 #: Errors of predictions that grow by more than this share are told.
 LARGEST_GROWTH = 0.05
@@ -33,10 +34,8 @@ class UrdfLinks:
     errors
         Relative error of the rows of each motion that was not fitted (of all, where all were): predicted by the estimate, and by
         these links with the effects that go with them.
-    friction
-        Attributes of ``<dynamics>`` by joint: the identified damping and friction.
-    left_out
-        Identified friction that is negative, and so not written, ``joint1 damping``.
+    dynamics
+        Friction, and what else was identified beside the links.
     """
 
     links: np.ndarray
@@ -44,8 +43,7 @@ class UrdfLinks:
     moved: ConsistentLinks | None
     nominal: str
     errors: dict[str, tuple[float, float]]
-    friction: dict[str, dict[str, float]]
-    left_out: tuple[str, ...]
+    dynamics: JointDynamics
 
     def __repr__(self) -> str:
         return f"<UrdfLinks: {len(self.links) // 10} bodies>"
@@ -66,8 +64,7 @@ class UrdfLinks:
                 "conflicts": [{"label": label, "sigma": sigma} for label, sigma in moved.conflicts],
             },
             "relative_error_of_rows": {motion: {"estimate": a, "urdf": b} for motion, (a, b) in self.errors.items()},
-            "dynamics": self.friction,
-            "negative_friction": list(self.left_out),
+            **self.dynamics.to_dict(),
         }  # fmt: skip
 
     def text(self) -> str:
@@ -103,9 +100,10 @@ class UrdfLinks:
                     f"identified.urdf predicts '{motion}' with {100 * links:.3g} % error, the base parameters with "
                     f"{100 * estimate:.3g} %: it {why}. Predict with the base parameters, simulate with the URDF."
                 )
-        if self.left_out:
+        if self.dynamics.left_out:
+            named = _first(self.dynamics.left_out)
             out.append(
-                f"Negative friction was identified ({_first(self.left_out)}) and is not written to identified.urdf: torques "
+                f"Negative friction was identified ({named}) and is not written to identified.urdf: torques "
                 "may have the wrong sign, or stand for another effect; check them, or leave that friction out of the model."
             )
         return out

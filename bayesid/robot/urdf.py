@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -13,8 +14,39 @@ from bayesid.robot.robot import Robot
 from bayesid.robot.urdf_file import read_urdf
 
 
+@dataclass(frozen=True)
+class JointDynamics:
+    """What was identified beside the links, as a URDF holds it.
+
+    Attributes
+    ----------
+    friction
+        Attributes of ``<dynamics>`` by joint: the identified damping and friction.
+    left_out
+        Identified friction that is negative, and so not written, ``joint1 damping``.
+    beside
+        Value and unit, by name, of what a URDF has no place for, such as rotor inertia: a simulator is told apart.
+    """
+
+    friction: dict[str, dict[str, float]]
+    left_out: tuple[str, ...] = ()
+    beside: dict[str, tuple[float, str]] = field(default_factory=dict)
+
+    def comments(self) -> list[str]:
+        """What stands as comments in the file: what it has no place for."""
+        lines = [f"{name} = {value:.6g} {unit}".rstrip() for name, (value, unit) in self.beside.items()]
+        return ["Identified along, and not part of this robot as a URDF has no place for it:", *lines] if lines else []
+
+    def to_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return {
+            "dynamics": self.friction, "negative_friction": list(self.left_out),
+            "not_in_urdf": {name: {"value": value, "unit": unit} for name, (value, unit) in self.beside.items()},
+        }  # fmt: skip
+
+
 def write_urdf(
-    robot: Robot, parameters: np.ndarray, path: Path, friction: Mapping[str, Mapping[str, float]] | None = None
+    robot: Robot, parameters: np.ndarray, path: Path, dynamics: JointDynamics | None = None
 ) -> None:
     """Write the robot's URDF with other link parameters.
 
@@ -30,9 +62,10 @@ def write_urdf(
         Ten a body (b, 10) or (10 b,).
     path
         File to write.
-    friction
-        By joint, values of attributes of its ``<dynamics>``: ``damping``, ``friction``. What is not named stays as it is.
+    dynamics
+        Friction of the joints; that of joints it does not name stays as it is. What a URDF has no place for stands in comments.
     """
+    dynamics = dynamics or JointDynamics({})
     root = read_urdf(robot.urdf).root
     tree = ET.ElementTree(root)
     links = {link.get("name"): link for link in root.findall("link")}
@@ -44,17 +77,19 @@ def write_urdf(
                 links[merged].remove(old)
     for name, body in zip(owners, np.reshape(parameters, (-1, 10)), strict=True):
         links[name].insert(0, _inertial(body))
-    for name, values in (friction or {}).items():
-        dynamics = joints[name].find("dynamics")
-        if dynamics is None:
-            dynamics = ET.SubElement(joints[name], "dynamics")
+    for name, values in dynamics.friction.items():
+        element = joints[name].find("dynamics")
+        if element is None:
+            element = ET.SubElement(joints[name], "dynamics")
         for attribute, value in values.items():
-            dynamics.set(attribute, repr(float(value)))
+            element.set(attribute, repr(float(value)))
     for element in (*root.findall("joint"), *root.iter("inertial")):
         kept = {child.tag: child for child in reversed(element)}
         for child in list(element):
             if kept[child.tag] is not child:
                 element.remove(child)
+    for line in reversed(dynamics.comments()):
+        root.insert(0, ET.Comment(f" {line.replace('--', '- -')} "))
     ET.indent(tree)
     tree.write(path, encoding="utf-8", xml_declaration=True)
 

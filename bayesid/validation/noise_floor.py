@@ -48,6 +48,20 @@ class NoiseFloor:
     encoder: np.ndarray
     source: str
 
+    def below(self, band: float, step: float) -> np.ndarray:
+        """Variance of this noise in rows below a frequency [Hz] (c,); rows have the energy of one sample.
+
+        Parameters
+        ----------
+        band
+            The frequency [Hz].
+        step
+            Distance of rows [s].
+        """
+        share = min(2.0 * step * band, 1.0)
+        counted = np.clip(share * _BINS - np.arange(_BINS), 0.0, 1.0) / _BINS
+        return share * self.sensor**2 + counted @ self.encoder
+
     def ratio(self, residuals: Sequence[np.ndarray], step: float, band: float) -> np.ndarray:
         """Root mean square of residual rows of stretches (k, c) in units of this noise, below a frequency (c,)."""
         energy, count = np.zeros(len(self.sensor)), 0

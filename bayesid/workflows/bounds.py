@@ -11,17 +11,17 @@ import numpy as np
 from scipy.io import savemat
 
 from bayesid.arguments import argument
-from bayesid.design.bounds.bands import Band, band, spread
-from bayesid.design.bounds.knowledge import Known, inflation_of, known_from
-from bayesid.design.bounds.model import ReadingModel, left_out_effects, sensor_model, torque_model
-from bayesid.design.bounds.remainder import inside_joints, remainder
+from bayesid.design.bounds.bands import Band, band
+from bayesid.design.bounds.inside_joints import inside_joints
+from bayesid.design.bounds.knowledge import Known, known_from
+from bayesid.design.bounds.model import ReadingModel, left_out_effects, possible_parameters, sensor_model, spread, torque_model
+from bayesid.design.bounds.remainder import Remainder, remainder
 from bayesid.design.bounds.robust import effort_ratio
 from bayesid.design.bounds.workspace import CONFIGURATIONS, sobol_configurations, workspace_bounds
 from bayesid.drawing import Figures, figures_of
 from bayesid.effects import MotionSegment
 from bayesid.errors import InputError
 from bayesid.estimators import DEFAULT_METHOD, Estimator
-from bayesid.posterior.result import PRIOR_DRIVEN
 from bayesid.recordings.experiment import Experiment, Motion, as_experiment
 from bayesid.regression.options import FitOptions, fit_options
 from bayesid.regression.parallel import one_blas_thread
@@ -37,11 +37,13 @@ from bayesid.robot.urdf import write_urdf
 from bayesid.signals.filters import LowPass
 from bayesid.simulation.trajectories import Trajectory
 from bayesid.simulation.trajectory_file import read_trajectory
+from bayesid.validation.noise_floor import noise_floor
 from bayesid.workflows.bounds_told import assumptions, warnings
 from bayesid.workflows.identify import identify
 from bayesid.workflows.progress import Clock, Progress, quiet
 from bayesid.workflows.sample import sample
 from bayesid.workflows.saved_run import known_from_run, prior_text
+from bayesid.workflows.urdf_links import joint_dynamics
 
 #: Samples of the fitted motions that standard deviations are looked at in, and motions of the experiment that get bands.
 _TRAINED, _SHOWN = 2000, 2
@@ -141,29 +143,27 @@ def _fitted(
 
 
 def _known(source: ExperimentPosterior | Identification, prior_std: float | None, seed: int) -> Known:
-    validation = tuple(p.to_dict() for p in source.validation)
     if isinstance(source, Identification):
         e = source.estimate
         dispersion = e.details.dispersion or 1.0
         return known_from(
             source.problem, source="estimate", method=e.method, mean=e.solution, covariance=e.full_covariance,
-            undetermined=e.undetermined, weak=e.weak, centre=source.link_parameters, trust=prior_std,
-            conflict=source.prior_check is not None and source.prior_check.conflict,
-            inflation=inflation_of(validation, dispersion)[0], dispersion=dispersion, count=DRAWS, seed=seed,
+            undetermined=e.undetermined, centre=source.urdf.unconstrained, urdf=source.urdf.links, dynamics=source.urdf.dynamics,
+            trust=prior_std, conflict=source.prior_check is not None and source.prior_check.conflict, dispersion=dispersion,
+            floor=source.floor, count=DRAWS, seed=seed,
         )  # fmt: skip
     model, columns = source.model, source.columns.reshape(-1, source.columns.shape[-1])
     links = source.link_draws
-    weak = np.zeros(columns.shape[1], bool)
-    weak[: source.base.rank] = source.prior_share > PRIOR_DRIVEN
+    nothing, rank = np.zeros(columns.shape[1], bool), source.base.rank
+    dynamics = joint_dynamics(source.problem, columns.mean(axis=0)[rank:], ~nothing[rank:])
     prior = model.prior_draws(DRAWS, np.random.default_rng(source.seed))
     kept = model.physical and links is not None
     return known_from(
         source.problem, source="posterior", method=prior_text(model.noise, model.prior is None),
-        mean=columns.mean(axis=0), covariance=np.atleast_2d(np.cov(columns.T)), undetermined=np.zeros_like(weak), weak=weak,
+        mean=columns.mean(axis=0), covariance=np.atleast_2d(np.cov(columns.T)), undetermined=nothing, dynamics=dynamics,
         draws=columns, link_draws=links.reshape(-1, links.shape[-1]) if kept and links is not None else None,
         prior_draws=prior if kept else None, trust=prior_std or source.trust,
-        inflation=inflation_of(validation, model.likelihood.dispersion)[0], dispersion=model.likelihood.dispersion,
-        count=DRAWS, seed=seed,
+        dispersion=model.likelihood.dispersion, count=DRAWS, seed=seed,
     )  # fmt: skip
 
 
@@ -179,30 +179,35 @@ def _bounded(
     wrench = None if experiment.sensor is None else sensor_model(known, make_channels(experiment, "wrench"), seed)
     states = _trained_states(problem)
 
+    moved = np.sqrt(np.mean(torque.columns(*states)[1] ** 2, axis=0)).max(axis=0)
+
     def largest(model: ReadingModel) -> np.ndarray:
         return spread(model.columns(*states)[1], model.region.covariance).max(axis=0)
 
-    def banded(model: ReadingModel, t: Trajectory, std: np.ndarray) -> Band:
-        return band(model, t.positions, t.velocities, t.accelerations, t.times, std, seed)
+    def banded(model: ReadingModel, t: Trajectory, std: np.ndarray, left: Remainder | None) -> Band:
+        return band(model, t.positions, t.velocities, t.accelerations, t.times, std, left, seed)
 
     trained = largest(torque), np.zeros(0) if wrench is None else largest(wrench)
+    clock("other uncertainty")
+    floor = noise_floor(problem)
+    left, wrench_left = (None if m is None else remainder(problem, m, floor) for m in (torque, wrench))
     clock("trajectories")
     bands = tuple(
         TrajectoryBands(
-            t.name, planned is not None, t.positions, banded(torque, t, trained[0]),
-            None if wrench is None else banded(wrench, t, trained[1]),
+            t.name, planned is not None, t.positions, banded(torque, t, trained[0], left),
+            None if wrench is None else banded(wrench, t, trained[1], wrench_left),
         )
         for t in moves
     )  # fmt: skip
     clock("workspace")
-    workspace = workspace_bounds(torque, configurations=configurations, seed=seed, progress=clock.progress)
-    clock("other uncertainty")
-    left = remainder(problem, torque)
+    possible = possible_parameters(known, torque)
+    workspace = workspace_bounds(torque, configurations=configurations, seed=seed, possible=possible, progress=clock.progress)
     inside = inside_joints(torque, workspace)
     result = ControllerBounds(
         known=known, parameters=known.parameters(seed), torque_model=torque, wrench_model=wrench, trained=trained,
-        effort_ratio=_effort(torque, seed), workspace=workspace, remainder=left, inside=inside, trajectories=bands, urdfs=urdfs,
-        assumptions=(), warnings=(), seconds=clock.stop(), seed=seed,
+        torque_per_unit=moved, effort_ratio=_effort(torque, seed), workspace=workspace, remainder=left,
+        wrench_remainder=wrench_left, inside=inside, trajectories=bands, urdfs=urdfs, assumptions=(), warnings=(),
+        seconds=clock.stop(), seed=seed,
     )  # fmt: skip
     dropped = left_out_effects(known, torque)
     return replace(result, assumptions=assumptions(result, dropped), warnings=(*warnings(result, dropped), *told))
@@ -276,12 +281,15 @@ def _(result: ControllerBounds) -> Files:
     """``bounds.json``, ``bounds.mat``, ``identified.urdf``, ``sampled-001.urdf`` ... and the report."""
     from bayesid.report.bounds import bounds_report
 
-    robot = result.known.problem.experiment.robot
+    robot, known = result.known.problem.experiment.robot, result.known
     at = np.linspace(0, len(result.links) - 1, result.urdfs).astype(int)
     others: dict[str, Callable[[Path], Any]] = {
         "bounds.mat": lambda path: savemat(path, result.to_matlab(), oned_as="column"),
-        "identified.urdf": lambda path: write_urdf(robot, result.known.centre, path),
+        "identified.urdf": lambda path: write_urdf(robot, known.urdf, path, known.dynamics),
     }
     for k, draw in enumerate(at):
-        others[f"sampled-{k + 1:03d}.urdf"] = lambda path, draw=draw: write_urdf(robot, result.links[draw], path)
+        along = joint_dynamics(known.problem, known.links.effects[draw], ~known.undetermined[known.base.rank :])
+        others[f"sampled-{k + 1:03d}.urdf"] = lambda path, draw=draw, along=along: write_urdf(
+            robot, result.links[draw], path, along
+        )
     return Files({"bounds.json": strict(result.to_dict())}, others, bounds_report(result))

@@ -9,7 +9,7 @@ import numpy as np
 from bayesid.arguments import call
 from bayesid.design.bounds.bands import FAR
 from bayesid.results.bounds import ControllerBounds
-from bayesid.results.text import percent
+from bayesid.results.text import number
 from bayesid.workflows.warnings import listed
 
 
@@ -28,10 +28,10 @@ def assumptions(result: ControllerBounds, dropped: Sequence[str]) -> tuple[str, 
             f"What the model lacks is counted: the covariance is {known.dispersion:.3g} times what noise alone would give, by "
             "the scatter between stretches of the recording."
         )
-    if known.inflation > 1.0:
+    if known.held_out_scale < 1.0:
         out.append(
-            f"Motions that were not fitted are predicted worse than that, so the covariance is {known.inflation:.3g} times as "
-            "large again, and the law normal."
+            f"Motions that were not fitted are predicted better than that, so {known.held_out_scale:.3g} of that covariance "
+            "is kept."
         )
     out.append(
         f"Mass matrix, Coriolis terms and gravity are bounded over {w.draws} robots that can exist, drawn within the "
@@ -60,15 +60,17 @@ def warnings(result: ControllerBounds, dropped: Sequence[str]) -> list[str]:
         out.append(
             f"The draws of links that can exist did not converge ({known.links.complaint}): bounds of the workspace are not sure."
         )
-    if known.inflation > 1.0:
+    left = result.remainder
+    if left is not None and left.held_out and not left.complete:
         out.append(
-            f"Something is missing in the model: a motion that was not fitted is predicted worse than its uncertainty says. All "
-            f"covariances are therefore {known.inflation:.3g} times as large. `{call('diagnose')}` looks for what is missing."
+            f"Something is missing in the model: {listed(left.motions, 3)}, not fitted, is predicted worse than noise and "
+            "parameters explain. Bands of torques hold what is left as other uncertainty; sets of parameters do not. "
+            f"`{call('diagnose')}` looks for what is missing."
         )
     if w.nominal_eigenvalue <= 0.0:
         out.append(
-            "The mass matrix of the estimate itself is not positive definite everywhere: take the links of identified.urdf "
-            "for the controller's model."
+            "The mass matrix of the estimate itself is not positive definite everywhere: mass matrix, Coriolis terms and "
+            "gravity are those of identified.urdf, whose links can exist. Take these for a controller that inverts it."
         )
     if w.alpha >= 1.0:
         out.append(
@@ -89,10 +91,10 @@ def warnings(result: ControllerBounds, dropped: Sequence[str]) -> list[str]:
     if not result.inside.complete:
         rotor = np.nanmax(np.append(result.inside.rotor_share, 0.0))
         sees = "does not see" if known.problem.channel == "wrench" else "could see, but the model has not all of"
-        extra = f"; rotors usually add up to {percent(rotor, 2)} to a joint's inertia" if rotor > 0.0 else ""
+        extra = f"; rotors usually add up to {number(rotor, 2)} times a joint's inertia" if rotor > 0.0 else ""
         out.append(
             f"The {'sensor' if known.problem.channel == 'wrench' else 'torque reading'} {sees} what is inside the joints{extra}. "
-            "Bounds of mass matrix and torques are without it: identify it from the torques (effects rotor_inertia, "
+            "Bounds of the mass matrix are without it: identify it from the torques (effects rotor_inertia, "
             "viscous_friction, coulomb_friction), or add a data sheet's numbers."
         )
     if result.remainder is None:

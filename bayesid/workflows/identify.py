@@ -150,9 +150,9 @@ def _(result: Identification) -> Files:
     from bayesid.report.identification import identification_report
 
     robot, urdf = result.problem.experiment.robot, result.urdf
-    others = {"identified.urdf": lambda path: write_urdf(robot, urdf.links, path, urdf.friction)}
+    others = {"identified.urdf": lambda path: write_urdf(robot, urdf.links, path, urdf.dynamics)}
     if result.unconstrained_urdf:
-        others["identified-unconstrained.urdf"] = lambda path: write_urdf(robot, urdf.unconstrained, path, urdf.friction)
+        others["identified-unconstrained.urdf"] = lambda path: write_urdf(robot, urdf.unconstrained, path, urdf.dynamics)
     effects, values = result.model
     expressions = result.problem.experiment.library.expressions
     others["model.toml"] = lambda path: write_model(effects, values, path, expressions)

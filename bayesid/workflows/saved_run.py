@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,14 +10,18 @@ import numpy as np
 
 from bayesid.arguments import argument
 from bayesid.design.bounds.consistent import PRIOR_DRAWS, prior_links
-from bayesid.design.bounds.knowledge import Known, inflation_of, known_from
+from bayesid.design.bounds.knowledge import Known, known_from
+from bayesid.dynamics.nearest_links import nearest_links
 from bayesid.errors import InputError
 from bayesid.posterior.convert import load_arviz
 from bayesid.recordings.experiment import Experiment
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import Problem, prepare
 from bayesid.robot.prior import Prior
+from bayesid.robot.urdf import JointDynamics
 from bayesid.signals.filters import LowPass
+from bayesid.validation.noise_floor import noise_floor
+from bayesid.workflows.urdf_links import joint_dynamics
 
 ESTIMATE, POSTERIOR = "estimate.json", "posterior.json"
 
@@ -89,10 +92,9 @@ def _known(
             f"{file}: its parameters are not those of this experiment and model; give the {argument('effects')} and "
             f"{argument('static')} of that run, or run it again"
         )
-    validation = tuple(document["validation"])
     told = tuple(document["warnings"])
     if posterior:
-        return _posterior(problem, file, document, validation, prior_std, count, seed), told
+        return _posterior(problem, file, document, prior_std, count, seed), told
     effect_values = {
         f"{e['name']}@{e['where']}.{key}": (entry["value"], entry["std"])
         for e in document["effects"] for key, entry in e["parameters"].items()
@@ -100,15 +102,19 @@ def _known(
     classes = [p["class"] for p in document["base_parameters"]]
     dispersion = document["details"].get("dispersion") or 1.0
     covariance = document["full_covariance"]
+    undetermined = np.array([*(c == "prior" for c in classes), *(effect_values[n][1] is None for n in effects)], bool)
+    values = np.array([p["value"] for p in document["base_parameters"]])
+    saved = document["identified_urdf"]
+    beside = {name: (entry["value"], entry["unit"]) for name, entry in saved["not_in_urdf"].items()}
     return known_from(
         problem, source="estimate", method=document["method"],
-        mean=np.array([*(p["value"] for p in document["base_parameters"]), *(effect_values[n][0] for n in effects)]),
+        mean=np.concatenate([values, [effect_values[n][0] for n in effects]]),
         covariance=None if covariance is None else np.array(covariance, float),
-        undetermined=np.array([*(c == "prior" for c in classes), *(effect_values[n][1] is None for n in effects)], bool),
-        weak=np.array([*(c == "weak" for c in classes), *(False for _ in effects)], bool),
-        centre=np.array(document["link_parameters"], float), trust=prior_std,
-        conflict=bool((document["prior_against_data"] or {}).get("conflict")),
-        inflation=inflation_of(validation, dispersion)[0], dispersion=dispersion, count=count, seed=seed,
+        undetermined=undetermined, centre=nearest_links(experiment.robot, base, values, ~undetermined[: base.rank]),
+        urdf=np.array(document["link_parameters"], float),
+        dynamics=JointDynamics(saved["dynamics"], tuple(saved["negative_friction"]), beside), trust=prior_std,
+        conflict=bool((document["prior_against_data"] or {}).get("conflict")), dispersion=dispersion, floor=noise_floor(problem),
+        count=count, seed=seed,
     ), told  # fmt: skip
 
 
@@ -127,8 +133,7 @@ def _problem(experiment: Experiment, document: dict[str, Any], options: FitOptio
 
 
 def _posterior(
-    problem: Problem, file: Path, document: dict[str, Any], validation: tuple[Mapping[str, Any], ...], prior_std: float | None,
-    count: int, seed: int,
+    problem: Problem, file: Path, document: dict[str, Any], prior_std: float | None, count: int, seed: int
 ) -> Known:
     path = file.parent / "posterior.nc"
     if not path.is_file():
@@ -147,12 +152,10 @@ def _posterior(
     if "bodies that can exist only" in document["prior"] and trust and nominal is not None:
         links = drawn("link", len(base.parameter_names))
         prior = prior_links(base, Prior.nominal(nominal, trust), PRIOR_DRAWS, seed)
-    weak = np.zeros(draws.shape[1], bool)
-    weak[: base.rank] = [bool(p["prior_driven"]) for p in document["base_parameters"]]
-    dispersion = float(document["dispersion"])
+    nothing, mean = np.zeros(draws.shape[1], bool), draws.mean(axis=0)
     return known_from(
         problem, source="posterior", method=prior_text(document["noise"], document["prior"].startswith("flat")),
-        mean=draws.mean(axis=0), covariance=np.atleast_2d(np.cov(draws.T)), undetermined=np.zeros_like(weak), weak=weak,
-        draws=draws, link_draws=links, prior_draws=prior, trust=trust, inflation=inflation_of(validation, dispersion)[0],
-        dispersion=dispersion, count=count, seed=seed,
+        mean=mean, covariance=np.atleast_2d(np.cov(draws.T)), undetermined=nothing, draws=draws, link_draws=links,
+        prior_draws=prior, dynamics=joint_dynamics(problem, mean[base.rank :], ~nothing[base.rank :]), trust=trust,
+        dispersion=float(document["dispersion"]), count=count, seed=seed,
     )  # fmt: skip

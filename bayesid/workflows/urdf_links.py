@@ -15,6 +15,7 @@ from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import Problem, prepare
 from bayesid.results.urdf_links import UrdfLinks
 from bayesid.robot.typical import states_masses, typical_links
+from bayesid.robot.urdf import JointDynamics
 
 #: A robot's whole mass is stated right to this factor: data sheets are, and models by hand hardly worse.
 _TOTAL_MASS = 1.5
@@ -34,15 +35,14 @@ def urdf_links(problem: Problem, estimate: Estimate) -> UrdfLinks:
         moved = consistent_links(problem.regression, estimate, nominal, scaled=not stated)
         links, solution = moved.links, moved.solution
         unconstrained = nearest_links(robot, problem.row_model.base, estimate.values, ~estimate.undetermined[:rank])
-    friction, left_out = _friction(problem, estimate, solution)
+    dynamics = joint_dynamics(problem, solution[rank:], ~estimate.undetermined[rank:], estimate.solution[rank:])
     return UrdfLinks(
         links=links,
         unconstrained=unconstrained,
         moved=moved,
         nominal=near,
         errors=_errors(problem, estimate.solution, solution),
-        friction=friction,
-        left_out=left_out,
+        dynamics=dynamics,
     )
 
 
@@ -95,23 +95,42 @@ def _links_with(problem: Problem, method: Estimator, options: FitOptions) -> Urd
         return None
 
 
-def _friction(problem: Problem, estimate: Estimate, solution: np.ndarray) -> tuple[dict[str, dict[str, float]], tuple[str, ...]]:
-    """Identified effects that a URDF has an attribute for, by joint, and the negative ones among them."""
-    row_model, out, negative = problem.row_model, {}, []
+def joint_dynamics(
+    problem: Problem, effects: np.ndarray, determined: np.ndarray, estimated: np.ndarray | None = None
+) -> JointDynamics:
+    """What was identified inside the joints, as a URDF holds it, and what it has no place for.
+
+    Parameters
+    ----------
+    problem
+        Its model.
+    effects
+        Values of the effects' estimated parameters that go with the links (e,).
+    determined
+        Which of them the data determine, alone (e,).
+    estimated
+        Those of the estimate itself, where they are others (e,): neither may be negative.
+    """
+    row_model, friction, negative, beside = problem.row_model, {}, [], {}
     values, known = np.zeros((2, len(row_model.free))), np.zeros(len(row_model.free), bool)
-    values[:, row_model.free] = [s[row_model.base.rank :] for s in (estimate.solution, solution)]
-    known[row_model.free] = ~estimate.undetermined[row_model.base.rank :]
+    if row_model.point is not None:
+        values[:] = row_model.point.values
+    values[:, row_model.free] = [effects if estimated is None else estimated, effects]
+    known[row_model.free] = determined
     column = 0
     for effect in row_model.effects:
         attribute, joint = effect.urdf_dynamics, effect.joint
-        if attribute is not None and joint is not None and known[column]:
+        own = slice(column, column + len(effect.parameters))
+        column = own.stop
+        if attribute is None or joint is None:
+            beside |= dict(zip(effect.column_names, zip(values[1, own].tolist(), effect.units, strict=True), strict=True))
+        elif known[own.start]:
             name = problem.experiment.robot.joint_names[joint]
-            if values[:, column].min() >= 0.0:
-                out.setdefault(name, {})[attribute] = float(values[1, column])
+            if values[:, own.start].min() >= 0.0:
+                friction.setdefault(name, {})[attribute] = float(values[1, own.start])
             else:
                 negative.append(f"{name} {attribute}")
-        column += len(effect.parameters)
-    return out, tuple(negative)
+    return JointDynamics(friction, tuple(negative), beside)
 
 
 def _errors(problem: Problem, *solutions: np.ndarray) -> dict[str, tuple[float, float]]:

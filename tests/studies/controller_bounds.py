@@ -31,6 +31,7 @@ from bayesid.design.bounds.bands import band as band_of
 from bayesid.design.bounds.consistent import prior_links
 from bayesid.design.bounds.knowledge import Known, known_from
 from bayesid.design.bounds.model import ReadingModel, torque_model
+from bayesid.design.bounds.remainder import remainder
 from bayesid.design.bounds.robust import ellipsoid_term, norm_term, tracking_bound
 from bayesid.design.bounds.workspace import Terms, Workspace, mass_eigenvalues, sobol_configurations, workspace_bounds
 from bayesid.dynamics.base_parameters import structural_base
@@ -45,6 +46,7 @@ from bayesid.regression.problem import prepare
 from bayesid.robot import examples
 from bayesid.robot.prior import Prior
 from bayesid.robot.robot import Robot, load_robot
+from bayesid.validation.noise_floor import noise_floor
 from tests import robots
 from tests.simulated import fourier
 from tests.studies.coverage import band
@@ -185,7 +187,7 @@ def known_of(name: str, index: int, rng: np.random.Generator) -> Known:
         e = estimators.fit(problem.regression, estimators.DEFAULT_METHOD)
         return known_from(
             problem, source="estimate", method=e.method, mean=e.solution, covariance=e.full_covariance,
-            undetermined=e.undetermined, weak=e.weak, dispersion=e.details.dispersion or 1.0, count=DRAWS, seed=seed,
+            undetermined=e.undetermined, dispersion=e.details.dispersion or 1.0, count=DRAWS, seed=seed,
         )  # fmt: skip
     prior = Prior.nominal(problem.experiment.robot.nominal, TRUST)
     model = PosteriorModel.of(problem.regression, prior)
@@ -195,7 +197,7 @@ def known_of(name: str, index: int, rng: np.random.Generator) -> Known:
     nothing = np.zeros(columns.shape[1], bool)
     return known_from(
         problem, source="posterior", method="nominal prior", mean=columns.mean(axis=0), covariance=np.cov(columns.T),
-        undetermined=nothing, weak=nothing, draws=columns, link_draws=linear[:, : model.link_count],
+        undetermined=nothing, draws=columns, link_draws=linear[:, : model.link_count],
         prior_draws=model.prior_draws(500, rng), trust=TRUST, count=2000, seed=seed,
     )  # fmt: skip
 
@@ -219,7 +221,8 @@ def one(name: str, index: int) -> tuple[Bounded, dict[str, float]]:
     workspace = workspace_bounds(model, draws=DRAWS, configurations=CONFIGURATIONS)
     region, b = model.region, model.base.matrix @ truth
     true = s.other_regressor[:, 6:] @ np.concatenate([s.robot.static_nominal, truth])
-    torque = band_of(model, *s.other)
+    left = remainder(known.problem, model, noise_floor(known.problem))
+    torque = band_of(model, *s.other, left=left)
     identified = known.base.matrix @ truth
     inside = (true >= torque.low) & (true <= torque.high)
     pointwise = (true >= torque.pointwise_low) & (true <= torque.pointwise_high)
@@ -238,7 +241,8 @@ def one(name: str, index: int) -> tuple[Bounded, dict[str, float]]:
         "coriolis": float(np.linalg.norm(terms.coriolis @ away, 2, axis=(1, 2)).max()) <= workspace.coriolis_error,
         "gravity": bool(np.all(np.abs(terms.gravity @ away).max(axis=0) <= workspace.gravity_error)),
         "positive_definite": workspace.smallest_drawn > 0.0, "pointwise": float(pointwise.mean()),
-        "normal": region.draws is None, "alpha_bound": workspace.alpha, "rho": region.rho,
+        "complete": left is None or left.complete, "normal": region.draws is None, "alpha_bound": workspace.alpha,
+        "rho": region.rho,
     }  # fmt: skip
     return Bounded(model, workspace), {key: float(value) for key, value in held.items()}
 
@@ -349,7 +353,8 @@ def summarise(name: str, found: dict[str, np.ndarray]) -> dict[str, Any]:
     return {
         "title": CASES[name].title, "robots": count, "band": [low, high],
         "held": {key: float(found[key].mean()) for key in CHECKS},
-        "normal_law": float(found["normal"].mean()), "positive_definite": float(found["positive_definite"].mean()),
+        "complete": float(found["complete"].mean()), "normal_law": float(found["normal"].mean()),
+        "positive_definite": float(found["positive_definite"].mean()),
         "pointwise_share": float(found["pointwise"].mean()), "median_alpha": float(np.median(found["alpha_bound"])),
         "median_rho": float(np.median(found["rho"])),
         "tracking": {

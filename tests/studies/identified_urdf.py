@@ -99,7 +99,7 @@ def judge(made: Experiment, effects: list[str] | None, method: str = bayesid.DEF
         seconds = time.perf_counter() - since
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "identified.urdf"
-        write_urdf(made.robot, result.urdf.links, path, result.urdf.friction)
+        write_urdf(made.robot, result.urdf.links, path, result.urdf.dynamics)
         model = pin.buildModelFromUrdf(str(path))
         mujoco = loads_in_mujoco(path)
     data, least = model.createData(), np.inf

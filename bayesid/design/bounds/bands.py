@@ -1,9 +1,10 @@
 """Readings of a trajectory with bands: pointwise, and such that the whole trajectory is inside at once.
 
-A reading is ``y = c + A x`` with parameters x of mean x_hat and covariance V, so its standard deviation is
-``s = sqrt(A V A')``. Pointwise, 95 % of x have ``|z| <= 1.96`` with ``z = A (x - x_hat) / s``; for the whole trajectory and all
-its channels at once, ``|z| <= c`` with c the 95 % quantile of ``max_t |z|``. How much further a motion goes than those that
-were fitted is told by ``s`` over its largest value there.
+A reading is ``y = c + A x + e`` with parameters x of mean x_hat and covariance V, and an error e of the model beyond its
+parameters, of standard deviation r (`bayesid.design.bounds.remainder`): its standard deviation is ``s = sqrt(A V A' + r^2)``.
+Pointwise, 95 % have ``|z| <= 1.96`` with ``z = (A (x - x_hat) + e) / s``; for the whole trajectory and all its channels at once,
+``|z| <= c`` with c the 95 % quantile of ``max_t |z|`` over draws of x, each with a piece of the errors that were found in the
+recordings. How much further a motion goes than those that were fitted is told by ``sqrt(A V A')`` over its largest value there.
 """
 
 from __future__ import annotations
@@ -12,16 +13,16 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.stats import norm
 
-from bayesid.design.bounds.model import ReadingModel
-from bayesid.design.bounds.simultaneous import largest_deviation, left_out, quantile
+from bayesid.design.bounds.model import ReadingModel, spread
+from bayesid.design.bounds.remainder import HALF, Remainder
+from bayesid.design.bounds.simultaneous import left_out, quantile
 from bayesid.estimators.estimator import LEVEL
 
 #: Standard deviations over those of the fitted motions above this are told.
 FAR = 2.0
-#: Samples that the factor is taken over, evenly picked of more, and draws.
-_SAMPLES, _DRAWS = 1500, 4000
+#: Samples that the factor is taken over, evenly picked of more, draws, and pairs of both worked on at once.
+_SAMPLES, _DRAWS, _TOGETHER = 1500, 4000, 2_000_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,11 +36,13 @@ class Band:
     times
         (N,) [s].
     values, std
-        (N, c).
+        (N, c); ``std`` holds what is uncertain of the parameters and what the model lacks, once each.
+    model_error
+        The part of ``std`` that no parameter explains (N, c).
     factor
         Half the simultaneous band over the standard deviation; the whole trajectory is inside with probability `LEVEL`.
     extrapolation
-        Largest standard deviation of each channel over its largest in the motions that were fitted (c,).
+        Largest standard deviation of each channel by the parameters over its largest in the motions that were fitted (c,).
     """
 
     names: tuple[str, ...]
@@ -47,6 +50,7 @@ class Band:
     times: np.ndarray
     values: np.ndarray
     std: np.ndarray
+    model_error: np.ndarray
     factor: float
     extrapolation: np.ndarray
 
@@ -66,12 +70,12 @@ class Band:
     @property
     def pointwise_low(self) -> np.ndarray:
         """Lower ends of the band that holds 95 % sample by sample (N, c)."""
-        return self.values - norm.ppf(0.5 + LEVEL / 2) * self.std
+        return self.values - HALF * self.std
 
     @property
     def pointwise_high(self) -> np.ndarray:
         """Upper ends of the band that holds 95 % sample by sample (N, c)."""
-        return self.values + norm.ppf(0.5 + LEVEL / 2) * self.std
+        return self.values + HALF * self.std
 
     @property
     def far(self) -> tuple[str, ...]:
@@ -90,7 +94,7 @@ class Band:
 
 def band(
     model: ReadingModel, q: np.ndarray, v: np.ndarray, a: np.ndarray, times: np.ndarray | None = None,
-    trained: np.ndarray | None = None, seed: int = 0,
+    trained: np.ndarray | None = None, left: Remainder | None = None, seed: int = 0,
 ) -> Band:
     """Readings of a trajectory with their bands.
 
@@ -101,28 +105,38 @@ def band(
     q, v, a
         Joint positions, velocities and accelerations (N, n).
     times
-        (N,) [s]; default the number of the sample.
+        (N,) [s]; default the number of the sample, and samples that are far apart.
     trained
         Largest standard deviation of each channel in the fitted motions (c,).
+    left
+        What the model leaves; None: not known, and not in the bands.
     seed
-        Of the draws of a normal law.
+        Of the draws.
     """
     region = model.region
     constant, matrix = model.columns(q, v, a)
-    std = spread(matrix, region.covariance)
+    own = spread(matrix, region.covariance)
+    error = np.zeros_like(own) if left is None else left.at(v)
+    std = np.sqrt(own**2 + error**2)
     pick = np.unique(np.linspace(0, len(q) - 1, _SAMPLES).astype(int))
     away = region.deviations(seed)
     away = away[np.linspace(0, len(away) - 1, min(_DRAWS, len(away))).astype(int)]
-    largest = largest_deviation(matrix[pick].reshape(-1, matrix.shape[2]), std[pick].ravel(), away)
+    size = np.where(std > 0.0, std, np.inf)[pick]
+    rows = (matrix[pick] / size[..., None]).transpose(1, 0, 2)  # (c, picked, k)
+    # Without times samples count as far apart: then each has an error of its own.
+    clock = np.full(len(pick), np.nan) if times is None else np.asarray(times, float)[pick]
+    rng, largest = np.random.default_rng([seed, 29]), np.zeros(len(away))
+    step = max(_TOGETHER // (len(pick) * len(rows)), 1)
+    for first in range(0, len(away), step):
+        part = slice(first, first + step)
+        deviation = np.einsum("ctk,dk->dtc", rows, away[part], optimize=True)
+        if left is not None and not left.complete:
+            deviation += error[pick] / size * left.pieces(len(deviation), clock, rng)
+        largest[part] = np.abs(deviation).max(axis=(1, 2))
     if region.draws is not None:
         largest = left_out(largest, len(region.draws))
     return Band(
         model.channels.names, model.channels.units, np.arange(len(q), dtype=float) if times is None else np.asarray(times, float),
-        constant + matrix @ region.values, std, quantile(largest, LEVEL),
-        np.full(std.shape[1], np.nan) if trained is None else std.max(axis=0) / np.maximum(trained, 1e-300),
+        constant + matrix @ region.values, std, error, quantile(largest, LEVEL),
+        np.full(std.shape[1], np.nan) if trained is None else own.max(axis=0) / np.maximum(trained, 1e-300),
     )  # fmt: skip
-
-
-def spread(matrix: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """Standard deviations of ``matrix @ parameters`` (N, c)."""
-    return np.sqrt(np.maximum(np.sum((matrix @ covariance) * matrix, axis=2), 0.0))

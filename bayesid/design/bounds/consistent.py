@@ -79,7 +79,7 @@ def consistent_draws(
     mean, covariance
         Base parameters, then effects (p,), (p, p).
     determined
-        Which of them the data say anything of (p,); effects without stay at their mean.
+        Which of them the data say anything of, alone or in sums (p,); effects without stay at their mean.
     non_negative
         Which effects cannot be negative (e,).
     prior

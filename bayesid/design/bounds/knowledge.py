@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from functools import cached_property
 
 import numpy as np
 
@@ -13,15 +12,20 @@ from bayesid.design.bounds.region import Region, region_of_draws, region_of_norm
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.effects import Effect
 from bayesid.errors import InputError
+from bayesid.estimators.conic.consistent_links import channel_grams
 from bayesid.posterior.result import PRIOR_DRIVEN
+from bayesid.regression.linalg import or_one
 from bayesid.regression.problem import Problem
 from bayesid.robot.prior import Prior
-from bayesid.validation.prediction import TOLERATED
+from bayesid.robot.urdf import JointDynamics
+from bayesid.validation.noise_floor import NoiseFloor
 
 #: Relative standard deviation of masses where nobody says how far the nominal links are trusted: as good as none.
 WIDE = 1.0
 #: What of a combination of link parameters may lie outside those that are determined, relative to its length.
 _OUTSIDE = 1e-4
+#: Eigenvalues of the rows' Gram matrix, columns at unit length, that count as none: rounding of a product.
+_NOTHING = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,21 +41,25 @@ class Known:
     method
         The estimator's name; of a posterior its prior.
     mean, covariance
-        Base parameters, then the effects that were estimated (p,), (p, p); counted up by ``inflation``.
+        Base parameters, then the effects that were estimated (p,), (p, p); multiplied by ``held_out_scale``.
     draws
         Posterior draws of them (n, p); None: a normal law.
-    seen, determined
-        Which base parameters the data say anything of, and which they determine better than the size of a body does (r,).
+    undetermined
+        Which of them the data say nothing of, or only in sums with others (p,).
     effect_values
         Of all effects of the model, the fixed ones included (q,).
     links
-        Links that can exist.
+        Links that can exist, drawn within the uncertainty.
     centre
-        The links that stand for all of them (P,).
-    inflation
-        Factor of the covariance for held-out motions that are predicted worse than the covariance says; 1: none.
+        Links whose base parameters are ``mean``, possible or not (P,).
+    urdf
+        Links of ``identified.urdf``, which can exist (P,).
+    dynamics
+        What stands beside these in ``identified.urdf``: friction, and what it has no place for.
     dispersion
-        Factor that the covariance had already for what the model lacks; 1: none.
+        Factor that the covariance has for what the model lacks; 1: none.
+    held_out_scale
+        Share of that covariance which held-out motions leave; 1: all of it.
     trust
         Relative standard deviation of the prior on links; None: one of the user's own.
     """
@@ -62,13 +70,14 @@ class Known:
     mean: np.ndarray
     covariance: np.ndarray
     draws: np.ndarray | None
-    seen: np.ndarray
-    determined: np.ndarray
+    undetermined: np.ndarray
     effect_values: np.ndarray
     links: LinkDraws
     centre: np.ndarray
-    inflation: float
+    urdf: np.ndarray
+    dynamics: JointDynamics
     dispersion: float
+    held_out_scale: float
     trust: float | None
 
     @property
@@ -81,29 +90,32 @@ class Known:
         """The effects of the model."""
         return self.problem.row_model.effects
 
+    @cached_property
+    def open_directions(self) -> np.ndarray:
+        """Changes of base and effect parameters that the fitted rows do not show (p, m); none of a posterior."""
+        if self.draws is not None:
+            return np.zeros((len(self.mean), 0))
+        return open_directions(self.problem)
+
     def parameters(self, seed: int = 0) -> Region:
         """The sets of the identified base parameters."""
-        r, base, driven = self.base.rank, self.base, self.prior_driven(self.base)
+        r, base = self.base.rank, self.base
         if self.draws is not None:
-            return region_of_draws(base.names, base.labels, base.units, self.draws[:, :r], driven)
-        if self.determined.all():
-            mean, covariance = self.mean[:r], self.covariance[:r, :r]
-            return region_of_normal(base.names, base.labels, base.units, mean, covariance, np.zeros(r, bool), seed)
-        return region_of_draws(base.names, base.labels, base.units, self.links.links @ base.matrix.T, driven)
+            return region_of_draws(base.names, base.labels, base.units, self.draws[:, :r], self.prior_driven(base))
+        return region_of_normal(
+            base.names, base.labels, base.units, self.mean[:r], self.covariance[:r, :r], self.undetermined[:r], seed
+        )
 
     def transfer(self, base: BaseParameters) -> tuple[np.ndarray, np.ndarray]:
-        """T with ``other base = T identified base`` (k, r), and which of the others the data determine so (k,)."""
-        found, inside = self._by(base, self.determined)
-        out = np.zeros((base.rank, self.base.rank))
-        out[:, self.determined] = found
-        return out, inside
+        """T with ``other base = T identified base`` (k, r), and which of the others are such combinations (k,)."""
+        return self._by(base, np.ones(self.base.rank, bool))
 
     def prior_driven(self, base: BaseParameters) -> np.ndarray:
         """Which of other base parameters the prior drives (k,).
 
         They are no combination of those that the data say anything of, or draws of them are nearly as wide as the prior's.
         """
-        driven = ~self._by(base, self.seen)[1]
+        driven = ~self._by(base, ~self.undetermined[: self.base.rank])[1]
         if self.links.prior is None:
             return driven
         spread = (self.links.links @ base.matrix.T).std(axis=0)
@@ -117,25 +129,44 @@ class Known:
         return found, outside <= _OUTSIDE * np.linalg.norm(base.matrix, axis=1)
 
 
-def inflation_of(validation: tuple[Mapping[str, Any], ...], dispersion: float) -> tuple[float, str]:
-    """How much covariances must grow for held-out motions, and which motion says so.
+def open_directions(problem: Problem) -> np.ndarray:
+    """Changes of base and effect parameters that no fitted row shows, such as from a link's inertia to its rotor's (p, m)."""
+    gram = channel_grams(problem.regression)
+    power = or_one(gram[:, -1, -1], 0.0)
+    whole = np.sum(gram[:, :-1, :-1] / power[:, None, None], axis=0)
+    length = or_one(np.sqrt(np.diag(whole)))
+    values, vectors = np.linalg.eigh(whole / np.outer(length, length))
+    return vectors[:, values <= _NOTHING * values[-1]] / length[:, None]
 
-    The mean square of whitened residuals over what a complete model has, as far as it is beyond chance and beyond the
-    dispersion that the covariance counts already.
+
+def held_out_scale(
+    problem: Problem, mean: np.ndarray, covariance: np.ndarray, dispersion: float, floor: NoiseFloor | None
+) -> float:
+    """Share of a dispersed covariance that motions which were not fitted leave.
+
+    How far parameters scatter between stretches of one recording is known to a factor of two or so, and errors of a held-out
+    motion are those of the parameters and more. So these cannot be larger: the variance that the covariance predicts for the
+    motion's rows is cut down to what is left of them, mean over channels, though not below that of noise alone.
 
     Parameters
     ----------
-    validation
-        ``motion``, ``whitened_rms`` and ``expected_rms`` of each.
+    problem
+        The fitted model; its motions of role ``validation`` judge.
+    mean, covariance
+        Base parameters, then effects (p,), (p, p).
     dispersion
-        Factor that the covariance has for model error.
+        Factor that the covariance has for what the model lacks.
+    floor
+        Noise of the readings; None: not known, all of what is left counts.
     """
-    worst, motion = 1.0, ""
-    for entry in validation:
-        ratio = entry["whitened_rms"] / max(entry["expected_rms"], 1e-300)
-        if ratio > max(TOLERATED, worst):
-            worst, motion = ratio, str(entry["motion"])
-    return max(worst**2 / max(dispersion, 1.0), 1.0), motion
+    judges = [m.name for m in problem.experiment.motions if m.role == "validation" and m.name not in problem.fitted]
+    blocks = [b for b in problem.rows.blocks([n for n in judges if n in problem.segments]) if b.group == "trajectory"]
+    if dispersion <= 1.0 or not blocks:
+        return 1.0
+    left = np.mean(np.concatenate([b.residual(mean) for b in blocks]) ** 2, axis=0)
+    own = np.concatenate([np.sum((b.matrix @ covariance) * b.matrix, axis=2) for b in blocks]).mean(axis=0)
+    noise = 0.0 if floor is None else floor.sensor**2 + floor.encoder.mean(axis=0)
+    return float(np.clip(np.mean(np.maximum(left - noise, 0.0) / np.maximum(own, 1e-300)), 1.0 / dispersion, 1.0))
 
 
 def known_from(
@@ -146,22 +177,22 @@ def known_from(
     mean: np.ndarray,
     covariance: np.ndarray | None,
     undetermined: np.ndarray,
-    weak: np.ndarray,
     draws: np.ndarray | None = None,
     link_draws: np.ndarray | None = None,
     prior_draws: np.ndarray | None = None,
     centre: np.ndarray | None = None,
+    urdf: np.ndarray | None = None,
+    dynamics: JointDynamics | None = None,
     trust: float | None = None,
     conflict: bool = False,
-    inflation: float = 1.0,
     dispersion: float = 1.0,
+    floor: NoiseFloor | None = None,
     count: int = 1000,
     seed: int = 0,
 ) -> Known:
     """One form for what a posterior or an estimate says.
 
-    Where links were not drawn, or the covariance has to grow, links that can exist are drawn about the mean
-    (`bayesid.design.bounds.consistent`).
+    Where links were not drawn, links that can exist are drawn about the mean (`bayesid.design.bounds.consistent`).
 
     Parameters
     ----------
@@ -169,18 +200,22 @@ def known_from(
         As in `Known`.
     mean, covariance
         Base parameters, then the effects that were estimated (p,), (p, p).
-    undetermined, weak
-        Which of them the data say nothing of, and little (p,).
+    undetermined
+        Which of them the data say nothing of, or only in sums with others (p,).
     draws, link_draws, prior_draws
         Of the parameters (n, p), of the links behind them (n, P), and of these by the prior alone, where there are any.
-    centre
-        Links that stand for the estimate (P,); default the mean of the draws.
+    centre, urdf
+        Links that have the mean for base parameters, and those of ``identified.urdf`` (P,); default the mean of the draws.
+    dynamics
+        As in `Known`.
     trust
         Relative standard deviation of the nominal links; None: what the experiment says, else next to nothing is known.
     conflict
         Whether data and that trust contradict each other: then next to nothing is taken to be known, where none is given.
-    inflation, dispersion
-        Factors of the covariance, see `Known`.
+    dispersion
+        Factor that the covariance has for what the model lacks.
+    floor
+        Noise of the readings, where something tells it.
     count, seed
         Links to draw, and of what generator.
 
@@ -196,29 +231,45 @@ def known_from(
     rank = problem.row_model.base.rank
     if undetermined.all():
         raise InputError("these motions determine no parameter, so nothing can be bounded; record other motions")
-    covariance = inflation * np.where(np.isfinite(covariance), covariance, 0.0)
+    covariance = np.where(np.isfinite(covariance), covariance, 0.0)
     values = np.zeros(len(problem.row_model.free))
     if problem.row_model.point is not None:
         values[:] = problem.row_model.point.values
     values[problem.row_model.free] = mean[rank:]
     trust = trust or (None if conflict else problem.experiment.inertia_rel_std) or WIDE
-    if link_draws is None or inflation > 1.0:
+    scale = 1.0
+    if link_draws is None:
+        # A posterior's draws hold the prior, too, and stay as they are.
+        scale = held_out_scale(problem, mean, covariance, dispersion, floor) if draws is None else 1.0
+        covariance = scale * covariance
         knowledge = problem.regression.knowledge
         nominal = knowledge.guessed_links if knowledge.guessed_links is not None else knowledge.nominal_links
         assert nominal is not None  # of an experiment there always are some
         links = consistent_draws(
-            problem.row_model.base, mean, covariance, ~undetermined, np.array(knowledge.effect_non_negative, bool),
+            problem.row_model.base, mean, covariance, _drawn(problem, covariance), np.array(knowledge.effect_non_negative, bool),
             Prior.warped(nominal, trust), count, seed,
         )  # fmt: skip
-        if inflation > 1.0:
-            draws = None
     else:
         assert draws is not None  # links are drawn with the parameters
         even = np.linspace(0, len(link_draws) - 1, min(count, len(link_draws))).astype(int)
         links = LinkDraws(link_draws[even], draws[even, rank:], prior_draws)
+    middle = links.links.mean(axis=0)
     return Known(
-        problem=problem, source=source, method=method, mean=mean, covariance=covariance, draws=draws,
-        seen=~undetermined[:rank], determined=~(undetermined | weak)[:rank], effect_values=values, links=links,
-        centre=links.links.mean(axis=0) if centre is None else centre,
-        inflation=inflation, dispersion=dispersion, trust=trust,
+        problem=problem, source=source, method=method, mean=mean, covariance=covariance, draws=draws, undetermined=undetermined,
+        effect_values=values, links=links, centre=middle if centre is None else centre, urdf=middle if urdf is None else urdf,
+        dynamics=dynamics or JointDynamics({}), dispersion=dispersion, held_out_scale=scale, trust=trust,
     )  # fmt: skip
+
+
+def _drawn(problem: Problem, covariance: np.ndarray) -> np.ndarray:
+    """Parameters that links are drawn with (p,).
+
+    Those with a variance; but no effects that the data tell from each other as little as from nothing, and no prior holds.
+    """
+    out, rank = np.diag(covariance) > 0.0, problem.row_model.base.rank
+    among_effects = open_directions(problem)[rank:, :]
+    size = np.linalg.norm(among_effects, axis=0)
+    held = open_directions(problem)[:rank, :]
+    free = np.linalg.norm(held, axis=0) <= _OUTSIDE * size
+    out[rank:] &= ~np.any(np.abs(among_effects[:, free]) > _OUTSIDE * size[free], axis=1)
+    return out

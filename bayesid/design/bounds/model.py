@@ -1,15 +1,15 @@
 """Readings that are linear in what is known: joint torques for a controller, and the wrench on a sensor.
 
 A controller's torque is ``Y(q, v, a) b + friction and whatever else acts inside the joints``, with b the base parameters of
-the joint torques, whatever the sensor was that they were identified with. Where the data determine all of b, its law is that of
-the identified parameters through ``b = T beta``. Otherwise b comes from links that can exist, which the prior holds where
-the data do not.
+the joint torques, whatever the sensor was that they were identified with. Where the data determine all that such torques show of
+b, its law is that of the identified parameters through ``b = T beta``: a sum of two parameters that no motion tells apart may
+stay one. Otherwise b comes from links that can exist, which the prior holds where the data do not, about the estimate.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -21,6 +21,9 @@ from bayesid.dynamics.regressors import Kernel
 from bayesid.effects.families import JointMotion, JointTorqueEffect, differences
 from bayesid.errors import InputError
 from bayesid.robot.robot import Robot
+
+#: Share of a change below which it is rounding, and random states at which it would show.
+_OPEN, _STATES = 1e-6, 32
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,6 +167,13 @@ def _drives(known: Known) -> tuple[tuple[Drive, ...], np.ndarray]:
     return tuple(out), np.array(columns, int)
 
 
+def possible_parameters(known: Known, model: ReadingModel) -> np.ndarray:
+    """Parameters of the robot in ``identified.urdf``, with the effects that go with its links (k,)."""
+    named: dict[str, float] = {name: value for name, (value, _) in known.dynamics.beside.items()}
+    effects = zip(model.region.names[model.base.rank :], model.region.values[model.base.rank :].tolist(), strict=True)
+    return np.concatenate([model.base.matrix @ known.urdf, np.array([named.get(name, value) for name, value in effects], float)])
+
+
 def left_out_effects(known: Known, model: ReadingModel) -> tuple[str, ...]:
     """Effects of the identified model on joint torques that bounds of torques do not hold."""
     held = {drive.effect.spec for drive in model.drives}
@@ -178,19 +188,39 @@ def _model(
     effects = [n for drive in drives for n in np.array(drive.effect.column_names)[list(drive.columns)].tolist()]
     units = [u for drive in drives for u in np.array(drive.effect.units)[list(drive.columns)].tolist()]
     draws = np.concatenate([known.links.links @ base.matrix.T, known.links.effects[:, columns]], axis=1)
-    transfer, determined = known.transfer(base)
-    driven = np.zeros(base.rank + len(effects), bool)
+    transfer, inside = known.transfer(base)
     names, labels, units = (*base.names, *effects), (*base.labels, *effects), (*base.units, *units)
-    if determined.all() and known.draws is None:
-        through = np.zeros((base.rank + len(columns), len(known.mean)))
-        through[: base.rank, :rank] = transfer
-        through[base.rank + np.arange(len(columns)), rank + columns] = 1.0
-        covariance = through @ known.covariance @ through.T
-        region = region_of_normal(names, labels, units, through @ known.mean, covariance, driven, seed)
-    else:
-        driven[: base.rank] = known.prior_driven(base)
+    through = np.zeros((base.rank + len(columns), len(known.mean)))
+    through[: base.rank, :rank] = transfer
+    through[base.rank + np.arange(len(columns)), rank + columns] = 1.0
+    left_open = through @ known.open_directions
+    undetermined = np.any(np.abs(left_open) > _OPEN * np.linalg.norm(left_open, axis=0), axis=1)
+    driven = np.concatenate([known.prior_driven(base), undetermined[base.rank :]])
+    if known.draws is not None:
         region = region_of_draws(names, labels, units, draws, driven)
-    return ReadingModel(robot, channels, base, tuple(drives), region, draws)
+        return ReadingModel(robot, channels, base, tuple(drives), region, draws)
+    covariance = through @ known.covariance @ through.T
+    region = region_of_normal(names, labels, units, through @ known.mean, covariance, undetermined, seed)
+    model = ReadingModel(robot, channels, base, tuple(drives), region, draws)
+    if inside.all() and not _shown(model, left_open, seed):
+        return model
+    centre = np.concatenate([base.matrix @ known.centre, known.mean[rank + columns]])  # the estimate, wherever the draws are
+    return replace(model, region=region_of_draws(names, labels, units, draws, driven, centre))
+
+
+def _shown(model: ReadingModel, changes: np.ndarray, seed: int) -> bool:
+    """Whether any motion shows changes of the parameters (k, m)."""
+    if not changes.size:
+        return False
+    q, v, a = np.random.default_rng([seed, 23]).normal(size=(3, _STATES, model.robot.n))
+    columns = model.columns(q, v, a)[1]
+    seen = np.linalg.norm(columns @ changes, axis=(0, 1))
+    return bool(np.any(seen > _OPEN * (np.linalg.norm(columns, axis=(0, 1)) @ np.abs(changes))))
+
+
+def spread(matrix: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Standard deviations of ``matrix @ parameters`` (N, c)."""
+    return np.sqrt(np.maximum(np.sum((matrix @ covariance) * matrix, axis=2), 0.0))
 
 
 def checked_states(robot: Robot, *states: np.ndarray) -> list[np.ndarray]:

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from scipy.stats import chi2, norm
 
 from bayesid.design.bounds.simultaneous import (
     NORMAL_DRAWS,
+    directions,
     largest_deviation,
     left_out,
     mahalanobis,
@@ -29,6 +31,7 @@ from bayesid.design.bounds.simultaneous import (
     root_of,
 )
 from bayesid.estimators.estimator import LEVEL
+from bayesid.estimators.parameters import Parameters
 from bayesid.regression.linalg import standard_deviations
 
 
@@ -54,6 +57,9 @@ class Region:
         Deviations from the centre that it was made of (n, k); None: a normal law.
     prior_driven
         Which parameters the data hardly narrow, so that prior or physical limits make their bounds (k,).
+    undetermined
+        Which parameters have no bounds of their own (k,): nothing is known of them, or only of their sums with others, such as a
+        link's and its rotor's inertia. What is known of the sums is in the covariance.
     """
 
     names: tuple[str, ...]
@@ -66,14 +72,15 @@ class Region:
     rho: float
     draws: np.ndarray | None
     prior_driven: np.ndarray
+    undetermined: np.ndarray
 
     def __repr__(self) -> str:
         return f"<Region of {len(self.values)} parameters: rho {self.rho:.3g}, rho_V {self.ellipsoid:.3g}>"
 
     @property
     def std(self) -> np.ndarray:
-        """Standard deviations (k,)."""
-        return standard_deviations(self.covariance)
+        """Standard deviations (k,); nan of what is undetermined."""
+        return np.where(self.undetermined, np.nan, standard_deviations(self.covariance))
 
     @property
     def low(self) -> np.ndarray:
@@ -84,6 +91,12 @@ class Region:
     def high(self) -> np.ndarray:
         """Upper ends of the box (k,)."""
         return self.values + self.factor * self.std
+
+    @property
+    def determined_by(self) -> tuple[str, ...]:
+        """What each parameter's bounds come from (k,): ``data``, ``prior``, or ``sum``, without bounds of its own."""
+        kinds = zip(self.undetermined.tolist(), self.prior_driven.tolist(), strict=True)
+        return tuple("sum" if u else "prior" if p else "data" for u, p in kinds)
 
     @property
     def bonferroni(self) -> float:
@@ -100,32 +113,57 @@ class Region:
 
     def in_box(self, values: np.ndarray) -> bool:
         """Whether parameters (k,) are in the box."""
-        return bool(np.all(np.abs(np.asarray(values, float) - self.values) <= self.factor * self.std))
+        away = np.abs(np.asarray(values, float) - self.values)
+        return bool(np.all(away[~self.undetermined] <= (self.factor * self.std)[~self.undetermined]))
+
+    @property
+    def basis(self) -> np.ndarray:
+        """Directions that have a variance, each of the size of a parameter's standard deviation (k, m).
+
+        With coordinates c, ``b = b_hat + basis c``, the ellipsoid is ``c' C^-1 c <= rho_V^2`` and C has full rank.
+        """
+        return self._directions[0]
+
+    @property
+    def basis_covariance(self) -> np.ndarray:
+        """C, the covariance of the coordinates (m, m): ``V = basis C basis'``."""
+        return np.diag(self._directions[1])
+
+    @property
+    def to_basis(self) -> np.ndarray:
+        """Coordinates of a deviation, ``c = to_basis (b - b_hat)`` (m, k); ``to_basis basis`` is the identity."""
+        return self._directions[2]
+
+    @cached_property
+    def _directions(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        std, values, vectors = directions(self.covariance)
+        return std[:, None] * vectors, values, vectors.T / std
+
+    def table(self) -> Parameters:
+        """The parameters with the ends of the box, each of the class in ``determined_by``."""
+        return Parameters(
+            self.names, self.labels, self.values, self.std, self.low, self.high, self.units, self.determined_by
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, as in ``bounds.json``."""
-        rows = zip(
-            self.names, self.labels, self.units, self.values, self.std, self.low, self.high, self.prior_driven, strict=True
-        )
+        rows = zip(self.table().to_list(), self.prior_driven.tolist(), strict=True)
         return {
-            "parameters": [
-                {"name": n, "label": label, "unit": u, "value": float(v), "std": float(s), "low": float(lo), "high": float(hi),
-                 "prior_driven": bool(p)}
-                for n, label, u, v, s, lo, hi, p in rows
-            ],
+            "parameters": [{**row, "prior_driven": driven} for row, driven in rows],
             "covariance": self.covariance.tolist(), "simultaneous_factor": self.factor, "bonferroni_factor": self.bonferroni,
             "rho_V": self.ellipsoid, "rho": self.rho, "law": "normal" if self.draws is None else "draws",
         }  # fmt: skip
 
 
 def region_of_draws(
-    names: Sequence[str], labels: Sequence[str], units: Sequence[str], draws: np.ndarray, prior_driven: np.ndarray
+    names: Sequence[str], labels: Sequence[str], units: Sequence[str], draws: np.ndarray, prior_driven: np.ndarray,
+    centre: np.ndarray | None = None,
 ) -> Region:
-    """The sets of posterior draws (n, k)."""
+    """The sets of draws (n, k) about their mean, or about another centre (k,), whose covariance is the mean square."""
     count = len(draws)
-    values = draws.mean(axis=0)
+    values = draws.mean(axis=0) if centre is None else centre
     away = draws - values
-    covariance = np.atleast_2d(np.cov(away.T))
+    covariance = np.atleast_2d(np.cov(away.T)) if centre is None else away.T @ away / (count - 1)
     std = standard_deviations(covariance)
     largest = largest_deviation(np.eye(len(values)), std, away)
     # The norm hardly depends on a single draw: the mean less one draw is n / (n - 1) as far.
@@ -134,21 +172,22 @@ def region_of_draws(
         tuple(names), tuple(labels), tuple(units), values, covariance,
         factor=quantile(left_out(largest, count), LEVEL),
         ellipsoid=quantile(left_out(mahalanobis(away, covariance), count), LEVEL),
-        rho=quantile(norms, LEVEL), draws=away, prior_driven=prior_driven,
+        rho=quantile(norms, LEVEL), draws=away, prior_driven=prior_driven, undetermined=std <= 0.0,
     )  # fmt: skip
 
 
 def region_of_normal(
     names: Sequence[str], labels: Sequence[str], units: Sequence[str], values: np.ndarray, covariance: np.ndarray,
-    prior_driven: np.ndarray, seed: int = 0,
+    undetermined: np.ndarray, seed: int = 0,
 ) -> Region:
-    """The sets of a normal law."""
+    """The sets of a normal law; of ``undetermined`` parameters (k,) alone it says nothing."""
     away = normal_deviations(covariance, NORMAL_DRAWS, seed)
-    directions = root_of(covariance).shape[1]
-    largest = largest_deviation(np.eye(len(values)), standard_deviations(covariance), away)
+    count = root_of(covariance).shape[1]
+    std = np.where(undetermined, 0.0, standard_deviations(covariance))
+    largest = largest_deviation(np.eye(len(values)), std, away)
     return Region(
         tuple(names), tuple(labels), tuple(units), values, covariance, factor=quantile(largest, LEVEL),
-        ellipsoid=float(np.sqrt(chi2.ppf(LEVEL, max(directions, 1)))), rho=quantile(np.linalg.norm(away, axis=1), LEVEL),
-        draws=None, prior_driven=prior_driven,
+        ellipsoid=float(np.sqrt(chi2.ppf(LEVEL, max(count, 1)))), rho=quantile(np.linalg.norm(away, axis=1), LEVEL),
+        draws=None, prior_driven=np.zeros(len(values), bool), undetermined=undetermined | (std <= 0.0),
     )  # fmt: skip
 

@@ -1,62 +1,115 @@
-"""What parameters do not explain: the non-parametric part of the uncertainty [Liu1996]_, from motions that were not fitted.
+"""What parameters do not explain: the non-parametric part of the uncertainty [Liu1996]_, counted once.
 
-The parametric part is constant and bounded by the region of the parameters. The rest is what a held-out motion's torques still
-differ by: 99 % of its samples are below the bound, joint by joint, and by speed, where friction shows. It includes the noise of
-the torques below 10 Hz, and, where the torques were not fitted, everything inside the joints.
+Readings differ from a model's by the error of its parameters, by what the model lacks and by noise. The first is ``A V A'``,
+with V the parameters' covariance, so the second is what is left beside it, joint by joint and by speed, where friction shows.
+Of motions that were not fitted, with residuals e below 10 Hz and noise n^2 there, 95 % of the samples have
 
-What a sensor under the base or at the wrist cannot know at all is inside the joints: rotors and friction. How large these
-usually are follows from the effort limits, see `bayesid.effects.sizes`; a guess, to be replaced by a data sheet's numbers.
+    |e| <= 1.96 sqrt(A V A' + r^2 + n^2),    r^2 = quantile of e^2 / 1.96^2 - A V A' - n^2,
+
+and so has a band of that width for any other motion. Residuals that were fitted are smaller by what the parameters took,
+whose mean is ``A V A'`` once more: with its sign turned they tell r^2 where no motion was held out. Where what is left is as
+large as noise and parameters make it, nothing is lacking and r is zero.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.stats import norm
 
-from bayesid.design.bounds.model import ReadingModel
-from bayesid.design.bounds.workspace import Workspace
-from bayesid.effects.drives import RotorInertia
-from bayesid.effects.friction import CoulombFriction, ViscousFriction
+from bayesid.design.bounds.model import ReadingModel, spread
+from bayesid.dynamics.channels import WRENCH_NAMES
+from bayesid.estimators.estimator import LEVEL
 from bayesid.recordings.experiment import Motion
 from bayesid.regression.problem import Problem
-from bayesid.robot.limits import motion_limits
-from bayesid.validation.prediction import in_band
+from bayesid.validation.noise_floor import NoiseFloor
+from bayesid.validation.prediction import BAND, TOLERATED, in_band
 
 #: Share of the samples that a bound holds.
 SHARE = 0.99
 #: Classes of speed, as many samples in each.
 _CLASSES = 5
+#: Half a central interval of probability `LEVEL` of a normal law, in standard deviations.
+HALF = float(norm.ppf(0.5 + LEVEL / 2))
 
 
 @dataclass(frozen=True, eq=False)
 class Remainder:
-    """What is left of the joint torques of motions, by joint.
+    """What is left of the readings of motions, by channel.
 
     Attributes
     ----------
+    channels
+        Names of the channels (c,).
     motions
         Names of the motions.
     held_out
         Whether none of them was fitted.
     bound
-        99 % of the samples are below (n,) [N m or N].
+        99 % of the samples are below (c,) [N m or N].
     speeds
-        Upper edges of classes of speed (n, k) [rad/s or m/s].
+        Upper edges of classes of speed (c, k): the joint's own for its torque, the fastest joint's for the wrench [rad/s or m/s].
     by_speed
-        The same bound in each class (n, k).
+        The same bound in each class (c, k).
     share
-        Root mean square of what is left over that of the torques (n,).
+        Root mean square of what is left over that of the readings (c,).
+    middles
+        Median speed in each class (c, k).
+    model_error
+        r by class: what the model lacks, as a standard deviation beside that of the parameters (c, k); zero where nothing does.
+    paths
+        What is left of each segment in units of ``sqrt(A V A' + r^2)`` (N, c), and its times (N,) [s].
     """
 
+    channels: tuple[str, ...]
     motions: tuple[str, ...]
     held_out: bool
     bound: np.ndarray
     speeds: np.ndarray
     by_speed: np.ndarray
     share: np.ndarray
+    middles: np.ndarray
+    model_error: np.ndarray
+    paths: tuple[tuple[np.ndarray, np.ndarray], ...]
+
+    @property
+    def complete(self) -> bool:
+        """Whether noise and parameters explain all that is left."""
+        return not self.model_error.any()
+
+    def at(self, v: np.ndarray) -> np.ndarray:
+        """R at joint velocities (N, n), linear in speed between the classes (N, c)."""
+        speed = _speeds(v, self.channels)
+        return np.stack([np.interp(*x) for x in zip(speed.T, self.middles, self.model_error, strict=True)], axis=1)
+
+    def pieces(self, count: int, times: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        """Pieces of ``paths``, each from a random place on and repeated where it ends (count, N, c).
+
+        Parameters
+        ----------
+        count
+            How many.
+        times
+            Where they are wanted (N,) [s]; nan: at random places each.
+        rng
+            The generator.
+        """
+        lengths = np.array([len(t) for _, t in self.paths])
+        joined = np.concatenate([path for path, _ in self.paths])
+        if np.isnan(times).any():
+            return joined[rng.integers(len(joined), size=(count, len(times)))]
+        which = rng.choice(len(lengths), size=count, p=lengths / lengths.sum())
+        step = np.array([np.median(np.diff(t)) for _, t in self.paths])[which, None]
+        after = np.round((times - times[0]) / step).astype(int)
+        place = (rng.integers(lengths[which])[:, None] + after) % lengths[which][:, None]
+        return joined[(np.cumsum(lengths) - lengths)[which][:, None] + place]
+
+    def faster(self, v: np.ndarray) -> np.ndarray:
+        """Which channels a motion (N, n) takes to speeds that none of these motions had (c,)."""
+        return _speeds(v, self.channels).max(axis=0) > self.speeds[:, -1]
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, as in ``bounds.json``."""
@@ -64,48 +117,80 @@ class Remainder:
             "motions": list(self.motions), "held_out": self.held_out, "share_of_samples": SHARE,
             "torque_residual": self.bound.tolist(), "speed_classes": self.speeds.tolist(),
             "torque_residual_by_speed": self.by_speed.tolist(), "relative_rms": self.share.tolist(),
+            "model_error_std_by_speed": self.model_error.tolist(), "median_speeds": self.middles.tolist(),
         }  # fmt: skip
 
 
-def remainder(problem: Problem, model: ReadingModel) -> Remainder | None:
-    """What the model leaves of recorded joint torques; None where none were recorded.
+def _speeds(v: np.ndarray, names: Sequence[str]) -> np.ndarray:
+    """Speed that each channel's error is sorted by (N, c)."""
+    speed = np.abs(v)
+    return np.repeat(speed.max(axis=1, keepdims=True), len(names), axis=1) if names == WRENCH_NAMES else speed
+
+
+def remainder(problem: Problem, model: ReadingModel, floor: NoiseFloor | None = None) -> Remainder | None:
+    """What the model leaves of recorded readings; None where none were recorded.
 
     Parameters
     ----------
     problem
-        The experiment; its motions of role ``validation`` where there are any with torques, else those that were fitted.
+        The experiment; its motions of role ``validation`` where there are any with such readings, else those that were fitted.
     model
-        Of the joint torques.
+        Of the joint torques, or of the wrench, whose mean over a motion is left to the sensor's offset.
+    floor
+        Noise of the readings that were fitted, where something tells it.
     """
     readable = [m for m in problem.experiment.motions if m.name in problem.segments and m.kind != "poses"]
-    every = problem.experiment.robot.n  # a bound is of all joints
-    with_torques = [m for m in readable if len(m.table.torque_joints) == every]
-    judges = [m for m in with_torques if m.role == "validation" and m.name not in problem.fitted]
-    chosen = judges or [m for m in with_torques if m.name in problem.fitted]
-    left, speed, size = [], [], []
-    for motion in chosen:
-        for e, v, y in _left(problem, model, motion):
-            left.append(e)
-            speed.append(v)
-            size.append(y)
-    if not left:
+    with_readings = [m for m in readable if _read(model, m) is not None]
+    judges = [m for m in with_readings if m.role == "validation" and m.name not in problem.fitted]
+    chosen = judges or [m for m in with_readings if m.name in problem.fitted]
+    parts = [part for motion in chosen for part in _left(problem, model, motion)]
+    if not parts:
         return None
-    e, v, y = np.concatenate(left), np.abs(np.concatenate(speed)), np.concatenate(size)
-    edges = np.quantile(v, np.arange(1, _CLASSES + 1) / _CLASSES, axis=0)
-    by_speed = np.empty_like(edges)
-    for j in range(e.shape[1]):
-        place = np.minimum(np.searchsorted(edges[:, j], v[:, j]), _CLASSES - 1)
-        by_speed[:, j] = [np.quantile(np.abs(e[place == k, j]), SHARE) if (place == k).any() else 0.0 for k in range(_CLASSES)]
+    e, v, y, variance = (np.concatenate([part[k] for part in parts]) for k in range(1, 5))
+    noise = _noise_below(problem, model, floor, float(np.median(np.diff(parts[0][0]))))
+    taken = not judges and set(model.channels.names) <= set(problem.row_model.channels.names)
+    own = -variance if taken else variance
+    lacking = np.mean(e**2 - np.minimum(own, 0.0), axis=0) > TOLERATED**2 * (noise + np.mean(np.maximum(own, 0.0), axis=0))
+    more = e**2 / HALF**2 - own - noise
+    speed = _speeds(v, model.channels.names)
+    edges = np.quantile(speed, np.arange(1, _CLASSES + 1) / _CLASSES, axis=0)
+    bounds, middles, error = np.zeros((3, e.shape[1], _CLASSES))
+    for j, k, at in _classes(speed, edges):
+        bounds[j, k], middles[j, k] = np.quantile(np.abs(e[at, j]), SHARE), np.median(speed[at, j])
+        error[j, k] = np.sqrt(max(float(np.quantile(more[at, j], LEVEL)), 0.0)) if lacking[j] else 0.0
     rms = [np.sqrt(np.mean(x**2, axis=0)) for x in (e, y)]
-    return Remainder(
-        tuple(m.name for m in chosen), bool(judges), np.quantile(np.abs(e), SHARE, axis=0), edges.T, by_speed.T,
-        rms[0] / np.maximum(rms[1], 1e-300),
+    found = Remainder(
+        model.channels.names, tuple(m.name for m in chosen), bool(judges), np.quantile(np.abs(e), SHARE, axis=0), edges.T, bounds,
+        rms[0] / np.maximum(rms[1], 1e-300), middles, error, (),
     )  # fmt: skip
+    paths = [(left / np.maximum(np.sqrt(s + found.at(w) ** 2), 1e-300), t) for t, left, w, _, s in parts]
+    return replace(found, paths=tuple(paths))
 
 
-def _left(problem: Problem, model: ReadingModel, motion: Motion):
-    """What is left of a motion's torques, joint velocities and torques below 10 Hz, segment by segment, (N, n) each."""
-    assert motion.table.torques is not None
+def _is_wrench(model: ReadingModel) -> bool:
+    return model.channels.names == WRENCH_NAMES
+
+
+def _classes(speed: np.ndarray, edges: np.ndarray) -> Iterator[tuple[int, int, np.ndarray]]:
+    """Channel, class of speed, and which samples (N,) are of that class, as far as there are any."""
+    for j in range(speed.shape[1]):
+        place = np.minimum(np.searchsorted(edges[:, j], speed[:, j]), len(edges) - 1)
+        for k in np.unique(place):
+            yield j, int(k), place == k
+
+
+def _read(model: ReadingModel, motion: Motion) -> np.ndarray | None:
+    """What was recorded of a model's channels (N, c)."""
+    if _is_wrench(model):
+        return motion.table.wrench
+    every = len(motion.table.torque_joints) == model.robot.n  # a bound is of all joints
+    return motion.table.torques if every else None
+
+
+def _left(problem: Problem, model: ReadingModel, motion: Motion) -> Iterator[tuple[np.ndarray, ...]]:
+    """Times, what is left of the readings, joint velocities, readings below 10 Hz, and A V A', segment by segment."""
+    readings = _read(model, motion)
+    assert readings is not None
     for segment in problem.segments[motion.name]:
         first, last = (0, 0) if segment.poses else segment.inner(problem.row_model.margin)
         if last - first < 2:
@@ -113,69 +198,19 @@ def _left(problem: Problem, model: ReadingModel, motion: Motion):
         state = problem.row_model.state(segment, first, last)
         at = np.searchsorted(motion.table.times, state.times)
         constant, matrix = model.columns(state.positions, state.velocities, state.accelerations)
-        measured = in_band(state.times, motion.table.torques[at], poses=False)
-        predicted = in_band(state.times, constant + matrix @ model.region.values, poses=False)
-        yield measured - predicted, state.velocities, measured
+        measured = in_band(state.times, readings[at], poses=False)
+        left = measured - in_band(state.times, constant + matrix @ model.region.values, poses=False)
+        if _is_wrench(model):  # the offset takes the mean of both
+            left, matrix = left - left.mean(axis=0), matrix - matrix.mean(axis=0)
+        yield state.times, left, state.velocities, measured, spread(matrix, model.region.covariance) ** 2
 
 
-@dataclass(frozen=True, eq=False)
-class InsideJoints:
-    """What is inside the joints, by joint (n,), as far as it was identified and as large as it usually is otherwise.
-
-    Attributes
-    ----------
-    joints
-        Their names.
-    identified
-        Specs of the effects inside the joints that were identified.
-    rotor, coulomb, viscous
-        Usual size where it was not identified, nan where it was [kg m^2, N m, N m s/rad; kg, N, N s/m].
-    rotor_share
-        The usual rotor inertia over the smallest diagonal element of the links' mass matrix.
-    friction_share
-        Usual friction at full speed over the largest torque of gravity; nan where there is none.
-    """
-
-    joints: tuple[str, ...]
-    identified: tuple[str, ...]
-    rotor: np.ndarray
-    coulomb: np.ndarray
-    viscous: np.ndarray
-    rotor_share: np.ndarray
-    friction_share: np.ndarray
-
-    @property
-    def complete(self) -> bool:
-        """Whether all of it was identified."""
-        return not np.isfinite(np.concatenate([self.rotor, self.coulomb, self.viscous])).any()
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values, as in ``bounds.json``; null for what was identified."""
-        numbers = {
-            name: [float(x) if np.isfinite(x) else None for x in getattr(self, name)]
-            for name in ("rotor", "coulomb", "viscous", "rotor_share", "friction_share")
-        }
-        return {"joints": list(self.joints), "identified": list(self.identified), "usual_size_where_not_identified": numbers}
-
-
-def inside_joints(model: ReadingModel, workspace: Workspace) -> InsideJoints:
-    """What was identified inside the joints, and how large the rest usually is."""
-    robot = model.robot
-    held = {drive.effect.spec for drive in model.drives}
-
-    def usual(kinds: Sequence[type[RotorInertia] | type[CoulombFriction] | type[ViscousFriction]]) -> list[np.ndarray]:
-        out = []
-        for kind in kinds:
-            effects = [kind(f"joint{j + 1}", j) for j in range(robot.n)]
-            out.append(np.array([np.nan if e.spec in held else float(e.typical(robot)[0]) for e in effects]))
-        return out
-
-    rotor, coulomb, viscous = usual((RotorInertia, CoulombFriction, ViscousFriction))
-    friction = np.nan_to_num(coulomb) + np.nan_to_num(viscous) * motion_limits(robot)[2]
-    known = np.isnan(coulomb) & np.isnan(viscous)
-    floor = 1e-9 * max(float(workspace.gravity.max(initial=0.0)), 1e-300)
-    carried = np.where(workspace.gravity > floor, workspace.gravity, np.nan)
-    return InsideJoints(
-        robot.joint_names, tuple(sorted(held)), rotor, coulomb, viscous, rotor / np.maximum(workspace.inertia[:, 0], 1e-300),
-        np.where(known, np.nan, friction / carried),
-    )  # fmt: skip
+def _noise_below(problem: Problem, model: ReadingModel, floor: NoiseFloor | None, step: float) -> np.ndarray:
+    """Variance of the readings' noise below 10 Hz (c,), as far as something tells it; zero elsewhere."""
+    out, known = np.zeros(len(model.channels)), problem.row_model.channels.names
+    if floor is not None:
+        below = floor.below(BAND, problem.row_model.step) * min(step / problem.row_model.step, 1.0)
+        for k, name in enumerate(model.channels.names):
+            if name in known:
+                out[k] = below[known.index(name)]
+    return out

@@ -45,7 +45,7 @@ def left_out(distances: np.ndarray, count: int) -> np.ndarray:
     return np.sqrt((count - 2) * share / rest) * count / (count - 1)
 
 
-def _directions(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def directions(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Standard deviations (k,), and those directions of the correlations that have a variance: values (m,), vectors (k, m)."""
     std = or_one(standard_deviations(covariance), 0.0)
     values, vectors = np.linalg.eigh(covariance / np.outer(std, std))
@@ -55,13 +55,13 @@ def _directions(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndar
 
 def root_of(covariance: np.ndarray) -> np.ndarray:
     """L with ``L L'`` the covariance (k, m), its m directions that have a variance."""
-    std, values, vectors = _directions(covariance)
+    std, values, vectors = directions(covariance)
     return std[:, None] * vectors * np.sqrt(values)
 
 
 def mahalanobis(deviations: np.ndarray, covariance: np.ndarray) -> np.ndarray:
     """``sqrt(d' V^-1 d)`` of deviations (n, k), along the directions that have a variance (n,)."""
-    std, values, vectors = _directions(covariance)
+    std, values, vectors = directions(covariance)
     return np.linalg.norm((deviations / std) @ (vectors / np.sqrt(values)), axis=1)
 
 

@@ -52,7 +52,9 @@ class Workspace:
     smallest_drawn
         Smallest eigenvalue of any draw's M at any configuration: above 0, every draw is positive definite.
     nominal_eigenvalue
-        Smallest eigenvalue of the controller's M_hat.
+        Smallest eigenvalue of M_hat with the centre of the parameters.
+    of_urdf
+        Whether that is not positive, so that M_hat and all bounds are those of the links in ``identified.urdf``.
     inertia
         Smallest and largest diagonal element of M_hat by joint (n, 2).
     inertia_error
@@ -75,6 +77,7 @@ class Workspace:
     eigenvalues: tuple[float, float]
     smallest_drawn: float
     nominal_eigenvalue: float
+    of_urdf: bool
     inertia: np.ndarray
     inertia_error: np.ndarray
     coriolis: float
@@ -159,7 +162,7 @@ class Terms:
 
 def workspace_bounds(
     model: ReadingModel, draws: int = DRAWS, configurations: int = CONFIGURATIONS, seed: int = 0,
-    progress: Callable[[str], None] = lambda _: None,
+    possible: np.ndarray | None = None, progress: Callable[[str], None] = lambda _: None,
 ) -> Workspace:
     """Bounds of the joint torques' model over the workspace.
 
@@ -171,12 +174,18 @@ def workspace_bounds(
         How many of each at most.
     seed
         Of the Sobol sequence's shift.
+    possible
+        Parameters of links that can exist (k,), taken for the controller's where the mass matrix of the centre is not positive
+        definite everywhere.
     progress
         Told how far it is.
     """
     positions, lower, upper = sobol_configurations(model.robot, configurations, seed)
     terms = Terms.of(model, positions)
     drawn, hat = model.draws[_evenly(model, draws)], model.region.values
+    nominal = float(np.linalg.eigvalsh(_symmetric(terms.mass @ hat)).min())
+    of_urdf = nominal <= 0.0 and possible is not None
+    hat = possible if of_urdf and possible is not None else hat
     mass, coriolis, gravity = terms.mass @ hat, terms.coriolis @ hat, terms.gravity @ hat
     found: list[list[np.ndarray]] = []
     step = max(_TOGETHER // len(positions), 1)
@@ -193,7 +202,7 @@ def workspace_bounds(
         alpha=quantile(np.maximum(np.abs(low - 1.0), np.abs(high - 1.0)), LEVEL),
         eigenvalues=(-quantile(-smallest, 0.5 + LEVEL / 2), quantile(largest, 0.5 + LEVEL / 2)),
         smallest_drawn=float(smallest.min()),
-        nominal_eigenvalue=float(np.linalg.eigvalsh(0.5 * (mass + np.swapaxes(mass, 1, 2))).min()),
+        nominal_eigenvalue=nominal, of_urdf=of_urdf,
         inertia=np.stack([diagonals.min(axis=0), diagonals.max(axis=0)], axis=1),
         inertia_error=np.array([quantile(column, LEVEL) for column in diagonal.T]),
         coriolis=float(np.linalg.norm(coriolis, 2, axis=(1, 2)).max()),
@@ -235,7 +244,7 @@ def _evenly(model: ReadingModel, draws: int) -> np.ndarray:
 def _of_draws(terms: Terms, drawn: np.ndarray, mass: np.ndarray, hat: np.ndarray) -> list[list[np.ndarray]]:
     """Of each draw the extremes over all configurations."""
     m = np.einsum("mijk,dk->dmij", terms.mass, drawn, optimize=True)
-    m = 0.5 * (m + np.swapaxes(m, 2, 3))
+    m = _symmetric(m)
     values = np.linalg.eigvalsh(m)
     inverse = np.linalg.inv(np.linalg.cholesky(m))  # L^-1 with L L' = M
     ratio = np.linalg.eigvalsh(inverse @ mass @ np.swapaxes(inverse, 2, 3))
@@ -250,6 +259,10 @@ def _of_draws(terms: Terms, drawn: np.ndarray, mass: np.ndarray, hat: np.ndarray
         np.linalg.norm(np.squeeze(full @ weight[..., None], -1), axis=2).max(axis=1), _largest_gain(full @ bent),
     )  # fmt: skip
     return [list(row) for row in zip(*columns, strict=True)]
+
+
+def _symmetric(matrices: np.ndarray) -> np.ndarray:
+    return 0.5 * (matrices + np.swapaxes(matrices, -1, -2))
 
 
 def _largest_gain(matrices: np.ndarray) -> np.ndarray:

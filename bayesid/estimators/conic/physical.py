@@ -36,7 +36,7 @@ from bayesid.estimators.estimator import Estimate
 from bayesid.estimators.least_squares import completeness, covariance_middle, likelihood_weights, make_estimate, weighted_factor
 from bayesid.estimators.prior_check import Evidence
 from bayesid.estimators.weights import learn_weights
-from bayesid.regression.linalg import determined_inverse, undetermined
+from bayesid.regression.linalg import UNSEEN, determined_inverse, pseudo_inverse, undetermined
 from bayesid.regression.regression import Regression
 from bayesid.robot.prior import Prior
 
@@ -119,7 +119,7 @@ class Physical:
         if self.closest is None:
             joint = prior.stated and prior.probability >= DOUBTFUL and (prior.rel_std or 0.0) <= LARGEST_VALIDATED
             about, reason = "data and nominal model" if joint else "data", ""
-            covariance = _posterior(data, problem, regression.base.matrix) if joint else _of_data(matrix, hidden)
+            covariance = _posterior(data, problem, regression.base.matrix) if joint else _of_data(matrix)
         estimate = make_estimate(self.name, regression, learned, factor, values, covariance, hidden)
         details = PhysicalDetails(
             **completeness(learned),
@@ -289,11 +289,11 @@ def evidence_of(matrix: np.ndarray, target: np.ndarray, hidden: np.ndarray, rank
     return (inverse @ target)[:rank], (inverse @ inverse.T)[:rank, :rank], hidden[:rank]
 
 
-def _of_data(matrix: np.ndarray, hidden: np.ndarray) -> np.ndarray:
-    """Covariance of the unconstrained estimate, in the determined columns.
+def _of_data(matrix: np.ndarray) -> np.ndarray:
+    """Covariance of the unconstrained estimate.
 
     For a prior that is wide, doubtful or chosen by the data themselves: too cautious about an estimate that the nominal
     model pulls to the truth, but it held the truth in every case simulated (docs/physical.md).
     """
-    inverse = determined_inverse(matrix, hidden)
+    inverse = pseudo_inverse(matrix, UNSEEN)
     return inverse @ inverse.T

@@ -41,7 +41,7 @@ from bayesid.estimators.robust.segments import (
 from bayesid.estimators.robust.trimmed import trimmed
 from bayesid.estimators.weights import Weights, learn_weights
 from bayesid.regression.blocks import Block
-from bayesid.regression.linalg import UNSEEN, in_determined, pseudo_inverse, solve, undetermined
+from bayesid.regression.linalg import UNSEEN, pseudo_inverse, solve, undetermined
 from bayesid.regression.regression import Regression
 from bayesid.regression.row_cache import RowCache
 from bayesid.signals.noise import NoiseModel
@@ -125,7 +125,7 @@ class RobustFit:
             undetermined(whole.matrix), values, passes, note, divergence,
         )  # fmt: skip
 
-    def covariance(self, hidden: np.ndarray) -> np.ndarray:
+    def covariance(self) -> np.ndarray:
         """Sandwich ``A^-1 B A^-1`` of these weights [Huber1981]_.
 
         The parameters solve ``sum_t X_t' D^2 s_t = 0`` with ``s_t = w_t r_t``. A is the derivative of that sum by the
@@ -145,7 +145,7 @@ class RobustFit:
         if self.regression.known_poles is None:  # what encoder errors make of rows is known as the filters leave it
             growth = np.sqrt(encoder_growth(self.clean, self.learned, scale, inverse))
             covariance *= np.outer(growth, growth)
-        return in_determined(covariance, hidden)
+        return covariance
 
     def _slope(self, inverse: np.ndarray) -> float:
         """How much slower the equations change with the parameters than with fixed weights, mean over all directions.
@@ -189,7 +189,7 @@ class RobustFit:
 
     def estimate(self, name: str) -> Estimate:
         """The estimate, whose details are still to be given."""
-        covariance = None if self.divergence else self.covariance(self.hidden)
+        covariance = None if self.divergence else self.covariance()
         made = make_estimate(name, self.clean, self.learned, self.factor, self.solution, covariance, self.hidden)
         if self.divergence:
             made = replace(made, interval="none", interval_reason="the fit diverged")

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from bayesid.design.bounds.consistent import consistent_draws
-from bayesid.design.bounds.knowledge import inflation_of
 from bayesid.dynamics.base_parameters import structural_base
 from bayesid.dynamics.channels import torque_channels
 from bayesid.robot import inertia
@@ -62,14 +61,3 @@ def test_what_is_not_determined_is_the_priors(robot):
     prior = (found.prior @ base.matrix.T).std(axis=0)
     assert np.all(spread[determined] < 0.2 * prior[determined])
     assert spread[3] > 0.3 * prior[3]
-
-
-def test_covariances_grow_for_held_out_motions_only_beyond_chance_and_dispersion():
-    def entry(whitened, expected=1.0):
-        return {"motion": f"w{whitened}", "whitened_rms": whitened, "expected_rms": expected}
-
-    assert inflation_of((entry(1.1), entry(1.3, 1.25)), 1.0) == (1.0, "")
-    assert inflation_of((entry(3.0), entry(2.0)), 1.0) == (9.0, "w3.0")
-    assert inflation_of((entry(3.0),), 4.5)[0] == pytest.approx(2.0)
-    assert inflation_of((entry(3.0),), 20.0)[0] == 1.0
-    assert inflation_of((), 1.0) == (1.0, "")

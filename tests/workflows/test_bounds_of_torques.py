@@ -1,0 +1,195 @@
+"""Bounds from joint torques: centre, sums that no motion takes apart, model error counted once, files for other programs."""
+
+import json
+import shutil
+import subprocess
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from scipy.io import loadmat
+
+import bayesid
+from bayesid.regression.linalg import standard_deviations
+from tests.simulated import Motion, experiment, fourier, puma2, recording
+
+DRIVES = ("viscous_friction", "coulomb_friction", "rotor_inertia")
+ROTORS = np.array([0.6, 0.2])
+VISCOUS, COULOMB = np.array([4.0, 2.0]), np.array([3.0, 1.0])
+
+
+def drives(v, a):
+    """Torques inside the joints (N, 2) [N m], written out here."""
+    return VISCOUS * v + COULOMB * np.clip(v / 1e-3, -1, 1) + ROTORS * a
+
+
+def gear(q):
+    """What no effect of the model explains, at the joints' angles (N, 2) [N m]."""
+    return np.array([3.0, 1.5]) * np.sin(23.0 * q)
+
+
+def recorded(robot, seed, lacking=0.0, duration=20.0):
+    motion = fourier(robot, seed, duration)
+    table = recording(robot, None, motion, seed=seed, torque_std=0.2)
+    return replace(table, torques=table.torques + drives(*motion[2:]) + lacking * gear(motion[1]))
+
+
+def arm(robot, lacking, roles=("identification", "validation"), effects=DRIVES):
+    motions = [Motion(f"m{k}", role, recorded(robot, k, lacking)) for k, role in enumerate(roles)]
+    return experiment(robot, motions, inertia_rel_std=0.1, effects=effects)
+
+
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory):
+    return puma2(tmp_path_factory.mktemp("puma"))
+
+
+@pytest.fixture(scope="module")
+def complete(robot):
+    estimate = bayesid.identify(arm(robot, 0.0))
+    return estimate, bayesid.bounds(estimate, configurations=16)
+
+
+@pytest.fixture(scope="module")
+def lacking(robot):
+    estimate = bayesid.identify(arm(robot, 1.0))
+    return estimate, bayesid.bounds(estimate, configurations=16)
+
+
+def test_the_centre_is_the_estimate(robot, complete, lacking):
+    for estimate, bounds in (complete, lacking):
+        _, q, v, a = fourier(robot, 8, duration=2.0)
+        np.testing.assert_allclose(bounds.torque(q, v, a).values, estimate.predict(q, v, a).values, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(bounds.values, estimate.estimate.solution, rtol=1e-9, atol=1e-12)
+
+
+def test_a_link_and_its_rotor_are_a_sum_that_the_bands_know(robot, complete):
+    """A joint's own inertia and its rotor's act alike: neither is known, and torques are as sure as without the rotors."""
+    estimate, bounds = complete
+    hidden = [n for n, u in zip(bounds.names, bounds.region.undetermined, strict=True) if u]
+    assert hidden[2:] == ["rotor_inertia@joint1.inertia", "rotor_inertia@joint2.inertia"] and len(hidden) == 4
+    parameters = {p["name"]: p for p in bounds.to_dict()["joint_torques"]["parameters"]}
+    effects = {f"{e['name']}@{e['where']}.{k}": p for e in estimate.effects() for k, p in e["parameters"].items()}
+    for name in hidden:
+        assert parameters[name]["std"] is None and parameters[name]["low"] is None and parameters[name]["high"] is None
+        assert parameters[name]["class"] == "sum"
+    assert effects["rotor_inertia@joint1.inertia"]["std"] is None
+    frame = bounds.to_dataframe().set_index("name")
+    assert np.isnan(frame.loc[hidden, ["std", "low", "high"]]).all(axis=None)
+    shown = frame.drop(index=hidden)
+    np.testing.assert_array_equal(shown["low"], bounds.low[~bounds.region.undetermined])
+    assert (shown["low"] < shown["value"]).all() and (shown["value"] < shown["high"]).all() and len(shown) == 10
+    same = bayesid.bounds(bayesid.identify(arm(robot, 0.0, effects=DRIVES[:2])), configurations=16)
+    assert not same.region.undetermined.any()
+    _, q, v, a = fourier(robot, 8, duration=2.0)
+    one, other = bounds.torque(q, v, a), same.torque(q, v, a)
+    np.testing.assert_allclose(one.values, other.values, atol=1e-6)
+    np.testing.assert_allclose(one.std, other.std, rtol=1e-3)
+    assert bounds.ellipsoid == pytest.approx(same.ellipsoid)
+
+
+def test_nothing_is_added_to_the_bands_of_a_complete_model(complete):
+    left = complete[1].remainder
+    assert left is not None and left.held_out and left.complete
+    assert "explain all that is left of m1, which were not fitted" in complete[1].headline
+
+
+@pytest.mark.parametrize("held_out", [True, False])
+def test_bands_hold_the_torques_of_motions_that_nobody_has_shown(robot, lacking, held_out):
+    """Torques that no parameter explains, of other motions: by the held-out motion, and by the fitted one alone."""
+    bounds = lacking[1]
+    if not held_out:
+        bounds = bayesid.bounds(bayesid.identify(arm(robot, 1.0, roles=("identification",))), configurations=16)
+    assert bounds.remainder is not None and bounds.remainder.held_out == held_out and not bounds.remainder.complete
+    assert ("no motion was held out" in bounds.headline) == (not held_out)
+    inside, whole, share = [], [], []
+    for seed in range(20, 26):
+        t, q, v, a = fourier(robot, seed, duration=10.0)
+        torque = recording(robot, None, (t, q, v, a)).torques + drives(v, a) + gear(q)
+        band = bounds.torque(q, v, a, t)
+        inside.append(np.mean((torque >= band.pointwise_low) & (torque <= band.pointwise_high)))
+        whole.append(np.all((torque >= band.low) & (torque <= band.high)))
+        need = np.quantile(np.abs(torque - band.values), 0.95, axis=0)
+        share.append(1.96 * band.std.mean(axis=0) / need)
+    assert 0.93 < np.mean(inside) < 0.985
+    assert np.mean(whole) >= 5 / 6 and np.mean(share) < 1.4
+    assert np.sqrt(np.mean(gear(np.linspace(-1, 1, 999)[:, None]) ** 2, axis=0)) == pytest.approx(
+        np.sqrt(np.mean(band.model_error**2, axis=0)), rel=0.35
+    )
+
+
+def test_more_data_do_not_make_bounds_useless(robot, lacking):
+    """Half bands of a fit with a validation motion are about those of the fit without one."""
+    alone = bayesid.bounds(bayesid.identify(arm(robot, 1.0, roles=("identification",))), configurations=16)
+    t, q, v, a = fourier(robot, 30, duration=4.0)
+    both, one = (bounds.torque(q, v, a, t).std.mean(axis=0) for bounds in (lacking[1], alone))
+    np.testing.assert_allclose(both, one, rtol=0.25)
+
+
+def test_the_same_robot_is_written_by_whichever_verb(robot, lacking, tmp_path, undrawn):
+    estimate, bounds = lacking
+    estimate.write(tmp_path / "estimate")
+    bounds.write(tmp_path / "bounds")
+    text = (tmp_path / "bounds" / "identified.urdf").read_text(encoding="utf-8")
+    assert text == (tmp_path / "estimate" / "identified.urdf").read_text(encoding="utf-8")
+    assert "rotor_inertia@joint2.inertia" in text
+    saved = json.loads((tmp_path / "bounds" / "bounds.json").read_text())["identified_urdf"]
+    assert saved["dynamics"] == estimate.urdf.dynamics.friction
+    # Pinocchio with the file's links and friction, and what stands beside the file, is the robot that was recorded.
+    model = pin.buildModelFromUrdf(str(tmp_path / "bounds" / "identified.urdf"))
+    held = [j for j in range(1, model.njoints) if model.names[j] not in ("joint1", "joint2")]
+    model = pin.buildReducedModel(model, held, pin.neutral(model))  # bodies beyond are part of the second's
+    rotors = [saved["not_in_urdf"][f"rotor_inertia@joint{j}.inertia"]["value"] for j in (1, 2)]
+    rates = np.array([[saved["dynamics"][f"joint{j}"][k] for k in ("damping", "friction")] for j in (1, 2)]).T
+    _, q, v, a = fourier(robot, 8, duration=2.0)
+    data = model.createData()
+    found = np.array([pin.rnea(model, data, *state) for state in zip(q, v, a, strict=True)])
+    found += rotors * a + rates[0] * v + rates[1] * np.sign(v)
+    expected = recording(robot, None, (np.arange(len(q)), q, v, a)).torques + drives(v, a)
+    moving = (np.abs(v) > 0.05).all(axis=1)
+    error = np.linalg.norm((found - expected)[moving], axis=0) / np.linalg.norm(expected[moving], axis=0)
+    assert np.all(error < 0.1)
+
+
+@pytest.fixture(scope="module")
+def saved(complete, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("mat")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("bayesid.report.figures.to_svg", lambda figure, name: "<svg></svg>")
+        complete[1].write(folder)
+    return folder / "bounds.mat"
+
+
+def test_the_ellipsoid_can_be_used_from_the_file(complete, saved):
+    """The lines of docs/howto-controller.md, by scipy; V itself is singular where a sum is all that is known."""
+    bounds, s = complete[1], loadmat(saved, simplify_cells=True)
+    assert len(s["V_basis"]) == len(s["V"]) - 2
+    factor = np.linalg.cholesky(s["V_basis"])
+    np.testing.assert_allclose(factor, s["V_basis_factor"], rtol=1e-9)
+    np.testing.assert_allclose(s["basis"] @ s["V_basis"] @ s["basis"].T, s["V"], rtol=1e-7, atol=1e-14)
+    np.testing.assert_allclose(s["to_basis"] @ s["basis"], np.eye(len(s["V_basis"])), atol=1e-9)
+    away = np.linalg.solve(factor, s["to_basis"] @ (0.3 * standard_deviations(s["V"])))
+    assert np.linalg.norm(away) == pytest.approx(bounds.region.distance(s["b_hat"] + 0.3 * standard_deviations(s["V"])))
+    edge = s["rho_V"] * np.random.default_rng(0).normal(size=(len(factor), 50))
+    edge = s["b_hat"] + (s["basis"] @ factor @ (edge / np.linalg.norm(edge, axis=0) * s["rho_V"])).T
+    np.testing.assert_allclose([bounds.region.distance(b) for b in edge], s["rho_V"], rtol=1e-6)
+
+
+def test_the_lines_of_the_page_run_in_octave(saved):
+    octave = shutil.which("octave-cli") or shutil.which("octave")
+    if octave is None:
+        pytest.skip("octave is not installed")
+    page = (bayesid_docs() / "howto-controller.md").read_text(encoding="utf-8")
+    lines = page.split("```matlab\n")[1].split("```")[0]
+    done = subprocess.run(
+        [octave, "--quiet", "--eval", lines + "\nassert(inside); assert(norm(S.V_basis - L*L') < 1e-9)"],
+        cwd=saved.parent, capture_output=True, text=True, timeout=120, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+
+
+def bayesid_docs():
+    from tests.studies.page import DOCS
+
+    return DOCS
