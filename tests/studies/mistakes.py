@@ -11,6 +11,7 @@ Every mistake is made on a copy of the recording in memory, which then goes thro
 from __future__ import annotations
 
 import argparse
+import itertools
 import json
 import os
 import time
@@ -23,10 +24,13 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from bayesid.dynamics.channels import torque_channels
+from bayesid.dynamics.regressors import Kernel
 from bayesid.errors import InputError
 from bayesid.recordings import checks, motion_checks
 from bayesid.recordings.experiment import Experiment, load_experiment
 from bayesid.recordings.table import Table
+from bayesid.validation.mistakes.candidates import base_axes
 from bayesid.validation.mistakes.search import find_mistakes
 from tests.studies.page import DOCS, table, write_numbers, write_page
 
@@ -34,6 +38,8 @@ DATA = Path(os.environ.get("BAYESID_DATA", "../shared"))
 #: Simulated recordings beside the real ones: torques of six and seven joints, and base wrenches of two and six.
 PRACTICE = ("practice-02", "practice-03", "practice-05", "practice-08", "practice-12")
 _GEAR = 100.0
+#: Torque over current of the drives of one arm [N m/A].
+_MOTORS = (13.6, 13.6, 8.7, 8.7, 20.6, 20.6, 20.6)
 #: A joint reversed in position and torque: where no link beyond shows it, a mirrored robot that could exist as well.
 MIRRORED = "one joint's axis reversed"
 
@@ -101,7 +107,9 @@ def made(experiment: Experiment) -> Iterator[Made]:
         out[[j, k]] = out[[k, j]]
         return out
 
+    yield from _of_gravity(experiment)
     if first.torques is not None:
+        yield from _of_columns(experiment)
         yield Made("all torques negated", changed(experiment, times(-one, "torques")), (("torque_signs", ""),))
         yield Made("torques in N mm", changed(experiment, times(1e3 * one, "torques")), (("torque_units", ""),))
         yield Made("torques of the motors", changed(experiment, times(one / _GEAR, "torques")), (("torque_units", ""),))
@@ -146,6 +154,67 @@ def made(experiment: Experiment) -> Iterator[Made]:
         yield from _of_wrench(experiment)
 
 
+def _of_columns(experiment: Experiment) -> Iterator[Made]:
+    """Torques without their weight, in amperes, of several signs, and columns in other orders."""
+    robot, n = experiment.robot, experiment.robot.n
+    motion = ("positions", "velocities", "commanded")
+
+    def weight(t: Table) -> np.ndarray:
+        still = np.zeros_like(t.positions)
+        return Kernel.of(robot, torque_channels(robot)).readings(t.positions, still, still, robot.nominal.ravel())
+
+    def lighter(*joints: int) -> Experiment:
+        """With the nominal weight taken out of some torques."""
+        chosen = np.isin(np.arange(n), joints)
+        return changed(experiment, lambda t: t if t.torques is None else replace(t, torques=t.torques - weight(t) * chosen))
+
+    removed = (("gravity_removed", ""), ("gravity_removed", "nominal"))
+    if robot.nominal[:, 0].any() and n > 1:
+        yield Made("gravity taken out of all torques", lighter(*range(n)), removed)
+        loads = np.abs(weight(experiment.identification[0].table)).max(axis=0)
+        for j in np.flatnonzero(loads > 0.05 * loads.max()):
+            own = tuple(("gravity_removed", f"tau{j + 1}{which}") for which in ("", " nominal"))
+            yield Made("gravity taken out of one torque", lighter(int(j)), own)
+    amperes = np.diag(1.0 / np.resize(_MOTORS, n))
+    currents = (("torque_units", ""), ("torque_scales", ""))
+    yield Made("motor currents for torques", changed(experiment, times(amperes, "torques")), currents)
+    if n > 2:
+        odd = np.diag(np.where(np.arange(n) % 2 == 1, -1.0, 1.0))
+        columns = [f"tau{j + 1}" for j in range(1, n, 2)]
+        # Of the wrong ones, those that show.
+        shown = [c for k in range(1, len(columns) + 1) for c in itertools.combinations(columns, k)]
+        named = tuple(("torque_sign" if len(c) == 1 else "torque_signs", ",".join(c)) for c in shown)
+        yield Made("every second torque negated", changed(experiment, times(odd, "torques")), named)
+    orders = {"cyclic": np.roll(np.arange(n), 1), "alphabetical": np.argsort(robot.joint_names, kind="stable")}
+    for name, held in orders.items():
+        # Column k holds joint held[k].
+        if n < 3 or (held == np.arange(n)).all():
+            continue
+        mixed, back = np.eye(n)[held], np.argsort(held)
+        moved = [int(k) for j, k in enumerate(back) if j != k]
+        moved = sorted(moved) if len(moved) == 2 else moved
+        for what, arrays, letter in (
+            ("torque", ("torques",), "tau"),
+            ("position", motion, "q"),
+            ("joint", (*motion, "torques"), "q"),
+        ):
+            where = ",".join(f"{letter}{k + 1}" for k in moved)
+            kind = f"{name} order of {'both' if what == 'joint' else what + 's'}"
+            yield Made(kind, changed(experiment, times(mixed, *arrays)), ((f"{what}_order", where),))
+
+
+def _of_gravity(experiment: Experiment) -> Iterator[Made]:
+    """A base at another angle than stated."""
+    named = (("base_tilt", ""), ("gravity_direction", "-z"))
+    size = float(np.linalg.norm(experiment.robot.gravity))
+    vectors = {"stated to hang on a wall (at an angle)": size * np.array([0.6, -0.8, 0.0])}
+    for angle in (10.0, 30.0):
+        turn = Rotation.from_rotvec(np.radians(angle) * np.array([0.6, 0.8, 0.0])).as_matrix()
+        vectors[f"stated to be tilted by {angle:.0f} degrees"] = turn @ experiment.robot.gravity
+    for kind, vector in vectors.items():
+        yield Made(kind, replace(experiment, robot=replace(experiment.robot, gravity=vector)), named)
+
+
 def _of_wrench(experiment: Experiment) -> Iterator[Made]:
     assert experiment.sensor is not None
     eye, zero = np.eye(3), np.zeros((3, 3))
@@ -157,6 +226,15 @@ def _of_wrench(experiment: Experiment) -> Iterator[Made]:
         return np.block([[forces, zero], [zero, moments]])
 
     yield Made("wrench of the robot on the sensor", wrench(-np.eye(6)), (("wrench_sign", ""),))
+    if experiment.robot.sensor_parent >= 0:
+
+        def in_base(t: Table) -> Table:
+            assert experiment.sensor is not None
+            turned = base_axes(experiment.robot, experiment.sensor, t.positions)
+            both = None if t.wrench is None else np.einsum("nij,nkj->nki", turned, t.wrench.reshape(-1, 2, 3)).reshape(-1, 6)
+            return replace(t, wrench=both)
+
+        yield Made("wrench in the axes of the base", changed(experiment, in_base), (("wrench_frame", "base"),))
     yield Made("forces negated", wrench(blocks(-eye, eye)), (("force_sign", ""),))
     yield Made("moments negated", wrench(blocks(eye, -eye)), (("moment_sign", ""),))
     yield Made("forces and moments exchanged", wrench(np.block([[zero, eye], [eye, zero]])), (("forces_moments", ""),))

@@ -18,7 +18,8 @@ from bayesid.regression.readings import make_channels
 from bayesid.robot import inertia
 from bayesid.robot.robot import load_robot
 from bayesid.validation.mistakes.candidates import candidates, of_wrench
-from bayesid.validation.mistakes.evidence import Explainer
+from bayesid.validation.mistakes.evidence import Change, Explainer
+from bayesid.validation.mistakes.orders import orders
 from bayesid.validation.mistakes.plausible import body_generators
 from bayesid.validation.mistakes.samples import low_passed
 from bayesid.validation.mistakes.search import find_mistakes
@@ -79,9 +80,14 @@ def one_a_kind(whole: Experiment, left_out: tuple[str, ...] = ()) -> list[Made]:
     return [every[min(1, len(every) - 1)] for every in kinds.values()]
 
 
-#: Neither is a base turned over told from masses on the other side of the joints, nor are motors' torques from those of a toy,
-#: where the URDF has no masses.
-NEEDS_MASSES = ("torques of the motors", "stated to hang on the ceiling")
+#: Where the URDF has no masses, a base turned over or a little tilted is not told from masses in other places of the links, nor
+#: are motors' torques or currents from the torques of a toy.
+NEEDS_MASSES = (
+    "torques of the motors",
+    "motor currents for torques",
+    "stated to hang on the ceiling",
+    "stated to be tilted by 10 degrees",
+)
 
 
 @pytest.mark.parametrize("masses", [True, False], ids=["masses", "no masses"])
@@ -143,7 +149,7 @@ def test_generators_hold_the_bodies_of_real_arms(tmp_path: Path) -> None:
 def test_undoing_a_candidate_is_its_own_mistake_undone(tmp_path: Path) -> None:
     """Every change of readings can be undone, and no two candidates of a sensor are the same."""
     sensor = Sensor(rpy=np.array([0.2, -0.3, 0.5]), translation=np.array([0.0, 0.02, -0.08]))
-    matrices = [c.readings for c in of_wrench(sensor) if c.readings is not None]
+    matrices = [c.change.readings for c in of_wrench(sensor) if c.change.readings is not None]
     assert all(abs(np.linalg.det(m)) > 0.0 for m in matrices)
     flat = np.array([m.ravel() for m in matrices])
     apart = np.linalg.norm(flat[:, None] - flat[None], axis=2) + np.eye(len(flat))
@@ -157,9 +163,9 @@ def test_changes_of_units_alone_are_no_evidence(tmp_path: Path) -> None:
     samples = low_passed(whole, "torque")
     assert samples is not None
     explainer = Explainer(whole.robot, torque_channels(whole.robot), samples)
-    here, there = explainer.fit()[0], explainer.fit(1e3 * np.eye(whole.robot.n))[0]
+    here, there = explainer.fit()[0], explainer.fit(Change(1e3 * np.eye(whole.robot.n)))[0]
     assert there.log_likelihood == pytest.approx(here.log_likelihood, abs=0.05)
-    every = candidates(whole, "torque", np.abs(samples.positions).max(axis=0))
+    every = candidates(whole, "torque", samples)
     assert len({(c.name, c.where) for c in every}) == len(every)
 
 
@@ -172,10 +178,11 @@ def test_no_fit_reaches_beyond_the_highest_score(channel: str, tmp_path: Path) -
     noise = 0.05 * samples.readings.std(axis=0) * np.random.default_rng(0).normal(size=samples.readings.shape)
     explainer = Explainer(whole.robot, make_channels(whole, channel), replace(samples, readings=samples.readings + noise))
     worth = explainer.independent_samples(explainer.fit()[0])
-    every = candidates(whole, channel, np.abs(samples.positions).max(axis=0))
+    every = [*candidates(whole, channel, samples), *orders(explainer, np.ones(whole.robot.n, bool))]
     for c in every[:: max(1, len(every) // 25)]:
-        score = max(fit.score(worth) for fit in explainer.fit(c.readings, c.joints, c.gravity))
-        assert score <= explainer.highest_score(c.readings, worth) + 1e-9
+        score = max(fit.score(worth) for fit in explainer.fit(c.change))
+        assert score <= explainer.highest_score(c.change, worth) + 1e-6
+        assert score <= explainer.highest_score(None, worth) + 1e-9
 
 
 @pytest.mark.parametrize("kept", [1, 30, 150])

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
+from scipy.spatial.transform import Rotation
 
+from bayesid.dynamics.channels import WRENCH_NAMES
 from bayesid.recordings.experiment import Experiment, Sensor
 from bayesid.robot.robot import Robot
+from bayesid.validation.mistakes.evidence import Change
+from bayesid.validation.mistakes.samples import Samples
 
 _DIRECTIONS = {"+x": (1, 0, 0), "-x": (-1, 0, 0), "+y": (0, 1, 0), "-y": (0, -1, 0), "+z": (0, 0, 1), "-z": (0, 0, -1)}
 _AXES = "xyz"
@@ -31,20 +35,21 @@ class Candidate:
         What seems to be wrong, as a sentence without its full stop.
     remedy
         What to do about it.
-    readings, joints, gravity
-        The change of the data that undoes it, as `bayesid.validation.mistakes.evidence.Explainer.fit` takes it.
+    change
+        What undoes it.
     touched
         Joints that it is about; empty: the whole robot.
+    odds
+        Log odds beside a usual single mistake, which are 0 [nats].
     """
 
     name: str
     where: str
     says: str
     remedy: str
-    readings: np.ndarray | None = None
-    joints: np.ndarray | None = None
-    gravity: np.ndarray | None = None
+    change: Change
     touched: tuple[int, ...] = ()
+    odds: float = 0.0
 
 
 def of_gravity(gravity: np.ndarray) -> list[Candidate]:
@@ -55,52 +60,152 @@ def of_gravity(gravity: np.ndarray) -> list[Candidate]:
         if size == 0.0 or np.dot(gravity, direction) > 0.99 * size:
             continue
         vector = size * np.array(direction, dtype=float)
-        says = f"gravity seems to act along {name} of the base frame"
-        remedy = f"write [robot] gravity = [{', '.join(f'{g + 0.0:.4g}' for g in vector)}], or correct the base frame"
-        out.append(Candidate("gravity_direction", name, says, remedy, gravity=vector))
+        out.append(along(vector, gravity, name))
     return out
 
 
-def of_torques(names: Sequence[str]) -> list[Candidate]:
-    """Signs of torques, and torque columns in another order."""
-    n = len(names)
-    says, remedy = "all joint torques seem to have the opposite sign", "change the sign of every tau"
-    out = [Candidate("torque_signs", "", says, remedy, -np.eye(n))]
-    for j in range(n if n > 1 else 0):
-        column = f"tau{j + 1}"
-        says = f"the torque of {names[j]} ({column}) seems to have the opposite sign"
-        out.append(Candidate("torque_sign", column, says, f"change the sign of {column}", _flip(n, j), touched=(j,)))
-    for j, k in itertools.combinations(range(n), 2):
-        one, other = f"tau{j + 1}", f"tau{k + 1}"
-        says, remedy = f"the torques of {names[j]} and {names[k]} seem to be exchanged", f"exchange columns {one} and {other}"
-        out.append(Candidate("torque_order", f"{one},{other}", says, remedy, _swap(n, j, k), touched=(j, k)))
+def along(vector: np.ndarray, stated: np.ndarray, name: str = "") -> Candidate:
+    """Gravity along another direction (3,) [m/s^2] than the stated one (3,), which may be an axis with a name."""
+    away = float(np.degrees(np.arccos(np.clip(vector @ stated / (np.linalg.norm(vector) * np.linalg.norm(stated)), -1.0, 1.0))))
+    mount = " (on a wall)" if 60.0 < away < 120.0 else " (on a ceiling)" if away >= 120.0 else ""
+    written = ", ".join(f"{g + 0.0:.4g}" for g in vector)
+    if name:
+        says = f"gravity seems to act along {name} of the base frame{mount}"
+        return Candidate("gravity_direction", name, says, _mounted(written), Change(gravity=vector))
+    says = f"the base seems to be tilted: gravity acts {away:.3g} degrees from where it is stated{mount}"
+    return Candidate("base_tilt", "", says, _mounted(written), Change(gravity=vector, numbers=2))
+
+
+def _mounted(gravity: str) -> str:
+    return f"write [robot] gravity = [{gravity}], or correct the base frame"
+
+
+def of_weight(robot: Robot, channels: Sequence[str]) -> list[Candidate]:
+    """Weight that something has taken out of the readings already: a controller's gravity compensation, or a counterbalance."""
+    torque = channels[0].startswith("tau")
+    every, what = tuple(range(len(channels))), "all joint torques" if torque else "the wrench"
+    columns = "every tau" if torque else "fx ... mz"
+    says = f"gravity seems to be taken out of {what} already"
+    remedy = "write [robot] gravity = [0, 0, 0], or record them before gravity is compensated"
+    out = [Candidate("gravity_removed", "", says, remedy, Change(gravity=np.zeros(3)))]
+    masses = robot.nominal[:, 0].sum() > 0.0
+    if masses:
+        says = f"gravity as the URDF's masses make it seems to be taken out of {what}"
+        remedy = f"add that gravity torque to {columns} again, or record them before gravity is compensated"
+        if not torque:
+            remedy = f"add that weight to {columns} again, or record them before it is taken out"
+        out.append(Candidate("gravity_removed", "nominal", says, remedy, Change(weight_added=every)))
+    for j, column in enumerate(channels if torque and len(channels) > 1 else ()):
+        name = robot.joint_names[j]
+        says = f"gravity seems to be taken out of the torque of {name} ({column}) already, by a controller or a counterbalance"
+        remedy = f"record {column} before gravity is compensated, or leave it out"
+        out.append(Candidate("gravity_removed", column, says, remedy, Change(weightless=(j,)), (j,)))
+        if masses:
+            says = f"gravity as the URDF's masses make it seems to be taken out of the torque of {name} ({column})"
+            remedy = f"add that gravity torque to {column} again"
+            out.append(Candidate("gravity_removed", f"{column} nominal", says, remedy, Change(weight_added=(j,)), (j,)))
     return out
 
 
-def of_joints(names: Sequence[str], torques: bool) -> list[Candidate]:
-    """Signs and orders of joint positions, alone and together with the torques'."""
+def signs(names: Sequence[str], joints: Iterable[int], kind: str) -> Candidate:
+    """Opposite signs of some joints.
+
+    Parameters
+    ----------
+    names
+        All joints.
+    joints
+        Which of them, from 0.
+    kind
+        ``torque``, ``position``, or ``joint`` for both.
+    """
+    which = tuple(joints)
+    turned, every = scaled(len(names), which, -1.0), len(which) == len(names) > 1
+    change = Change(turned if kind != "position" else None, turned if kind != "torque" else None)
+    letters = {"torque": ("tau",), "position": ("q",), "joint": ("q", "tau")}[kind]
+    columns = in_words([f"{letter}{j + 1}" for j in which for letter in letters])
+    where = "" if every else ",".join(f"{letters[0]}{j + 1}" for j in which)
+    several, owners = ("s" if len(which) > 1 else ""), in_words([names[j] for j in which])
+    name = f"{kind}_sign{several}"
+    if kind == "joint":
+        says = f"{owners} seem{'' if several else 's'} to turn the other way: {columns} have the opposite sign"
+        remedy = f"turn the {'axes' if several else 'axis'} of {owners} in the URDF, or change the signs of {columns}"
+        # It shows in the torques of other joints as well: the joint's own may be explained all the same.
+        return Candidate(name, where, says, remedy, change)
+    if every:
+        says = f"all joint {kind}s seem to have the opposite sign"
+        return Candidate(name, where, says, f"change the sign of every {letters[0]}", change)
+    says = f"the {kind}{several} of {owners} ({columns}) seem{'' if several else 's'} to have the opposite sign"
+    return Candidate(name, where, says, f"change the sign{several} of {columns}", change, which)
+
+
+def of_signs(names: Sequence[str], torques: bool) -> list[Candidate]:
+    """Signs of one joint or all of them: torques, which loggers turn round, before positions, which follow the URDF."""
     n, out = len(names), []
-    if n > 1:
-        says, remedy = "all joint positions seem to have the opposite sign", "change the sign of every q"
-        out.append(Candidate("position_signs", "", says, remedy, joints=-np.eye(n)))
-    for j, name in enumerate(names):
-        q, turned = f"q{j + 1}", _flip(n, j)
-        says = f"the position of {name} ({q}) seems to have the opposite sign"
-        out.append(Candidate("position_sign", q, says, f"change the sign of {q}", joints=turned, touched=(j,)))
-        if torques:
-            says = f"{name} seems to turn the other way: {q} and tau{j + 1} both have the opposite sign"
-            remedy = f"turn the axis of {name} in the URDF, or change the signs of {q} and tau{j + 1}"
-            # It shows in the torques of other joints as well: the joint's own may be explained all the same.
-            out.append(Candidate("joint_sign", q, says, remedy, turned, turned))
-    for j, k in itertools.combinations(range(n), 2):
-        one, other, swap = f"q{j + 1}", f"q{k + 1}", _swap(n, j, k)
-        where, pair = f"{one},{other}", f"{names[j]} and {names[k]}"
-        says, remedy = f"the positions of {pair} seem to be exchanged", f"exchange {one} and {other}, or [robot] joints"
-        out.append(Candidate("position_order", where, says, remedy, joints=swap, touched=(j, k)))
-        if torques:
-            says, remedy = f"{pair} seem to be exchanged, in position and torque", "exchange them in [robot] joints"
-            out.append(Candidate("joint_order", where, says, remedy, swap, swap, touched=(j, k)))
+    for kind in ("torque", "position", "joint") if torques else ("position",):
+        sets = [range(n)] if kind != "joint" and (n > 1 or kind == "torque") else []
+        sets += [[j] for j in range(n if n > 1 or kind != "torque" else 0)]
+        out += [signs(names, joints, kind) for joints in sets]
     return out
+
+
+def order(names: Sequence[str], positions: Sequence[int], torques: Sequence[int]) -> Candidate:
+    """Columns in another order.
+
+    Parameters
+    ----------
+    names
+        Joints as stated.
+    positions, torques
+        Which column holds the position, and the torque, of each joint (n,), from 0.
+    """
+    n = len(names)
+    same = list(range(n))
+    moved = tuple(j for j in same if positions[j] != j or torques[j] != j)
+    change = Change(
+        readings=None if list(torques) == same else np.eye(n)[list(torques)],
+        joints=None if list(positions) == same else np.eye(n)[list(positions)],
+    )
+    pair = f"{names[moved[0]]} and {names[moved[1]]}" if len(moved) == 2 else ""
+    if not pair:  # the order of all is one thing, which some of them may not show
+        moved = ()
+
+    def of(letter: str, columns: Sequence[int]) -> str:
+        own = [f"{letter}{columns[j] + 1}" for j in same if columns[j] != j]
+        return ",".join(sorted(own) if len(own) == 2 else own)
+
+    def held(letter: str, columns: Sequence[int]) -> str:
+        return in_words([f"{letter}{columns[j] + 1} holds {names[j]}" for j in same if columns[j] != j])
+
+    if list(positions) == list(torques):
+        listed = ", ".join(names[list(positions).index(k)] for k in same)
+        says = f"{pair} seem to be exchanged, in position and torque"
+        remedy = "exchange them in [robot] joints"
+        if not pair:
+            says = f"the columns seem to be in another order of joints: {listed}"
+            remedy = "write [robot] joints in that order"
+        return Candidate("joint_order", of("q", positions), says, remedy, change, moved)
+    if list(positions) == same:
+        where = of("tau", torques)
+        says = f"the torques of {pair} seem to be exchanged"
+        remedy = f"exchange columns {' and '.join(where.split(','))}"
+        if not pair:
+            says, remedy = f"the torques seem to be in another order: {held('tau', torques)}", "reorder the columns tau"
+        return Candidate("torque_order", where, says, remedy, change, moved)
+    if list(torques) == same:
+        says = f"the positions of {pair} seem to be exchanged"
+        remedy = f"exchange {' and '.join(of('q', positions).split(','))}, or [robot] joints"
+        if not pair:
+            says, remedy = f"the positions seem to be in another order: {held('q', positions)}", "reorder the columns q"
+        return Candidate("position_order", of("q", positions), says, remedy, change, moved)
+    says = f"positions and torques seem to be in other orders: {held('q', positions)}; {held('tau', torques)}"
+    where = f"{of('q', positions)};{of('tau', torques)}"
+    return Candidate("column_order", where, says, "reorder the columns q and tau", change, moved)
+
+
+def in_words(words: Sequence[str]) -> str:
+    """Words with commas and an ``and``."""
+    return ", ".join(words[:-1]) + f" and {words[-1]}" if len(words) > 1 else "".join(words)
 
 
 def of_wrench(sensor: Sensor) -> list[Candidate]:
@@ -135,7 +240,8 @@ def of_wrench(sensor: Sensor) -> list[Candidate]:
         table.append(("moment_point", "link", says, remedy, _shifted(shift)))
         says, remedy = "[sensor] translation seems to have the opposite sign", "write the sensor's origin as seen from its link"
         table.append(("moment_point", "opposite", says, remedy, _shifted(2.0 * shift)))
-    return [Candidate(*row) for row in [*table, *_other_axes()]]
+    every = [*table, *_other_axes()]
+    return [Candidate(name, where, says, remedy, Change(readings=matrix)) for name, where, says, remedy, matrix in every]
 
 
 def _other_axes() -> Iterator[tuple[str, str, str, str, np.ndarray]]:
@@ -153,6 +259,47 @@ def _other_axes() -> Iterator[tuple[str, str, str, str, np.ndarray]]:
             yield "sensor_axes", recorded, says, remedy, _blocks(matrix, matrix)
 
 
+def in_base_axes(rotations: np.ndarray) -> list[Candidate]:
+    """A moving sensor's wrench in axes that do not move with it, of either sign.
+
+    Parameters
+    ----------
+    rotations
+        Of the sensor in the base frame (N, 3, 3), one a sample.
+    """
+    turned = np.zeros((len(rotations), 6, 6))
+    turned[:, :3, :3] = turned[:, 3:, 3:] = rotations.swapaxes(1, 2)
+    says = "the wrench seems to be in the axes of the base, not in the sensor's"
+    remedy = "turn it into the sensor's axes with the joint positions, or record it as the sensor gives it"
+    opposite = f"{says}, and to be that of the robot on the sensor"
+    return [
+        Candidate("wrench_frame", "base", says, remedy, Change(readings=turned)),
+        Candidate("wrench_frame", "base, opposite", opposite, f"{remedy}, and change its sign", Change(readings=-turned)),
+    ]
+
+
+def base_axes(robot: Robot, sensor: Sensor, positions: np.ndarray) -> np.ndarray:
+    """Rotation of a moving sensor in the base frame at each sample (N, 3, 3)."""
+    on_link = robot.sensor_rotation @ pin.rpy.rpyToMatrix(*map(float, sensor.rpy))
+    return link_placement(robot, robot.sensor_parent, positions)[0] @ on_link
+
+
+def link_placement(robot: Robot, joint: int, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rotation (N, 3, 3) and origin (N, 3) [m] in the base frame of the link that a joint moves, at positions (N, n)."""
+    rotation, origin = np.broadcast_to(np.eye(3), (len(positions), 3, 3)), np.zeros((len(positions), 3))
+    while joint >= 0:
+        along = positions[:, joint, None] * robot.axis[joint]
+        if robot.prismatic[joint]:
+            origin = origin + along
+        else:
+            turn = Rotation.from_rotvec(along).as_matrix()
+            rotation, origin = turn @ rotation, np.einsum("nij,nj->ni", turn, origin)
+        rotation = robot.rotation[joint] @ rotation
+        origin = origin @ robot.rotation[joint].T + robot.translation[joint]
+        joint = int(robot.parent[joint])
+    return rotation, origin
+
+
 def of_degrees(robot: Robot, reach: np.ndarray) -> list[Candidate]:
     """Positions in degrees, of joints that reach too far for radians to be likely (n,) [rad]."""
     out, remedy = [], "write radians"
@@ -160,10 +307,10 @@ def of_degrees(robot: Robot, reach: np.ndarray) -> list[Candidate]:
         if reach[j] > np.pi and not robot.prismatic[j]:
             says = f"the position of {name} (q{j + 1}) seems to be in degrees"
             change = scaled(robot.n, [j], np.pi / 180.0)
-            out.append(Candidate("position_unit", f"q{j + 1}", says, remedy, joints=change, touched=(j,)))
+            out.append(Candidate("position_unit", f"q{j + 1}", says, remedy, Change(joints=change), (j,)))
     if reach.max() > np.pi and robot.n > 1 and not robot.prismatic.any():
         change = np.eye(robot.n) * np.pi / 180.0
-        out.append(Candidate("position_unit", "", "all joint positions seem to be in degrees", remedy, joints=change))
+        out.append(Candidate("position_unit", "", "all joint positions seem to be in degrees", remedy, Change(joints=change)))
     return out
 
 
@@ -171,16 +318,6 @@ def scaled(count: int, place: Sequence[int], factor: float) -> np.ndarray:
     """Matrix that multiplies some of a number of readings."""
     out = np.eye(count)
     out[list(place), list(place)] = factor
-    return out
-
-
-def _flip(n: int, j: int) -> np.ndarray:
-    return scaled(n, [j], -1.0)
-
-
-def _swap(n: int, j: int, k: int) -> np.ndarray:
-    out = np.eye(n)
-    out[[j, k]] = out[[k, j]]
     return out
 
 
@@ -202,8 +339,11 @@ def _cross(vector: np.ndarray) -> np.ndarray:
     return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
-def candidates(experiment: Experiment, channel: str, reach: np.ndarray) -> list[Candidate]:
-    """Every mistake of signs, orders, units and frames that readings of a channel could have.
+def candidates(experiment: Experiment, channel: str, samples: Samples) -> list[Candidate]:
+    """Every mistake of signs, units and frames that readings of a channel could have, the usual ones first.
+
+    Orders of columns, scales of single joints and a tilted base are found from the data
+    (`bayesid.validation.mistakes.orders`, `bayesid.validation.mistakes.scale`, `bayesid.validation.mistakes.tilt`).
 
     Parameters
     ----------
@@ -211,12 +351,18 @@ def candidates(experiment: Experiment, channel: str, reach: np.ndarray) -> list[
         The robot and its sensor.
     channel
         ``wrench`` or ``torque``.
-    reach
-        Largest position of each joint (n,) [rad or m].
+    samples
+        Joint motion and readings.
     """
-    names = experiment.robot.joint_names
-    out = of_torques(names) if channel == "torque" else []
-    if channel == "wrench" and experiment.sensor is not None:
-        out = of_wrench(experiment.sensor)
-    out += of_joints(names, channel == "torque") + of_gravity(experiment.robot.gravity)
-    return [*out, *of_degrees(experiment.robot, reach)]
+    robot = experiment.robot
+    names = robot.joint_names
+    if channel == "torque":
+        out, columns = of_signs(names, True), tuple(f"tau{j + 1}" for j in range(robot.n))
+    else:
+        assert experiment.sensor is not None
+        out, columns = of_wrench(experiment.sensor), WRENCH_NAMES
+        if robot.sensor_parent >= 0:
+            out += in_base_axes(base_axes(robot, experiment.sensor, samples.positions))
+        out += of_signs(names, False)
+    out += [*of_weight(robot, columns), *of_gravity(robot.gravity)]
+    return [*out, *of_degrees(robot, np.abs(samples.positions).max(axis=0))]

@@ -1,17 +1,22 @@
-"""How well a robot that could exist explains readings, with and without a candidate mistake undone."""
+"""How well a robot that could exist explains readings, with and without a mistake undone.
+
+Readings are explained as they were recorded: what a mistake makes of the readings that a robot would give is compared with the
+columns of the table, and its residual is counted there. A change that only mixes columns, or shrinks them, explains nothing.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
-from scipy.linalg import block_diag, cholesky, solve_triangular
+from scipy.linalg import block_diag, cho_solve, cholesky, solve_triangular
 from scipy.optimize import nnls
 
 from bayesid.dynamics.channels import Channels
 from bayesid.dynamics.regressors import Kernel
 from bayesid.robot.robot import Robot
-from bayesid.validation.mistakes.plausible import body_generators, friction_columns, offset_columns
+from bayesid.validation.mistakes.plausible import body_generators, friction_columns, offset_columns, usual_bodies
 from bayesid.validation.mistakes.samples import Samples
 
 #: A channel explained to this share of its variation is explained; a better fit is no evidence for anything.
@@ -22,30 +27,66 @@ TRUSTED = 0.01
 #: Ridge of the generators' scaled normal equations, which are many more than the data show, and of those of a few whole bodies,
 #: whose sizes it must not shrink where a small motion hardly tells their weight from friction and offsets.
 _RIDGE, _HARDLY_ANY = 1e-5, 1e-10
+#: By how much one explanation must be worse than another, however many samples there are: a residual a third larger, of one
+#: channel or of all together [nats a sample].
+WORSE = float(np.log(4.0 / 3.0))
+#: Readings of which more of the power is left are not explained.
+_LEFT = 0.25
 _ROUNDS = 2  # of weighting channels by what they leave
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
+class Change:
+    """What would make the recorded data right.
+
+    Attributes
+    ----------
+    readings
+        Matrix that the readings are multiplied by, (c, c), or one a sample, (N, c, c); None: as they are.
+    joints
+        Matrix that positions and their rates are multiplied by (n, n); None: as they are.
+    gravity
+        In place of the stated one (3,) [m/s^2]; None: the stated one.
+    weightless
+        Channels whose readings lack the weight, because something has taken out all of it.
+    weight_added
+        Channels that lack the weight of the nominal bodies, because something has taken out what the URDF says it is.
+    numbers
+        How many of its numbers were chosen to suit the data.
+    """
+
+    readings: np.ndarray | None = None
+    joints: np.ndarray | None = None
+    gravity: np.ndarray | None = None
+    weightless: tuple[int, ...] = ()
+    weight_added: tuple[int, ...] = ()
+    numbers: int = 0
+
+
+AS_RECORDED = Change()
+
+
+@dataclass(frozen=True, eq=False)
 class Fit:
     """The best robot that could exist.
 
     Attributes
     ----------
-    errors
-        Residual of each channel over its variation, rms (c,).
-    left
-        The same in the recording's own columns and units (c,).
+    parameters
+        Those of all bodies, ten each, then friction and offsets (p,).
     residual
-        (N, c) [unit of the channel].
+        What is left of the readings as recorded (N, c) [unit of the column].
+    left
+        Its rms (c,).
     log_likelihood
-        Of one sample of the readings as recorded, with the noise of every channel profiled out.
+        Of one sample, with the noise of every column profiled out.
     count
-        How many numbers the data as they are needed for the same bodies.
+        How many numbers the data as they are needed for the same bodies, and those of the change.
     """
 
-    errors: np.ndarray
-    left: np.ndarray
+    parameters: np.ndarray
     residual: np.ndarray
+    left: np.ndarray
     log_likelihood: float
     count: int
 
@@ -55,7 +96,7 @@ class Fit:
 
 
 class Explainer:
-    """Fits robots that could exist to readings, under changes of the readings, joints or gravity.
+    """Fits robots that could exist to readings, with changes of the data.
 
     Parameters
     ----------
@@ -76,111 +117,189 @@ class Explainer:
         variation = np.sqrt(np.mean((samples.readings - samples.readings.mean(axis=0)) ** 2, axis=0))
         if not self.torque:  # forces share a scale and moments another, so that a turned frame changes neither
             variation = np.repeat(np.sqrt(np.mean(variation.reshape(2, 3) ** 2, axis=1)), 3)
+        #: Variation of each column, rms (c,).
         self.variation = np.maximum(variation, 1e-9)
+        units = np.array(channels.units)
+        largest = np.array([self.variation[units == unit].max() for unit in units])
+        #: Residuals that are no evidence (c,).
+        self.floor = np.maximum(EXPLAINED * self.variation, TRUSTED * largest)
         self._counts: list[int] = []
-        self._designs: dict[bytes, tuple[np.ndarray, np.ndarray]] = {}
+        self._designs: dict[tuple[bytes, ...], Design] = {}
 
-    def fit(
-        self, readings: np.ndarray | None = None, joints: np.ndarray | None = None, gravity: np.ndarray | None = None
-    ) -> list[Fit]:
+    def fit(self, change: Change = AS_RECORDED) -> list[Fit]:
         """The best robots that could exist for changed data: any bodies, then the nominal ones times a factor each.
 
-        Parameters
-        ----------
-        readings
-            Matrix that the readings are multiplied by (c, c).
-        joints
-            Matrix that positions and their rates are multiplied by (n, n).
-        gravity
-            In place of the stated one (3,) [m/s^2].
+        Where the nominal bodies' weight is added there are only the latter: with a weight added, readings of no body become those
+        of some body.
         """
-        design, squares = self._design(joints, gravity)
-        change = np.eye(len(self.channels)) if readings is None else readings
-        target = self.samples.readings @ change.T
-        variation = np.sqrt(change**2 @ self.variation**2)
-        floor = self.floor(variation)
-        products = np.einsum("ncm,nc->cm", design, target, optimize=True)
-        back = np.linalg.inv(change) ** 2
+        columns, squares = self._as_recorded(change)
+        target = self._target(change)
+        products = np.einsum("ncm,nc->cm", columns, target, optimize=True)
         fits = []
         for k, expand in enumerate(self._families):
-            left, residual, factors = variation, target, np.zeros(expand.shape[1])
+            if change.weight_added and k == 0:
+                continue
+            left, residual, factors = self.variation, target, np.zeros(expand.shape[1])
             for _ in range(_ROUNDS):
-                weights = np.maximum(left, floor) ** -2
+                weights = np.maximum(left, self.floor) ** -2
                 whole = np.tensordot(weights, squares, 1)
                 ridge = _RIDGE if k == 0 else _HARDLY_ANY
                 factors = _non_negative(expand.T @ whole @ expand, expand.T @ (weights @ products), ridge)
-                residual = target - design @ (expand @ factors)
+                residual = target - columns @ (expand @ factors)
                 left = np.sqrt(np.mean(residual**2, axis=0))
-            likelihood = _log_likelihood(change, np.maximum(left, floor))
             if k == len(self._counts):
                 self._counts.append(int(np.count_nonzero(factors)))
-            fits.append(Fit(left / variation, np.sqrt(back @ left**2), residual, likelihood, self._counts[k]))
+            likelihood = self._log_likelihood(left)
+            fits.append(Fit(expand @ factors, residual, left, likelihood, self._counts[k] + change.numbers))
         return fits
 
-    def highest_score(self, readings: np.ndarray | None, worth: float) -> float:
-        """What `Fit.score` of changed readings cannot exceed: every channel explained to its floor, by the fewest numbers [nats].
+    def explains(self, fit: Fit, null: Fit) -> bool:
+        """Whether a fit explains the readings: of each kind in which it differs, a quarter of the power is left at most.
 
         Parameters
         ----------
-        readings
-            Matrix that the readings are multiplied by (c, c), as `fit` takes it.
+        fit
+            Of changed data.
+        null
+            Of the data as they are.
+        """
+        units, worse = np.array(self.channels.units), np.exp(WORSE)
+        here, there = np.maximum(fit.left, self.floor), np.maximum(null.left, self.floor)
+        differs = (here > worse * there) | (there > worse * here)
+        kinds = [units == unit for unit in set(units[differs])]
+        return all(np.sum(fit.left[kind] ** 2) <= _LEFT * np.sum(self.variation[kind] ** 2) for kind in kinds)
+
+    def highest_score(self, change: Change | None, worth: float) -> float:
+        """What `Fit.score` of changed data cannot exceed [nats].
+
+        Every column is then explained to its floor, by the fewest numbers; one that holds one joint's torque, not better than by
+        numbers of its own, of any sign (`alone`).
+
+        Parameters
+        ----------
+        change
+            As `fit` takes it; None: whatever is changed.
         worth
             How many independent samples the data are worth.
         """
-        change = np.eye(len(self.channels)) if readings is None else readings
-        floor = self.floor(np.sqrt(change**2 @ self.variation**2))
-        return _score(_log_likelihood(change, floor), min(self._counts, default=0), worth)
+        left, count = self.floor, min(self._counts, default=0)
+        if change is not None:
+            count += change.numbers
+            if self.torque or change.readings is None:
+                holds = np.arange(len(left)) if change.readings is None else np.abs(change.readings).argmax(axis=0)
+                left = self.alone(change)[np.arange(len(left)), holds]
+        return _score(self._log_likelihood(left), count, worth)
 
-    def floor(self, variation: np.ndarray) -> np.ndarray:
-        """Residuals (c,) that are no evidence, for channels of this variation (c,)."""
-        units = np.array(self.channels.units)
-        largest = np.array([variation[units == unit].max() for unit in units])
-        return np.maximum(EXPLAINED * variation, TRUSTED * largest)
+    def alone(self, change: Change) -> np.ndarray:
+        """What each column leaves that is explained by itself as the reading of each channel (c, c) [unit of the column].
 
-    def size_beside(self, bodies: np.ndarray) -> float | None:
+        The numbers of the explanation are a column's own, of any sign, so no robot leaves less. Columns are as recorded, whatever
+        else the change does to them.
+        """
+        design = self._design(change)
+        if change.weight_added:
+            return _alone(design, self._target(change))
+        if design.alone is None:
+            design.alone = _alone(design, self.samples.readings)
+        return design.alone
+
+    def alone_by_nominal(self, change: Change) -> np.ndarray:
+        """The same by nominal bodies (usual ones where the URDF has no masses), of any size and sign in each column (c, c)."""
+        nominal = self.robot.nominal
+        bodies = nominal if nominal[:, 0].sum() > 0.0 else usual_bodies(self.robot)
+        columns = self._design(change).columns
+        rigid, beside = columns[:, :, : bodies.size] @ bodies.ravel(), columns[:, :, bodies.size :]
+        out = np.empty((columns.shape[1],) * 2)
+        for j in range(len(out)):
+            basis = np.column_stack([rigid[:, j], beside[:, j, np.any(beside[:, j] != 0.0, axis=0)]])
+            vectors, sizes, _ = np.linalg.svd(basis / np.maximum(np.linalg.norm(basis, axis=0), 1e-300), full_matrices=False)
+            vectors = vectors[:, sizes > 1e-9 * sizes[0]]
+            left = self.samples.readings - vectors @ (vectors.T @ self.samples.readings)
+            out[:, j] = np.sqrt(np.mean(left**2, axis=0))
+        return out
+
+    def rigid(self, bodies: np.ndarray) -> np.ndarray:
+        """What bodies of these parameters (10 b,) or (b, 10) let the channels read, without friction and offsets (N, c)."""
+        return self._design(AS_RECORDED).columns[:, :, : bodies.size] @ bodies.ravel()
+
+    def beside(self, channel: int) -> np.ndarray:
+        """Columns of the friction, or the offsets, of one channel (N, k)."""
+        columns = self._design(AS_RECORDED).columns[:, channel, self.robot.nominal.size :]
+        return columns[:, np.any(columns != 0.0, axis=0)]
+
+    def size_beside(self, bodies: np.ndarray, change: Change = AS_RECORDED) -> float | None:
         """How many times the readings are those of given bodies (b, 10) with any friction; None where those say nothing."""
-        factors = self._sized(bodies, None)[0]
+        factors = self._sized(bodies, None, change)[0]
         return float(factors[0]) if factors[0] > 0.0 else None
 
-    def gained_by_size(self, bodies: np.ndarray, factor: float) -> float:
+    def gained_by_size(self, bodies: np.ndarray, factor: float, change: Change = AS_RECORDED) -> float:
         """Log likelihood of a sample that bodies of any size gain over this many times the given ones, friction beside both."""
-        left = [self._sized(bodies, fixed)[1] for fixed in (None, factor)]
-        floor = self.floor(self.variation)
-        return float(np.sum(np.log(np.maximum(left[1], floor)) - np.log(np.maximum(left[0], floor))))
+        left = [self._sized(bodies, fixed, change)[1] for fixed in (None, factor)]
+        return self._log_likelihood(left[0]) - self._log_likelihood(left[1])
 
-    def _sized(self, bodies: np.ndarray, fixed: float | None) -> tuple[np.ndarray, np.ndarray]:
+    def _sized(self, bodies: np.ndarray, fixed: float | None, change: Change) -> tuple[np.ndarray, np.ndarray]:
         """Factors of the bodies (fixed, or None) and of everything beside them, and what they leave of each channel (c,)."""
-        design, squares = self._design(None, None)
+        columns, squares = self._as_recorded(change)
         count = bodies.size
-        expand = np.zeros((design.shape[2], 1 + design.shape[2] - count))
+        expand = np.zeros((columns.shape[2], 1 + columns.shape[2] - count))
         expand[:count, 0] = bodies.ravel()
-        expand[count:, 1:] = np.eye(design.shape[2] - count)
-        weights, target = self.floor(self.variation) ** -2, self.samples.readings
+        expand[count:, 1:] = np.eye(columns.shape[2] - count)
+        weights, target = self.floor**-2, self._target(change)
         if fixed is not None:
-            target = target - design @ (fixed * expand[:, 0])
-        products = weights @ np.einsum("ncm,nc->cm", design, target, optimize=True)
+            target = target - columns @ (fixed * expand[:, 0])
+        products = weights @ np.einsum("ncm,nc->cm", columns, target, optimize=True)
         free = expand if fixed is None else expand[:, 1:]
         factors = _non_negative(free.T @ np.tensordot(weights, squares, 1) @ free, free.T @ products, _HARDLY_ANY)
-        left = np.sqrt(np.mean((target - design @ (free @ factors)) ** 2, axis=0))
+        left = np.sqrt(np.mean((target - columns @ (free @ factors)) ** 2, axis=0))
         return (factors if fixed is None else np.append(fixed, factors)), left
 
-    def _design(self, joints: np.ndarray | None, gravity: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-        """Columns of all parameters (N, c, p), and the products of columns by channel (c, p, p)."""
-        key = b"|".join(b"" if a is None else np.asarray(a, dtype=float).tobytes() for a in (joints, gravity))
+    def _target(self, change: Change) -> np.ndarray:
+        """Readings as recorded, with the weight that they lack (N, c)."""
+        if not change.weight_added:
+            return self.samples.readings
+        s, rows, still = self.samples, list(change.weight_added), np.zeros_like(self.samples.positions)
+        weight = Kernel.of(self.robot, self.channels).dynamics(s.positions, still, still) @ self.robot.nominal.ravel()
+        target = s.readings.copy()
+        target[:, rows] += weight[:, rows]
+        return target
+
+    def _as_recorded(self, change: Change) -> tuple[np.ndarray, np.ndarray]:
+        """Columns of all parameters in the columns of the table (N, c, p), and their products by column (c, p, p)."""
+        design = self._design(change)
+        if change.readings is None:
+            return design.columns, design.squares
+        made = np.linalg.inv(change.readings)
+        if made.ndim == 2 and (np.count_nonzero(made, axis=1) == 1).all():  # each column holds one reading
+            holds = np.abs(made).argmax(axis=1)
+            times = made[np.arange(len(made)), holds]
+            return times[:, None] * design.columns[:, holds], times[:, None, None] ** 2 * design.squares[holds]
+        columns = made @ design.columns
+        return columns, _squares(columns)
+
+    def _design(self, change: Change) -> Design:
+        """Of the right readings."""
+        parts = (change.joints, change.gravity, np.array(change.weightless))
+        key = tuple(b"" if a is None else np.asarray(a, dtype=float).tobytes() for a in parts)
         if key in self._designs:
             return self._designs[key]
         s, robot = self.samples, self.robot
         motion = (s.positions, s.velocities, s.accelerations)
-        if joints is not None:
-            motion = tuple(m @ joints.T for m in motion)
-        if gravity is not None:
-            robot = replace(robot, gravity=np.asarray(gravity, dtype=float))
-        rigid = Kernel.of(robot, self.channels).dynamics(*motion)
+        if change.joints is not None:
+            motion = tuple(m @ change.joints.T for m in motion)
+        if change.gravity is not None:
+            robot = replace(robot, gravity=np.asarray(change.gravity, dtype=float))
+        kernel = Kernel.of(robot, self.channels)
+        rigid = kernel.dynamics(*motion)
+        if change.weightless:
+            rows = list(change.weightless)
+            rigid[:, rows] = kernel.dynamics(*motion, gravity=False)[:, rows]
         more = friction_columns(*motion[1:]) if self.torque else offset_columns(s.motion, len(self.channels))
-        design = np.concatenate([rigid, more], axis=2)
-        squares = np.array([design[:, c].T @ design[:, c] for c in range(design.shape[1])])
-        self._designs[key] = design, squares
-        return design, squares
+        self._designs[key] = Design(np.concatenate([rigid, more], axis=2))
+        return self._designs[key]
+
+    def _log_likelihood(self, left: np.ndarray) -> float:
+        """Of one sample, by what is left of each column (c,)."""
+        return -float(np.log(np.maximum(left, self.floor)).sum())
 
     def independent_samples(self, fit: Fit) -> float:
         """How many independent samples the residual of a fit is worth: model error is correlated in time."""
@@ -199,6 +318,46 @@ class Explainer:
         return float(np.median(counts))
 
 
+@dataclass(eq=False)
+class Design:
+    """Columns of all parameters (N, c, p), and what follows from them.
+
+    Attributes
+    ----------
+    columns
+        Readings of each parameter of one.
+    alone
+        What each column of the table leaves, by itself, as the reading of each channel (c, c); None: not asked for.
+    """
+
+    columns: np.ndarray
+    alone: np.ndarray | None = None
+
+    @cached_property
+    def squares(self) -> np.ndarray:
+        """Products of columns by channel (c, p, p)."""
+        return _squares(self.columns)
+
+
+def _squares(columns: np.ndarray) -> np.ndarray:
+    return np.array([columns[:, c].T @ columns[:, c] for c in range(columns.shape[1])])
+
+
+def _alone(design: Design, readings: np.ndarray) -> np.ndarray:
+    """Least-squares residual of each column of readings (N, c) by the columns of each channel, rms (column, channel)."""
+    columns, squares = design.columns, design.squares
+    out, power = np.empty((readings.shape[1], columns.shape[1])), np.mean(readings**2, axis=0)
+    for j in range(columns.shape[1]):
+        size = np.sqrt(np.diag(squares[j]))
+        seen = size > 1e-9 * size.max()
+        scaled = squares[j][np.ix_(seen, seen)] / np.outer(size[seen], size[seen])
+        root = cholesky(scaled + _HARDLY_ANY * np.eye(len(scaled)))
+        products = (columns[:, j, seen] / size[seen]).T @ readings
+        explained = np.sum(products * cho_solve((root, False), products), axis=0) / len(readings)
+        out[:, j] = np.sqrt(np.maximum(power - explained, 0.0))
+    return out
+
+
 def _non_negative(squares: np.ndarray, products: np.ndarray, ridge: float) -> np.ndarray:
     """Least squares with factors that are not negative, from its normal equations."""
     size = np.sqrt(np.diag(squares))
@@ -208,14 +367,6 @@ def _non_negative(squares: np.ndarray, products: np.ndarray, ridge: float) -> np
     out = np.zeros(len(size))
     out[seen] = nnls(root, solve_triangular(root, products[seen] / size[seen], trans=1))[0] / size[seen]
     return out
-
-
-def _log_likelihood(change: np.ndarray, left: np.ndarray) -> float:
-    """Of one sample, by what is left of each channel (c,).
-
-    The density is that of the readings as recorded: a change (c, c) that shrinks them explains nothing by that.
-    """
-    return float(np.linalg.slogdet(change)[1]) - float(np.log(left).sum())
 
 
 def _score(log_likelihood: float, count: int, worth: float) -> float:

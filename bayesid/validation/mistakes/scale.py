@@ -1,10 +1,12 @@
-"""Whether readings have the size that a robot of these links must have: units and gear sides of a whole table."""
+"""Whether readings have the size that a robot of these links must have: units, gear sides and motor currents."""
 
 from __future__ import annotations
 
 import numpy as np
+from scipy.optimize import nnls
 
-from bayesid.validation.mistakes.evidence import Explainer
+from bayesid.validation.mistakes.candidates import Candidate, in_words, signs
+from bayesid.validation.mistakes.evidence import AS_RECORDED, WORSE, Change, Explainer
 from bayesid.validation.mistakes.mistake import Mistake
 from bayesid.validation.mistakes.plausible import usual_bodies
 
@@ -14,44 +16,128 @@ _NOMINAL = 4.0
 _GUESSED = 30.0
 _KNOWN = {1e3: "N mm instead of N m", 1.0 / 9.80665: "kgf m instead of N m", 1e-3: "kN m instead of N m"}
 _KNOWN_FORCE = {1.0 / 9.80665: "kgf and kgf m instead of N and N m", 1e-3: "kN and kN m instead of N and N m"}
-#: By how much one explanation must be worse than another, however many samples there are: a residual a third larger, of one
-#: channel or of all together [nats a sample].
-WORSE = float(np.log(4.0 / 3.0))
 _NEAR = 2.5  # factor within which a unit is recognised
+#: Links of one stated model are right to this factor beside each other; torques further apart have no unit in common.
+_ALIKE = 1.5
+_ABSURD = 1e4  # times as large as another is no torque in any unit
+_STEPS = 2  # of fitting bodies to readings of these sizes, and sizes to those of the bodies
 
 
-def implausible_size(explainer: Explainer) -> list[Mistake]:
+def by_joint(explainer: Explainer, worth: float) -> list[Candidate]:
+    """Torques of which each has a sign or a scale of its own: those of motor currents, or of the motors' side of unlike gears.
+
+    Parameters
+    ----------
+    explainer
+        Joint torques, and what a robot makes of them.
+    worth
+        How many independent samples the data are worth.
+    """
+    n, bodies = len(explainer.channels), _bodies(explainer)
+    told, shown = _sizes(explainer, bodies)
+    out = []
+    negative = np.flatnonzero(told < 0.0)
+    if 1 < len(negative) < n:
+        out.append(signs(explainer.robot.joint_names, negative, "torque"))
+    odd = [int(j) for j in np.flatnonzero(shown) if not 1.0 / _NOMINAL < abs(told[j]) < _NOMINAL]
+    spread = np.ptp(np.log(np.abs(told[shown]))) if shown.any() else 0.0
+    if not odd or not np.log(_ALIKE) < spread < np.log(_ABSURD):  # a factor that all have in common changes no fit
+        return out
+    sizes = np.where(shown, told, np.exp(np.median(np.log(np.abs(told[shown])))))
+    for _ in range(_STEPS):
+        fit = max(explainer.fit(Change(readings=np.diag(1.0 / sizes), numbers=n)), key=lambda f: f.score(worth))
+        again, seen = _sizes(explainer, fit.parameters[: bodies.size])
+        sizes = np.where(shown & seen, again, sizes)
+    factors = in_words([f"{told[j]:.2g} (tau{j + 1})" for j in odd])
+    says = (
+        "the columns tau seem to be in units of their own, as motor currents [A] or torques before the gears are: "
+        f"{factors} times what {_beside(explainer)}"
+    )
+    constants = in_words([f"{1.0 / told[j]:.2g} (tau{j + 1})" for j in odd])
+    remedy = f"multiply each by its motor's constant and gear ratio, with their sign; from these data about {constants}"
+    return [*out, Candidate("torque_scales", "", says, remedy, Change(readings=np.diag(1.0 / sizes), numbers=n))]
+
+
+def implausible_size(explainer: Explainer, change: Change = AS_RECORDED) -> list[Mistake]:
     """Compare readings with those of the nominal bodies, or of usual bodies where the URDF has no masses.
 
     A mistake is named where both are off to the same side: nominal bodies alone may be placeholders.
+
+    Parameters
+    ----------
+    explainer
+        Readings, and what a robot makes of them.
+    change
+        Of signs, which makes the readings right but for their size.
     """
-    nominal, usual = explainer.robot.nominal, usual_bodies(explainer.robot)
-    guessed = explainer.size_beside(usual)
-    stated = explainer.size_beside(nominal) if nominal[:, 0].sum() > 0.0 else None
-    if guessed is None:
+    stated, usual = _bodies(explainer), usual_bodies(explainer.robot)
+    guessed, factor = explainer.size_beside(usual, change), explainer.size_beside(stated, change)
+    has_masses = explainer.robot.nominal[:, 0].sum() > 0.0
+    allowed = _NOMINAL if has_masses else _GUESSED
+    if guessed is None or factor is None or 1.0 / allowed < factor < allowed:
         return []
-    if stated is None:
-        factor, allowed = guessed, _GUESSED
-    else:
-        factor, allowed = stated, _NOMINAL
-        if np.sign(np.log(guessed)) != np.sign(np.log(stated)) or abs(np.log(guessed)) < np.log(_NOMINAL):
-            return []
-    if 1.0 / allowed < factor < allowed:
+    if np.sign(np.log(guessed)) != np.sign(np.log(factor)) or abs(np.log(guessed)) < np.log(_NOMINAL):
         return []
     # A small motion hardly tells weight from friction and offsets: bodies of a size that can be must explain the readings worse.
-    bodies = usual if stated is None else nominal
-    if explainer.gained_by_size(bodies, float(np.clip(factor, 1.0 / allowed, allowed))) < WORSE:
+    if explainer.gained_by_size(stated, float(np.clip(factor, 1.0 / allowed, allowed)), change) < WORSE:
         return []
-    beside = "the URDF's masses need" if stated is not None else "links of these lengths usually need"
-    units = _KNOWN if explainer.torque else _KNOWN_FORCE
-    unit = next((text for known, text in units.items() if 1.0 / _NEAR < factor / known < _NEAR), None)
-    what, columns = ("joint torques", "tau") if explainer.torque else ("wrench", "fx ... mz")
-    if unit is not None:
-        says, remedy = f"seem to be in {unit}" if explainer.torque else f"seems to be in {unit}", "write N and N m"
-    elif explainer.torque and factor < 1.0:
-        says, remedy = "seem to be those of the motors", "multiply each by its gear ratio"
+    known = _KNOWN if explainer.torque else _KNOWN_FORCE
+    unit = next((text for times, text in known.items() if 1.0 / _NEAR < factor / times < _NEAR), None)
+    if not explainer.torque:
+        says = f"The wrench (fx ... mz) seems to be in {unit or 'another unit'}"
+        text = f"{says}: it is {factor:.2g} times what {_beside(explainer)}; write N and N m"
+        return [Mistake("wrench_units", "", text, "wrench", evidence=float("inf"))]
+    sizes, shown = _sizes(explainer, stated)
+    sizes = np.abs(sizes[shown])
+    apart = len(sizes) > 1 and sizes.max() > _ALIKE * sizes.min()
+    size = f"{sizes.min():.2g} to {sizes.max():.2g}" if apart else f"{factor:.2g}"
+    unit_of_all = (f"in {unit}" if unit else "in another unit", "write N and N m")
+    constant = "multiply each by its gear ratio, or its motor's constant and gear ratio"
+    of_motors = ("those of the motors, or their currents [A]", constant)
+    # A factor of a thousand is a unit; a tenth may be a current as well, and rather is one where joints differ.
+    if factor > 1.0 or (unit is not None and factor < _NEAR * 1e-3):
+        either = [unit_of_all]
     else:
-        says, remedy = "seem to be in another unit" if explainer.torque else "seems to be in another unit", "write N and N m"
-    text = f"The {what} ({columns}) {says}: they are {factor:.2g} times what {beside}; {remedy}"
-    channel = "torque" if explainer.torque else "wrench"
-    return [Mistake(f"{channel}_units", "", text, channel, evidence=float("inf"))]
+        either = [of_motors] if unit is None else [of_motors, unit_of_all] if apart else [unit_of_all, of_motors]
+    says = "; or ".join(what for what, _ in either)
+    remedy = "; or ".join(remedy for _, remedy in either)
+    text = f"The joint torques (tau) seem to be {says}: they are {size} times what {_beside(explainer)}; {remedy}"
+    return [Mistake("torque_units", "", text, "torque", evidence=float("inf"))]
+
+
+def _bodies(explainer: Explainer) -> np.ndarray:
+    """The nominal bodies, or usual ones where the URDF has no masses (b, 10)."""
+    nominal = explainer.robot.nominal
+    return nominal if nominal[:, 0].sum() > 0.0 else usual_bodies(explainer.robot)
+
+
+def _beside(explainer: Explainer) -> str:
+    return "the URDF's masses need" if explainer.robot.nominal[:, 0].sum() > 0.0 else "links of these lengths usually need"
+
+
+def _sizes(explainer: Explainer, bodies: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """How many times each column is what bodies make of it, friction beside it, and where that shows (c,).
+
+    Negative where its sign is opposite, one where it does not show.
+    """
+    readings, rigid = explainer.samples.readings, explainer.rigid(bodies)
+    sizes, shown = np.ones(readings.shape[1]), np.zeros(readings.shape[1], bool)
+    for c in range(len(sizes)):
+        beside, size = explainer.beside(c), np.linalg.norm(rigid[:, c])
+        if not size > 0.0:
+            continue
+        least = np.sqrt(len(readings)) * explainer.floor[c]
+        alone = min(nnls(_unit(beside), sign * readings[:, c])[1] for sign in (1.0, -1.0))
+        left = alone
+        for sign in (1.0, -1.0):
+            factors, rest = nnls(_unit(np.column_stack([rigid[:, c], beside])), sign * readings[:, c])
+            if rest < left and factors[0] > 0.0:
+                left, sizes[c] = rest, sign * factors[0] / size
+        shown[c] = np.log(max(alone, least) / max(left, least)) > WORSE
+    return np.where(shown, sizes, 1.0), shown
+
+
+def _unit(columns: np.ndarray) -> np.ndarray:
+    """Columns of length one, those of zeros as they are."""
+    size = np.linalg.norm(columns, axis=0)
+    return columns / np.where(size > 0.0, size, 1.0)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Iterable
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -10,35 +11,114 @@ from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment
 from bayesid.regression.parallel import one_blas_thread
 from bayesid.regression.readings import make_channels
-from bayesid.validation.mistakes.candidates import Candidate, candidates
+from bayesid.validation.mistakes.candidates import Candidate, candidates, signs
 from bayesid.validation.mistakes.delay import delayed
-from bayesid.validation.mistakes.evidence import EXPLAINED, Explainer, Fit
+from bayesid.validation.mistakes.evidence import AS_RECORDED, EXPLAINED, WORSE, Explainer, Fit
 from bayesid.validation.mistakes.mistake import Mistake
+from bayesid.validation.mistakes.orders import orders
 from bayesid.validation.mistakes.samples import low_passed
-from bayesid.validation.mistakes.scale import WORSE, implausible_size
+from bayesid.validation.mistakes.scale import by_joint, implausible_size
+from bayesid.validation.mistakes.tilt import tilted
+from bayesid.validation.mistakes.wording import not_explained, told
 
 #: A mistake is as rare as one in a thousand, and must be a thousand times as probable as none: log(1e6) [nats].
 NEEDED = 13.8
 #: Candidates whose evidence is this close cannot be told apart: odds of 150 [nats].
-_ALIKE = 5.0
+ALIKE = 5.0
 #: A channel explained better than this share of its variation gives no cause to doubt its joint.
 _DOUBTED = 0.05
-_LISTED = 3
+#: Torques with these undone may still be in another unit.
+_SIGNS = ("torque_sign", "torque_signs", "position_signs")
 
 
-def find_mistakes(experiment: Experiment) -> tuple[Mistake, ...]:
+@dataclass(frozen=True, eq=False)
+class Tried:
+    """A candidate, its log evidence against the data as they are [nats], and the best robot with it undone."""
+
+    candidate: Candidate
+    evidence: float
+    fit: Fit
+
+
+class Search:
+    """Candidates that were tried on the readings of a channel.
+
+    Attributes
+    ----------
+    null
+        The best robot for the data as they are.
+    worth
+        How many independent samples they are worth.
+    needed
+        Evidence that a mistake needs [nats].
+    doubted
+        Joints whose readings are not explained by the nominal bodies (n,).
+    tried
+        As they were tried, the usual mistakes first.
+    """
+
+    def __init__(self, explainer: Explainer) -> None:
+        self.explainer = explainer
+        unchanged = explainer.fit()
+        self.worth = explainer.independent_samples(unchanged[0])
+        self.null = max(unchanged, key=self._score)
+        self.needed = max(NEEDED, self.worth * WORSE)
+        stated, n = unchanged[-1], explainer.robot.n
+        unexplained = stated.left > _DOUBTED * explainer.variation
+        self.doubted = unexplained & (stated.left > explainer.floor)
+        if not explainer.torque:
+            self.doubted = np.full(n, (stated.left > EXPLAINED * explainer.variation).any())
+        self.tried: list[Tried] = []
+
+    @property
+    def best(self) -> Tried | None:
+        """The likeliest candidate so far."""
+        return max(self.tried, key=lambda t: t.evidence, default=None)
+
+    @property
+    def worth_going_on(self) -> bool:
+        """Whether any explanation could have the evidence that is needed, and more than what was tried."""
+        least = max(self.needed, self.best.evidence if self.best else 0.0)
+        return self.explainer.highest_score(None, self.worth) - self._score(self.null) > least
+
+    def try_out(self, every: Iterable[Candidate]) -> None:
+        """Fit robots with each candidate undone, but for those that could be neither named nor listed beside what is."""
+        now = self._score(self.null)
+        bounds = [(self.explainer.highest_score(c.change, self.worth) - now + c.odds, c) for c in every if self._doubtful(c)]
+        fitted: dict[int, Tried] = {}
+        best = self.best.evidence if self.best else 0.0
+        for k in sorted(range(len(bounds)), key=lambda k: -bounds[k][0]):
+            highest, candidate = bounds[k]
+            if highest < max(NEEDED, max(self.needed, best) - ALIKE):
+                break
+            fit = max(self.explainer.fit(candidate.change), key=self._score)
+            fitted[k] = Tried(candidate, self._score(fit) - now + candidate.odds, fit)
+            best = max(best, fitted[k].evidence)
+        self.tried += [fitted[k] for k in sorted(fitted)]
+
+    def _doubtful(self, candidate: Candidate) -> bool:
+        return bool(self.doubted[list(candidate.touched)].all())
+
+    def _score(self, fit: Fit) -> float:
+        return fit.score(self.worth)
+
+
+def find_mistakes(experiment: Experiment, unknown: Container[tuple[str, str]] = ()) -> tuple[Mistake, ...]:
     """Mistakes of signs, orders, units and frames that would explain what no robot can do; usually none.
 
     Gravity, masses, friction and power have signs: a robot that can exist, with friction that brakes, does not explain
     readings of which one has the wrong sign. Every candidate is undone in turn and the best such robot is fitted to a few
-    hundred low-passed samples; one is named where the data become far more probable by it. Nothing is guessed where a finding
-    about the recording explains its readings (`bayesid.recordings.finding`), nor where they are late against the motion
+    hundred low-passed samples; one is named where the data become far more probable by it, and are explained by it. Where they
+    only become more probable, ``not_explained`` says so, without a remedy. Nothing is guessed where a finding about the recording
+    explains its readings (`bayesid.recordings.finding`), nor what is less probable than that they are late against the motion
     (`bayesid.validation.mistakes.delay`).
 
     Parameters
     ----------
     experiment
         The recordings; those that are fitted are looked at.
+    unknown
+        Names and places of candidates that are not looked for.
     """
     found: list[Mistake] = []
     explained = {channel for finding in experiment.findings for channel in finding.silences}
@@ -48,8 +128,11 @@ def find_mistakes(experiment: Experiment) -> tuple[Mistake, ...]:
                 continue
             try:
                 with np.errstate(over="ignore", invalid="ignore"):
-                    late = delayed(experiment, channel)
-                    found += [late] if late else _in_channel(experiment, channel)
+                    late, guessed = delayed(experiment, channel), _in_channel(experiment, channel, unknown)
+                    if late is not None:
+                        guessed = [*(m for m in guessed if m.evidence > late.evidence), late]
+                        guessed = guessed if np.isinf(guessed[0].evidence) else guessed[:1]
+                    found += guessed
             except (InputError, np.linalg.LinAlgError, ValueError, RuntimeError):
                 # Too short or too uneven to be smoothed, or numbers of a size that no robot has: others say that better.
                 continue
@@ -57,59 +140,54 @@ def find_mistakes(experiment: Experiment) -> tuple[Mistake, ...]:
     return tuple({(m.name, m.where): m for m in reversed(found)}.values())[::-1]
 
 
-def _in_channel(experiment: Experiment, channel: str) -> list[Mistake]:
+def _in_channel(experiment: Experiment, channel: str, unknown: Container[tuple[str, str]]) -> list[Mistake]:
     samples = low_passed(experiment, channel)
     if samples is None:
         return []
     explainer = Explainer(experiment.robot, make_channels(experiment, channel), samples)
-    unchanged = explainer.fit()
-    worth = explainer.independent_samples(unchanged[0])
-
-    def best_of(fits: Sequence[Fit]) -> tuple[float, Fit]:
-        return max(((fit.score(worth), fit) for fit in fits), key=lambda pair: pair[0])
-
-    now, null = best_of(unchanged)
-    needed = max(NEEDED, worth * WORSE)
-    reach = np.abs(samples.positions).max(axis=0)
-    tried = []
-    for candidate in _worth_trying(candidates(experiment, channel, reach), explainer, unchanged):
-        if explainer.highest_score(candidate.readings, worth) - now < max(NEEDED, needed - _ALIKE):
-            continue  # could be neither named nor listed beside what is
-        score, fit = best_of(explainer.fit(candidate.readings, candidate.joints, candidate.gravity))
-        tried.append((score - now, candidate, fit))
-    tried.sort(key=lambda t: -t[0])
-    if not tried or tried[0][0] < needed:
+    search = searched(experiment, explainer, channel, unknown)
+    best = search.best
+    if best is None or best.evidence < search.needed:
         # Of readings that no robot explains at all, not even the size means anything.
-        return implausible_size(explainer) if np.median(null.errors) < 0.5 else []
-    best, candidate, fit = tried[0]
-    alike = [c for evidence, c, _ in tried[1:] if evidence > max(best - _ALIKE, NEEDED)]
-    names, units = explainer.channels.names, explainer.channels.units
-    return [
-        Mistake(
-            name=candidate.name, where=candidate.where, text=_text(candidate, alike, null, fit, names, units), channel=channel,
-            evidence=float(best), before=tuple(map(float, null.left)), after=tuple(map(float, fit.left)),
-            alternatives=tuple((c.name, c.where) for c in alike),
-        )
-    ]  # fmt: skip
+        explained = np.median(search.null.left / explainer.variation) < 0.5
+        return implausible_size(explainer) if explained else []
+    alike = [t for t in search.tried if t.evidence > max(best.evidence - ALIKE, NEEDED)]
+    # What was made to suit the data is said where nothing else suits them as well.
+    alike = [t for t in alike if not t.candidate.change.numbers] or alike
+    remedies = [t for t in alike if explainer.explains(t.fit, search.null)]
+    if not remedies:
+        return [not_explained(explainer, search.null, best.fit)]
+    found = told(experiment, explainer, search.null, [(t.candidate, t.fit) for t in remedies], remedies[0].evidence)
+    change = remedies[0].candidate.change
+    return [found, *(implausible_size(explainer, change) if found.name in _SIGNS else [])]
 
 
-def _worth_trying(every: Sequence[Candidate], explainer: Explainer, fits: Sequence[Fit]) -> list[Candidate]:
-    """Leave out what concerns only joints whose readings are explained, by the nominal bodies where there are any."""
-    null = fits[-1]
-    doubted = (null.errors > _DOUBTED) & (null.left > explainer.floor(explainer.variation))
-    if not explainer.torque:
-        return [c for c in every if not c.touched or (null.errors > EXPLAINED).any()]
-    return [c for c in every if doubted[list(c.touched)].all()]
+def searched(experiment: Experiment, explainer: Explainer, channel: str, unknown: Container[tuple[str, str]] = ()) -> Search:
+    """Every candidate tried that could matter, but for unknown ones."""
+
+    def known(every: Iterable[Candidate]) -> list[Candidate]:
+        return [c for c in every if (c.name, c.where) not in unknown]
+
+    search = Search(explainer)
+    search.try_out(known(candidates(experiment, channel, explainer.samples)))
+    if search.worth_going_on:
+        search.try_out(known(_several_signs(search)))
+    if search.worth_going_on:
+        search.try_out(known(orders(explainer, search.doubted)))
+    if search.worth_going_on and explainer.torque:
+        search.try_out(known(by_joint(explainer, search.worth)))
+    if search.worth_going_on:
+        mounts = [t.candidate for t in search.tried if t.candidate.name == "gravity_direction" and t is search.best]
+        search.try_out(known(tilted(explainer, [AS_RECORDED, *(c.change for c in mounts)], search.worth)))
+    return search
 
 
-def _text(
-    candidate: Candidate, alike: Sequence[Candidate], null: Fit, fit: Fit, names: Sequence[str], units: Sequence[str]
-) -> str:
-    """One line: what seems wrong, what else it could be, by how much the fit improves, and the remedy."""
-    k = int(np.argmax(null.left / np.maximum(fit.left, 1e-12)))
-    others = "; or ".join([*(c.says for c in alike[:_LISTED]), *(["..."] if len(alike) > _LISTED else [])])
-    either = f" (or {others})" if others else ""
-    return (
-        f"{candidate.says[0].upper()}{candidate.says[1:]}{either}: with that undone, what no possible robot explains of "
-        f"{names[k]} falls from {null.left[k]:.2g} to {fit.left[k]:.2g} {units[k]} rms; {candidate.remedy}"
-    )
+def _several_signs(search: Search) -> list[Candidate]:
+    """Opposite signs of all joints of which each alone has the evidence of a mistake."""
+    names, out = search.explainer.robot.joint_names, []
+    for kind in ("torque", "position", "joint"):
+        likely = {t.candidate.where for t in search.tried if t.candidate.name == f"{kind}_sign" and t.evidence > NEEDED}
+        joints = [j for j in range(len(names)) if likely & {f"q{j + 1}", f"tau{j + 1}"}]
+        if 1 < len(joints) < len(names):
+            out.append(signs(names, joints, kind))
+    return out
