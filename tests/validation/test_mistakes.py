@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from scipy.optimize import nnls
+from scipy.spatial.transform import Rotation
 
 import bayesid
 from bayesid.dynamics.channels import torque_channels
@@ -23,7 +27,7 @@ from bayesid.validation.mistakes.orders import orders
 from bayesid.validation.mistakes.plausible import body_generators
 from bayesid.validation.mistakes.samples import low_passed
 from bayesid.validation.mistakes.search import find_mistakes
-from tests.robots import ROBOTS, ur5, write
+from tests.robots import ROBOTS, lwr4, ur5, wrist_sensor_arm, write
 from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
 from tests.studies.mistakes import Made, changed, made, magnitudes, times
 
@@ -241,3 +245,116 @@ def test_a_small_motion_without_noise_keeps_its_unit(tmp_path, centre, amplitude
     assert explainer.size_beside(robot.nominal) == pytest.approx(1.0, abs=0.01)
     assert explainer.size_beside(2.0 * robot.nominal) == pytest.approx(0.5, abs=0.01)
     assert explainer.gained_by_size(robot.nominal, 1.0) < 0.01
+
+
+def test_a_tie_names_the_torques_first_and_says_what_decides(tmp_path: Path) -> None:
+    """Reversed torques and mirrored positions fit alike on this arm; positions follow the URDF, and a look at a pose decides."""
+    robot = load_robot(write(tmp_path, lwr4()))
+    table = recording(robot, None, fourier(robot, 1, speed=1.0), torque_std=0.3, resolution=1e-4, seed=1)
+    whole = experiment(robot, [Motion("a", "identification", table)])
+    (found,) = find_mistakes(changed(whole, times(-np.eye(7), "torques")))
+    assert (found.name, found.alternatives) == ("torque_signs", (("position_signs", ""),))
+    assert "change the sign of every tau" in found.text and "change the sign of every q" in found.text
+    moment = re.search(r"at ([0-9.]+) s of \'a\' the origin of (\S+) stands at \(([^)]*)\) m.*and at \(([^)]*)\) m", found.text)
+    assert moment is not None
+    k, link = int(np.argmin(np.abs(table.times - float(moment[1])))), robot.joint_names.index(moment[2])
+    for sign, said in ((1.0, moment[3]), (-1.0, moment[4])):
+        model = pin.buildModelFromUrdf(str(robot.urdf))
+        data = model.createData()
+        pin.forwardKinematics(model, data, sign * table.positions[k])
+        place = data.oMi[link + 1].translation
+        assert np.array(list(map(float, said.split(",")))) == pytest.approx(place, abs=0.02)
+
+
+def test_a_wrench_in_base_axes_is_named_whatever_its_sign(tmp_path: Path) -> None:
+    """What a wrist sensor reads, turned into the base's axes by Pinocchio."""
+    robot = load_robot(write(tmp_path, wrist_sensor_arm()), sensor_joint="wrist_ft")
+    sensor = Sensor(rpy=np.array([0.0, 0.0, 0.4]), joint="wrist_ft")
+    table = recording(robot, sensor, fourier(robot, 1), force_std=0.05, torque_std=0.005, seed=1)
+    whole = experiment(robot, [Motion("a", "identification", replace(table, torques=None))], sensor)
+    assert find_mistakes(whole) == ()
+    model = pin.buildModelFromUrdf(str(robot.urdf))
+    data, frame = model.createData(), model.getFrameId("wrist_ft")
+
+    def turned(q: np.ndarray, wrench: np.ndarray) -> np.ndarray:
+        pin.framesForwardKinematics(model, data, q)
+        rotation = data.oMf[frame].rotation @ pin.rpy.rpyToMatrix(0.0, 0.0, 0.4)
+        return (wrench.reshape(2, 3) @ rotation.T).ravel()
+
+    def in_base(sign: float, t: Table) -> Table:
+        assert t.wrench is not None
+        return replace(t, wrench=sign * np.array([turned(*row) for row in zip(t.positions, t.wrench, strict=True)]))
+
+    for sign, where in ((1.0, "base"), (-1.0, "base, opposite")):
+        found = find_mistakes(changed(whole, partial(in_base, sign)))
+        assert [(m.name, m.where) for m in found] == [("wrench_frame", where)]
+
+
+def test_what_only_mixes_columns_explains_nothing(tmp_path: Path) -> None:
+    """A shear that decorrelates two residuals is no remedy: what is left is counted in the columns as recorded."""
+    whole = on_sensor(tmp_path)
+    samples = low_passed(whole, "wrench")
+    assert samples is not None
+    common = samples.readings[:, :1].std() * np.random.default_rng(0).normal(size=(len(samples), 1))
+    mixed = replace(samples, readings=samples.readings + common * np.array([1.0, 0, 0, 0, 1.0, 0]))
+    explainer = Explainer(whole.robot, make_channels(whole, "wrench"), mixed)
+    shear = np.eye(6)
+    shear[4, 0] = -1.0  # takes the common error out of my
+    null, sheared = explainer.fit()[0], explainer.fit(Change(readings=shear))[0]
+    assert sheared.left[4] > 0.9 * null.left[4]
+    assert sheared.log_likelihood < null.log_likelihood + 0.1
+
+
+def test_what_is_not_known_here_gets_no_remedy(tmp_path: Path) -> None:
+    """A wrench about a point that moves with nothing, and turned by an angle that no candidate has."""
+    whole = on_sensor(tmp_path)
+    turn = Rotation.from_euler("xyz", [0.9, -0.7, 0.5]).as_matrix()
+    skewed = changed(whole, times(np.kron(np.eye(2), turn), "wrench"))
+    found = find_mistakes(skewed)
+    assert all(m.name == "not_explained" and "no mistake" in m.text for m in found)
+    torques = changed(arm(tmp_path), times(np.diag([1.0, -1, 1, 1, 1, 1]), "torques"))
+    assert find_mistakes(torques)[0].name == "torque_sign"
+    listed = {("torque_sign", "tau2"), ("position_sign", "q2"), ("torque_scales", "")}
+    assert all(m.name == "not_explained" for m in find_mistakes(torques, listed))
+
+
+def test_torques_of_some_joints_are_looked_at_as_well(tmp_path: Path) -> None:
+    whole = changed(arm(tmp_path), times(np.diag([1.0, -1, 1, 1, 1, 1]), "torques"))
+
+    def without(t: Table) -> Table:
+        assert t.torques is not None
+        return replace(t, torques=np.where(np.arange(6) < 3, t.torques, np.nan))
+
+    assert ("torque_sign", "tau2") in names(changed(whole, without))
+    assert find_mistakes(changed(arm(tmp_path), without)) == ()
+
+
+def test_a_lift_without_its_weight_is_told(tmp_path: Path) -> None:
+    """A column on a lift: an offset takes the missing weight in any fit, so only its size tells."""
+    robot = load_robot(write(tmp_path, LIFT))
+    clock = np.arange(0.0, 20.0, 0.01)
+    w, size = 2 * np.pi * np.array([0.21, 0.33]), np.array([0.1, 0.8])
+    angle = w * clock[:, None]
+    q, v, a = (size * x for x in (np.sin(angle), w * np.cos(angle), -(w**2) * np.sin(angle)))
+    table = recording(robot, None, (clock, q, v, a), torque_std=0.05, seed=0)
+    whole = experiment(robot, [Motion("a", "identification", table)])
+    assert find_mistakes(whole) == ()
+    assert table.torques is not None
+    weight = 9.81 * (3.0 + 2.0)
+    lighter = replace(table, torques=table.torques - [weight, 0.0])
+    (found,) = find_mistakes(experiment(robot, [Motion("a", "identification", lighter)]))
+    assert (found.name, found.where) == ("gravity_removed", "tau1")
+    assert "49 N" in found.text or "49.0 N" in found.text or "49.1 N" in found.text
+
+
+#: A carriage of 3 kg on a vertical rail, and an arm of 2 kg that swings about a horizontal axis on it.
+LIFT = """<robot name="lift"><link name="base"/>
+<joint name="rail" type="prismatic"><parent link="base"/><child link="carriage"/><axis xyz="0 0 1"/>
+<limit lower="-1" upper="1" effort="500" velocity="5"/></joint>
+<link name="carriage"><inertial><mass value="3"/>
+<inertia ixx="0.02" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="elbow" type="revolute"><origin xyz="0.1 0 0"/><parent link="carriage"/><child link="arm"/><axis xyz="0 1 0"/>
+<limit lower="-3" upper="3" effort="500" velocity="5"/></joint>
+<link name="arm"><inertial><origin xyz="0.3 0 0"/><mass value="2"/>
+<inertia ixx="0.01" iyy="0.03" izz="0.03" ixy="0" ixz="0" iyz="0"/>
+</inertial></link></robot>"""

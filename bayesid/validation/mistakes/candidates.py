@@ -95,33 +95,37 @@ def of_weight(robot: Robot, channels: Sequence[str]) -> list[Candidate]:
         if not torque:
             remedy = f"add that weight to {columns} again, or record them before it is taken out"
         out.append(Candidate("gravity_removed", "nominal", says, remedy, Change(weight_added=every)))
-    for j, column in enumerate(channels if torque and len(channels) > 1 else ()):
+    for k, column in enumerate(channels if torque and len(channels) > 1 else ()):
+        j = int(column.removeprefix("tau")) - 1
         name = robot.joint_names[j]
         says = f"gravity seems to be taken out of the torque of {name} ({column}) already, by a controller or a counterbalance"
         remedy = f"record {column} before gravity is compensated, or leave it out"
-        out.append(Candidate("gravity_removed", column, says, remedy, Change(weightless=(j,)), (j,)))
+        out.append(Candidate("gravity_removed", column, says, remedy, Change(weightless=(k,)), (j,)))
         if masses:
             says = f"gravity as the URDF's masses make it seems to be taken out of the torque of {name} ({column})"
             remedy = f"add that gravity torque to {column} again"
-            out.append(Candidate("gravity_removed", f"{column} nominal", says, remedy, Change(weight_added=(j,)), (j,)))
+            out.append(Candidate("gravity_removed", f"{column} nominal", says, remedy, Change(weight_added=(k,)), (j,)))
     return out
 
 
-def signs(names: Sequence[str], joints: Iterable[int], kind: str) -> Candidate:
+def signs(names: Sequence[str], measured: Sequence[int], joints: Iterable[int], kind: str) -> Candidate:
     """Opposite signs of some joints.
 
     Parameters
     ----------
     names
         All joints.
+    measured
+        Those whose torques are the readings.
     joints
         Which of them, from 0.
     kind
         ``torque``, ``position``, or ``joint`` for both.
     """
     which = tuple(joints)
-    turned, every = scaled(len(names), which, -1.0), len(which) == len(names) > 1
-    change = Change(turned if kind != "position" else None, turned if kind != "torque" else None)
+    every = which == tuple(measured if kind == "torque" else range(len(names)))
+    readings = scaled(len(measured), [k for k, j in enumerate(measured) if j in which], -1.0)
+    change = Change(readings if kind != "position" else None, scaled(len(names), which, -1.0) if kind != "torque" else None)
     letters = {"torque": ("tau",), "position": ("q",), "joint": ("q", "tau")}[kind]
     columns = in_words([f"{letter}{j + 1}" for j in which for letter in letters])
     where = "" if every else ",".join(f"{letters[0]}{j + 1}" for j in which)
@@ -139,13 +143,13 @@ def signs(names: Sequence[str], joints: Iterable[int], kind: str) -> Candidate:
     return Candidate(name, where, says, f"change the sign{several} of {columns}", change, which)
 
 
-def of_signs(names: Sequence[str], torques: bool) -> list[Candidate]:
+def of_signs(names: Sequence[str], measured: Sequence[int]) -> list[Candidate]:
     """Signs of one joint or all of them: torques, which loggers turn round, before positions, which follow the URDF."""
-    n, out = len(names), []
-    for kind in ("torque", "position", "joint") if torques else ("position",):
-        sets = [range(n)] if kind != "joint" and (n > 1 or kind == "torque") else []
-        sets += [[j] for j in range(n if n > 1 or kind != "torque" else 0)]
-        out += [signs(names, joints, kind) for joints in sets]
+    out = []
+    for kind in ("torque", "position", "joint") if measured else ("position",):
+        joints = range(len(names)) if kind == "position" else measured
+        sets = [] if kind == "joint" or len(joints) == 1 else [joints]
+        out += [signs(names, measured, chosen, kind) for chosen in [*sets, *([j] for j in joints)]]
     return out
 
 
@@ -357,12 +361,13 @@ def candidates(experiment: Experiment, channel: str, samples: Samples) -> list[C
     robot = experiment.robot
     names = robot.joint_names
     if channel == "torque":
-        out, columns = of_signs(names, True), tuple(f"tau{j + 1}" for j in range(robot.n))
+        measured = experiment.torque_joints
+        out, columns = of_signs(names, measured), tuple(f"tau{j + 1}" for j in measured)
     else:
         assert experiment.sensor is not None
         out, columns = of_wrench(experiment.sensor), WRENCH_NAMES
         if robot.sensor_parent >= 0:
             out += in_base_axes(base_axes(robot, experiment.sensor, samples.positions))
-        out += of_signs(names, False)
+        out += of_signs(names, ())
     out += [*of_weight(robot, columns), *of_gravity(robot.gravity)]
     return [*out, *of_degrees(robot, np.abs(samples.positions).max(axis=0))]

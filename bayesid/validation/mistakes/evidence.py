@@ -109,7 +109,7 @@ class Explainer:
     def __init__(self, robot: Robot, channels: Channels, samples: Samples) -> None:
         self.robot, self.channels, self.samples = robot, channels, samples
         self.torque = channels.names[0].startswith("tau")
-        others = np.eye((5 if self.torque else 2 * len(np.unique(samples.motion))) * len(channels))
+        others = np.eye(5 * robot.n if self.torque else 2 * len(np.unique(samples.motion)) * len(channels))
         families = [body_generators(robot)]
         if robot.nominal[:, 0].sum() > 0.0:  # each nominal body times a factor: far fewer numbers, where the URDF is good
             families.append(np.asarray(block_diag(*robot.nominal[:, :, None])))
@@ -153,8 +153,11 @@ class Explainer:
             fits.append(Fit(expand @ factors, residual, left, likelihood, self._counts[k] + change.numbers))
         return fits
 
-    def explains(self, fit: Fit, null: Fit) -> bool:
-        """Whether a fit explains the readings: of each kind in which it differs, a quarter of the power is left at most.
+    def explains(self, fit: Fit, null: Fit, change: Change) -> bool:
+        """Whether a fit of changed data explains the readings, and does not only make them more probable.
+
+        In the columns that it mends it closes half of the way to the least that can be left of them, in nats; and of each kind of
+        reading in which it differs, a quarter of the power is left at most.
 
         Parameters
         ----------
@@ -162,12 +165,17 @@ class Explainer:
             Of changed data.
         null
             Of the data as they are.
+        change
+            What was changed.
         """
-        units, worse = np.array(self.channels.units), np.exp(WORSE)
+        worse, units = np.exp(WORSE), np.array(self.channels.units)
         here, there = np.maximum(fit.left, self.floor), np.maximum(null.left, self.floor)
-        differs = (here > worse * there) | (there > worse * here)
+        mended, differs = there > worse * here, (here > worse * there) | (there > worse * here)
+        least = np.minimum(self._least(change), self._least(AS_RECORDED)) if self.torque else self.floor
+        way, closed = (np.log(there / np.minimum(end, there))[mended].sum() for end in (np.maximum(least, self.floor), here))
         kinds = [units == unit for unit in set(units[differs])]
-        return all(np.sum(fit.left[kind] ** 2) <= _LEFT * np.sum(self.variation[kind] ** 2) for kind in kinds)
+        explained = all(np.sum(fit.left[kind] ** 2) <= _LEFT * np.sum(self.variation[kind] ** 2) for kind in kinds)
+        return bool(closed >= 0.5 * way) and explained
 
     def highest_score(self, change: Change | None, worth: float) -> float:
         """What `Fit.score` of changed data cannot exceed [nats].
@@ -186,9 +194,14 @@ class Explainer:
         if change is not None:
             count += change.numbers
             if self.torque or change.readings is None:
-                holds = np.arange(len(left)) if change.readings is None else np.abs(change.readings).argmax(axis=0)
-                left = self.alone(change)[np.arange(len(left)), holds]
+                left = self._least(change)
         return _score(self._log_likelihood(left), count, worth)
+
+    def _least(self, change: Change) -> np.ndarray:
+        """What each column leaves by itself, as the reading that it holds (c,): no robot leaves less."""
+        columns = np.arange(len(self.channels))
+        holds = columns if change.readings is None else np.abs(change.readings).argmax(axis=0)
+        return self.alone(change)[columns, holds]
 
     def alone(self, change: Change) -> np.ndarray:
         """What each column leaves that is explained by itself as the reading of each channel (c, c) [unit of the column].
@@ -257,11 +270,16 @@ class Explainer:
         """Readings as recorded, with the weight that they lack (N, c)."""
         if not change.weight_added:
             return self.samples.readings
-        s, rows, still = self.samples, list(change.weight_added), np.zeros_like(self.samples.positions)
-        weight = Kernel.of(self.robot, self.channels).dynamics(s.positions, still, still) @ self.robot.nominal.ravel()
-        target = s.readings.copy()
-        target[:, rows] += weight[:, rows]
+        rows, target = list(change.weight_added), self.samples.readings.copy()
+        target[:, rows] += self.nominal_weight[:, rows]
         return target
+
+    @cached_property
+    def nominal_weight(self) -> np.ndarray:
+        """What the weight of the nominal bodies lets the channels read (N, c)."""
+        still = np.zeros_like(self.samples.positions)
+        kernel = Kernel.of(self.robot, self.channels)
+        return kernel.dynamics(self.samples.positions, still, still) @ self.robot.nominal.ravel()
 
     def _as_recorded(self, change: Change) -> tuple[np.ndarray, np.ndarray]:
         """Columns of all parameters in the columns of the table (N, c, p), and their products by column (c, p, p)."""
@@ -293,7 +311,10 @@ class Explainer:
         if change.weightless:
             rows = list(change.weightless)
             rigid[:, rows] = kernel.dynamics(*motion, gravity=False)[:, rows]
-        more = friction_columns(*motion[1:]) if self.torque else offset_columns(s.motion, len(self.channels))
+        if self.torque:
+            more = friction_columns(*motion[1:])[:, self.channels.joint]
+        else:
+            more = offset_columns(s.motion, len(self.channels))
         self._designs[key] = Design(np.concatenate([rigid, more], axis=2))
         return self._designs[key]
 

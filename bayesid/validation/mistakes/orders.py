@@ -37,6 +37,7 @@ def orders(explainer: Explainer, doubted: np.ndarray) -> list[Candidate]:
     free = [j for j in range(n) if doubted[j]]
     if len(free) < 2:
         return []
+    whole_arm = explainer.torque and len(explainer.channels) == n  # torques of some joints keep their places
     same, whole = tuple(range(n)), _whole(names)
     pairs = [_exchanged(same, j, k) for j, k in itertools.combinations(free, 2)]
     usual = {same, *whole, *pairs}
@@ -49,7 +50,7 @@ def orders(explainer: Explainer, doubted: np.ndarray) -> list[Candidate]:
         change = Change() if positions == same else Change(joints=np.eye(n)[list(positions)])
         costs = np.log(np.maximum(explainer.alone(change), explainer.floor[:, None]))
         torques = {same: None}
-        if explainer.torque:
+        if whole_arm:
             torques |= dict.fromkeys([positions, *(usual if positions == same else ())])
             stated = np.log(np.maximum(explainer.alone_by_nominal(change), explainer.floor[:, None]))
             torques |= dict.fromkeys(_assigned(c, held, free) for c in (costs, stated) for held in (same, positions))
@@ -60,7 +61,7 @@ def orders(explainer: Explainer, doubted: np.ndarray) -> list[Candidate]:
             odds = sum(-log(factorial(_moved(o))) for o in {positions, held} - usual)
             odds += _SECOND if candidate.name == "column_order" else 0.0
             found[positions, held] = replace(candidate, odds=odds)
-        if explainer.torque:
+        if whole_arm:
             least[positions] = min(float(sum(costs[column, joint] for joint, column in enumerate(held))) for held in torques)
         else:
             least[positions] = float(costs.trace())

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from bayesid.validation.mistakes.candidates import Candidate, in_words, signs
-from bayesid.validation.mistakes.evidence import AS_RECORDED, WORSE, Change, Explainer
+from bayesid.validation.mistakes.evidence import AS_RECORDED, EXPLAINED, WORSE, Change, Explainer
 from bayesid.validation.mistakes.mistake import Mistake
 from bayesid.validation.mistakes.plausible import usual_bodies
 
@@ -38,8 +38,9 @@ def by_joint(explainer: Explainer, worth: float) -> list[Candidate]:
     out = []
     negative = np.flatnonzero(told < 0.0)
     if 1 < len(negative) < n:
-        out.append(signs(explainer.robot.joint_names, negative, "torque"))
-    odd = [int(j) for j in np.flatnonzero(shown) if not 1.0 / _NOMINAL < abs(told[j]) < _NOMINAL]
+        measured = [int(j) for j in explainer.channels.joint]
+        out.append(signs(explainer.robot.joint_names, measured, [measured[k] for k in negative], "torque"))
+    odd = [int(k) for k in np.flatnonzero(shown) if not 1.0 / _NOMINAL < abs(told[k]) < _NOMINAL]
     spread = np.ptp(np.log(np.abs(told[shown]))) if shown.any() else 0.0
     if not odd or not np.log(_ALIKE) < spread < np.log(_ABSURD):  # a factor that all have in common changes no fit
         return out
@@ -48,12 +49,13 @@ def by_joint(explainer: Explainer, worth: float) -> list[Candidate]:
         fit = max(explainer.fit(Change(readings=np.diag(1.0 / sizes), numbers=n)), key=lambda f: f.score(worth))
         again, seen = _sizes(explainer, fit.parameters[: bodies.size])
         sizes = np.where(shown & seen, again, sizes)
-    factors = in_words([f"{told[j]:.2g} (tau{j + 1})" for j in odd])
+    columns = explainer.channels.names
+    factors = in_words([f"{told[k]:.2g} ({columns[k]})" for k in odd])
     says = (
         "the columns tau seem to be in units of their own, as motor currents [A] or torques before the gears are: "
         f"{factors} times what {_beside(explainer)}"
     )
-    constants = in_words([f"{1.0 / told[j]:.2g} (tau{j + 1})" for j in odd])
+    constants = in_words([f"{1.0 / told[k]:.2g} ({columns[k]})" for k in odd])
     remedy = f"multiply each by its motor's constant and gear ratio, with their sign; from these data about {constants}"
     return [*out, Candidate("torque_scales", "", says, remedy, Change(readings=np.diag(1.0 / sizes), numbers=n))]
 
@@ -103,6 +105,29 @@ def implausible_size(explainer: Explainer, change: Change = AS_RECORDED) -> list
     remedy = "; or ".join(remedy for _, remedy in either)
     text = f"The joint torques (tau) seem to be {says}: they are {size} times what {_beside(explainer)}; {remedy}"
     return [Mistake("torque_units", "", text, "torque", evidence=float("inf"))]
+
+
+def weight_carried(explainer: Explainer) -> list[Mistake]:
+    """Joints that carry a constant weight, as of a lift, which is not in their readings: no fit with an offset misses it."""
+    nominal, out = explainer.robot.nominal, []
+    if not explainer.torque or nominal[:, 0].sum() == 0.0:
+        return out
+    weight, read = explainer.nominal_weight, explainer.samples.readings.mean(axis=0)
+    sizes, shown = _sizes(explainer, nominal)
+    usual = float(np.median(np.abs(sizes[shown]))) if shown.any() else 1.0
+    for k, column in enumerate(explainer.channels.names):
+        mean, unit = weight[:, k].mean(), explainer.channels.units[k]
+        constant = np.abs(weight[:, k] - mean).max() < EXPLAINED * abs(mean)
+        if not constant or abs(mean) < explainer.floor[k] or abs(read[k]) > usual * abs(mean) / _NOMINAL:
+            continue
+        name = explainer.robot.joint_names[int(explainer.channels.joint[k])]
+        text = (
+            f"The weight that {name} carries is not in {column}: it is {read[k]:.2g} {unit} on average, and the URDF's masses "
+            f"need {mean:.3g} {unit}; a counterbalance, a brake or the controller takes it. No mass comes from this column: "
+            "leave it out, or record it before gravity is compensated"
+        )
+        out.append(Mistake("gravity_removed", column, text, "torque", evidence=float("inf")))
+    return out
 
 
 def _bodies(explainer: Explainer) -> np.ndarray:

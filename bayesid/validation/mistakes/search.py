@@ -17,7 +17,7 @@ from bayesid.validation.mistakes.evidence import AS_RECORDED, EXPLAINED, WORSE, 
 from bayesid.validation.mistakes.mistake import Mistake
 from bayesid.validation.mistakes.orders import orders
 from bayesid.validation.mistakes.samples import low_passed
-from bayesid.validation.mistakes.scale import by_joint, implausible_size
+from bayesid.validation.mistakes.scale import by_joint, implausible_size, weight_carried
 from bayesid.validation.mistakes.tilt import tilted
 from bayesid.validation.mistakes.wording import not_explained, told
 
@@ -64,10 +64,10 @@ class Search:
         self.null = max(unchanged, key=self._score)
         self.needed = max(NEEDED, self.worth * WORSE)
         stated, n = unchanged[-1], explainer.robot.n
-        unexplained = stated.left > _DOUBTED * explainer.variation
-        self.doubted = unexplained & (stated.left > explainer.floor)
-        if not explainer.torque:
-            self.doubted = np.full(n, (stated.left > EXPLAINED * explainer.variation).any())
+        unexplained = (stated.left > _DOUBTED * explainer.variation) & (stated.left > explainer.floor)
+        self.doubted = np.full(n, (stated.left > EXPLAINED * explainer.variation).any())
+        if explainer.torque:
+            self.doubted[explainer.channels.joint] = unexplained
         self.tried: list[Tried] = []
 
     @property
@@ -84,7 +84,9 @@ class Search:
     def try_out(self, every: Iterable[Candidate]) -> None:
         """Fit robots with each candidate undone, but for those that could be neither named nor listed beside what is."""
         now = self._score(self.null)
-        bounds = [(self.explainer.highest_score(c.change, self.worth) - now + c.odds, c) for c in every if self._doubtful(c)]
+        known = {(t.candidate.name, t.candidate.where) for t in self.tried}
+        new = [c for c in every if self._doubtful(c) and (c.name, c.where) not in known]
+        bounds = [(self.explainer.highest_score(c.change, self.worth) - now + c.odds, c) for c in new]
         fitted: dict[int, Tried] = {}
         best = self.best.evidence if self.best else 0.0
         for k in sorted(range(len(bounds)), key=lambda k: -bounds[k][0]):
@@ -146,7 +148,12 @@ def _in_channel(experiment: Experiment, channel: str, unknown: Container[tuple[s
         return []
     explainer = Explainer(experiment.robot, make_channels(experiment, channel), samples)
     search = searched(experiment, explainer, channel, unknown)
-    best = search.best
+    return [*_named(experiment, search), *weight_carried(explainer)]
+
+
+def _named(experiment: Experiment, search: Search) -> list[Mistake]:
+    """The likeliest mistake, and another size than that of a robot where signs are all that is wrong beside it."""
+    best, explainer = search.best, search.explainer
     if best is None or best.evidence < search.needed:
         # Of readings that no robot explains at all, not even the size means anything.
         explained = np.median(search.null.left / explainer.variation) < 0.5
@@ -154,7 +161,7 @@ def _in_channel(experiment: Experiment, channel: str, unknown: Container[tuple[s
     alike = [t for t in search.tried if t.evidence > max(best.evidence - ALIKE, NEEDED)]
     # What was made to suit the data is said where nothing else suits them as well.
     alike = [t for t in alike if not t.candidate.change.numbers] or alike
-    remedies = [t for t in alike if explainer.explains(t.fit, search.null)]
+    remedies = [t for t in alike if explainer.explains(t.fit, search.null, t.candidate.change)]
     if not remedies:
         return [not_explained(explainer, search.null, best.fit)]
     found = told(experiment, explainer, search.null, [(t.candidate, t.fit) for t in remedies], remedies[0].evidence)
@@ -185,9 +192,10 @@ def searched(experiment: Experiment, explainer: Explainer, channel: str, unknown
 def _several_signs(search: Search) -> list[Candidate]:
     """Opposite signs of all joints of which each alone has the evidence of a mistake."""
     names, out = search.explainer.robot.joint_names, []
+    measured = [int(j) for j in search.explainer.channels.joint] if search.explainer.torque else []
     for kind in ("torque", "position", "joint"):
         likely = {t.candidate.where for t in search.tried if t.candidate.name == f"{kind}_sign" and t.evidence > NEEDED}
         joints = [j for j in range(len(names)) if likely & {f"q{j + 1}", f"tau{j + 1}"}]
-        if 1 < len(joints) < len(names):
-            out.append(signs(names, joints, kind))
+        if 1 < len(joints) < len(names if kind == "position" else measured):
+            out.append(signs(names, measured, joints, kind))
     return out
