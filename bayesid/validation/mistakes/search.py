@@ -131,10 +131,10 @@ def find_mistakes(experiment: Experiment, unknown: Container[tuple[str, str]] = 
             try:
                 with np.errstate(over="ignore", invalid="ignore"):
                     late, guessed = delayed(experiment, channel), _in_channel(experiment, channel, unknown)
-                    if late is not None:
-                        guessed = [*(m for m in guessed if m.evidence > late.evidence), late]
-                        guessed = guessed if np.isinf(guessed[0].evidence) else guessed[:1]
-                    found += guessed
+                if late is not None:
+                    guessed = [m for m in guessed if m.evidence > late.evidence]
+                    found += [] if any(np.isfinite(m.evidence) for m in guessed) else [late]
+                found += guessed
             except (InputError, np.linalg.LinAlgError, ValueError, RuntimeError):
                 # Too short or too uneven to be smoothed, or numbers of a size that no robot has: others say that better.
                 continue
