@@ -16,6 +16,8 @@ from bayesid.robot.prior import Prior
 _DRAWN = 5000
 #: A link's length, for the solver's units [m].
 _LENGTH = 0.1
+#: Weight of the size of what is not shown beside that of what is, squared standard deviations a squared SI unit.
+_LITTLE = 1e-6
 
 
 def as_payload(fitted: Fit, index: int, dispersion: float) -> tuple[Term, float]:
@@ -29,15 +31,19 @@ def as_payload(fitted: Fit, index: int, dispersion: float) -> tuple[Term, float]
         return term, 0.0
     at = [column for column, (owner, _) in enumerate(fitted.free) if owner == index]
     values, covariance = np.array(term.values), dispersion * fitted.covariance[np.ix_(at, at)]
-    size = np.sqrt(np.maximum(np.diag(covariance), 1e-30))
-    spread, axes = np.linalg.eigh(covariance / np.outer(size, size))
-    root = (axes / np.sqrt(np.maximum(spread, max(1e-9 * spread[-1], 1e-300)))).T / size
+    # What the data do not show, as all inertia of poses at rest, is whatever a possible body needs, and little.
+    shown = np.diag(covariance) > 0.0
+    size = np.sqrt(np.where(shown, np.diag(covariance), 1.0))
+    spread, axes = np.linalg.eigh((covariance / np.outer(size, size))[np.ix_(shown, shown)])
+    root = np.zeros((len(spread), 10))
+    root[:, shown] = (axes / np.sqrt(np.maximum(spread, max(1e-9 * spread[-1], 1e-300)))).T / size[shown]
     # In units of the change's own size, so that masses and moments of inertia weigh alike in the solver.
     body, pseudo = cp.Variable(10), cp.Variable((4, 4), PSD=True)
     length = np.array([_LENGTH, _LENGTH, _LENGTH, 1.0])
     basis = (inertia.BASIS / np.outer(length, length)).reshape(10, 16) * size[:, None]
     same: list[cp.Constraint] = [cp.vec(pseudo, order="C") == basis.T @ body]
-    problem = cp.Problem(cp.Minimize(cp.sum_squares((root * size) @ body - root @ values)), same)
+    little = _LITTLE * cp.sum_squares(body[~shown]) if not shown.all() else 0.0
+    problem = cp.Problem(cp.Minimize(cp.sum_squares((root * size) @ body - root @ values) + little), same)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a distance of three digits is accurate enough
         try:
@@ -47,7 +53,7 @@ def as_payload(fitted: Fit, index: int, dispersion: float) -> tuple[Term, float]
     if body.value is None:
         return term, 0.0
     distance = np.sum(((root * size) @ body.value - root @ values) ** 2)
-    if chi2.sf(distance, 10) < fitted.projector.data.settings.possible_body:
+    if chi2.sf(distance, len(root)) < fitted.projector.data.settings.possible_body:
         return term, 0.0
     effect = next(e for e in fitted.projector.data.places(name) if e.where == term.effect.where)
     joint = effect.joint or 0

@@ -39,7 +39,9 @@ def with_noise(
         For the roundings.
     """
     exact, settings = predict(segment), segment.settings
-    smoothed_positions = smooth(segment.times, segment.encoders, segment.scene.bandwidth)[0]
+    smoothed_positions = segment.encoders
+    if not segment.apart:
+        smoothed_positions = smooth(segment.times, segment.encoders, segment.scene.bandwidth)[0]
     channels = exact.shape[1]
     signal = segment.spectrum(exact)
     scatter = np.zeros((len(segment.frequencies), channels, channels))

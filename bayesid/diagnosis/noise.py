@@ -12,6 +12,7 @@ from bayesid.diagnosis.encoders import Encoders, encoder_count, with_noise
 from bayesid.diagnosis.noise_spectrum import measure
 from bayesid.diagnosis.repeats import find_rests
 from bayesid.diagnosis.spectra import Segment, low_passed, sensor_noise
+from bayesid.dynamics.regressors import dynamics_regressor
 from bayesid.effects import MotionSegment, Term
 from bayesid.recordings.table import usual_step
 from bayesid.regression.readings import has_readings, readings_of
@@ -27,9 +28,11 @@ def at_instants(data: DiagnosisData, links: np.ndarray, terms: Sequence[Term], s
     def points(segments: Sequence[Segment]) -> tuple[Segment, ...]:
         out = []
         for s in segments:
-            old = s.scene
-            scene = smoothed(s.times, s.encoders, s.times, old.bandwidth, s.still, old.middle_positions, old.clear)
-            out.append(s if s.still else replace(s, scene=scene, instant=True))
+            if not s.still:
+                old = s.scene
+                scene = smoothed(s.times, s.encoders, s.times, old.bandwidth, s.still, old.middle_positions, old.clear)
+                s = replace(s, scene=scene, instant=True)
+            out.append(s)
         return tuple(out)
 
     return with_noise_of(replace(data, segments=points(data.segments), unseen=points(data.unseen)), links, terms, seed)
@@ -42,17 +45,17 @@ def with_noise_of(data: DiagnosisData, links: np.ndarray, terms: Sequence[Term],
     """
     rng = np.random.default_rng(seed)
     everything = [*data.segments, *data.unseen]
+    if all(s.apart for s in everything):
+        return _poses_with_noise(data, links, terms, rng)
     sensor = {still: sensor_noise([s for s in everything if s.still == still]) for still in sorted({s.still for s in everything})}
     moving = [s for s in everything if not s.still]
-    n = data.robot.n
-    stated = data.experiment.position_resolution
-    count = np.array([stated or max(encoder_count(s.encoders[:, j], data.settings) for s in moving) for j in range(n)])
+    count = _encoder_counts(data, moving)
     smooth_ = [smooth(s.times, s.encoders, s.scene.bandwidth)[0] for s in moving]
     error = np.sqrt(np.mean([np.mean((s.encoders - q) ** 2, axis=0) for s, q in zip(moving, smooth_, strict=True)], axis=0))
     random = np.sqrt(np.maximum(error**2 - count**2 / 12.0, 0.0))
     random = np.where(random > 0.5 * count, random, 0.0)
     if data.experiment.position_std is not None:
-        random = np.full(n, data.experiment.position_std)
+        random = np.full(data.robot.n, data.experiment.position_std)
 
     def predict(segment: Segment) -> np.ndarray:
         return data.predict(segment, links, terms)
@@ -82,6 +85,50 @@ def with_noise_of(data: DiagnosisData, links: np.ndarray, terms: Sequence[Term],
 
     fitted, unseen, known = noisy(data.segments), noisy(data.unseen), spectrum is not None or not filtered
     return replace(data, segments=fitted, unseen=unseen, floor_known=known, floor_source=source, spectrum=spectrum)
+
+
+def _encoder_counts(data: DiagnosisData, segments: Sequence[Segment]) -> np.ndarray:
+    """One count of each encoder (n,) [rad or m], as stated or as its readings show."""
+    stated = data.experiment.position_resolution
+    counts = [[encoder_count(column, data.settings) for column in s.encoders.T] for s in segments]
+    return np.full(data.robot.n, stated) if stated else np.max(counts, axis=0)
+
+
+def _poses_with_noise(data: DiagnosisData, links: np.ndarray, terms: Sequence[Term], rng: np.random.Generator) -> DiagnosisData:
+    """The same for poses at rest: their readings have white noise."""
+    noise, count = pose_noise(data), _encoder_counts(data, [*data.segments, *data.unseen])
+    random = np.full(data.robot.n, data.experiment.position_std or 0.0)
+
+    def noisy(segments: Sequence[Segment]) -> tuple[Segment, ...]:
+        return tuple(
+            with_noise(
+                s, lambda segment: data.predict(segment, links, terms),
+                lambda segment, read: replace(segment, scene=replace(segment.scene, positions=read)), noise, count, random, rng,
+            )
+            for s in segments
+        )  # fmt: skip
+
+    source = "stated" if _stated_noise(data) is not None else "richest model"
+    return replace(data, segments=noisy(data.segments), unseen=noisy(data.unseen), floor_known=True, floor_source=source)
+
+
+def pose_noise(data: DiagnosisData) -> np.ndarray:
+    """Noise of the wrench of poses (c,): the data sheet's, or what any bodies and any linear map of their wrench leave."""
+    stated = _stated_noise(data)
+    if stated is not None:
+        return stated
+    every = [*data.segments, *data.unseen]
+    q, read = (np.concatenate([getattr(s, name) for s in every]) for name in ("encoders", "readings"))
+    rigid = dynamics_regressor(data.robot, data.channels, q, 0.0 * q, 0.0 * q)
+    beside = np.column_stack([rigid @ data.robot.nominal.ravel(), np.ones(len(q))])
+    out = np.empty(read.shape[1])
+    for c in range(len(out)):
+        columns = np.column_stack([rigid[:, c], beside])
+        basis, power, _ = np.linalg.svd(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300), full_matrices=False)
+        basis = basis[:, power > 1e-9 * power[0]]
+        left = read[:, c] - basis @ (basis.T @ read[:, c])
+        out[c] = np.sqrt(np.sum(left**2) / max(len(q) - basis.shape[1], 1))
+    return out
 
 
 def _rests(data: DiagnosisData, count: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:

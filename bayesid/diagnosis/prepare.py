@@ -12,7 +12,7 @@ from bayesid.diagnosis.data import DiagnosisData
 from bayesid.diagnosis.noise import smoothed, with_noise_of
 from bayesid.diagnosis.settings import DEFAULT, Settings
 from bayesid.diagnosis.spectra import Segment
-from bayesid.effects import Term, middle_of, starting_point
+from bayesid.effects import MotionSegment, Term, middle_of, starting_point
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, Motion
 from bayesid.recordings.table import usual_step
@@ -80,20 +80,26 @@ def prepare_data(
     for name in names:
         if name not in known:
             raise InputError(f"{argument('motions', name)}: no such motion in experiment.toml; it has {', '.join(sorted(known))}")
-    usable = [m for m in experiment.motions if m.kind == "trajectory" and has_readings(m.table, channel)]
+    readable = [m for m in experiment.motions if has_readings(m.table, channel)]
+    at_rest = not any(m.kind == "trajectory" for m in readable if m.name in names)
+    usable = [m for m in readable if (m.kind == "poses") == at_rest]
     chosen = [m for m in usable if m.name in names]
-    if not chosen and any(m.name in names and m.kind == "poses" for m in experiment.motions):
+    if chosen and at_rest and channel != "wrench":
         raise InputError(
-            f"only poses at rest are to be fitted, and a diagnosis needs a trajectory; name one with {argument('motions')}"
+            "only poses at rest are to be fitted, where friction holds with whatever torque it takes; record a trajectory, or "
+            f"take the wrench of a sensor with {argument('channel', 'wrench')}"
         )
     if not chosen:
         raise InputError(
             f"no motion with readings for {argument('channel', channel)} can be fitted; add one with role identification"
         )
     unseen = [m for m in usable if m.role == "validation" and m.name not in names]
-    rate = min(1.0 / usual_step(m.table.times) for m in [*chosen, *unseen])
-    clearest, *each = _clear(experiment, [*chosen, *unseen], settings)
-    bandwidth = min(max(clearest, settings.smoothing_bandwidth), 0.2 * rate)
+    if at_rest:
+        each, bandwidth = [np.inf] * len([*chosen, *unseen]), np.inf
+    else:
+        rate = min(1.0 / usual_step(m.table.times) for m in [*chosen, *unseen])
+        clearest, *each = _clear(experiment, [*chosen, *unseen], settings)
+        bandwidth = min(max(clearest, settings.smoothing_bandwidth), 0.2 * rate)
     # One mount, one stiffness: "the middle of the motion" is the same pose for all motions, the first one's.
     middle = middle_of(chosen[0].table.positions)
     share = settings.fitted_clear_share
@@ -141,6 +147,8 @@ def _segments(
     settings: Settings,
 ) -> list[Segment]:
     """Gap-free recordings of a motion and of its static run."""
+    if motion.kind == "poses":
+        return _poses(experiment, motion, channel, middle, settings)
     tables = [(motion.table, False)]
     # At rest drives hold with friction whatever it takes; only the wrench of a static run is a measurement.
     if channel == "wrench" and motion.static is not None and motion.static.wrench is not None and motion.stop_and_go:
@@ -167,6 +175,17 @@ def _segments(
                 Segment(motion.name, motion.role, times, positions, read, scene, still, torques, np.zeros(0), settings=settings)
             )
     return out
+
+
+def _poses(experiment: Experiment, motion: Motion, channel: str, middle: np.ndarray, settings: Settings) -> list[Segment]:
+    """Poses as recorded, one after the other at even times: cosines of their order are as good as any basis."""
+    table = motion.table
+    times, still = np.arange(len(table), dtype=float), np.zeros_like(table.positions)
+    if len(table) <= settings.shortest_segment:
+        return []
+    scene = MotionSegment(times, table.positions, still, still, True, np.inf, middle)
+    read = readings_of(experiment, table, channel)
+    return [Segment(motion.name, motion.role, times, table.positions, read, scene, True, (), np.zeros(0), settings=settings)]
 
 
 def _fast_count(count: int) -> int:

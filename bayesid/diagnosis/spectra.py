@@ -88,6 +88,11 @@ class Segment:
         return float((self.times[-1] - self.times[0]) / (len(self.times) - 1))
 
     @property
+    def apart(self) -> bool:
+        """Whether the samples are poses that do not follow each other: then their positions are not smoothed."""
+        return bool(np.isinf(self.scene.bandwidth))
+
+    @property
     def shape(self) -> tuple[int, int]:
         """Number of coefficients and channels."""
         return len(self.frequencies), self.readings.shape[1]

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesid.diagnosis.locate import BANDS, by_band, by_window, places_looked_at
+from bayesid.diagnosis.noise import pose_noise
 from bayesid.diagnosis.separation import Visible, visible
 from bayesid.diagnosis.spectra import Segment, sensor_noise
 from bayesid.diagnosis.validation import residual_spectra
@@ -188,8 +189,8 @@ def _signals(diagnosis: Findings, judged: list[tuple[Segment, np.ndarray, bool]]
 
 def _noise(diagnosis: Findings) -> tuple[Noise, ...]:
     data = diagnosis.data
-    moving = [s for s in (*data.segments, *data.unseen) if not s.still]
-    sample = sensor_noise(moving)
+    moving = [s for s in (*data.segments, *data.unseen) if not s.still or s.apart]
+    sample = pose_noise(data) if moving[0].apart else sensor_noise(moving)
     count = sum(len(s.times) for s in moving)
     band = np.sum([len(s.frequencies) * np.mean(s.weight(s.times) ** 2, axis=0) for s in moving], axis=0) / count
     total = np.sum([np.einsum("kcc->c", s.covariance) for s in moving], axis=0) / count

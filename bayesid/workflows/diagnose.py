@@ -202,7 +202,8 @@ def _with_next_motion(result: Diagnosis, seed: int, progress: Progress) -> Diagn
 
 def _with_description(result: Diagnosis, seed: int, progress: Progress) -> Diagnosis:
     """The diagnosis with a draft of what stays, where no effect explains it."""
-    if result.verdict not in ("unknown", "named_in_part"):
+    at_rest = all(s.still for s in result.data.segments)  # a draft is made of courses in time
+    if result.verdict not in ("unknown", "named_in_part") or at_rest:
         return result
     progress("describing what no effect explains")
     s = result.search

@@ -1,0 +1,65 @@
+"""A diagnosis of poses at rest: the wrench of each is a measurement of its own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import bayesid
+from bayesid.errors import InputError
+from bayesid.recordings.experiment import Sensor
+from bayesid.simulation.trajectories import Trajectory
+from tests.simulated import experiment, puma2
+
+EFFECTS = {
+    "sensor_crosstalk@mx->fz": {"coefficient": 0.1},
+    "sensor_rotation@sensor": {"rx": 0.05, "ry": 0.0, "rz": 0.03},
+    "payload@joint2": {"m": 4.0, "mcx": 1.2, "Ixx": 0.02, "Iyy": 0.4, "Izz": 0.4},
+}
+
+
+def poses(name: str, role, count: int, seed: int) -> Trajectory:
+    q = np.random.default_rng(seed).uniform(-2.0, 2.0, (count, 2))
+    return Trajectory(name, role, np.arange(float(count)), q, 0.0 * q, 0.0 * q, kind="poses")
+
+
+def recorded(folder: Path, effects: dict, seed: int = 1) -> bayesid.Simulation:
+    """140 poses of the two-joint robot, links known to 1 %."""
+    robot = puma2(folder)
+    setup = experiment(robot, [], Sensor(translation=np.array([0.0, 0.0, -0.1])), inertia_rel_std=0.01)
+    planned = [poses("identification", "identification", 100, seed), poses("validation", "validation", 40, seed + 1)]
+    recorder = bayesid.Recorder(force_std=0.2, torque_std=0.02, resolution=1e-5)
+    return bayesid.simulate(setup, planned, effects=effects, recorder=recorder, seed=seed)
+
+
+@pytest.mark.parametrize("stated", [True, False], ids=["noise stated", "noise not stated"])
+@pytest.mark.parametrize("effect", list(EFFECTS))
+def test_a_hidden_effect_is_named(effect: str, stated: bool, tmp_path: Path) -> None:
+    simulation = recorded(tmp_path, {effect: EFFECTS[effect]})
+    assert simulation.sensor is not None
+    if not stated:
+        simulation = replace(simulation, sensor=replace(simulation.sensor, force_std=None, torque_std=None))
+    diagnosis = bayesid.diagnose(simulation, channel="wrench")
+    assert diagnosis.verdict == "named" and [f.term.effect.spec for f in diagnosis.found] == [effect]
+    (entry,) = diagnosis.to_dict()["effects"]
+    for key, truth in EFFECTS[effect].items():
+        value, std = entry["parameters"][key]["value"], entry["parameters"][key]["std"]
+        if std is not None:
+            assert abs(value - truth) < 5.0 * std
+    # A body is told by how far the links would be from the nominal ones without it; the sensor's effects by what they leave.
+    assert diagnosis.gap.after < 1.1 and (diagnosis.gap.before > 2.0 or effect.startswith("payload"))
+    diagnosis.write(tmp_path / "out")
+    assert (tmp_path / "out" / "report.html").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3, 4])
+def test_nothing_is_named_where_nothing_is_missing(seed: int, tmp_path: Path) -> None:
+    assert bayesid.diagnose(recorded(tmp_path, {}, seed), channel="wrench").verdict == "nothing_missing"
+
+
+def test_torques_of_poses_hold_friction_and_say_nothing(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="where friction holds with whatever torque"):
+        bayesid.diagnose(recorded(tmp_path, {}), channel="torque")
