@@ -7,8 +7,9 @@ Of motions that were not fitted, with residuals e below 10 Hz and noise n^2 ther
     |e| <= 1.96 sqrt(A V A' + r^2 + n^2),    r^2 = quantile of e^2 / 1.96^2 - A V A' - n^2,
 
 and so has a band of that width for any other motion. Residuals that were fitted are smaller by what the parameters took,
-whose mean is ``A V A'`` once more: with its sign turned they tell r^2 where no motion was held out. Where what is left is as
-large as noise and parameters make it, nothing is lacking and r is zero.
+whose mean is ``A V A'`` once more: with its sign turned they tell r^2 where no motion was held out. Where one was, they are
+taken along as they are, at least that large: how much a model lacks differs between motions, and the next may be like any of
+them. Where what is left is as large as noise and parameters make it, nothing is lacking and r is zero.
 """
 
 from __future__ import annotations
@@ -133,7 +134,8 @@ def remainder(problem: Problem, model: ReadingModel, floor: NoiseFloor | None = 
     Parameters
     ----------
     problem
-        The experiment; its motions of role ``validation`` where there are any with such readings, else those that were fitted.
+        The experiment; its motions of role ``validation`` and those that were fitted, as far as they have such readings. Bounds
+        are of the former where there are any.
     model
         Of the joint torques, or of the wrench, whose mean over a motion is left to the sensor's offset.
     floor
@@ -142,26 +144,29 @@ def remainder(problem: Problem, model: ReadingModel, floor: NoiseFloor | None = 
     readable = [m for m in problem.experiment.motions if m.name in problem.segments and m.kind != "poses"]
     with_readings = [m for m in readable if _read(model, m) is not None]
     judges = [m for m in with_readings if m.role == "validation" and m.name not in problem.fitted]
-    chosen = judges or [m for m in with_readings if m.name in problem.fitted]
-    parts = [part for motion in chosen for part in _left(problem, model, motion)]
-    if not parts:
+    fitted = [m for m in with_readings if m.name in problem.fitted]
+    unseen, seen = ([part for m in motions for part in _left(problem, model, m)] for motions in (judges, fitted))
+    if not (parts := [*unseen, *seen]):
         return None
     e, v, y, variance = (np.concatenate([part[k] for part in parts]) for k in range(1, 5))
+    count = sum(len(part[0]) for part in unseen) or len(e)  # samples that bounds are of come first
     noise = _noise_below(problem, model, floor, float(np.median(np.diff(parts[0][0]))))
     taken = not judges and set(model.channels.names) <= set(problem.row_model.channels.names)
-    own = -variance if taken else variance
+    own = -variance if taken else np.where(np.arange(len(e))[:, None] < count, variance, 0.0)
     lacking = np.mean(e**2 - np.minimum(own, 0.0), axis=0) > TOLERATED**2 * (noise + np.mean(np.maximum(own, 0.0), axis=0))
     more = e**2 / HALF**2 - own - noise
     speed = _speeds(v, model.channels.names)
     edges = np.quantile(speed, np.arange(1, _CLASSES + 1) / _CLASSES, axis=0)
     bounds, middles, error = np.zeros((3, e.shape[1], _CLASSES))
     for j, k, at in _classes(speed, edges):
-        bounds[j, k], middles[j, k] = np.quantile(np.abs(e[at, j]), SHARE), np.median(speed[at, j])
+        middles[j, k] = np.median(speed[at, j])
         error[j, k] = np.sqrt(max(float(np.quantile(more[at, j], LEVEL)), 0.0)) if lacking[j] else 0.0
-    rms = [np.sqrt(np.mean(x**2, axis=0)) for x in (e, y)]
+    for j, k, at in _classes(speed[:count], edges):
+        bounds[j, k] = np.quantile(np.abs(e[:count][at, j]), SHARE)
+    rms = [np.sqrt(np.mean(x[:count] ** 2, axis=0)) for x in (e, y)]
     found = Remainder(
-        model.channels.names, tuple(m.name for m in chosen), bool(judges), np.quantile(np.abs(e), SHARE, axis=0), edges.T, bounds,
-        rms[0] / np.maximum(rms[1], 1e-300), middles, error, (),
+        model.channels.names, tuple(m.name for m in judges or fitted), bool(judges),
+        np.quantile(np.abs(e[:count]), SHARE, axis=0), edges.T, bounds, rms[0] / np.maximum(rms[1], 1e-300), middles, error, (),
     )  # fmt: skip
     paths = [(left / np.maximum(np.sqrt(s + found.at(w) ** 2), 1e-300), t) for t, left, w, _, s in parts]
     return replace(found, paths=tuple(paths))
