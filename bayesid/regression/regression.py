@@ -101,9 +101,12 @@ class Regression:
 
     @property
     def nominal(self) -> np.ndarray | None:
-        """Base parameters of the nominal model (r,), if there is one."""
+        """Base parameters of the nominal model (r,), if there is one; zero where a sum leaves nothing but rounding."""
         links = self.knowledge.nominal_links
-        return None if links is None else self.base.matrix @ links
+        if links is None:
+            return None
+        nominal = self.base.matrix @ links
+        return np.where(np.abs(nominal) > 1e-12 * (np.abs(self.base.matrix) @ np.abs(links)), nominal, 0.0)
 
     @cached_property
     def nominal_scale(self) -> np.ndarray | None:

@@ -175,14 +175,14 @@ def intervals_figure(regression: Regression | LoadedIdentification, estimate: Es
 def _parameters(regression: Regression, estimate: Estimate) -> list[dict[str, Any]]:
     rows = []
     nominal = [DASH] * estimate.base.rank if regression.nominal is None else [number(v) for v in regression.nominal]
-    for k, (label, unit, kind) in enumerate(zip(estimate.base.labels, estimate.base.units, estimate.classes, strict=True)):
-        low, high = estimate.low[k], estimate.high[k]
-        value, spread = with_interval(estimate.values[k], estimate.std[k], low, high)
+    found = estimate.parameters()
+    for k in range(estimate.base.rank):
+        low, high = found.low[k], found.high[k]
+        value, spread = with_interval(found.values[k], found.std[k], low, high)
         rows.append(
             {
-                "index": k + 1, "label": label, "value": value, "half": spread, "unit": unit, "kind": kind,
-                "interval": ends(low, high),
-                "nominal": nominal[k],
+                "index": k + 1, "label": found.labels[k], "value": value, "half": spread, "unit": found.units[k],
+                "kind": found.classes[k], "interval": ends(low, high), "nominal": nominal[k],
             }
         )  # fmt: skip
     return rows

@@ -67,5 +67,7 @@ def physical(body: np.ndarray) -> np.ndarray:
     if abs(body[0]) < 1e-9:
         return np.concatenate([body[:1], np.full(9, np.nan)])
     mass, com, about = inertia.to_mass_com_inertia(body)
+    size = max(float(np.sqrt(np.abs(about).max() / abs(mass))), float(np.abs(com).max()))
     about = np.where(np.abs(about) > 1e-9 * np.abs(about).max(), about, 0.0)  # rounding is no product of inertia
+    com = np.where(np.abs(com) > 1e-9 * size, com, 0.0)
     return np.array([mass, *com, about[0, 0], about[0, 1], about[1, 1], about[0, 2], about[1, 2], about[2, 2]])

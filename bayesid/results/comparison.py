@@ -11,6 +11,7 @@ import numpy as np
 from bayesid.drawing import figures_of
 from bayesid.errors import InputError
 from bayesid.estimators import Estimate
+from bayesid.estimators.parameters import joined
 from bayesid.estimators.weights import Weights
 from bayesid.regression.problem import Problem
 from bayesid.regression.regression import Regression
@@ -288,17 +289,13 @@ def values_table(result: Comparison, *, effects: bool = False) -> list[dict[str,
     base, regression = result.regression.base, result.regression
     labels, units = (regression.effect_names, regression.effect_units) if effects else (base.labels, base.units)
     first, rows = base.rank if effects else 0, []
-    nominal = None if effects or regression.nominal is None else regression.nominal
-    if nominal is not None and regression.nominal_scale is not None:  # rounding is no parameter
-        nominal = np.where(np.abs(nominal) > 1e-9 * regression.nominal_scale, nominal, 0.0)
+    nominal = None if effects else regression.nominal
+    found = [estimate.parameters() for estimate in result.estimates.values()]
     for k, (label, unit) in enumerate(zip(labels, units, strict=True)):
         cells = []
-        for estimate in result.estimates.values():
-            at = first + k
-            spread = (estimate.full_std[at], estimate.full_low[at], estimate.full_high[at])
-            value, half = with_interval(estimate.solution[at], *spread)
-            text = value if half == DASH else f"{value} in {half}" if "…" in half else f"{value} ± {half}"
-            cells.append({"value": value, "half": half, "text": text})
+        for p in found:
+            value, half = with_interval(*(float(x[first + k]) for x in (p.values, p.std, p.low, p.high)))
+            cells.append({"value": value, "half": half, "text": joined(value, half)})
         rows.append({"index": k + 1, "label": label, "unit": unit, "cells": cells,
                      "nominal": DASH if nominal is None else number(nominal[k])})  # fmt: skip
     return rows
