@@ -26,7 +26,7 @@ from bayesid.results.accuracy import Accuracy
 from bayesid.results.files import Files, amend, files_of, read_document
 from bayesid.results.identification import Identification
 from bayesid.signals.filters import LowPass
-from bayesid.workflows.progress import Clock, Progress, quiet
+from bayesid.workflows.progress import SHOWN, Clock, Progress, shows_progress
 from bayesid.workflows.warnings import incomplete
 
 #: Fewest twins of a level that a standard deviation can be taken of.
@@ -37,6 +37,7 @@ _FAR = 4.0
 _SAME = 0.01
 
 
+@shows_progress
 def accuracy(
     experiment: Experiment | Identification | str | Path,
     channel: str | None = None,
@@ -55,7 +56,7 @@ def accuracy(
     seed: int = 0,
     kept: str | Path | None = None,
     resume: bool = False,
-    progress: Progress = quiet,
+    progress: Progress | None = SHOWN,
 ) -> Accuracy:
     """How accurate an identification is, and what its accuracy depends on.
 
@@ -81,7 +82,7 @@ def accuracy(
     kept, resume
         File that keeps the certificate's twins while it runs, and whether to go on from it.
     progress
-        Called with what is going on.
+        Called with what is going on; default: shown where it takes over two seconds; None: never.
 
     Raises
     ------
@@ -106,20 +107,20 @@ def accuracy(
         varied = None
         if runs:
             clock("simulating")
-            varied = sweep(bench, runs, seed, progress)
+            varied = sweep(bench, runs, seed, clock.progress)
         std = bench.estimate.std
         if varied is not None:
             std = np.where(np.isfinite(std), std, varied.own.std)
         clock("effects left out")
-        biases = susceptibility(bench, std, tell=progress)
+        biases = susceptibility(bench, std, tell=clock.progress)
         choice = None
         if candidates:
             clock("sensors")
-            choice = choose_sensor(bench, candidates, progress)
+            choice = choose_sensor(bench, candidates, clock.progress)
         found = None
         if certificate:
             clock("certificate")
-            found = certify(bench, certificate, seed, progress, None if kept is None else Path(kept), resume)
+            found = certify(bench, certificate, seed, clock.progress, None if kept is None else Path(kept), resume)
     return Accuracy(bench, std, varied, biases, found, choice, _warnings(bench, varied, found), clock.stop())
 
 

@@ -40,7 +40,7 @@ from bayesid.simulation.trajectory_file import read_trajectory
 from bayesid.validation.noise_floor import noise_floor
 from bayesid.workflows.bounds_told import assumptions, warnings
 from bayesid.workflows.identify import identify
-from bayesid.workflows.progress import Clock, Progress, quiet
+from bayesid.workflows.progress import SHOWN, Clock, Progress, shows_progress
 from bayesid.workflows.sample import sample
 from bayesid.workflows.saved_run import known_from_run, prior_text
 from bayesid.workflows.urdf_links import joint_dynamics
@@ -51,6 +51,7 @@ _TRAINED, _SHOWN = 2000, 2
 DRAWS = 2000
 
 
+@shows_progress
 def bounds(
     source: ExperimentPosterior | Identification | Experiment | str | Path,
     *,
@@ -68,7 +69,7 @@ def bounds(
     effects: str | Sequence[str] | None = None,
     static: str | None = None,
     bandwidth: float | None = None,
-    progress: Progress = quiet,
+    progress: Progress | None = SHOWN,
 ) -> ControllerBounds:
     """Bounds for the design of a controller: of parameters, mass matrix, Coriolis terms, gravity and torques.
 
@@ -96,7 +97,7 @@ def bounds(
     channel, options, low_pass, motions, effects, static, bandwidth
         As in `bayesid.identify`; for experiments.
     progress
-        Called with the name of every stage.
+        Called with the name of every stage; default: shown where it takes over two seconds; None: never.
 
     Raises
     ------

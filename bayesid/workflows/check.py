@@ -21,7 +21,7 @@ from bayesid.results.files import Files, files_of
 from bayesid.results.inspection import Inspection, MotionSummary, SensorSet
 from bayesid.signals.smoothing import smooth
 from bayesid.validation.mistakes.search import find_mistakes
-from bayesid.workflows.progress import Progress, quiet
+from bayesid.workflows.progress import SHOWN, Progress, quiet, shows_progress
 from bayesid.workflows.warnings import told_first
 
 _GROUPS = {"positions": "q", "velocities": "v", "commanded": "qr", "torques": "tau", "wrench": "wrench"}
@@ -29,7 +29,8 @@ _GROUPS = {"positions": "q", "velocities": "v", "commanded": "qr", "torques": "t
 _SMOOTHED = 50_000
 
 
-def check(experiment: Experiment | str | Path, progress: Progress = quiet) -> Inspection:
+@shows_progress
+def check(experiment: Experiment | str | Path, progress: Progress | None = SHOWN) -> Inspection:
     """Say what an experiment contains: robot, motions, noise, and what each set of readings could show.
 
     Parameters
@@ -37,13 +38,14 @@ def check(experiment: Experiment | str | Path, progress: Progress = quiet) -> In
     experiment
         Loaded, or its folder.
     progress
-        Called with the name of every stage.
+        Called with the name of every stage; default: shown where it takes over two seconds; None: never.
 
     Raises
     ------
     InputError
         The folder cannot be read, or ``[model] effects`` names an effect or a place that does not exist.
     """
+    progress = progress or quiet
     progress("reading")
     experiment = as_experiment(experiment)
     progress("motions")

@@ -32,7 +32,7 @@ from bayesid.validation.agreement import HausmanTest, gaps, hausman
 from bayesid.validation.baselines import nominal_estimates
 from bayesid.validation.noise_floor import NoiseFloor, noise_floor
 from bayesid.validation.prediction import predict
-from bayesid.workflows.progress import Progress, quiet
+from bayesid.workflows.progress import SHOWN, Progress, quiet, shows_progress
 from bayesid.workflows.urdf_links import urdf_links
 from bayesid.workflows.warnings import incomplete, repeated_motion, told_first
 
@@ -41,6 +41,7 @@ from bayesid.workflows.warnings import incomplete, repeated_motion, told_first
 DEFAULT_SET = ("ols", "wls", "gls", "huber", "iv", "sdp")
 
 
+@shows_progress
 def compare(
     experiment: Experiment | Regression | str | Path,
     methods: str | Estimator | Sequence[str | Estimator] | None = None,
@@ -52,7 +53,7 @@ def compare(
     effects: str | Sequence[str] | None = None,
     static: str | None = None,
     bandwidth: float | None = None,
-    progress: Progress = quiet,
+    progress: Progress | None = SHOWN,
 ) -> Comparison:
     """Fit the same rows with several estimators and put the results side by side.
 
@@ -67,7 +68,7 @@ def compare(
     channel, options, low_pass, motions, effects, static, bandwidth
         As in `bayesid.identify`; not for a regression.
     progress
-        Called with the name of every stage.
+        Called with the name of every stage; default: shown where it takes over two seconds; None: never.
 
     Raises
     ------
@@ -76,7 +77,7 @@ def compare(
     EstimationError
         No estimator could work with these data.
     """
-    chosen = _chosen(methods)
+    chosen, progress = _chosen(methods), progress or quiet
     options = fit_options(options, channel, low_pass, motions, effects, static, bandwidth)
     started = time.perf_counter()
     seconds: dict[str, float] = {}

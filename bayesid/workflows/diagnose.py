@@ -37,7 +37,7 @@ from bayesid.results.diagnosis import Diagnosis
 from bayesid.results.files import Files, files_of, strict
 from bayesid.results.telling import NEXT_MOTION, telling_sentence, write_motion
 from bayesid.workflows.changes import changes
-from bayesid.workflows.progress import Progress, quiet
+from bayesid.workflows.progress import SHOWN, Progress, quiet, shows_progress
 
 
 @overload
@@ -51,7 +51,7 @@ def diagnose(
     effects: str | Sequence[str] | None = None,
     seed: int = 0,
     settings: Settings | None = None,
-    progress: Progress = quiet,
+    progress: Progress | None = SHOWN,
 ) -> Diagnosis: ...
 
 
@@ -66,10 +66,11 @@ def diagnose(
     effects: str | Sequence[str] | None = None,
     seed: int = 0,
     settings: Settings | None = None,
-    progress: Progress = quiet,
+    progress: Progress | None = SHOWN,
 ) -> Changes: ...
 
 
+@shows_progress
 def diagnose(
     experiment: Experiment | str | Path,
     channel: str | None = None,
@@ -80,7 +81,7 @@ def diagnose(
     effects: str | Sequence[str] | None = None,
     seed: int = 0,
     settings: Settings | None = None,
-    progress: Progress = quiet,
+    progress: Progress | None = SHOWN,
 ) -> Diagnosis | Changes:
     """Find where model and data disagree, name the missing effect, add it and show on held-out motions that the gap shrank.
 
@@ -125,7 +126,7 @@ def diagnose(
     """
     chosen = some_options("diagnose", options, channel=channel, motions=motions, effects=effects)
     channel, motions, effects = chosen.channel, chosen.motions, chosen.effects
-    settings = settings or DEFAULT
+    settings, progress = settings or DEFAULT, progress or quiet
     if reference is not None:
         return changes(experiment, reference, channel, motions, effects, seed, settings, progress)
     since = time.perf_counter()

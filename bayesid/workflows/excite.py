@@ -34,9 +34,10 @@ from bayesid.robot.robot import Robot
 from bayesid.robot.typical import states_masses
 from bayesid.simulation.trajectories import Trajectory, recorded_trajectories
 from bayesid.simulation.trajectory_file import read_trajectory, write_trajectory
-from bayesid.workflows.progress import Clock, Progress, quiet
+from bayesid.workflows.progress import SHOWN, Clock, Progress, shows_progress
 
 
+@shows_progress
 def excite(
     setup: Experiment | Robot | str | Path,
     options: ExcitationOptions | None = None,
@@ -70,7 +71,7 @@ def excite(
     starts: int | None = None,
     randoms: int | None = None,
     seconds: float | None = None,
-    progress: Progress = quiet,
+    progress: Progress | None = SHOWN,
 ) -> Excitation:
     """Find the motion within limits that determines a robot's parameters best.
 
@@ -89,7 +90,7 @@ def excite(
     diagnosability, blocks, stops, settle, read, starts, randoms, seconds
         As in `bayesid.ExcitationOptions`, which explains them.
     progress
-        Called with the name of every stage.
+        Called with the name of every stage; default: shown where it takes over two seconds; None: never.
 
     Raises
     ------
@@ -113,7 +114,7 @@ def excite(
     with one_blas_thread():
         clock("searching")
         check_blocks(chosen.blocks)
-        plan = make_plan(experiment, chosen, warm, seed, progress)
+        plan = make_plan(experiment, chosen, warm, seed, clock.progress)
         clock("expected deviations")
         result = _result(plan, clock)
     return result

@@ -30,7 +30,7 @@ from bayesid.results.identifiability import Identifiability
 from bayesid.robot.robot import Robot
 from bayesid.simulation.trajectories import Trajectory, fourier_trajectory
 from bayesid.simulation.trajectory_file import read_trajectory
-from bayesid.workflows.progress import Clock, Progress, quiet
+from bayesid.workflows.progress import SHOWN, Clock, Progress, shows_progress
 
 _READ = {"wrench": "wrench", "torque": "joint torques"}
 _TAKES = "pass the folder of an experiment, an Experiment, a Robot with trajectories, or a Regression"
@@ -40,6 +40,7 @@ _TAKES = "pass the folder of an experiment, an Experiment, a Robot with trajecto
 Planned = str | Path | Trajectory
 
 
+@shows_progress
 def identifiability(
     given: Experiment | Robot | Regression | str | Path,
     trajectories: Planned | Sequence[Planned] | None = None,
@@ -51,7 +52,7 @@ def identifiability(
     effects: str | Sequence[str] | None = None,
     bandwidth: float | None = None,
     tell: Sequence[str] | None = None,
-    progress: Progress = quiet,
+    progress: Progress | None = SHOWN,
 ) -> Identifiability:
     """What motions can and cannot determine, for each sensor set side by side, and what would make the difference.
 
@@ -78,7 +79,7 @@ def identifiability(
     tell
         Effects, ``name@where``, for which it is asked how well these motions would tell them apart.
     progress
-        Called with the name of every stage.
+        Called with the name of every stage; default: shown where it takes over two seconds; None: never.
 
     Raises
     ------

@@ -30,11 +30,12 @@ from bayesid.validation.cross_checks import Agreement, Alone, fits_alone, motion
 from bayesid.validation.flexible import FlexibleModel, flexible_gaps
 from bayesid.validation.noise_floor import NoiseFloor, noise_floor
 from bayesid.validation.prediction import Prediction, predict
-from bayesid.workflows.progress import Clock, Progress, quiet
+from bayesid.workflows.progress import SHOWN, Clock, Progress, shows_progress
 from bayesid.workflows.urdf_links import missing_rotors, urdf_links
 from bayesid.workflows.warnings import incomplete, listed, mistaken, not_settled, repeated_motion, told_first, unpredicted
 
 
+@shows_progress
 def identify(
     experiment: Experiment | str | Path,
     channel: str | None = None,
@@ -47,7 +48,7 @@ def identify(
     static: str | None = None,
     bandwidth: float | None = None,
     unconstrained_urdf: bool = False,
-    progress: Progress = quiet,
+    progress: Progress | None = SHOWN,
 ) -> Identification:
     """Base parameters with uncertainty, link parameters, and held-out validation.
 
@@ -75,7 +76,7 @@ def identify(
     unconstrained_urdf
         Also write ``identified-unconstrained.urdf``: links with exactly the estimated base parameters, possible or not.
     progress
-        Called with the name of every stage.
+        Called with the name of every stage; default: shown where it takes over two seconds; None: never.
 
     Raises
     ------

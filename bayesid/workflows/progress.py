@@ -1,17 +1,103 @@
-"""Stages of a verb: told to a progress display as they begin, and timed."""
+"""Stages of a verb: told to a progress display as they begin, and timed; shown where nothing else is asked for."""
 
 from __future__ import annotations
 
+import functools
+import inspect
+import sys
+import threading
 import time
+import warnings
 from collections.abc import Callable
+from typing import Any, ParamSpec, TypeVar
 
 #: Called with the name of every stage.
 Progress = Callable[[str], None]
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
+#: Nothing is shown of what is done sooner [s].
+DELAY = 2.0
+_REFRESHED = 0.5  # the time that has gone by, on a terminal and in a notebook [s]
 
 
 def quiet(_: str) -> None:
     """No display of the progress."""
     return None
+
+
+class _Shown:
+    """Stands for a display that begins when a verb has taken `DELAY`, see `shows_progress`."""
+
+    def __call__(self, _: str) -> None:
+        """Do nothing: the verb calls the display."""
+
+    def __repr__(self) -> str:
+        return "SHOWN"
+
+
+#: The default of ``progress``: stages are shown where they take over two seconds; None: never.
+SHOWN = _Shown()
+
+
+def shows_progress(verb: Callable[_P, _R]) -> Callable[_P, _R]:
+    """A verb whose ``progress`` is a display while that is `SHOWN`."""
+    signature = inspect.signature(verb)
+
+    @functools.wraps(verb)
+    def shown(*args: _P.args, **kwargs: _P.kwargs) -> _R:
+        given = signature.bind(*args, **kwargs)
+        if given.arguments.get("progress", SHOWN) is not SHOWN:
+            return verb(*args, **kwargs)
+        with _Display(verb.__name__) as display:
+            given.arguments["progress"] = display
+            return verb(*given.args, **given.kwargs)
+
+    return shown
+
+
+class _Display:
+    """The stage and the time that has gone by, in a line of tqdm's: on a terminal, in a notebook, or a line a stage elsewhere."""
+
+    def __init__(self, verb: str):
+        self.verb, self.stage, self.bar = verb, "", None
+        self.done, self.since = threading.Event(), time.time()
+        self.thread = threading.Thread(target=self._run, daemon=True)
+
+    def __call__(self, stage: str) -> None:
+        """Another stage begins."""
+        self.stage = stage
+
+    def __enter__(self) -> _Display:
+        self.thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.done.set()
+        self.thread.join()
+        if self.bar is not None:
+            self.bar.close()
+
+    def _run(self) -> None:
+        if self.done.wait(DELAY):
+            return
+        lasting = "ipykernel" in sys.modules or sys.stderr is None or not sys.stderr.isatty()
+        self.bar = _tqdm()(desc=self.verb, bar_format="{desc} [{elapsed}]", leave=lasting)
+        self.bar.start_t = self.since
+        live, told = "ipykernel" in sys.modules or not lasting, None
+        while True:
+            if live or self.stage != told:
+                told = self.stage
+                self.bar.set_description_str(f"{self.verb}: {told}")
+            if self.done.wait(_REFRESHED):
+                return
+
+
+def _tqdm() -> Any:
+    """Tqdm for where this runs; without widgets in a notebook, the one that writes text."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        from tqdm.auto import tqdm
+    return tqdm
 
 
 class Clock:
@@ -20,13 +106,13 @@ class Clock:
     Attributes
     ----------
     progress
-        Is told.
+        Is told; None: nobody is.
     seconds
         Run time of every stage that is over [s].
     """
 
-    def __init__(self, progress: Progress):
-        self.progress, self.seconds = progress, {}
+    def __init__(self, progress: Progress | None):
+        self.progress, self.seconds = progress or quiet, {}
         self.stage, self.since = "", time.perf_counter()
 
     def __call__(self, stage: str) -> None:

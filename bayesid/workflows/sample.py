@@ -42,7 +42,7 @@ from bayesid.signals.noise import NoiseModel
 from bayesid.validation.flexible import flexible_gaps
 from bayesid.validation.noise_floor import noise_floor
 from bayesid.validation.prediction import Prediction, predict
-from bayesid.workflows.progress import Clock, Progress, quiet
+from bayesid.workflows.progress import SHOWN, Clock, Progress, shows_progress
 from bayesid.workflows.warnings import incomplete, listed, repeated_motion, told_first, unpredicted
 
 PRIORS = ("nominal", "flat")
@@ -64,7 +64,7 @@ class SampleChoices(TypedDict, total=False):
     effects: str | Sequence[str] | None
     static: str | None
     bandwidth: float | None
-    progress: Progress
+    progress: Progress | None
 
 
 @overload
@@ -77,6 +77,7 @@ def sample(
 ) -> ExperimentPosterior: ...
 
 
+@shows_progress
 def sample(
     experiment: Experiment | Regression | str | Path,
     draws: int = 2000,
@@ -95,7 +96,7 @@ def sample(
     effects: str | Sequence[str] | None = None,
     static: str | None = None,
     bandwidth: float | None = None,
-    progress: Progress = quiet,
+    progress: Progress | None = SHOWN,
 ) -> Posterior:
     """Draws from the posterior over base parameters, the links behind them, effects and the noise.
 
@@ -121,7 +122,7 @@ def sample(
     channel, options, low_pass, motions, effects, static, bandwidth
         As in `bayesid.identify`; for experiments.
     progress
-        Called with the name of every stage.
+        Called with the name of every stage; default: shown where it takes over two seconds; None: never.
 
     Raises
     ------
@@ -154,7 +155,7 @@ def sample(
         result = run(
             model, choose_engine(model, sampler.engine, sampler.moves), draws=draws, chains=sampler.chains, seed=seed,
             longest=sampler.longest, checkpoint=None if sampler.checkpoint is None else Path(sampler.checkpoint),
-            resume=sampler.resume, tell=progress,
+            resume=sampler.resume, tell=clock.progress,
         )  # fmt: skip
         clock("prediction")
         posterior = _with_predictions(model, result, seed, check, regression, problem, trust, clock)

@@ -23,9 +23,10 @@ from bayesid.results.telling import write_motion
 from bayesid.results.told import TRAJECTORY, Told
 from bayesid.simulation.simulation import simulate
 from bayesid.simulation.trajectories import fourier_trajectory
-from bayesid.workflows.progress import Clock, Progress, quiet
+from bayesid.workflows.progress import SHOWN, Clock, Progress, shows_progress
 
 
+@shows_progress
 def tell(
     experiment: Experiment | str | Path,
     effects: Sequence[str],
@@ -44,7 +45,7 @@ def tell(
     acceleration: float | Sequence[float] | None = None,
     sensor_range: Sequence[float] | None = None,
     collisions: bool | None = None,
-    progress: Progress = quiet,
+    progress: Progress | None = SHOWN,
 ) -> Told:
     """Find the motion within limits that best tells effects apart, and how probably it decides.
 
@@ -63,7 +64,7 @@ def tell(
     channel, duration, period, harmonics, rate, joints, share, torque_share, acceleration, sensor_range, collisions
         As in `bayesid.ExcitationOptions`, which explains them.
     progress
-        Called with the name of every stage.
+        Called with the name of every stage; default: shown where it takes over two seconds; None: never.
 
     Raises
     ------

@@ -20,9 +20,10 @@ from bayesid.regression.options import FitOptions, some_options
 from bayesid.regression.parallel import one_blas_thread
 from bayesid.results.files import Files, files_of, strict
 from bayesid.results.watch import Watch, Watched
-from bayesid.workflows.progress import Progress, quiet
+from bayesid.workflows.progress import SHOWN, Progress, quiet, shows_progress
 
 
+@shows_progress
 def watch(
     reference: Experiment | str | Path,
     recordings: Experiment | str | Path | Sequence[Experiment | str | Path],
@@ -33,7 +34,7 @@ def watch(
     effects: str | Sequence[str] | None = None,
     seed: int = 0,
     settings: Settings | None = None,
-    progress: Progress = quiet,
+    progress: Progress | None = SHOWN,
     tell: Callable[[Watched], object] = lambda _: None,
 ) -> Watch:
     """Compare recordings of a robot with one of its known state: what changed, and when.
@@ -64,7 +65,7 @@ def watch(
     """
     since = time.perf_counter()
     chosen = some_options("watch", options, channel=channel, motions=motions, effects=effects)
-    settings = settings or DEFAULT
+    settings, progress = settings or DEFAULT, progress or quiet
     progress("reading")
     before = as_experiment(reference)
     series = [as_experiment(r) for r in ([recordings] if isinstance(recordings, (Experiment, str, Path)) else recordings)]
