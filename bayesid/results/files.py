@@ -35,7 +35,7 @@ WRITTEN = {
     ),  # fmt: skip
     "identifiability": ("identifiability.json",),
     "identify": ("estimate.json", "identified.urdf", "identified-unconstrained.urdf", "model.toml"),
-    "sample": ("posterior.json", "posterior.nc"),
+    "sample": ("posterior.json", "posterior.nc", "identified.urdf"),
     "watch": ("watch.json",),
 }
 

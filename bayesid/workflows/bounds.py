@@ -43,7 +43,7 @@ from bayesid.workflows.identify import identify
 from bayesid.workflows.progress import SHOWN, Clock, Progress, shows_progress
 from bayesid.workflows.sample import sample
 from bayesid.workflows.saved_run import known_from_run, prior_text
-from bayesid.workflows.urdf_links import joint_dynamics
+from bayesid.workflows.urdf_links import joint_dynamics, posterior_robot
 
 #: Samples of the fitted motions that standard deviations are looked at in, and motions of the experiment that get bands.
 _TRAINED, _SHOWN = 2000, 2
@@ -156,13 +156,15 @@ def _known(source: ExperimentPosterior | Identification, prior_std: float | None
     model, columns = source.model, source.columns.reshape(-1, source.columns.shape[-1])
     links = source.link_draws
     nothing, rank = np.zeros(columns.shape[1], bool), source.base.rank
-    dynamics = joint_dynamics(source.problem, columns.mean(axis=0)[rank:], ~nothing[rank:])
+    robot = posterior_robot(source)
+    dynamics = joint_dynamics(source.problem, columns.mean(axis=0)[rank:], ~nothing[rank:]) if robot is None else robot[1]
     prior = model.prior_draws(DRAWS, np.random.default_rng(source.seed))
     kept = model.physical and links is not None
     return known_from(
         source.problem, source="posterior", method=prior_text(model.noise, model.prior is None),
         mean=columns.mean(axis=0), covariance=np.atleast_2d(np.cov(columns.T)), undetermined=nothing, dynamics=dynamics,
-        draws=columns, link_draws=links.reshape(-1, links.shape[-1]) if kept and links is not None else None,
+        urdf=None if robot is None else robot[0], draws=columns,
+        link_draws=links.reshape(-1, links.shape[-1]) if kept and links is not None else None,
         prior_draws=prior if kept else None, trust=prior_std or source.trust,
         dispersion=model.likelihood.dispersion, count=DRAWS, seed=seed,
     )  # fmt: skip

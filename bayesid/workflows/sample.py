@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TypedDict, Unpack, overload
+from typing import Any, TypedDict, Unpack, overload
 
 import numpy as np
 from scipy.linalg import cholesky
@@ -37,12 +37,14 @@ from bayesid.regression.rows import make_blocks
 from bayesid.results.files import Files, files_of
 from bayesid.results.posterior import ExperimentPosterior
 from bayesid.robot.prior import Prior
+from bayesid.robot.urdf import write_urdf
 from bayesid.signals.filters import LowPass
 from bayesid.signals.noise import NoiseModel
 from bayesid.validation.flexible import flexible_gaps
 from bayesid.validation.noise_floor import noise_floor
 from bayesid.validation.prediction import Prediction, predict
 from bayesid.workflows.progress import SHOWN, Clock, Progress, shows_progress
+from bayesid.workflows.urdf_links import posterior_robot
 from bayesid.workflows.warnings import incomplete, listed, repeated_motion, told_first, unpredicted
 
 PRIORS = ("nominal", "flat")
@@ -187,10 +189,13 @@ def _(result: Posterior) -> Figures:
 
 @files_of.register
 def _(result: ExperimentPosterior) -> Files:
-    """``posterior.nc``, ``posterior.json`` and the report."""
+    """``posterior.nc``, ``posterior.json``, where links are drawn ``identified.urdf``, and the report."""
     from bayesid.report.posterior import posterior_report
 
-    others = {"posterior.nc": lambda path: write_netcdf(result.to_arviz(), path)}
+    others: dict[str, Callable[[Path], Any]] = {"posterior.nc": lambda path: write_netcdf(result.to_arviz(), path)}
+    if (found := posterior_robot(result)) is not None:
+        robot, (links, dynamics) = result.problem.experiment.robot, found
+        others["identified.urdf"] = lambda path: write_urdf(robot, links, path, dynamics)
     return Files({"posterior.json": result.to_dict()}, others, posterior_report(result))
 
 

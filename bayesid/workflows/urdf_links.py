@@ -13,6 +13,7 @@ from bayesid.estimators.conic.consistent_links import consistent_links
 from bayesid.estimators.nonlinear import solve
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import Problem, prepare
+from bayesid.results.posterior import ExperimentPosterior
 from bayesid.results.urdf_links import UrdfLinks
 from bayesid.robot.typical import states_masses, typical_links
 from bayesid.robot.urdf import JointDynamics
@@ -93,6 +94,18 @@ def _links_with(problem: Problem, method: Estimator, options: FitOptions) -> Urd
         return urdf_links(*solve(prepare(problem.experiment, replace(options, bandwidth=problem.smoother.bandwidth)), method))
     except (BayesidError, np.linalg.LinAlgError):
         return None
+
+
+def posterior_robot(posterior: ExperimentPosterior) -> tuple[np.ndarray, JointDynamics] | None:
+    """Links (P,), which can exist, and friction of a posterior's mean, its ``identified.urdf``; None where no links are drawn.
+
+    The mean of bodies that can exist can exist: their pseudo-inertias are a convex set.
+    """
+    links = posterior.link_draws
+    if links is None or not posterior.model.physical:
+        return None
+    effects = posterior.effect_draws.mean(axis=(0, 1))
+    return links.mean(axis=(0, 1)), joint_dynamics(posterior.problem, effects, np.ones(len(effects), bool))
 
 
 def joint_dynamics(

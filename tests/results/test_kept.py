@@ -227,3 +227,17 @@ def test_what_is_no_result_is_refused(loaded, arm, tmp_path):
 def drawn(figure):
     """Numbers of the lines of a figure."""
     return [line.get_xydata().tolist() for ax in figure.axes for line in ax.lines]
+
+
+def test_identified_urdf_is_the_same_robot_whichever_verb_writes_it(results, loaded, arm, tmp_path):
+    """Of the estimate, of bounds around it, and of bounds by its files; of the posterior, and of bounds around that."""
+    def written(result, name):
+        return (result.write(tmp_path / name).parent / "identified.urdf").read_text(encoding="utf-8")
+
+    folders = {kind: loaded[kind].path.parent for kind in ("identification", "bounds", "posterior")}
+    text = {kind: (folder / "identified.urdf").read_text(encoding="utf-8") for kind, folder in folders.items()}
+    again = bayesid.bounds(arm, run=folders["identification"], configurations=8)
+    assert text["identification"] == text["bounds"] == written(again, "again")
+    assert text["posterior"] == written(bayesid.bounds(results["posterior"], configurations=8), "around")
+    for one in text.values():
+        assert one.count("damping=") == 2  # the viscous friction of both joints
