@@ -10,7 +10,6 @@ from bayesid.diagnosis.data import Episode
 from bayesid.diagnosis.fit import Fit
 from bayesid.diagnosis.projector import NuisanceProjector
 from bayesid.diagnosis.rows import term_rows
-from bayesid.diagnosis.significance import stands_out
 from bayesid.diagnosis.spectra import Segment
 from bayesid.effects import Effect, ExternalContact, Term
 from bayesid.effects.loads import CONTACT_RAMP
@@ -35,19 +34,16 @@ def pulse(times: np.ndarray, start: float, end: float) -> np.ndarray:
     return np.clip(np.minimum(times - start, end - times) / ramp, 0.0, 1.0)
 
 
-def is_excuse(best: Fit, index: int, dispersion: float) -> bool:
+def is_excuse(best: Fit, index: int) -> bool:
     """Whether a contact found is no more than an excuse for something else.
 
-    It does not act in held-out motions, so nothing there can deny it. So its force must stand out of its own interval, it must
-    end inside the recording, and last for no more than half of the motion; what lasts longer has to be an effect that is there
-    in other motions, too.
+    It does not act in held-out motions, so nothing there can deny it. So it must end inside the recording, and last for no more
+    than half of the motion; what lasts longer has to be an effect that is there in other motions, too.
 
     Parameters
     ----------
     best, index
         The model, and which of its effects; False for all that is no contact.
-    dispersion
-        The dispersion factor.
     """
     term = best.terms[index]
     if not (isinstance(term, Episode) and isinstance(term.effect, ExternalContact)):
@@ -55,9 +51,7 @@ def is_excuse(best: Fit, index: int, dispersion: float) -> bool:
     start, end = term.values[:2]
     times = np.concatenate([s.times for s in best.projector.data.segments if s.motion == term.motion and not s.still])
     first, last = float(times.min()), float(times.max())
-    if end > last - 0.5 * CONTACT_RAMP or end - start > best.projector.data.settings.longest_contact * (last - first):
-        return True
-    return not stands_out(best, index, dispersion, ("fx", "fy", "fz"))
+    return end > last - 0.5 * CONTACT_RAMP or end - start > best.projector.data.settings.longest_contact * (last - first)
 
 
 def contact_terms(projector: NuisanceProjector, fit: Fit, left: np.ndarray) -> Iterator[tuple[list[Term], float]]:

@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from bayesid.diagnosis.bodies import as_payload
 from bayesid.diagnosis.candidates import Library, Proposal
 from bayesid.diagnosis.fit import Fit, advance, begin, finish, fit
 from bayesid.diagnosis.noise_models import NoiseModels
@@ -104,9 +103,7 @@ def _one_more(state: State, first: Sequence[Proposal] | None) -> tuple[NoiseMode
     top = max(fits, key=lambda f: f.score, default=None)
     if top is None:
         return models, None
-    as_body = as_payload(top, len(top.terms) - 1, dispersion)[1]
-    demanded = top.score - best.score + as_body * dispersion >= state.settings.accept * dispersion
-    return models, top if demanded else None
+    return models, top if top.score - best.score >= state.settings.accept * dispersion else None
 
 
 def _families(library: Library, proposals: Sequence[Proposal], dispersion: float) -> list[tuple[Term, ...]]:

@@ -20,7 +20,7 @@ from bayesid.diagnosis.held_out import held_out_sums, left_by, scaled
 from bayesid.diagnosis.projector import make_projector
 from bayesid.diagnosis.rivals import Found
 from bayesid.diagnosis.search import Search
-from bayesid.diagnosis.significance import distance, stands_out
+from bayesid.diagnosis.significance import distance, differs_from_zero
 from bayesid.diagnosis.white_noise import noise_share, with_white_noise
 from bayesid.effects import Effect, Linearisation, Term
 
@@ -36,14 +36,10 @@ class Share:
     ----------
     share, share_low
         Share of the gap that it closes beside those before it, and the lower end of its one-sided 95 % interval.
-    own, own_low
-        Share that is lost without it while all others stay, and its lower end.
     """
 
     share: float
     share_low: float
-    own: float
-    own_low: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,21 +236,21 @@ def _concluded(
     another = [n for n in range(len(kept)) if is_another(data, best.terms[known + n : known + n + 1])]
     if not another and not np.isfinite(best.score):
         return None
-    # Columns promised more than the exact fit beside the others keeps, or what is no more than another effect.
-    faint = another or [n for n in range(len(kept)) if not stands_out(best, known + n)]
+    steps = [before, *(choice.squares(kept[: n + 1]) for n in range(len(kept)))]
+    shares = [Share(*choice.share(steps[n], steps[n + 1], before)) for n in range(len(kept))]
+    # Columns promised more than the exact fit beside the others keeps, or what is no more than another effect; and what closes
+    # nothing, once effects that it stood beside have gone.
+    faint = another or [n for n in range(len(kept)) if not differs_from_zero(best, known + n) or shares[n].share_low <= 0.0]
     if faint:
         least = min(faint, key=lambda n: distance(best, known + n)[0])
         rest = [n for n in range(len(kept)) if n != least]
         model = [t for n, t in enumerate(model) if n != known + least]
         return _concluded(s, choice, [kept[n] for n in rest], model, [rivals[n] for n in rest], before) if rest else None
-    steps = [before, *(choice.squares(kept[: n + 1]) for n in range(len(kept)))]
-    found, shares = [], []
+    found = []
     for n, k in enumerate(kept):
         one = best.terms[known + n]
         term = Term(one.effect, one.effect.canonical(one.values))
         found.append(Found(term, choice.evidence(kept, k), best.std(known + n, 1.0), tuple(rivals[n])))
-        without = choice.squares([x for x in kept if x != k])
-        shares.append(Share(*choice.share(steps[n], steps[n + 1], before), *choice.share(without, steps[-1], before)))
     # Residuals in units of the noise, as everywhere else; the covariance beside what stays unexplained.
     shown = replace(finish(begin(s.projector, best.terms, best)), covariance=best.covariance)
     total = sums.counts.sum()

@@ -13,7 +13,7 @@ from bayesid.diagnosis.fit import Fit, fit
 from bayesid.diagnosis.forward import State, exact_fits, in_family
 from bayesid.diagnosis.noise_models import NoiseModels
 from bayesid.diagnosis.rows import term_rows
-from bayesid.diagnosis.significance import standing
+from bayesid.diagnosis.significance import differs_from_zero, wald_evidence
 from bayesid.diagnosis.span import orthonormal
 from bayesid.diagnosis.surrogates import explained, is_surrogate_combination
 from bayesid.effects import Term
@@ -58,19 +58,19 @@ class Pruned:
 
 
 def prune(state: State) -> Pruned:
-    """Take out effects that the others have made superfluous."""
+    """Take out effects that the others have made superfluous, and those that do not differ from zero."""
     models, best, dispersion, settings = state.models, state.best, state.dispersion, state.settings
     fitted: dict[int, Fit] = {}
     i = state.known
     while i < len(best.terms):
         # Near its best fit a model is almost linear: what stands out so far needs no fit without it.
         least = settings.accept * (1.0 if in_family(best.terms, i) else settings.certain)
-        excuse = is_excuse(best, i, dispersion)
-        if not excuse and standing(best, i, dispersion) > least:
+        excuse = is_excuse(best, i) or not differs_from_zero(best, i, dispersion)
+        if not excuse and wald_evidence(best, i, dispersion) > least:
             i += 1
             continue
         models, without = _without(models, best, i)
-        if excuse or best.score - without.score + as_payload(best, i, dispersion)[1] * dispersion < settings.accept * dispersion:
+        if excuse or best.score - without.score < settings.accept * dispersion:
             best, fitted = without, {}
         else:
             fitted[i] = without
@@ -91,7 +91,7 @@ def essential(pruned: Pruned) -> tuple[Pruned, tuple[Term, ...]]:
     state = pruned.state
     models, few, known = state.models, state.best, state.known
     while is_surrogate_combination(few.projector.data, few.terms[known:]):
-        least = min(range(known, len(few.terms)), key=lambda k: standing(few, k, state.dispersion))
+        least = min(range(known, len(few.terms)), key=lambda k: wald_evidence(few, k, state.dispersion))
         models, few = _without(models, few, least)
         if explained(state.base, few) < state.settings.nearly_all:
             return replace(pruned, state=replace(state, models=models)), ()
@@ -120,7 +120,7 @@ def with_rivals(pruned: Pruned) -> tuple[State, tuple[Found, ...]]:
 def _alone(state: State, index: int) -> Found:
     """An effect with its evidence from the estimate and its covariance."""
     best = state.best
-    return Found(_canonical(best.terms[index]), standing(best, index, state.dispersion), best.std(index, state.dispersion))
+    return Found(_canonical(best.terms[index]), wald_evidence(best, index, state.dispersion), best.std(index, state.dispersion))
 
 
 def _found(pruned: Pruned, *, exchange: bool) -> tuple[State, tuple[Found, ...], Fit | None]:

@@ -8,7 +8,7 @@ from typing import Literal
 from bayesid.diagnosis.in_part import InPart
 from bayesid.diagnosis.search import Search
 from bayesid.diagnosis.settings import Settings
-from bayesid.diagnosis.significance import stands_out
+from bayesid.diagnosis.significance import differs_from_zero
 from bayesid.diagnosis.surrogates import explained, unrelated
 from bayesid.diagnosis.validation import Gap
 
@@ -88,7 +88,7 @@ def evidence_of(search: Search, gap: Gap | None) -> Evidence:
         dropped=bool(search.dropped),
         rivals=any(f.rivals for f in search.found),
         vague=not all(
-            stands_out(search.best, i, search.dispersion) for i in range(len(search.base.terms), len(search.best.terms))
+            differs_from_zero(search.best, i, search.dispersion) for i in range(len(search.base.terms), len(search.best.terms))
         ),
         unconfirmable=all(t.effect.once or t.effect.changes_link for t in terms),
         **given,

@@ -32,7 +32,7 @@ from bayesid.diagnosis.noise import smoothed
 from bayesid.diagnosis.noise_models import NoiseModels
 from bayesid.diagnosis.prepare import prepare_data
 from bayesid.diagnosis.settings import DEFAULT
-from bayesid.diagnosis.significance import distance, stands_out
+from bayesid.diagnosis.significance import differs_from_zero, distance
 from bayesid.diagnosis.verdict import evidence_of
 from bayesid.effects import EffectLibrary, Term
 from bayesid.recordings.experiment import load_experiment
@@ -216,26 +216,26 @@ def test_a_value_inside_its_interval_is_not_named(record):
         np.array(best.terms[0].values) @ np.linalg.solve(best.covariance, np.array(best.terms[0].values)), rel=1e-6
     )
     interval = squared / chi2.ppf(DEFAULT.interval, 2)  # that much more dispersion, and the values stay inside
-    assert stands_out(best, 0, 0.99 * interval) and not stands_out(best, 0, 1.01 * interval)
+    assert differs_from_zero(best, 0, 0.99 * interval) and not differs_from_zero(best, 0, 1.01 * interval)
     found = diagnose(folder).search
     assert not evidence_of(found, None).vague
     assert evidence_of(replace(found, dispersion=1e3 * interval), None).vague
 
 
 def test_a_contact_is_no_excuse(record):
-    """Its force stands out of its interval, it ends inside the recording, and it does not last for most of the motion."""
+    """Its force differs from zero, it ends inside the recording, and it does not last for most of the motion."""
     folder, _ = record("excuse", "none", [], "wrench", seed=9)
     data, nuisance = made(folder, "wrench")
     effect, moving = data.places("external_contact")[-1], data.segments[0]
     first, last = moving.times[0], moving.times[-1]
     window, far, push = (first + 2.0, first + 4.0), (0.0, 0.0, 0.0), (50.0, 0.0, 0.0)
     fitted = fit.fit(nuisance, (Episode(effect, (*window, 0.5, 0.0, 0.0, *far), moving.motion),))
-    assert is_excuse(fitted, 0, 1.0)  # nothing pushed: what is found is noise
+    assert not differs_from_zero(fitted, 0)  # nothing pushed: what is found is noise, however well its window is known
 
     def judged(start, end, force, term=Episode):
         values = (start, end, *force, *far)
         terms = (Episode(effect, values, moving.motion) if term is Episode else Term(data.places("base_tilt")[0], (0.1, 0.1)),)
-        return is_excuse(replace(fitted, terms=terms), 0, 1.0)
+        return is_excuse(replace(fitted, terms=terms), 0)
 
     assert not judged(*window, push)
     assert judged(last - 2.0, last, push)

@@ -6,23 +6,30 @@ from typing import Literal
 
 import numpy as np
 
+from bayesid.diagnosis.changes.posterior import amplitudes
 from bayesid.diagnosis.changes.proof import Proof
 from bayesid.diagnosis.changes.scales import DISPERSIONS
 from bayesid.diagnosis.changes.selection import Accepted, Selection
 from bayesid.diagnosis.settings import Settings
+from bayesid.diagnosis.significance import outside, squared_distance
 
 Verdict = Literal["named", "named_in_part", "ambiguous", "unknown", "nothing_missing"]
 
 
 def proven(selection: Selection, proof: Proof, settings: Settings) -> tuple[Accepted, ...]:
-    """Changes that close some of the gap on stretches that took no part, with 95 % confidence.
+    """Changes that differ from zero and close some of the gap on stretches that took no part, with 95 % confidence.
 
     None is, where the tolerance alone predicts those stretches better. It may predict them as well: what is improbable, that
     friction doubled from one day to the next, is the evidence's to say.
     """
     if proof.after > proof.tolerance * (1.0 + settings.worse_share):
         return ()
-    return tuple(a for a, low in zip(selection.accepted, proof.shares_low, strict=True) if low > 0.0)
+    fitted, out = amplitudes(selection.marginal()), []
+    for a, own, low in zip(selection.accepted, selection.directions, proof.shares_low, strict=True):
+        values, root = fitted.part(own)[a.change.columns], fitted.part_root(own)[a.change.columns]
+        if low > 0.0 and outside(squared_distance(values, root @ root.T), len(values), settings):
+            out.append(a)
+    return tuple(out)
 
 
 def verdict(selection: Selection, proof: Proof, settings: Settings) -> Verdict:
