@@ -20,7 +20,7 @@ from bayesid.diagnosis.held_out import held_out_sums, left_by, scaled
 from bayesid.diagnosis.projector import make_projector
 from bayesid.diagnosis.rivals import Found
 from bayesid.diagnosis.search import Search
-from bayesid.diagnosis.significance import distance, differs_from_zero
+from bayesid.diagnosis.significance import differs_from_zero, distance
 from bayesid.diagnosis.white_noise import noise_share, with_white_noise
 from bayesid.effects import Effect, Linearisation, Term
 

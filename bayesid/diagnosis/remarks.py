@@ -97,8 +97,6 @@ def _unknown(search: Search, gap: Gap | None, reason: Reason) -> list[str]:
         ]
     if reason == "denied":
         return [f"{tried} fits the fitted motions, but predicts the unseen ones no better: not named."]
-    if reason == "interval":
-        return [f"With {tried} the residual is explained, but not all values stand out of their own intervals: not named."]
     if reason == "surrogates":
         together = ", ".join(by_kind((*(f.term for f in search.found), *search.dropped)))
         return [

@@ -13,7 +13,7 @@ from bayesid.diagnosis.fit import Fit, fit
 from bayesid.diagnosis.forward import State, exact_fits, in_family
 from bayesid.diagnosis.noise_models import NoiseModels
 from bayesid.diagnosis.rows import term_rows
-from bayesid.diagnosis.significance import differs_from_zero, wald_evidence
+from bayesid.diagnosis.significance import wald_evidence
 from bayesid.diagnosis.span import orthonormal
 from bayesid.diagnosis.surrogates import explained, is_surrogate_combination
 from bayesid.effects import Term
@@ -58,14 +58,14 @@ class Pruned:
 
 
 def prune(state: State) -> Pruned:
-    """Take out effects that the others have made superfluous, and those that do not differ from zero."""
+    """Take out effects that the others have made superfluous."""
     models, best, dispersion, settings = state.models, state.best, state.dispersion, state.settings
     fitted: dict[int, Fit] = {}
     i = state.known
     while i < len(best.terms):
         # Near its best fit a model is almost linear: what stands out so far needs no fit without it.
         least = settings.accept * (1.0 if in_family(best.terms, i) else settings.certain)
-        excuse = is_excuse(best, i) or not differs_from_zero(best, i, dispersion)
+        excuse = is_excuse(best, i)
         if not excuse and wald_evidence(best, i, dispersion) > least:
             i += 1
             continue
@@ -120,7 +120,7 @@ def with_rivals(pruned: Pruned) -> tuple[State, tuple[Found, ...]]:
 def _alone(state: State, index: int) -> Found:
     """An effect with its evidence from the estimate and its covariance."""
     best = state.best
-    return Found(_canonical(best.terms[index]), wald_evidence(best, index, state.dispersion), best.std(index, state.dispersion))
+    return Found(canonical(best.terms[index]), wald_evidence(best, index, state.dispersion), best.std(index, state.dispersion))
 
 
 def _found(pruned: Pruned, *, exchange: bool) -> tuple[State, tuple[Found, ...], Fit | None]:
@@ -131,7 +131,7 @@ def _found(pruned: Pruned, *, exchange: bool) -> tuple[State, tuple[Found, ...],
         if in_family(best.terms, i):
             out.append(_alone(state, i))
             continue
-        term = _canonical(best.terms[i])
+        term = canonical(best.terms[i])
         held = tuple(t for k, t in enumerate(best.terms) if k != i)
         without = pruned.without.get(i)
         if without is None:
@@ -148,11 +148,11 @@ def _found(pruned: Pruned, *, exchange: bool) -> tuple[State, tuple[Found, ...],
             lacks[f.terms[-1].effect.spec] = (rival, (best.score - f.score) / dispersion + bonus - own)
         near = [(t, lack) for t, lack in lacks.values() if lack < settings.rival and not _contains(without, t, term)]
         gain = (best.score - without.score) / dispersion
-        out.append(Found(_canonical(named), gain, best.std(i, dispersion), tuple(near)))
+        out.append(Found(canonical(named), gain, best.std(i, dispersion), tuple(near)))
     return replace(state, models=models), tuple(out), None
 
 
-def _canonical(term: Term) -> Term:
+def canonical(term: Term) -> Term:
     """Of values that mean the same, those that a reader expects."""
     return replace(term, values=term.effect.canonical(term.values))
 

@@ -11,13 +11,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from bayesid.diagnosis.bodies import as_payload
 from bayesid.diagnosis.candidates import Library, Proposal
 from bayesid.diagnosis.fit import Fit, fit
 from bayesid.diagnosis.forward import State, forward_selection
 from bayesid.diagnosis.noise import with_noise_of
 from bayesid.diagnosis.noise_models import NoiseModels, as_points, prepared
 from bayesid.diagnosis.projector import NuisanceProjector, make_projector
-from bayesid.diagnosis.rivals import Found, Pruned, essential, prune, with_rivals
+from bayesid.diagnosis.rivals import Found, Pruned, canonical, essential, prune, with_rivals
+from bayesid.diagnosis.significance import differs_from_zero, distance
 from bayesid.effects import Term
 
 
@@ -112,4 +114,21 @@ def refit(state: State, progress: Callable[[str], None]) -> State:
     return state if known else forward_selection(state, progress)
 
 
-__all__ = ["Found", "Pruned", "Search", "refit", "search"]
+def certain(s: Search) -> Search:
+    """What was found without effects that do not differ from zero: those are not named, whatever the fit gains by them."""
+    known = len(s.base.terms)
+    vague = [k for k in range(known, len(s.best.terms)) if not differs_from_zero(s.best, k, s.dispersion)]
+    if not vague:
+        return s
+    least = min(vague, key=lambda k: distance(s.best, k)[0])
+    terms = tuple(t for k, t in enumerate(s.best.terms) if k != least)
+    rest = [f for k, f in enumerate(s.found, known) if k != least]
+    best = fit(s.best.projector, terms, s.best) if rest else s.base
+    found = tuple(
+        replace(f, term=canonical(as_payload(best, k, s.dispersion)[0]), std=best.std(k, s.dispersion))
+        for k, f in enumerate(rest, known)
+    )
+    return certain(replace(s, best=best, found=found))
+
+
+__all__ = ["Found", "Pruned", "Search", "certain", "refit", "search"]

@@ -8,15 +8,14 @@ from typing import Literal
 from bayesid.diagnosis.in_part import InPart
 from bayesid.diagnosis.search import Search
 from bayesid.diagnosis.settings import Settings
-from bayesid.diagnosis.significance import differs_from_zero
 from bayesid.diagnosis.surrogates import explained, unrelated
 from bayesid.diagnosis.validation import Gap
 
 #: ``named_in_part`` is decided on held-out recordings (`bayesid.diagnosis.in_part`) where this module says ``unknown``.
 Verdict = Literal["named", "named_in_part", "ambiguous", "unknown", "nothing_missing"]
-#: Why a verdict is ``unknown``: a residual that nothing explains, held-out motions that deny what was found, so many effects
-#: that they stand in for one that the library lacks, or a value that does not stand out of its own interval.
-Reason = Literal["", "residual", "denied", "surrogates", "interval"]
+#: Why a verdict is ``unknown``: a residual that nothing explains, held-out motions that deny what was found, or so many effects
+#: that they stand in for one that the library lacks.
+Reason = Literal["", "residual", "denied", "surrogates"]
 
 
 @dataclass(frozen=True)
@@ -37,8 +36,6 @@ class Evidence:
         Whether others, that the data demanded too, were left out for their small share.
     rivals
         Whether another effect explains as much as one of those found.
-    vague
-        Whether the values of one of them do not stand out of their interval.
     unconfirmable
         Whether held-out motions cannot deny the effects found: a contact does not come again, and of a changed link the same
         motion is predicted as well by many links that are a little off.
@@ -57,7 +54,6 @@ class Evidence:
     unrelated: int = 0
     dropped: bool = False
     rivals: bool = False
-    vague: bool = False
     unconfirmable: bool = False
     before: float | None = None
     after: float | None = None
@@ -87,9 +83,6 @@ def evidence_of(search: Search, gap: Gap | None) -> Evidence:
         unrelated=unrelated(search.projector.data, terms),
         dropped=bool(search.dropped),
         rivals=any(f.rivals for f in search.found),
-        vague=not all(
-            differs_from_zero(search.best, i, search.dispersion) for i in range(len(search.base.terms), len(search.best.terms))
-        ),
         unconfirmable=all(t.effect.once or t.effect.changes_link for t in terms),
         **given,
     )
@@ -137,8 +130,6 @@ def verdict(evidence: Evidence, settings: Settings) -> tuple[Verdict, Reason]:
         return "unknown", "denied"
     if e.unrelated > s.likely_effects or (e.dropped and not nearly):
         return "unknown", "surrogates"
-    if e.vague:
-        return "unknown", "interval"
     return ("ambiguous" if e.rivals else "named"), ""
 
 

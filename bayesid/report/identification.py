@@ -22,7 +22,7 @@ from bayesid.results.identification import Identification
 from bayesid.results.loaded import LoadedIdentification
 from bayesid.results.text import DASH, HALF, chance, channel_text, ends, number, percent, with_interval
 from bayesid.robot import inertia
-from bayesid.validation.headline import judged, still_predictable
+from bayesid.validation.headline import judged, still_predictable, worse_than_nothing
 from bayesid.validation.noise_floor import RESIDUALS
 from bayesid.validation.prediction import BAND, TOLERATED, Prediction
 
@@ -51,6 +51,9 @@ def identification_report(result: Identification) -> str:
         method=estimate.method,
         warning_list=result.warnings,
         verdict=_verdict(result),
+        unusable=result.unusable,
+        links_usable=result.urdf.usable,
+        links_mass=number(result.urdf.mass, 3),
         card_list=_cards(result),
         interval_reason=estimate.interval_reason if estimate.interval == "none" else "",
         intervals=svg(intervals_figure(problem.regression, estimate), "intervals"),
@@ -231,7 +234,7 @@ def _motion(prediction: Prediction, role: str, index: int) -> dict[str, Any]:
 def _errors(p: Prediction, role: str) -> dict[str, Any]:
     channels = [
         {"name": name, "unit": unit, "rmse": number(a, 3), "nrmse": percent(b), "raw": number(c, 3), "nraw": percent(d),
-         "white": number(w, 3), "mood": "" if p.noise_source == RESIDUALS else mood_of(w)}
+         "white": number(w, 3), "mood": "bad" if worse_than_nothing(b) else "" if p.noise_source == RESIDUALS else mood_of(w)}
         for name, unit, a, b, c, d, w in zip(
             p.channel_names, p.channel_units, p.rmse, p.nrmse, p.rmse_raw, p.nrmse_raw, p.whitened_rms_by_channel, strict=True
         )

@@ -74,6 +74,8 @@ class Identification(PlotsPredictions, HasEstimate, Result):
         Coverage of the intervals on simulated twins, where `bayesid.accuracy` counted it.
     floor
         Noise that no model can remove, where something tells it.
+    unusable
+        Why the model, or its links, are of no use, and what to try: printed first, and the first of ``warnings``.
     """
 
     verb = "identify"
@@ -91,6 +93,7 @@ class Identification(PlotsPredictions, HasEstimate, Result):
     unconstrained_urdf: bool = False
     certificate: Certificate | None = None
     floor: NoiseFloor | None = None
+    unusable: tuple[str, ...] = ()
 
     @cached_property
     def fitted(self) -> tuple[Prediction, ...]:
@@ -294,7 +297,7 @@ class Identification(PlotsPredictions, HasEstimate, Result):
 
 def summary(result: Identification) -> str:
     """A few lines for the terminal."""
-    e, p, first = result.estimate, result.problem, conflicts(result.prior_check)
+    e, p, first = result.estimate, result.problem, [*result.unusable, *conflicts(result.prior_check)]
     lines = [
         *(f"warning: {text}" for text in first),
         f"{p.experiment.name}: {e.base.rank} base parameters from the {p.channel} of {', '.join(p.fitted)} ({e.method})",

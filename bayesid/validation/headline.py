@@ -6,6 +6,7 @@ of one per cent may be a model that lacks something, seen by a quiet sensor, and
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -53,14 +54,35 @@ def judged(prediction: Prediction) -> Judgement:
     if white <= TOLERATED * prediction.expected_rms:
         if error > _NAMED:
             return Judgement("fair", "that is the sensor's noise: the readings of this motion hold little else, and prove little")
+        if worse_than_nothing(share):
+            name = prediction.channel_names[worst]
+            text = (
+                f"what is left is the sensor's noise ({white:.3g} times) in all channels together, but {name} is predicted "
+                f"worse than by nothing at all: the error is {100 * share:.0f} % of its signal"
+            )
+            return Judgement("fair", text)
         where = f", though {prediction.channel_names[worst]} holds little but noise" if share > _NAMED else ""
         return Judgement("good", f"what is left is the sensor's noise ({white:.3g} times){where}")
     times = f"{white:.3g} times the sensor's noise"
     if error <= CLOSE:
-        return Judgement("fair", f"what is left is {times}: something is missing in the model, small beside the readings{wrong}")
+        small = "" if wrong else ", small beside the readings"
+        return Judgement("fair", f"what is left is {times}: something is missing in the model{small}{wrong}")
     if error <= POOR:
         return Judgement("fair" if not wrong else "bad", f"what is left is {times}: something is missing in the model{wrong}")
     return Judgement("bad", f"what is left is {times}: the model predicts this motion poorly{wrong}")
+
+
+def worse_than_nothing(share: float) -> bool:
+    """Whether a prediction adds error to a channel, so that zero would be a better one, to the digits that are printed.
+
+    No noise excuses that: what is in the readings as noise is in their size, too.
+    """
+    return round(100 * share) > 100
+
+
+def useless(predictions: Sequence[Prediction]) -> bool:
+    """Whether no motion is predicted so well that a model is of use."""
+    return bool(predictions) and all(p.relative_error > POOR and judged(p).mood == "bad" for p in predictions)
 
 
 def still_predictable(prediction: Prediction) -> str:

@@ -34,7 +34,7 @@ from bayesid.validation.noise_floor import NoiseFloor, noise_floor
 from bayesid.validation.prediction import predict
 from bayesid.workflows.progress import SHOWN, Progress, quiet, shows_progress
 from bayesid.workflows.urdf_links import urdf_links
-from bayesid.workflows.warnings import incomplete, repeated_motion, told_first
+from bayesid.workflows.warnings import incomplete, repeated_motions, told_first
 
 #: What is compared when nothing is asked for, as far as it is there: plain, default and efficient least squares,
 #: and one estimator each against outliers, against encoder noise and for bodies that can exist.
@@ -233,9 +233,8 @@ def _warnings(
     out = []
     done = [e for e in entries if e.estimate is not None]
     nominal = baselines[-1] if baselines else None
+    out += repeated_motions(done[0].validation)
     for k, p in enumerate(done[0].validation):
-        if p.repeats:
-            out.append(repeated_motion(p))
         if nominal is None:
             continue
         yardstick = nominal.validation[k]

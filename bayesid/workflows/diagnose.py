@@ -18,7 +18,7 @@ from bayesid.diagnosis.locate import Disagreement, locate
 from bayesid.diagnosis.prepare import known_terms, prepare_data
 from bayesid.diagnosis.projector import make_projector
 from bayesid.diagnosis.remarks import next_experiment, remarks
-from bayesid.diagnosis.search import Search, search
+from bayesid.diagnosis.search import Search, certain, search
 from bayesid.diagnosis.settings import DEFAULT, Settings
 from bayesid.diagnosis.shifts import base_shifts
 from bayesid.diagnosis.stability import stability
@@ -148,10 +148,13 @@ def diagnose(
 def _concluded(s: Search, seed: int, progress: Progress) -> Diagnosis:
     """The verdict on what was found, and everything that goes with it."""
     data: DiagnosisData = s.projector.data
-    gap = validate(s.projector, s.base, s.best, s.dispersion, seed)
-    decided, reason = verdict(evidence_of(s, gap), data.settings)
+    sure = certain(s)
+    gap = validate(s.projector, s.base, sure.best, s.dispersion, seed)
+    decided, reason = verdict(evidence_of(sure, gap), data.settings)
     part, tried, worse, stays = None, None, False, ()
-    if decided == "unknown":
+    if decided != "unknown":
+        s = sure
+    else:  # the best attempt is shown as it is
         progress("effects that held-out recordings confirm")
         tried = proven_effects(s, seed)
         gap = validate(s.projector, s.base, s.best, s.dispersion, seed, complete=False)

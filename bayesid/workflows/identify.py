@@ -32,7 +32,17 @@ from bayesid.validation.noise_floor import NoiseFloor, noise_floor
 from bayesid.validation.prediction import Prediction, predict
 from bayesid.workflows.progress import SHOWN, Clock, Progress, shows_progress
 from bayesid.workflows.urdf_links import missing_rotors, urdf_links
-from bayesid.workflows.warnings import incomplete, listed, mistaken, not_settled, repeated_motion, told_first, unpredicted
+from bayesid.workflows.warnings import (
+    contradictions,
+    incomplete,
+    listed,
+    mistaken,
+    not_settled,
+    repeated_motions,
+    told_first,
+    unpredicted,
+    unusable,
+)
 
 
 @shows_progress
@@ -110,6 +120,7 @@ def identify(
         fits, possible = partial(motions_apart, problem, estimate, method, alone), partial(urdf_links, problem, estimate)
         predicted = [partial(predict, problem, estimate, motion, floor) for motion in unfitted]
         gaps, *predictions, links, agreements = in_order(lambda job: job(), [flexibly, *predicted, possible, fits])
+        validation = tuple(replace(p, flexible=gaps.get(p.motion)) for p in predictions)
         clock("consistency")
         alternative = static_both_ways(problem, method)
         if problem.channel == "both":
@@ -118,7 +129,9 @@ def identify(
         unexcited = _unexcited(problem, estimate)
         check = against_nominal(problem.regression, estimate)
         of_rotors = missing_rotors(problem, method, options, links)
-    validation = tuple(replace(p, flexible=gaps.get(p.motion)) for p in predictions)
+        mistakes = mistaken(problem, estimate, validation)
+    of_links = [*(of_rotors if links.usable else []), *links.warnings()]
+    no_use = (*unusable(problem, validation, mistakes), *(() if links.usable else of_rotors))
     return Identification(
         problem=problem,
         estimate=estimate,
@@ -128,11 +141,12 @@ def identify(
         static_alternative=alternative,
         offset=_offset(problem, estimate, links.unconstrained),
         unexcited=unexcited,
-        warnings=_warnings(problem, estimate, check, [*of_rotors, *links.warnings()], validation, agreements, unexcited),
+        warnings=(*no_use, *_warnings(problem, estimate, check, mistakes, of_links, validation, agreements, unexcited)),
         seconds=clock.stop(),
         prior_check=check,
         unconstrained_urdf=unconstrained_urdf,
         floor=floor,
+        unusable=no_use,
     )
 
 
@@ -216,17 +230,14 @@ def _warnings(
     problem: Problem,
     estimate: Estimate,
     check: PriorCheck | None,
+    mistakes: Sequence[str],
     of_links: Sequence[str],
     validation: Sequence[Prediction],
     agreements: Sequence[Agreement],
     unexcited: Sequence[str],
 ) -> tuple[str, ...]:
     """What the user should know, most important first."""
-    out = [*conflicts(check), *not_settled(problem, estimate), *mistaken(problem, estimate, validation)]
-    for p in validation:
-        if p.repeats:
-            out.append(repeated_motion(p))
-        out += unpredicted(p)
+    out = [*conflicts(check), *not_settled(problem, estimate), *mistakes, *repeated_motions(validation), *unpredicted(validation)]
     if not validation:
         out.append(
             "No validation motion: nothing shows that the estimate holds for another motion. "
@@ -239,13 +250,7 @@ def _warnings(
             f"than motion and white encoder noise up to there. Compare with {argument('bandwidth', 10)}; a difference says that "
             "the estimate depends on it."
         )
-    for a in agreements:
-        if a.contradiction:
-            out.append(
-                f"{a.first[0].upper()}{a.first[1:]} and {a.second} contradict each other: {a.rms:.3g} sigma rms over "
-                f"{a.compared} numbers; most in {a.worst}. They are not noise apart; do not average them, but fit them "
-                f"apart, and look for what changed in between (`{call('diagnose')}`)."
-            )
+    out += contradictions(agreements)
     if estimate.details.model_complete is False:
         out.append(incomplete(estimate.details.dispersion, estimate.details.dispersion_by_channel))
     # What the estimator itself has to say, such as weak instruments.

@@ -45,7 +45,7 @@ from bayesid.validation.noise_floor import noise_floor
 from bayesid.validation.prediction import Prediction, predict
 from bayesid.workflows.progress import SHOWN, Clock, Progress, shows_progress
 from bayesid.workflows.urdf_links import posterior_robot
-from bayesid.workflows.warnings import incomplete, listed, repeated_motion, told_first, unpredicted
+from bayesid.workflows.warnings import incomplete, listed, repeated_motions, told_first, unpredicted
 
 PRIORS = ("nominal", "flat")
 
@@ -298,10 +298,7 @@ def _warnings(posterior: Posterior, problem: Problem, validation: Sequence[Predi
     if not posterior.diagnosis.passed:
         out.append(f"The chains did not converge: {posterior.diagnosis.complaint()}. Do not use these draws as a posterior; "
                    f"draw longer, such as {argument('longest', 64)}, or take {argument('engine', 'hmc')}.")
-    for p in validation:
-        out += unpredicted(p)
-        if p.repeats:
-            out.append(repeated_motion(p))
+    out += [*unpredicted(validation), *repeated_motions(validation)]
     if not validation:
         out.append(
             "No validation motion: nothing shows that the posterior holds for another motion. "

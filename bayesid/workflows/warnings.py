@@ -10,27 +10,87 @@ from bayesid.arguments import call
 from bayesid.estimators import Estimate
 from bayesid.recordings.experiment import Experiment
 from bayesid.regression.problem import Problem
-from bayesid.validation.headline import judged
+from bayesid.validation.cross_checks import Agreement
+from bayesid.validation.headline import judged, useless
 from bayesid.validation.prediction import BAND, Prediction
 
 _CERTAIN = 3.0  # standard deviations below zero
 
 
-def repeated_motion(prediction: Prediction) -> str:
-    """That a motion repeats a fitted one, and so proves little."""
-    own, other = prediction.motion, prediction.repeats
-    return f"Motion '{own}' repeats the fitted motion '{other}': its error says little about others; validate on another."
-
-
-def unpredicted(prediction: Prediction) -> list[str]:
-    """That a motion is not predicted as well as a complete model would."""
-    judgement = judged(prediction)
-    if judgement.mood == "good":
+def repeated_motions(predictions: Sequence[Prediction]) -> list[str]:
+    """That motions repeat fitted ones, and so say little of others, in one line."""
+    again = [p for p in predictions if p.repeats]
+    if not again:
         return []
+    own, other = (quoted(dict.fromkeys(names)) for names in ((p.motion for p in again), (str(p.repeats) for p in again)))
+    if len(again) == 1:
+        return [f"Motion {own} repeats the fitted motion {other}: its error says little about others; validate on another."]
     return [
-        f"Motion '{prediction.motion}' is predicted with an error of {100 * prediction.relative_error:.3g} % of the signal below "
-        f"{BAND:.2g} Hz: {judgement.text}. `{call('diagnose')}` looks for what is missing."
+        f"Motions {own} repeat motions that are fitted ({other}): their errors say little about others; validate on another."
     ]
+
+
+def unpredicted(predictions: Sequence[Prediction]) -> list[str]:
+    """That motions are not predicted as well as a complete model would, in one line with the worst of them."""
+    off = [p for p in predictions if judged(p).mood != "good"]
+    if not off:
+        return []
+    worst = max(off, key=lambda p: p.relative_error)
+    said = f"an error of {100 * worst.relative_error:.3g} % of the signal below {BAND:.2g} Hz"
+    if len(off) == 1:
+        first = f"Motion '{worst.motion}' is predicted with {said}: "
+    else:
+        best = min(p.relative_error for p in off)
+        first = (
+            f"{len(off)} of {len(predictions)} motions that were not fitted are predicted with errors from {100 * best:.3g} % "
+            f"on; the worst is '{worst.motion}' with {said}: "
+        )
+    return [f"{first}{judged(worst).text}. `{call('diagnose')}` looks for what is missing."]
+
+
+def unusable(problem: Problem, predictions: Sequence[Prediction], mistakes: Sequence[str]) -> list[str]:
+    """That a fit is of no use, and what to try first.
+
+    Parameters
+    ----------
+    problem
+        What was fitted.
+    predictions
+        Of the motions that were not fitted.
+    mistakes
+        What `mistaken` found.
+    """
+    if not useless(predictions):
+        return []
+    errors = sorted(p.relative_error for p in predictions)
+    size = f"{100 * errors[0]:.3g}" + (f" to {100 * errors[-1]:.3g}" if len(errors) > 1 else "")
+    if mistakes:
+        remedy = "Undo the mistake that is named below, then fit again"
+    elif problem.channel != "wrench" and not any(e.channels == ("torque",) for e in problem.row_model.effects):
+        remedy = "Add viscous_friction, coulomb_friction and rotor_inertia to [model] effects: the model has none of a drive's"
+    else:
+        remedy = f"`{call('check')}` looks for wrong signs, units and joint order, `{call('diagnose')}` for what is missing"
+    said = f"motions that were not fitted are predicted with an error of {size} % of the signal"
+    return [f"This is no usable model: {said}. {remedy}."]
+
+
+def contradictions(agreements: Sequence[Agreement]) -> list[str]:
+    """That estimates from different data contradict each other: a line for each kind of data, with the worst of them."""
+    kinds: dict[str, list[Agreement]] = {}
+    for a in agreements:
+        if a.contradiction:
+            kinds.setdefault(a.first.split()[0], []).append(a)
+    out = []
+    for members in kinds.values():
+        a = max(members, key=lambda a: a.rms)
+        names = listed((x.first.split(maxsplit=1)[-1] for x in members), 6)
+        more = "" if len(members) == 1 else f" (the worst of {len(members)} that contradict others: {names})"
+        out.append(
+            f"{a.first[0].upper()}{a.first[1:]} and {a.second} contradict each other{more}: {a.rms:.3g} sigma rms over "
+            f"{a.compared} numbers; most in {a.worst}. They are not noise apart; do not average them, but fit them "
+            f"apart, and look for what changed in between (`{call('diagnose')}`)."
+        )
+    return out
 
 
 def told_first(experiment: Experiment, told: Iterable[str]) -> tuple[str, ...]:
@@ -115,6 +175,11 @@ def not_settled(problem: Problem, estimate: Estimate) -> list[str]:
             "that show it."
         )
     return out
+
+
+def quoted(names: Iterable[str]) -> str:
+    """Names in quotation marks."""
+    return listed((f"'{name}'" for name in names), 6)
 
 
 def listed(names: Iterable[str], shown: int) -> str:

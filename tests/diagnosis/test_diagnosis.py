@@ -31,9 +31,9 @@ from bayesid.diagnosis.data import Episode, active_terms
 from bayesid.diagnosis.noise import smoothed
 from bayesid.diagnosis.noise_models import NoiseModels
 from bayesid.diagnosis.prepare import prepare_data
+from bayesid.diagnosis.search import certain
 from bayesid.diagnosis.settings import DEFAULT
 from bayesid.diagnosis.significance import differs_from_zero, distance
-from bayesid.diagnosis.verdict import evidence_of
 from bayesid.effects import EffectLibrary, Term
 from bayesid.recordings.experiment import load_experiment
 from bayesid.robot.prior import Prior
@@ -218,8 +218,32 @@ def test_a_value_inside_its_interval_is_not_named(record):
     interval = squared / chi2.ppf(DEFAULT.interval, 2)  # that much more dispersion, and the values stay inside
     assert differs_from_zero(best, 0, 0.99 * interval) and not differs_from_zero(best, 0, 1.01 * interval)
     found = diagnose(folder).search
-    assert not evidence_of(found, None).vague
-    assert evidence_of(replace(found, dispersion=1e3 * interval), None).vague
+    assert certain(found) is found
+    none = certain(replace(found, dispersion=1e3 * interval))
+    assert none.found == () and none.best is found.base
+
+
+@pytest.mark.parametrize(
+    ("case", "verdict", "effects"),
+    [("20", "named", {"dahl_friction@joint2"}), ("21", "nothing_missing", set()), ("22", "unknown", set())],
+)
+def test_nothing_is_named_that_does_not_differ_from_zero(shared, case, verdict, effects):
+    """Beside what is hidden these recordings once had a contact of 0.1 +- 0.7 N, a payload of 1.3 +- 1.6 kg that only the
+    links' prior spoke for, and a tether of 0.07 +- 0.42 N/m."""
+    found = diagnose(shared(f"practice/practice-{case}"))
+    assert found.verdict == verdict and {f.term.effect.spec for f in found.found} == effects
+
+
+def test_a_size_that_another_shape_would_do_with_is_none(record):
+    """Of a spring the stiffness counts, not where it rests; where the two are not told apart it is not known at all."""
+    folder, _ = record("sizes", "none", [], "torque", seed=9)
+    data, nuisance = made(folder, "torque")
+    best = fit.fit(nuisance, (Term(data.places("spring")[0], (0.0, 0.0)),))
+    certain = np.diag([4.0, 1e-6])  # of stiffness and rest
+    one = replace(best, terms=(Term(best.terms[0].effect, (6.0, 5.0)),), covariance=certain, determined=np.array([True, True]))
+    assert one.free == ((0, 0), (0, 1)) and distance(one, 0) == (pytest.approx(9.0), 1)
+    assert differs_from_zero(one, 0) and not differs_from_zero(replace(one, covariance=4.0 * certain), 0)
+    assert not differs_from_zero(replace(one, determined=np.array([False, False])), 0)
 
 
 def test_a_contact_is_no_excuse(record):

@@ -23,8 +23,6 @@ BELOW, ABOVE = 0.999, 1.001
         (CLEAR, ("named", "")),
         (UNVALIDATED, ("named", "")),
         (replace(CLEAR, rivals=True), ("ambiguous", "")),
-        (replace(CLEAR, vague=True), ("unknown", "interval")),
-        (replace(CLEAR, vague=True, rivals=True), ("unknown", "interval")),
         (NONE, ("nothing_missing", "")),
         (replace(NONE, before=None, after=None, floor=None), ("nothing_missing", "")),
         # A residual that nothing explains, on the fitted motions or on the others, with an effect or without.

@@ -10,8 +10,11 @@ from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import prepare
 from bayesid.robot.robot import load_robot
 from bayesid.signals.filters import LowPass
-from bayesid.validation.headline import judged, over_noise
+from bayesid.validation.cross_checks import Agreement
+from bayesid.validation.headline import judged, over_noise, useless, worse_than_nothing
 from bayesid.validation.noise_floor import noise_floor
+from bayesid.validation.prediction import Prediction
+from bayesid.workflows.warnings import contradictions, repeated_motions, unpredicted
 from tests.robots import ur5, write
 from tests.simulated import Motion, Sensor, experiment, fourier, recording
 
@@ -76,8 +79,6 @@ def test_readings_that_were_filtered_tell_no_floor(arm):
 def test_noise_alone_proves_little():
     """A residual at the noise on a motion that holds nothing else is no praise."""
     one = np.ones(2)
-    from bayesid.validation.prediction import Prediction
-
     quiet = Prediction(
         "still", "validation", ("fx", "fy"), ("N", "N"), np.arange(2.0), np.zeros((2, 2)), np.zeros((2, 2)), one, one, one, one,
         1.0, one, 0.95, 1.0, "readings",
@@ -88,3 +89,52 @@ def test_noise_alone_proves_little():
     assert judged(dataclasses.replace(good, whitened_rms=4.0)).mood == "fair"
     poor = judged(dataclasses.replace(quiet, nrmse=np.array([0.1, 0.89]), whitened_rms=4.0))
     assert poor.mood == "bad" and "fy is wrong by 89 %" in poor.text
+
+
+def _prediction(error: np.ndarray, white: float, signal: np.ndarray, **more) -> Prediction:
+    """Of constant size by channel, in units of the signal's."""
+    names, one = tuple(f"tau{k + 1}" for k in range(len(error))), np.ones((1, len(error)))
+    return Prediction(
+        motion="unseen", role="validation", channel_names=names, channel_units=("N m",) * len(names), times=np.zeros(1),
+        measured=one, predicted=one, rmse=error * signal, rmse_raw=error * signal, nrmse=error, nrmse_raw=error,
+        whitened_rms=white, whitened_rms_by_channel=np.full(len(error), white), coverage=0.95, noise_source="readings",
+        **more,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("white", [0.983, 4.0])
+def test_no_verdict_is_good_beside_a_channel_that_is_predicted_in_antiphase(white):
+    """An error of 119 % of the signal is more than a prediction of zero leaves, whatever counts as noise."""
+    t = np.linspace(0.0, 10.0, 1000)
+    measured, predicted = np.sin(t), -0.19 * np.sin(t)
+    share = float(np.linalg.norm(measured - predicted) / np.linalg.norm(measured))
+    assert share == pytest.approx(1.19) and worse_than_nothing(share) and not worse_than_nothing(1.004)
+    found = judged(_prediction(np.array([0.02, share]), white, np.array([10.0, 0.1])))
+    assert found.mood != "good" and "tau2" in found.text and "119 %" in found.text and "small" not in found.text
+    assert judged(_prediction(np.array([0.02, 0.9]), 0.983, np.array([10.0, 0.1]))).mood == "good"
+
+
+def test_a_model_is_useless_where_no_motion_is_predicted():
+    """One motion that is predicted well is a use; readings that hold little but noise say nothing."""
+    poor, close = (_prediction(np.array([e]), 40.0, np.ones(1)) for e in (0.45, 0.05))
+    assert useless([poor, poor]) and not useless([poor, close]) and not useless([])
+    assert not useless([_prediction(np.array([0.9]), 1.0, np.ones(1))])
+
+
+def test_one_line_a_kind_of_warning():
+    """Four motions that repeat fitted ones and are predicted poorly, and three that contradict others: three lines."""
+    motions = [
+        dataclasses.replace(_prediction(np.array([e]), 40.0, np.ones(1), repeats="m1"), motion=f"m{k}")
+        for k, e in enumerate((0.45, 0.81, 0.5), 30)
+    ]
+    (said,) = unpredicted(motions)
+    assert "3 of 3 motions" in said and "'m31'" in said and "81 %" in said and "45 %" in said
+    (again,) = repeated_motions(motions)
+    assert "'m30', 'm31', 'm32'" in again and "'m1'" in again
+    pairs, worst = ((50, 2.67), (60, 2.47)), "m2 r2y: 5 against 2"
+    apart = [Agreement(f"motion m{k}", "motions m1, m2", 36, rms, 1e-9, worst) for k, rms in pairs]
+    across = Agreement("wrench", "torque", 36, 3.0, 1e-9, "m3: 5 against 2")
+    (first, second) = contradictions([*apart, across, dataclasses.replace(across, probability=0.5)])
+    assert first.startswith("Motion m50") and "m50, m60" in first and "2.67" in first
+    assert second.startswith("Wrench and torque contradict")
+    assert contradictions(apart[:1])[0].count("m50") == 1
