@@ -63,6 +63,70 @@ def residual_spectra(data: DiagnosisData, segments: Sequence[Segment], fit: Fit)
     return [part.reshape(w.shape) for part, w in zip(parts, white, strict=True)]
 
 
+@dataclass(frozen=True, eq=False)
+class MotionErrors:
+    """Errors of one motion's readings in their own units, at the frequencies that are compared.
+
+    Attributes
+    ----------
+    motion, fitted
+        Which, and whether it was fitted.
+    before, after
+        Root mean square of measured less predicted, with the user's model and with the effects named (c,); ``after`` is None
+        where none is.
+    signal
+        Root mean square of what was measured (c,).
+    """
+
+    motion: str
+    fitted: bool
+    before: np.ndarray
+    after: np.ndarray | None
+    signal: np.ndarray
+
+    def relative(self, error: np.ndarray) -> float:
+        """Error norm over signal norm of all channels together."""
+        return float(np.linalg.norm(error) / max(np.linalg.norm(self.signal), 1e-300))
+
+    def to_dict(self, names: Sequence[str], units: Sequence[str]) -> dict:
+        """An entry of ``errors`` in ``diagnosis.json``."""
+        after = self.after
+        return {
+            "motion": self.motion, "fitted": self.fitted, "relative_before": self.relative(self.before),
+            "relative_after": None if after is None else self.relative(after),
+            "channels": {
+                name: {
+                    "unit": unit, "before": float(self.before[c]), "after": None if after is None else float(after[c]),
+                    "signal": float(self.signal[c]),
+                }
+                for c, (name, unit) in enumerate(zip(names, units, strict=True))
+            },
+        }  # fmt: skip
+
+
+def motion_errors(data: DiagnosisData, base: Fit, best: Fit | None) -> tuple[MotionErrors, ...]:
+    """Errors of every motion without and with the effects named (``best``, None without any), unfitted motions first."""
+    out = []
+    for segments, fitted in ((data.unseen, False), (data.segments, True)):
+        models = [f for f in (base, best) if f is not None]
+        white = [residual_spectra(data, segments, f) if segments else [] for f in models]
+        for motion in dict.fromkeys(s.motion for s in segments):
+            mine = [k for k, s in enumerate(segments) if s.motion == motion and not s.still]
+            if not mine:
+                continue
+            weight = sum(np.sum(segments[k].weight(segments[k].times) ** 2, axis=0) for k in mine)
+
+            def size(parts: Sequence[np.ndarray], weight=weight) -> np.ndarray:
+                return np.sqrt(sum(np.sum(p**2, axis=0) for p in parts) / np.maximum(weight, 1e-300))
+
+            left = [
+                size([np.linalg.solve(segments[k].whitener, w[k][:, :, None])[:, :, 0] for k in mine]) for w in white
+            ]
+            signal = size([segments[k].measured_readings for k in mine])
+            out.append(MotionErrors(motion, fitted, left[0], left[1] if best is not None else None, signal))
+    return tuple(out)
+
+
 def without_offset(data: DiagnosisData, segments: Sequence[Segment], rows: np.ndarray) -> np.ndarray:
     """Whitened rows (rows, ...) less what a constant offset of every motion explains, where a static run allows for one."""
     if not (data.offset_free and data.channel == "wrench"):

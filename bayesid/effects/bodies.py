@@ -48,6 +48,15 @@ class Payload(BodyEffect):
     def sought(self, around):
         return False
 
+    def derived(self, values, covariance):
+        # The centre of mass c = mc / m; of a change that is no possible body it says nothing.
+        mass, out = values[0], []
+        for k, axis in enumerate("xyz", 1):
+            c = values[k] / mass if mass > 0.0 else np.nan
+            variance = covariance[k, k] - 2.0 * c * covariance[0, k] + c**2 * covariance[0, 0]
+            out.append((f"c{axis}", float(c), float(np.sqrt(np.abs(variance)) / mass) if mass > 0.0 else np.nan, "m"))
+        return tuple(out)
+
 
 class InertiaError(BodyEffect):
     name = "inertia_error"

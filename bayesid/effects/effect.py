@@ -55,6 +55,10 @@ class Parameter:
     tried: tuple[float, ...] = ()
 
 
+#: Name, value, standard deviation (not finite where it is not determined) and unit of a quantity that follows from parameters.
+Derived = tuple[str, float, float, str]
+
+
 @dataclass(frozen=True)
 class Effect(ABC):
     """An effect at its place. To add one, derive a class from one of `bayesid.effects.families` and register it.
@@ -215,6 +219,10 @@ class Effect(ABC):
     def units(self) -> tuple[str, ...]:
         """One unit a parameter."""
         return tuple(p.unit for p in self.quantities)
+
+    def derived(self, values: Sequence[float], covariance: np.ndarray) -> tuple[Derived, ...]:
+        """What follows from parameters (k,) and is told beside them, with standard deviations by their covariance (k, k)."""
+        return ()
 
     @property
     def non_negative(self) -> tuple[bool, ...]:

@@ -48,7 +48,8 @@ def changes_report(result: Changes) -> str:
         sentence=verdict_sentence(c), gap=gap_sentence(c), cards_of=_cards(c), notes=notes(c),
         runners_up=runners_up(c), next_experiment=next_experiment(c),
         changes=[
-            {"name": worded(x.change, c), "summary": x.change.effects[0].summary, "rows": [value_text(v) for v in x.values],
+            {"name": worded(x.change, c), "summary": x.change.effects[0].summary,
+             "rows": [value_text(v) for v in (*x.values, *x.derived)],
              "before": [number(v.before) for v in x.values] if x.change.known else [], "share": shares_sentence(x, c)}
             for x in c.changes
         ],

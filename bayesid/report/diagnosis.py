@@ -14,6 +14,7 @@ from bayesid.diagnosis.remarks import by_kind
 from bayesid.diagnosis.residual_floor import SOURCES
 from bayesid.diagnosis.rivals import Found
 from bayesid.diagnosis.separation import Visible
+from bayesid.diagnosis.validation import MotionErrors
 from bayesid.effects import Effect
 from bayesid.report.described import described_section
 from bayesid.report.diagnosis_figures import before_and_after, evidence, residual_maps, signals
@@ -60,7 +61,7 @@ def diagnosis_report(diagnosis: Findings) -> str:
     proposals = _proposals(d)
     shown = [p for p in proposals if p["evidence"] > 0][:_BARS]
     seen = _seen(views)
-    curves = [(f"{s.channel} [{s.unit}] below {s.below:g} Hz", s.times, s.values, s.noise) for s in views.signals]
+    curves = [(f"{s.channel} [{s.unit}] below {s.below:g} Hz", s.times, s.measured, s.values, s.noise) for s in views.signals]
     return render(
         "diagnosis.html",
         name=data.experiment.name,
@@ -93,6 +94,8 @@ def diagnosis_report(diagnosis: Findings) -> str:
         exact=data.prior is None,
         bars=svg(before_and_after(channels, views.by_channel, _floor(d), changed), "bars"),
         signals=svg(signals(curves, changed), "signals"),
+        errors=[_errors(e) for e in d.errors],
+        error_channels=[{"name": n, "unit": u} for n, u in zip(channels, data.channels.units, strict=True)],
         signal_motion=views.signals[0].motion,
         seen=seen,
         every=[_visible(v) for v in views.visible],
@@ -121,7 +124,7 @@ def _sentences(d: Findings) -> dict[str, Any]:
         "validation": validation_sentence(d),
         "effects": [
             {"name": worded(f.term.effect, d), "spec": f.term.effect.spec, "summary": f.term.effect.summary,
-             "motion": f.term.motion if isinstance(f.term, Episode) else "", "rows": parameter_rows(f),
+             "motion": f.term.motion if isinstance(f.term, Episode) else "", "rows": parameter_rows(d, k),
              "steady": steady_sentence(f, d), "share": "" if d.part is None else share_range(d, k)}
             for k, f in enumerate(d.found)
         ],
@@ -196,6 +199,21 @@ def channels_figure(diagnosis: Findings, ax: Any = None) -> Figure:
 def _floor(d: Findings) -> float | None:
     """What a complete model would leave; None where a part alone was named or nothing tells it."""
     return None if d.gap is None or d.part is not None else d.gap.floor
+
+
+def _errors(e: MotionErrors) -> dict[str, Any]:
+    """Errors of a motion in units and per cent, before and after."""
+    sides = [("before" if e.after is not None else "error", e.before), *([("after", e.after)] if e.after is not None else [])]
+    return {
+        "motion": e.motion, "fitted": e.fitted,
+        "lines": [
+            {"name": name, "all": percent(e.relative(error)), "cells": [
+                f"{number(float(v), 3)} ({percent(float(v / s), 2) if s > 0 else DASH})"
+                for v, s in zip(error, e.signal, strict=True)
+            ]}
+            for name, error in sides
+        ],
+    }  # fmt: skip
 
 
 def _proposals(d: Findings) -> list[dict[str, Any]]:

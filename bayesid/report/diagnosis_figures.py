@@ -179,35 +179,37 @@ def before_and_after(channels: Sequence[str], ratios: np.ndarray, floor: float |
 
 
 @styled
-def signals(rows: Sequence[tuple[str, np.ndarray, np.ndarray, float]], changed: bool) -> Figure:
-    """Measured less predicted, in the channel's unit, before and after, over the band of the noise.
+def signals(rows: Sequence[tuple[str, np.ndarray, np.ndarray, np.ndarray, float]], changed: bool) -> Figure:
+    """Measured beside predicted before and after, and what is left of each, in the channel's unit over the band of the noise.
 
     Parameters
     ----------
     rows
-        Title, times (N,) [s], before and after (N, 2) and the standard deviation of the noise.
+        Title, times (N,) [s], measured (N,), measured less predicted before and after (N, 2) and the standard deviation of the
+        noise.
     changed
         Whether there is an "after".
     """
-    figure, axes = make_grid(len(rows), 2 if changed else 1, 1.15, left=0.65, top=0.5, sharex=True)
-    for line, (title, times, values, noise) in zip(axes, rows, strict=True):
-        thin = max(len(times) // _POINTS, 1)
-        for k, ax in enumerate(line):
-            ax.axhspan(-1.96 * noise, 1.96 * noise, color=NOISE, alpha=0.18, lw=0, label="95 % of the noise")
-            colour, label = ((BEFORE, "before"), (AFTER, "after"))[k]
-            ax.plot(times[::thin], values[::thin, k], color=colour, lw=0.9, label=label if changed else "measured less predicted")
-            ax.axhline(0.0, color="#334155", lw=0.6)
-            reach = max(float(np.abs(values[:, k]).max()), 3.0 * noise) * 1.08
-            ax.set_ylim(-reach, reach)
-            ax.set_title(title + (f", {label}" if changed else ""))
-            ax.yaxis.set_major_locator(MaxNLocator(4, symmetric=True))
+    figure, axes = make_grid(len(rows), 2, 1.15, left=0.65, top=0.5, sharex=True)
+    models = [(0, BEFORE, "before"), (1, AFTER, "after")] if changed else [(0, BEFORE, "predicted")]
+    for (whole, left), (title, times, measured, values, noise) in zip(axes, rows, strict=True):
+        thin = slice(None, None, max(len(times) // _POINTS, 1))
+        whole.plot(times[thin], measured[thin], color="#94a3b8", lw=2.4, label="measured")
+        left.axhspan(-1.96 * noise, 1.96 * noise, color=NOISE, alpha=0.18, lw=0, label="95 % of the noise")
+        for k, colour, label in models:
+            whole.plot(times[thin], (measured - values[:, k])[thin], color=colour, lw=0.9, label=label)
+            left.plot(times[thin], values[thin, k], color=colour, lw=0.9)
+        left.axhline(0.0, color="#334155", lw=0.6)
+        reach = max(float(np.abs(values[:, : len(models)]).max()), 3.0 * noise) * 1.08
+        left.set_ylim(-reach, reach)
+        whole.set_title(title)
+        left.set_title("measured less predicted")
+        for ax in (whole, left):
+            ax.yaxis.set_major_locator(MaxNLocator(4))
             ax.margins(x=0.01)
     for ax in axes[-1]:
         ax.set_xlabel("time [s]")
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    if changed:
-        more = axes[0, 1].get_legend_handles_labels()
-        handles, labels = [*handles, more[0][1]], [*labels, more[1][1]]
+    handles, labels = (a + b for a, b in zip(*(ax.get_legend_handles_labels() for ax in axes[0]), strict=True))
     add_legend(axes, handles, labels)
     return figure
 

@@ -42,14 +42,14 @@ class Panel:
 
 @dataclass(frozen=True, eq=False)
 class Signal:
-    """Measured less predicted in one channel, before and after.
+    """What was measured in one channel, and measured less predicted before and after.
 
     Attributes
     ----------
     channel, unit, motion
         Which.
-    times, values
-        (N,) [s] and (N, 2).
+    times, measured, values
+        (N,) [s], (N,) and (N, 2).
     noise
         Standard deviation that sensor and encoders leave in the same band.
     below
@@ -60,6 +60,7 @@ class Signal:
     unit: str
     motion: str
     times: np.ndarray
+    measured: np.ndarray
     values: np.ndarray
     noise: float
     below: float
@@ -181,9 +182,10 @@ def _signals(diagnosis: Findings, judged: list[tuple[Segment, np.ndarray, bool]]
         cuts = [f for f in _CUTS if f <= s.frequencies[-1] * 1.05] or [float(s.frequencies[-1])]
         inside = {f: s.frequencies <= f for f in cuts}
         below = max(cuts, key=lambda f: float(np.sum(left[inside[f], c, 0] ** 2) / np.sum(variance[inside[f]])))
-        kept = np.where(inside[below][:, None], left[:, c], 0.0)
+        kept = np.where(inside[below][:, None], np.column_stack([s.measured_readings[:, c], left[:, c]]), 0.0)
+        course = s.samples(kept)
         noise = float(np.sqrt(np.sum(variance[inside[below]]) / len(s.times)))
-        out.append(Signal(channels.names[c], channels.units[c], s.motion, s.times, s.samples(kept), noise, below))
+        out.append(Signal(channels.names[c], channels.units[c], s.motion, s.times, course[:, 0], course[:, 1:], noise, below))
     return tuple(out)
 
 

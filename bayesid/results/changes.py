@@ -141,6 +141,7 @@ def change_dict(x: Change) -> dict[str, Any]:
     return {
         "name": x.change.name, "where": x.change.where, "probability": x.probability, "log_bayes_factor": x.found.evidence,
         "parameters": {v.name: {**with_ends(v.value, v.std, v.unit), "reference": v.before} for v in x.values},
+        "derived": {v.name: with_ends(v.value, v.std, v.unit) for v in x.derived},
         "ambiguous_with": [{"name": h.name, "where": h.where} for h, _ in x.found.rivals],
         "next_best": None if lead is None else {"name": lead[0].name, "where": lead[0].where, "behind": lead[1]},
         "share": _finite(x.share), "share_low": _finite(x.share_low),

@@ -130,7 +130,7 @@ def summary(comparison: Comparison) -> str:
         f"  {verdict_sentence(c)}",
     ]
     for x in c.changes:
-        for v in x.values:
+        for v in (*x.values, *x.derived):
             name, text, half, _, unit = value_text(v)
             before = f" (reference {number(v.before)})" if x.change.known else ""
             lines.append(f"    {x.change.spec}: {name} {text}{'' if half == DASH else f' ± {half}'} {unit}".rstrip() + before)
@@ -149,7 +149,7 @@ def notebook(comparison: Comparison) -> str:
     c = comparison
     out = [f"<p><b>{escape(verdict_sentence(c))}</b> {escape(gap_sentence(c)).capitalize()}.</p>"]
     if c.changes:
-        rows = [[x.change.spec, *value_text(v)] for x in c.changes for v in x.values]
+        rows = [[x.change.spec, *value_text(v)] for x in c.changes for v in (*x.values, *x.derived)]
         out.append(html_table(["change", "parameter", "value", "± 95 %", "interval", "unit"], rows))
     sentences = [*(s for x in c.changes if (s := shares_sentence(x, c))), *notes(c), *runners_up(c)]
     sentences += [f"Could hide: {s}" for s in hidden_sentences(c)] if not c.changes else []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from html import escape
 
 import numpy as np
@@ -10,11 +11,14 @@ from bayesid.diagnosis.data import Episode
 from bayesid.diagnosis.locate import Disagreement
 from bayesid.diagnosis.remarks import by_kind
 from bayesid.diagnosis.rivals import Found
+from bayesid.diagnosis.validation import MotionErrors
 from bayesid.effects import Effect
 from bayesid.results.described import described_lines
 from bayesid.results.findings import Findings
 from bayesid.results.text import DASH, HALF, channel_text, interval, number, percent, with_half
 
+#: What stands for a value that the data leave open.
+NOT_DETERMINED = "not determined"
 #: Disagreements that a terminal shows.
 _SHOWN = 4
 #: So many effects are spelt out in a sentence, and so many channels of what stays; more are told by kind.
@@ -97,10 +101,36 @@ def validation_sentence(diagnosis: Findings) -> str:
             return f"{unseen} {before} times the noise is left; {end}"
         return f"{unseen} the best attempt ({tried}) gets from {before} to {after} times the noise; {end}"
     text = f"{unseen} the residual goes from {before} to {after} times the noise; a complete model would leave {floor}."
+    if gap.difference < d.data.settings.detected**2:
+        what = "it" if len(d.found) == 1 else "them"
+        text = (
+            f"{unseen} {before} times the noise is left with and without {what} ({floor} by a complete model): the readings of "
+            f"these motions hardly depend on {what}, so they neither confirm nor deny {what}."
+        )
     here = [f.term.motion for f in d.found if isinstance(f.term, Episode)]
     if here:
         text += f" A contact happens once, here in ‘{here[0]}’, so other motions cannot confirm it."
     return text
+
+
+def error_lines(diagnosis: Findings) -> list[str]:
+    """Errors without and with the effects named, in per cent and units: of the motions that were not fitted, or of all."""
+    names, units = diagnosis.data.channels.names, diagnosis.data.channels.units
+    shown = [e for e in diagnosis.errors if not e.fitted] or diagnosis.errors
+    return [error_line(e, names, units) for e in shown]
+
+
+def error_line(e: MotionErrors, names: Sequence[str], units: Sequence[str]) -> str:
+    """One motion's errors: all channels together, then those of which most is left."""
+    after = e.before if e.after is None else e.after
+
+    def change(before: float, now: float, text: Callable[[float], str]) -> str:
+        return text(before) if e.after is None else f"{text(before)} -> {text(now)}"
+
+    worst = [k for k in np.argsort(-e.before / np.maximum(e.signal, 1e-300)) if e.before[k] > 0.0][:_CHANNELS_SAID]
+    parts = [f"{names[k]} {change(float(e.before[k]), float(after[k]), lambda v: number(v, 3))} {units[k]}" for k in worst]
+    whole = change(e.relative(e.before), e.relative(after), lambda v: number(100 * v, 3))
+    return f"error of {e.motion}{' (fitted)' if e.fitted else ''}: {whole} % of the signal; {', '.join(parts)}"
 
 
 def notes(diagnosis: Findings) -> list[str]:
@@ -157,14 +187,20 @@ def worded(effect: Effect, diagnosis: Findings) -> str:
     return f"{effect.name} at {effect.where}" + ("" if own == effect.where else f" ({own})")
 
 
-def parameter_rows(found: Found) -> list[tuple[str, str, str, str, str]]:
-    """Name, value, half the 95 % interval, the interval and the unit of each parameter of an effect."""
+def parameter_rows(diagnosis: Findings, index: int) -> list[tuple[str, str, str, str, str]]:
+    """Name, value, half the 95 % interval, the interval and the unit of an effect's parameters and of what follows from them.
+
+    Where the data do not determine a value none is shown.
+    """
+    found = diagnosis.found[index]
     effect = found.term.effect
     rows = []
-    for key, value, std, unit in zip(effect.parameters, found.term.values, found.std, effect.units, strict=True):
+    values = zip(effect.parameters, found.term.values, found.std, effect.units, strict=True)
+    for key, value, std, unit in (*values, *diagnosis.derived(index)):
         half = HALF * float(std)
-        text, spread = with_half(value, half)
-        rows.append((key, text, spread, interval(value, half), "" if unit == "1" else unit))
+        known = np.isfinite(half) and half > 0.0
+        text, spread = with_half(value, half) if known else (NOT_DETERMINED, DASH)
+        rows.append((key, text, spread, interval(value, half) if known else DASH, "" if unit == "1" else unit))
     return rows
 
 
@@ -189,8 +225,8 @@ def summary(diagnosis: Findings) -> str:
     ]
     for k, f in enumerate(d.found):
         share = f"; closes {share_range(d, k)}" if d.part is not None else ""
-        for key, value, half, _, unit in parameter_rows(f):
-            text = f"{value} {unit}".rstrip() + " (not determined)" if half == DASH else f"{value} ± {half} {unit}".rstrip()
+        for key, value, half, _, unit in parameter_rows(d, k):
+            text = value if half == DASH else f"{value} ± {half} {unit}".rstrip()
             lines.append(f"    {f.term.effect.spec}: {key} {text}{share}")
             share = ""
     if d.part is not None:
@@ -205,6 +241,7 @@ def summary(diagnosis: Findings) -> str:
         if d.found and closed and d.part is None:
             text += f", {closed} closed" + (f", at least {least}" if least else "")
         lines.append(text)
+    lines += [f"  {line}" for line in error_lines(d)]
     if d.verdict == "unknown" and d.search.found:
         lines.append(f"  best attempt: {', '.join(by_kind(f.term for f in d.search.found))}")
     word = "unexplained" if d.verdict == "nothing_missing" else "stays" if d.part is not None else "disagrees"
@@ -238,8 +275,9 @@ def notebook(diagnosis: Findings) -> str:
     """The same as HTML for a notebook."""
     d = diagnosis
     out = [f"<p><b>{escape(verdict_sentence(d))}</b> {escape(validation_sentence(d))}</p>"]
+    out += [f"<p>{escape(line[0].upper() + line[1:])}.</p>" for line in error_lines(d)]
     if d.found:
-        rows = [(f.term.effect.spec, *row) for f in d.found for row in parameter_rows(f)]
+        rows = [(f.term.effect.spec, *row) for k, f in enumerate(d.found) for row in parameter_rows(d, k)]
         head = "".join(f"<th>{h}</th>" for h in ("effect", "parameter", "value", "± 95 %", "interval", "unit"))
         body = "".join("<tr>" + "".join(f"<td>{escape(c)}</td>" for c in row) + "</tr>" for row in rows)
         out.append(f"<table><tr>{head}</tr>{body}</table>")

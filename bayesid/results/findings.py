@@ -15,8 +15,9 @@ from bayesid.diagnosis.in_part import InPart
 from bayesid.diagnosis.locate import Disagreement
 from bayesid.diagnosis.search import Found, Search
 from bayesid.diagnosis.stability import Stability
-from bayesid.diagnosis.validation import Gap
+from bayesid.diagnosis.validation import Gap, MotionErrors
 from bayesid.effects import Term
+from bayesid.effects.effect import Derived
 from bayesid.estimators.parameters import with_ends
 from bayesid.recordings.schema import EffectParameters
 from bayesid.results.described import description_dict, terms_of
@@ -63,6 +64,8 @@ class Findings:
         What held-out recordings say of effects named in part; None for any other verdict.
     remainder
         Where the model with the effects named in part and the data disagree.
+    errors
+        Of every motion in the readings' own units, without and with the effects named; those that were not fitted first.
     """
 
     data: DiagnosisData
@@ -80,6 +83,7 @@ class Findings:
     description: Description | None = None
     part: InPart | None = None
     remainder: tuple[Disagreement, ...] = ()
+    errors: tuple[MotionErrors, ...] = ()
 
     @property
     def terms(self) -> tuple[Term, ...]:
@@ -87,6 +91,15 @@ class Findings:
         fitted = self.search.best if self.found else self.search.base
         known = fitted.terms[: len(self.search.base.terms)]
         return (*known, *(f.term for f in self.found))
+
+    def derived(self, index: int) -> tuple[Derived, ...]:
+        """What follows from the values of an effect, see `bayesid.effects.effect.Effect.derived`."""
+        found, best = self.found[index], self.search.best
+        at = [column for column, (owner, _) in enumerate(best.free) if owner == len(self.search.base.terms) + index]
+        covariance = best.covariance[np.ix_(at, at)]
+        scale = found.std / np.sqrt(np.maximum(np.diag(covariance), 1e-300))  # a dispersion, and infinite where undetermined
+        with np.errstate(invalid="ignore"):
+            return found.term.effect.derived(found.term.values, covariance * np.outer(scale, scale))
 
     @property
     def needed(self) -> float:
@@ -120,6 +133,7 @@ class Findings:
             "remainder": self._remainder(),
             "where": [d.to_dict() for d in self.where],
             "gap": self._gap(),
+            "errors": [e.to_dict(self.data.channels.names, self.data.channels.units) for e in self.errors],
             "description": None if self.description is None else description_dict(self.description, self.data.channels.names),
             "candidates": [
                 {
@@ -181,6 +195,7 @@ class Findings:
             key: with_ends(value, s, unit)
             for key, value, s, unit in zip(effect.parameters, found.term.values, std, effect.units, strict=True)
         }
+        derived = {key: with_ends(value, s, unit) for key, value, s, unit in self.derived(index)}
         rivals = [{"name": t.effect.name, "where": t.effect.where} for t, _ in found.rivals]
         share = self.shares(index)
         odds = np.array([0.0, *(-lack for _, lack in found.rivals)])
@@ -188,6 +203,7 @@ class Findings:
         return {
             "name": effect.name, "where": effect.where, "probability": float(probability),
             "log_bayes_factor": found.gain, "share": None if share is None else share[0],
-            "share_low": None if share is None else share[1], "parameters": parameters, "ambiguous_with": rivals,
+            "share_low": None if share is None else share[1], "parameters": parameters, "derived": derived,
+            "ambiguous_with": rivals,
             "stability": next((x.to_dict() for x in self.stability if x and x.spec == effect.spec), None),
         }  # fmt: skip

@@ -22,7 +22,7 @@ from bayesid.diagnosis.search import Search, certain, search
 from bayesid.diagnosis.settings import DEFAULT, Settings
 from bayesid.diagnosis.shifts import base_shifts
 from bayesid.diagnosis.stability import stability
-from bayesid.diagnosis.validation import residual_spectra, validate
+from bayesid.diagnosis.validation import motion_errors, residual_spectra, validate
 from bayesid.diagnosis.verdict import evidence_of, named_in_part, verdict
 from bayesid.drawing import Figures, figures_of
 from bayesid.errors import InputError
@@ -180,6 +180,7 @@ def _concluded(s: Search, seed: int, progress: Progress) -> Diagnosis:
         stability=parts,
         part=part,
         remainder=stays,
+        errors=motion_errors(s.projector.data, s.base, s.best if named else None),
     )
 
 

@@ -34,6 +34,7 @@ from bayesid.workflows.progress import SHOWN, Clock, Progress, shows_progress
 from bayesid.workflows.urdf_links import missing_rotors, urdf_links
 from bayesid.workflows.warnings import (
     contradictions,
+    impossible_signs,
     incomplete,
     listed,
     mistaken,
@@ -128,8 +129,10 @@ def identify(
             agreements += [across] if across is not None else []
         unexcited = _unexcited(problem, estimate)
         check = against_nominal(problem.regression, estimate)
-        of_rotors = missing_rotors(problem, method, options, links)
-        mistakes = mistaken(problem, estimate, validation)
+        signs = impossible_signs(estimate, problem)
+        mistakes = mistaken(problem, validation, bool(signs))
+        of_rotors = missing_rotors(problem, method, options, links, bool(mistakes))
+    wrong = [*mistakes, *signs]
     of_links = [*(of_rotors if links.usable else []), *links.warnings()]
     no_use = (*unusable(problem, validation, mistakes), *(() if links.usable else of_rotors))
     return Identification(
@@ -141,7 +144,7 @@ def identify(
         static_alternative=alternative,
         offset=_offset(problem, estimate, links.unconstrained),
         unexcited=unexcited,
-        warnings=(*no_use, *_warnings(problem, estimate, check, mistakes, of_links, validation, agreements, unexcited)),
+        warnings=(*no_use, *_warnings(problem, estimate, check, wrong, of_links, validation, agreements, unexcited)),
         seconds=clock.stop(),
         prior_check=check,
         unconstrained_urdf=unconstrained_urdf,
@@ -230,14 +233,14 @@ def _warnings(
     problem: Problem,
     estimate: Estimate,
     check: PriorCheck | None,
-    mistakes: Sequence[str],
+    wrong: Sequence[str],
     of_links: Sequence[str],
     validation: Sequence[Prediction],
     agreements: Sequence[Agreement],
     unexcited: Sequence[str],
 ) -> tuple[str, ...]:
     """What the user should know, most important first."""
-    out = [*conflicts(check), *not_settled(problem, estimate), *mistakes, *repeated_motions(validation), *unpredicted(validation)]
+    out = [*conflicts(check), *not_settled(problem, estimate), *wrong, *repeated_motions(validation), *unpredicted(validation)]
     if not validation:
         out.append(
             "No validation motion: nothing shows that the estimate holds for another motion. "

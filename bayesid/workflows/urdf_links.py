@@ -47,11 +47,14 @@ def urdf_links(problem: Problem, estimate: Estimate) -> UrdfLinks:
     )
 
 
-def missing_rotors(problem: Problem, method: Estimator, options: FitOptions, links: UrdfLinks) -> list[str]:
+def missing_rotors(
+    problem: Problem, method: Estimator, options: FitOptions, links: UrdfLinks, mistaken: bool = False
+) -> list[str]:
     """That links are as heavy as no arm of this URDF is, or cannot exist, and whether rotor inertias in the model repair it.
 
     Joint torques hardly show masses. Where the links must be far from the stated ones all the same, they stand for inertia that
-    no link has, as a rule that of the drives' rotors, which acts about each joint's axis alone. It is tried.
+    no link has, as a rule that of the drives' rotors, which acts about each joint's axis alone. It is tried, unless a mistake in
+    the data is known that has to be undone first (``mistaken``).
     """
     robot = problem.experiment.robot
     if problem.channel != "torque" or not states_masses(robot):
@@ -70,6 +73,8 @@ def missing_rotors(problem: Problem, method: Estimator, options: FitOptions, lin
         f"{stated.sum():.3g} kg ({robot.body_names[k]}: {found[k]:.3g}, stated {stated[k]:.3g}), to have the inertias that the "
         "estimate asks for. "
     )
+    if mistaken:
+        return [] if links.usable else [f"{said}Undo the mistake that is named below, then fit again: do not rely on these."]
     effects = [effect.spec for effect in problem.row_model.effects]
     repaired = None
     if not any(spec.startswith(_ROTORS) for spec in effects):

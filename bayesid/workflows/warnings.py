@@ -113,12 +113,22 @@ def incomplete(dispersion: float | None, channels: Mapping[str, float] | None = 
     )
 
 
-def mistaken(problem: Problem, estimate: Estimate, validation: Sequence[Prediction]) -> list[str]:
-    """Which mistake in the data would explain a bad fit, and that masses or friction have a sign that nothing has.
+def mistaken(problem: Problem, validation: Sequence[Prediction], impossible: bool) -> list[str]:
+    """Which mistake in the data would explain a bad fit.
 
-    The search for mistakes takes a part of a second; it is made where a sign is wrong, where a held-out motion is not predicted
-    well, and where the URDF has no masses to compare with.
+    The search takes a part of a second; it is made where a sign is wrong (``impossible``), where a held-out motion is not
+    predicted well, and where the URDF has no masses to compare with.
     """
+    masses = problem.experiment.robot.nominal[:, 0]
+    if not impossible and masses.any() and all(judged(p).mood == "good" for p in validation):
+        return []
+    from bayesid.validation.mistakes.search import find_mistakes
+
+    return [found.text for found in find_mistakes(problem.experiment)]
+
+
+def impossible_signs(estimate: Estimate, problem: Problem) -> list[str]:
+    """That masses or friction have a sign that nothing has."""
     base, rank = estimate.base, estimate.base.rank
     negative = estimate.solution < -_CERTAIN * estimate.full_std
     alone = [
@@ -126,22 +136,16 @@ def mistaken(problem: Problem, estimate: Estimate, validation: Sequence[Predicti
         for name, row in zip(base.names, base.matrix, strict=True)
     ]
     never = np.array([*alone, *problem.regression.knowledge.effect_non_negative], dtype=bool) & negative
+    if not never.any():
+        return []
     names = [*base.names, *estimate.effect_names]
     units = [*base.units, *estimate.effect_units]
     shown = [f"{names[k]} = {estimate.solution[k]:.3g} +- {estimate.full_std[k]:.2g} {units[k]}" for k in np.flatnonzero(never)]
-    masses = problem.experiment.robot.nominal[:, 0]
-    if not shown and masses.any() and all(judged(p).mood == "good" for p in validation):
-        return []
-    from bayesid.validation.mistakes.search import find_mistakes
-
-    out = [found.text for found in find_mistakes(problem.experiment)]
-    if shown:
-        kind = "Mass" if never[:rank].any() else "Friction"
-        out.append(
-            f"{kind} that cannot be negative is: {listed(shown, 4)}. Check signs, joint order and units of the readings"
-            f"{'; the line above says which' if out else ''}, or whether the motions show it at all."
-        )
-    return out
+    kind = "Mass" if never[:rank].any() else "Friction"
+    return [
+        f"{kind} that cannot be negative is: {listed(shown, 4)}. Check signs, joint order and units of the readings, or whether "
+        "the motions show it at all."
+    ]
 
 
 def not_settled(problem: Problem, estimate: Estimate) -> list[str]:

@@ -55,12 +55,15 @@ class Change:
     share, share_low
         Of the gap between reference and recording that it closes on stretches that took no part; lower end of its one-sided 95 %
         interval.
+    derived
+        What follows from the parameters of an effect that came, see `bayesid.effects.effect.Effect.derived`.
     """
 
     found: Accepted
     values: tuple[Value, ...]
     share: float
     share_low: float
+    derived: tuple[Value, ...] = ()
 
     @property
     def change(self) -> Hypothesis:
@@ -197,7 +200,7 @@ def compare_with_learned(
     named = proven(selection, proof, settings)
     fitted = amplitudes(selection.marginal())
     changes = tuple(
-        Change(a, _values(reference, a.change, fitted, own), share, low)
+        Change(a, _values(reference, a.change, fitted, own), share, low, _derived(a.change, fitted, own))
         for a, own, share, low in zip(selection.accepted, selection.directions, proof.shares, proof.shares_low, strict=True)
         if a in named
     )
@@ -224,6 +227,16 @@ def _values(reference: Reference, change: Hypothesis, fitted: Amplitudes, own: s
     spread[~plain] = np.nan
     names, units = change.effects[0].parameters, change.effects[0].units
     return tuple(Value(n, u, float(v), float(s), 0.0) for n, u, v, s in zip(names, units, values, spread, strict=True))
+
+
+def _derived(change: Hypothesis, fitted: Amplitudes, own: slice) -> tuple[Value, ...]:
+    """What follows from the parameters of an effect that came at one place and has no shape."""
+    effect, *others = change.effects
+    if change.known or change.proposal is not None or others:
+        return ()
+    mean, root = fitted.part(own)[change.columns], fitted.part_root(own)[change.columns]
+    found = effect.derived(mean.tolist(), root @ root.T)
+    return tuple(Value(name, unit, value, std, 0.0) for name, value, std, unit in found)
 
 
 def _known_terms(reference: Reference, fitted: Amplitudes) -> tuple[Term, ...]:
