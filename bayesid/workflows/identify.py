@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from bayesid.arguments import argument, call
+from bayesid.arguments import argument
 from bayesid.drawing import Figures, figures_of
 from bayesid.dynamics.base_parameters import structural_base
 from bayesid.estimators import DEFAULT_METHOD, Estimate, Estimator, estimator
