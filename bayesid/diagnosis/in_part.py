@@ -35,7 +35,7 @@ class Share:
     Attributes
     ----------
     share, share_low
-        Share of the gap that it closes beside those before it, and the lower end of its one-sided 95 % interval.
+        Share of the gap that opens again without it while all others stay, and the lower end of its one-sided 95 % interval.
     """
 
     share: float
@@ -77,7 +77,8 @@ class InPart:
     @property
     def remainder(self) -> float:
         """Share of the gap that stays."""
-        return max(1.0 - sum(s.share for s in self.shares), 0.0)
+        before, *_, after, floor = self.courses
+        return float(np.clip((after - floor) / max(before - floor, LEAST_GAP * before), 0.0, 1.0))
 
 
 def proven_effects(s: Search, seed: int) -> InPart | None:
@@ -236,8 +237,8 @@ def _concluded(
     another = [n for n in range(len(kept)) if is_another(data, best.terms[known + n : known + n + 1])]
     if not another and not np.isfinite(best.score):
         return None
-    steps = [before, *(choice.squares(kept[: n + 1]) for n in range(len(kept)))]
-    shares = [Share(*choice.share(steps[n], steps[n + 1], before)) for n in range(len(kept))]
+    now = choice.squares(kept)
+    shares = [Share(*choice.share(choice.squares([x for x in kept if x != k]), now, before)) for k in kept]
     # Columns promised more than the exact fit beside the others keeps, or what is no more than another effect; and what closes
     # nothing, once effects that it stood beside have gone.
     faint = another or [n for n in range(len(kept)) if not differs_from_zero(best, known + n) or shares[n].share_low <= 0.0]
@@ -246,6 +247,7 @@ def _concluded(
         rest = [n for n in range(len(kept)) if n != least]
         model = [t for n, t in enumerate(model) if n != known + least]
         return _concluded(s, choice, [kept[n] for n in rest], model, [rivals[n] for n in rest], before) if rest else None
+    steps = [before, *(choice.squares(kept[: n + 1]) for n in range(len(kept)))]
     found = []
     for n, k in enumerate(kept):
         one = best.terms[known + n]

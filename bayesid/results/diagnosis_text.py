@@ -224,7 +224,7 @@ def summary(diagnosis: Findings) -> str:
         f"  {verdict_sentence(d)}",
     ]
     for k, f in enumerate(d.found):
-        share = f"; closes {share_range(d, k)}" if d.part is not None else ""
+        share = f"; without it {share_range(d, k)} is open again" if d.part is not None else ""
         for key, value, half, _, unit in parameter_rows(d, k):
             text = value if half == DASH else f"{value} ± {half} {unit}".rstrip()
             lines.append(f"    {f.term.effect.spec}: {key} {text}{share}")
@@ -259,7 +259,7 @@ def summary(diagnosis: Findings) -> str:
 
 
 def share_range(diagnosis: Findings, index: int) -> str:
-    """Share of the gap that an effect closes, and the least it does with 95 % confidence."""
+    """Share of the gap that an effect closes beside all others, and the least it does with 95 % confidence."""
     found = diagnosis.shares(index)
     if found is None:
         return DASH
