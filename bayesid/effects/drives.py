@@ -87,6 +87,7 @@ class CoupledFriction(ReadingEffect):
     name = "coupled_friction"
     channels = ("torque",)
     at = "joint->joint"
+    along_joint = True
     summary = "friction and rotor of a motor that another joint turns, too, where tables give positions and torques of the joints"
     equation = (
         "$c_v\\dot m + l\\,\\mathrm{sign}\\,\\dot m + J\\ddot m$ in the torque of joint $k$, $c$ times that in the torque of "

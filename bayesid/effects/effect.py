@@ -29,7 +29,7 @@ class Parameter:
     Attributes
     ----------
     name, unit
-        As in the experiment format; the unit for a turning joint.
+        As in the experiment format; the unit for a turning joint, see `Effect.units`.
     lower, upper
         Range outside which a value is not plausible.
     start
@@ -55,6 +55,11 @@ class Parameter:
     tried: tuple[float, ...] = ()
 
 
+#: Units along a sliding joint by those about a turning one.
+_SLIDING = {
+    "N m": "N", "N m/rad": "N/m", "N m s/rad": "N s/m", "N m/s": "N/s", "rad": "m", "rad/s": "m/s", "1/rad": "1/m",
+    "rad/(N m)": "m/N", "kg m^2": "kg",
+}  # fmt: skip
 #: Name, value, standard deviation (not finite where it is not determined) and unit of a quantity that follows from parameters.
 Derived = tuple[str, float, float, str]
 
@@ -75,6 +80,8 @@ class Effect(ABC):
         Gear ratio of the joint, where it is known and the effect needs it.
     driver
         Index of the joint whose motion turns this one's motor, too, where the effect couples two.
+    slides
+        Whether the joint slides.
 
     name
         As in the experiment format.
@@ -129,6 +136,8 @@ class Effect(ABC):
         Name of an effect that it is called where its values are possible for that.
     only_joint
         Index of the one joint that it can be at, where it cannot be at all.
+    along_joint
+        Whether its parameters are in units of its joint's position and force.
     harmonics
         Numbers of periods per radian or metre, where it is a sine of the joint's position; these are tried.
     wanders
@@ -146,6 +155,7 @@ class Effect(ABC):
     axes: tuple[int, ...] = ()
     ratio: float | None = None
     driver: int | None = None
+    slides: bool = False
 
     name: ClassVar[str] = ""
     channels: ClassVar[tuple[str, ...]] = ("wrench", "torque")
@@ -174,6 +184,7 @@ class Effect(ABC):
     columns_of: ClassVar[str | None] = None
     may_be: ClassVar[str | None] = None
     only_joint: ClassVar[int | None] = None
+    along_joint: ClassVar[bool] = False
     harmonics: ClassVar[tuple[float, ...]] = ()
     wanders: ClassVar[bool] = False
     last_resort: ClassVar[bool] = False
@@ -217,8 +228,9 @@ class Effect(ABC):
 
     @property
     def units(self) -> tuple[str, ...]:
-        """One unit a parameter."""
-        return tuple(p.unit for p in self.quantities)
+        """One unit a parameter: of a sliding joint metres and newtons stand in place of radians and newton metres."""
+        units = (p.unit for p in self.quantities)
+        return tuple(_SLIDING.get(u, u) for u in units) if self.slides and self.along_joint else tuple(units)
 
     def derived(self, values: Sequence[float], covariance: np.ndarray) -> tuple[Derived, ...]:
         """What follows from parameters (k,) and is told beside them, with standard deviations by their covariance (k, k)."""

@@ -114,6 +114,7 @@ class EncoderEffect(Effect):
     """An encoder reads something else than its joint's position."""
 
     at = "joint"
+    along_joint = True
 
     @abstractmethod
     def shift(self, values: Sequence[float]) -> float:
@@ -139,6 +140,7 @@ class FlexibleJointEffect(Effect):
     """The link is not where the motor is (`bayesid.effects.flexible`)."""
 
     at = "joint"
+    along_joint = True
     amplifies_encoder_errors = True
 
     @abstractmethod
@@ -150,6 +152,7 @@ class PlayEffect(Effect):
     """The link leans to one side of some play behind the motor (`bayesid.effects.play`)."""
 
     at = "joint"
+    along_joint = True
     amplifies_encoder_errors = True
 
     @abstractmethod
@@ -253,6 +256,7 @@ class JointTorqueEffect(InstrumentEffect):
 
     channels = ("torque",)
     at = "joint"
+    along_joint = True
     #: Whether it depends on the torque that moves and carries the links.
     uses_load: ClassVar[bool] = False
     #: Whether it depends on the time or on the motion before, so that the state at a moment does not say it.

@@ -8,7 +8,7 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from functools import cached_property, lru_cache
 from importlib import import_module
@@ -52,9 +52,12 @@ class EffectLibrary:
     ----------
     own
         The user's classes, beside those of the package and of installed packages.
+    sliding
+        Indices of the robot's joints that slide.
     """
 
     own: tuple[type[Effect], ...] = ()
+    sliding: tuple[int, ...] = ()
 
     @cached_property
     def classes(self) -> dict[str, type[Effect]]:
@@ -83,7 +86,7 @@ class EffectLibrary:
         for c in added:
             if names.count(c.name) > 1:
                 raise InputError(f"{source}: an effect is called '{c.name}' already; give it another name")
-        return EffectLibrary((*self.own, *added))
+        return replace(self, own=(*self.own, *added))
 
     @property
     def expressions(self) -> dict[str, dict[str, Any]]:
@@ -114,17 +117,17 @@ class EffectLibrary:
         known = ANY_JOINTS if joints is None else joints
         classes = [expression_effect(name, table, known, source) for name, table in tables.items()]
         others = tuple(c for c in self.own if not (c.name in tables and hasattr(c, "table")))
-        return EffectLibrary(others).with_classes(classes, source)
+        return replace(self, own=others).with_classes(classes, source)
 
-    def for_robot(self, joints: int) -> EffectLibrary:
-        """The library with all formulas checked against a robot with so many joints.
+    def for_robot(self, joints: int, sliding: Iterable[int] = ()) -> EffectLibrary:
+        """The library with all formulas checked against a robot with so many joints, some of which slide (their indices).
 
         Raises
         ------
         InputError
             A formula names a joint that the robot does not have.
         """
-        out = self
+        out = replace(self, sliding=tuple(sliding))
         for name, table in self.expressions.items():
             out = out.with_expressions({name: table}, joints, self.classes[name].source.strip("`"))
         return out
@@ -173,7 +176,7 @@ class EffectLibrary:
         elif c.at == "joint->joint":
             # A motor sits nearer to the base than its joint; what moves between the two are joints before it.
             pairs = [(i, k) for k in range(len(joint_names)) for i in range(k)]
-            out = [c(f"joint{i + 1}->joint{k + 1}", k, driver=i) for i, k in pairs]
+            out = [c(f"joint{i + 1}->joint{k + 1}", k, driver=i, slides=k in self.sliding) for i, k in pairs]
         elif c.at.startswith("joint"):
             for i, joint in enumerate(joint_names):
                 if c.channels == ("torque",) and f"tau{i + 1}" not in channels:
@@ -181,7 +184,7 @@ class EffectLibrary:
                 if c.only_joint is not None and c.only_joint != i:
                     continue
                 ratio = ratios.get(joint, ratios.get(f"joint{i + 1}")) if c.needs_gear_ratio else None
-                out.append(c(f"joint{i + 1}", i, ratio=ratio))
+                out.append(c(f"joint{i + 1}", i, ratio=ratio, slides=i in self.sliding))
             if c.at == "joint|robot":
                 out.append(c("robot"))
         else:

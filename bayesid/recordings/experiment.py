@@ -269,7 +269,7 @@ class Experiment(Plots):
             name=name, robot=robot, motions=tuple(motions), sensor=sensor, effects=tuple(effects),
             inertia_rel_std=inertia_rel_std, position_resolution=position_resolution, position_std=position_std,
             gear_ratio=dict(gear_ratio or {}), locked=dict(locked or {}), warnings=tuple(warnings),
-            library=EffectLibrary().for_robot(robot.n),
+            library=_library_of(robot),
         )  # fmt: skip
         return replace(experiment, warnings=(*experiment.warnings, *_check_roles(experiment.motions, "pass validation=...")))
 
@@ -407,6 +407,11 @@ def load_setup(folder: str | Path, library: EffectLibrary | None = None) -> Expe
     return _read_setup(Path(folder), library)[0]
 
 
+def _library_of(robot: Robot, library: EffectLibrary | None = None) -> EffectLibrary:
+    """The effects that a robot can have."""
+    return (library or EffectLibrary()).for_robot(robot.n, np.flatnonzero(robot.prismatic).tolist())
+
+
 def _read_setup(folder: Path, library: EffectLibrary | None) -> tuple[Experiment, ExperimentFile]:
     """What experiment.toml and the URDF say."""
     if not folder.is_dir():
@@ -435,7 +440,7 @@ def _read_setup(folder: Path, library: EffectLibrary | None) -> tuple[Experiment
         inertia_rel_std=file.robot.inertia_rel_std, position_resolution=file.robot.position_resolution,
         position_std=file.robot.position_std, gear_ratio=dict(file.robot.gear_ratio), locked=dict(file.robot.locked),
         folder=folder, warnings=tuple(warnings),
-        library=(library or EffectLibrary()).for_robot(robot.n).with_expressions(expressions, robot.n, "experiment.toml"),
+        library=_library_of(robot, library).with_expressions(expressions, robot.n, "experiment.toml"),
     )  # fmt: skip
     return experiment, file
 

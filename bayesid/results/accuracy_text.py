@@ -98,7 +98,7 @@ def worst_places(found: Sequence[Susceptibility], each: int) -> list[Susceptibil
 
 def size_text(s: Susceptibility) -> str:
     """Its first parameters with units."""
-    values = [(p, v, q.unit) for p, v, q in zip(s.effect.parameters, s.values, s.effect.quantities, strict=True)]
+    values = list(zip(s.effect.parameters, s.values, s.effect.units, strict=True))
     shown = [f"{p} {number(v, 2)}{'' if u == '1' else ' ' + u}" for p, v, u in values[:2]]
     return ", ".join(shown) + (" …" if len(values) > 2 else "")
 

@@ -121,13 +121,14 @@ def error_lines(diagnosis: Findings) -> list[str]:
 
 
 def error_line(e: MotionErrors, names: Sequence[str], units: Sequence[str]) -> str:
-    """One motion's errors: all channels together, then those of which most is left."""
+    """One motion's errors: all channels together, then those that gain most, or of which most is left where nothing is named."""
     after = e.before if e.after is None else e.after
 
     def change(before: float, now: float, text: Callable[[float], str]) -> str:
         return text(before) if e.after is None else f"{text(before)} -> {text(now)}"
 
-    worst = [k for k in np.argsort(-e.before / np.maximum(e.signal, 1e-300)) if e.before[k] > 0.0][:_CHANNELS_SAID]
+    order = np.argsort(-e.before / np.maximum(e.signal if e.after is None else e.after, 1e-300))
+    worst = [k for k in order if e.before[k] > 0.0][:_CHANNELS_SAID]
     parts = [f"{names[k]} {change(float(e.before[k]), float(after[k]), lambda v: number(v, 3))} {units[k]}" for k in worst]
     whole = change(e.relative(e.before), e.relative(after), lambda v: number(100 * v, 3))
     return f"error of {e.motion}{' (fitted)' if e.fitted else ''}: {whole} % of the signal; {', '.join(parts)}"
@@ -240,6 +241,8 @@ def summary(diagnosis: Findings) -> str:
         closed, least = known_share(d.gap.closed), known_share(d.gap.closed_low)
         if d.found and closed and d.part is None:
             text += f", {closed} closed" + (f", at least {least}" if least else "")
+        if d.found and d.gap.difference < d.data.settings.detected**2:
+            text += "; these motions hardly depend on what is named, they neither confirm nor deny it"
         lines.append(text)
     lines += [f"  {line}" for line in error_lines(d)]
     if d.verdict == "unknown" and d.search.found:
