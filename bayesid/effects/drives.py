@@ -141,7 +141,7 @@ class TorqueRipple(JointTorqueEffect):
     quantities = (
         Parameter("amplitude", "N m", lower=0.0, start=0.5),
         Parameter("periods", "1/rad", 1.0, 1000.0, start=10.0, linear=False, step=1e-3),
-        Parameter("phase", "rad", -inf, inf, linear=False, step=1e-3),
+        Parameter("phase", "rad", -inf, inf, linear=False, step=1e-3, sliding="rad"),
     )
     confusable_with = ("spring",)
     harmonics = RIPPLE_PERIODS

@@ -42,6 +42,8 @@ class Parameter:
         Step of central differences; relative to the value where that is larger.
     tried
         Values of a shape parameter that a search for effects tries; default the start.
+    sliding
+        The unit for a sliding joint, where it is not that of `Effect.units`.
     """
 
     name: str
@@ -53,6 +55,7 @@ class Parameter:
     linear: bool = True
     step: float = 1e-4
     tried: tuple[float, ...] = ()
+    sliding: str | None = None
 
 
 #: Units along a sliding joint by those about a turning one.
@@ -229,8 +232,8 @@ class Effect(ABC):
     @property
     def units(self) -> tuple[str, ...]:
         """One unit a parameter: of a sliding joint metres and newtons stand in place of radians and newton metres."""
-        units = (p.unit for p in self.quantities)
-        return tuple(_SLIDING.get(u, u) for u in units) if self.slides and self.along_joint else tuple(units)
+        slides = self.slides and self.along_joint
+        return tuple((p.sliding or _SLIDING.get(p.unit, p.unit)) if slides else p.unit for p in self.quantities)
 
     def derived(self, values: Sequence[float], covariance: np.ndarray) -> tuple[Derived, ...]:
         """What follows from parameters (k,) and is told beside them, with standard deviations by their covariance (k, k)."""

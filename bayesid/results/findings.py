@@ -96,6 +96,8 @@ class Findings:
         """What follows from the values of an effect, see `bayesid.effects.effect.Effect.derived`."""
         found, best = self.found[index], self.search.best
         at = [column for column, (owner, _) in enumerate(best.free) if owner == len(self.search.base.terms) + index]
+        if len(at) != len(found.std):  # only of a fit of all its parameters is their covariance known
+            return ()
         covariance = best.covariance[np.ix_(at, at)]
         scale = found.std / np.sqrt(np.maximum(np.diag(covariance), 1e-300))  # a dispersion, and infinite where undetermined
         with np.errstate(invalid="ignore"):

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.fft import dct
 
 import bayesid
 from bayesid.cli import main
@@ -27,14 +28,14 @@ SENSOR = Sensor(translation=np.array([0.0, 0.0, -0.1]))
 GAIN = 0.1
 
 
-def made(robot, gain, names=("identification", "validation"), **options):
+def made(robot, gain, names=("identification", "validation"), inertia_rel_std=0.03, **options):
     """An arm on a sensor one axis of which reads too much."""
     motions = []
     for k, name in enumerate(names):
         table = recording(robot, SENSOR, fourier(robot, k + 1, duration=8.0, rate=100.0), seed=k + 1, **NOISE)
         wrench = table.wrench * np.array([1, 1, 1, 1 + gain, 1, 1])
         motions.append(Motion(name, name, replace(table, wrench=wrench)))
-    return experiment(robot, motions, SENSOR, inertia_rel_std=0.03, locked=PAPER_LOCKED, **options)
+    return experiment(robot, motions, SENSOR, inertia_rel_std=inertia_rel_std, locked=PAPER_LOCKED, **options)
 
 
 @pytest.fixture(scope="module")
@@ -353,3 +354,40 @@ def test_the_same_seed_gives_the_same(named, robot):
     """Everything random comes from the seed."""
     again, first = bayesid.diagnose(made(robot, GAIN)).to_dict(), named.to_dict()
     assert {**again, "runtime_s": 0.0} == {**first, "runtime_s": 0.0}
+
+
+def test_how_much_better_in_units_and_per_cent_motion_by_motion(robot):
+    """With exact links a gain of g leaves g / (1 + g) of what the axis reads, and nothing but noise once it is named."""
+    d = bayesid.diagnose(made(robot, GAIN, inertia_rel_std=0.0))
+    assert [f.term.effect.spec for f in d.found] == ["sensor_gain@mx"]
+    unseen, fitted = d.to_dict()["errors"]
+    assert (unseen["motion"], unseen["fitted"]) == ("validation", False) and fitted["fitted"]
+    mx, fx = (unseen["channels"][name] for name in ("mx", "fx"))
+    assert mx["before"] / mx["signal"] == pytest.approx(GAIN / (1.0 + GAIN), rel=0.01) and mx["unit"] == "N m"
+    assert mx["after"] < 2.0 * NOISE["torque_std"] and fx["before"] == pytest.approx(fx["after"], rel=1e-3)
+    # What was measured, in the band and under the taper, is what a cosine transform says.
+    (segment,) = d.data.unseen
+    weight = segment.weight(segment.times)
+    course = dct(segment.readings * weight, axis=0, norm="ortho")[: len(segment.frequencies)]
+    size = np.sqrt(np.sum(course**2, axis=0) / np.sum(weight**2, axis=0))
+    np.testing.assert_allclose([c["signal"] for c in unseen["channels"].values()], size, rtol=1e-6)
+    whole = np.linalg.norm([c["before"] for c in unseen["channels"].values()]) / np.linalg.norm(size)
+    assert unseen["relative_before"] == pytest.approx(whole)
+    assert f"error of validation: {100 * unseen['relative_before']:.3g} -> " in str(d) and "N m" in str(d)
+    page = report.diagnosis_report(d)
+    assert "In their own units, motion by motion" in page and "validation, not fitted" in page
+
+
+def test_what_the_data_leave_open_has_no_value(named):
+    """Neither a number nor an interval, in print, report and JSON."""
+    open_ = replace(named, found=(replace(named.found[0], std=np.array([np.inf])),))
+    (row,) = diagnosis_text.parameter_rows(open_, 0)
+    assert row[1] == diagnosis_text.NOT_DETERMINED and diagnosis_text.NOT_DETERMINED in str(open_)
+    assert open_.to_dict()["effects"][0]["parameters"]["gain"]["std"] is None
+
+
+def test_motions_that_hardly_depend_on_what_is_named_say_nothing_of_it(named):
+    """A gap that stays as it was is no confirmation."""
+    blind = replace(named, gap=replace(named.gap, after=named.gap.before, difference=1.0))
+    assert "neither confirm nor deny it" in diagnosis_text.validation_sentence(blind)
+    assert "neither confirm nor deny" in str(blind) and "neither" not in str(named)

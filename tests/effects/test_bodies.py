@@ -7,6 +7,7 @@ import pytest
 from bayesid.dynamics.channels import torque_channels, wrench_channels
 from bayesid.dynamics.regressors import dynamics_regressor
 from bayesid.effects import MotionSegment, readings, rigid_columns
+from bayesid.effects.bodies import InertiaError, Payload
 from bayesid.robot import inertia
 from tests.effects.arms import SHIFT, TURN, at_base, both, load, moving, term
 
@@ -66,3 +67,17 @@ def test_rotor_is_a_body_that_spins_fast(panda):
             own[joint] += gear * tau[k]
             out.append(np.concatenate([data.oMi[1].act(data.f[1]).vector, own]))
         np.testing.assert_allclose(got[sample], out[0] - out[1], atol=1e-9)
+
+
+def test_a_payload_tells_its_centre_of_mass():
+    """With the standard deviations that draws of mass and first moments have."""
+    rng = np.random.default_rng(0)
+    values, root = np.array([2.0, 0.2, -0.1, 0.4, *np.zeros(6)]), 0.02 * rng.normal(size=(10, 10)) / np.sqrt(10)
+    found = Payload("joint1", 0).derived(values.tolist(), root @ root.T)
+    drawn = values + rng.normal(size=(200_000, 10)) @ root.T
+    centres = drawn[:, 1:4] / drawn[:, :1]
+    assert [(name, unit) for name, _, _, unit in found] == [("cx", "m"), ("cy", "m"), ("cz", "m")]
+    np.testing.assert_allclose([c for _, c, _, _ in found], [0.1, -0.05, 0.2], atol=1e-12)
+    np.testing.assert_allclose([s for _, _, s, _ in found], centres.std(axis=0), rtol=0.01)
+    assert all(np.isnan(c) for _, c, _, _ in Payload("joint1", 0).derived([0.0] * 10, root @ root.T))
+    assert InertiaError("joint1", 0).derived(values.tolist(), root @ root.T) == ()

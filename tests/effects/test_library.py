@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesid.effects import starting_point
+from bayesid.effects import EffectLibrary, starting_point
 from bayesid.errors import InputError
 from tests.effects.arms import LIBRARY, both, moving
 
@@ -64,3 +64,21 @@ def test_effects_that_are_always_the_same_have_columns_that_no_motion_changes(pa
     for effect in found:
         columns = effect.motion_columns(segment, channels)
         assert np.abs(columns).sum() > 0.0 and np.all(columns == columns[0])
+
+
+def test_parameters_along_a_sliding_joint_have_its_units(slider):
+    """Force for torque and metres for radians in what acts along the joint; a body on its link keeps its own units."""
+    library = EffectLibrary().for_robot(slider.n, np.flatnonzero(slider.prismatic).tolist())
+    channels = [f"tau{k + 1}" for k in range(slider.n)]
+
+    def units(name):
+        return [e.units for e in library.places(name, slider.joint_names, channels)]
+
+    assert slider.prismatic.tolist() == [True, False, True, False]
+    assert units("viscous_friction") == [("N s/m",), ("N m s/rad",)] * 2
+    assert units("spring") == [("N/m", "m"), ("N m/rad", "rad")] * 2
+    assert units("torque_ripple") == [("N", "1/m", "rad"), ("N m", "1/rad", "rad")] * 2
+    assert units("joint_flexibility") == [("m/N",), ("rad/(N m)",)] * 2
+    assert units("rotor_inertia") == [("kg",), ("kg m^2",)] * 2
+    assert len(set(units("payload"))) == 1 and "kg m^2" in units("payload")[0]
+    assert library.with_classes([], "test").sliding == (0, 2)
