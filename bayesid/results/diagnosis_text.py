@@ -130,8 +130,8 @@ def error_line(e: MotionErrors, names: Sequence[str], units: Sequence[str]) -> s
     order = np.argsort(-e.before / np.maximum(e.signal if e.after is None else e.after, 1e-300))
     worst = [k for k in order if e.before[k] > 0.0][:_CHANNELS_SAID]
     parts = [f"{names[k]} {change(float(e.before[k]), float(after[k]), lambda v: number(v, 3))} {units[k]}" for k in worst]
-    whole = change(e.relative(e.before), e.relative(after), lambda v: number(100 * v, 3))
-    return f"error of {e.motion}{' (fitted)' if e.fitted else ''}: {whole} % of the signal; {', '.join(parts)}"
+    whole = change(e.relative(e.before), e.relative(after), percent)
+    return f"error of {e.motion}{' (fitted)' if e.fitted else ''}: {whole} of the signal; {', '.join(parts)}"
 
 
 def notes(diagnosis: Findings) -> list[str]:

@@ -373,7 +373,7 @@ def test_how_much_better_in_units_and_per_cent_motion_by_motion(robot):
     np.testing.assert_allclose([c["signal"] for c in unseen["channels"].values()], size, rtol=1e-6)
     whole = np.linalg.norm([c["before"] for c in unseen["channels"].values()]) / np.linalg.norm(size)
     assert unseen["relative_before"] == pytest.approx(whole)
-    assert f"error of validation: {100 * unseen['relative_before']:.3g} -> " in str(d) and "N m" in str(d)
+    assert f"error of validation: {100 * unseen['relative_before']:.3g} % -> " in str(d) and "N m" in str(d)
     page = report.diagnosis_report(d)
     assert "In their own units, motion by motion" in page and "validation, not fitted" in page
 
