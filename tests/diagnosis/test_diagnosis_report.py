@@ -102,7 +102,7 @@ def test_the_json_is_as_promised(named, written):
     assert (found["schema"], found["channel"], found["verdict"]) == (1, "wrench", "named")
     (one,) = found["effects"]
     assert (one["name"], one["where"], one["ambiguous_with"]) == ("sensor_gain", "mx", [])
-    assert set(one["parameters"]["gain"]) == {"value", "std", "unit"} and one["probability"] == pytest.approx(0.96)
+    assert set(one["parameters"]["gain"]) == {"value", "std", "low", "high", "unit"} and one["probability"] == pytest.approx(0.96)
     assert abs(one["parameters"]["gain"]["value"] - GAIN) < 5 * one["parameters"]["gain"]["std"]
     assert {"channel", "motion", "start", "end", "joint", "band_hz"} <= set(found["where"][0])
     assert {"metric", "before", "after", "floor", "closed", "closed_low"} <= set(found["gap"])
