@@ -5,7 +5,7 @@ from .errors import BayesidError, BayesidWarning, EstimationError, InputError
 from .estimators import DEFAULT_METHOD, METHODS, estimator, fit
 from .estimators.conic.bounds import Bounds, load_bounds
 from .estimators.conic.physical import Physical
-from .estimators.details import OwnDetails
+from .estimators.details import CustomDetails
 from .estimators.errors_in_variables import TotalLeastSquares
 from .estimators.estimator import Estimate, Estimator
 from .estimators.instrumental_variables import InstrumentalVariables
@@ -30,7 +30,7 @@ from .results.identification import Identification, summary
 from .results.inspection import Inspection
 from .results.loaded import NeedsRecording, load
 from .results.posterior import ExperimentPosterior
-from .results.told import Told
+from .results.told import DistinguishingMotion
 from .results.watch import Watch
 from .robot.prior import Prior
 from .robot.robot import Robot, load_robot
@@ -83,7 +83,7 @@ __all__ = [
     "LowPass",
     "Motion",
     "NeedsRecording",
-    "OwnDetails",
+    "CustomDetails",
     "Physical",
     "Posterior",
     "Prior",
@@ -96,7 +96,7 @@ __all__ = [
     "Simulation",
     "Student",
     "Table",
-    "Told",
+    "DistinguishingMotion",
     "TotalLeastSquares",
     "Trajectory",
     "TruncatedSVD",

@@ -1,7 +1,10 @@
 """Public functions show what they take, take a string for one name, and speak the language of who calls them."""
 
+import ast
 import inspect
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -126,3 +129,21 @@ def test_an_estimator_of_ones_own_is_told_what_it_lacks(method, said):
     regression = bayesid.Regression.from_arrays(rng.normal(size=(50, 2, 4)), rng.normal(size=(50, 2)))
     with pytest.raises(bayesid.BayesidError, match=said):
         bayesid.fit(regression, method)
+
+
+#: Option names written out where a message, whoever reads it, is about the command line: a draft's own comment and use.
+ABOUT_THE_COMMAND_LINE = {"described.py", "arguments.py"}
+
+
+def test_no_message_of_the_library_names_options_or_commands():
+    """`argument` and `call` write them for whoever calls; the command line's own modules may."""
+    package, found = Path(bayesid.__file__).parent, []
+    for path in package.rglob("*.py"):
+        if path.relative_to(package).parts[0] == "cli" or path.name in ABOUT_THE_COMMAND_LINE:
+            continue
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        documented = (ast.Module, ast.ClassDef, ast.FunctionDef)
+        docstrings = {ast.get_docstring(n, clean=False) for n in ast.walk(tree) if isinstance(n, documented)}
+        texts = [n.value for n in ast.walk(tree) if isinstance(n, ast.Constant) and isinstance(n.value, str)]
+        found += [(path.name, t) for t in texts if t not in docstrings and re.search(r"--[a-z]{2}|`bayesid [a-z]", t)]
+    assert found == []

@@ -12,7 +12,7 @@ from scipy.stats import chi2
 from bayesid.errors import BayesidWarning, EstimationError, InputError
 from bayesid.estimators.conic.bounds import Bounds, load_bounds
 from bayesid.estimators.conic.physical import Physical
-from bayesid.estimators.details import Details, OwnDetails
+from bayesid.estimators.details import CustomDetails, Details
 from bayesid.estimators.errors_in_variables import TotalLeastSquares
 from bayesid.estimators.estimator import Estimate, Estimator
 from bayesid.estimators.instrumental_variables import InstrumentalVariables
@@ -142,7 +142,7 @@ __all__ = [
     "Huber",
     "InstrumentalVariables",
     "LeastSquares",
-    "OwnDetails",
+    "CustomDetails",
     "Physical",
     "Ridge",
     "Student",

@@ -44,7 +44,7 @@ class Details:
 
 
 @dataclass(frozen=True, kw_only=True)
-class OwnDetails(Details):
+class CustomDetails(Details):
     """Details of an estimator of one's own, by name.
 
     Attributes

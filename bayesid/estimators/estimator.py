@@ -67,7 +67,7 @@ class Estimate(HasParameters):
     whiteness
         Largest autocorrelation of whitened residuals over lags 1 ... 10, times sqrt(rows).
     details
-        What the method chose, and why; one class for each family, `OwnDetails` for estimators of one's own.
+        What the method chose, and why; one class for each family, `CustomDetails` for estimators of one's own.
     links
         Link parameters of its own (P,), ``base.matrix @ links == values``; None: the nearest to the nominal ones.
     possible

@@ -1,4 +1,4 @@
-"""The report of ``excite --tell``: turns a `Told` into what its template shows."""
+"""The report of ``excite --tell``: turns a `DistinguishingMotion` into what its template shows."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from bayesid.report.excitation_figures import motion, motion_panels
 from bayesid.report.page import render, run_times, versions
 from bayesid.results.telling import chance, duration
 from bayesid.results.text import number, percent
-from bayesid.results.told import TRAJECTORY, Told
+from bayesid.results.told import TRAJECTORY, DistinguishingMotion
 
 
 def pair_rows(telling: Telling) -> list[dict[str, str]]:
@@ -35,7 +35,7 @@ def motion_plot(telling: Telling) -> Markup:
     return motion(telling.trajectory.times, panels_of(telling))
 
 
-def told_report(result: Told) -> str:
+def told_report(result: DistinguishingMotion) -> str:
     """The report of ``excite --tell``: an HTML page with all figures inside."""
     t = result.telling
     return render(

@@ -17,7 +17,7 @@ from bayesid.drawing import Plots, figures_of
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.errors import InputError
 from bayesid.estimators import Estimate
-from bayesid.estimators.details import Details, OwnDetails
+from bayesid.estimators.details import CustomDetails, Details
 from bayesid.estimators.parameters import HasParameters, Parameters, central_interval, tails
 from bayesid.posterior.convert import load_arviz
 from bayesid.results.entries import HasEntries
@@ -478,7 +478,7 @@ def _estimate(d: Mapping[str, Any], effects: Sequence[Mapping[str, Any]]) -> Est
     rank = len(d["base_parameters"])
     said = d["details"]
     own = {k: v for k, v in said.items() if k not in {f.name for f in fields(Details)}}
-    details = OwnDetails(
+    details = CustomDetails(
         entries=own, model_complete=said.get("model_complete"), agreement_of_gls_and_wls=said.get("agreement_of_gls_and_wls"),
         dispersion=said.get("dispersion"), dispersion_by_channel=said.get("dispersion_by_channel"),
         warnings=tuple(said.get("warnings", ())),

@@ -16,7 +16,7 @@ TRAJECTORY = "trajectory.csv"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Told(Result):
+class DistinguishingMotion(Result):
     """The motion that best tells effects apart.
 
     Attributes
@@ -42,7 +42,7 @@ class Told(Result):
 
     def __repr__(self) -> str:
         t = self.telling
-        return f"<Told of {self.name}: {listed_names(t.rivals)}, {chance(t.probability)}>"
+        return f"<DistinguishingMotion of {self.name}: {listed_names(t.rivals)}, {chance(t.probability)}>"
 
     @property
     def lead(self) -> str:

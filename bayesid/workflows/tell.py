@@ -20,7 +20,7 @@ from bayesid.regression.parallel import one_blas_thread
 from bayesid.regression.readings import default_channel, has_readings
 from bayesid.results.files import Files, files_of, strict
 from bayesid.results.telling import write_motion
-from bayesid.results.told import TRAJECTORY, Told
+from bayesid.results.told import TRAJECTORY, DistinguishingMotion
 from bayesid.simulation.simulation import simulate
 from bayesid.simulation.trajectories import fourier_trajectory
 from bayesid.workflows.progress import SHOWN, Clock, Progress, shows_progress
@@ -46,7 +46,7 @@ def tell(
     sensor_range: Sequence[float] | None = None,
     collisions: bool | None = None,
     progress: Progress | None = SHOWN,
-) -> Told:
+) -> DistinguishingMotion:
     """Find the motion within limits that best tells effects apart, and how probably it decides.
 
     Parameters
@@ -97,7 +97,7 @@ def tell(
             f"{argument('acceleration')}"
         )
     recordings = tuple(dict.fromkeys(s.motion for s in data.segments)) if recorded else ()
-    return Told(experiment.name, channel, recordings, telling, clock.stop())
+    return DistinguishingMotion(experiment.name, channel, recordings, telling, clock.stop())
 
 
 def _data(experiment: Experiment, channel: str, motions: Sequence[str] | None, seed: int) -> DiagnosisData:
@@ -107,7 +107,7 @@ def _data(experiment: Experiment, channel: str, motions: Sequence[str] | None, s
 
 
 @figures_of.register
-def _(result: Told) -> Figures:
+def _(result: DistinguishingMotion) -> Figures:
     from bayesid.report.curve_figures import panels_figure
     from bayesid.report.told import panels_of
 
@@ -115,7 +115,7 @@ def _(result: Told) -> Figures:
 
 
 @files_of.register
-def _(result: Told) -> Files:
+def _(result: DistinguishingMotion) -> Files:
     """``excitation.json``, ``trajectory.csv`` and the report."""
     from bayesid.report.told import told_report
 

@@ -25,7 +25,7 @@ from bayesid.effects import MotionSegment, readings
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, Sensor
 from bayesid.results.telling import telling_sentence
-from bayesid.results.told import Told
+from bayesid.results.told import DistinguishingMotion
 from bayesid.robot.limits import motion_limits
 from bayesid.simulation.simulation import Recorder, simulate, write_simulation
 from bayesid.simulation.trajectories import fourier_trajectory
@@ -333,7 +333,7 @@ def test_what_given_motions_tell_is_what_a_fit_of_the_other_leaves(robot):
 
 
 def test_what_excite_tell_says_and_writes(diagnosis, robot, tmp_path):
-    told = Told("arm", "wrench", ("identification",), diagnosis.telling, {"search": 1.0})
+    told = DistinguishingMotion("arm", "wrench", ("identification",), diagnosis.telling, {"search": 1.0})
     text = str(told)
     assert "tells tether@joint1 and tether@joint2 together with identification, as large as estimated" in text
     assert text.count("tether@joint1") == 3 and "noncentrality" in text and "arm" in repr(told)

@@ -5,7 +5,7 @@ from collections.abc import Generator
 
 import pytest
 
-from bayesid.regression.parallel import both, in_order, once
+from bayesid.regression.parallel import Once, both, in_order
 
 
 def test_two_jobs_run_at_once():
@@ -117,7 +117,7 @@ def test_what_is_made_once_is_made_by_one_thread():
             raise ValueError("not yet")
         return object()
 
-    get = once(make)
+    get = Once(make)
     with pytest.raises(ValueError, match="not yet"):
         get()
     threads, found = [], []

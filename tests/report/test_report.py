@@ -78,7 +78,7 @@ class Doubtful:
 
     def fit(self, regression):
         estimate = bayesid.fit(regression, "wls")
-        details = bayesid.OwnDetails(warnings=("Weak <somewhere>.",), entries={"physics": "my own word"})
+        details = bayesid.CustomDetails(warnings=("Weak <somewhere>.",), entries={"physics": "my own word"})
         return replace(estimate, details=details)
 
 

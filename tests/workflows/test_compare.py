@@ -49,7 +49,7 @@ class Halved:
     def fit(self, regression):
         plain = bayesid.fit(regression, "ols")
         links = -np.abs(regression.knowledge.nominal_links)
-        details = bayesid.OwnDetails(entries={"share": np.float64(0.5), "lost": np.nan, "at": np.arange(2)})
+        details = bayesid.CustomDetails(entries={"share": np.float64(0.5), "lost": np.nan, "at": np.arange(2)})
         return replace(plain, method=self.name, solution=plain.solution / 2, links=links, full_covariance=None, interval="none",
                        interval_reason="it is wrong", details=details)  # fmt: skip
 
