@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -316,6 +316,11 @@ class Experiment(Plots):
             }
             for m in self.motions
         )  # fmt: skip
+
+    def told_with(self, told: Iterable[str]) -> tuple[str, ...]:
+        """What is certain about the recordings, then what a verb has to say, then what is doubtful about the recordings."""
+        certain = [finding.text for finding in self.findings]
+        return tuple([*certain, *told, *(text for text in self.warnings if text not in certain)])
 
     @property
     def identification(self) -> tuple[Motion, ...]:

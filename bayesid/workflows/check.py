@@ -22,7 +22,6 @@ from bayesid.results.inspection import Inspection, MotionSummary, SensorSet
 from bayesid.signals.smoothing import smooth
 from bayesid.validation.mistakes.search import find_mistakes
 from bayesid.workflows.progress import SHOWN, Progress, quiet, shows_progress
-from bayesid.workflows.warnings import told_first
 
 _GROUPS = {"positions": "q", "velocities": "v", "commanded": "qr", "torques": "tau", "wrench": "wrench"}
 #: Samples of a long recording that speeds are taken from.
@@ -76,7 +75,7 @@ def check(experiment: Experiment | str | Path, progress: Progress | None = SHOWN
         bandwidth_reason=reason,
         position_std=position_std,
         mistakes=mistakes,
-        warnings=told_first(experiment, [*(m.text for m in mistakes), *warnings]),
+        warnings=experiment.told_with([*(m.text for m in mistakes), *warnings]),
     )
 
 

@@ -34,7 +34,7 @@ from bayesid.validation.noise_floor import NoiseFloor, noise_floor
 from bayesid.validation.prediction import predict
 from bayesid.workflows.progress import SHOWN, Progress, quiet, shows_progress
 from bayesid.workflows.urdf_links import urdf_links
-from bayesid.workflows.warnings import incomplete, repeated_motions, told_first
+from bayesid.workflows.warnings import incomplete, repeated_motions
 
 #: What is compared when nothing is asked for, as far as it is there: plain, default and efficient least squares,
 #: and one estimator each against outliers, against encoder noise and for bodies that can exist.
@@ -269,4 +269,4 @@ def _warnings(
             "something is missing in the model or in the noise, and intervals do not cover it. "
             f"`{call('diagnose')}` looks for it."
         )
-    return tuple(out) if problem is None else told_first(problem.experiment, out)
+    return tuple(out) if problem is None else problem.experiment.told_with(out)

@@ -40,7 +40,6 @@ from bayesid.workflows.warnings import (
     mistaken,
     not_settled,
     repeated_motions,
-    told_first,
     unpredicted,
     unusable,
 )
@@ -278,4 +277,4 @@ def _warnings(
             "above all the total mass, cannot be identified. Where a scale says the mass, state it "
             f"({argument('bounds', 'FILE')})."
         )
-    return told_first(problem.experiment, out)
+    return problem.experiment.told_with(out)

@@ -45,7 +45,7 @@ from bayesid.validation.noise_floor import noise_floor
 from bayesid.validation.prediction import Prediction, predict
 from bayesid.workflows.progress import SHOWN, Clock, Progress, shows_progress
 from bayesid.workflows.urdf_links import posterior_robot
-from bayesid.workflows.warnings import incomplete, listed, repeated_motions, told_first, unpredicted
+from bayesid.workflows.warnings import incomplete, listed, repeated_motions, unpredicted
 
 PRIORS = ("nominal", "flat")
 
@@ -317,4 +317,4 @@ def _warnings(posterior: Posterior, problem: Problem, validation: Sequence[Predi
             "The prior is flat on the base parameters, so links are not sampled and nothing keeps them possible; "
             f"take {argument('prior', 'nominal')} and {argument('prior_std', 0.3)} for both."
         )
-    return told_first(problem.experiment, out)
+    return problem.experiment.told_with(out)

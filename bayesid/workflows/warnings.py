@@ -8,7 +8,6 @@ import numpy as np
 
 from bayesid.arguments import call
 from bayesid.estimators import Estimate
-from bayesid.recordings.experiment import Experiment
 from bayesid.regression.problem import Problem
 from bayesid.validation.cross_checks import Agreement
 from bayesid.validation.headline import judged, useless
@@ -91,12 +90,6 @@ def contradictions(agreements: Sequence[Agreement]) -> list[str]:
             f"apart, and look for what changed in between (`{call('diagnose')}`)."
         )
     return out
-
-
-def told_first(experiment: Experiment, told: Iterable[str]) -> tuple[str, ...]:
-    """What is certain about the recordings, then what a verb has to say, then what is doubtful about the recordings."""
-    certain = [finding.text for finding in experiment.findings]
-    return tuple([*certain, *told, *(text for text in experiment.warnings if text not in certain)])
 
 
 def incomplete(dispersion: float | None, channels: Mapping[str, float] | None = None) -> str:
