@@ -24,6 +24,7 @@ BEFORE = "679f174"
 #: Which figures of a file are published, as paths of keys with wildcards; of a file that is not here, all single numbers.
 SHOWN = {
     "docs/accuracy.json": ("arms/*/formula/*", "arms/*/coverage", "arms/*/lowest", "arms/*/highest"),
+    "docs/band-coverage.json": ("after/*/inside/*", "after/*/width/*"),
     "docs/benchmarks.json": ("comparison/*/*/us_per_sample", "comparison/*/*_over_bayesid", "comparison/*/memory_share"),
     "docs/controller-bounds.json": ("cases/*/held/*", "cases/*/tracking/*/kept"),
     "docs/coverage.json": ("arms/*/fits/*/coverage", "arms/*/fits/*/rms_over_sensor_bound"),
