@@ -375,14 +375,14 @@ def test_recordings_load_without_doubts(path: Path) -> None:
 def test_an_experiment_is_a_collection_of_its_motions(tmp_path: Path) -> None:
     """A motion by its name, all one after the other, and a row each in a table."""
     table = Table(0.01 * np.arange(50), np.zeros((50, 2)), torques=np.ones((50, 2)))
-    motions = [Motion("one", "identification", table), Motion("two", "validation", table[::5])]
+    motions = [Motion("one", "identification", table), Motion("two", "validation", table[::2])]
     loaded = experiment(puma2(tmp_path), motions)
     assert loaded["two"] is motions[1] and list(loaded) == motions
     with pytest.raises(KeyError, match="no motion is named 'three'; there are one, two"):
         loaded["three"]
     rows = loaded.to_dataframe()
-    assert list(rows["motion"]) == ["one", "two"] and list(rows["samples"]) == [50, 10]
-    assert rows["rate_hz"].tolist() == pytest.approx([100.0, 20.0]) and set(rows["readings"]) == {"tau1, tau2"}
+    assert list(rows["motion"]) == ["one", "two"] and list(rows["samples"]) == [50, 25]
+    assert rows["rate_hz"].tolist() == pytest.approx([100.0, 50.0]) and set(rows["readings"]) == {"tau1, tau2"}
 
 
 def test_samples_of_a_table_are_picked_as_those_of_an_array(tmp_path: Path) -> None:

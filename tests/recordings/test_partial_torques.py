@@ -89,7 +89,9 @@ def test_it_is_told_once_and_first(arm: Experiment) -> None:
     (finding,) = partial.findings
     assert finding.text.startswith("column tau2: no torques of joint2")
     for result in (bayesid.check(partial), bayesid.identify(partial), bayesid.compare(partial, methods=["ols", "huber"])):
-        assert result.warnings[0] == finding.text and sum("tau2" in w for w in result.warnings) == 1
+        # Without friction in the model a fit is of no use, which alone comes before it.
+        certain = [w for w in result.warnings if "no usable model" not in w]
+        assert certain[0] == finding.text and sum("tau2" in w for w in result.warnings) == 1
 
 
 def test_it_goes_through_a_folder(arm: Experiment, tmp_path: Path) -> None:
