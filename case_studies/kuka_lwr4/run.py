@@ -45,7 +45,7 @@ class PriorOnly:
         """Combine two normal distributions of the base parameters; effects have no prior."""
         plain = bayesid.fit(regression, "wls")
         k, r = regression.base.matrix, regression.base.rank
-        prior = Prior.nominal(regression.knowledge.nominal_links, regression.knowledge.inertia_rel_std)
+        prior = Prior.warped(regression.knowledge.nominal_links, regression.knowledge.inertia_rel_std)
         precision = np.linalg.inv(plain.full_covariance)
         pull = np.zeros_like(precision)
         pull[:r, :r] = np.linalg.inv(k @ prior.covariance @ k.T)
@@ -118,10 +118,7 @@ def without(experiment: bayesid.Experiment, fold: int, folds: int) -> bayesid.Ex
         if motion.role == "identification":
             keep = np.ones(len(table), bool)
             keep[fold * len(table) // folds : (fold + 1) * len(table) // folds] = False
-            columns = {
-                key: value[keep] if isinstance(value, np.ndarray) else value for key, value in vars(table).items()
-            }  # fmt: skip
-            motion = replace(motion, table=replace(table, **columns))
+            motion = replace(motion, table=table[keep])
         out.append(motion)
     return replace(experiment, motions=tuple(out))
 

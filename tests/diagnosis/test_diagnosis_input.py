@@ -138,4 +138,4 @@ def test_what_a_known_effect_hides_is_not_determined(robot):
     stiffness, std = values["stiffness"]
     assert abs(stiffness - 20.0) < 3.0 * std < 3.0
     assert values["rest"][1] == np.inf
-    assert "(not determined)" in next(line for line in str(found).splitlines() if "rest" in line)
+    assert "rest not determined" in next(line for line in str(found).splitlines() if "rest" in line)
