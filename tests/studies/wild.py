@@ -139,7 +139,7 @@ ANSWERS = {
     "08-urdf-oddities/rpy-tilted-world": Answer("the base is upside down", (("gravity_direction", "+z"),), (), upside_up),
     "08-urdf-oddities/tool-behind-fixed": Answer("nothing is wrong"),
     "09-log-oddities/control": Answer("nothing is wrong"),
-    "09-log-oddities/duplicate-stamps": Answer("28 stamps are doubled", (), ("28", "repeat")),
+    "09-log-oddities/duplicate-stamps": Answer("28 stamps are doubled", (), ("28 rows at the time of the row before",)),
     "09-log-oddities/gravity-subtracted": Answer(
         "the URDF's gravity torques are taken out", (("gravity_removed", "nominal"),), (), weight_added
     ),
