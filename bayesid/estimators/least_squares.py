@@ -5,7 +5,8 @@ All minimise ``||W (y - X b)||`` for rows y = X b + e with cov e = Sigma:
 * ``ols``: W = 1. Covariance from the noise as it is, ``(X'X)^-1 X' Sigma X (X'X)^-1``: the sandwich, which
   allows for the colour that filters give, and for encoder errors where they matter (`bayesid.estimators.encoder_errors`).
 * ``wls``: W = 1 / the standard deviation of each channel. The same sandwich.
-* ``gls``: W'W = Sigma^-1, the efficient one; covariance ``(X' Sigma^-1 X)^-1``. It gives most weight to what has
+* ``gls``: W'W = Sigma^-1, the efficient one; the sandwich with what whitening leaves of the noise's colour
+  (`bayesid.estimators.innovation_spectrum`), ``(X' Sigma^-1 X)^-1`` where the noise is stated. It gives most weight to what has
   little noise, so where the model lacks something it is biased: then W is that of ``wls``, the estimate is that of ``wls``
   to the last digit, and it says so.
 * ``ridge``, ``tsvd``: biased towards the nominal model, or zero without one; no interval would hold for them.
@@ -24,6 +25,7 @@ from bayesid.estimators.details import Details
 from bayesid.estimators.encoder_errors import may_matter, sandwich_middle, with_encoder_errors
 from bayesid.estimators.estimator import Estimate, largest_autocorrelation
 from bayesid.estimators.factor import Factor, reduce_whitened, whitened
+from bayesid.estimators.innovation_spectrum import whitened_middle
 from bayesid.estimators.reduction import reduce_in_coordinates
 from bayesid.estimators.weights import Weights, learn_weights, pilot_of
 from bayesid.regression.blocks import residual_of
@@ -223,11 +225,14 @@ def covariance_middle(
     """
     if scale is not None and not may_matter(regression, weights):
         return sandwich_middle(regression, weights.dispersed(), scale)
-    middle = factor.matrix.T @ factor.matrix if scale is None else sandwich_middle(regression, weights.noise, scale)
-    inverse = pseudo_inverse(factor.matrix, UNSEEN)
-    corrected = with_encoder_errors(regression, weights, scale, inverse, middle)
+    exact = scale is None and regression.noise_std is not None  # whitened with noise that is known
+    if exact:
+        middle = factor.matrix.T @ factor.matrix
+    else:
+        middle = whitened_middle(regression, weights) if scale is None else sandwich_middle(regression, weights.noise, scale)
+    corrected = with_encoder_errors(regression, weights, scale, pseudo_inverse(factor.matrix, UNSEEN), middle)
     if scale is None:
-        return corrected
+        return (None if exact else middle) if corrected is None else corrected
     return weights.dispersion * (middle if corrected is None else corrected)  # a complete model's is the same for all channels
 
 

@@ -14,8 +14,8 @@ unknown scales: the channel that a flexible model fits best would gain weight un
 as those of ``wls``,
 ``X_c / std_c``, with known scales (but for Student's t, whose size is not that of the residuals), and linearly transformed
 about their least-squares fit b so that the curvature of the likelihood is the inverse of its sandwich covariance V, the scatter
-between stretches of the recording included [Ribatet2012]_. So are whitened rows where encoder errors matter
-(`bayesid.estimators.encoder_errors`):
+between stretches of the recording included [Ribatet2012]_. So are whitened rows, whose V holds the colour that whitening leaves
+(`bayesid.estimators.innovation_spectrum`) and encoder errors where they matter (`bayesid.estimators.encoder_errors`):
 
     y + X (C - 1) b = X C beta + s u,   C' (X'X) C = V^-1.
 
@@ -58,6 +58,8 @@ class Likelihood:
         Whitened rows of each group (N, channels, p + 1); kept for Student's t alone.
     noise
         What they were whitened with, by group.
+    adjust
+        What whitened rows [X y] were then multiplied by (p + 1, p + 1).
     complete
         False where the fit that the noise was learned from said that something is missing in the model.
     agreement
@@ -72,6 +74,7 @@ class Likelihood:
     groups: tuple[str, ...] = ("trajectory",)
     white: tuple[np.ndarray, ...] = ()
     noise: dict[str, NoiseModel] | None = None
+    adjust: np.ndarray | None = None
     complete: bool = True
     agreement: float = 1.0
     dispersion: float = 1.0
@@ -112,6 +115,7 @@ class Likelihood:
             tuple(factors),
             tuple(np.concatenate(parts) for parts in rows.values()),
             noise,
+            adjust,
             weights.complete,
             weights.agreement,
             weights.dispersion,

@@ -105,14 +105,16 @@ def _replicated(posterior: Posterior, block: Block, rng: np.random.Generator) ->
 
 def _log_likelihood(posterior: Posterior, blocks: list[Block], keep: list[np.ndarray]) -> np.ndarray:
     """Log density of kept rows, all channels together, for every draw (chains, draws, rows)."""
-    assert posterior.model.likelihood.noise is not None
+    likelihood = posterior.model.likelihood
+    assert likelihood.noise is not None and likelihood.adjust is not None
     dof = posterior.model.split(posterior.chains.draws)[2]
     out = []
-    for (block, white), rows in zip(whitened(blocks, posterior.model.likelihood.noise), keep, strict=True):
+    for (block, white), rows in zip(whitened(blocks, likelihood.noise), keep, strict=True):
         noise, part = _noise(posterior, block.group)
         chosen = white[rows[rows < len(white)]]
         if len(white) < len(block.rows):  # the first rows of a block out of the middle have no past
             chosen = white[np.minimum(rows, len(white) - 1)]
+        chosen = chosen @ likelihood.adjust
         scales = posterior.scales[..., part]
         residual = chosen[:, :, -1] - np.einsum("tcp,nmp->nmtc", chosen[:, :, :-1], posterior.columns, optimize=True)
         squares = np.sum((residual / scales[:, :, None]) ** 2, axis=-1)

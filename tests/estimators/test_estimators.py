@@ -46,12 +46,16 @@ def test_ols_is_least_squares_with_the_sandwich():
 
 
 def test_gls_is_generalised_least_squares():
+    """Values of the textbook with the noise that was found, its covariance where the noise is stated."""
     matrix, target = make(np.random.default_rng(1))
     estimate = fit(Regression.from_arrays(matrix, target), "gls")
     sigma = np.kron(np.eye(len(target)), estimate.noise["trajectory"].innovation)
-    values, covariance = dense_weights(matrix, target, sigma)
-    np.testing.assert_allclose(estimate.values, values, rtol=1e-8)
-    np.testing.assert_allclose(estimate.covariance, covariance, rtol=1e-8)
+    np.testing.assert_allclose(estimate.values, dense_weights(matrix, target, sigma)[0], rtol=1e-8)
+    std = estimate.noise["trajectory"].std
+    stated = fit(Regression.from_arrays(matrix, target, noise_std=std), "gls")
+    values, covariance = dense_weights(matrix, target, np.kron(np.eye(len(target)), np.diag(std**2)))
+    np.testing.assert_allclose(stated.values, values, rtol=1e-8)
+    np.testing.assert_allclose(stated.covariance, covariance, rtol=1e-8)
 
 
 def test_weak_regularisation_and_full_rank_are_least_squares():

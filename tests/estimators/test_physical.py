@@ -179,6 +179,8 @@ def test_a_wrong_solution_is_not_certified(panda):
         assert not solution_at(problem, matrix, low, x, z, 1).certified
 
 
+# Links of negative mass are far from any body: the solver may stop at three times the gap that it is asked for, and says so.
+@pytest.mark.filterwarnings("ignore:sdp. certified to:bayesid.errors.BayesidWarning")
 def test_readings_of_no_body_are_warned_of(tmp_path):
     """Torques of the wrong sign are those of negative masses."""
     robot, truth, _ = simulated(tmp_path, trust=0.3)

@@ -7,6 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy import stats
 
+import bayesid
 from bayesid.errors import InputError
 from bayesid.estimators import fit
 from bayesid.estimators.factor import whitened
@@ -38,6 +39,12 @@ def test_log_likelihood_is_that_of_every_row(noise):
     model = PosteriorModel.of(data, noise=noise)
     weights = learn_weights(data)
     ((_, white),) = whitened(data.blocks(), weights.noise)
+    # About the fit b, where rows are known as well as its covariance says; without that they would be `white`.
+    white = white @ model.likelihood.adjust
+    flat = white.reshape(-1, 5)
+    efficient = bayesid.fit(data, "gls")
+    assert_allclose(np.linalg.inv(flat[:, :4].T @ flat[:, :4]), efficient.full_covariance, rtol=1e-6)
+    assert_allclose(np.linalg.lstsq(flat[:, :4], flat[:, 4])[0], efficient.solution, rtol=1e-6)
     rng = np.random.default_rng(2)
     for _ in range(3):
         beta, scales, nu = rng.normal(size=4), np.exp(0.3 * rng.normal(size=2)), 5.0
