@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -63,3 +64,11 @@ def test_nothing_is_named_where_nothing_is_missing(seed: int, tmp_path: Path) ->
 def test_torques_of_poses_hold_friction_and_say_nothing(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="where friction holds with whatever torque"):
         bayesid.diagnose(recorded(tmp_path, {}), channel="torque")
+
+
+def test_poses_that_leave_a_name_open_ask_for_no_planned_motion(shared: Callable[[str], Path]) -> None:
+    """A real wrist: nothing is known of the noise of a motion there, so none is planned, and the words alone say what to do."""
+    diagnosis = bayesid.diagnose(shared("data/kuka-med-wrist"))
+    assert diagnosis.verdict == "ambiguous" and diagnosis.found[0].rivals
+    said = diagnosis.to_dict()
+    assert said["next_experiment"] and said["next_motion"] is None

@@ -166,6 +166,8 @@ def asked(case: Case, kept: Path) -> dict[str, Any]:
         found = ASK[case.part](case)
     except bayesid.BayesidError as error:
         found = {"refused": str(error)}
+    except Exception as error:  # a fault of one case is an answer, too, and must not cost the others
+        found = {"refused": f"FAULT {error!r}"}
     found["seconds"] = time.process_time() - since
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_suffix(".part")

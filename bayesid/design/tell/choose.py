@@ -106,7 +106,10 @@ class Telling:
 def tell_search(
     search: Search, *, effort: tuple[int, int, int] = QUICK, options: ExcitationOptions | None = None, seed: int = 0
 ) -> Telling | None:
-    """The motion that settles an ambiguous diagnosis; None where nothing is ambiguous or no motion is within the limits.
+    """The motion that settles an ambiguous diagnosis.
+
+    None where nothing is ambiguous, no motion is within the limits, or all recordings are poses, which say nothing of the
+    noise of a motion.
 
     Parameters
     ----------
@@ -121,7 +124,9 @@ def tell_search(
         Of all of it.
     """
     case = from_search(search)
-    return None if case is None else tell((case,), effort=effort, options=options, seed=seed)
+    if case is None or all(segment.still for segment in case.rivals[0].fit.projector.data.segments):
+        return None
+    return tell((case,), effort=effort, options=options, seed=seed)
 
 
 def tell_effects(
