@@ -107,8 +107,6 @@ class Effect(ABC):
         Whether it is in every model of readings that no static run is subtracted from.
     absorbs_weight
         Whether its estimate holds the weight that looks like it as well.
-    in_static_run
-        Whether a static run of the same positions has it, too.
     always_the_same
         Whether `motion_columns` are the same at all times, whatever the motion; a class that inherits it must keep to it.
     column_in_time
@@ -174,7 +172,6 @@ class Effect(ABC):
     absorbs_weight: ClassVar[bool] = False
     always_the_same: ClassVar[bool] = False
     column_in_time: ClassVar[Literal["", "interpolated", "sampled"]] = ""
-    in_static_run: ClassVar[bool] = True
     zero_unless_stated: ClassVar[bool] = False
     needs_gear_ratio: ClassVar[bool] = False
     settling: ClassVar[float] = 0.0

@@ -14,11 +14,6 @@ from bayesid.effects.segment import MotionSegment
 from bayesid.robot.robot import Robot
 
 
-def _at_rest(terms: Sequence[Term]) -> tuple[Term, ...]:
-    """The effects that a static run of the same positions has too."""
-    return tuple(t for t in terms if t.effect.in_static_run)
-
-
 def readings(
     robot: Robot,
     channels: Channels,
@@ -56,7 +51,7 @@ def readings(
     moving = Model.of(robot, channels, segment, links, terms).readings
     if gravity:
         return moving
-    return moving - Model.of(robot, channels, segment.at_rest, links, _at_rest(terms)).readings
+    return moving - Model.of(robot, channels, segment.at_rest, links, terms).readings
 
 
 def rigid_columns(
@@ -77,7 +72,7 @@ def rigid_columns(
     moving = link_derivatives(Model.of(robot, channels, segment, links, terms))
     if gravity:
         return moving
-    return moving - link_derivatives(Model.of(robot, channels, segment.at_rest, links, _at_rest(terms)))
+    return moving - link_derivatives(Model.of(robot, channels, segment.at_rest, links, terms))
 
 
 def columns(
@@ -109,7 +104,4 @@ def columns(
     moving = effect_derivatives(Model.of(robot, channels, segment, links, full), effect)
     if gravity:
         return moving
-    rest = _at_rest(full)
-    if here not in rest:
-        return moving
-    return moving - effect_derivatives(Model.of(robot, channels, segment.at_rest, links, rest), effect)
+    return moving - effect_derivatives(Model.of(robot, channels, segment.at_rest, links, full), effect)

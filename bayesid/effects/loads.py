@@ -153,7 +153,6 @@ class ExternalContact(LoadEffect):
         *_POINT,
     )
     confusable_with = ("external_contact", "tether")
-    in_static_run = False
     once = True
     single = True
     #: Lengths of the time windows in which it is sought [s].

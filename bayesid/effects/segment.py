@@ -103,6 +103,11 @@ class MotionSegment:
         return middle_of(self.positions)
 
     @property
+    def elapsed(self) -> np.ndarray:
+        """Time that things change with (N,) [s]; zero at poses: their times only number them, and a sensor is re-zeroed."""
+        return np.zeros_like(self.times) if self.still else self.times
+
+    @property
     def at_rest(self) -> MotionSegment:
         """The same positions, each held."""
 

@@ -77,7 +77,7 @@ class SensorChain:
 
     def reading(self, segment: MotionSegment, wrench: np.ndarray) -> np.ndarray:
         """What the sensor reads (N, 6)."""
-        return self.linear(segment, wrench[:, :, None])[:, :, 0] + self.offset + segment.times[:, None] * self.drift
+        return self.linear(segment, wrench[:, :, None])[:, :, 0] + self.offset + segment.elapsed[:, None] * self.drift
 
 
 def _mixed(matrix: np.ndarray, wrench: np.ndarray) -> np.ndarray:

@@ -297,12 +297,12 @@ class _Bench:
             q = motion.static_positions
             times = motion.times if len(q) == len(motion.times) else np.arange(float(len(q)))
             held = MotionSegment(times, q, np.zeros_like(q), np.zeros_like(q), still=True)
-            static = self._table(held, f"{motion.name}_static", at_rest=True)
+            static = self._table(held, f"{motion.name}_static")
         # What is simulated needs no check.
         return Motion(motion.name, motion.role, table, motion.kind, static, motion.period, motion.parked, examined=True)
 
-    def _table(self, segment: MotionSegment, name: str, *, at_rest: bool = False) -> Table:
-        """What is recorded of a motion, or of a static run, which has no drift and no contact."""
+    def _table(self, segment: MotionSegment, name: str) -> Table:
+        """What is recorded of a motion, or of a static run."""
         rng, recorder = self.rng, self.recorder
         segment = replace(at_encoders(self.robot, segment, self.terms), middle=self.middle)
         q = encoder_readings(segment.positions, recorder.resolution or 0.0, recorder.position_std or 0.0, rng)
@@ -310,14 +310,13 @@ class _Bench:
         if recorder.velocity_std is not None:
             velocities = segment.velocities + recorder.velocity_std * rng.normal(size=q.shape)
         wrench = None
-        terms = tuple(t for t in self.terms if t.effect.in_static_run) if at_rest else self.terms
         if self.wrench is not None:
             std = np.repeat([recorder.force_std or 0.0, recorder.torque_std or 0.0], 3)
-            wrench = plant_readings(self.robot, self.wrench, segment, self.links, terms)
+            wrench = plant_readings(self.robot, self.wrench, segment, self.links, self.terms)
             wrench += std * rng.normal(size=wrench.shape)
         if segment.still:
             # At rest friction holds whatever the drive happens to push with: partly mobilised, as in a slow creep.
             segment = replace(segment, velocities=REST_SPEED * rng.uniform(-1, 1, q.shape))
-        torques = plant_readings(self.robot, self.torque, segment, self.links, terms)
+        torques = plant_readings(self.robot, self.torque, segment, self.links, self.terms)
         torques += self.drive_std * rng.normal(size=q.shape)
         return Table(segment.times, q, velocities, None, torques, wrench, source=f"{name}.csv")

@@ -138,8 +138,7 @@ def _read(bench: Bench, segment: Segment, scene: MotionSegment, more: tuple[Term
     terms = (*bench.terms, *more)
     readings, known = plant_readings(robot, channels, scene, bench.links, terms), segment.known
     if not segment.gravity:
-        still = tuple(t for t in terms if t.effect.in_static_run)
-        known = plant_readings(robot, channels, scene.at_rest, bench.links, still)
+        known = plant_readings(robot, channels, scene.at_rest, bench.links, terms)
     return bench.problem.regression.motion_names[segment.motion], replace(segment, readings=readings, known=known)
 
 

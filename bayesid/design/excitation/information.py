@@ -172,7 +172,7 @@ class Information:
         parts = [np.zeros((len(times), len(self.std), 0))]
         for effect in self.effects:
             columns = effect.motion_columns(segment, self.channels.names)
-            if not self.sensor_set.gravity and effect.in_static_run:
+            if not self.sensor_set.gravity:
                 columns = columns - effect.motion_columns(segment.at_rest, self.channels.names)
             parts.append(columns * np.array(effect.typical(self.robot), float))
         return np.concatenate(parts, axis=2) / self.std[None, :, None]
