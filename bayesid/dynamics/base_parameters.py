@@ -8,7 +8,6 @@ two-joint PUMA it gives the twelve parameters of [Liu1998]_ in their form.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -16,6 +15,7 @@ import numpy as np
 
 from bayesid.dynamics.channels import Channels
 from bayesid.dynamics.regressors import dynamics_regressor
+from bayesid.robot.notation import notation
 from bayesid.robot.robot import Robot
 
 #: A column whose part outside the kept ones is below this share of its length counts as dependent. URDFs round
@@ -57,6 +57,13 @@ class BaseParameters:
     def rank(self) -> int:
         """Number of base parameters."""
         return len(self.independent)
+
+    @property
+    def short_names(self) -> list[str]:
+        """One parameter to name each combination by, ``I2xy …``; no two are alike."""
+        names = notation(self.parameter_names)
+        several = np.count_nonzero(self.matrix, axis=1) > 1
+        return [names[k] + (" …" if more else "") for k, more in zip(self.independent, several, strict=True)]
 
     @property
     def weight_in_offset(self) -> bool:
@@ -176,8 +183,8 @@ def regroup(
         matrix=matrix,
         independent=independent,
         parameter_names=tuple(names),
-        names=tuple(_combination(row, names, str) for row in matrix),
-        labels=tuple(_combination(row, names, _readable(names)) for row in matrix),
+        names=tuple(_combination(row, names) for row in matrix),
+        labels=tuple(_combination(row, notation(names)) for row in matrix),
         units=tuple(units[k] for k in independent.tolist()),
         absorbed=absorbed if extra.shape[1] else None,
     )
@@ -191,28 +198,12 @@ def _order(name: str, position: int) -> tuple:
     return (kind == "m", position - position % 10, _PREFERENCE[kind])
 
 
-def _combination(row: np.ndarray, names: Sequence[str], show) -> str:
+def _combination(row: np.ndarray, names: Sequence[str]) -> str:
     """A sum such as ``joint1.mcz + 0.2435 joint2.m``; unit factors are left out."""
     text = ""
     for k in np.flatnonzero(row).tolist():
         size = abs(row[k])
         factor = "" if abs(size - 1.0) < 1e-9 else f"{size:.4g} "
         sign = "-" if row[k] < 0 else "+"
-        text += f" {sign} {factor}{show(names[k])}" if text else f"{'-' if row[k] < 0 else ''}{factor}{show(names[k])}"
+        text += f" {sign} {factor}{names[k]}" if text else f"{'-' if row[k] < 0 else ''}{factor}{names[k]}"
     return text
-
-
-def _readable(names: Sequence[str]):
-    """The paper's notation: ``joint2.mcx`` reads ``m2 r2x``, ``joint2.Ixx`` reads ``I2xx``."""
-    bodies = list(dict.fromkeys(n.rsplit(".", 1)[0] for n in names))
-
-    def show(name: str) -> str:
-        match = re.fullmatch(r"(.+)\.(m|mc[xyz]|I[xyz]{2})", name)
-        if not match:
-            return name
-        i, kind = bodies.index(match[1]) + 1, match[2]
-        if kind == "m":
-            return f"m{i}"
-        return f"m{i} r{i}{kind[-1]}" if kind.startswith("mc") else f"I{i}{kind[1:]}"
-
-    return show

@@ -7,6 +7,11 @@ and ``b_prior = K mean``, both being right means
 
 The normal law leaves out that bodies must be able to exist, which hardly matters up to a relative standard deviation of 0.3.
 
+Where they contradict each other, one of the two spreads is wrong. That of the data is measured; the prior's is a statement, so
+the prior is widened by the factor k >= 1 that makes the data most probable [Good1965]_:
+
+    k = argmax  log N(d; 0, V + k^2 K C K').
+
 Every verb and estimator asks `compared`, so that a conflict has one size; `bayesid.estimators.against_prior` brings the data.
 """
 
@@ -16,6 +21,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.optimize import fminbound
 from scipy.stats import chi2
 
 from bayesid.arguments import argument, call
@@ -24,6 +30,8 @@ from bayesid.regression.linalg import or_one, pseudo_inverse, standard_deviation
 
 #: Prior and data contradict each other where a distance like theirs is less probable than this.
 CONFLICT = 1e-3
+#: Largest factor that a prior is widened by.
+_WIDEST = 1e3
 #: Coefficients of combinations that are no more than rounding.
 _ROUNDING = 1e-9
 #: Base parameters by the data (r,), their covariance (r, r), and which of them the data say nothing about (r,) or more.
@@ -79,6 +87,9 @@ class PriorCheck:
         Relative standard deviation of the nominal links; None with a prior of one's own.
     stated
         Whether it was stated beforehand; otherwise the data chose it, and do not fit even so where they contradict it.
+    widening
+        Where a stated prior and the data contradict each other, the factor of all its standard deviations that makes the data
+        most probable, and that `sample` widens it by; else 1.
     """
 
     distance: float
@@ -87,6 +98,7 @@ class PriorCheck:
     largest: Disagreement
     rel_std: float | None = None
     stated: bool = True
+    widening: float = 1.0
 
     @property
     def conflict(self) -> bool:
@@ -99,8 +111,12 @@ class PriorCheck:
         trust = "" if self.rel_std is None else f" at a relative standard deviation of {self.rel_std:.3g}"
         chosen = "" if self.stated else ", the one that suits the data best"
         less = f"inertia_rel_std, {argument('prior_std')}"
+        wider = ""
+        if self.widening > 1.0:
+            wider = f"A prior {self.widening:.2g} times as wide makes the data most probable: `{call('sample')}` takes that. "
         remedy = (
-            f"What weighs one against the other is doubtful then. Check the readings (`{call('check')}`) and the URDF, look for "
+            f"{wider}What weighs one against the other is doubtful then. "
+            f"Check the readings (`{call('check')}`) and the URDF, look for "
             f"what is missing in the model (`{call('diagnose')}`), or trust the links less ({less})."
         )
         return (
@@ -128,6 +144,7 @@ class PriorCheck:
             "base_parameters": self.base_parameters,
             "rel_std": self.rel_std,
             "rel_std_stated": self.stated,
+            "widening": self.widening,
             "largest": {**one.__dict__, "prior_sigmas": one.prior_sigmas, "sigmas": one.sigmas},
         }
 
@@ -168,20 +185,45 @@ def compared(
     z = difference / size
     spreads, directions = np.linalg.eigh(total / np.outer(size, size))
     told = spreads > 1e-12 * spreads[-1]  # in other directions, neither says anything
-    squared = float(np.sum((directions[:, told].T @ z) ** 2 / spreads[told]))
+    white = (directions[:, told] / np.sqrt(spreads[told])).T
+    squared = float(np.sum((white @ z) ** 2))
+    probability = float(chi2.sf(squared, len(white)))
+    widening = 1.0
+    if stated and probability < CONFLICT:
+        widening = _most_probable_widening(white @ z, white @ (spread / np.outer(size, size)) @ white.T)
     worst = int(np.argmax(np.abs(z)))
     at = int(k[worst])
     return PriorCheck(
         distance=squared**0.5,
         base_parameters=len(k),
-        probability=float(chi2.sf(squared, np.count_nonzero(told))),
+        probability=probability,
         largest=Disagreement(
             _words(base, at), base.units[at], float(prior[worst]), float(standard_deviations(spread)[worst]),
             float(values[at]), float(standard_deviations(covariance)[at]),
         ),
         rel_std=rel_std,
         stated=stated,
+        widening=widening,
     )  # fmt: skip
+
+
+def _most_probable_widening(difference: np.ndarray, share: np.ndarray) -> float:
+    """The factor k of the prior's standard deviations, in coordinates where data and prior together have unit covariance.
+
+    There the prior's part S (n, n) of the covariance makes it ``1 - S + k^2 S`` for any other k, and the eigenvectors stay.
+    """
+    values, vectors = np.linalg.eigh(share)
+    squares = (vectors.T @ difference) ** 2
+
+    def cost(log_factor: float) -> float:
+        variances = 1.0 + np.expm1(2.0 * log_factor) * np.clip(values, 0.0, 1.0)
+        return float(np.sum(np.log(variances) + squares / variances))
+
+    # Of one hump for one direction; for several, the best of a grid is on the right one.
+    grid = np.linspace(0.0, np.log(_WIDEST), 60)
+    best = int(np.argmin([cost(x) for x in grid]))
+    found = float(fminbound(cost, grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)], full_output=True)[0])
+    return float(np.exp(found)) if cost(found) < cost(0.0) else 1.0
 
 
 def _words(base: BaseParameters, k: int) -> str:

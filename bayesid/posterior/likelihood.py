@@ -9,15 +9,20 @@ say about (beta, s) is in the factors R_c of [X_c y_c] and their numbers of rows
 
     log p(y | beta, s) = -sum_c [ n_c log s_c + |R_c (beta; -1)|^2 / (2 s_c^2) ] + constant.
 
-Where the model lacks something (`Weights.complete`), whitening would give most weight to what has little noise, and so would
-unknown scales: the channel that a flexible model fits best would gain weight until little else is fitted. Rows are then weighted
-as those of ``wls``,
-``X_c / std_c``, with known scales (but for Student's t, whose size is not that of the residuals), and linearly transformed
-about their least-squares fit b so that the curvature of the likelihood is the inverse of its sandwich covariance V, the scatter
-between stretches of the recording included [Ribatet2012]_. So are whitened rows, whose V holds the colour that whitening leaves
+Whitened rows are linearly transformed about their least-squares fit b so that the curvature of the likelihood is the inverse of
+its sandwich covariance V [Ribatet2012]_, which holds the colour that whitening leaves
 (`bayesid.estimators.innovation_spectrum`) and encoder errors where they matter (`bayesid.estimators.encoder_errors`):
 
     y + X (C - 1) b = X C beta + s u,   C' (X'X) C = V^-1.
+
+Where the model lacks something (`Weights.complete`), whitening would give most weight to what has little noise, and so would
+unknown scales: the channel that a flexible model fits best would gain weight until little else is fitted. Rows are then weighted
+as those of ``wls``, ``X_c / std_c``, and what they say is b and its covariance V, no more. V is itself an estimate, from how far
+eight stretches of the recording disagree, so that b is Student's t with seven degrees of freedom about the truth:
+
+    log p(b | beta, s) = -n log s - |S (beta - b)|^2 / (2 s^2),   S'S = V^-1,   s^2 ~ IG(7/2, 7/2),
+
+with n determined combinations and one scale s. What contradicts a prior that is trusted widens s, and with it the posterior.
 
 Student's t takes the instant as the unit: a tap or a contact strikes all channels together, so all channels of an
 instant share one weight w ~ Gamma(nu/2, nu/2), u = N(0, 1) / sqrt(w) [Lange1989]_.
@@ -66,6 +71,10 @@ class Likelihood:
         The probability that this rests on.
     dispersion
         Factor of the covariance for the scatter between stretches of the recording.
+    estimate_only
+        Whether the rows say an estimate and its covariance only: one factor, of these, and one scale.
+    factor
+        Of all weighted rows as they are; None where the likelihood was made from factors.
     """
 
     factors: np.ndarray
@@ -78,6 +87,8 @@ class Likelihood:
     complete: bool = True
     agreement: float = 1.0
     dispersion: float = 1.0
+    estimate_only: bool = False
+    factor: Factor | None = None
 
     @classmethod
     def of(cls, regression: Regression, weights: Weights | None = None, *, keep_rows: bool = False) -> Likelihood:
@@ -94,10 +105,19 @@ class Likelihood:
         """
         weights = learn_weights(regression) if weights is None else weights
         columns, channels = len(regression.column_names) + 1, len(regression.channel_names)
+        noise, scale, factor = _weighted(regression, weights, 0 if not keep_rows else _PASSES)
+        middle = covariance_middle(regression, weights, scale, factor)
+        adjust, wanted = _adjusted(factor, middle, shrink=not (weights.complete or keep_rows))
+        if not (weights.complete or keep_rows):
+            one = np.zeros((1, columns, columns))
+            one[0, : len(wanted)] = wanted
+            return cls(
+                one, np.array([len(wanted)]), ("estimate",), tuple(noise), noise=noise, adjust=adjust, complete=False,
+                agreement=weights.agreement, dispersion=weights.dispersion, estimate_only=True, factor=factor,
+            )  # fmt: skip
         factors: dict[str, list[np.ndarray]] = {}
         counts: dict[str, int] = {}
         rows: dict[str, list[np.ndarray]] = {}
-        noise, adjust = _adjusted(regression, weights, scales_known=not keep_rows)
         for block, plain in whitened(regression.blocks(), noise):
             white = plain @ adjust
             own = factors.setdefault(block.group, [np.zeros((columns, columns))] * channels)
@@ -119,7 +139,13 @@ class Likelihood:
             weights.complete,
             weights.agreement,
             weights.dispersion,
+            factor=factor,
         )
+
+    @property
+    def rows(self) -> int:
+        """How many scalar rows it was made from."""
+        return int(self.counts.sum()) if self.factor is None else self.factor.rows
 
 
 def _white(regression: Regression, group: str, solution: np.ndarray) -> NoiseModel:
@@ -129,26 +155,34 @@ def _white(regression: Regression, group: str, solution: np.ndarray) -> NoiseMod
     return NoiseModel(np.ones((len(power), 1)), np.diag(np.maximum(power, 1e-20 * max(float(power.max()), 1e-200))))
 
 
-def _adjusted(
-    regression: Regression, weights: Weights, *, scales_known: bool
-) -> tuple[dict[str, NoiseModel], np.ndarray]:
-    """Noise that rows are whitened with, and what they are then multiplied by for a curvature of V^-1 (p + 1, p + 1)."""
-    if weights.complete:
-        noise, scale, factor = weights.noise, None, reduce_whitened(regression.blocks(), weights.noise)
-    else:
-        noise, scale, factor = _by_channel(regression, weights, 0 if scales_known else _PASSES)
-    middle = covariance_middle(regression, weights, scale, factor)
-    if middle is None:
-        return noise, np.eye(len(regression.column_names) + 1)
+def _adjusted(factor: Factor, middle: np.ndarray | None, *, shrink: bool) -> tuple[np.ndarray, np.ndarray]:
+    """What weighted rows are multiplied by for a curvature of V^-1 (p + 1, p + 1), and its factor [S S b] (n, p + 1).
+
+    With ``shrink`` what the fit b leaves of the rows is shrunk, too, so that all rows together pull by what V says: as many of
+    them count for one as scatter together. Of unknown scales it would take the meaning.
+    """
     # R b with R'R = X'X, and S b with S'S = V^-1, so that S = R C.
     plain, rotated = compressed(factor.matrix, factor.target, None)
-    wanted, _ = compressed(factor.matrix, factor.target, middle)
+    out = np.eye(factor.matrix.shape[1] + 1)
+    if middle is None:
+        return out, np.column_stack([plain, rotated])
+    wanted, target = compressed(factor.matrix, factor.target, middle)
     back = pseudo_inverse(plain)
-    change = back @ (wanted - plain)  # C - 1
-    out = np.eye(len(regression.column_names) + 1)
-    out[:-1, :-1] += change
-    out[:-1, -1] = change @ back @ rotated
-    return noise, out
+    fit = back @ rotated
+    out[:-1, :-1] += back @ (wanted - plain)  # C
+    if shrink:
+        out[-1, -1] = (np.trace(back.T @ middle @ back) / len(plain)) ** -0.5
+    out[:-1, -1] = out[:-1, :-1] @ fit - out[-1, -1] * fit
+    return out, np.column_stack([wanted, target])
+
+
+def _weighted(
+    regression: Regression, weights: Weights, passes: int
+) -> tuple[dict[str, NoiseModel], dict[str, np.ndarray] | None, Factor]:
+    """Noise that rows are whitened with, what channels were weighted with instead (see `covariance_middle`), and the factor."""
+    if weights.complete:
+        return weights.noise, None, reduce_whitened(regression.blocks(), weights.noise)
+    return _by_channel(regression, weights, passes)
 
 
 def _by_channel(

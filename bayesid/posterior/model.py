@@ -1,7 +1,8 @@
 """The posterior itself: likelihood on factors, priors, and its density in coordinates that any sampler can take.
 
-Unknowns: link parameters phi (with a prior) or base parameters b (flat), effect parameters a, one scale of the noise a
-whitened channel s_c, and with Student's t its degrees of freedom nu. Base parameters are ``b = K phi`` throughout.
+Unknowns: link parameters phi (with a prior) or base parameters b (flat), effect parameters a, one scale of the noise a whitened
+channel s_c (one of the whole estimate where the model is incomplete), and with Student's t its degrees of freedom nu. Base
+parameters are ``b = K phi`` throughout.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from scipy.linalg import solve_triangular
 from bayesid.arguments import argument
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.errors import InputError
+from bayesid.estimators.dispersion import STRETCHES
 from bayesid.posterior import coordinates
 from bayesid.posterior.likelihood import Likelihood
 from bayesid.posterior.noise import NOISES, DofPrior, ScalePrior, student_log_likelihood
@@ -76,7 +78,9 @@ class PosteriorModel:
             raise InputError(f"prior has {len(prior.mean)} parameters, the links have {links}; give one value for each")
         effects = len(regression.effect_names)
         likelihood = Likelihood.of(regression, keep_rows=noise == "student")
-        if regression.noise_std is not None or not (likelihood.complete or noise == "student"):
+        if likelihood.estimate_only:
+            options = {"scale_prior": ScalePrior(0.5 * (STRETCHES - 1), 0.5 * (STRETCHES - 1)), **options}
+        elif regression.noise_std is not None:
             options = {"scale_prior": ScalePrior(known=True), **options}
         model = cls(
             regression.base, regression.effect_names, regression.effect_units,

@@ -9,9 +9,8 @@ import numpy as np
 from scipy.linalg import cholesky
 from scipy.signal import lfilter
 
-from bayesid.estimators.factor import whitened
 from bayesid.posterior.convert import Groups
-from bayesid.posterior.noise import log_student
+from bayesid.posterior.pointwise import log_likelihood_terms
 from bayesid.posterior.result import Posterior
 from bayesid.regression.blocks import Block
 from bayesid.signals.noise import NoiseModel
@@ -23,7 +22,7 @@ _RUN_IN = 200
 
 
 def predictive_groups(
-    posterior: Posterior, fitted: Iterable[Block], validation: Iterable[Block], channels: tuple[str, ...]
+    posterior: Posterior, rows: Iterable[Block], fitted: Iterable[Block], validation: Iterable[Block], channels: tuple[str, ...]
 ) -> Groups:
     """Groups ``posterior_predictive``, ``log_likelihood`` (of the fitted rows) and ``observed_data``.
 
@@ -31,6 +30,8 @@ def predictive_groups(
     ----------
     posterior
         What to predict with.
+    rows
+        All that were fitted.
     fitted, validation
         Rows that were fitted, and rows that were not; at most 4096 of each are looked at and about 400 kept.
     channels
@@ -50,9 +51,9 @@ def predictive_groups(
         groups["observed_data"][name] = np.concatenate([b.target[k] for b, k in zip(blocks, keep, strict=True)])
         coordinates[f"{name}_row"] = list(range(sum(map(len, keep))))
         dimensions[name] = [f"{name}_row", "channel"]
-        if name == "fitted":
-            groups["log_likelihood"]["rows"] = _log_likelihood(posterior, blocks, keep)
-            dimensions["rows"] = ["fitted_row"]
+    groups["log_likelihood"]["rows"] = log_likelihood_terms(posterior, rows)
+    coordinates["term"] = list(range(groups["log_likelihood"]["rows"].shape[2]))
+    dimensions["rows"] = ["term"]
     return Groups({name: arrays for name, arrays in groups.items() if arrays}, coordinates, dimensions)
 
 
@@ -88,7 +89,7 @@ def _replicated(posterior: Posterior, block: Block, rng: np.random.Generator) ->
     chains, draws = posterior.columns.shape[:2]
     at = np.unique(np.linspace(0, draws - 1, max(DRAWS // chains, 1)).astype(int))
     noise, part = _noise(posterior, block.group)
-    columns, scales = posterior.columns[:, at], posterior.scales[:, at, part]
+    columns, scales = posterior.columns[:, at], posterior.noise_scales[:, at, part]
     mean = np.einsum("tcp,nmp->nmtc", block.matrix, columns, optimize=True)
     run_in = 0 if noise.from_zero or noise.order == 0 else _RUN_IN
     shape = (*mean.shape[:2], len(block.rows) + run_in, mean.shape[3])
@@ -101,28 +102,3 @@ def _replicated(posterior: Posterior, block: Block, rng: np.random.Generator) ->
     for c, polynomial in enumerate(noise.coefficients):
         mean[..., c] += np.asarray(lfilter([1.0], polynomial, innovations[..., c], axis=2))[:, :, run_in:]
     return mean
-
-
-def _log_likelihood(posterior: Posterior, blocks: list[Block], keep: list[np.ndarray]) -> np.ndarray:
-    """Log density of kept rows, all channels together, for every draw (chains, draws, rows)."""
-    likelihood = posterior.model.likelihood
-    assert likelihood.noise is not None and likelihood.adjust is not None
-    dof = posterior.model.split(posterior.chains.draws)[2]
-    out = []
-    for (block, white), rows in zip(whitened(blocks, likelihood.noise), keep, strict=True):
-        noise, part = _noise(posterior, block.group)
-        chosen = white[rows[rows < len(white)]]
-        if len(white) < len(block.rows):  # the first rows of a block out of the middle have no past
-            chosen = white[np.minimum(rows, len(white) - 1)]
-        chosen = chosen @ likelihood.adjust
-        scales = posterior.scales[..., part]
-        residual = chosen[:, :, -1] - np.einsum("tcp,nmp->nmtc", chosen[:, :, :-1], posterior.columns, optimize=True)
-        squares = np.sum((residual / scales[:, :, None]) ** 2, axis=-1)
-        size = np.sum(np.log(scales), axis=-1) + 0.5 * np.linalg.slogdet(noise.innovation)[1]
-        channels = chosen.shape[1]
-        if posterior.model.noise == "student":
-            density = log_student(squares, channels, dof[:, :, None])
-        else:
-            density = -0.5 * squares - 0.5 * channels * np.log(2 * np.pi)
-        out.append(density - size[:, :, None])
-    return np.concatenate(out, axis=2).astype(np.float32)

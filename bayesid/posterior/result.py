@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from html import escape
@@ -11,6 +12,7 @@ import numpy as np
 
 from bayesid.drawing import Plots, figures_of
 from bayesid.dynamics.base_parameters import BaseParameters
+from bayesid.errors import InputError
 from bayesid.estimators.parameters import HasParameters, Parameters, tails
 from bayesid.estimators.prior_check import PriorCheck, conflicts
 from bayesid.posterior import density
@@ -62,8 +64,21 @@ class Posterior(Plots, HasParameters):
 
     @property
     def scales(self) -> np.ndarray:
-        """Draws of the noise's scales, in units of the noise that the rows were whitened with (chains, draws, k)."""
+        """Draws of the scales (chains, draws, k).
+
+        Of each channel's noise, in units of the noise that the rows were whitened with. Of an incomplete model
+        there is one, of the estimate's standard deviations.
+        """
         return self.model.split(self.chains.draws)[1]
+
+    @property
+    def noise_scales(self) -> np.ndarray:
+        """Draws of the scales of each channel's noise, those that were held at one included (chains, draws, channels)."""
+        likelihood = self.model.likelihood
+        if not likelihood.estimate_only:
+            return self.scales
+        assert likelihood.noise is not None
+        return np.ones((*self.chains.draws.shape[:2], sum(len(n.std) for n in likelihood.noise.values())))
 
     @property
     def dof(self) -> np.ndarray | None:
@@ -193,10 +208,13 @@ class Posterior(Plots, HasParameters):
     # ---- results as data -----------------------------------------------------------------------------------------
 
     def to_arviz(self) -> Any:
-        """InferenceData (ArviZ 0.x) or DataTree (1.x) with coordinates named after the parameters."""
+        """InferenceData (ArviZ 0.x) or DataTree (1.x) with coordinates named after the parameters.
+
+        Base parameters go by `BaseParameters.short_names`; the attribute ``base_parameters`` of the posterior has them in full.
+        """
         model = self.model
         posterior = {"base": self.base_draws}
-        coords: dict[str, Any] = {"base_parameter": list(self.names)}
+        coords: dict[str, Any] = {"base_parameter": self.base.short_names}
         dims = {"base": ["base_parameter"]}
         if self.link_draws is not None:
             posterior["link"] = self.link_draws
@@ -222,6 +240,7 @@ class Posterior(Plots, HasParameters):
             "steps_between_draws": self.chains.thin,
             "seed": self.seed,
             "model_complete": int(model.likelihood.complete),
+            "base_parameters": list(self.names),
         }
         if model.prior is not None:
             attributes["prior_mean_of_links"] = model.prior.mean
@@ -275,6 +294,32 @@ class Posterior(Plots, HasParameters):
             matplotlib's Axes to draw into, one for each base parameter; default a figure of its own.
         """
         return figures_of(self)["marginals"](ax=ax)
+
+    def plot_predictive(
+        self, rows: str | None = None, *, channels: Sequence[str] | str | None = None, ax: Any = None
+    ) -> Figure:
+        """Draw rows as measured over the central 95 % of the readings that the posterior predicts, noise included.
+
+        Parameters
+        ----------
+        rows
+            ``validation`` (of motions that were not fitted; the default where there are any) or ``fitted``.
+        channels
+            Which readings; default all.
+        ax
+            matplotlib's Axes to draw into, one for each channel; default a figure of its own.
+
+        Raises
+        ------
+        InputError
+            There are no such rows or channels, or there are fewer or more axes than channels.
+        """
+        known = self.extra.arrays.get("posterior_predictive", {})
+        rows = rows or ("validation" if "validation" in known else "fitted")
+        if rows not in known:
+            raise InputError(f"rows '{rows}' were not predicted; choose one of {', '.join(known) or 'none: sample makes them'}")
+        names, measured = self.extra.coordinates["channel"], self.extra.arrays["observed_data"][rows]
+        return figures_of(self)["predictive"](names, known[rows], measured, channels, ax)
 
     def plot(self, *, ax: Any = None) -> Figure:
         """Draw the marginals; as `plot_marginals`."""

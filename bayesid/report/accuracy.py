@@ -11,7 +11,6 @@ from bayesid.design.accuracy.sensor_choice import SensorChoice
 from bayesid.design.accuracy.sensor_file import KINDS
 from bayesid.report.accuracy_figures import SHOWN_EFFECTS, susceptibility_figure, sweeps_figure
 from bayesid.report.certificate import certificate_section
-from bayesid.report.notation import notation, short_names
 from bayesid.report.page import render, run_times, svg, versions
 from bayesid.results.accuracy import Accuracy
 from bayesid.results.accuracy_text import (
@@ -26,6 +25,7 @@ from bayesid.results.accuracy_text import (
 )
 from bayesid.results.text import DASH, HALF, channel_text, number, percent
 from bayesid.robot import inertia
+from bayesid.robot.notation import notation
 
 #: Places of each kind of effect that the map shows.
 _MAPPED_PLACES = 4
@@ -75,7 +75,7 @@ def bias_map(result: Accuracy, ax: Any = None) -> Figure:
     shown = worst_places(biased, _MAPPED_PLACES)[:SHOWN_EFFECTS]
     base = result.bench.problem.row_model.base
     matrix = np.array([s.sigmas for s in shown]).reshape(len(shown), base.rank)
-    return susceptibility_figure([s.effect.spec for s in shown], short_names(base), matrix, ax)
+    return susceptibility_figure([s.effect.spec for s in shown], base.short_names, matrix, ax)
 
 
 def _lead(result: Accuracy) -> str:

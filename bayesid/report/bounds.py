@@ -9,7 +9,6 @@ import numpy as np
 from bayesid.design.bounds.bands import FAR, Band
 from bayesid.design.bounds.remainder import HALF
 from bayesid.report.bounds_figures import band_figure, parameter_figure, remainder_figure
-from bayesid.report.notation import short_names
 from bayesid.report.page import render, run_times, svg, versions
 from bayesid.results.bounds import ControllerBounds, TrajectoryBands
 from bayesid.results.bounds_text import joints
@@ -20,7 +19,7 @@ def bounds_report(result: ControllerBounds) -> str:
     """The report of ``bounds``: an HTML page with all figures inside."""
     known, region, w = result.known, result.region, result.workspace
     robot, rank = known.problem.experiment.robot, result.torque_model.base.rank
-    names = [*short_names(result.torque_model.base), *region.names[rank:]]
+    names = [*result.torque_model.base.short_names, *region.names[rank:]]
     left = result.remainder
     head, rows = joints(w, result.inside)
     return render(

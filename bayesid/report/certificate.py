@@ -11,7 +11,6 @@ from matplotlib.figure import Figure
 from bayesid.design.accuracy.certificate import Certificate
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.report.accuracy_figures import certificate_figure
-from bayesid.report.notation import short_names
 from bayesid.report.page import render, svg
 from bayesid.results.accuracy_text import coverage_text
 from bayesid.results.text import number, percent
@@ -40,7 +39,7 @@ def with_certificate(page: str, certificate: Certificate, base: BaseParameters) 
 
 def coverage_figure(certificate: Certificate, base: BaseParameters, ax: Any = None) -> Figure:
     """Coverage of every base parameter."""
-    return certificate_figure(certificate, short_names(base), ax)
+    return certificate_figure(certificate, base.short_names, ax)
 
 
 def _rows(certificate: Certificate, base: BaseParameters) -> list[dict[str, Any]]:

@@ -9,7 +9,6 @@ from matplotlib.figure import Figure
 
 from bayesid.report.comparison_figures import proof_side_by_side, values_side_by_side
 from bayesid.report.identification import STATIC, mood_of
-from bayesid.report.notation import short_names
 from bayesid.report.page import render, run_times, svg, versions
 from bayesid.results.comparison import TEXT_MOTIONS, Comparison, in_sigmas, overview, values_table
 from bayesid.results.entry import Entry
@@ -189,7 +188,7 @@ def values_figure(result: Comparison | LoadedComparison, name: str, ax: Any = No
     """Base parameters by each estimator around those of the reference of a name."""
     reference = result[name]
     shown = np.flatnonzero(reference.std > 0)
-    names = [f"{short}  ({k + 1})" for k, short in enumerate(short_names(reference.base)) if k in shown]
+    names = [f"{short}  ({k + 1})" for k, short in enumerate(reference.base.short_names) if k in shown]
     estimates = result.estimates.values()
     std = reference.std[shown]
     hidden = np.array([e.undetermined[: e.base.rank][shown] for e in estimates])

@@ -9,7 +9,6 @@ from matplotlib.figure import Figure
 from bayesid.design.identifiability import SetReport
 from bayesid.design.visibility import WORDS, LinkExpectation
 from bayesid.report.identifiability_figures import classes, expected
-from bayesid.report.notation import short_names
 from bayesid.report.page import render, run_times, svg, versions
 from bayesid.results.identifiability import Identifiability, own_std
 from bayesid.results.identifiability_text import TOLD_HEAD, counts, effect_lines, lead, share, sources, spread, told
@@ -53,7 +52,7 @@ def identifiability_report(result: Identifiability) -> str:
 
 def expected_figure(report: SetReport, ax: Any = None) -> Figure:
     """Expected standard deviations of a sensor set's combinations."""
-    return expected(report, short_names(report.shown.base), ax)
+    return expected(report, report.shown.base.short_names, ax)
 
 
 def _kicker(result: Identifiability) -> str:

@@ -15,13 +15,13 @@ from bayesid.regression.regression import Regression
 from bayesid.report.certificate import certificate_section
 from bayesid.report.details import described
 from bayesid.report.identification_figures import bandwidth_sensitivity, parameter_intervals
-from bayesid.report.notation import notation, short_names
 from bayesid.report.page import physical, render, run_times, svg, versions
 from bayesid.report.prediction_figures import measured_against_predicted, residuals
 from bayesid.results.identification import Identification
 from bayesid.results.loaded import LoadedIdentification
 from bayesid.results.text import DASH, HALF, chance, channel_text, ends, number, percent, with_interval
 from bayesid.robot import inertia
+from bayesid.robot.notation import notation
 from bayesid.validation.headline import judged, still_predictable, worse_than_nothing
 from bayesid.validation.noise_floor import RESIDUALS
 from bayesid.validation.prediction import BAND, TOLERATED, Prediction
@@ -170,7 +170,7 @@ def _reference(regression: Regression | LoadedIdentification, estimate: Estimate
 def intervals_figure(regression: Regression | LoadedIdentification, estimate: Estimate, ax: Any = None) -> Figure:
     """Base parameters against the nominal model, with their 95 % intervals."""
     nominal, scale = _reference(regression, estimate)
-    names = [f"{name}  ({k + 1})" for k, name in enumerate(short_names(estimate.base))]
+    names = [f"{name}  ({k + 1})" for k, name in enumerate(estimate.base.short_names)]
     between = np.array([estimate.low - nominal, estimate.high - nominal])
     return parameter_intervals(names, estimate.values - nominal, between, scale, estimate.classes, ax)
 

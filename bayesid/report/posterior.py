@@ -8,7 +8,6 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from bayesid.posterior.result import Posterior
-from bayesid.report.notation import short_names
 from bayesid.report.page import render, run_times, svg, versions
 from bayesid.report.posterior_figures import marginals, narrowing, ranks
 from bayesid.report.prediction_figures import measured_against_predicted, residuals
@@ -26,7 +25,7 @@ _DRIVEN = 0.9
 def posterior_report(result: ExperimentPosterior) -> str:
     """The report of ``sample``: an HTML page with all figures inside."""
     problem, model = result.problem, result.model
-    shares = [("base parameters", short_names(result.base), result.prior_share)]
+    shares = [("base parameters", result.base.short_names, result.prior_share)]
     if result.link_draws is not None:
         shares.append(("link parameters", _link_names(result.base.parameter_names), result.link_prior_share))
     shown = sorted(result.validation, key=lambda p: -p.whitened_rms)[:_SHOWN_MOTIONS]
@@ -62,7 +61,7 @@ def marginals_figure(result: Posterior, ax: Any = None) -> Figure:
     prior = result.model.prior_draws(_PRIOR_DRAWS, np.random.default_rng(result.seed))
     pushed = None if prior is None else prior @ result.base.matrix.T
     nominal = result.problem.regression.nominal if isinstance(result, ExperimentPosterior) else None
-    return marginals(short_names(result.base), flat, pushed, nominal, ax)
+    return marginals(result.base.short_names, flat, pushed, nominal, ax)
 
 
 def _link_names(names) -> list[str]:
@@ -199,7 +198,7 @@ def _how(result: ExperimentPosterior) -> list[tuple[str, str]]:
         *([] if result.prior_check is None else [("Prior against data", result.prior_check.brief())]),
         ("Noise", f"{noise}; autoregressive in time as learned from residuals, correlated between channels"),
         ("Model complete", "yes" if model.likelihood.complete else "no: intervals count how far stretches scatter"),
-        ("Rows", f"{int(model.likelihood.counts.sum())} numbers, {number(1.0 / problem.row_model.step, 3)} rows a second"),
+        ("Rows", f"{model.likelihood.rows} numbers, {number(1.0 / problem.row_model.step, 3)} rows a second"),
         ("Sampler", f"{engine}; a draw every {chains.thin} of its usual distances; seed {result.seed}"),
         run_times(result.seconds),
         versions("emcee", "arviz", "numpy"),

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from bayesid.report.charts import CYCLE
-from bayesid.report.figures import CLASSES, GREY, NOISE, add_legend, make_grid, styled
+from bayesid.report.figures import CLASSES, GREY, NOISE, add_legend, make_grid, picked, styled
 
 _COLUMNS = 6
 _BINS = 36
@@ -69,6 +69,40 @@ def marginals(
     for ax in axes.ravel():
         handles |= {label: handle for handle, label in zip(*ax.get_legend_handles_labels(), strict=True)}
     add_legend(axes, list(handles.values()), list(handles))
+    return figure
+
+
+@styled
+def predictive(
+    names: Sequence[str], replicated: np.ndarray, measured: np.ndarray, channels: Sequence[str] | str | None = None,
+    ax: Any = None,
+) -> Figure:
+    """Rows as they were measured, over the central 95 % of those that the posterior predicts, noise included.
+
+    Parameters
+    ----------
+    names
+        Of the channels (c,).
+    replicated, measured
+        (chains, draws, k, c), (k, c).
+    channels, ax
+        Which of them, and where to draw.
+    """
+    chosen = picked(tuple(names), channels)
+    columns = 2 if len(chosen) > 1 and ax is None else 1
+    figure, axes = make_grid(-(-len(chosen) // columns), columns, 1.15, sharex=True, ax=ax)
+    low, high = np.quantile(replicated, [0.025, 0.975], axis=(0, 1))
+    x = np.arange(len(measured))
+    for k, panel in zip(chosen, axes.ravel(), strict=False):
+        panel.fill_between(x, low[:, k], high[:, k], color=CYCLE[0], alpha=0.35, lw=0.0, label="95 % of predicted readings")
+        panel.plot(x, measured[:, k], ".", ms=2.5, color="#334155", label="measured")
+        panel.set_title(names[k])
+        panel.yaxis.set_major_locator(MaxNLocator(4))
+    for panel in axes.ravel()[len(chosen) :]:
+        panel.set_visible(False)
+    for panel in axes[-1]:
+        panel.set_xlabel("row, evenly picked")
+    add_legend(axes, *axes.ravel()[0].get_legend_handles_labels())
     return figure
 
 

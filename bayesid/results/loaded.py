@@ -443,14 +443,15 @@ def _of_draws(file: Path) -> dict[str, Any]:
         if variable not in group:
             return []
         array = group[variable]
-        names = [str(n) for n in array.coords[array.dims[-1]].values]
+        short = [str(n) for n in array.coords[array.dims[-1]].values]
+        names = [str(n) for n in group.attrs["base_parameters"]] if variable == "base" else short
         draws = np.asarray(array.values, float).reshape(-1, len(names))
         low, high = np.quantile(draws, tails(), axis=0)
-        columns = zip(names, draws.mean(axis=0), draws.std(axis=0, ddof=1), low, high, strict=True)
+        columns = zip(names, short, draws.mean(axis=0), draws.std(axis=0, ddof=1), low, high, strict=True)
         return [
-            {"name": n, "label": n, "unit": "", "class": "effect" if variable == "effect" else "",
+            {"name": n, "label": label, "unit": "", "class": "effect" if variable == "effect" else "",
              "value": float(v), "std": float(s), "low": float(lo), "high": float(hi)}
-            for n, v, s, lo, hi in columns
+            for n, label, v, s, lo, hi in columns
         ]  # fmt: skip
 
     draws = np.asarray(group["base"].values, float)

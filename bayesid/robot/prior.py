@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -104,6 +104,10 @@ class Prior:
             size = np.sqrt(np.diag(covariance))
             precision[np.ix_(body, body)] = np.linalg.inv(covariance / np.outer(size, size)) / np.outer(size, size)
         return cls(plain.mean, precision, plain.bodies, physical)
+
+    def widened(self, factor: float) -> Prior:
+        """The same with all standard deviations multiplied by a factor."""
+        return replace(self, precision=self.precision / factor**2)
 
     @property
     def root(self) -> np.ndarray:

@@ -30,9 +30,8 @@ def _(result: LoadedComparison) -> Figures:
 
 @figures_of.register
 def _(result: LoadedPosterior) -> Figures:
-    from bayesid.report.notation import short_names
     from bayesid.report.posterior_figures import marginals
 
     draws = result.base_draws.reshape(-1, result.base_draws.shape[-1])
-    names = short_names(result.base) if "base_map" in result.document else list(result.names)
+    names = result.base.short_names if "base_map" in result.document else list(result.names)
     return {"marginals": partial(marginals, names, draws, None, None)}

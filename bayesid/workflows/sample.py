@@ -17,7 +17,6 @@ from bayesid.errors import InputError
 from bayesid.estimators import Estimate
 from bayesid.estimators.against_prior import against_prior
 from bayesid.estimators.estimator import largest_autocorrelation
-from bayesid.estimators.factor import Factor, stack
 from bayesid.estimators.nonlinear import settled
 from bayesid.estimators.prior_check import PriorCheck, conflicts
 from bayesid.posterior.convert import write_netcdf
@@ -153,6 +152,8 @@ def sample(
         clock("noise")
         model = PosteriorModel.of(regression, chosen, noise)
         check = None if chosen is None else against_prior(regression, chosen, trust)
+        if chosen is not None and check is not None:
+            model = replace(model, prior=chosen.widened(check.widening))
         clock("sampling")
         result = run(
             model, choose_engine(model, sampler.engine, sampler.moves), draws=draws, chains=sampler.chains, seed=seed,
@@ -175,16 +176,21 @@ def sample(
 @figures_of.register
 def _(result: ExperimentPosterior) -> Figures:
     from bayesid.report.posterior import marginals_figure
+    from bayesid.report.posterior_figures import predictive
     from bayesid.report.prediction_figures import measured_against_predicted, residuals
 
-    return {"predictions": measured_against_predicted, "residuals": residuals, "marginals": partial(marginals_figure, result)}
+    return {
+        "predictions": measured_against_predicted, "residuals": residuals, "marginals": partial(marginals_figure, result),
+        "predictive": predictive,
+    }  # fmt: skip
 
 
 @figures_of.register
 def _(result: Posterior) -> Figures:
     from bayesid.report.posterior import marginals_figure
+    from bayesid.report.posterior_figures import predictive
 
-    return {"marginals": partial(marginals_figure, result)}
+    return {"marginals": partial(marginals_figure, result), "predictive": predictive}
 
 
 @files_of.register
@@ -236,13 +242,13 @@ def _with_predictions(
 ) -> Posterior:
     posterior = Posterior(model, result, seed, prior_check=check)
     if problem is None:
-        extra = predictive_groups(posterior, regression.pilot(), (), regression.channel_names)
+        extra = predictive_groups(posterior, regression.blocks(), regression.pilot(), (), regression.channel_names)
         clock.stop()
         return Posterior(model, result, seed, extra, check)
     others = [m for m in problem.experiment.motions if m.name in problem.segments and m.name not in problem.fitted]
     judges = [m for m in others if m.role == "validation"]
     blocks = _blocks(problem, [m.name for m in judges])
-    extra = predictive_groups(posterior, regression.pilot(), blocks, regression.channel_names)
+    extra = predictive_groups(posterior, regression.blocks(), regression.pilot(), blocks, regression.channel_names)
     estimate = as_estimate(posterior, regression)
     floor = noise_floor(problem)
     fitted = tuple(predict(problem, estimate, m, floor) for m in problem.experiment.motions if m.name in problem.fitted)
@@ -266,7 +272,7 @@ def as_estimate(posterior: Posterior, regression: Regression) -> Estimate:
     columns = posterior.columns.reshape(-1, posterior.columns.shape[-1])
     solution = columns.mean(axis=0)
     covariance = np.atleast_2d(np.cov(columns.T))
-    scales = np.sqrt(np.mean(posterior.scales**2, axis=(0, 1)))
+    scales = np.sqrt(np.mean(posterior.noise_scales**2, axis=(0, 1)))
     if model.noise == "student":
         nu = model.split(posterior.chains.draws)[2]
         scales = scales * np.sqrt(np.median(nu / np.maximum(nu - 2.0, 0.5)))
@@ -276,11 +282,8 @@ def as_estimate(posterior: Posterior, regression: Regression) -> Estimate:
         was = model.likelihood.noise[group]
         root = cholesky(was.innovation, lower=True) * part
         noise[group] = NoiseModel(was.coefficients, root @ root.T, was.from_zero)
-    r = None
-    for part in model.likelihood.factors:
-        r = stack(r, part)
-    assert r is not None
-    factor = Factor(r, int(model.likelihood.counts.sum()))
+    factor = model.likelihood.factor
+    assert factor is not None
     residual = np.sum((factor.matrix @ solution - factor.target) ** 2) + factor.least_squares
     undetermined = np.zeros(len(solution), bool)
     weak = np.zeros(len(solution), bool)

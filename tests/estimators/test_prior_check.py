@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.stats import chi2, kstest
+from scipy.stats import chi2, kstest, multivariate_normal
 
 import bayesid
 from bayesid.estimators.against_prior import against_prior
@@ -156,3 +156,40 @@ def test_sample_says_a_conflict_first(tmp_path):
     assert wrong.warnings[0] == wrong.prior_check.text()
     assert list(wrong.to_dict())[2] == "prior_against_data" and wrong.to_dict()["prior_against_data"]["conflict"] is True
     assert not right.prior_check.conflict and "contradict" not in str(right)
+
+
+def test_a_prior_is_widened_by_what_makes_the_data_most_probable():
+    """Against a scan of the normal density over the factor; links are drawn four times as far off as is stated."""
+    rng, prior = np.random.default_rng(8), Prior.nominal(BODIES, 0.05, physical=False)
+    truth = prior.mean + 4.0 * (drawn(prior, rng) - prior.mean)
+    regression, matrix = rows(truth, rng, std=0.05)
+    check = against_prior(regression, prior, 0.05)
+    assert check is not None and check.conflict
+    x = matrix.reshape(-1, 20)
+    u, s, vt = np.linalg.svd(x, full_matrices=False)
+    keep = s > 1e-10 * s[0]
+    y = u[:, keep].T @ (np.concatenate([b.target for b in regression.blocks()]).ravel() / 0.05 - x @ prior.mean)
+    spread = (s[keep, None] * vt[keep]) @ prior.covariance @ (s[keep, None] * vt[keep]).T
+    factors = np.linspace(1.0, 12.0, 1101)
+    found = [multivariate_normal(cov=np.eye(len(y)) + k**2 * spread).logpdf(y) for k in factors]
+    assert check.widening == pytest.approx(factors[int(np.argmax(found))], abs=0.02)
+    assert f"A prior {check.widening:.2g} times as wide makes the data most probable" in check.text()
+
+
+def test_no_conflict_widens_nothing():
+    rng, prior = np.random.default_rng(1), Prior.nominal(BODIES, 0.15)
+    check = against_prior(rows(drawn(prior, rng), rng, std=0.5)[0], prior, 0.15)
+    assert check is not None and not check.conflict and check.widening == 1.0
+
+
+def test_what_contradicts_the_prior_widens_the_posterior(tmp_path):
+    """A link of a third of the stated mass: the mean is the data's, and its interval holds the truth."""
+    recorded = puma(tmp_path, 0.3)
+    posterior = bayesid.sample(recorded, draws=800)
+    alone = bayesid.identify(recorded, method="gls")
+    assert posterior.prior_check.widening > 1.5
+    assert np.all(np.abs(posterior.values - alone.values) < 3.0 * alone.std)
+    truth = recorded.robot.nominal.copy()
+    truth[1] *= 0.3
+    held = (posterior.low <= posterior.base.matrix @ truth.ravel()) & (posterior.base.matrix @ truth.ravel() <= posterior.high)
+    assert held.mean() > 0.8

@@ -15,6 +15,7 @@ from bayesid.estimators.weights import learn_weights
 from bayesid.posterior import DofPrior, Posterior, PosteriorModel, ScalePrior, choose_engine, coordinates
 from bayesid.posterior.density import _density
 from bayesid.posterior.diagnostics import Convergence
+from bayesid.posterior.pointwise import log_likelihood_terms
 from bayesid.posterior.run import Chains
 from bayesid.regression.regression import Regression
 from bayesid.robot import inertia
@@ -57,19 +58,40 @@ def test_log_likelihood_is_that_of_every_row(noise):
         assert_allclose(model.log_likelihood(beta, scales, np.array(nu)), expected, rtol=1e-9)
 
 
-def test_posterior_of_an_incomplete_model_is_the_fit_weighted_by_channel():
-    """Draws against ``wls``: what is missing acts in one channel and one half of the recording."""
+@pytest.fixture(scope="module")
+def incomplete():
+    """Rows of a model that lacks something in one channel and one half of the recording."""
     rng = np.random.default_rng(4)
     matrix = rng.normal(size=(2000, 2, 4))
     target = matrix @ np.arange(1.0, 5.0) + rng.normal(size=(2000, 2))
     target[1000:, 0] += 2.0 * matrix[1000:, 0, 1]
-    data = Regression.from_arrays(matrix, target)
-    estimate, model = fit(data, "wls"), PosteriorModel.of(data)
-    assert not estimate.details.model_complete and model.scale_names == ()
-    engine = choose_engine(model, "hmc")
-    draws = engine.advance(engine.start(rng), 4000, 1)[500:, 0]
-    assert np.all(np.abs(draws.mean(axis=0) - estimate.values) < 0.15 * estimate.std)
-    assert_allclose(draws.std(axis=0), estimate.std, rtol=0.15)
+    return Regression.from_arrays(matrix, target)
+
+
+@pytest.mark.parametrize("engine", ["hmc", "emcee"])
+def test_posterior_of_an_incomplete_model_is_a_student_t_about_the_fit(incomplete, engine):
+    """Draws against ``wls`` and its covariance, which eight stretches told: seven degrees of freedom."""
+    estimate, model = fit(incomplete, "wls"), PosteriorModel.of(incomplete)
+    assert not estimate.details.model_complete and model.scale_names == ("estimate",)
+    chosen = choose_engine(model, engine)
+    draws = chosen.advance(chosen.start(np.random.default_rng(5)), 4000 // chosen.walkers, 3)[..., :4].reshape(-1, 4)
+    standard = (draws - estimate.values) / estimate.std
+    law = stats.t(7)
+    for level in (0.025, 0.25, 0.5, 0.75, 0.975):
+        assert_allclose(np.quantile(standard, level, axis=0), law.ppf(level), atol=0.25)
+
+
+def test_terms_of_an_incomplete_model_add_up_to_its_likelihood(incomplete):
+    """As many instants together as scatter together, so that leaving one out counts the parameters, not the rows."""
+    posterior = bayesid.sample(incomplete, draws=1600, noise="gaussian")
+    terms = log_likelihood_terms(posterior, incomplete.blocks()).astype(float)
+    whole = posterior.model.log_likelihood(*posterior.model.split(posterior.chains.draws))
+    summed = terms.sum(axis=2)
+    assert_allclose(summed - summed.mean(), whole - whole.mean(), atol=0.05)
+    together = posterior.model.likelihood.adjust[-1, -1] ** -2.0
+    assert 10.0 < together and terms.shape[2] == pytest.approx(2000 / together, abs=1.5)
+    effective = terms.reshape(-1, terms.shape[2]).var(axis=0, ddof=1).sum()  # [Vehtari2017], equation 12
+    assert effective < 8.0
 
 
 def test_joint_density_is_likelihood_times_priors():

@@ -72,7 +72,8 @@ def test_arviz_opens_summarises_and_plots(posterior, tmp_path):
     data = az.from_netcdf(tmp_path / "out" / "posterior.nc")
     groups = {str(g).strip("/") for g in (data.groups() if callable(data.groups) else data.groups)}
     assert groups >= {"posterior", "sample_stats", "posterior_predictive", "log_likelihood", "observed_data"}
-    assert list(data["posterior"]["base"].coords["base_parameter"].values) == list(posterior.names)
+    assert list(data["posterior"]["base"].coords["base_parameter"].values) == posterior.base.short_names
+    assert list(data["posterior"].attrs["base_parameters"]) == list(posterior.names)
     assert list(data["posterior"]["link"].coords["link_parameter"].values) == list(posterior.base.parameter_names)
     assert_allclose(data["posterior"]["base"].values, posterior.base_draws)
     replicated = data["posterior_predictive"]["validation"]
@@ -81,7 +82,7 @@ def test_arviz_opens_summarises_and_plots(posterior, tmp_path):
     low, high = np.quantile(replicated, [0.05, 0.95], axis=(0, 1))
     assert 0.85 < np.mean((measured.values > low) & (measured.values < high)) < 0.95
     assert "bodies that can exist" in data["posterior"].attrs["prior"]
-    few = list(posterior.names[:3])
+    few = posterior.base.short_names[:3]
     with warnings.catch_warnings():
         if before_trees(az):
             table = az.summary(data, var_names=["base", "scale"], hdi_prob=0.95)
@@ -94,16 +95,31 @@ def test_arviz_opens_summarises_and_plots(posterior, tmp_path):
     matplotlib.pyplot.close("all")
 
 
-def test_log_likelihood_adds_up_to_the_models(posterior):
-    data = posterior.to_arviz()
-    rows = np.asarray(data["log_likelihood"]["rows"])
-    picked = rows.sum(axis=2)
+def test_log_likelihood_terms_add_up_to_the_models(posterior):
+    terms = np.asarray(posterior.to_arviz()["log_likelihood"]["rows"], float)
     whole = posterior.model.log_likelihood(*posterior.model.split(posterior.chains.draws))
-    step = -(-posterior.model.likelihood.counts[0] // 400)
-    # Of all rows, every so many: both totals rise and fall together where step is one.
-    assert rows.shape[2] == -(-posterior.model.likelihood.counts[0] // step)
-    if step == 1:
-        assert_allclose(picked - picked.mean(), whole - whole.mean(), atol=0.05)
+    summed = terms.sum(axis=2)
+    assert 300 < terms.shape[2] <= 1000
+    assert_allclose(summed - summed.mean(), whole - whole.mean(), atol=0.05)
+
+
+def test_leave_one_out_counts_the_parameters(posterior):
+    """As many as are fitted, and no instant that one cannot leave out [Vehtari2017]."""
+    loo = load_arviz().loo(posterior.to_arviz(), pointwise=True)
+    effective = float(loo.p_loo if "p_loo" in dir(loo) else loo.p)
+    assert effective == pytest.approx(len(posterior.names) + posterior.scales.shape[2], rel=0.5)
+    assert float(np.mean(np.asarray(loo.pareto_k) > 0.7)) < 0.01
+
+
+def test_predicted_rows_are_drawn_with_their_band(posterior):
+    figure = posterior.plot_predictive(channels=["fx", "mz"])
+    band = figure.axes[0].collections[0].get_paths()[0].vertices
+    measured = figure.axes[0].lines[0].get_ydata()
+    replicated = posterior.extra.arrays["posterior_predictive"]["validation"][..., 0]
+    assert band[:, 1].max() == pytest.approx(np.quantile(replicated, 0.975, axis=(0, 1)).max(), rel=1e-6)
+    assert_allclose(measured, posterior.extra.arrays["observed_data"]["validation"][:, 0])
+    with pytest.raises(InputError, match="rows 'held' were not predicted; choose one of fitted, validation"):
+        posterior.plot_predictive("held")
 
 
 def test_files_and_report(posterior, tmp_path):

@@ -4,16 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
-from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.robot import inertia
-
-
-def short_names(base: BaseParameters) -> list[str]:
-    """One parameter to name each combination by, ``I2xy …``."""
-    names = notation(base.parameter_names)
-    return [names[k] + (" …" if np.count_nonzero(row) > 1 else "") for row, k in zip(base.matrix, base.independent, strict=True)]
 
 
 def notation(names: Sequence[str]) -> list[str]:
