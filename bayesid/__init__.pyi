@@ -29,6 +29,7 @@ from .results.identifiability import Identifiability
 from .results.identification import Identification, summary
 from .results.inspection import Inspection
 from .results.loaded import NeedsRecording, load
+from .results.payload import PayloadEstimate
 from .results.posterior import ExperimentPosterior
 from .results.told import DistinguishingMotion
 from .results.watch import Watch
@@ -46,6 +47,7 @@ from .workflows.diagnose import diagnose
 from .workflows.excite import excite
 from .workflows.identifiability import identifiability
 from .workflows.identify import identify
+from .workflows.payload import payload
 from .workflows.sample import sample
 from .workflows.tell import tell
 from .workflows.watch import watch
@@ -84,6 +86,7 @@ __all__ = [
     "Motion",
     "NeedsRecording",
     "CustomDetails",
+    "PayloadEstimate",
     "Physical",
     "Posterior",
     "Prior",
@@ -117,6 +120,7 @@ __all__ = [
     "load_effects",
     "load_experiment",
     "load_robot",
+    "payload",
     "read_trajectory",
     "sample",
     "simulate",

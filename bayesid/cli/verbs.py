@@ -27,6 +27,7 @@ VERBS = {
     "excite": "An exciting trajectory within limits.",
     "identifiability": "What these motions can and cannot determine, per sensor set.",
     "identify": "Base parameters with 95 % intervals, and link parameters.",
+    "payload": "Mass, centre of mass and inertia of what hangs at the flange.",
     "sample": "Draws from the posterior, with convergence checks.",
     "simulate": "A recording from the model, with known truth.",
     "watch": "A series of recordings against one reference: what changed, when.",

@@ -35,6 +35,10 @@ WRITTEN = {
     ),  # fmt: skip
     "identifiability": ("identifiability.json",),
     "identify": ("estimate.json", "identified.urdf", "identified-unconstrained.urdf", "model.toml"),
+    "payload": (
+        "payload.json", "ur.script", "endeffector-config.json", "kuka.dat", "xarm.py", "gravity_compensation.yaml",
+        "ros2_gravity_filter.yaml", "ros2_admittance.yaml",
+    ),  # fmt: skip
     "sample": ("posterior.json", "posterior.nc", "identified.urdf"),
     "watch": ("watch.json",),
 }

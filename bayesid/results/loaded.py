@@ -36,7 +36,8 @@ if TYPE_CHECKING:
 DOCUMENTS = {
     "estimate.json": "Identification", "comparison.json": "Comparison", "posterior.json": "ExperimentPosterior",
     "diagnosis.json": "Diagnosis", "bounds.json": "ControllerBounds", "accuracy.json": "Accuracy",
-    "identifiability.json": "Identifiability", "excitation.json": "Excitation", "watch.json": "Watch", "check.json": "Inspection",
+    "identifiability.json": "Identifiability", "excitation.json": "Excitation", "watch.json": "Watch",
+    "payload.json": "PayloadEstimate", "check.json": "Inspection",
 }  # fmt: skip
 DRAWS = "posterior.nc"
 

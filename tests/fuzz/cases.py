@@ -94,6 +94,13 @@ OPTIONS: dict[str, dict[str, st.SearchStrategy[str]]] = {
     },
     "diagnose": {**_COMMON, "--reference": st.sampled_from(["{arm}", "nowhere", ""])},
     "watch": {**_COMMON},
+    "payload": {
+        **_COMMON,
+        "--reference": st.sampled_from(["{arm}", "nowhere", ""]),
+        "--joint": st.sampled_from(["joint2", "joint1", "x", ""]),
+        "--frame": st.sampled_from(["link2", "tool0", "x", ""]),
+        "--extent": _ANY,
+    },
     "identifiability": {
         **_COMMON,
         "--trajectory": _TABLE,
@@ -167,7 +174,7 @@ OPTIONS: dict[str, dict[str, st.SearchStrategy[str]]] = {
 #: How often each verb runs: those that take seconds seldom.
 SHARES = {
     "check": 11, "identify": 5, "simulate": 5, "compare": 1, "diagnose": 1, "sample": 1, "identifiability": 3, "excite": 3,
-    "accuracy": 1, "bounds": 1, "watch": 1,
+    "accuracy": 1, "bounds": 1, "watch": 1, "payload": 1,
 }  # fmt: skip
 #: What keeps a verb's run short, where a case does not say otherwise.
 SHORT = {

@@ -16,8 +16,8 @@ from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recordin
 
 SENSOR = Sensor(translation=np.array([0.0, 0.0, -0.1]))
 KINDS = ["identification", "estimate", "prediction", "comparison", "posterior", "own_posterior", "bounds", "diagnosis", "changes",
-         "accuracy", "identifiability", "excitation", "telling", "watch", "inspection", "experiment", "simulation", "regression",
-         "table"]  # fmt: skip
+         "accuracy", "identifiability", "excitation", "telling", "watch", "payload", "inspection", "experiment", "simulation",
+         "regression", "table"]  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -65,6 +65,7 @@ def results(arm):
         "excitation": bayesid.excite(arm, duration=10.0, period=5.0, **quick),
         "telling": bayesid.tell(arm, ["base_tilt", "sensor_rotation"], bayesid.ExcitationOptions(duration=6.0, **quick)),
         "watch": bayesid.watch(arm, [arm], "torque"),
+        "payload": bayesid.payload(arm, "torque", diagnosis=False),
         "inspection": bayesid.check(arm),
         "experiment": arm,
         "simulation": bayesid.simulate(arm, seed=1),
@@ -119,7 +120,8 @@ def test_a_result_is_pickled_copied_and_sent(results, kind):
 WRITTEN = {
     "identification": "estimate.json", "comparison": "comparison.json", "posterior": "posterior.nc", "bounds": "bounds.json",
     "diagnosis": "diagnosis.json", "changes": "diagnosis.json", "accuracy": "accuracy.json", "excitation": "excitation.json",
-    "identifiability": "identifiability.json", "telling": "excitation.json", "watch": "watch.json", "inspection": "check.json",
+    "identifiability": "identifiability.json", "telling": "excitation.json", "watch": "watch.json",
+    "payload": "payload.json", "inspection": "check.json",
 }  # fmt: skip
 NUMBERS = ("names", "values", "std", "low", "high", "covariance", "link_parameters", "base_draws", "link_draws", "rho", "verdict")
 
@@ -194,7 +196,8 @@ def test_a_loaded_posterior_has_its_draws(results, loaded, tmp_path):
 
 @pytest.mark.parametrize(
     ("kind", "name"), [("identification", "predict"), ("identification", "plot_predictions"), ("comparison", "predict"),
-                       ("posterior", "log_density"), ("bounds", "torque"), ("diagnosis", "search"), ("watch", "sentences")]
+                       ("posterior", "log_density"), ("bounds", "torque"), ("diagnosis", "search"), ("watch", "sentences"),
+                       ("payload", "export")]
 )  # fmt: skip
 def test_what_needs_the_recording_says_so(loaded, kind, name):
     with pytest.raises(bayesid.NeedsRecording, match=f"does not hold what {name} of .* needs, which is the recording"):

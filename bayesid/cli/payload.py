@@ -1,0 +1,46 @@
+"""The verb ``payload``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+import bayesid
+from bayesid.cli.options import EFFECTS_FROM, EXPERIMENT, MODEL, OUT, OUTPUTS, SEED, load, names, output_folder, show_progress
+from bayesid.results.files import check_output
+
+
+@click.command()
+@EXPERIMENT
+@click.option("--reference", type=click.Path(path_type=Path), help="The robot without the payload: a folder.")
+@click.option("--channel", type=click.Choice(["wrench", "torque", "both"]), help="Which readings to fit.")
+@click.option("--motions", callback=names, help="Motions to fit, separated by commas.")
+@click.option("--effects", callback=names, help="Effects that the model already has, separated by commas.")
+@click.option("--joint", help="Joint whose link carries the payload; default: the last one, or the sensor's.")
+@click.option("--frame", help="URDF link in whose frame it is told; default: the flange.")
+@click.option("--extent", type=float, help="No part of it is farther from its centre of mass [m]; bounds what is not shown.")
+@click.option("--diagnosis/--no-diagnosis", default=True, help="Look for what else is in the readings.")
+@MODEL
+@EFFECTS_FROM
+@OUT
+@SEED
+def payload(
+    experiment, reference, channel, motions, effects, joint, frame, extent, diagnosis, model, effects_from, out, seed
+) -> None:
+    """Mass, centre of mass and inertia of what the last link carries, in the forms that controllers take."""
+    check_output(out or OUTPUTS, "payload")
+    with show_progress() as progress:
+        progress("reading")
+        loaded = load(experiment, model, effects_from)
+        known = None if reference is None else load(reference, model, effects_from)
+        result = bayesid.payload(
+            loaded, channel, reference=known, motions=motions, effects=effects, joint=joint, frame=frame, extent=extent,
+            diagnosis=diagnosis, seed=seed, progress=progress,
+        )  # fmt: skip
+        progress("report")
+        report = result.write(output_folder(out, loaded.name, "payload"))
+    click.echo(str(result))
+    if files := ", ".join(result.exports()):
+        click.echo(f"for controllers: {files} in {report.parent}")
+    click.echo(f"report: {report}")

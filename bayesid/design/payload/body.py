@@ -1,0 +1,225 @@
+"""One body's mass, centre of mass and inertia about it, from what is known of its ten parameters.
+
+The ten parameters ``p = (m, h, I_o)`` with the first moment ``h = m c`` are what readings are linear in: they are known as a
+normal law, and not at all along some directions (poses at rest say nothing of ``I_o``). What a controller asks for follows.
+
+**Mass.** ``m`` with its interval, which ends at zero.
+
+**Centre of mass.** For a ratio ``c = h / m`` of two normal numbers the values that the data do not contradict are those with
+
+    (h - c m)^2 <= t^2 (V_hh - 2 c V_hm + c^2 V_mm),
+
+an interval where ``m^2 > t^2 V_mm`` and everything otherwise [Fieller1954]_: it holds the truth as often as it says also where
+the mass is hardly known.
+
+**Inertia about the centre of mass.** ``I_c = I_o - (h'h 1 - h h') / m``, linearised at the estimate. A moment is shown where the
+data tell it from zero, that of a point mass; a product where those of its two axes are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from math import inf, isfinite
+
+import numpy as np
+from scipy.stats import t as student
+
+from bayesid.dynamics.kinematics import transform_matrix
+from bayesid.estimators.conic.problem import Conic
+from bayesid.estimators.conic.solver import solve_conic
+from bayesid.robot import inertia
+from bayesid.rounding import HALF, LEVEL
+
+#: Typical size of the ten parameters, by which directions are measured: a kilogram, a tenth of a metre.
+_SIZES = np.array([1.0, *(0.1,) * 3, *(0.01,) * 6])
+#: Share of a direction that has to be left beside what the data say, for it to count as not shown.
+_SMALLEST = 1e-7
+#: Share of the largest variance, in standard deviations, below which one is a zero.
+_OPEN = 1e-11
+_MOMENTS = ("Ixx", "Iyy", "Izz")
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A number of the body with its interval.
+
+    Attributes
+    ----------
+    name, unit
+        Such as ``x`` and ``m``.
+    value, std
+        Estimate and standard deviation; nan where the data do not show it.
+    low, high
+        Ends of the central 95 % interval; infinite or nan where there is none.
+    shown
+        Whether the data show it.
+    """
+
+    name: str
+    unit: str
+    value: float
+    std: float
+    low: float
+    high: float
+    shown: bool
+
+    @classmethod
+    def unknown(cls, name: str, unit: str, low: float = -inf, high: float = inf) -> Quantity:
+        """A number that the data do not show, with what bounds it."""
+        return cls(name, unit, np.nan, np.nan, low, high, False)
+
+    def joined(self, others: tuple[Quantity, ...]) -> Quantity:
+        """The same with an interval that holds those of other models, too, which the data cannot tell from its own."""
+        ends = [(q.low, q.high) for q in (self, *others)]
+        return replace(
+            self, low=min(low for low, _ in ends), high=max(high for _, high in ends),
+            shown=self.shown and all(q.shown for q in others),
+        )  # fmt: skip
+
+    def to_dict(self) -> dict[str, float | str | bool | None]:
+        """For JSON; None where there is no number."""
+        out = {key: _finite(getattr(self, key)) for key in ("value", "std", "low", "high")}
+        return {**out, "unit": self.unit, "shown": self.shown}
+
+
+@dataclass(frozen=True, eq=False)
+class BodyKnowledge:
+    """What is known of a body's ten parameters.
+
+    Attributes
+    ----------
+    mean, covariance
+        In the order of `bayesid.robot.inertia.PARAMETERS` (10,), (10, 10); along ``hidden`` they say nothing.
+    hidden
+        Directions of which nothing is known (10, k).
+    freedom
+        Degrees of freedom that the noise was told from.
+    """
+
+    mean: np.ndarray
+    covariance: np.ndarray
+    hidden: np.ndarray = field(default_factory=lambda: np.zeros((10, 0)))
+    freedom: float = inf
+
+    @classmethod
+    def of(cls, matrix: np.ndarray, values: np.ndarray, covariance: np.ndarray, freedom: float = inf) -> BodyKnowledge:
+        """From combinations ``values = matrix @ p + e`` with ``e ~ N(0, covariance)``, by generalised least squares.
+
+        Parameters
+        ----------
+        matrix, values, covariance
+            (r, 10), (r,), (r, r).
+        freedom
+            See the class.
+        """
+        size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+        # Where data determine only sums of parameters, a covariance is zero along what they leave open: no knowledge either.
+        variances, vectors = np.linalg.eigh(covariance / np.outer(size, size))
+        keep = variances > _OPEN * variances.max(initial=0.0)
+        turn = (vectors[:, keep] / np.sqrt(variances[keep])).T / size
+        white, target = turn @ matrix * _SIZES, turn @ values
+        # A combination that is known far better than the others still has its say in the rank: rows of unit length.
+        length = np.maximum(np.linalg.norm(white, axis=1), 1e-300)
+        _, s, rows = np.linalg.svd(white / length[:, None])
+        rank = int(np.count_nonzero(s > _SMALLEST * s.max(initial=0.0)))
+        seen, unseen = rows[:rank].T, rows[rank:].T
+        q, r = np.linalg.qr(white @ seen)
+        root = _SIZES[:, None] * (seen @ np.linalg.inv(r))
+        return cls(root @ (q.T @ target), root @ root.T, _SIZES[:, None] * unseen, freedom)
+
+    def moved(self, rotation: np.ndarray, translation: np.ndarray) -> BodyKnowledge:
+        """In another frame, in which this one sits at a rotation (3, 3) and translation (3,) [m]."""
+        change = transform_matrix(rotation, translation)
+        return replace(self, mean=change @ self.mean, covariance=change @ self.covariance @ change.T, hidden=change @ self.hidden)
+
+    @cached_property
+    def shown(self) -> np.ndarray:
+        """Whether each of the ten parameters is determined (10,)."""
+        if not self.hidden.shape[1]:
+            return np.ones(10, bool)
+        basis, _ = np.linalg.qr(self.hidden / _SIZES[:, None])
+        return np.linalg.norm(basis, axis=1) < 1e-6
+
+    @property
+    def half(self) -> float:
+        """Half a central 95 % interval in standard deviations."""
+        return float(student.ppf(0.5 + LEVEL / 2, self.freedom)) if isfinite(self.freedom) else HALF
+
+    @cached_property
+    def possible(self) -> BodyKnowledge:
+        """The same about the nearest body that can exist, in standard deviations.
+
+        The set of possible bodies is convex and holds the truth. So the projection onto it, in the metric of the covariance, is
+        no farther from the truth than the estimate, and regions about it hold the truth no less often.
+        """
+        if not self.shown.all() or bool(inertia.is_physically_consistent(self.mean, 0.0)):
+            return self
+        size = np.sqrt(np.diag(self.covariance))
+        factor = np.linalg.cholesky(np.linalg.inv(self.covariance / np.outer(size, size))).T / size
+        around = np.maximum(self.mean, [1e-6, *(-inf,) * 9])
+        problem = Conic(factor, self.mean, (tuple(range(10)),), inertia.solid(around)[None])
+        return replace(self, mean=solve_conic(problem).x)
+
+    @cached_property
+    def mass(self) -> Quantity:
+        """The mass [kg]."""
+        if not self.shown[0]:
+            return Quantity.unknown("m", "kg", 0.0)
+        m, std = float(self.mean[0]), float(np.sqrt(self.covariance[0, 0]))
+        low, high = max(m - self.half * std, 0.0), max(m + self.half * std, 0.0)
+        return Quantity("m", "kg", max(m, 0.0), std, low, high, low > 0.0)
+
+    @cached_property
+    def centre(self) -> tuple[Quantity, Quantity, Quantity]:
+        """The centre of mass [m]."""
+        x, y, z = (self._ratio(axis, k) for k, axis in enumerate("xyz", 1))
+        return x, y, z
+
+    def _ratio(self, name: str, k: int) -> Quantity:
+        v, m, h, t = self.covariance, self.mean[0], self.mean[k], self.half
+        if not (self.mass.shown and self.shown[k]):
+            return Quantity.unknown(name, "m")
+        c = h / m
+        std = np.sqrt(max(v[k, k] - 2.0 * c * v[0, k] + c**2 * v[0, 0], 0.0)) / m
+        a, b, d = m**2 - t**2 * v[0, 0], m * h - t**2 * v[0, k], h**2 - t**2 * v[k, k]
+        root = np.sqrt(max(b**2 - a * d, 0.0))
+        return Quantity(name, "m", float(c), float(std), float((b - root) / a), float((b + root) / a), True)
+
+    @cached_property
+    def inertia(self) -> tuple[Quantity, ...]:
+        """Inertia about the centre of mass in the frame's axes [kg m^2], in the order of the parameters (6,)."""
+        names = inertia.PARAMETERS[4:]
+        if not (self.shown.all() and self.mass.shown):
+            return tuple(Quantity.unknown(n, "kg m^2", 0.0 if n in _MOMENTS else -inf) for n in names)
+        values, slopes = about_centre(self.mean)
+        stds = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", slopes, self.covariance, slopes), 0.0))
+        low, high = values - self.half * stds, values + self.half * stds
+        told = {n: bool(lo > 0.0) for n, lo in zip(names, low, strict=True) if n in _MOMENTS}
+        out = []
+        for n, value, std, lo, hi in zip(names, values, stds, low, high, strict=True):
+            shown = told[f"I{n[1]}{n[1]}"] and told[f"I{n[2]}{n[2]}"]
+            lo, hi = (max(lo, 0.0), max(hi, 0.0)) if n in _MOMENTS else (lo, hi)
+            made = Quantity(n, "kg m^2", float(value), float(std), float(lo), float(hi), True)
+            out.append(made if shown else Quantity.unknown(n, "kg m^2", float(lo), float(hi)))
+        return tuple(out)
+
+
+def about_centre(parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Inertia about the centre of mass (6,) [kg m^2] and its derivatives with respect to the ten parameters (6, 10)."""
+    m, h = parameters[0], parameters[1:4]
+
+    def six(matrix: np.ndarray) -> np.ndarray:
+        return matrix[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
+
+    shift = (h @ h) * np.eye(3) - np.outer(h, h)
+    slopes = np.zeros((6, 10))
+    slopes[:, 0] = six(shift) / m**2
+    for k, unit in enumerate(np.eye(3)):
+        slopes[:, 1 + k] = -six(2.0 * h[k] * np.eye(3) - np.outer(unit, h) - np.outer(h, unit)) / m
+    slopes[:, 4:] = np.eye(6)
+    return parameters[4:] - six(shift) / m, slopes
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if isfinite(value) else None

@@ -1,0 +1,215 @@
+"""Where a payload is known from: a sensor that carries it alone, a nominal model that is trusted, or a recording without it.
+
+**A sensor** in the wrist weighs what is beyond it and nothing else: the base parameters of its wrench are combinations of that
+one body's ten parameters, ``b = K p``.
+
+**A nominal model** with links ``phi_0`` and errors of covariance P. What is attached to link n adds to its parameters:
+``b - K phi_0 = K_n p + K (phi - phi_0)``, so that p is told with the covariance ``V + K P K'``.
+
+**A recording without it** makes a prior of everything but the payload (`bayesid.diagnosis.changes`): p is what changed on that
+link.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import inf
+
+import numpy as np
+
+from bayesid.arguments import argument
+from bayesid.design.payload.body import BodyKnowledge
+from bayesid.diagnosis.changes.evidence import gain
+from bayesid.diagnosis.changes.findings import Comparison
+from bayesid.diagnosis.changes.hypotheses import Hypothesis
+from bayesid.diagnosis.changes.posterior import amplitudes
+from bayesid.diagnosis.changes.scales import SIZES, WANDER_FACTORS
+from bayesid.diagnosis.changes.selection import Accepted
+from bayesid.effects.bodies import Payload
+from bayesid.errors import InputError
+from bayesid.estimators import Estimate
+from bayesid.recordings.experiment import Experiment
+from bayesid.regression.problem import Problem
+from bayesid.robot.prior import Prior
+from bayesid.robot.robot import Robot, load_robot
+from bayesid.robot.urdf_file import read_urdf
+
+#: Ends of the names of URDF links that are a flange, in whose frame controllers want a payload, the most certain first.
+FLANGES = ("tool0", "_link8", "flange")
+
+
+def carrying_joint(robot: Robot, joint: str | None) -> int:
+    """Index of the joint whose link carries the payload; default the last of the chain.
+
+    Raises
+    ------
+    InputError
+        There is no such joint, or the robot has several ends and none is named.
+    """
+    names = robot.joint_names
+    if joint is not None:
+        numbered = [f"joint{k + 1}" for k in range(robot.n)]
+        if joint not in (*names, *numbered):
+            raise InputError(f"{argument('joint', joint)}: no such joint; choose one of {', '.join(names)}")
+        return names.index(joint) if joint in names else numbered.index(joint)
+    ends = [k for k in range(robot.n) if k not in robot.parent]
+    if len(ends) != 1:
+        listed = ", ".join(names[k] for k in ends)
+        raise InputError(
+            f"the robot has {len(ends)} ends ({listed}): name the joint whose link carries the payload, {argument('joint')}"
+        )
+    return ends[0]
+
+
+def weighed_alone(experiment: Experiment, channel: str) -> int | None:
+    """Index of the body that a sensor in the arm carries, alone; None where no sensor does.
+
+    Raises
+    ------
+    InputError
+        Moving joints are beyond the sensor: it carries several bodies.
+    """
+    sensor, robot = experiment.sensor, experiment.robot
+    if channel != "wrench" or sensor is None or sensor.joint is None:
+        return None
+    carried = np.flatnonzero(robot.sensor_bodies)
+    if len(carried) > 1:
+        moving = ", ".join(robot.joint_names[robot.body_joint[k]] for k in carried[1:])
+        raise InputError(
+            f"experiment.toml: [sensor] joint '{sensor.joint}' carries {len(carried)} bodies that move against each other: keep "
+            f"{moving} still and write them into [robot] locked instead of joints"
+        )
+    return int(carried[0])
+
+
+def from_sensor(problem: Problem, estimate: Estimate, body: int) -> BodyKnowledge:
+    """What the wrench of a sensor says of the one body that it carries, in that body's frame.
+
+    Parameters
+    ----------
+    problem, estimate
+        A fit to the wrench.
+    body
+        Of `weighed_alone`.
+    """
+    base = estimate.base
+    told = ~estimate.undetermined[: base.rank]
+    matrix = base.matrix[:, 10 * body : 10 * body + 10][told]
+    assert estimate.covariance is not None
+    return BodyKnowledge.of(matrix, estimate.values[told], estimate.covariance[np.ix_(told, told)], _freedom(problem, estimate))
+
+
+def from_nominal(problem: Problem, estimate: Estimate, body: int, rel_std: float) -> tuple[BodyKnowledge, float]:
+    """What a fit says of a payload beside nominal links, and the share of the mass's variance that these contribute.
+
+    Parameters
+    ----------
+    problem, estimate
+        A fit with free links.
+    body
+        The link that carries it.
+    rel_std
+        How far the nominal links are trusted; 0: they are exact.
+    """
+    base = estimate.base
+    told = ~estimate.undetermined[: base.rank]
+    matrix, nominal = base.matrix[told], problem.experiment.robot.nominal
+    assert estimate.covariance is not None
+    noise = estimate.covariance[np.ix_(told, told)]
+    doubt = np.zeros_like(noise) if rel_std == 0 else matrix @ Prior.warped(nominal, rel_std).covariance @ matrix.T
+    own, values = matrix[:, 10 * body : 10 * body + 10], estimate.values[told] - matrix @ nominal.ravel()
+    known = BodyKnowledge.of(own, values, noise + doubt)
+    exact = BodyKnowledge.of(own, values, noise)
+    return known, float(1.0 - min(exact.covariance[0, 0] / known.covariance[0, 0], 1.0))
+
+
+def from_reference(comparison: Comparison, joint: int) -> tuple[BodyKnowledge, float]:
+    """What changed on a link since a reference, and the log evidence that something did.
+
+    Where the comparison names no payload there, one is taken into the model all the same: then the interval says how large a
+    payload may be that these recordings do not show.
+
+    Parameters
+    ----------
+    comparison
+        With the recording without the payload.
+    joint
+        The link that carries it.
+    """
+    s = comparison.selection
+    where = f"joint{joint + 1}"
+    named = next((a for a in s.accepted if _is_payload(a.change, where)), None)
+    forms = [h for h in s.every if _is_payload(h, where)]
+    if named is not None:
+        evidence = named.evidence
+    else:
+        marginals = [s.marginal(factor=f) for f in WANDER_FACTORS]
+        evidence = max(gain(marginals, h) for h in forms)
+    # All ten parameters and next to no prior: the comparison's own are there to weigh names, and pull values towards zero.
+    whole = Accepted(max(forms, key=lambda h: len(h.columns)), max(SIZES), evidence)
+    s = replace(s, accepted=(*(a for a in s.accepted if a is not named), whole))
+    own, columns = s.directions[-1], whole.change.columns
+    fitted = amplitudes(s.marginal())
+    root = fitted.part_root(own)[columns]
+    return BodyKnowledge(fitted.part(own)[columns], root @ root.T), evidence
+
+
+def in_frame(
+    known: BodyKnowledge, experiment: Experiment, body: int, frame: str | None
+) -> tuple[BodyKnowledge, str]:
+    """The same in the frame of a URDF link that is fixed to the body, and that link's name.
+
+    Parameters
+    ----------
+    known
+        In the body's frame.
+    experiment
+        With the URDF.
+    body
+        Index of the body.
+    frame
+        Name of a link; None: the flange, where the URDF has a link of such a name (`FLANGES`), else the body's own.
+
+    Raises
+    ------
+    InputError
+        There is no such link, or it does not move with the body.
+    """
+    robot = experiment.robot
+    urdf = read_urdf(robot.urdf)
+    above = {j.child: j.name for j in urdf.joints.values()}
+    joint = int(robot.body_joint[body])
+    own = robot.body_names[body]
+
+    def place(link: str) -> tuple[np.ndarray, np.ndarray] | None:
+        # A sensor in the joint above a link sits where the link does.
+        at = load_robot(robot.urdf, robot.joint_names, experiment.locked, sensor_joint=above[link])
+        return (at.sensor_rotation, at.sensor_translation) if at.sensor_parent == joint else None
+
+    if frame is None:
+        found = [link for end in FLANGES for link in above if link.endswith(end) and place(link) is not None]
+        if not found:
+            return known, urdf.joints[own].child
+        frame = found[0]
+    if frame not in above:
+        raise InputError(f"{argument('frame', frame)}: {robot.urdf.name} has no such link; choose one of {', '.join(above)}")
+    placed = place(frame)
+    if placed is None:
+        raise InputError(f"{argument('frame', frame)}: this link does not move with '{own}', which carries the payload")
+    in_joint = known.moved(robot.body_rotation[body], robot.body_translation[body])
+    rotation, translation = placed
+    return in_joint.moved(rotation.T, -rotation.T @ translation), frame
+
+
+def _is_payload(change: Hypothesis, where: str) -> bool:
+    return change.name == Payload.name and change.where == where
+
+
+def _freedom(problem: Problem, estimate: Estimate) -> float:
+    """Degrees of freedom of a channel's noise, where a few poses are all that it is known from."""
+    fitted = [s for name in problem.fitted for s in problem.segments[name]]
+    if not all(s.poses for s in fitted):
+        return inf
+    channels = len(problem.row_model.channels.names)
+    return max((estimate.rows - len(estimate.solution)) / channels, 1.0)
+

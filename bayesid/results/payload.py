@@ -1,0 +1,279 @@
+"""What ``payload`` found, and how it shows itself."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from bayesid.design.payload.body import BodyKnowledge, Quantity
+from bayesid.errors import InputError
+from bayesid.estimators.parameters import with_ends
+from bayesid.results.controllers import FORMATS, Load
+from bayesid.results.files import Result
+from bayesid.results.text import DASH, channel_text, ends, html_table, number, text_table, with_half, with_interval
+from bayesid.robot import inertia
+from bayesid.robot.inertia import PARAMETERS, inertia_matrix
+
+SCHEMA = 1
+#: Share of half an interval by which its middle may be off the value for the interval to be told as ±.
+_SKEW = 0.05
+HEAD = ["", "value", "95 % interval", "unit", ""]
+#: Where the payload is known from, in words.
+SOURCES = {
+    "sensor": "weighed by the sensor in {where}",
+    "reference": "what changed since {where}",
+    "nominal": "beside the nominal model, whose inertias are trusted to {where}",
+}
+_NAMES = {"m": "mass", "x": "centre of mass x", "y": "centre of mass y", "z": "centre of mass z"}
+
+
+@dataclass(frozen=True)
+class FoundEffect:
+    """Something beside the payload that the readings show.
+
+    Attributes
+    ----------
+    name, where
+        As in the experiment format.
+    values
+        Value, standard deviation and unit of each parameter.
+    ambiguous_with
+        Effects, ``name@where``, that explain the readings as well.
+    in_model
+        Whether the payload's values are those beside it.
+    """
+
+    name: str
+    where: str
+    values: Mapping[str, tuple[float, float, str]]
+    ambiguous_with: tuple[str, ...] = ()
+    in_model: bool = True
+
+    @property
+    def spec(self) -> str:
+        """``name@where``."""
+        return f"{self.name}@{self.where}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """An entry of ``effects``."""
+        return {
+            "name": self.name, "where": self.where, "parameters": {k: with_ends(*v) for k, v in self.values.items()},
+            "ambiguous_with": list(self.ambiguous_with), "in_model": self.in_model,
+        }  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class PayloadEstimate(Result):
+    """What hangs at the flange: mass, centre of mass, inertia about it, and what the readings hold beside it.
+
+    Attributes
+    ----------
+    name
+        Of the experiment.
+    channel
+        ``wrench``, ``torque`` or ``both``.
+    source
+        ``sensor``, ``reference`` or ``nominal``: where the payload is known from.
+    source_detail
+        The sensor's joint, the reference's name, or the trust.
+    carrier, frame
+        The body that it hangs on, and the URDF link in whose frame it is told.
+    body
+        What is known of its ten parameters; the values are those of a body that can exist.
+    mass, centre, inertia
+        Its quantities; intervals hold those of every model that the readings cannot tell from the best one.
+    extent
+        No part of it is farther from its centre of mass [m]; what bounds an inertia that is not shown rests on it.
+    extent_assumed
+        Whether nobody stated that.
+    plain
+        Mass and centre of mass without the effects that were found.
+    effects
+        What the readings hold beside it.
+    verdict
+        Of the diagnosis, as in ``diagnosis.json``; None where it was left out.
+    offset
+        Constant reading of the sensor and its standard deviation (2, 6) [N, N m]; None without a sensor.
+    sensor_frame, centre_in_sensor
+        Name of the sensor's frame, and centre of mass in it (3,) [m]; None without a sensor that carries it.
+    world, gravity
+        Name of the URDF's root link, and gravity in its frame (3,) [m/s^2].
+    evidence
+        Log evidence that something was attached since the reference; None without one.
+    nominal_share
+        Share of the mass's variance that the nominal model contributes; None where it has no part.
+    sentences
+        What it says in words, most important first.
+    warnings
+        What the user should know.
+    seconds
+        Run time by stage.
+    """
+
+    verb = "payload"
+    name: str
+    channel: str
+    source: str
+    source_detail: str
+    carrier: str
+    frame: str
+    body: BodyKnowledge
+    mass: Quantity
+    centre: tuple[Quantity, ...]
+    inertia: tuple[Quantity, ...]
+    extent: float
+    extent_assumed: bool
+    plain: tuple[Quantity, ...]
+    effects: tuple[FoundEffect, ...]
+    verdict: str | None
+    offset: np.ndarray | None
+    sensor_frame: str | None
+    centre_in_sensor: np.ndarray | None
+    world: str
+    gravity: np.ndarray
+    evidence: float | None
+    nominal_share: float | None
+    sentences: tuple[str, ...]
+    warnings: tuple[str, ...]
+    seconds: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def quantities(self) -> tuple[Quantity, ...]:
+        """Mass, centre of mass, inertia about it (10,)."""
+        return (self.mass, *self.centre, *self.inertia)
+
+    @property
+    def centre_of_mass(self) -> np.ndarray:
+        """In the frame told (3,) [m]; nan where it is not shown."""
+        return np.array([q.value for q in self.centre])
+
+    @property
+    def inertia_about_centre(self) -> np.ndarray | None:
+        """About the centre of mass, in the frame's axes (3, 3) [kg m^2]; None where it is not shown as a whole."""
+        if not all(q.shown for q in self.inertia):
+            return None
+        return inertia_matrix(np.array([0.0] * 4 + [q.value for q in self.inertia]))
+
+    @property
+    def inertia_bound(self) -> float:
+        """No moment of inertia about the centre of mass is larger, as nothing is farther from it than ``extent`` [kg m^2]."""
+        return float(self.mass.high * self.extent**2)
+
+    @property
+    def physically_consistent(self) -> bool:
+        """Whether a body with these values can exist; of an inertia that is not shown there always is one."""
+        whole = self.inertia_about_centre
+        if not self.mass.shown or whole is None:
+            return self.mass.value >= 0.0
+        made = inertia.from_mass_com_inertia(self.mass.value, self.centre_of_mass, whole)
+        return bool(inertia.is_physically_consistent(made, 1e-6))
+
+    @property
+    def load(self) -> Load:
+        """What controllers are told.
+
+        Raises
+        ------
+        InputError
+            The data do not show mass and centre of mass.
+        """
+        missing = [_NAMES[q.name] for q in (self.mass, *self.centre) if not q.shown]
+        if missing:
+            raise InputError(f"export: these data do not show the {', '.join(missing)}; record more poses that differ in tilt")
+        return Load(
+            self.mass.value, self.centre_of_mass, self.inertia_about_centre, self.frame, self.world, self.gravity,
+            self.sensor_frame, self.centre_in_sensor,
+            None if self.offset is None else self.offset[0],
+        )  # fmt: skip
+
+    def exports(self) -> dict[str, str]:
+        """The same in the form of every controller that can take it, by file name; none where too little is shown."""
+        if not all(q.shown for q in (self.mass, *self.centre)):
+            return {}
+        load = self.load
+        return {f.file: f.write(load) for f in FORMATS.values() if load.sensor is not None or not f.of_sensor}
+
+    def export(self, controller: str) -> str:
+        """The numbers in the form that a controller takes.
+
+        Parameters
+        ----------
+        controller
+            ``ur``, ``franka``, ``kuka``, ``xarm``, ``ros``, ``ros2`` or ``admittance``, see `bayesid.results.controllers`.
+
+        Raises
+        ------
+        InputError
+            There is no such controller, mass and centre of mass are not shown, or it is for a sensor and none carries this.
+        """
+        if controller not in FORMATS:
+            raise InputError(f"export: '{controller}' is no controller; choose one of {', '.join(FORMATS)}")
+        return FORMATS[controller].write(self.load)
+
+    def __repr__(self) -> str:
+        return f"<PayloadEstimate of {self.name}: {number(self.mass.value)} kg in the frame of {self.frame}>"
+
+    def rows(self) -> list[list[str]]:
+        """Cells of the table: name, value, interval, unit, whether it is shown."""
+        out = []
+        for q in self.quantities:
+            half = 0.5 * (q.high - q.low)
+            if q.shown and abs(q.low + half - q.value) < _SKEW * half:  # a ratio's interval is hardly ever quite even
+                value, text = with_half(q.value, half)
+                half = f"± {text}"
+            elif q.shown:
+                value, half = with_interval(q.value, q.std, q.low, q.high)
+            else:
+                value, half = DASH, ends(q.low, q.high) if np.isfinite([q.low, q.high]).all() else DASH
+            name = _NAMES.get(q.name, f"inertia {q.name}")
+            out.append([name, value, half, q.unit.replace("^2", "²"), "" if q.shown else "not shown"])
+        return out
+
+    def __str__(self) -> str:
+        """The table, then what it says."""
+        lead = f"{self.name}: payload {SOURCES[self.source].format(where=self.source_detail)} ({channel_text(self.channel)})"
+        lines = [lead, f"  in the frame of {self.frame}, inertia about the centre of mass", *text_table(HEAD, self.rows())]
+        lines += [f"  {s}" for s in self.sentences]
+        lines += [f"  warning: {w}" for w in self.warnings]
+        return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        """The same for notebooks."""
+        return html_table(HEAD, self.rows()) + "".join(f"<p>{s}</p>" for s in (*self.sentences, *self.warnings))
+
+    def to_dict(self) -> dict[str, Any]:
+        """``payload.json``."""
+        wrench = ("fx", "fy", "fz", "mx", "my", "mz")
+        offset = None
+        if self.offset is not None:
+            units = ("N",) * 3 + ("N m",) * 3
+            offset = {k: with_ends(v, s, u) for k, v, s, u in zip(wrench, *self.offset, units, strict=True)}
+        return {
+            "schema": SCHEMA, "experiment": self.name, "channel": self.channel,
+            "source": {"kind": self.source, "detail": self.source_detail},
+            "carried_by": self.carrier, "frame": self.frame,
+            "mass": self.mass.to_dict(),
+            "centre_of_mass": {q.name: q.to_dict() for q in self.centre},
+            "inertia": {q.name: q.to_dict() for q in self.inertia},
+            "inertia_bound": {
+                "value": self.inertia_bound, "unit": "kg m^2", "extent": self.extent, "assumed": self.extent_assumed,
+            },
+            "physically_consistent": self.physically_consistent,
+            "parameters": {
+                "names": list(PARAMETERS), "values": self.body.mean.tolist(), "covariance": self.body.covariance.tolist(),
+                "determined": self.body.shown.tolist(), "degrees_of_freedom": _finite(self.body.freedom),
+            },
+            "sensor_offset": offset,
+            "centre_in_sensor": None if self.centre_in_sensor is None else self.centre_in_sensor.tolist(),
+            "verdict": self.verdict, "effects": [e.to_dict() for e in self.effects],
+            "without_effects": None if not self.effects else {q.name: q.to_dict() for q in self.plain},
+            "log_evidence": self.evidence, "nominal_share": self.nominal_share,
+            "summary": list(self.sentences), "warnings": list(self.warnings), "runtime_s": dict(self.seconds),
+        }  # fmt: skip
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None

@@ -1,0 +1,98 @@
+"""Mass, centre of mass and inertia from ten parameters: closed forms, finite differences, how often intervals hold."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from bayesid.design.payload.body import BodyKnowledge, about_centre
+from bayesid.robot import inertia
+
+BODY = inertia.from_mass_com_inertia(2.0, np.array([0.03, -0.05, 0.1]), np.diag([0.01, 0.012, 0.006]))
+SIZES = np.array([0.02, *(0.002,) * 3, *(5e-4,) * 6])
+
+
+def test_knowledge_is_generalised_least_squares():
+    rng = np.random.default_rng(1)
+    matrix, root = rng.normal(size=(14, 10)), rng.normal(size=(14, 14))
+    covariance = root @ root.T + 0.1 * np.eye(14)
+    values = matrix @ BODY + rng.normal(size=14)
+    weight = np.linalg.inv(covariance)
+    known = BodyKnowledge.of(matrix, values, covariance)
+    expected = np.linalg.inv(matrix.T @ weight @ matrix)
+    np.testing.assert_allclose(known.covariance, expected, rtol=1e-8)
+    np.testing.assert_allclose(known.mean, expected @ matrix.T @ weight @ values, rtol=1e-8)
+    assert known.shown.all() and not known.hidden.shape[1]
+
+
+def test_what_no_combination_holds_is_not_shown():
+    matrix = np.zeros((4, 10))
+    matrix[0, 0], matrix[1, [1, 0]], matrix[2, 2], matrix[3, [4, 6]] = 1.0, (1.0, 0.3), 1.0, 1.0
+    known = BodyKnowledge.of(matrix, matrix @ BODY, 1e-4 * np.eye(4))
+    assert known.shown.tolist() == [True, True, True, False, *[False] * 6]
+    np.testing.assert_allclose(known.mean[:3], BODY[:3], rtol=1e-9)
+    assert [q.shown for q in known.centre] == [True, True, False] and not any(q.shown for q in known.inertia)
+    # Where two combinations are known as one sum only, nothing is known of either.
+    sums = np.zeros((2, 10))
+    sums[0, 0] = sums[1, 1] = 1.0
+    half = BodyKnowledge.of(sums, sums @ BODY, np.array([[0.25, 0.25], [0.25, 0.25]]))
+    assert not half.shown[:2].any() and not half.mass.shown
+
+
+def test_another_frame_is_another_view_of_the_same_body():
+    from pinocchio.rpy import rpyToMatrix
+
+    turn, shift = rpyToMatrix(0.3, -0.4, 1.0), np.array([0.1, 0.2, -0.3])
+    known = BodyKnowledge(BODY, np.diag(SIZES**2)).moved(turn, shift)
+    np.testing.assert_allclose(known.mean, inertia.transform(BODY, turn, shift), atol=1e-12)
+    back = known.moved(turn.T, -turn.T @ shift)
+    np.testing.assert_allclose(back.covariance, np.diag(SIZES**2), atol=1e-12)
+    poses = BodyKnowledge(BODY, np.diag(SIZES**2), np.eye(10)[:, 4:])
+    assert poses.moved(turn, shift).shown.tolist() == [True] * 4 + [False] * 6
+
+
+def test_inertia_about_the_centre_and_its_derivatives():
+    values, slopes = about_centre(BODY)
+    np.testing.assert_allclose(values, [0.01, 0.0, 0.012, 0.0, 0.0, 0.006], atol=1e-12)
+    for k in range(10):
+        step = np.zeros(10)
+        step[k] = 1e-6
+        difference = (about_centre(BODY + step)[0] - about_centre(BODY - step)[0]) / 2e-6
+        np.testing.assert_allclose(slopes[:, k], difference, atol=1e-7)
+
+
+@pytest.mark.parametrize(("mass", "freedom"), [(2.0, np.inf), (0.06, np.inf), (2.0, 6.0)])
+def test_intervals_hold_as_often_as_they_say(mass, freedom):
+    """Mass and centre of mass of 4,000 draws, also where the mass is hardly known or the noise is from a few readings."""
+    rng = np.random.default_rng(4)
+    true = BODY * mass / BODY[0]
+    held, runs = np.zeros(4), 4000
+    for _ in range(runs):
+        share = 1.0 if np.isinf(freedom) else rng.chisquare(freedom) / freedom
+        known = BodyKnowledge(true + SIZES * rng.normal(size=10), share * np.diag(SIZES**2), np.eye(10)[:, 4:], freedom)
+        held[0] += known.mass.low <= true[0] <= known.mass.high
+        for k, q in enumerate(known.centre, 1):
+            held[k] += not q.shown or q.low <= true[k] / true[0] <= q.high
+    assert (np.abs(held / runs - 0.95) < 0.012).all() or (mass < 0.1 and (held / runs > 0.938).all())
+
+
+def test_values_are_those_of_a_body_that_can_exist():
+    thin = inertia.from_mass_com_inertia(1.0, np.array([0.0, 0.0, 0.1]), np.diag([0.004, 0.004, 1e-6]))
+    rng = np.random.default_rng(2)
+    spoiled = 0
+    for _ in range(50):
+        known = BodyKnowledge(thin + 0.3 * SIZES * rng.normal(size=10), np.diag((0.3 * SIZES) ** 2))
+        spoiled += not inertia.is_physically_consistent(known.mean)
+        possible = known.possible
+        assert inertia.is_physically_consistent(possible.mean)
+        assert np.linalg.norm((possible.mean - thin) / SIZES) <= np.linalg.norm((known.mean - thin) / SIZES) + 1e-6
+    assert spoiled > 25
+    assert BodyKnowledge(BODY, np.diag(SIZES**2)).possible.mean is BODY
+    negative = BodyKnowledge(-BODY, np.diag(SIZES**2), np.eye(10)[:, 4:])
+    assert negative.possible.mass.value == 0.0 and not negative.mass.shown
+
+
+def test_models_that_cannot_be_told_apart_share_an_interval():
+    one, other = (BodyKnowledge(BODY * f, np.diag(SIZES**2)).mass for f in (1.0, 1.1))
+    both = one.joined((other,))
+    assert both.value == one.value and (both.low, both.high) == (one.low, other.high) and both.shown

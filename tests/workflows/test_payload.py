@@ -1,0 +1,218 @@
+"""What hangs at the flange: against numpy's own least squares, known truths, and real recordings with known payloads."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import bayesid
+from bayesid.cli import main
+from bayesid.recordings.experiment import Sensor
+from bayesid.robot import inertia
+from bayesid.simulation.trajectories import Trajectory
+from tests.robots import panda, puma560, tree, wrist_sensor_arm, write
+from tests.simulated import experiment, puma2
+
+POSE = Sensor("wrist_ft", np.array([0.01, -0.02, 0.005]), np.array([0.2, -0.1, 0.4]))
+NOISE = bayesid.Recorder(force_std=0.05, torque_std=0.003, resolution=1e-5)
+OFFSET = {"sensor_offset": dict(zip(("fx", "fy", "fz", "mx", "my", "mz"), (3.0, -2.0, 5.0, 0.2, -0.1, 0.05), strict=True))}
+
+
+@pytest.fixture(scope="module")
+def wrist(tmp_path_factory):
+    """An arm with a sensor in its wrist, nothing known of the tool beyond it, and nothing recorded yet."""
+    path = write(tmp_path_factory.mktemp("wrist"), wrist_sensor_arm())
+    return experiment(bayesid.load_robot(path, sensor_joint="wrist_ft"), [], POSE)
+
+
+def poses(robot, count: int = 20, seed: int = 1) -> list[Trajectory]:
+    q = np.random.default_rng(seed).uniform(-2.5, 2.5, (count, robot.n))
+    return [Trajectory("poses", "identification", np.arange(float(count)), q, 0.0 * q, 0.0 * q, kind="poses")]
+
+
+def truth(robot) -> tuple[float, np.ndarray, np.ndarray]:
+    """Mass, centre of mass and inertia about it of what the sensor carries, by Pinocchio in the frame of ``sensor_plate``."""
+    model = pin.buildModelFromUrdf(str(robot.urdf))
+    frame = model.frames[model.getFrameId("sensor_plate")]
+    whole = pin.Inertia.Zero()
+    for f in model.frames:
+        if f.name in ("sensor_plate", "tool", "wrist_ft", "tool_mount"):
+            whole += (frame.placement.inverse() * f.placement).act(f.inertia)
+    return whole.mass, whole.lever.copy(), whole.inertia.copy()
+
+
+def assert_holds(result: bayesid.PayloadEstimate, mass: float, centre: np.ndarray, sigmas: float = 4.0) -> None:
+    for q, value in zip((result.mass, *result.centre), (mass, *centre), strict=True):
+        assert q.shown and abs(q.value - value) < sigmas * q.std and q.low < q.value < q.high
+
+
+def test_poses_of_a_real_wrist_say_what_numpy_says_of_them(shared):
+    """Force ``o - R' m g`` and moment ``o' - c x R' m g``, row by row; the published figures are in the intervals."""
+    folder = shared("data/kuka-med-wrist")
+    model = pin.buildModelFromUrdf(str(folder / "robot.urdf"))
+    data, gravity = model.createData(), np.array([0.0, 0.0, -9.82085])
+    rows, target = [], []
+    with open(folder / "poses.csv", encoding="utf-8") as file:
+        for row in csv.DictReader(file):
+            pin.framesForwardKinematics(model, data, np.array([float(row[f"q{k}"]) for k in (1, 2, 3)]))
+            down = data.oMf[model.getFrameId("tool")].rotation.T @ gravity
+            block = np.zeros((6, 10))
+            block[:3, 0], block[3:, 1:4], block[:, 4:] = -down, pin.skew(down), np.eye(6)  # - c x g = g x c
+            rows.append(block)
+            target.append([float(row[k]) for k in ("fx", "fy", "fz", "mx", "my", "mz")])
+    matrix, reading = np.concatenate(rows), np.ravel(target)
+    scale = np.ones(6)
+    for _ in range(3):  # each channel in units of what it leaves
+        weight = np.tile(1.0 / scale, len(rows))
+        found = np.linalg.lstsq(matrix * weight[:, None], reading * weight, rcond=None)[0]
+        scale = np.sqrt(np.mean(((reading - matrix @ found).reshape(-1, 6)) ** 2, axis=0))
+    plain = bayesid.payload(folder, diagnosis=False)
+    expected = [found[0], *found[1:4] / found[0]]
+    np.testing.assert_allclose([plain.mass.value, *plain.centre_of_mass], expected, rtol=2e-3, atol=2e-6)
+    np.testing.assert_allclose(plain.offset[0], found[4:], rtol=1e-3)
+    result = bayesid.payload(folder)
+    published = [0.9323, 0.28e-3, 0.05e-3, 43.90e-3]
+    for q, value in zip(result.quantities[:4], published, strict=True):
+        assert q.low < value < q.high and q.high - q.low < 0.01 * max(value, 0.03)
+    offset = np.array([-9.0765, 1.0181, -9.9848, -0.43250, 0.69155, 0.15703])
+    assert (np.abs(result.offset[0] - offset) < 2.0 * result.offset[1]).all()
+    assert not any(q.shown for q in result.inertia) and "Inertia not shown" in str(result)
+    assert result.inertia_bound == pytest.approx(result.mass.high * 0.01) and result.extent_assumed
+    assert [e.name for e in result.effects] == ["sensor_crosstalk"] and result.effects[0].ambiguous_with
+    assert any("contradict" in w for w in result.warnings)  # the motions do, and are not averaged in
+
+
+def test_joint_torques_tell_a_payload_from_the_arm_without_it(shared):
+    folder = shared("data/ur10e")
+    loaded = bayesid.payload(folder / "after-load", reference=folder / "before")
+    assert loaded.source == "reference" and loaded.mass.low < 2.805 < loaded.mass.high and loaded.mass.std < 0.15
+    assert loaded.physically_consistent and not any(q.shown for q in loaded.inertia) and not loaded.warnings
+    with pytest.raises(bayesid.InputError, match="no force/torque sensor carries this payload"):
+        loaded.export("ros")
+    empty = bayesid.payload(folder / "feb05-20s-8h", reference=folder / "before")
+    assert not empty.mass.shown and empty.mass.high < 0.5 and empty.exports() == {}
+    assert "does not name a payload" in empty.warnings[0]
+    with pytest.raises(bayesid.InputError, match="these data do not show the mass"):
+        empty.export("ur")
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_poses_weigh_a_tool_and_the_sensors_offset_at_once(wrist, seed):
+    simulation = bayesid.simulate(wrist, poses(wrist.robot, seed=seed), effects=OFFSET, recorder=NOISE, seed=seed)
+    result = bayesid.payload(simulation)
+    mass, centre, _ = truth(wrist.robot)
+    assert result.frame == "sensor_plate" and result.verdict == "nothing_missing"
+    assert_holds(result, mass, centre)
+    assert (np.abs(result.offset[0] - list(OFFSET["sensor_offset"].values())) < 4.0 * result.offset[1]).all()
+    # The sensor's own frame is turned and shifted in the link.
+    turn = pin.rpy.rpyToMatrix(*POSE.rpy)
+    np.testing.assert_allclose(result.centre_in_sensor, turn.T @ (centre - POSE.translation), atol=1e-3)
+
+
+def test_a_motion_shows_the_inertia_too(wrist):
+    path = [bayesid.fourier_trajectory(wrist.robot, duration=12.0, seed=2)]
+    quiet = replace(NOISE, force_std=0.02, torque_std=0.001)
+    result = bayesid.payload(bayesid.simulate(wrist, path, effects=OFFSET, recorder=quiet, seed=3), diagnosis=False)
+    mass, centre, about = truth(wrist.robot)
+    assert_holds(result, mass, centre)
+    told = result.inertia_about_centre
+    assert told is not None and result.physically_consistent
+    for q, value in zip(result.inertia, about[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]], strict=True):
+        assert abs(q.value - value) < 4.0 * q.std
+    np.testing.assert_allclose(told, about, atol=0.15 * np.abs(about).max())
+
+
+def test_the_frame_of_any_link_that_moves_along_is_told(wrist):
+    simulation = bayesid.simulate(wrist, poses(wrist.robot), recorder=NOISE, seed=1)
+    one, other = (bayesid.payload(simulation, frame=f, diagnosis=False) for f in (None, "tool_tip"))
+    model = pin.buildModelFromUrdf(str(wrist.robot.urdf))
+    places = [model.frames[model.getFrameId(name)].placement for name in ("sensor_plate", "tool_tip")]
+    np.testing.assert_allclose(other.centre_of_mass, (places[1].inverse() * places[0]).act(one.centre_of_mass), atol=1e-12)
+    with pytest.raises(bayesid.InputError, match='frame="forearm_link".*(no such link|does not move with)'):
+        bayesid.payload(simulation, frame="forearm_link", diagnosis=False)
+    with pytest.raises(bayesid.InputError, match="no such link; choose one of"):
+        bayesid.payload(simulation, frame="nowhere", diagnosis=False)
+
+
+def test_a_fault_of_the_sensor_is_named_and_the_mass_beside_it_is_right(wrist):
+    fault = {**OFFSET, "sensor_crosstalk@fz->my": {"coefficient": 0.02}, "base_tilt@base": {"x": 0.03, "y": -0.02}}
+    result = bayesid.payload(bayesid.simulate(wrist, poses(wrist.robot, 40), effects=fault, recorder=NOISE, seed=5))
+    mass, centre, _ = truth(wrist.robot)
+    named = {s for e in result.effects for s in (e.spec, *e.ambiguous_with)}
+    assert "sensor_crosstalk@fz->my" in named and result.effects[0].in_model
+    for q, value in zip((result.mass, *result.centre), (mass, *centre), strict=True):
+        assert q.low - q.std < value < q.high + q.std
+    said = result.to_dict()
+    assert said["without_effects"]["m"]["value"] == pytest.approx(result.plain[0].value) and said["verdict"] == result.verdict
+
+
+def test_poses_that_never_turn_do_not_show_the_mass(wrist):
+    q = np.zeros((12, wrist.robot.n)) + 0.2
+    q[:, 0] = np.linspace(-1.0, 1.0, 12)  # about the vertical
+    still = [Trajectory("poses", "identification", np.arange(12.0), q, 0.0 * q, 0.0 * q, kind="poses")]
+    result = bayesid.payload(bayesid.simulate(wrist, still, recorder=NOISE, seed=1))
+    assert not result.mass.shown and result.exports() == {} and "do not show the mass" in result.sentences[0]
+
+
+@pytest.mark.parametrize("trust", [0.0, 0.05])
+def test_a_trusted_nominal_model_does_in_place_of_a_reference(tmp_path, trust):
+    robot = bayesid.load_robot(write(tmp_path, puma560()))
+    arm = experiment(robot, [], inertia_rel_std=trust)
+    body = inertia.from_mass_com_inertia(1.5, np.array([0.03, -0.02, 0.1]), np.diag([0.004, 0.005, 0.003]))
+    tool = {"payload@joint6": dict(zip(inertia.PARAMETERS, body.tolist(), strict=True))}
+    path = [bayesid.fourier_trajectory(robot, duration=12.0, seed=1)]
+    recorder = bayesid.Recorder(drive_std=0.0005, resolution=1e-5)
+    simulation = bayesid.simulate(arm, path, effects=tool, recorder=recorder, perturb=0.02 if trust else 0.0, seed=2)
+    result = bayesid.payload(replace(simulation, inertia_rel_std=trust), diagnosis=False)
+    assert_holds(result, 1.5, np.array([0.03, -0.02, 0.1]))
+    assert (result.nominal_share == 0.0) if trust == 0.0 else (0.5 < result.nominal_share <= 1.0)
+    assert ("depends on the nominal model" in str(result)) == (trust > 0.0)
+
+
+def test_what_cannot_be_told_is_refused_in_one_line(tmp_path, wrist):
+    robot = puma2(tmp_path)
+    torques = bayesid.simulate(experiment(robot, []), [bayesid.fourier_trajectory(robot, duration=4.0)], seed=1)
+    for broken, said in (
+        (dict(), "a payload looks like a heavier last link: name a recording without it"),
+        (dict(joint="joint9", reference=torques), "no such joint; choose one of joint1, joint2"),
+        (dict(extent=-1.0), "give a length in metres above 0"),
+    ):
+        with pytest.raises(bayesid.InputError, match=said):
+            bayesid.payload(replace(torques, inertia_rel_std=None), **broken)
+    (tmp_path / "tree").mkdir()
+    (tmp_path / "arm").mkdir()
+    branched = bayesid.load_robot(write(tmp_path / "tree", tree()))
+    recorded = bayesid.simulate(experiment(branched, []), [bayesid.fourier_trajectory(branched, duration=4.0)], seed=1)
+    with pytest.raises(bayesid.InputError, match="ends .*name the joint"):
+        bayesid.payload(replace(recorded, inertia_rel_std=0.1))
+    path = write(tmp_path / "arm", panda())
+    carried = experiment(bayesid.load_robot(path, sensor_joint="panda_joint6"), [], Sensor("panda_joint6"))
+    with pytest.raises(bayesid.InputError, match="carries 2 bodies that move against each other: keep panda_joint7 still"):
+        bayesid.payload(bayesid.simulate(carried, poses(carried.robot), seed=1))
+    with pytest.raises(bayesid.InputError, match="'abb' is no controller"):
+        bayesid.payload(bayesid.simulate(wrist, poses(wrist.robot), seed=1), diagnosis=False).export("abb")
+
+
+def test_the_command_writes_what_the_function_finds(wrist, tmp_path, capsys, undrawn):
+    folder, out = tmp_path / "tool", tmp_path / "out"
+    bayesid.write_experiment(bayesid.simulate(wrist, poses(wrist.robot), effects=OFFSET, recorder=NOISE, seed=1), folder)
+    assert main(["payload", str(folder), "--out", str(out), "--extent", "0.3"]) == 0
+    printed = capsys.readouterr().out
+    result = bayesid.payload(folder, extent=0.3)
+    assert str(result).splitlines()[3] in printed and "ur.script" in printed and "not shown" in printed
+    written = json.loads((out / "payload.json").read_text(encoding="utf-8"))
+    assert written["mass"] == result.to_dict()["mass"] and written["inertia"]["Ixx"]["value"] is None
+    assert written["physically_consistent"] and written["inertia_bound"]["extent"] == 0.3
+    assert {*result.exports(), "payload.json", "report.html"} == {p.name for p in Path(out).iterdir()}
+    for name, text in result.exports().items():
+        assert (out / name).read_text(encoding="utf-8") == text
+    again = bayesid.load(out)
+    assert str(again) == str(result) and again.mass["value"] == result.mass.value
+    assert repr(result).startswith("<PayloadEstimate of test") and "<table" in result._repr_html_()
+    assert len(result.plot().axes) == 2
