@@ -24,6 +24,7 @@ from bayesid.rounding import LEVEL
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from xarray import Dataset
 
 #: A parameter whose standard deviation stays above this share of the prior's is driven by the prior.
 PRIOR_DRIVEN = 0.9
@@ -229,6 +230,11 @@ class Posterior(Plots, HasParameters):
             posterior["nu"] = self.dof
         groups = {"posterior": posterior, "sample_stats": {"lp": self.log_posterior}, **self.extra.arrays}
         return to_arviz(groups, {**coords, **self.extra.coordinates}, {**dims, **self.extra.dimensions}, self._attributes())
+
+    def to_xarray(self) -> Dataset:
+        """The draws as an xarray Dataset: ``base`` (chain, draw, base_parameter) and what else was sampled; as in `to_arviz`."""
+        group = self.to_arviz()["posterior"]
+        return group.to_dataset() if hasattr(group, "to_dataset") else group
 
     def _attributes(self) -> dict[str, Any]:
         model = self.model

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.signal import butter, correlate, sosfiltfilt, welch
@@ -23,6 +23,9 @@ from bayesid.regression.segment import Segment
 from bayesid.signals.noise import NoiseModel
 from bayesid.validation.flexible import BAND, FlexibleGap
 from bayesid.validation.noise_floor import RESIDUALS, NoiseFloor, noise_floor
+
+if TYPE_CHECKING:
+    from xarray import Dataset
 
 #: Whitened residuals on a motion that was not fitted above this say that something is missing in the model.
 TOLERATED = 1.15
@@ -130,6 +133,18 @@ class Prediction:
 
     def __repr__(self) -> str:
         return f"<Prediction of {self.motion}: {len(self.channel_names)} channels, error {100 * self.relative_error:.3g} %>"
+
+    def to_xarray(self) -> Dataset:
+        """``measured``, ``predicted`` and ``residual`` (time, channel) with their units, as an xarray Dataset."""
+        from xarray import Dataset
+
+        dimensions = ("pose" if self.poses else "time", "channel")
+        arrays = {"measured": self.measured, "predicted": self.predicted, "residual": self.residuals}
+        return Dataset(
+            {name: (dimensions, values) for name, values in arrays.items()},
+            {dimensions[0]: self.times, "channel": list(self.channel_names), "unit": ("channel", list(self.channel_units))},
+            {"motion": self.motion, "role": self.role},
+        )
 
     def to_dict(self) -> dict:
         """An entry of ``validation`` in ``estimate.json``."""

@@ -95,6 +95,16 @@ def test_arviz_opens_summarises_and_plots(posterior, tmp_path):
     matplotlib.pyplot.close("all")
 
 
+def test_results_as_datasets(posterior):
+    draws = posterior.to_xarray()
+    assert draws["base"].dims == ("chain", "draw", "base_parameter")
+    assert_allclose(draws["base"].mean(("chain", "draw")), posterior.values)
+    (motion,) = posterior.validation
+    data = motion.to_xarray()
+    assert data["residual"].dims == ("time", "channel") and data["unit"].sel(channel="mz").item() == "N m"
+    assert_allclose(data["residual"].sel(channel="fy"), data["measured"].sel(channel="fy") - data["predicted"].sel(channel="fy"))
+
+
 def test_log_likelihood_terms_add_up_to_the_models(posterior):
     terms = np.asarray(posterior.to_arviz()["log_likelihood"]["rows"], float)
     whole = posterior.model.log_likelihood(*posterior.model.split(posterior.chains.draws))
