@@ -33,7 +33,7 @@ class Estimator(Protocol):
         ...
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Estimate(HasParameters):
     """Estimated base parameters, effect parameters and how sure they are.
 

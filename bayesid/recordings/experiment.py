@@ -423,7 +423,9 @@ def _read_setup(folder: Path, library: EffectLibrary | None) -> tuple[Experiment
         raise InputError(f"{folder}: {'not a folder' if folder.exists() else 'no such folder'}; give an experiment folder")
     toml = folder / "experiment.toml"
     if not toml.is_file():
-        raise InputError(f"{folder}: has no experiment.toml; write one, or give the folder that holds it")
+        result = next(iter(folder.glob("*.json")), None) is not None and (folder / "report.html").is_file()
+        instead = "it holds a result; give the experiment's folder" if result else "write one, or give the folder that holds it"
+        raise InputError(f"{folder}: has no experiment.toml; {instead}")
     file = read_file(toml, ExperimentFile)
     warnings = check_keys(file)
     joint = None if file.sensor is None else file.sensor.joint

@@ -31,7 +31,7 @@ SCHEMA = 1
 TEXT_MOTIONS = 3
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Comparison(HasEntries, Result):
     """What `compare` found.
 

@@ -14,7 +14,7 @@ from bayesid.results.urdf_links import UrdfLinks
 from bayesid.validation.prediction import Prediction
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Entry:
     """What one estimator made of the data.
 

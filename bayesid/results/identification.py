@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 SCHEMA = 1
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Identification(PlotsPredictions, HasEstimate, Result):
     """What `identify` found.
 

@@ -93,7 +93,7 @@ class SensorSet:
     available: bool
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Inspection(Result):
     """What `check` found.
 

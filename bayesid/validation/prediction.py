@@ -35,7 +35,7 @@ REPEATED = 0.98
 _PLOTTED = 4000
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Spectrum:
     """Residual of a motion by frequency beside the noise that the intervals are built on.
 
@@ -56,7 +56,7 @@ class Spectrum:
     filtered: bool = False
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Prediction:
     """Measured and predicted readings of one motion.
 

@@ -244,3 +244,12 @@ def test_identified_urdf_is_the_same_robot_whichever_verb_writes_it(results, loa
     assert text["posterior"] == written(bayesid.bounds(results["posterior"], configurations=8), "around")
     for one in text.values():
         assert one.count("damping=") == 2  # the viscous friction of both joints
+
+
+@pytest.mark.parametrize("kind", ["identification", "comparison", "posterior", "prediction", "estimate"])
+def test_results_are_compared_by_identity(results, kind):
+    """Equality of the arrays within is no yes or no."""
+    result = results[kind]
+    copied = copy.deepcopy(result)
+    assert result == result and result != copied
+    assert len({result, copied}) == 2
