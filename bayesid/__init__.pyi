@@ -27,6 +27,7 @@ from .results.diagnosis import Diagnosis
 from .results.excitation import Excitation
 from .results.identifiability import Identifiability
 from .results.identification import Identification, summary
+from .results.imported import Imported
 from .results.inspection import Inspection
 from .results.loaded import NeedsRecording, load
 from .results.payload import PayloadEstimate
@@ -48,6 +49,7 @@ from .workflows.excite import excite
 from .workflows.identifiability import identifiability
 from .workflows.identify import identify
 from .workflows.payload import payload
+from .workflows.read_recording import read_recording
 from .workflows.sample import sample
 from .workflows.tell import tell
 from .workflows.watch import watch
@@ -78,6 +80,7 @@ __all__ = [
     "Huber",
     "Identifiability",
     "Identification",
+    "Imported",
     "InputError",
     "Inspection",
     "InstrumentalVariables",
@@ -121,6 +124,7 @@ __all__ = [
     "load_experiment",
     "load_robot",
     "payload",
+    "read_recording",
     "read_trajectory",
     "sample",
     "simulate",

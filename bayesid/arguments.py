@@ -21,6 +21,8 @@ _GROUPS: dict[str, str] = {
     **dict.fromkeys(("engine", "moves", "longest", "resume"), "sampler=Sampler({name}={value})"),
     "bounds": "method=Physical(bounds=load_bounds({value}))",
 }
+#: Functions of Python that are not called as the verb is.
+_FUNCTIONS = {"import": "read_recording"}
 _command_line = False
 
 
@@ -58,7 +60,7 @@ def argument(name: str, value: Any = None) -> str:
 
 def call(verb: str) -> str:
     """How a message names what bayesid can do: ``bayesid.diagnose``, or ``bayesid diagnose`` on the command line."""
-    return f"bayesid {verb}" if _command_line else f"bayesid.{verb}"
+    return f"bayesid {verb}" if _command_line else f"bayesid.{_FUNCTIONS.get(verb, verb)}"
 
 
 def names(given: str | Iterable[str] | None) -> tuple[str, ...] | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import keyword
 import os
 import sys
 import traceback
@@ -27,6 +28,7 @@ VERBS = {
     "excite": "An exciting trajectory within limits.",
     "identifiability": "What these motions can and cannot determine, per sensor set.",
     "identify": "Base parameters with 95 % intervals, and link parameters.",
+    "import": "Files of other tools (bags, MCAP, CSV, MAT, ...) into an experiment folder.",
     "payload": "Mass, centre of mass and inertia of what hangs at the flange.",
     "sample": "Draws from the posterior, with convergence checks.",
     "simulate": "A recording from the model, with known truth.",
@@ -43,7 +45,8 @@ class Verbs(click.Group):
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """The verb's command, or None."""
-        return getattr(import_module(f"bayesid.cli.{cmd_name}"), cmd_name) if cmd_name in VERBS else None
+        module = f"{cmd_name}_" if keyword.iskeyword(cmd_name) else cmd_name
+        return getattr(import_module(f"bayesid.cli.{module}"), module) if cmd_name in VERBS else None
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Verbs with what they do, without importing them."""

@@ -11,12 +11,14 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from bayesid.arguments import call
 from bayesid.drawing import Plots
 from bayesid.effects.library import EffectLibrary
 from bayesid.errors import InputError
 from bayesid.recordings.complaints import listed, suggest
 from bayesid.recordings.examination import examine
 from bayesid.recordings.finding import Finding
+from bayesid.recordings.importing.kinds import kind_of
 from bayesid.recordings.motion import Motion
 from bayesid.recordings.robot_section import read_robot, robot_doubts
 from bayesid.recordings.schema import (
@@ -419,6 +421,11 @@ def _library_of(robot: Robot, library: EffectLibrary | None = None) -> EffectLib
 
 def _read_setup(folder: Path, library: EffectLibrary | None) -> tuple[Experiment, ExperimentFile]:
     """What experiment.toml and the URDF say."""
+    if folder.exists() and (kind := kind_of(folder)) and not (folder / "experiment.toml").is_file():
+        what = "a table" if kind in ("text", "parquet") else "a log of another tool"
+        raise InputError(
+            f"{folder}: is {what} and no experiment folder; make one of it and the robot's URDF with {call('import')}"
+        )
     if not folder.is_dir():
         raise InputError(f"{folder}: {'not a folder' if folder.exists() else 'no such folder'}; give an experiment folder")
     toml = folder / "experiment.toml"

@@ -39,7 +39,7 @@ class Held:
 
 def held_columns(table: Table) -> list[Held]:
     """Columns of which samples are held for several rows each while they change by far more than a count."""
-    return [Held(name, rows) for name, values in _columns(table) if (rows := _rows_held(values[:_JUDGED])) is not None]
+    return [Held(name, rows) for name, values in _columns(table) if (rows := rows_held(values[:_JUDGED])) is not None]
 
 
 def held_findings(table: Table, held: list[Held]) -> list[Finding]:
@@ -76,7 +76,7 @@ def _columns(table: Table) -> Iterator[tuple[str, np.ndarray]]:
     yield from table.channels()
 
 
-def _rows_held(values: np.ndarray) -> float | None:
+def rows_held(values: np.ndarray) -> float | None:
     """Rows from one new sample to the next, on average; None for a column that is new in nearly every row or at rest."""
     steps = np.abs(np.diff(values))
     changes = np.flatnonzero(steps)

@@ -17,8 +17,10 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 
+from bayesid.arguments import call
 from bayesid.errors import InputError
 from bayesid.recordings.complaints import cut, listed, one_line, suggest
+from bayesid.recordings.importing.kinds import FOREIGN, kind_of
 from bayesid.recordings.rows import usable_rows
 from bayesid.recordings.table import JOINT_GROUPS, WRENCH_COLUMNS, Table, check_increasing
 from bayesid.recordings.toml_file import LARGEST
@@ -57,6 +59,8 @@ def read_table(path: Path, source: str, joints: int, wrench: bool = True) -> tup
     InputError
         The file is absent or no such table, a column is missing, a cell is no finite number, or time does not increase.
     """
+    if path.exists() and kind_of(path) in FOREIGN:
+        raise InputError(f"{source}: is a log of another tool and no table; make an experiment folder with {call('import')}")
     if not path.is_file():
         raise InputError(f"{source}: no such file; write it or correct the name in experiment.toml")
     try:
@@ -73,7 +77,7 @@ def _read_csv(path: Path, source: str, joints: int, wrench: bool) -> tuple[Table
     # By place, not by name: pandas knows the names as they stand, with blanks around them.
     places = {group: [header.index(column) for column in columns] for group, columns in groups.items()}
     used = {place: header[place] for group in places.values() for place in group}
-    lines = _count_lines(path, source, len(header))
+    lines = count_lines(path, source, len(header))
     cells = _plain_cells(path, list(used)) if path.stat().st_size <= _SMALL else None
     if cells is not None:
         arrays = {group: cells[:, [list(used).index(k) for k in columns]] for group, columns in places.items()}
@@ -246,11 +250,27 @@ def _meant(column: str, header: list[str]) -> str:
     return f'did you mean "{cut(near[0])}"? ' if near else ""
 
 
-def _count_lines(path: Path, source: str, width: int) -> int:
+def count_lines(path: Path, source: str, width: int, separator: str = ",", skipped: int = 0) -> int:
     """Count the lines; refuse one with more or fewer cells than the header.
 
     pandas fills and drops cells without a word where columns are chosen, so that one stray or missing comma would
     shift the numbers of its row into other columns.
+
+    Parameters
+    ----------
+    path, source
+        The file, and what to call it in messages.
+    width
+        Cells of the header.
+    separator
+        What separates cells: one byte.
+    skipped
+        Lines before the header, which may be of any width.
+
+    Raises
+    ------
+    InputError
+        A line has another width, or the file is no text.
     """
     lines = 0
     with path.open("rb") as handle:
@@ -258,27 +278,27 @@ def _count_lines(path: Path, source: str, width: int) -> int:
             if b"\0" in block:
                 raise InputError("holds zero bytes and is no text", file=source, remedy="export the table as CSV in UTF-8")
             if b'"' in block or block.count(b"\r") > block.count(b"\r\n"):
-                return _count_quoted(path, source, width)  # commas and line ends within quotes separate nothing
+                return _count_quoted(path, source, width, separator, skipped)  # what is in quotes separates nothing
             codes = np.frombuffer(block, np.uint8)
             newlines = np.flatnonzero(codes == 10)
             ends = np.append(newlines, len(codes))
             starts = np.append(0, newlines + 1)
-            cells = np.diff(np.searchsorted(np.flatnonzero(codes == 44), ends), prepend=0) + 1
+            cells = np.diff(np.searchsorted(np.flatnonzero(codes == ord(separator)), ends), prepend=0) + 1
             odd = np.flatnonzero((cells != width) & (ends > starts))
             for k in odd.tolist():
-                if block[starts[k] : ends[k]].strip():
+                if lines + k >= skipped and block[starts[k] : ends[k]].strip():
                     _refuse_width(int(cells[k]), width, lines + k + 1, source)
             lines += len(newlines)
     return lines + 1
 
 
-def _count_quoted(path: Path, source: str, width: int) -> int:
+def _count_quoted(path: Path, source: str, width: int, separator: str, skipped: int) -> int:
     """The same for a table with quotes, or with line ends of old Macintoshes: cell by cell, and slower."""
     with path.open(encoding="utf-8-sig", newline="", errors="replace") as handle:
-        reader = csv.reader(handle, skipinitialspace=True)
+        reader = csv.reader(handle, delimiter=separator, skipinitialspace=True)
         try:
             for row in reader:
-                if len(row) != width and not _blank(row):
+                if len(row) != width and reader.line_num > skipped and not _blank(row):
                     _refuse_width(len(row), width, reader.line_num, source)
         except csv.Error as error:
             raise InputError(

@@ -45,6 +45,18 @@ class Profile:
     gained: np.ndarray
     worth: float
 
+    def best(self) -> tuple[float, float] | None:
+        """The delay that explains most, and its standard deviation [s]; None where it is the first or last that was tried.
+
+        The top of the parabola through the best delay that was tried and its neighbours, and the curvature there.
+        """
+        k = int(np.argmax(self.gained))
+        if not 0 < k < len(self.delays) - 1:
+            return None
+        low, top, high = self.gained[k - 1 : k + 2]
+        bend = max(2.0 * top - low - high, 1e-12)
+        return float(self.delays[k] + 0.5 * _STEP * (high - low) / bend), float(_STEP / np.sqrt(self.worth * bend))
+
 
 def delay_profile(experiment: Experiment, channel: str) -> Profile | None:
     """Explain the readings of each time after the motion by the motion; None where recordings are too short.
@@ -146,13 +158,10 @@ def delayed(experiment: Experiment, channel: str) -> Mistake | None:
         return None
     best, none = int(np.argmax(profile.gained)), len(profile.delays) // 2
     gained = float(profile.gained[best])
-    if not (0 < best < len(profile.delays) - 1) or gained < _WORSE or profile.worth * gained < _NEEDED:
+    found = profile.best()
+    if found is None or gained < _WORSE or profile.worth * gained < _NEEDED:
         return None
-    # The top of the parabola through the best delay and its neighbours, and the curvature there.
-    low, top, high = profile.gained[best - 1 : best + 2]
-    bend = max(2.0 * top - low - high, 1e-12)
-    delay = float(profile.delays[best] + 0.5 * _STEP * (high - low) / bend)
-    std = _STEP / np.sqrt(profile.worth * bend)
+    delay, std = found
     channels = make_channels(experiment, channel)
     k = int(np.argmax(profile.left[:, none] / profile.left[:, best]))
     read, columns = ("The wrench", " (fx ... mz) is") if channel == "wrench" else ("The joint torques", " (tau) are")

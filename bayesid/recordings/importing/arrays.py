@@ -1,0 +1,143 @@
+"""Arrays by name: NumPy archives, MAT files up to version 7.3, HDF5, and what MuJoCo's identification calls a TimeSeries."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bayesid.errors import InputError
+from bayesid.recordings.complaints import cut, listed, one_line
+from bayesid.recordings.importing.stream import Stream, array_columns
+
+_DEEPEST = 8  # structures within structures
+_LARGEST = 1 << 33  # of what a file says it holds [bytes]
+_KINDS = "fiubUSM"
+
+
+def read_npz(path: Path) -> tuple[Stream, ...]:
+    """Read a NumPy archive; pickled objects are never loaded.
+
+    Raises
+    ------
+    InputError
+        It is no archive of arrays.
+    """
+    found: dict[str, np.ndarray] = {}
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            if isinstance(archive, np.ndarray):
+                found = {"array": archive}
+            else:
+                _check_size(path, archive.zip.infolist())
+                for name in archive.files:
+                    try:
+                        found[name] = archive[name]
+                    except ValueError:  # an array of objects
+                        continue
+    except (ValueError, OSError, EOFError, KeyError, MemoryError, zipfile.BadZipFile, NotImplementedError, SyntaxError) as error:
+        raise _unreadable(path, "a NumPy archive", error) from None
+    return _streams(path, _named_fields(found))
+
+
+def read_mat(path: Path) -> tuple[Stream, ...]:
+    """Read a MAT file; fields of structures are named ``structure/field``.
+
+    Raises
+    ------
+    InputError
+        It is no MAT file.
+    """
+    import h5py
+    import scipy.io
+
+    if h5py.is_hdf5(path):
+        return read_hdf5(path)
+    try:
+        content = scipy.io.loadmat(path, squeeze_me=True, struct_as_record=False, chars_as_strings=True)
+    except Exception as error:  # scipy raises whatever a damaged file leads to
+        raise _unreadable(path, "a MAT file", error) from None
+    return _streams(path, dict(_of_structures({k: v for k, v in content.items() if not k.startswith("__")}, "", 0)))
+
+
+def read_hdf5(path: Path) -> tuple[Stream, ...]:
+    """Read the arrays of an HDF5 file, or of a MAT file of version 7.3, named by the groups that they are in.
+
+    Raises
+    ------
+    InputError
+        It is no HDF5 file.
+    """
+    import h5py
+
+    found: dict[str, np.ndarray] = {}
+
+    def visit(name: str, item: Any) -> None:
+        if isinstance(item, h5py.Dataset) and item.dtype.kind in _KINDS and not name.startswith("#"):
+            if item.nbytes > _LARGEST:
+                raise ValueError(f"{name} would take {item.nbytes / 1e9:.0f} GB")
+            if not item.attrs.get("MATLAB_empty", 0) and item.ndim:
+                values = np.asarray(item[()])
+                # MATLAB writes columns one after the other: what it calls (N, n) is stored as (n, N).
+                found[name] = values.T if "MATLAB_class" in item.attrs else values
+
+    try:
+        with h5py.File(path, "r") as file:
+            file.visititems(visit)
+    except Exception as error:  # h5py raises whatever a damaged file leads to
+        raise _unreadable(path, "an HDF5 file", error) from None
+    return _streams(path, found)
+
+
+def _check_size(path: Path, parts: list[zipfile.ZipInfo]) -> None:
+    size = sum(part.file_size for part in parts)
+    if size > _LARGEST:
+        raise InputError(f"would take {size / 1e9:.0f} GB", file=path.name, remedy="give a recording, or a part of it")
+
+
+def _unreadable(path: Path, what: str, error: BaseException) -> InputError:
+    reason = cut(one_line(str(error)), 100) or type(error).__name__
+    return InputError(f"cannot be read as {what} ({reason})", file=path.name, remedy="is it cut off? write it again")
+
+
+def _of_structures(content: Mapping[str, Any], path: str, depth: int) -> Iterator[tuple[str, np.ndarray]]:
+    """Arrays of MATLAB's structures by the path to them."""
+    for name, value in content.items():
+        fields = getattr(value, "_fieldnames", None)
+        if fields is not None and depth < _DEEPEST:
+            yield from _of_structures({f: getattr(value, f) for f in fields}, f"{path}{name}/", depth + 1)
+        elif isinstance(value, np.ndarray) and value.dtype.kind in _KINDS:
+            yield f"{path}{name}", value
+
+
+def _named_fields(found: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Arrays with fields (numpy's structured ones) as one array a field."""
+    out: dict[str, np.ndarray] = {}
+    for name, values in found.items():
+        if values.dtype.names:
+            out |= {f"{name}/{part}": values[part] for part in values.dtype.names}
+        else:
+            out[name] = values
+    return out
+
+
+def _streams(path: Path, found: Mapping[str, np.ndarray]) -> tuple[Stream, ...]:
+    """Arrays of one length as one stream, the longest first; arrays (n, N) are turned, for samples outnumber columns."""
+    by_length: dict[int, dict[str, np.ndarray]] = {}
+    for name, values in found.items():
+        values = np.squeeze(values) if values.ndim > 1 else values
+        if values.dtype.kind not in _KINDS or values.ndim == 0 or values.size < 2:
+            continue
+        if values.ndim == 2 and values.shape[0] < values.shape[1]:
+            values = values.T
+        by_length.setdefault(len(values), {}).update(array_columns(name, values))
+    if not by_length:
+        what = f"; it holds {listed(list(found), 6)}" if found else ""
+        raise InputError(
+            f"holds no arrays of samples{what}", file=path.name, remedy="give times and positions as arrays of numbers"
+        )
+    order = sorted(by_length, key=lambda rows: -len(by_length[rows]) * (rows > 1))
+    return tuple(Stream("", by_length[rows]) for rows in order)

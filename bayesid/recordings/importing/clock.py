@@ -1,0 +1,139 @@
+"""Times of a log, of whatever kind, as seconds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+
+import numpy as np
+
+from bayesid.arguments import argument
+from bayesid.errors import InputError
+from bayesid.recordings.complaints import cut
+from bayesid.recordings.importing.stream import Stream
+
+_PER_SECOND = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
+_WORDS = {"s": "seconds", "ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds"}
+_DATES = (3e8, 1e10)  # seconds since 1970, of computers' dates
+
+
+@dataclass(frozen=True, eq=False)
+class Clock:
+    """Times of a stream's rows.
+
+    Attributes
+    ----------
+    kind
+        ``header``, ``log`` or ``column``.
+    text
+        In words.
+    times
+        (N,) [s] since `start`; NaN where a row has none.
+    start
+        [ns since 1970]; None for a clock that counts from somewhere else.
+    late
+        How much later than the header's stamps the log's times are, median and its spread (half of the middle 68 %) [s]; None
+        where there are not both.
+    column
+        The table's, where it is one.
+    told
+        What was noticed, one line each.
+    """
+
+    kind: str
+    text: str
+    times: np.ndarray
+    start: int | None
+    late: tuple[float, float] | None = None
+    column: str = ""
+    told: tuple[str, ...] = ()
+
+    def since(self, start: int) -> Clock:
+        """The same with times since another instant [ns since 1970]."""
+        if self.start is None or self.start == start:
+            return self
+        return replace(self, times=self.times + (self.start - start) / 1e9, start=start)
+
+
+def topic_clock(stream: Stream, wanted: str | None, source: str) -> Clock:
+    """The clock of a topic: stamps of headers, unless there are none that count, or log times are wanted.
+
+    Raises
+    ------
+    InputError
+        Stamps of headers are wanted and messages have none.
+    """
+    log, header = stream.clocks["log"], stream.clocks.get("header")
+    usable = header is not None and len(header) > 1 and len(np.unique(header)) > 0.5 * len(header) and bool((header > 0).all())
+    if wanted == "header" and not usable:
+        what = "messages have no header" if header is None else "stamps of headers are zero or stand still"
+        raise InputError(what, file=source, key=stream.name, remedy=f"use the times of the log ({argument('clock', 'log')})")
+    late = None
+    if header is not None and usable:
+        low, middle, high = np.quantile((log - header) / 1e9, [0.16, 0.5, 0.84])
+        late = float(middle), float(0.5 * (high - low))
+    told = []
+    if header is not None and not usable:
+        told.append(f"{stream.name}: stamps of headers are zero or stand still; times of the log are used")
+    kind = "header" if header is not None and usable and wanted != "log" else "log"
+    times = header if kind == "header" and header is not None else log
+    text = "stamps of headers" if kind == "header" else "times of the log"
+    return Clock(kind, text, (times - times[0]) / 1e9, int(times[0]), late, told=tuple(told))
+
+
+def table_clock(stream: Stream, column: str, unit: str | None, source: str) -> Clock:
+    """The clock of a table: numbers of a unit, counted from anywhere or since 1970, or dates as ISO 8601 texts.
+
+    Raises
+    ------
+    InputError
+        The column holds neither.
+    """
+    values = stream.columns[column]
+    name = f'column "{cut(column)}"'
+    if values.dtype.kind not in "fiubM" or unit == "iso":
+        values = _dates(values, column, source)
+    if values.dtype.kind == "M":
+        ns = values.astype("datetime64[ns]")
+        missing, counts = np.isnat(ns), ns.astype(np.int64)
+        start = int(counts[~missing][0]) if not missing.all() else 0
+        times = np.where(missing, np.nan, (counts - start) / 1e9)
+        return Clock("column", f"{name} (dates)", times, start, column=column)
+    finite = values[np.isfinite(values)] if values.dtype.kind == "f" else values
+    if not len(finite):
+        raise InputError(
+            "no times in any row", file=source, key=name, remedy=f"name the column of times ({argument('columns')} t=NAME)"
+        )
+    first = float(finite[0])
+    if unit is None:  # a number that is the date of a computer in one unit is in no other
+        unit = next((u for u, per in _PER_SECOND.items() if _DATES[0] < first / per < _DATES[1]), "s")
+    per = _PER_SECOND[unit]
+    if not _DATES[0] < first / per < _DATES[1]:
+        times = values / per if per > 1 else values.astype(np.float64)
+        return Clock("column", f"{name} in {_WORDS[unit]}", times, None, column=column)
+    start = int(np.floor(first))  # of whole units, so that what is left is exact
+    times = (values - start) / per
+    return Clock("column", f"{name} in {_WORDS[unit]} since 1970", times, start * (10**9 // per), column=column)
+
+
+def date(ns: int) -> str:
+    """An instant as ISO 8601 to the millisecond."""
+    return datetime.fromtimestamp(ns / 1e9, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
+
+
+def _dates(values: np.ndarray, column: str, source: str) -> np.ndarray:
+    import pandas as pd
+
+    given = pd.Series(values)
+    try:
+        dates = pd.to_datetime(given.astype(str).where(given.notna()), utc=True, format="ISO8601", errors="coerce")
+    except (ValueError, OverflowError, TypeError):
+        dates = pd.Series(pd.NaT, index=given.index, dtype="datetime64[ns, UTC]")
+    wrong = np.flatnonzero((dates.isna() & given.notna()).to_numpy())
+    if len(wrong):
+        raise InputError(
+            f'"{cut(str(values[wrong[0]]))}" is neither a number nor a date', file=source,
+            key=f'column "{cut(column)}", row {int(wrong[0])}', value=str(values[wrong[0]]),
+            remedy="write times as numbers or as 2026-01-31T12:00:00.000Z",
+        )  # fmt: skip
+    return dates.dt.tz_localize(None).to_numpy()

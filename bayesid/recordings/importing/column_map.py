@@ -1,0 +1,159 @@
+"""Which column of a log is which, and in which unit: what a user states of files of another tool."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from pydantic import ConfigDict
+
+from bayesid.errors import InputError
+from bayesid.recordings.complaints import cut, suggest
+from bayesid.recordings.importing.units import UNITS, check_unit
+from bayesid.recordings.table import WRENCH_COLUMNS
+from bayesid.recordings.toml_file import Keys, Number, Section, read_toml
+
+#: Quantities of one number a joint, and those of the wrench, of three or six.
+JOINT_QUANTITIES = ("q", "v", "qr", "tau")
+_AXES = {"wrench": WRENCH_COLUMNS, "f": WRENCH_COLUMNS[:3], "m": WRENCH_COLUMNS[3:]}
+_ONE = re.compile(r"(qr|q|v|tau)([1-9]\d*)")
+
+
+class _UnitSection(Section):
+    model_config = ConfigDict(extra="allow", strict=True, frozen=True)
+
+    scale: dict[str, Number] = {}
+
+
+class _MapFile(Section):
+    columns: dict[str, str | list[str]] = {}
+    units: _UnitSection = _UnitSection()
+    joints: dict[str, str] = {}
+
+
+_KEYS: Keys = {(): ("columns", "units", "joints"), ("units",): ("scale", *UNITS)}
+
+
+@dataclass(frozen=True)
+class ColumnMap:
+    """Names and units of a log's columns.
+
+    Attributes
+    ----------
+    columns
+        The log's names by ours: of ``t``, of one column (``q1``, ``tau3``, ``fx``), or of a quantity (``q``, ``v``, ``qr``,
+        ``tau``, ``wrench``, ``f``, ``m``): a list, an array (``"state[0:6]"``) or a pattern with ``{joint}``, ``{1}`` or
+        ``{0}``, which stand for the joint's name and for its number counted from one or from zero.
+    units
+        By quantity (``t``, ``q``, ``v``, ``qr``, ``tau``, ``f``, ``m``) or column.
+    scale
+        Factors that columns are multiplied with after their unit, by quantity, column, or joint's name (of its torque).
+    joints
+        The log's names of joints by the URDF's, where they differ.
+    file
+        Where they were stated, for messages.
+    """
+
+    columns: Mapping[str, str | Sequence[str]] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
+    scale: Mapping[str, float] = field(default_factory=dict)
+    joints: Mapping[str, str] = field(default_factory=dict)
+    file: str = ""
+
+    def __post_init__(self) -> None:
+        """Check the keys and units; names of joints and of columns are the robot's and the log's business.
+
+        Raises
+        ------
+        InputError
+            A key is none of ours, or a unit is unknown.
+        """
+        for key in self.columns:
+            if (
+                key != "t"
+                and key not in JOINT_QUANTITIES
+                and key not in _AXES
+                and key not in WRENCH_COLUMNS
+                and not _ONE.fullmatch(key)
+            ):
+                raise InputError(
+                    f'"{cut(key)}" is no column of ours', file=self.file, key="columns", value=key,
+                    remedy=suggest(key, ("t", "q", "v", "qr", "tau", "wrench", "q1", "tau1", *WRENCH_COLUMNS), "write one of"),
+                )  # fmt: skip
+        checked = {}
+        for key, unit in self.units.items():
+            quantity = quantity_of(key)
+            if quantity is None:
+                raise InputError(
+                    f'"{cut(key)}" is no quantity or column of ours', file=self.file, key="units", value=key,
+                    remedy=suggest(key, UNITS, "write one of"),
+                )  # fmt: skip
+            checked[key] = check_unit(quantity, unit, self.file, f"units {key}")
+        object.__setattr__(self, "units", checked)
+
+    def unit(self, column: str) -> str | None:
+        """The unit stated for one of our columns; None where none is."""
+        return self.units.get(column, self.units.get(quantity_of(column) or ""))
+
+    def factor(self, column: str, joint: str = "") -> float | None:
+        """The factor stated for one of our columns; None where none is."""
+        found = [self.scale[key] for key in (column, quantity_of(column) or "") if key in self.scale]
+        if column.startswith("tau") and joint in self.scale:
+            found.insert(0, self.scale[joint])
+        return found[0] if found else None
+
+    def names_of(self, joints: Sequence[str]) -> list[str]:
+        """The log's names of joints."""
+        return [self.joints.get(joint, joint) for joint in joints]
+
+    def check_joints(self, joints: Sequence[str]) -> None:
+        """Refuse names of what is no joint, and factors of what is neither a quantity, a column nor a joint.
+
+        Raises
+        ------
+        InputError
+            For the first of them.
+        """
+        for joint in self.joints:
+            if joint not in joints:
+                raise InputError(
+                    f'"{cut(joint)}" is no moving joint of the URDF', file=self.file, key="joints", value=joint,
+                    remedy=suggest(joint, joints, "write one of"),
+                )  # fmt: skip
+        for key in self.scale:
+            if quantity_of(key) is None and key not in joints:
+                raise InputError(
+                    f'"{cut(key)}" is neither a column nor a joint', file=self.file, key="units.scale", value=key,
+                    remedy=suggest(key, (*joints, "tau1", *UNITS), "write one of"),
+                )  # fmt: skip
+
+
+def quantity_of(column: str) -> str | None:
+    """The quantity, a key of `UNITS`, of a column or quantity of ours; None where it is neither."""
+    if column in UNITS:
+        return column
+    if column in WRENCH_COLUMNS:
+        return column[0]
+    one = _ONE.fullmatch(column)
+    return one[1] if one else None
+
+
+def load_column_map(path: str | Path) -> ColumnMap:
+    """Read a TOML file with sections ``[columns]``, ``[units]``, ``[units.scale]`` and ``[joints]``.
+
+    Raises
+    ------
+    InputError
+        It is absent or holds anything else.
+    """
+    path = Path(path)
+    given = read_toml(path, _MapFile, _KEYS, "a TOML file with [columns] and [units]")
+    units = dict(given.units.__pydantic_extra__ or {})
+    for key, unit in units.items():
+        if not isinstance(unit, str):
+            raise InputError(
+                f"{cut(str(unit))} is not a text", file=path.name, key=f"[units] {key}", value=unit, remedy='write "deg"'
+            )
+    return ColumnMap(given.columns, units, given.units.scale, given.joints, path.name)

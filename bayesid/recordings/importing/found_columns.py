@@ -1,0 +1,388 @@
+"""Which columns hold what: by what the user states, else by names that can only mean one thing."""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+from bayesid.arguments import argument
+from bayesid.errors import InputError
+from bayesid.recordings.complaints import cut, listed, suggest
+from bayesid.recordings.importing.column_map import JOINT_QUANTITIES, ColumnMap
+from bayesid.recordings.importing.stream import Stream
+from bayesid.recordings.importing.units import UNITS, known_unit
+from bayesid.recordings.table import WRENCH_COLUMNS
+
+#: Words of each quantity; a joint's name or number stands beside them.
+_WORDS = {
+    "q": (
+        "q", "pos", "position", "positions", "angle", "angles", "actual_q", "joint_pos", "joint_position",
+        "joint_positions", "qpos",
+    ),
+    "v": (
+        "v", "qd", "dq", "vel", "velocity", "velocities", "actual_qd", "joint_vel", "joint_velocity",
+        "joint_velocities", "qvel",
+    ),
+    "qr": ("qr", "q_ref", "q_des", "q_d", "q_desired", "q_cmd", "target_q", "position_command", "commanded"),
+    "tau": ("tau", "effort", "efforts", "torque", "torques", "tau_j", "joint_torque", "joint_torques", "qfrc"),
+}  # fmt: skip
+_QUANTITY = {word: quantity for quantity, words in _WORDS.items() for word in words}
+#: Parts of a name that say that a position is a command.
+_COMMAND = {"desired", "reference", "command", "commanded", "target", "setpoint"}
+_TIME = re.compile(r"[%_\s]*(?:t|times?|time_?stamps?|stamps?)(?:[\s_]*(s|ms|us|ns|sec|seconds))?", re.IGNORECASE)
+_UNIT = re.compile(r"\s*[\[(]\s*([^\[\]()]+?)\s*[\])]$")
+_AXIS = re.compile(r"(?:(?P<force>f|force)|(?P<moment>m|t|moment|torque))[\s/._]?(?P<axis>[xyz])", re.IGNORECASE)
+_SEPARATORS = " /._-:[]()"
+
+
+@dataclass(frozen=True)
+class Found:
+    """A column that holds one of ours.
+
+    Attributes
+    ----------
+    ours
+        ``q1``, ``tau3``, ``fx``.
+    stream, column
+        Where it stands.
+    unit
+        As its name states, in the spelling of `bayesid.recordings.importing.units`; None where it states none.
+    """
+
+    ours: str
+    stream: Stream
+    column: str
+    unit: str | None = None
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Where everything is in a recording.
+
+    Attributes
+    ----------
+    joints
+        Names of the joints that have positions, in the order of q1 ... qn.
+    found
+        Columns of positions, velocities, commands, torques and the wrench.
+    """
+
+    joints: tuple[str, ...]
+    found: tuple[Found, ...]
+
+    def left_over(self, streams: Iterable[Stream], clocks: Iterable[tuple[Stream, str]]) -> list[str]:
+        """Full names of columns that are not used."""
+        used = {(id(f.stream), f.column) for f in self.found} | {(id(stream), column) for stream, column in clocks}
+        return [s.full_name(column) for s in streams for column in s.columns if (id(s), column) not in used]
+
+
+def find_columns(
+    streams: Sequence[Stream], stated: ColumnMap, moving: Sequence[str], joints: Sequence[str] | None, source: str
+) -> Layout:
+    """Find the columns of a recording.
+
+    Parameters
+    ----------
+    streams
+        What was read of it.
+    stated
+        What the user says of its columns.
+    moving
+        Every moving joint of the robot, in the URDF's order.
+    joints
+        Those that the user wants, in the order of q1 ... qn; None: all that have positions.
+    source
+        The recording's name, for messages.
+
+    Raises
+    ------
+    InputError
+        A column that is stated is not there, positions are not found, or columns could be read in more than one way.
+    """
+    finder = _Finder(streams, stated, source)
+    wanted = tuple(joints or moving)
+    positions = finder.stated_joints("q", wanted) or finder.by_name("q", wanted) or finder.by_number("q", wanted, joints is None)
+    if not positions:
+        raise InputError(f"no positions of {listed(wanted, 6)} are found", file=source, remedy=finder.what_to_name(wanted))
+    if joints is not None and (missing := [name for k, name in enumerate(joints) if k not in positions]):
+        raise InputError(
+            f"no positions of {listed(missing)} are found", file=source, remedy=f"name their columns; {_shown(streams)}"
+        )
+    kept = [k for k in range(len(wanted)) if k in positions]
+    names = tuple(wanted[k] for k in kept)
+    found = [_found(f"q{at + 1}", *positions[k]) for at, k in enumerate(kept)]
+    for quantity in JOINT_QUANTITIES[1:]:
+        columns = (
+            finder.stated_joints(quantity, names) or finder.by_name(quantity, names) or finder.by_number(quantity, names, False)
+        )
+        if len(columns) == len(names) or quantity == "tau":  # each torque says something of the links that its joint moves
+            found += [_found(f"{quantity}{k + 1}", *columns[k]) for k in sorted(columns)]
+    wrench = finder.stated_wrench() or finder.wrench_by_name()
+    found += [_found(name, *column) for name, column in wrench.items()]
+    return Layout(names, tuple(found))
+
+
+def time_column(stream: Stream, stated: ColumnMap, source: str) -> tuple[str, str | None]:
+    """The column of a table's times, and its unit where the user or its name states it.
+
+    Raises
+    ------
+    InputError
+        There is none, or more than one could be it.
+    """
+    given = stated.columns.get("t")
+    if given is not None:
+        if not isinstance(given, str):
+            raise InputError("times are one column", file=stated.file, key="columns t", value=given, remedy="name one")
+        names = [column for column in stream.columns if given in (column, stream.full_name(column))]
+        if not names:
+            raise InputError(
+                f'no column "{cut(given)}"', file=source, key="columns t", value=given, remedy=_near(given, [stream])
+            )
+    else:
+        names = [column for column in stream.columns if _TIME.fullmatch(_bare(column))]
+        exact = [column for column in names if column == "t"]
+        names = exact or names
+    if len(names) != 1:
+        what = f"times could be {listed(names)}" if names else "no column of times is found"
+        raise InputError(what, file=source, remedy=f"name it ({argument('columns')} t=NAME); {_shown([stream])}")
+    matched = _TIME.fullmatch(_bare(names[0]))
+    by_name = _stated_unit(names[0], "t") or (known_unit("t", matched[1]) if matched and matched[1] else None)
+    return names[0], stated.unit("t") or by_name
+
+
+class _Finder:
+    """Looks columns up in all streams of a recording."""
+
+    def __init__(self, streams: Sequence[Stream], stated: ColumnMap, source: str) -> None:
+        self.streams, self.stated, self.source = streams, stated, source
+
+    def stated_joints(self, quantity: str, joints: Sequence[str]) -> dict[int, tuple[Stream, str]]:
+        """Columns that the user names for a quantity, by the index of the joint."""
+        columns = self.stated.columns
+        found: dict[int, tuple[Stream, str]] = {}
+        given = columns.get(quantity)
+        if isinstance(given, str) and re.search(r"\{(joint|0|1)\}", given):
+            for k, joint in enumerate(self.stated.names_of(joints)):
+                name = given.replace("{joint}", joint).replace("{0}", str(k)).replace("{1}", str(k + 1))
+                if (there := self._lookup(name)) is not None:
+                    found[k] = there
+            if not found:
+                raise self._absent(given.replace("{joint}", joints[0]).replace("{0}", "0").replace("{1}", "1"), quantity)
+        elif given is not None:
+            names = self._entries(given, quantity) if isinstance(given, str) else list(given)
+            if len(names) != len(joints):
+                raise InputError(
+                    f"{len(names)} columns for {len(joints)} joints ({listed(joints, 8)})", file=self.stated.file or self.source,
+                    key=f"columns {quantity}", value=given,
+                    remedy=f"name one column a joint, or the joints that these are of ({argument('joints')})",
+                )  # fmt: skip
+            found = {k: self._must(name, quantity) for k, name in enumerate(names)}
+        for k in range(len(joints)):
+            one = columns.get(f"{quantity}{k + 1}")
+            if one is not None:
+                found[k] = self._must(self._text(one, f"{quantity}{k + 1}"), f"{quantity}{k + 1}")
+        return found
+
+    def by_name(self, quantity: str, joints: Sequence[str]) -> dict[int, tuple[Stream, str]]:
+        """Columns that hold a joint's name and a word of the quantity."""
+        found: dict[int, list[tuple[Stream, str]]] = defaultdict(list)
+        names = self.stated.names_of(joints)
+        for stream in self.streams:
+            for column in stream.columns:
+                kind, k = _classified(_bare(column), names)
+                if kind == quantity:
+                    found[k].append((stream, column))
+        for k, places in found.items():
+            if len(places) > 1:
+                raise self._ambiguous(f"{quantity} of {joints[k]}", [s.full_name(c) for s, c in places])
+        return {k: places[0] for k, places in found.items()}
+
+    def by_number(self, quantity: str, joints: Sequence[str], must: bool) -> dict[int, tuple[Stream, str]]:
+        """Columns of a word of the quantity with a number, from zero or from one, in the order of the joints.
+
+        ``must``: whether another count than that of the joints is refused.
+        """
+        groups: dict[tuple[int, str], dict[int, tuple[Stream, str]]] = defaultdict(dict)
+        for at, stream in enumerate(self.streams):
+            for column in stream.columns:
+                match = re.fullmatch(r"(.*?)[\s_./\-\[(]*(\d+)[\])]?", _bare(column))
+                word = re.split(r"[/.\s]", match[1].lower())[-1] if match else ""
+                if match and _QUANTITY.get(word) == quantity and not (quantity == "q" and _tokens(match[1]) & _COMMAND):
+                    groups[at, match[1]][int(match[2])] = (stream, column)
+        whole = [g for g in groups.values() if sorted(g) in (list(range(len(g))), list(range(1, len(g) + 1)))]
+        fitting = [g for g in whole if len(g) == len(joints)]
+        if len(fitting) > 1:
+            exact = [g for (_, word), g in groups.items() if g in fitting and word == quantity]
+            if len(exact) != 1:
+                raise self._ambiguous(quantity, [s.full_name(c) for g in fitting for s, c in list(g.values())[:1]])
+            fitting = exact
+        if not fitting:
+            if must and whole:
+                columns = [column for _, column in whole[0].values()]
+                raise InputError(
+                    f"{len(columns)} positions ({columns[0]} ... {columns[-1]}) but the URDF has {len(joints)} moving joints "
+                    f"({listed(joints, 10)})", file=self.source,
+                    remedy=f"name those of the columns, in their order ({argument('joints')})",
+                )  # fmt: skip
+            return {}
+        return {k: place for k, (_, place) in enumerate(sorted(fitting[0].items()))}
+
+    def stated_wrench(self) -> dict[str, tuple[Stream, str]]:
+        """Columns that the user names for the wrench."""
+        found: dict[str, tuple[Stream, str]] = {}
+        columns = self.stated.columns
+        for key, axes in (("wrench", WRENCH_COLUMNS), ("f", WRENCH_COLUMNS[:3]), ("m", WRENCH_COLUMNS[3:])):
+            if (given := columns.get(key)) is None:
+                continue
+            names = self._entries(given, key) if isinstance(given, str) else list(given)
+            if len(names) != len(axes):
+                raise InputError(
+                    f"{len(names)} columns for {len(axes)}", file=self.stated.file or self.source, key=f"columns {key}",
+                    value=given, remedy=f"name those of {', '.join(axes)}",
+                )  # fmt: skip
+            found |= {axis: self._must(name, key) for axis, name in zip(axes, names, strict=True)}
+        found |= {axis: self._must(self._text(columns[axis], axis), axis) for axis in WRENCH_COLUMNS if axis in columns}
+        if found and (missing := [axis for axis in WRENCH_COLUMNS if axis not in found]):
+            raise InputError(
+                f"{', '.join(missing)} are missing although {', '.join(found)} are named", file=self.stated.file or self.source,
+                key="columns", remedy="name all six, or none",
+            )  # fmt: skip
+        return {axis: found[axis] for axis in WRENCH_COLUMNS if axis in found}
+
+    def wrench_by_name(self) -> dict[str, tuple[Stream, str]]:
+        """Six columns whose names end as those of forces and moments do, with one beginning."""
+        groups: dict[tuple[int, str], dict[str, tuple[Stream, str]]] = defaultdict(dict)
+        for at, stream in enumerate(self.streams):
+            for column in stream.columns:
+                bare = _bare(column)
+                match = re.search(rf"(?:^|[\s/._]){_AXIS.pattern}$", bare, re.IGNORECASE)
+                if match:
+                    axis = ("f" if match["force"] else "m") + match["axis"].lower()
+                    groups[at, bare[: match.start()]].setdefault(axis, (stream, column))
+                elif (match := re.fullmatch(r"(.*?)(?:wrench|ft)\[([0-5])\]", bare, re.IGNORECASE)) is not None:
+                    groups[at, match[1]].setdefault(WRENCH_COLUMNS[int(match[2])], (stream, column))
+        whole = [group for group in groups.values() if len(group) == len(WRENCH_COLUMNS)]
+        if len(whole) > 1:
+            raise self._ambiguous("the wrench", [s.full_name(c) for group in whole for s, c in [group["fx"]]])
+        return {axis: whole[0][axis] for axis in WRENCH_COLUMNS} if whole else {}
+
+    def what_to_name(self, joints: Sequence[str]) -> str:
+        """What would tell where positions are, by what there is."""
+        columns = [s.full_name(column) for s in self.streams for column in s.columns]
+        endings = [re.split(r"[/.]", column.lower()) for column in columns]
+        names = [re.split(r"[/.]", c)[-2] for c, e in zip(columns, endings, strict=True) if len(e) > 1 and e[-1] == "position"]
+        if names:
+            option = argument("joint_names", f"{joints[0]}={names[0]},...") if joints else argument("joint_names")
+            return f"the log's joints are {listed(names, 8)}: say which is which ({option})"
+        example = "q={joint}/position" if len(columns) > 1 else "q=..."
+        there = listed([cut(column, 60) for column in columns], 14)
+        return f"name their columns ({argument('columns')}, such as {example}); there are {there}"
+
+    def _entries(self, name: str, key: str) -> list[str]:
+        """Names of the columns of an array, or of a part of it (``state[0:6]``)."""
+        match = re.fullmatch(r"(.+)\[(\d+):(\d+)\]", name)
+        if match:
+            return [f"{match[1]}[{k}]" for k in range(int(match[2]), min(int(match[3]), int(match[2]) + 1000))]
+        arrays = [
+            (stream, c, c[: c.rfind("[")]) for stream in self.streams for c in stream.columns if re.fullmatch(r".+\[\d+\]", c)
+        ]
+        entries = [s.full_name(c) for s, c, array in arrays if s.full_name(array) == name]
+        entries = entries or [c for _, c, array in arrays if array == name]
+        if not entries and self._lookup(name) is None:
+            raise self._absent(name, key)
+        return entries or [name]
+
+    def _text(self, given: str | Sequence[str], key: str) -> str:
+        if isinstance(given, str):
+            return given
+        raise InputError(
+            "several columns for one", file=self.stated.file, key=f"columns {key}", value=given, remedy="name one column"
+        )
+
+    def _lookup(self, name: str) -> tuple[Stream, str] | None:
+        places = [(s, c) for s in self.streams for c in s.columns if s.full_name(c) == name]
+        places = places or [(s, c) for s in self.streams for c in s.columns if c == name]
+        array = re.fullmatch(r"(.+)\[(\d+)\]", name)
+        if not places and array:  # an entry of an array whose entries have names of their own
+            entries = [(s, c) for s in self.streams for c in s.columns if s.full_name(c).startswith(f"{array[1]}/")]
+            places = entries[int(array[2]) : int(array[2]) + 1]
+        if len(places) > 1:
+            raise self._ambiguous(name, [s.full_name(c) for s, c in places])
+        return places[0] if places else None
+
+    def _must(self, name: str, key: str) -> tuple[Stream, str]:
+        place = self._lookup(name)
+        if place is None:
+            raise self._absent(name, key)
+        return place
+
+    def _absent(self, name: str, key: str) -> InputError:
+        return InputError(
+            f'no column "{cut(name, 80)}"', file=self.source, key=f"columns {key}", value=name, remedy=_near(name, self.streams)
+        )
+
+    def _ambiguous(self, what: str, names: Sequence[str]) -> InputError:
+        return InputError(
+            f"{what} could be {listed(names, 4)}", file=self.source,
+            remedy=f"say which: name the columns ({argument('columns')}), or the topics to be read ({argument('topics')})",
+        )  # fmt: skip
+
+
+def _found(ours: str, stream: Stream, column: str) -> Found:
+    quantity = ours[0] if ours[0] in "fm" else ours.rstrip("0123456789")
+    return Found(ours, stream, column, _stated_unit(column, quantity))
+
+
+def _classified(name: str, joints: Sequence[str]) -> tuple[str, int]:
+    """The quantity and the joint's index that a column's name states; ``""`` where it states none."""
+    low, tokens = name.lower(), _tokens(name)
+    for k, joint in enumerate(joints):
+        j = joint.lower()
+        if j in tokens:
+            rest = [part for part in tokens if part != j]
+        elif low.startswith(j) and low[len(j) : len(j) + 1] in tuple(_SEPARATORS):
+            rest = [low[len(j) :].strip(_SEPARATORS)]
+        elif low.endswith(j) and low[-len(j) - 1 : -len(j)] in tuple(_SEPARATORS):
+            rest = [re.split(r"[/.\s]", low[: -len(j)].strip(_SEPARATORS))[-1], *tokens]
+        else:
+            continue
+        kinds = {_QUANTITY[part] for part in rest if part in _QUANTITY}
+        if len(kinds) == 1:
+            (kind,) = kinds
+            if tokens & _COMMAND:
+                return ("qr" if kind == "q" else "", k)
+            return kind, k
+    return "", -1
+
+
+def _tokens(name: str) -> set[str]:
+    return {part for part in re.split(r"[/.\[\]()\s:]+", name.lower()) if part}
+
+
+def _bare(column: str) -> str:
+    """A column's name without the unit that it states."""
+    match = _UNIT.search(column)
+    return column[: match.start()] if match and not match[1].isdigit() and _is_unit(match[1]) else column
+
+
+def _is_unit(text: str) -> bool:
+    return any(known_unit(quantity, text) for quantity in UNITS)
+
+
+def _stated_unit(column: str, quantity: str) -> str | None:
+    """The unit in brackets at the end of a column's name, where it is one of the quantity."""
+    match = _UNIT.search(column)
+    return known_unit(quantity, match[1]) if match and not match[1].isdigit() else None
+
+
+def _near(name: str, streams: Sequence[Stream]) -> str:
+    return suggest(name, [s.full_name(c) for s in streams for c in s.columns], "its columns are")
+
+
+def _shown(streams: Sequence[Stream]) -> str:
+    """What there is, for messages."""
+    names = [s.full_name(column) for s in streams for column in s.columns]
+    return f"its columns are: {listed([cut(name, 60) for name in names], 14)}" if names else "nothing was read of it"

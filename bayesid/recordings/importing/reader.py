@@ -1,0 +1,70 @@
+"""Which reader a file or folder needs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from bayesid.errors import InputError
+from bayesid.recordings.importing.arrays import read_hdf5, read_mat, read_npz
+from bayesid.recordings.importing.bags import read_bag
+from bayesid.recordings.importing.kinds import kind_of
+from bayesid.recordings.importing.lerobot import read_lerobot
+from bayesid.recordings.importing.stream import Source
+from bayesid.recordings.importing.tables import read_csv, read_parquet
+
+_ARRAYS = {"numpy": read_npz, "mat": read_mat, "hdf5": read_hdf5}
+
+
+def read_source(
+    path: str | Path, topics: Sequence[str] = (), mapped: Iterable[str] = (), episodes: Sequence[int] = ()
+) -> tuple[Source, ...]:
+    """Read a file or folder of another tool: the recordings in it, as they are.
+
+    Parameters
+    ----------
+    path
+        A bag, an MCAP file, a table, an archive of arrays, or a data set of LeRobot.
+    topics, mapped
+        Of a bag: topics to be read, and columns whose topics are.
+    episodes
+        Of a data set: which to read; empty: all.
+
+    Raises
+    ------
+    InputError
+        It is not there, of an unknown kind, or damaged.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise InputError("no such file or folder", file=str(path), remedy="give a recording")
+    kind = kind_of(path)
+    try:
+        if kind == "lerobot":
+            return read_lerobot(path, episodes)
+        if kind == "bag":
+            return (read_bag(path, topics, mapped),)
+        if kind in _ARRAYS:
+            return (Source(path.stem, _ARRAYS[kind](path)),)
+        if kind in ("parquet", "text"):
+            return (Source(path.stem, (read_parquet(path) if kind == "parquet" else read_csv(path),)),)
+    except OSError as error:
+        raise InputError(f"cannot be read ({error.strerror or error})", file=path.name, remedy="give a readable file") from None
+    if kind == "pickle":
+        raise InputError(
+            "is a pickle, which could run anything when it is read", file=path.name, remedy="save arrays as .npz or CSV"
+        )
+    what = f'files "{path.suffix}" are not known'
+    if path.is_dir():
+        what = "folder holds no metadata.yaml, .mcap, .db3 or meta/info.json"
+    raise InputError(
+        what, file=path.name,
+        remedy="give a ROS bag, MCAP, CSV, Parquet, NPZ, MAT, HDF5 or a LeRobot data set",
+    )  # fmt: skip
+
+
+def joined(sources: Sequence[Source]) -> Source:
+    """Several files that are parts of one recording, their tables under the files' names."""
+    streams = [stream if stream.name else replace(stream, name=source.name) for source in sources for stream in source.streams]
+    return Source(sources[0].name, tuple(streams), tuple(topic for source in sources for topic in source.unread))

@@ -1,0 +1,229 @@
+"""What a recording holds in SI units, each quantity at its own times."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayesid.arguments import argument
+from bayesid.errors import InputError
+from bayesid.recordings.complaints import cut, listed
+from bayesid.recordings.held import rows_held
+from bayesid.recordings.importing.clock import Clock
+from bayesid.recordings.importing.column_map import ColumnMap
+from bayesid.recordings.importing.found_columns import Found, Layout
+from bayesid.recordings.importing.stream import Stream
+from bayesid.recordings.importing.units import UNITS, needs_constant
+from bayesid.recordings.table import GAP, WRENCH_COLUMNS, Table, check_increasing
+from bayesid.recordings.timing import Timing
+from bayesid.recordings.toml_file import LARGEST
+
+#: In a table of several topics, a quantity without a reading in most rows has its own, slower times.
+_OWN_TIMES = 0.5
+_JUDGED = 200_000  # rows that are looked at for repeated samples
+NAMES = {"q": "positions", "v": "velocities", "qr": "commands", "tau": "torques", "wrench": "wrench"}
+
+
+@dataclass(frozen=True, eq=False)
+class Signal:
+    """Columns of one quantity that were recorded together.
+
+    Attributes
+    ----------
+    quantity
+        A key of `NAMES`.
+    ours
+        ``q1``, ... or ``fx``, ... (k,).
+    times, values
+        (N,) [s] and (N, k) in SI units; NaN where a row of the log has no reading.
+    columns
+        The log's names (k,).
+    units
+        Those that it was written in (k,).
+    topic
+        The stream's name; empty for a table.
+    clock
+        Of its stream.
+    rows
+        Which rows of the stream these are (N,).
+    recorded
+        Rows of the stream that have a reading, repeated ones and those of a time that was there before included.
+    held
+        How many rows of the log hold each sample; 1 where every row is a sample.
+    """
+
+    quantity: str
+    ours: tuple[str, ...]
+    times: np.ndarray
+    values: np.ndarray
+    columns: tuple[str, ...]
+    units: tuple[str, ...]
+    topic: str
+    clock: Clock
+    rows: np.ndarray
+    recorded: int
+    held: float = 1.0
+
+    @property
+    def name(self) -> str:
+        """In words: ``positions`` or, of some joints, ``positions q1, q2``."""
+        return NAMES[self.quantity]
+
+    @property
+    def step(self) -> float:
+        """Usual time between samples [s]; 0 for a single one."""
+        return float(np.median(np.diff(self.times))) if len(self.times) > 1 else 0.0
+
+    @property
+    def timing(self) -> Timing | None:
+        """How even its times are; None for fewer than three samples."""
+        if len(self.times) < 3:
+            return None
+        return Timing.of(Table(times=self.times, positions=np.zeros((len(self.times), 1))))
+
+    def gaps(self) -> list[tuple[float, float]]:
+        """Start and end of each gap [s]."""
+        at = np.flatnonzero(np.diff(self.times) > GAP * self.step)
+        return [(float(self.times[k]), float(self.times[k + 1])) for k in at]
+
+
+def make_signals(
+    layout: Layout, clocks: Sequence[tuple[Stream, Clock]], stated: ColumnMap, source: str
+) -> tuple[list[Signal], list[str]]:
+    """Convert what was found, a signal for the columns of a quantity in each stream.
+
+    Parameters
+    ----------
+    layout
+        Where the columns are.
+    clocks
+        Of the streams.
+    stated
+        Units and factors that the user states.
+    source
+        The recording's name, for messages.
+
+    Returns
+    -------
+    signals, told
+
+    Raises
+    ------
+    InputError
+        A cell is no number, or torques are in a unit that says nothing without a constant.
+    """
+    told: list[str] = []
+    groups: dict[tuple[str, int], list[Found]] = {}
+    for found in layout.found:
+        quantity = "wrench" if found.ours in WRENCH_COLUMNS else found.ours.rstrip("0123456789")
+        groups.setdefault((quantity, id(found.stream)), []).append(found)
+    signals = []
+    for (quantity, _), found in groups.items():
+        stream = found[0].stream
+        clock = next(clock for one, clock in clocks if one is stream)
+        converted = [_converted(f, stated, layout.joints, source) for f in found]
+        values = np.column_stack([column for column, _ in converted])
+        units = tuple(unit for _, unit in converted)
+        there = [k for k in range(len(found)) if not np.isnan(values[:, k]).all()]
+        if len(there) < len(found):
+            without = listed([f.column for k, f in enumerate(found) if k not in there], 4)
+            if quantity == "q":
+                raise InputError(
+                    f"no position in any row of {without}", file=source, remedy=f"leave these joints out ({argument('joints')})"
+                )
+            if quantity != "tau" or not there:
+                told.append(f"{NAMES[quantity]}: no reading in any row of {without}; not used")
+                continue
+            told.append(f"torques: no reading in any row of {without}")
+            found, units, values = [found[k] for k in there], tuple(units[k] for k in there), values[:, there]
+        rows, more = _usable(clock, values, NAMES[quantity] + (f" of {stream.name}" if stream.name else ""), source)
+        told += more
+        signal = Signal(
+            quantity, tuple(f.ours for f in found), clock.times[rows], values[rows],
+            tuple(stream.full_name(f.column) for f in found), units, stream.name, clock, rows,
+            int(np.count_nonzero(~np.isnan(values).any(axis=1))),
+        )  # fmt: skip
+        signals.append(_without_held(signal))
+    return signals, list(dict.fromkeys(told))
+
+
+def _converted(found: Found, stated: ColumnMap, joints: Sequence[str], source: str) -> tuple[np.ndarray, str]:
+    """A column in SI units, and the unit that it was written in."""
+    quantity = found.ours[0] if found.ours in WRENCH_COLUMNS else found.ours.rstrip("0123456789")
+    raw = found.stream.columns[found.column]
+    place = f'column "{cut(found.stream.full_name(found.column), 80)}"'
+    try:
+        values = raw.astype(np.float64)
+    except (TypeError, ValueError):
+        row = next(k for k, cell in enumerate(raw) if not _is_number(cell))
+        raise InputError(
+            f'"{cut(str(raw[row]))}" is no number', file=source, key=f"{place}, row {row}", value=str(raw[row]),
+            remedy="correct it, or leave the cell empty",
+        ) from None  # fmt: skip
+    wrong = np.flatnonzero(np.isinf(values) | (np.abs(values) > LARGEST))
+    if len(wrong):
+        row = int(wrong[0])
+        raise InputError(
+            f"{values[row]:g} is no reading", file=source, key=f"{place}, row {row}", value=float(values[row]),
+            remedy="correct it, or leave the cell empty",
+        )  # fmt: skip
+    unit = stated.unit(found.ours) or found.unit
+    joint = joints[int(found.ours.removeprefix(quantity)) - 1] if found.ours not in WRENCH_COLUMNS else ""
+    scale = stated.factor(found.ours, joint)
+    if unit is not None and needs_constant(unit) and scale is None:
+        raise InputError(
+            f"torques in {unit} say nothing without a constant", file=stated.file or source,
+            key=f"units {found.ours}", value=unit,
+            remedy=f"write N m per {unit} at the joint, {argument('scale')} {joint}=11.2",
+        )  # fmt: skip
+    factor = (1.0 if unit is None else UNITS[quantity][unit]) * (1.0 if scale is None else scale)
+    return (values if factor == 1.0 else values * factor), unit or next(iter(UNITS[quantity]))
+
+
+def _is_number(cell: object) -> bool:
+    try:
+        float(cell)  # type: ignore[arg-type]
+    except (TypeError, ValueError):
+        return False
+    return True
+
+
+def _usable(clock: Clock, values: np.ndarray, what: str, source: str) -> tuple[np.ndarray, list[str]]:
+    """Rows to be used (k,), in the order of time: those of a topic by its stamps, those of a table as they stand."""
+    told = []
+    rows = np.flatnonzero(~np.isnan(clock.times))
+    none = np.any(np.isnan(values), axis=1)
+    if clock.kind != "column" or none.mean() > _OWN_TIMES:
+        rows = rows[~none[rows]]
+    times = clock.times[rows]
+    if clock.kind == "column":
+        check_increasing(times, source, lambda row: f"row {rows[row]}")
+    elif back := int((np.diff(times) < 0.0).sum()):
+        told.append(f"{what}: {back} messages came out of order; sorted by {clock.text}")
+        rows = rows[np.argsort(times, kind="stable")]
+    again = np.append(False, np.diff(clock.times[rows]) == 0.0)[: len(rows)]
+    if 2 * again.sum() > len(rows):
+        raise InputError(
+            f"time is repeated in {int(again.sum())} of {len(rows)} rows", file=source, key=what, value=int(again.sum()),
+            remedy="write times with more digits, or name another column or clock",
+        )  # fmt: skip
+    if again.any():
+        told.append(f"{what}: {int(again.sum())} rows have the time of the one before; left out")
+        rows = rows[~again]
+    return rows, told
+
+
+def _without_held(signal: Signal) -> Signal:
+    """The signal without the rows that only repeat a sample of a slower topic until the next one comes."""
+    held = [rows for column in signal.values.T if (rows := rows_held(column[:_JUDGED])) is not None]
+    moving = [column for column in signal.values.T if np.ptp(column) > 0.0]
+    if not held or len(held) < 0.5 * len(moving):
+        return signal
+    new = np.append(True, (np.diff(signal.values, axis=0) != 0.0).any(axis=1))
+    share = len(new) / max(int(new.sum()), 1)
+    return Signal(
+        signal.quantity, signal.ours, signal.times[new], signal.values[new], signal.columns, signal.units, signal.topic,
+        signal.clock, signal.rows[new], signal.recorded, share,
+    )  # fmt: skip

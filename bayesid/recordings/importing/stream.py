@@ -1,0 +1,69 @@
+"""What a file of another tool holds, before anything is known of its meaning."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+
+@dataclass(frozen=True, eq=False)
+class Stream:
+    """Columns that share their rows: a topic of a bag, or a table.
+
+    Attributes
+    ----------
+    name
+        The topic; empty for a table, or its file's name where several are one recording.
+    columns
+        (N,) by name, numbers or texts as they were recorded; entries of an array are columns ``name[0]``, ``name[1]``, ...
+    clocks
+        Times of the rows (N,) [ns since 1970], by ``header`` (when the sender took the sample) and ``log`` (when the recorder
+        got it); empty for a table, whose times are a column.
+    frame
+        The frame that its messages name; empty where there is none.
+    told
+        What was noticed on reading, one line each.
+    """
+
+    name: str
+    columns: Mapping[str, np.ndarray]
+    clocks: Mapping[str, np.ndarray] = field(default_factory=dict)
+    frame: str = ""
+    told: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        """Number of rows."""
+        return next((len(values) for values in (*self.columns.values(), *self.clocks.values())), 0)
+
+    def full_name(self, column: str) -> str:
+        """The column's name with its topic's before it."""
+        return f"{self.name}/{column}" if self.name else column
+
+
+@dataclass(frozen=True, eq=False)
+class Source:
+    """One recording as another tool wrote it.
+
+    Attributes
+    ----------
+    name
+        What it is called in messages and in experiment.toml.
+    streams
+        What was read of it.
+    unread
+        Topics that were not read, with their types, one ``/topic (type)`` each.
+    """
+
+    name: str
+    streams: tuple[Stream, ...]
+    unread: tuple[str, ...] = ()
+
+
+def array_columns(name: str, values: np.ndarray) -> dict[str, np.ndarray]:
+    """Columns of an array (N,) or (N, ...): itself, or ``name[0]``, ``name[1]``, ... of its entries in C order."""
+    if values.ndim == 1:
+        return {name: values}
+    flat = values.reshape(len(values), -1)
+    return {f"{name}[{k}]": flat[:, k] for k in range(flat.shape[1])}

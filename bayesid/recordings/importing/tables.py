@@ -1,0 +1,165 @@
+"""Tables of other tools: CSV with any separator, and Parquet; every column as it stands."""
+
+from __future__ import annotations
+
+import csv
+import re
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bayesid.errors import InputError
+from bayesid.recordings.complaints import cut, one_line
+from bayesid.recordings.importing.extras import extra
+from bayesid.recordings.importing.stream import Stream, array_columns
+from bayesid.recordings.table_reader import count_lines
+
+_SEPARATORS = (",", ";", "\t", "|")
+_SNIFFED = 20  # lines that tell what separates cells
+_LONGEST_LINE = 1 << 20  # of a text that is a table [bytes]
+
+
+def read_csv(path: Path) -> Stream:
+    """Read a table of texts; commas, semicolons, tabs or bars separate, and decimals have a comma where semicolons do.
+
+    Raises
+    ------
+    InputError
+        It is no such table: binary, empty, without a header, or with rows of another width, as a file that was cut off has.
+    """
+    import pandas as pd
+
+    lines = _first_lines(path)
+    skipped, separator = _header_line(lines, path.name)
+    header = [
+        name.strip() for name in next(csv.reader([lines[skipped].lstrip("# ")], delimiter=separator, skipinitialspace=True))
+    ]
+    trailing = len(header) > 1 and not header[-1]  # some loggers end every line with a separator
+    for name in header[: len(header) - trailing]:
+        if header.count(name) > 1 and name:
+            raise InputError(
+                f"there are {header.count(name)} of it", file=path.name, key=f"column {cut(name)}", remedy="keep one"
+            )
+    decimal = "," if separator == ";" and any(re.search(r"\d,\d", line) for line in lines[skipped + 1 :]) else "."
+    count_lines(path, path.name, len(header), separator, skipped)
+    try:
+        frame: Any = pd.read_csv(
+            path, sep=separator, decimal=decimal, header=None, names=list(range(len(header))), skiprows=skipped + 1,
+            index_col=False, skipinitialspace=True, encoding="utf-8-sig", low_memory=False,
+        )  # fmt: skip
+    except (ValueError, OverflowError) as error:  # pandas' parser errors and Unicode's are ValueErrors too
+        raise InputError(
+            f"cannot be read as CSV ({cut(one_line(str(error)), 80)})", file=path.name, remedy="check the file"
+        ) from None
+    if not len(frame):
+        raise InputError("has a header but no rows", file=path.name, remedy="give one row per sample")
+    columns = {name: frame[k].to_numpy() for k, name in enumerate(header) if name}
+    return Stream("", _by_joint(columns))
+
+
+def read_parquet(path: Path) -> Stream:
+    """Read a Parquet file; lists of one length are arrays.
+
+    Raises
+    ------
+    InputError
+        pyarrow is not installed, or it is no Parquet file.
+    """
+    parquet = extra("pyarrow.parquet", "pyarrow", path.name)
+    try:
+        table = parquet.read_table(path)
+        columns: dict[str, np.ndarray] = {}
+        for name, column in zip(table.column_names, table.columns, strict=True):
+            columns |= _arrow_column(name, column)
+    except (
+        ValueError,
+        OSError,
+        MemoryError,
+        KeyError,
+        NotImplementedError,
+    ) as error:  # pyarrow's own are ValueErrors or OSErrors
+        raise InputError(
+            f"cannot be read as Parquet ({cut(one_line(str(error)), 80)})", file=path.name, remedy="write it again"
+        ) from None
+    return Stream("", columns)
+
+
+def _arrow_column(name: str, column: Any) -> dict[str, np.ndarray]:
+    """A column of a Parquet table as numbers or texts; lists of several lengths are left out."""
+    import pyarrow as pa
+
+    kind = column.type
+    if pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind):
+        rows = column.to_pylist()
+        widths = {None if row is None else len(row) for row in rows}
+        if len(widths) != 1 or None in widths or not widths - {0}:
+            return {}
+        values = np.asarray(rows)
+        return array_columns(name, values) if values.dtype.kind in "fiub" else {}
+    if pa.types.is_struct(kind):
+        out: dict[str, np.ndarray] = {}
+        for part, values in zip(kind, column.combine_chunks().flatten(), strict=True):
+            out |= _arrow_column(f"{name}/{part.name}", values)
+        return out
+    return {name: column.to_pandas().to_numpy()}
+
+
+def _first_lines(path: Path) -> list[str]:
+    with path.open("rb") as handle:
+        block = handle.read(_LONGEST_LINE)
+    if b"\0" in block:
+        raise InputError("holds zero bytes and is no text", file=path.name, remedy="export the table as CSV in UTF-8")
+    try:
+        text = block.decode("utf-8-sig", errors="strict" if len(block) < _LONGEST_LINE else "ignore")
+    except UnicodeDecodeError:
+        raise InputError("is not UTF-8 text", file=path.name, remedy="export the table as CSV in UTF-8") from None
+    return list(islice((line for line in text.splitlines()), 10 * _SNIFFED))
+
+
+def _header_line(lines: list[str], source: str) -> tuple[int, str]:
+    """Index of the line that names the columns, after comments and blank lines, and what separates them."""
+    first = next((k for k, line in enumerate(lines) if line.strip() and not _number(line.strip().split(",")[0])), None)
+    while first is not None and first + 1 < len(lines) and lines[first + 1].lstrip().startswith("#"):
+        first += 1  # remarks before a header that is one, too
+    if first is None:
+        if any(line.strip() for line in lines):
+            raise InputError("line 1 holds numbers", file=source, remedy="write a header that names the columns")
+        raise InputError("is empty", file=source, remedy="give a table with a header and one row per sample")
+    counts = {separator: lines[first].count(separator) for separator in _SEPARATORS}
+    separator = max(counts, key=lambda s: counts[s])
+    if not counts[separator]:
+        raise InputError(
+            f'line {first + 1} names one column, "{cut(lines[first].strip())}"', file=source,
+            remedy="separate columns with commas, semicolons or tabs",
+        )  # fmt: skip
+    return first, separator
+
+
+def _number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _by_joint(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Columns of a JointState that was written as ``name0, ..., position0, ...``, under their joints' names."""
+    names: dict[tuple[str, str], str] = {}
+    for column, values in columns.items():
+        match = re.fullmatch(r"(.*?)name\[?(\d+)\]?", column)
+        if match and values.dtype == object and all(value == values[0] for value in values) and isinstance(values[0], str):
+            names[match[1], match[2]] = values[0]
+    if not names:
+        return columns
+    out: dict[str, np.ndarray] = {}
+    for column, values in columns.items():
+        match = re.fullmatch(r"(.*?)(name|position|velocity|effort)\[?(\d+)\]?", column)
+        joint = names.get((match[1], match[3])) if match else None
+        if match is None or joint is None:
+            out[column] = values
+        elif match[2] != "name":
+            out[f"{match[1]}{joint}/{match[2]}"] = values
+    return out

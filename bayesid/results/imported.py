@@ -1,0 +1,219 @@
+"""What was imported from files of other tools, and what was done to it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bayesid.recordings.complaints import listed
+from bayesid.recordings.experiment import Experiment
+from bayesid.recordings.importing.clock import date
+from bayesid.recordings.importing.signals import NAMES, Signal
+from bayesid.recordings.importing.units import UNITS
+from bayesid.recordings.writer import write_experiment
+from bayesid.results.files import strict
+from bayesid.results.text import number
+
+SCHEMA = 1
+_EVEN = 1e-6  # jitter that no log of a robot is without [s]
+_OURS = {next(iter(units)) for units in UNITS.values()}
+
+
+@dataclass(frozen=True)
+class Delay:
+    """By how much one quantity is later than another.
+
+    Attributes
+    ----------
+    late, against
+        What is late, and against what, with their topics.
+    value, std
+        [s]; negative where it is early.
+    method
+        How it was found.
+    """
+
+    late: str
+    against: str
+    value: float
+    std: float
+    method: str
+
+    def __str__(self) -> str:
+        side = "later" if self.value >= 0.0 else "earlier"
+        size = f"{1e3 * abs(self.value):.3g} +- {1e3 * max(self.std, 1e-5):.2g} ms {side}"
+        return f"{self.late} {size} than {self.against} ({self.method})"
+
+
+@dataclass(frozen=True, eq=False)
+class ImportedRecording:
+    """One recording: where everything came from, and what was done to it.
+
+    Attributes
+    ----------
+    name
+        Of its motion in the experiment.
+    files
+        Names of the files or folders that it was read from.
+    signals
+        Every quantity that is used, as it was recorded.
+    rows_of
+        The signal at whose times the rows are.
+    start
+        When time is zero [ns since 1970]; None where the log does not say.
+    left_over
+        Columns, by their full names, and topics with their types, that are not used.
+    done
+        What was done and noticed, one line each.
+    delays
+        Between topics.
+    """
+
+    name: str
+    files: tuple[str, ...]
+    signals: tuple[Signal, ...]
+    rows_of: Signal
+    start: int | None
+    left_over: tuple[str, ...]
+    done: tuple[str, ...]
+    delays: tuple[Delay, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Imported:
+    """An experiment made of other tools' files.
+
+    Attributes
+    ----------
+    experiment
+        As every verb takes it.
+    recordings
+        One a motion, in their order.
+    done
+        What holds of all: joints without data, where the sensor is, what is missing.
+    """
+
+    experiment: Experiment
+    recordings: tuple[ImportedRecording, ...]
+    done: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        return f"<Imported {self.experiment!r}>"
+
+    def __str__(self) -> str:
+        e = self.experiment
+        lines = [
+            f"{e.name}: {e.robot.n} joints of {e.robot.urdf.name}, {len(e.motions)} recording{'s' * (len(e.motions) != 1)}",
+            "  " + ", ".join(f"q{j + 1} {name}" for j, name in enumerate(e.robot.joint_names)),
+            *(f"  {text}" for text in self.done),
+        ]
+        for recording in self.recordings:
+            lines += self._recording_lines(recording)
+        return "\n".join([*lines, *(f"  warning: {text}" for text in self.experiment.warnings)])
+
+    def _recording_lines(self, recording: ImportedRecording) -> list[str]:
+        motion = self.experiment[recording.name]
+        table = motion.table
+        rate = f" at {number(1.0 / table.step, 4)} Hz" if table.step else ""
+        since = f", from {date(recording.start)}" if recording.start is not None else ""
+        lines = [
+            f"  {motion.role} '{motion.name}' ({', '.join(recording.files)}): {len(table)} rows over "
+            f"{number(table.duration, 4)} s{rate}{since}"
+        ]
+        alike: dict[tuple[str, bytes, float], list[Signal]] = {}
+        for signal in recording.signals:
+            alike.setdefault((signal.topic, signal.times.tobytes(), signal.held), []).append(signal)
+        for signals in alike.values():
+            names = ", ".join(signal.name for signal in signals)
+            lines.append(f"    {names}{f' of {signals[0].topic}' if signals[0].topic else ''}: {_times(signals[0])}")
+            lines += [f"      {_span(signal.ours)} from {_span(signal.columns)}{_units(signal)}" for signal in signals]
+        lines += [f"    {text}" for text in recording.done]
+        lines += [f"    {delay}" for delay in recording.delays]
+        if recording.left_over:
+            lines.append(f"    not used: {listed(recording.left_over, 8)}")
+        return lines
+
+    def _repr_html_(self) -> str:
+        """The text of ``str()`` for notebooks."""
+        from html import escape
+
+        return f"<pre>{escape(str(self))}</pre>"
+
+    def to_dict(self) -> dict[str, Any]:
+        """The document ``import.json``."""
+        experiment = self.experiment
+        return {
+            "schema": SCHEMA, "experiment": experiment.name, "joints": list(experiment.robot.joint_names),
+            "done": list(self.done), "recordings": [_document(r) for r in self.recordings], "warnings": list(experiment.warnings),
+        }  # fmt: skip
+
+    def write(self, folder: str | Path) -> Path:
+        """Write the experiment folder, with ``import.json`` in it, whole or not at all; returns its path.
+
+        Raises
+        ------
+        InputError
+            The folder has something in it, is a file, or cannot be written.
+        """
+        text = json.dumps(strict(self.to_dict()), indent=1, allow_nan=False, ensure_ascii=False)
+        write_experiment(self.experiment, folder, {"import.json": text + "\n"})
+        return Path(folder)
+
+
+def _times(signal: Signal) -> str:
+    """How many samples there are, how fast and how even."""
+    timing, late, gaps = signal.timing, signal.clock.late, signal.gaps()
+    parts = [f"{len(signal.times)} samples" + (f" at {number(1.0 / signal.step, 4)} Hz" if signal.step else "")]
+    if timing is not None:
+        parts.append(f"jitter {number(1e3 * timing.jitter, 2)} ms rms" if timing.jitter > _EVEN else "even")
+        parts += [f"{timing.dropped} missing"] if timing.dropped else []
+    if gaps:
+        where = listed([f"{start:.6g} to {end:.6g} s" for start, end in gaps], 3)
+        parts.append(f"{len(gaps)} gap{'s' * (len(gaps) > 1)} ({where})")
+    text = signal.clock.text
+    if late is not None:
+        text += f"; the log's times are {number(1e3 * late[0], 3)} +- {number(1e3 * late[1], 2)} ms later"
+    return f"{', '.join(parts)}; {text}"
+
+
+def _units(signal: Signal) -> str:
+    """The units of a log that are not ours."""
+    units = list(dict.fromkeys(signal.units))
+    return "" if set(units) <= _OURS else f" [{', '.join(units)}]"
+
+
+def _span(names: Sequence[str]) -> str:
+    return names[0] if len(names) == 1 else f"{names[0]} ... {names[-1]}"
+
+
+def _document(recording: ImportedRecording) -> dict[str, Any]:
+    return {
+        "motion": recording.name, "files": list(recording.files),
+        "start": None if recording.start is None else date(recording.start), "rows_of": NAMES[recording.rows_of.quantity],
+        "signals": [_signal(s) for s in recording.signals], "done": list(recording.done),
+        "delays": [
+            {"late": d.late, "against": d.against, "value_s": d.value, "std_s": d.std, "method": d.method}
+            for d in recording.delays
+        ],
+        "left_over": list(recording.left_over),
+    }  # fmt: skip
+
+
+def _signal(signal: Signal) -> dict[str, Any]:
+    timing, late = signal.timing, signal.clock.late
+    return {
+        "quantity": signal.quantity, "topic": signal.topic or None,
+        "columns": {
+            ours: {"from": theirs, "unit": unit}
+            for ours, theirs, unit in zip(signal.ours, signal.columns, signal.units, strict=True)
+        },
+        "clock": signal.clock.kind, "recorded": signal.recorded, "samples": len(signal.times), "held_rows": signal.held,
+        "rate_hz": 1.0 / signal.step if signal.step else np.nan, "jitter_s": None if timing is None else timing.jitter,
+        "dropped_samples": 0 if timing is None else timing.dropped, "gaps": [list(gap) for gap in signal.gaps()],
+        "log_late_s": None if late is None else late[0], "log_late_spread_s": None if late is None else late[1],
+    }  # fmt: skip

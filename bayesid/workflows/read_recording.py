@@ -1,0 +1,350 @@
+"""The verb ``import``: files of other tools as an experiment, and what was done to them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from bayesid.arguments import argument
+from bayesid.effects.library import EffectLibrary
+from bayesid.errors import InputError
+from bayesid.recordings.complaints import listed, suggest
+from bayesid.recordings.experiment import Experiment, Motion, Sensor, Table
+from bayesid.recordings.importing.clock import Clock, table_clock, topic_clock
+from bayesid.recordings.importing.column_map import ColumnMap, load_column_map
+from bayesid.recordings.importing.found_columns import Layout, find_columns, time_column
+from bayesid.recordings.importing.joining import Joined, join
+from bayesid.recordings.importing.reader import joined, read_source
+from bayesid.recordings.importing.signals import NAMES, Signal, make_signals
+from bayesid.recordings.importing.stream import Source, Stream
+from bayesid.recordings.robot_section import robot_doubts
+from bayesid.recordings.table import WRENCH_COLUMNS
+from bayesid.results.imported import Delay, Imported, ImportedRecording
+from bayesid.robot.robot import load_robot
+from bayesid.robot.urdf_file import UrdfFile, read_urdf
+from bayesid.validation.mistakes.delay import delay_profile
+
+_Paths = str | Path | Sequence[str | Path]
+#: Parts of a complaint of a unit, and what says the unit in an import.
+_UNITS = {
+    "degrees per second": "v=deg/s", "degrees": "q=deg", "millimetres": "q=mm", "milliseconds": "t=ms", "microseconds": "t=us",
+    "nanoseconds": "t=ns",
+}  # fmt: skip
+
+
+def read_recording(
+    source: _Paths,
+    urdf: str | Path,
+    *,
+    validation: _Paths = (),
+    mapping: str | Path | ColumnMap | None = None,
+    columns: Mapping[str, str | Sequence[str]] | None = None,
+    units: Mapping[str, str] | None = None,
+    scale: Mapping[str, float] | None = None,
+    joint_names: Mapping[str, str] | None = None,
+    joints: Sequence[str] | None = None,
+    locked: Mapping[str, float] | None = None,
+    gravity: Sequence[float] = (0.0, 0.0, -9.81),
+    sensor: Sensor | str | None = None,
+    clock: Literal["header", "log"] | None = None,
+    topics: Sequence[str] = (),
+    episodes: Sequence[int] = (),
+    join_files: bool = False,
+    name: str = "imported",
+) -> Imported:
+    """Make an experiment of files of other tools: ROS bags, MCAP, CSV, Parquet, NPZ, MAT, HDF5, LeRobot.
+
+    Columns are found by their names (ours, a joint's name beside ``position``, ``velocity`` or ``effort``, numbers beside such a
+    word) or as stated. Quantities of topics with times of their own are brought to the times of the slowest of positions and
+    readings.
+
+    Parameters
+    ----------
+    source
+        A file or folder, or several: a recording each, of which the last is for validation where ``validation`` names none.
+    urdf
+        Path of the robot's URDF.
+    validation
+        Recordings that are only predicted.
+    mapping
+        A TOML file with ``[columns]``, ``[units]`` and ``[units.scale]``.
+    columns
+        The log's names by ours: ``{"t": "Time", "q": "{joint}/pos", "fx": "Fx"}``; in place of those of ``mapping``, as the
+        next three.
+    units
+        By quantity or column: ``{"t": "ms", "q": "deg", "tau": "A"}``.
+    scale
+        Factors by column, quantity, or joint (of its torque): ``{"elbow_joint": 11.2}`` [N m/A at the joint].
+    joint_names
+        The log's names of joints by the URDF's, where they differ.
+    joints
+        Moving joints in the order of q1 ... qn; default: every moving joint that has positions, in the URDF's order.
+    locked
+        Where other joints stand [rad or m]; default 0.
+    gravity
+        In the base frame (3,) [m/s^2].
+    sensor
+        Where the wrench is measured: ``"base"``, the name of a joint, or a `Sensor`; default: the fixed joint whose child link
+        the messages name as their frame.
+    clock
+        Of topics: stamps of headers, or times of the log; default: stamps, where there are any.
+    topics
+        Of a bag, those to be read; default: joint states and wrenches, and those that ``columns`` names.
+    episodes
+        Of a LeRobot data set, those to be read; default: all.
+    join_files
+        Whether the files of ``source`` are parts of one recording.
+    name
+        The experiment's.
+
+    Returns
+    -------
+    imported
+        The experiment, and what was done; ``imported.write(folder)`` writes an experiment folder.
+
+    Raises
+    ------
+    InputError
+        A file cannot be read, a column is not found or could be several, or what is recorded cannot be right.
+    """
+    stated = _stated(mapping, columns, units, scale, joint_names)
+    mapped = [text for given in stated.columns.values() for text in ([given] if isinstance(given, str) else given)]
+
+    def read(paths: _Paths) -> list[tuple[Source, tuple[str, ...]]]:
+        listed_paths = [Path(paths)] if isinstance(paths, (str, Path)) else [Path(path) for path in paths]
+        sources = [(one, (path.name,)) for path in listed_paths for one in read_source(path, topics, mapped, episodes)]
+        if join_files and len(sources) > 1:
+            return [(joined([one for one, _ in sources]), tuple(path.name for path in listed_paths))]
+        return sources
+
+    given, held_out = read(source), read(validation)
+    if not given:
+        raise InputError(f"no recording is given; name one ({argument('source')})")
+    if len(given) > 1 and not held_out:
+        given, held_out = given[:-1], given[-1:]
+    file = read_urdf(urdf)
+    moving = [joint.name for joint in file.joints.values() if joint.kind not in ("fixed", "floating", "planar")]
+    robot_joints, told = _joint_order(Path(urdf), moving), []
+    stated.check_joints(robot_joints)
+    readings = []
+    for one, files in [*given, *held_out]:
+        reading = _Reading.of(one, files, stated, robot_joints, joints, clock)
+        joints = reading.layout.joints
+        readings.append(reading)
+    assert joints is not None
+    placed, place_told = _sensor(sensor, readings, file)
+    told += place_told
+    stand = {joint: float((locked or {}).get(joint, 0.0)) for joint in robot_joints if joint not in joints}
+    if stand:
+        at = ", ".join(f"{joint} at {position:g}" for joint, position in stand.items())
+        told.append(f"no positions of {at}: locked there ({argument('locked')})")
+    if not held_out:
+        told.append(f"no recording for validation; name one ({argument('validation')}), to test the estimate on it")
+    stand |= locked or {}
+    robot = load_robot(urdf, list(joints), stand, gravity, None if placed is None else placed.joint)
+    doubts = robot_doubts(robot, file, stand, "")
+    names = _names([reading.source.name for reading in readings])
+    motions = [
+        Motion(label, "identification" if k < len(given) else "validation", reading.table(label))
+        for k, (label, reading) in enumerate(zip(names, readings, strict=True))
+    ]
+    _check_readings(motions, placed)
+    library = EffectLibrary().for_robot(robot.n, np.flatnonzero(robot.prismatic).tolist())
+    try:
+        experiment = Experiment(
+            name=name, robot=robot, motions=tuple(motions), sensor=placed, locked=stand, warnings=tuple(doubts),
+            library=library,
+        )  # fmt: skip
+    except InputError as error:
+        raise _with_unit(error) from None
+    recordings = tuple(
+        reading.told(label, _delays(experiment, label, reading)) for label, reading in zip(names, readings, strict=True)
+    )
+    return Imported(experiment, recordings, tuple(told))
+
+
+def _stated(
+    mapping: str | Path | ColumnMap | None, columns: Mapping[str, str | Sequence[str]] | None, units: Mapping[str, str] | None,
+    scale: Mapping[str, float] | None, joint_names: Mapping[str, str] | None,
+) -> ColumnMap:  # fmt: skip
+    """What the user states in a file, with what is stated beside it in its place."""
+    base = mapping if isinstance(mapping, ColumnMap) else ColumnMap() if mapping is None else load_column_map(mapping)
+    given = dict(columns=columns, units=units, scale=scale, joints=joint_names)
+    return replace(base, **{key: {**getattr(base, key), **more} for key, more in given.items() if more})
+
+
+def _joint_order(urdf: Path, moving: list[str]) -> list[str]:
+    """Every moving joint in the order that a robot has them by default."""
+    return [name for name in load_robot(urdf).joint_names if name in moving]
+
+
+class _Reading:
+    """One recording with its columns found, converted and brought to common times."""
+
+    def __init__(
+        self, source: Source, files: tuple[str, ...], layout: Layout, clocks: list[tuple[Stream, Clock]], signals: list[Signal],
+        together: Joined, told: list[str],
+    ) -> None:  # fmt: skip
+        self.source, self.files, self.layout, self.clocks = source, files, layout, clocks
+        self.signals, self.together, self.done = signals, together, told
+
+    @classmethod
+    def of(
+        cls, source: Source, files: tuple[str, ...], stated: ColumnMap, moving: Sequence[str], joints: Sequence[str] | None,
+        clock: str | None,
+    ) -> _Reading:  # fmt: skip
+        """Find, convert and join; InputError as `read_recording`."""
+        if not any(stream.columns for stream in source.streams):
+            topics = f"; its topics are {listed(source.unread, 8)}" if source.unread else ""
+            raise InputError(
+                f"holds no joint states{topics}", file=source.name, remedy=f"name the topics that do ({argument('topics')})"
+            )
+        layout = find_columns(source.streams, stated, moving, joints, source.name)
+        used = {id(found.stream) for found in layout.found}
+        told, clocks = [], []
+        for stream in source.streams:
+            told += stream.told
+            if id(stream) in used:
+                if stream.clocks:
+                    clocks.append((stream, topic_clock(stream, clock, source.name)))
+                else:
+                    column, unit = time_column(stream, stated, source.name)
+                    clocks.append((stream, table_clock(stream, column, unit, source.name)))
+        starts = {one.start is None for _, one in clocks}
+        if len(starts) > 1:
+            kinds = "; ".join(f"{stream.name}: {one.text}" for stream, one in clocks)
+            raise InputError(f"clocks cannot be brought together: {kinds}", file=source.name, remedy="give files with one clock")
+        if starts == {False}:
+            first = min(one.start + int(np.nanmin(one.times) * 1e9) for _, one in clocks if one.start is not None)
+            clocks = [(stream, one.since(first)) for stream, one in clocks]
+        told += [text for _, one in clocks for text in one.told]
+        signals, more = make_signals(layout, clocks, stated, source.name)
+        together = join(signals, source.name)
+        return cls(source, files, layout, clocks, signals, together, [*told, *more])
+
+    @property
+    def start(self) -> int | None:
+        """When its times are zero [ns since 1970]."""
+        return self.clocks[0][1].start
+
+    def table(self, name: str) -> Table:
+        """The recording as a table that is named as its file will be."""
+        n, values = len(self.layout.joints), self.together.values
+        torques = None
+        if "tau" in values:
+            torques = np.full((len(self.together.times), n), np.nan)
+            torques[:, [int(ours[3:]) - 1 for ours in self.together.ours["tau"]]] = values["tau"]
+        order = [int(ours[1:]) - 1 for ours in self.together.ours["q"]]
+        arrays = {"positions": values["q"][:, np.argsort(order)], "torques": torques}
+        for quantity, field in (("v", "velocities"), ("qr", "commanded")):
+            if len(self.together.ours.get(quantity, ())) == n:
+                order = [int(ours.removeprefix(quantity)) - 1 for ours in self.together.ours[quantity]]
+                arrays[field] = values[quantity][:, np.argsort(order)]
+        if set(self.together.ours.get("wrench", ())) == set(WRENCH_COLUMNS):
+            arrays["wrench"] = values["wrench"][:, [self.together.ours["wrench"].index(axis) for axis in WRENCH_COLUMNS]]
+        return Table(times=self.together.times, source=name, **arrays)
+
+    def told(self, name: str, delays: tuple[Delay, ...]) -> ImportedRecording:
+        """What was read and done."""
+        done = list(self.done)
+        for signal in self.signals:
+            if signal.held > 1.0:
+                rate = 1.0 / signal.step if signal.step else 0.0
+                done.append(
+                    f"{_called(signal)}: each sample is repeated for {signal.held:.3g} rows; the true rate is {rate:.4g} Hz, and "
+                    "only the rows in which it changes are used"
+                )
+        done += [f"rows are at the times of {_called(self.together.base)}"] if self.together.how else []
+        done += self.together.how
+        columns = [(stream, one.column) for stream, one in self.clocks]
+        left = [*self.layout.left_over(self.source.streams, columns), *self.source.unread]
+        return ImportedRecording(
+            name, self.files, tuple(self.signals), self.together.base, self.start, tuple(left), tuple(done), delays
+        )
+
+
+def _called(signal: Signal) -> str:
+    return f"{NAMES[signal.quantity]} of {signal.topic}" if signal.topic else NAMES[signal.quantity]
+
+
+def _names(given: Sequence[str]) -> list[str]:
+    """Names of motions: of the files, apart and as experiment.toml takes them."""
+    names: list[str] = []
+    for text in given:
+        plain = re.sub(r'[/\\,"\s]+', "_", text).lstrip(".")[:90] or "recording"
+        name, k = plain, 2
+        while name in names:
+            name, k = f"{plain}-{k}", k + 1
+        names.append(name)
+    return names
+
+
+def _sensor(given: Sensor | str | None, readings: Sequence[_Reading], file: UrdfFile) -> tuple[Sensor | None, list[str]]:
+    """Where the wrench is measured, as stated or as the messages' frame says."""
+    frames = {f.stream.frame for reading in readings for f in reading.layout.found if f.ours == "fx"}
+    if isinstance(given, Sensor):
+        return given, []
+    if given == "base":
+        return Sensor(), []
+    if given is not None:
+        if given not in file.joints:
+            raise InputError(
+                f"{argument('sensor', given)}: no joint of that name", value=given,
+                remedy=f'write "base", or {suggest(given, file.joints, "one of")}',
+            )  # fmt: skip
+        return Sensor(joint=given), []
+    if not frames:
+        return None, []
+    (frame, *others) = frames
+    children = {joint.child: joint for joint in file.joints.values()}
+    if not others and frame in children and children[frame].kind == "fixed":
+        joint = children[frame].name
+        return Sensor(joint=joint), [
+            f"the wrench is in frame {frame}: the sensor sits in joint {joint}, and measures what is beyond"
+        ]
+    what = f'its frame "{frame}" is no child link of a fixed joint of the URDF' if not others and frame else "no frame says where"
+    return None, [
+        f"the wrench is kept but not used, for it is not known where the sensor sits ({what}): say it "
+        f"({argument('sensor', 'base')} or the name of a joint)"
+    ]
+
+
+def _check_readings(motions: Sequence[Motion], sensor: Sensor | None) -> None:
+    for motion in motions:
+        if motion.table.torques is None and (motion.table.wrench is None or sensor is None):
+            if motion.table.wrench is not None:
+                raise InputError(
+                    "there is a wrench, and no torques, but it is not known where the sensor sits", file=motion.name,
+                    remedy=f"say it: {argument('sensor', 'base')}, or the name of the joint that it sits in",
+                )  # fmt: skip
+            raise InputError(
+                "no torques and no wrench are found", file=motion.name,
+                remedy=f"name their columns ({argument('columns')}), or record them",
+            )  # fmt: skip
+
+
+def _with_unit(error: InputError) -> InputError:
+    """A complaint of a unit, with what says the unit in an import."""
+    said = next((option for words, option in _UNITS.items() if words in str(error)), None)
+    return InputError(f"{error} (or say so: {argument('units')} {said})" if said else str(error))
+
+
+def _delays(experiment: Experiment, name: str, reading: _Reading) -> tuple[Delay, ...]:
+    """By how much readings are later than the positions, where they come from other topics."""
+    positions = next(s for s in reading.signals if s.quantity == "q")
+    out = []
+    for quantity, channel in (("wrench", "wrench"), ("tau", "torque")):
+        signal = next((s for s in reading.signals if s.quantity == quantity), None)
+        if signal is None or signal.topic == positions.topic or (quantity == "wrench" and experiment.sensor is None):
+            continue
+        alone = replace(experiment, motions=(experiment[name],))
+        profile = delay_profile(alone, channel)
+        found = None if profile is None else profile.best()
+        if found is not None:
+            out.append(Delay(_called(signal), _called(positions), *found, "by what the motion explains of it"))
+    return tuple(out)

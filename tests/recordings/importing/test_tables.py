@@ -1,0 +1,308 @@
+"""CSV and Parquet tables of other tools: other names, units, clocks and separators; written by pandas, pyarrow and by hand."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import bayesid
+from bayesid.cli import main
+from bayesid.errors import InputError
+from bayesid.recordings.table import WRENCH_COLUMNS, Table
+from tests.recordings.importing.logs import JOINTS, START, Known, make_known
+
+DEGREE = 180.0 / np.pi
+
+
+@pytest.fixture(scope="module")
+def known(tmp_path_factory: pytest.TempPathFactory) -> Known:
+    return make_known(tmp_path_factory.mktemp("known"))
+
+
+def by_joint(known: Known, **more: np.ndarray) -> pd.DataFrame:
+    """Columns as PlotJuggler names them, in radians."""
+    columns: dict[str, np.ndarray] = dict(more)
+    for word, values in (("position", known.q), ("velocity", known.v), ("effort", known.tau)):
+        columns |= {f"/joint_states/{joint}/{word}": values[:, k] for k, joint in enumerate(JOINTS)}
+    return pd.DataFrame(columns)
+
+
+def only(source: Path, known: Known, **options) -> Table:
+    """The table of the only recording."""
+    return bayesid.read_recording(source, known.urdf, **options).experiment.motions[0].table
+
+
+def test_our_own_names_need_no_mapping(known, tmp_path):
+    frame = pd.DataFrame(
+        {"t": known.t, "q1": known.q[:, 0], "q2": known.q[:, 1], "tau1": known.tau[:, 0], "tau2": known.tau[:, 1]}
+    )
+    frame[list(WRENCH_COLUMNS)] = known.wrench
+    frame["mode"] = "run"
+    frame.to_csv(tmp_path / "log.csv", index=False)
+    imported = bayesid.read_recording(tmp_path / "log.csv", known.urdf, joints=JOINTS, sensor="wrist_ft")
+    table = imported.experiment.motions[0].table
+    for name, values in (("times", known.t), ("positions", known.q), ("torques", known.tau), ("wrench", known.wrench)):
+        np.testing.assert_array_equal(getattr(table, name), values)
+    assert imported.recordings[0].left_over == ("mode",) and imported.recordings[0].start is None
+    with pytest.raises(InputError, match=r"2 positions \(q1 ... q2\) but the URDF has 3 moving joints .* name those .*joints"):
+        bayesid.read_recording(tmp_path / "log.csv", known.urdf)
+
+
+MAPPING = """
+[columns]
+t = "Zeit"
+q = "{joint} ist"
+tau = ["Strom A", "Strom B"]
+wrench = "kms"
+
+[units]
+t = "ms"
+q = "deg"
+tau = "A"
+m = "N mm"
+
+[units.scale]
+shoulder = 11.5
+tau2 = -9.25
+"""
+
+
+def test_a_mapping_names_columns_units_and_a_constant_a_joint(known, tmp_path):
+    """Degrees, milliseconds, N mm and ampere, in a Parquet file with one array; read to rounding."""
+    wrench = known.wrench * np.repeat([1.0, 1e3], 3)
+    frame = pd.DataFrame({"Zeit": known.t * 1e3, "kms": list(wrench)})
+    for k, joint in enumerate(JOINTS):
+        frame[f"{joint} ist"] = known.q[:, k] * DEGREE
+    frame["Strom A"], frame["Strom B"] = known.tau[:, 0] / 11.5, known.tau[:, 1] / -9.25
+    frame.to_parquet(tmp_path / "log.parquet")
+    (tmp_path / "mapping.toml").write_text(MAPPING, encoding="utf-8")
+    table = only(tmp_path / "log.parquet", known, mapping=tmp_path / "mapping.toml", sensor="wrist_ft", joints=JOINTS)
+    for name, values in (("times", known.t), ("positions", known.q), ("torques", known.tau), ("wrench", known.wrench)):
+        np.testing.assert_allclose(getattr(table, name), values, rtol=1e-13, atol=1e-13)
+    frame.drop(columns="kms").to_csv(tmp_path / "log.csv", index=False)
+    stated = tomllib.loads(MAPPING)
+    columns = {key: value for key, value in stated["columns"].items() if key != "wrench"}
+    scale = stated["units"].pop("scale")
+    options = dict(columns=columns, units=stated["units"], scale=scale, joints=JOINTS)
+    np.testing.assert_allclose(only(tmp_path / "log.csv", known, **options).torques, known.tau, rtol=1e-13)
+    with pytest.raises(InputError, match=r"units tau1: torques in A say nothing without a constant; .* shoulder=11.2"):
+        only(tmp_path / "log.csv", known, **options | {"scale": {}})
+
+
+CLOCKS = {
+    "seconds": lambda known: known.t + 12.5,
+    "milliseconds": lambda known: known.ns // 10**6,
+    "seconds since 1970": lambda known: START / 1e9 + known.t,
+    "milliseconds since 1970": lambda known: (START + known.ns) // 10**6,
+    "nanoseconds since 1970": lambda known: START + known.ns,
+    "dates": lambda known: pd.to_datetime(START + known.ns, utc=True).strftime("%Y-%m-%dT%H:%M:%S.%fZ"),
+}
+
+
+@pytest.mark.parametrize("clock", CLOCKS)
+def test_times_of_any_kind(clock, known, tmp_path):
+    """What can only be a date of a computer is recognised; other milliseconds are stated, by the name or by the user."""
+    by_joint(known, timestamp=CLOCKS[clock](known)).to_csv(tmp_path / "log.csv", index=False)
+    units = {"t": "ms"} if clock == "milliseconds" else None
+    imported = bayesid.read_recording(tmp_path / "log.csv", known.urdf, units=units)
+    (told,), (motion,) = imported.recordings, imported.experiment.motions
+    dated = clock not in ("seconds", "milliseconds")
+    assert told.start == (START if dated else None)
+    exact = known.t + (12.5 if clock == "seconds" else 0.0)
+    np.testing.assert_allclose(motion.table.times, exact, rtol=0.0, atol=3e-7 if clock == "seconds since 1970" else 1e-12)
+    assert clock in told.signals[0].clock.text
+
+
+def test_units_in_brackets_after_a_name_are_taken(known, tmp_path):
+    frame = pd.DataFrame({"Time (ms)": known.t * 1e3})
+    for k in range(2):
+        frame[f"q{k + 1} [deg]"], frame[f"torque_{k + 1} [Nm]"] = known.q[:, k] * DEGREE, known.tau[:, k]
+    frame.to_csv(tmp_path / "log.csv", index=False)
+    table = only(tmp_path / "log.csv", known, joints=JOINTS)
+    np.testing.assert_allclose(table.positions, known.q, rtol=1e-13, atol=1e-13)
+    np.testing.assert_allclose(table.times, known.t, rtol=1e-13)
+    np.testing.assert_array_equal(table.torques, known.tau)
+
+
+def test_a_unit_that_is_not_stated_is_asked_for(known, tmp_path):
+    frame = by_joint(known, time=known.t)
+    positions = [column for column in frame if column.endswith("position")]
+    frame[positions] *= DEGREE
+    frame.drop(columns=[c for c in frame if c.endswith("velocity")]).to_csv(tmp_path / "log.csv", index=False)
+    with pytest.raises(InputError, match=r"degrees\? write radians.* \(or say so: units q=deg\)"):
+        only(tmp_path / "log.csv", known)
+    np.testing.assert_allclose(only(tmp_path / "log.csv", known, units={"q": "deg"}).positions, known.q, rtol=1e-13, atol=1e-13)
+
+
+def test_separators_and_decimals_of_other_countries(known, tmp_path):
+    frame = by_joint(known, time=known.t)
+    for name, options in (("semicolon.csv", dict(sep=";", decimal=",")), ("tab.txt", dict(sep="\t")), ("bar.csv", dict(sep="|"))):
+        frame.to_csv(tmp_path / name, index=False, **options)
+        np.testing.assert_array_equal(only(tmp_path / name, known).positions, known.q)
+    text = (tmp_path / "tab.txt").read_text(encoding="utf-8").replace("\t", ",")
+    (tmp_path / "remarks.csv").write_text("# made by a logger\n# rate 125\n# " + text, encoding="utf-8-sig")
+    np.testing.assert_array_equal(only(tmp_path / "remarks.csv", known).positions, known.q)
+
+
+def test_a_table_of_merged_topics_has_the_times_of_the_slower(known, tmp_path):
+    """PlotJuggler writes a row at every message: cells of the other topic are empty."""
+    joints = by_joint(known, __time=known.t)
+    slow = slice(2, None, 4)
+    wrench = pd.DataFrame(
+        known.wrench[slow], columns=[f"/ft/wrench/{part}/{axis}" for part in ("force", "torque") for axis in "xyz"]
+    )
+    wrench["__time"] = known.t[slow] + 0.001
+    pd.concat([joints, wrench]).sort_values("__time").to_csv(tmp_path / "log.csv", index=False)
+    imported = bayesid.read_recording(tmp_path / "log.csv", known.urdf, sensor="wrist_ft")
+    table = imported.experiment.motions[0].table
+    np.testing.assert_array_equal(table.wrench, known.wrench[slow][: len(table)])
+    np.testing.assert_array_equal(table.times, (known.t[slow] + 0.001)[: len(table)])
+    at = np.interp(table.times, known.t, known.q[:, 1])
+    assert np.abs(table.positions[:, 1] - at).max() < 1e-4  # straight lines lack a tenth of a milliradian here
+    assert any("rows are at the times of wrench" in text for text in imported.recordings[0].done)
+
+
+def test_files_of_topics_are_joined(known, tmp_path):
+    by_joint(known, time=START / 1e9 + known.t).to_csv(tmp_path / "joints.csv", index=False)
+    wrench = pd.DataFrame(known.wrench, columns=list(WRENCH_COLUMNS))
+    wrench["stamp"] = START + known.ns
+    wrench.to_csv(tmp_path / "sensor.csv", index=False)
+    files = [tmp_path / "joints.csv", tmp_path / "sensor.csv"]
+    imported = bayesid.read_recording(files, known.urdf, join_files=True, sensor="wrist_ft")
+    (motion,) = imported.experiment.motions
+    assert motion.table.wrench is not None and imported.recordings[0].files == ("joints.csv", "sensor.csv")
+    (delay,) = imported.recordings[0].delays
+    assert abs(delay.value) < max(4.0 * delay.std, 1e-4)
+    wrench["stamp"] = known.t
+    wrench.to_csv(tmp_path / "sensor.csv", index=False)
+    with pytest.raises(InputError, match="clocks cannot be brought together"):
+        bayesid.read_recording(files, known.urdf, join_files=True, sensor="wrist_ft")
+
+
+def test_a_joint_state_of_rostopic_is_read_by_its_names(known, tmp_path):
+    """``rostopic echo -p`` writes names in columns of their own, and positions by number in the message's order."""
+    frame = pd.DataFrame({"%time": START + known.ns})
+    for k, j in enumerate((1, 0)):
+        frame[f"field.name{k}"] = JOINTS[j]
+        frame[f"field.position{k}"], frame[f"field.effort{k}"] = known.q[:, j], known.tau[:, j]
+    frame.to_csv(tmp_path / "log.csv", index=False)
+    np.testing.assert_array_equal(only(tmp_path / "log.csv", known).positions, known.q)
+
+
+def frame_with(known: Known, change) -> str:
+    frame = by_joint(known, time=known.t).astype(object)
+    change(frame)
+    return frame.to_csv(index=False)
+
+
+#: What is wrong with a file, and what the line must hold.
+BROKEN = {
+    "empty": (lambda known: "", "is empty"),
+    "a header alone": (lambda known: "time,q1\n", "no rows"),
+    "numbers alone": (lambda known: "0,1,2\n1,2,3\n", "holds numbers"),
+    "zero bytes": (lambda known: "t,q1\0", "zero bytes"),
+    "cut off in a row": (
+        lambda known: by_joint(known, time=known.t).to_csv(index=False)[:-40], "line 1001: 5 cells where the header has 7",
+    ),
+    "a text in a column": (
+        lambda known: frame_with(known, lambda f: f.__setitem__("/joint_states/elbow/position", ["x", *known.q[1:, 1]])),
+        'column "/joint_states/elbow/position", row 0: "x" is no number',
+    ),
+    "a number that overflows": (
+        lambda known: frame_with(known, lambda f: f.__setitem__("/joint_states/elbow/position", [1e300, *known.q[1:, 1]])),
+        "1e+300 is no reading",
+    ),
+    "a column twice": (lambda known: "time,q1,q1\n0,1,2\n", "column q1: there are 2 of it"),
+    "no times": (lambda known: by_joint(known).to_csv(index=False), "no column of times is found"),
+    "two columns of times": (
+        lambda known: by_joint(known, time=known.t, stamp=known.t).to_csv(index=False), "times could be time, stamp",
+    ),
+    "a date that is none": (lambda known: by_joint(known, time=["noon", *known.t[1:]]).to_csv(index=False), '"noon" is neither'),
+    "no positions": (lambda known: "time,speed\n0,1\n1,2\n", "no positions of shoulder, elbow, gripper are found"),
+    "time that goes back": (lambda known: by_joint(known, time=known.t[::-1]).to_csv(index=False), "time goes back"),
+    "no readings": (
+        lambda known: pd.DataFrame({"t": known.t, "shoulder/pos": known.q[:, 0]}).to_csv(index=False), "no torques and no",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", BROKEN)
+def test_what_is_wrong_with_a_table_is_said_in_one_line(case, known, tmp_path):
+    make, said = BROKEN[case]
+    (tmp_path / "log.csv").write_text(make(known), encoding="utf-8")
+    with pytest.raises(InputError) as error:
+        only(tmp_path / "log.csv", known)
+    assert said in str(error.value) and "\n" not in str(error.value) and "log" in str(error.value)
+
+
+#: What is wrong with what a user states, and what the line must hold.
+STATED = {
+    "a column that is not there": (dict(columns={"q": "{joint}/positon"}), 'no column "shoulder/positon"; did you mean'),
+    "a key that is none": (dict(columns={"p1": "time"}), '"p1" is no column of ours'),
+    "a unit that is none": (dict(units={"q": "grad"}), '"grad" is no unit here'),
+    "a unit of nothing": (dict(units={"angle": "deg"}), '"angle" is no quantity'),
+    "a factor of nothing": (dict(scale={"elbw": 2.0}), '"elbw" is neither a column nor a joint; did you mean "elbow"'),
+    "too few columns": (dict(columns={"tau": ["a"]}), "1 columns for 2 joints"),
+    "a part of the wrench": (dict(columns={"fx": "time"}), "fy, fz, mx, my, mz are missing although fx"),
+    "an array that is none": (dict(columns={"wrench": "kms"}), 'no column "kms"'),
+    "several columns for one": (dict(columns={"t": ["time", "time"]}), "times are one column"),
+    "a joint that is none": (dict(joints=["shoulder", "wrist"]), "no positions of wrist are found"),
+}
+
+
+@pytest.mark.parametrize("case", STATED)
+def test_what_is_wrong_with_what_is_stated_is_said_in_one_line(case, known, tmp_path):
+    options, said = STATED[case]
+    by_joint(known, time=known.t).to_csv(tmp_path / "log.csv", index=False)
+    with pytest.raises(InputError) as error:
+        only(tmp_path / "log.csv", known, **options)
+    assert said in str(error.value) and "\n" not in str(error.value)
+
+
+def test_a_file_that_is_no_parquet_or_a_pickle_is_refused(known, tmp_path):
+    for name, said in (
+        ("log.parquet", "cannot be read as Parquet"),
+        ("log.pkl", "pickle"),
+        ("log.xlsx", '".xlsx" are not known'),
+    ):
+        (tmp_path / name).write_bytes(b"PAR1 but not really PAR1")
+        with pytest.raises(InputError, match=said):
+            only(tmp_path / name, known)
+    with pytest.raises(InputError, match="no such file or folder"):
+        only(tmp_path / "absent.csv", known)
+    with pytest.raises(InputError, match="folder holds no metadata.yaml"):
+        only(tmp_path, known)
+
+
+def test_the_command_line_does_the_same(known, tmp_path, capsys):
+    """Options as on the page; the folder passes ``check``, and nothing is left where something is wrong."""
+    frame = pd.DataFrame({"Zeit": known.t * 1e3})
+    for k, joint in enumerate(JOINTS):
+        frame[f"pos_{joint}"], frame[f"current_{k}"] = known.q[:, k] * DEGREE, known.tau[:, k] / 11.5
+    frame.to_csv(tmp_path / "log.csv", index=False)
+    command = [
+        "import",
+        str(tmp_path / "log.csv"),
+        "--urdf",
+        str(known.urdf),
+        "--out",
+        str(tmp_path / "arm"),
+        "--joints",
+        "shoulder,elbow",
+    ]
+    stated = ["--columns", "t=Zeit,q=pos_{joint},tau=current_{0}", "--units", "t=ms,q=deg,tau=A"]
+    assert main([*command, *stated]) == 2
+    assert "--scale shoulder=11.2" in capsys.readouterr().err and not (tmp_path / "arm").exists()
+    assert main([*command, *stated, "--scale", "tau=11.5"]) == 0
+    printed = capsys.readouterr().out
+    assert "q1 shoulder, q2 elbow" in printed and "torques" in printed and "current_0 ... current_1 [A]" in printed
+    document = json.loads((tmp_path / "arm" / "import.json").read_text(encoding="utf-8"))
+    assert document["recordings"][0]["signals"][0]["columns"]["q1"] == {"from": "pos_shoulder", "unit": "deg"}
+    np.testing.assert_allclose(bayesid.load_experiment(tmp_path / "arm")["log"].table.torques, known.tau, rtol=1e-12)
+    assert main(["check", str(tmp_path / "arm"), "--out", str(tmp_path / "checked")]) == 0
+    assert main([*command, *stated, "--scale", "tau=11.5"]) == 2 and "is there already" in capsys.readouterr().err
