@@ -17,7 +17,7 @@ from bayesid.recordings.importing.signals import NAMES, Signal
 from bayesid.recordings.importing.units import UNITS
 from bayesid.recordings.writer import write_experiment
 from bayesid.results.files import strict
-from bayesid.results.text import number
+from bayesid.results.text import number, with_half
 
 SCHEMA = 1
 _EVEN = 1e-6  # jitter that no log of a robot is without [s]
@@ -46,8 +46,8 @@ class Delay:
 
     def __str__(self) -> str:
         side = "later" if self.value >= 0.0 else "earlier"
-        size = f"{1e3 * abs(self.value):.3g} +- {1e3 * max(self.std, 1e-5):.2g} ms {side}"
-        return f"{self.late} {size} than {self.against} ({self.method})"
+        value, std = with_half(1e3 * abs(self.value), 1e3 * max(self.std, 1e-5))
+        return f"{self.late} {value} +- {std} ms {side} than {self.against} ({self.method})"
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import matplotlib
 import numpy as np
+import pandas as pd
 import pytest
 
 from bayesid import fourier_trajectory, load_bounds, write_experiment, write_trajectory
@@ -19,6 +20,7 @@ from bayesid.effects import EffectLibrary
 from bayesid.recordings import schema
 from bayesid.validation.prediction import TOLERATED
 from tests.docs.notebook import Notebook
+from tests.recordings.importing.logs import START, Bag
 from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
 
 ROOT = Path(__file__).parents[2]
@@ -60,7 +62,24 @@ def my_arm(tmp_path_factory) -> Path:
     motions = [motion("identification", "identification", 1), motion("validation", "validation", 2)]
     write_experiment(experiment(robot, motions, sensor, position_resolution=1e-4), folder / "my-arm")
     write_trajectory(fourier_trajectory(robot, duration=4.0, fundamental=0.25), folder / "move.csv")
+    _write_logs(folder, motions)
     return folder
+
+
+def _write_logs(folder: Path, motions: list[Motion]) -> None:
+    """The recordings as other tools would have written them: two bags, and a table with other names and units."""
+    names = ["joint1", "joint2"]
+    for k, motion in enumerate(motions):
+        table = motion.table
+        assert table.wrench is not None and table.torques is not None
+        with Bag(folder / f"run{k + 1}", "mcap") as bag:
+            for row, ns in enumerate(START + np.round(table.times * 1e9).astype(int)):
+                bag.joints(ns, names, table.positions[row], tau=table.torques[row], log=ns + 1_500_000)
+                bag.wrench(ns, table.wrench[row], log=ns + 1_500_000)
+    frame = motions[0].table.to_dataframe()
+    columns = {"Zeit": 1e3 * frame["t"]} | {f"joint{k} ist": np.rad2deg(frame[f"q{k}"]) for k in (1, 2)}
+    columns |= {"Strom 1": frame["tau1"] / 11.5, "Strom 2": frame["tau2"] / 9.25}
+    pd.DataFrame(columns).to_csv(folder / "log.csv", index=False)
 
 
 @pytest.mark.parametrize("name", pages_with("python"))
