@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import zipfile
+import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from bayesid.recordings.complaints import cut, listed, one_line
 from bayesid.recordings.importing.stream import Stream, array_columns
 
 _DEEPEST = 8  # structures within structures
-_LARGEST = 1 << 33  # of what a file says it holds [bytes]
+_LARGEST = 1 << 32  # of what a file says it holds [bytes]
 _KINDS = "fiubUSM"
 
 
@@ -26,21 +26,40 @@ def read_npz(path: Path) -> tuple[Stream, ...]:
     InputError
         It is no archive of arrays.
     """
-    found: dict[str, np.ndarray] = {}
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            if isinstance(archive, np.ndarray):
-                found = {"array": archive}
-            else:
-                _check_size(path, archive.zip.infolist())
-                for name in archive.files:
-                    try:
-                        found[name] = archive[name]
-                    except ValueError:  # an array of objects
-                        continue
-    except (ValueError, OSError, EOFError, KeyError, MemoryError, zipfile.BadZipFile, NotImplementedError, SyntaxError) as error:
+        with path.open("rb") as handle:  # numpy leaves a file that it cannot read open
+            content = np.load(handle, allow_pickle=False)
+            found = {"array": content} if isinstance(content, np.ndarray) else _of_archive(content)
+    except Exception as error:  # numpy and zipfile raise whatever a damaged file leads to
         raise _unreadable(path, "a NumPy archive", error) from None
+    if "signal_mapping" in found:
+        found = _time_series(path, found)
     return _streams(path, _named_fields(found))
+
+
+def _of_archive(archive: Any) -> dict[str, np.ndarray]:
+    """Arrays of an archive; those of objects, which are pickled, are left out."""
+    found: dict[str, np.ndarray] = {}
+    size = sum(part.file_size for part in archive.zip.infolist())
+    if size > _LARGEST:
+        raise ValueError(f"it would take {size / 1e9:.0f} GB")
+    for name in archive.files:
+        try:
+            found[name] = archive[name]
+        except ValueError as error:
+            if "allow_pickle" not in str(error):
+                raise
+    return found
+
+
+def _time_series(path: Path, found: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Columns of MuJoCo's ``TimeSeries`` by the names that its mapping, ``{name: [kind, indices]}`` as JSON, gives them."""
+    try:
+        times, data = found["times"], found["data"]
+        mapping = json.loads(str(found["signal_mapping"]))
+        return {"times": times} | {str(name): data[:, np.array(indices, int)] for name, (_, indices) in mapping.items()}
+    except (ValueError, KeyError, TypeError, IndexError, AttributeError, RecursionError) as error:
+        raise _unreadable(path, "a TimeSeries of MuJoCo", error) from None
 
 
 def read_mat(path: Path) -> tuple[Stream, ...]:
@@ -74,11 +93,14 @@ def read_hdf5(path: Path) -> tuple[Stream, ...]:
     import h5py
 
     found: dict[str, np.ndarray] = {}
+    size = 0
 
     def visit(name: str, item: Any) -> None:
+        nonlocal size
         if isinstance(item, h5py.Dataset) and item.dtype.kind in _KINDS and not name.startswith("#"):
-            if item.nbytes > _LARGEST:
-                raise ValueError(f"{name} would take {item.nbytes / 1e9:.0f} GB")
+            size += item.nbytes
+            if size > _LARGEST:
+                raise ValueError(f"it would take more than {size / 1e9:.0f} GB")
             if not item.attrs.get("MATLAB_empty", 0) and item.ndim:
                 values = np.asarray(item[()])
                 # MATLAB writes columns one after the other: what it calls (N, n) is stored as (n, N).
@@ -90,12 +112,6 @@ def read_hdf5(path: Path) -> tuple[Stream, ...]:
     except Exception as error:  # h5py raises whatever a damaged file leads to
         raise _unreadable(path, "an HDF5 file", error) from None
     return _streams(path, found)
-
-
-def _check_size(path: Path, parts: list[zipfile.ZipInfo]) -> None:
-    size = sum(part.file_size for part in parts)
-    if size > _LARGEST:
-        raise InputError(f"would take {size / 1e9:.0f} GB", file=path.name, remedy="give a recording, or a part of it")
 
 
 def _unreadable(path: Path, what: str, error: BaseException) -> InputError:

@@ -43,9 +43,10 @@ class ColumnMap:
     Attributes
     ----------
     columns
-        The log's names by ours: of ``t``, of one column (``q1``, ``tau3``, ``fx``), or of a quantity (``q``, ``v``, ``qr``,
-        ``tau``, ``wrench``, ``f``, ``m``): a list, an array (``"state[0:6]"``) or a pattern with ``{joint}``, ``{1}`` or
-        ``{0}``, which stand for the joint's name and for its number counted from one or from zero.
+        The log's names by ours: of ``t`` (a list: one for each of several files), of one column (``q1``, ``tau3``, ``fx``), or
+        of a quantity (``q``, ``v``, ``qr``, ``tau``, ``wrench``, ``f``, ``m``): a list, an array (``"state[0:6]"``) or a
+        pattern with ``{joint}``, ``{1}`` or ``{0}``, which stand for the joint's name and for its number counted from one or
+        from zero.
     units
         By quantity (``t``, ``q``, ``v``, ``qr``, ``tau``, ``f``, ``m``) or column.
     scale

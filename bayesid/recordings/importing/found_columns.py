@@ -30,7 +30,7 @@ _WORDS = {
 }  # fmt: skip
 _QUANTITY = {word: quantity for quantity, words in _WORDS.items() for word in words}
 #: Parts of a name that say that a position is a command.
-_COMMAND = {"desired", "reference", "command", "commanded", "target", "setpoint"}
+_COMMAND = {"desired", "reference", "command", "commanded", "target", "setpoint", "action"}
 _TIME = re.compile(r"[%_\s]*(?:t|times?|time_?stamps?|stamps?)(?:[\s_]*(s|ms|us|ns|sec|seconds))?", re.IGNORECASE)
 _UNIT = re.compile(r"\s*[\[(]\s*([^\[\]()]+?)\s*[\])]$")
 _AXIS = re.compile(r"(?:(?P<force>f|force)|(?P<moment>m|t|moment|torque))[\s/._]?(?P<axis>[xyz])", re.IGNORECASE)
@@ -134,17 +134,15 @@ def time_column(stream: Stream, stated: ColumnMap, source: str) -> tuple[str, st
     """
     given = stated.columns.get("t")
     if given is not None:
-        if not isinstance(given, str):
-            raise InputError("times are one column", file=stated.file, key="columns t", value=given, remedy="name one")
-        names = [column for column in stream.columns if given in (column, stream.full_name(column))]
+        wanted = [given] if isinstance(given, str) else list(given)
+        names = [column for column in stream.columns if column in wanted or stream.full_name(column) in wanted]
         if not names:
-            raise InputError(
-                f'no column "{cut(given)}"', file=source, key="columns t", value=given, remedy=_near(given, [stream])
-            )
+            what = listed([f'"{cut(name)}"' for name in wanted])
+            raise InputError(f"no column {what}", file=source, key="columns t", value=given, remedy=_near(wanted[0], [stream]))
     else:
         names = [column for column in stream.columns if _TIME.fullmatch(_bare(column))]
-        exact = [column for column in names if column == "t"]
-        names = exact or names
+        names = names or [column for column in stream.columns if _TIME.fullmatch(_bare(column).rpartition("/")[2])]
+        names = [column for column in names if column == "t"] or names
     if len(names) != 1:
         what = f"times could be {listed(names)}" if names else "no column of times is found"
         raise InputError(what, file=source, remedy=f"name it ({argument('columns')} t=NAME); {_shown([stream])}")
@@ -291,6 +289,7 @@ class _Finder:
         ]
         entries = [s.full_name(c) for s, c, array in arrays if s.full_name(array) == name]
         entries = entries or [c for _, c, array in arrays if array == name]
+        entries = entries or [c for stream in self.streams for c in stream.columns if c.startswith(f"{name}/")]
         if not entries and self._lookup(name) is None:
             raise self._absent(name, key)
         return entries or [name]

@@ -250,7 +250,8 @@ STATED = {
     "too few columns": (dict(columns={"tau": ["a"]}), "1 columns for 2 joints"),
     "a part of the wrench": (dict(columns={"fx": "time"}), "fy, fz, mx, my, mz are missing although fx"),
     "an array that is none": (dict(columns={"wrench": "kms"}), 'no column "kms"'),
-    "several columns for one": (dict(columns={"t": ["time", "time"]}), "times are one column"),
+    "several columns for one": (dict(columns={"q1": ["time", "time"]}), "several columns for one"),
+    "times that are not there": (dict(columns={"t": ["zeit", "stunde"]}), 'no column "zeit", "stunde"'),
     "a joint that is none": (dict(joints=["shoulder", "wrist"]), "no positions of wrist are found"),
 }
 
