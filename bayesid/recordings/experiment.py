@@ -18,7 +18,9 @@ from bayesid.errors import InputError
 from bayesid.recordings.complaints import listed, suggest
 from bayesid.recordings.examination import examine
 from bayesid.recordings.finding import Finding
+from bayesid.recordings.importing.column_map import ColumnMap, column_map
 from bayesid.recordings.importing.kinds import kind_of
+from bayesid.recordings.importing.recording import read_stated
 from bayesid.recordings.motion import Motion
 from bayesid.recordings.robot_section import read_robot, robot_doubts
 from bayesid.recordings.schema import (
@@ -372,8 +374,10 @@ def load_experiment(folder: str | Path, library: EffectLibrary | None = None, *,
     """
     setup, file = _read_setup(Path(folder), library)
     motions, warnings = [], list(setup.warnings)
+    stated = column_map(file.columns, file.units, {}, "experiment.toml")
+    stated.check_joints(setup.robot.joint_names)
     for section in file.motion:
-        motion, doubts = _read_motion(Path(folder), section, setup, planned)
+        motion, doubts = _read_motion(Path(folder), section, setup, planned, stated)
         motions.append(motion)
         warnings += doubts
     experiment = replace(setup, motions=tuple(motions), warnings=tuple(warnings))
@@ -459,14 +463,24 @@ def _read_setup(folder: Path, library: EffectLibrary | None) -> tuple[Experiment
     return experiment, file
 
 
-def _read_motion(folder: Path, section: MotionSection, setup: Experiment, planned: bool) -> tuple[Motion, list[str]]:
-    joints, has_sensor = setup.robot.n, setup.sensor is not None
-    table, warnings = read_table(folder / section.table, section.table, joints, has_sensor)
+def _read_table(folder: Path, name: str, kind: str, setup: Experiment, stated: ColumnMap) -> tuple[Table, list[str]]:
+    """A table of the folder: in bayesid's own columns, or in those that experiment.toml states."""
+    has_sensor = setup.sensor is not None
+    if not (stated.columns or stated.units or stated.scale):
+        return read_table(folder / name, name, setup.robot.n, has_sensor)
+    return read_stated(folder / name, name, stated, setup.robot.joint_names, has_sensor, kind == "poses"), []
+
+
+def _read_motion(
+    folder: Path, section: MotionSection, setup: Experiment, planned: bool, stated: ColumnMap
+) -> tuple[Motion, list[str]]:
+    has_sensor = setup.sensor is not None
+    table, warnings = _read_table(folder, section.table, section.kind, setup, stated)
     if not (planned and table.wrench is None and table.torques is None):
         warnings += _check_present(table, has_sensor, arrays=False)
     static = None
     if section.static is not None:
-        static, doubts = read_table(folder / section.static, section.static, joints, has_sensor)
+        static, doubts = _read_table(folder, section.static, "poses", setup, stated)
         warnings += doubts
     parked = tuple((float(start), float(end)) for start, end in section.parked)
     return Motion(section.name, section.role, table, section.kind, static, section.period, parked), warnings

@@ -15,6 +15,8 @@ from pydantic import AfterValidator, ConfigDict, Field
 
 from bayesid.arguments import argument
 from bayesid.errors import InputError
+from bayesid.recordings.importing.column_map import Columns, UnitSection
+from bayesid.recordings.importing.units import UNITS
 from bayesid.recordings.toml_file import File, Keys, Name, NonNegative, Number, Positive, Section, Vector3, read_toml
 
 Expressions = dict[str, dict[str, Any]]  # "cogging" -> {"tau2": "c * sin(3 * q2)", "parameters": {"c": {"unit": "N m"}}}
@@ -130,6 +132,8 @@ class ExperimentFile(Section):
     name: Name
     robot: RobotSection
     sensor: SensorSection | None = None
+    columns: Columns = {}
+    units: UnitSection = UnitSection()
     model: ModelSection = ModelSection()
     motion: Annotated[list[MotionSection], Field(min_length=1)]
 
@@ -145,6 +149,7 @@ class ModelFile(Section):
 _KEYS: Keys = {
     ("robot",): RobotSection.model_fields,
     ("sensor",): SensorSection.model_fields,
+    ("units",): ("scale", *UNITS),
     ("model",): ModelSection.model_fields,
     ("motion",): MotionSection.model_fields,
 }

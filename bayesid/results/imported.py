@@ -13,7 +13,8 @@ import numpy as np
 from bayesid.recordings.complaints import listed
 from bayesid.recordings.experiment import Experiment
 from bayesid.recordings.importing.clock import date
-from bayesid.recordings.importing.signals import NAMES, Signal
+from bayesid.recordings.importing.recording import Recording
+from bayesid.recordings.importing.signals import Signal
 from bayesid.recordings.importing.units import UNITS
 from bayesid.recordings.writer import write_experiment
 from bayesid.results.files import strict
@@ -60,28 +61,36 @@ class ImportedRecording:
         Of its motion in the experiment.
     files
         Names of the files or folders that it was read from.
-    signals
-        Every quantity that is used, as it was recorded.
-    rows_of
-        The signal at whose times the rows are.
-    start
-        When time is zero [ns since 1970]; None where the log does not say.
-    left_over
-        Columns, by their full names, and topics with their types, that are not used.
-    done
-        What was done and noticed, one line each.
+    recording
+        Every quantity as it was recorded, and what was done.
     delays
         Between topics.
     """
 
     name: str
     files: tuple[str, ...]
-    signals: tuple[Signal, ...]
-    rows_of: Signal
-    start: int | None
-    left_over: tuple[str, ...]
-    done: tuple[str, ...]
+    recording: Recording
     delays: tuple[Delay, ...] = ()
+
+    @property
+    def signals(self) -> tuple[Signal, ...]:
+        """Every quantity that is used, as it was recorded."""
+        return self.recording.signals
+
+    @property
+    def start(self) -> int | None:
+        """When time is zero [ns since 1970]; None where the log does not say."""
+        return self.recording.start
+
+    @property
+    def done(self) -> tuple[str, ...]:
+        """What was done and noticed, one line each."""
+        return self.recording.done
+
+    @property
+    def left_over(self) -> tuple[str, ...]:
+        """Columns, by their full names, and topics with their types, that are not used."""
+        return self.recording.left_over
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,7 +203,7 @@ def _span(names: Sequence[str]) -> str:
 def _document(recording: ImportedRecording) -> dict[str, Any]:
     return {
         "motion": recording.name, "files": list(recording.files),
-        "start": None if recording.start is None else date(recording.start), "rows_of": NAMES[recording.rows_of.quantity],
+        "start": None if recording.start is None else date(recording.start), "rows_of": recording.recording.joined.base.name,
         "signals": [_signal(s) for s in recording.signals], "done": list(recording.done),
         "delays": [
             {"late": d.late, "against": d.against, "value_s": d.value, "std_s": d.std, "method": d.method}

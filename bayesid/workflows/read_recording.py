@@ -13,17 +13,13 @@ import numpy as np
 from bayesid.arguments import argument
 from bayesid.effects.library import EffectLibrary
 from bayesid.errors import InputError
-from bayesid.recordings.complaints import listed, suggest
-from bayesid.recordings.experiment import Experiment, Motion, Sensor, Table
-from bayesid.recordings.importing.clock import Clock, table_clock, topic_clock
+from bayesid.recordings.complaints import suggest
+from bayesid.recordings.experiment import Experiment, Motion, Sensor
 from bayesid.recordings.importing.column_map import ColumnMap, load_column_map
-from bayesid.recordings.importing.found_columns import Layout, find_columns, time_column
-from bayesid.recordings.importing.joining import Joined, join
 from bayesid.recordings.importing.reader import joined, read_source
-from bayesid.recordings.importing.signals import NAMES, Signal, make_signals
-from bayesid.recordings.importing.stream import Source, Stream
+from bayesid.recordings.importing.recording import Recording, make_recording
+from bayesid.recordings.importing.stream import Source
 from bayesid.recordings.robot_section import robot_doubts
-from bayesid.recordings.table import WRENCH_COLUMNS
 from bayesid.results.imported import Delay, Imported, ImportedRecording
 from bayesid.robot.robot import load_robot
 from bayesid.robot.urdf_file import UrdfFile, read_urdf
@@ -113,11 +109,10 @@ def read_recording(
         A file cannot be read, a column is not found or could be several, or what is recorded cannot be right.
     """
     stated = _stated(mapping, columns, units, scale, joint_names)
-    mapped = [text for given in stated.columns.values() for text in ([given] if isinstance(given, str) else given)]
 
     def read(paths: _Paths) -> list[tuple[Source, tuple[str, ...]]]:
         listed_paths = [Path(paths)] if isinstance(paths, (str, Path)) else [Path(path) for path in paths]
-        sources = [(one, (path.name,)) for path in listed_paths for one in read_source(path, topics, mapped, episodes)]
+        sources = [(one, (path.name,)) for path in listed_paths for one in read_source(path, topics, stated.names(), episodes)]
         if join_files and len(sources) > 1:
             return [(joined([one for one, _ in sources]), tuple(path.name for path in listed_paths))]
         return sources
@@ -131,13 +126,13 @@ def read_recording(
     moving = [joint.name for joint in file.joints.values() if joint.kind not in ("fixed", "floating", "planar")]
     robot_joints, told = _joint_order(Path(urdf), moving), []
     stated.check_joints(robot_joints)
-    readings = []
+    made: list[tuple[Recording, tuple[str, ...]]] = []
     for one, files in [*given, *held_out]:
-        reading = _Reading.of(one, files, stated, robot_joints, joints, clock)
-        joints = reading.layout.joints
-        readings.append(reading)
+        recording = make_recording(one, stated, robot_joints, joints, clock)
+        joints = recording.layout.joints
+        made.append((recording, files))
     assert joints is not None
-    placed, place_told = _sensor(sensor, readings, file)
+    placed, place_told = _sensor(sensor, [recording for recording, _ in made], file)
     told += place_told
     stand = {joint: float((locked or {}).get(joint, 0.0)) for joint in robot_joints if joint not in joints}
     if stand:
@@ -148,10 +143,10 @@ def read_recording(
     stand |= locked or {}
     robot = load_robot(urdf, list(joints), stand, gravity, None if placed is None else placed.joint)
     doubts = robot_doubts(robot, file, stand, "")
-    names = _names([reading.source.name for reading in readings])
+    names = _names([recording.source.name for recording, _ in made])
     motions = [
-        Motion(label, "identification" if k < len(given) else "validation", reading.table(label))
-        for k, (label, reading) in enumerate(zip(names, readings, strict=True))
+        Motion(label, "identification" if k < len(given) else "validation", recording.table(label))
+        for k, (label, (recording, _)) in enumerate(zip(names, made, strict=True))
     ]
     _check_readings(motions, placed)
     library = EffectLibrary().for_robot(robot.n, np.flatnonzero(robot.prismatic).tolist())
@@ -163,7 +158,8 @@ def read_recording(
     except InputError as error:
         raise _with_unit(error) from None
     recordings = tuple(
-        reading.told(label, _delays(experiment, label, reading)) for label, reading in zip(names, readings, strict=True)
+        ImportedRecording(label, files, recording, _delays(experiment, label, recording))
+        for label, (recording, files) in zip(names, made, strict=True)
     )
     return Imported(experiment, recordings, tuple(told))
 
@@ -183,95 +179,6 @@ def _joint_order(urdf: Path, moving: list[str]) -> list[str]:
     return [name for name in load_robot(urdf).joint_names if name in moving]
 
 
-class _Reading:
-    """One recording with its columns found, converted and brought to common times."""
-
-    def __init__(
-        self, source: Source, files: tuple[str, ...], layout: Layout, clocks: list[tuple[Stream, Clock]], signals: list[Signal],
-        together: Joined, told: list[str],
-    ) -> None:  # fmt: skip
-        self.source, self.files, self.layout, self.clocks = source, files, layout, clocks
-        self.signals, self.together, self.done = signals, together, told
-
-    @classmethod
-    def of(
-        cls, source: Source, files: tuple[str, ...], stated: ColumnMap, moving: Sequence[str], joints: Sequence[str] | None,
-        clock: str | None,
-    ) -> _Reading:  # fmt: skip
-        """Find, convert and join; InputError as `read_recording`."""
-        if not any(stream.columns for stream in source.streams):
-            topics = f"; its topics are {listed(source.unread, 8)}" if source.unread else ""
-            raise InputError(
-                f"holds no joint states{topics}", file=source.name, remedy=f"name the topics that do ({argument('topics')})"
-            )
-        layout = find_columns(source.streams, stated, moving, joints, source.name)
-        used = {id(found.stream) for found in layout.found}
-        told, clocks = [], []
-        for stream in source.streams:
-            told += stream.told
-            if id(stream) in used:
-                if stream.clocks:
-                    clocks.append((stream, topic_clock(stream, clock, source.name)))
-                else:
-                    column, unit = time_column(stream, stated, source.name)
-                    clocks.append((stream, table_clock(stream, column, unit, source.name)))
-        starts = {one.start is None for _, one in clocks}
-        if len(starts) > 1:
-            kinds = "; ".join(f"{stream.name}: {one.text}" for stream, one in clocks)
-            raise InputError(f"clocks cannot be brought together: {kinds}", file=source.name, remedy="give files with one clock")
-        if starts == {False}:
-            first = min(one.start + int(np.nanmin(one.times) * 1e9) for _, one in clocks if one.start is not None)
-            clocks = [(stream, one.since(first)) for stream, one in clocks]
-        told += [text for _, one in clocks for text in one.told]
-        signals, more = make_signals(layout, clocks, stated, source.name)
-        together = join(signals, source.name)
-        return cls(source, files, layout, clocks, signals, together, [*told, *more])
-
-    @property
-    def start(self) -> int | None:
-        """When its times are zero [ns since 1970]."""
-        return self.clocks[0][1].start
-
-    def table(self, name: str) -> Table:
-        """The recording as a table that is named as its file will be."""
-        n, values = len(self.layout.joints), self.together.values
-        torques = None
-        if "tau" in values:
-            torques = np.full((len(self.together.times), n), np.nan)
-            torques[:, [int(ours[3:]) - 1 for ours in self.together.ours["tau"]]] = values["tau"]
-        order = [int(ours[1:]) - 1 for ours in self.together.ours["q"]]
-        arrays = {"positions": values["q"][:, np.argsort(order)], "torques": torques}
-        for quantity, field in (("v", "velocities"), ("qr", "commanded")):
-            if len(self.together.ours.get(quantity, ())) == n:
-                order = [int(ours.removeprefix(quantity)) - 1 for ours in self.together.ours[quantity]]
-                arrays[field] = values[quantity][:, np.argsort(order)]
-        if set(self.together.ours.get("wrench", ())) == set(WRENCH_COLUMNS):
-            arrays["wrench"] = values["wrench"][:, [self.together.ours["wrench"].index(axis) for axis in WRENCH_COLUMNS]]
-        return Table(times=self.together.times, source=name, **arrays)
-
-    def told(self, name: str, delays: tuple[Delay, ...]) -> ImportedRecording:
-        """What was read and done."""
-        done = list(self.done)
-        for signal in self.signals:
-            if signal.held > 1.0:
-                rate = 1.0 / signal.step if signal.step else 0.0
-                done.append(
-                    f"{_called(signal)}: each sample is repeated for {signal.held:.3g} rows; the true rate is {rate:.4g} Hz, and "
-                    "only the rows in which it changes are used"
-                )
-        done += [f"rows are at the times of {_called(self.together.base)}"] if self.together.how else []
-        done += self.together.how
-        columns = [(stream, one.column) for stream, one in self.clocks]
-        left = [*self.layout.left_over(self.source.streams, columns), *self.source.unread]
-        return ImportedRecording(
-            name, self.files, tuple(self.signals), self.together.base, self.start, tuple(left), tuple(done), delays
-        )
-
-
-def _called(signal: Signal) -> str:
-    return f"{NAMES[signal.quantity]} of {signal.topic}" if signal.topic else NAMES[signal.quantity]
-
-
 def _names(given: Sequence[str]) -> list[str]:
     """Names of motions: of the files, apart and as experiment.toml takes them."""
     names: list[str] = []
@@ -284,9 +191,9 @@ def _names(given: Sequence[str]) -> list[str]:
     return names
 
 
-def _sensor(given: Sensor | str | None, readings: Sequence[_Reading], file: UrdfFile) -> tuple[Sensor | None, list[str]]:
+def _sensor(given: Sensor | str | None, recordings: Sequence[Recording], file: UrdfFile) -> tuple[Sensor | None, list[str]]:
     """Where the wrench is measured, as stated or as the messages' frame says."""
-    frames = {f.stream.frame for reading in readings for f in reading.layout.found if f.ours == "fx"}
+    frames = {f.stream.frame for recording in recordings for f in recording.layout.found if f.ours == "fx"}
     if isinstance(given, Sensor):
         return given, []
     if given == "base":
@@ -334,17 +241,17 @@ def _with_unit(error: InputError) -> InputError:
     return InputError(f"{error} (or say so: {argument('units')} {said})" if said else str(error))
 
 
-def _delays(experiment: Experiment, name: str, reading: _Reading) -> tuple[Delay, ...]:
+def _delays(experiment: Experiment, name: str, recording: Recording) -> tuple[Delay, ...]:
     """By how much readings are later than the positions, where they come from other topics."""
-    positions = next(s for s in reading.signals if s.quantity == "q")
+    positions = next(s for s in recording.signals if s.quantity == "q")
     out = []
     for quantity, channel in (("wrench", "wrench"), ("tau", "torque")):
-        signal = next((s for s in reading.signals if s.quantity == quantity), None)
+        signal = next((s for s in recording.signals if s.quantity == quantity), None)
         if signal is None or signal.topic == positions.topic or (quantity == "wrench" and experiment.sensor is None):
             continue
         alone = replace(experiment, motions=(experiment[name],))
         profile = delay_profile(alone, channel)
         found = None if profile is None else profile.best()
         if found is not None:
-            out.append(Delay(_called(signal), _called(positions), *found, "by what the motion explains of it"))
+            out.append(Delay(signal.called, positions.called, *found, "by what the motion explains of it"))
     return tuple(out)

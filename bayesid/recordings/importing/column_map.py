@@ -21,15 +21,20 @@ _AXES = {"wrench": WRENCH_COLUMNS, "f": WRENCH_COLUMNS[:3], "m": WRENCH_COLUMNS[
 _ONE = re.compile(r"(qr|q|v|tau)([1-9]\d*)")
 
 
-class _UnitSection(Section):
+class UnitSection(Section):
+    """``[units]``: a unit by quantity or column, and factors in ``[units.scale]``."""
+
     model_config = ConfigDict(extra="allow", strict=True, frozen=True)
 
     scale: dict[str, Number] = {}
 
 
+Columns = dict[str, str | list[str]]
+
+
 class _MapFile(Section):
-    columns: dict[str, str | list[str]] = {}
-    units: _UnitSection = _UnitSection()
+    columns: Columns = {}
+    units: UnitSection = UnitSection()
     joints: dict[str, str] = {}
 
 
@@ -105,6 +110,10 @@ class ColumnMap:
             found.insert(0, self.scale[joint])
         return found[0] if found else None
 
+    def names(self) -> list[str]:
+        """Every name of a column of the log, or of an array or pattern of them."""
+        return [text for given in self.columns.values() for text in ([given] if isinstance(given, str) else given)]
+
     def names_of(self, joints: Sequence[str]) -> list[str]:
         """The log's names of joints."""
         return [self.joints.get(joint, joint) for joint in joints]
@@ -151,10 +160,19 @@ def load_column_map(path: str | Path) -> ColumnMap:
     """
     path = Path(path)
     given = read_toml(path, _MapFile, _KEYS, "a TOML file with [columns] and [units]")
-    units = dict(given.units.__pydantic_extra__ or {})
-    for key, unit in units.items():
+    return column_map(given.columns, given.units, given.joints, path.name)
+
+
+def column_map(columns: Columns, units: UnitSection, joints: Mapping[str, str], file: str) -> ColumnMap:
+    """What sections of a TOML file state.
+
+    Raises
+    ------
+    InputError
+        A key is none of ours, or a unit is unknown.
+    """
+    given = dict(units.__pydantic_extra__ or {})
+    for key, unit in given.items():
         if not isinstance(unit, str):
-            raise InputError(
-                f"{cut(str(unit))} is not a text", file=path.name, key=f"[units] {key}", value=unit, remedy='write "deg"'
-            )
-    return ColumnMap(given.columns, units, given.units.scale, given.joints, path.name)
+            raise InputError(f"{cut(str(unit))} is not a text", file=file, key=f"[units] {key}", value=unit, remedy='write "deg"')
+    return ColumnMap(columns, given, units.scale, joints, file)

@@ -6,11 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from bayesid.arguments import argument
 from bayesid.errors import InputError
-from bayesid.recordings.importing.signals import NAMES, Signal
+from bayesid.recordings.importing.signals import Signal
 from bayesid.recordings.table import GAP
 
 #: A topic that is this many times as fast as the rows is averaged over a row's step, so that no noise is folded down.
@@ -75,7 +74,7 @@ def join(signals: Sequence[Signal], source: str) -> Joined:
         columns.setdefault(signal.quantity, []).append(values)
         ours[signal.quantity] = (*ours.get(signal.quantity, ()), *signal.ours)
     if not inside.any():
-        spans = "; ".join(f"{_called(s)} from {s.times[0]:.6g} to {s.times[-1]:.6g} s" for s in signals)
+        spans = "; ".join(f"{s.called} from {s.times[0]:.6g} to {s.times[-1]:.6g} s" for s in signals)
         raise InputError(
             f"topics do not overlap in time: {spans}",
             file=source,
@@ -92,16 +91,12 @@ def _same_times(one: Signal, other: Signal) -> bool:
     return len(one.times) == len(other.times) and np.array_equal(one.times, other.times, equal_nan=True)
 
 
-def _called(signal: Signal) -> str:
-    return f"{NAMES[signal.quantity]} of {signal.topic}" if signal.topic else NAMES[signal.quantity]
-
-
 def _brought(signal: Signal, base: Signal) -> tuple[np.ndarray, np.ndarray, str]:
     """A signal at the times of another: values (N, k), which rows it has them for (N,), and what was done."""
     rows = ~np.isnan(signal.values).any(axis=1)
     times, values, at = signal.times[rows], signal.values[rows], base.times
     if len(times) < 2:
-        return np.full((len(at), values.shape[1]), np.nan), np.zeros(len(at), bool), f"{_called(signal)}: a single sample"
+        return np.full((len(at), values.shape[1]), np.nan), np.zeros(len(at), bool), f"{signal.called}: a single sample"
     right = np.clip(np.searchsorted(times, at), 1, len(times) - 1)
     there = (at >= times[0]) & (at <= times[-1]) & (times[right] - times[right - 1] <= GAP * signal.step)
     ratio = base.step / signal.step
@@ -110,12 +105,14 @@ def _brought(signal: Signal, base: Signal) -> tuple[np.ndarray, np.ndarray, str]
         low, high = np.maximum(at - half, times[0]), np.minimum(at + half, times[-1])
         width = np.where(there, high - low, 1.0)[:, None]
         mean = (_integral(times, values, high) - _integral(times, values, low)) / width
-        return mean, there, f"{_called(signal)}: mean over {1e3 * base.step:.3g} ms about each row ({ratio:.3g} samples)"
-    return _interpolated(times, values, at, signal.step), there, f"{_called(signal)}: interpolated (cubic splines)"
+        return mean, there, f"{signal.called}: mean over {1e3 * base.step:.3g} ms about each row ({ratio:.3g} samples)"
+    return _interpolated(times, values, at, signal.step), there, f"{signal.called}: interpolated (cubic splines)"
 
 
 def _interpolated(times: np.ndarray, values: np.ndarray, at: np.ndarray, step: float) -> np.ndarray:
     """Values (N, k) at other times, each piece between gaps by its own spline."""
+    from scipy.interpolate import CubicSpline  # takes longer to import than most logs take to read
+
     edges = np.concatenate([[0], np.flatnonzero(np.diff(times) > GAP * step) + 1, [len(times)]])
     out = np.full((len(at), values.shape[1]), np.nan)
     for first, last in zip(edges[:-1], edges[1:], strict=True):

@@ -68,8 +68,13 @@ class Signal:
 
     @property
     def name(self) -> str:
-        """In words: ``positions`` or, of some joints, ``positions q1, q2``."""
+        """In words."""
         return NAMES[self.quantity]
+
+    @property
+    def called(self) -> str:
+        """In words, with its topic."""
+        return f"{self.name} of {self.topic}" if self.topic else self.name
 
     @property
     def step(self) -> float:
@@ -90,7 +95,7 @@ class Signal:
 
 
 def make_signals(
-    layout: Layout, clocks: Sequence[tuple[Stream, Clock]], stated: ColumnMap, source: str
+    layout: Layout, clocks: Sequence[tuple[Stream, Clock]], stated: ColumnMap, source: str, held: bool = True
 ) -> tuple[list[Signal], list[str]]:
     """Convert what was found, a signal for the columns of a quantity in each stream.
 
@@ -104,6 +109,8 @@ def make_signals(
         Units and factors that the user states.
     source
         The recording's name, for messages.
+    held
+        Whether rows that only repeat a sample are looked for, and left out.
 
     Returns
     -------
@@ -138,14 +145,14 @@ def make_signals(
                 continue
             told.append(f"torques: no reading in any row of {without}")
             found, units, values = [found[k] for k in there], tuple(units[k] for k in there), values[:, there]
-        rows, more = _usable(clock, values, NAMES[quantity] + (f" of {stream.name}" if stream.name else ""), source)
+        rows, more = _usable(clock, values, stream.name or "table", source)
         told += more
         signal = Signal(
             quantity, tuple(f.ours for f in found), clock.times[rows], values[rows],
             tuple(stream.full_name(f.column) for f in found), units, stream.name, clock, rows,
             int(np.count_nonzero(~np.isnan(values).any(axis=1))),
         )  # fmt: skip
-        signals.append(_without_held(signal))
+        signals.append(_without_held(signal) if held else signal)
     return signals, list(dict.fromkeys(told))
 
 

@@ -307,3 +307,61 @@ def test_the_command_line_does_the_same(known, tmp_path, capsys):
     np.testing.assert_allclose(bayesid.load_experiment(tmp_path / "arm")["log"].table.torques, known.tau, rtol=1e-12)
     assert main(["check", str(tmp_path / "arm"), "--out", str(tmp_path / "checked")]) == 0
     assert main([*command, *stated, "--scale", "tau=11.5"]) == 2 and "is there already" in capsys.readouterr().err
+
+
+STATED_IN_THE_FOLDER = """
+[columns]
+t = "Zeit"
+q = "pos_{joint}"
+tau = "current_{0}"
+
+[units]
+t = "ms"
+q = "deg"
+tau = "A"
+
+[units.scale]
+shoulder = 11.5
+elbow = 9.25
+"""
+
+
+@pytest.fixture
+def folder(known, tmp_path) -> Path:
+    """An experiment folder whose table is another tool's."""
+    frame = pd.DataFrame({"Zeit": known.t * 1e3})
+    for k, (joint, constant) in enumerate(zip(JOINTS, (11.5, 9.25), strict=True)):
+        frame[f"pos_{joint}"], frame[f"current_{k}"] = known.q[:, k] * DEGREE, known.tau[:, k] / constant
+    frame.to_csv(tmp_path / "log.csv", sep=";", decimal=",", index=False)
+    (tmp_path / "robot.urdf").write_text(known.urdf.read_text(encoding="utf-8"), encoding="utf-8")
+    head = 'format = 1\nname = "arm"\n[robot]\nurdf = "robot.urdf"\njoints = ["shoulder", "elbow"]\n'
+    motion = '[[motion]]\nname = "id"\nrole = "identification"\ntable = "log.csv"\n'
+    (tmp_path / "experiment.toml").write_text(head + STATED_IN_THE_FOLDER + motion, encoding="utf-8")
+    return tmp_path
+
+
+def test_a_mapping_may_stand_in_experiment_toml(folder, known):
+    table = bayesid.load_experiment(folder)["id"].table
+    for name, values in (("times", known.t), ("positions", known.q), ("torques", known.tau)):
+        np.testing.assert_allclose(getattr(table, name), values, rtol=1e-12, atol=1e-13)
+    assert table.source == "log.csv"
+
+
+def test_what_is_wrong_with_a_mapping_in_experiment_toml_is_said_in_one_line(folder):
+    toml = (folder / "experiment.toml").read_text(encoding="utf-8")
+    for old, new, said in (
+        ("pos_{joint}", "ps_{joint}", 'log.csv: columns q: no column "ps_shoulder"; did you mean "pos_shoulder"'),
+        ('"deg"', '"dgr"', 'experiment.toml: units q: "dgr" is no unit here; did you mean "deg"'),
+        ('q = "deg"', "q = 3", "experiment.toml: [units] q: 3 is not a text"),
+        ("shoulder = 11.5", "shouldr = 11.5", 'experiment.toml: units.scale: "shouldr" is neither a column nor a joint'),
+        ("[columns]", "[colums]", "experiment.toml: colums: unknown key"),
+        ("tau = \"A\"", "tau = \"N m\"", ""),
+        ("log.csv", "lag.csv", "lag.csv: no such file"),
+    ):
+        (folder / "experiment.toml").write_text(toml.replace(old, new), encoding="utf-8")
+        if said:
+            with pytest.raises(InputError) as error:
+                bayesid.load_experiment(folder)
+            assert said in str(error.value)
+        else:
+            assert bayesid.load_experiment(folder)["id"].table.torques is not None

@@ -1,0 +1,178 @@
+"""One recording of another tool: its columns found, converted, and brought to common times."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bayesid.arguments import argument, call
+from bayesid.errors import InputError
+from bayesid.recordings.complaints import listed
+from bayesid.recordings.importing.clock import Clock, table_clock, topic_clock
+from bayesid.recordings.importing.column_map import ColumnMap
+from bayesid.recordings.importing.found_columns import Layout, find_columns, time_column
+from bayesid.recordings.importing.joining import Joined, join
+from bayesid.recordings.importing.reader import read_source
+from bayesid.recordings.importing.signals import Signal, make_signals
+from bayesid.recordings.importing.stream import Source, Stream
+from bayesid.recordings.table import WRENCH_COLUMNS, Table
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """A recording as it is used.
+
+    Attributes
+    ----------
+    source
+        What was read.
+    layout
+        Which columns are used.
+    clocks
+        Of the streams that are used.
+    signals
+        Each quantity in SI units, at its own times.
+    joined
+        All of them at common times.
+    done
+        What was done and noticed, one line each.
+    """
+
+    source: Source
+    layout: Layout
+    clocks: tuple[tuple[Stream, Clock], ...]
+    signals: tuple[Signal, ...]
+    joined: Joined
+    done: tuple[str, ...]
+
+    @property
+    def start(self) -> int | None:
+        """When time is zero [ns since 1970]; None where the log does not say."""
+        return self.clocks[0][1].start
+
+    @property
+    def left_over(self) -> tuple[str, ...]:
+        """Full names of columns, and topics, that are not used."""
+        times = [(stream, clock.column) for stream, clock in self.clocks]
+        return (*self.layout.left_over(self.source.streams, times), *self.source.unread)
+
+    def table(self, name: str, wrench: bool = True) -> Table:
+        """The recording as a table.
+
+        Parameters
+        ----------
+        name
+            What it is called in messages.
+        wrench
+            Whether the wrench is used.
+        """
+        n, values, ours = len(self.layout.joints), self.joined.values, self.joined.ours
+        arrays: dict[str, Any] = {}
+        for quantity, field in (("q", "positions"), ("v", "velocities"), ("qr", "commanded"), ("tau", "torques")):
+            if quantity in values:
+                every = np.full((len(self.joined.times), n), np.nan)
+                every[:, [int(column.removeprefix(quantity)) - 1 for column in ours[quantity]]] = values[quantity]
+                if quantity in ("q", "tau") or len(ours[quantity]) == n:
+                    arrays[field] = every
+        if wrench and set(ours.get("wrench", ())) == set(WRENCH_COLUMNS):
+            arrays["wrench"] = values["wrench"][:, [ours["wrench"].index(axis) for axis in WRENCH_COLUMNS]]
+        return Table(times=self.joined.times, **arrays, source=name)
+
+
+def make_recording(
+    source: Source,
+    stated: ColumnMap,
+    moving: Sequence[str],
+    joints: Sequence[str] | None = None,
+    clock: str | None = None,
+    poses: bool = False,
+) -> Recording:
+    """Find the columns of what was read, convert them, and bring them together.
+
+    Parameters
+    ----------
+    source
+        What was read.
+    stated
+        What the user states of its columns.
+    moving
+        Every moving joint of the robot.
+    joints
+        Those that are wanted, in the order of q1 ... qn; None: all that have positions.
+    clock
+        Of topics: ``header`` or ``log``; None: headers, where they have stamps that count.
+    poses
+        Whether rows are separate poses at rest: no sample is held then.
+
+    Raises
+    ------
+    InputError
+        A column is not found or could be several, a cell is no number, or clocks do not meet.
+    """
+    if not any(stream.columns for stream in source.streams):
+        topics = f"; its topics are {listed(source.unread, 8)}" if source.unread else ""
+        raise InputError(
+            f"holds no joint states{topics}", file=source.name, remedy=f"name the topics that do ({argument('topics')})"
+        )
+    layout = find_columns(source.streams, stated, moving, joints, source.name)
+    used = {id(found.stream) for found in layout.found}
+    clocks: list[tuple[Stream, Clock]] = []
+    for stream in source.streams:
+        if id(stream) in used and stream.clocks:
+            clocks.append((stream, topic_clock(stream, clock, source.name)))
+        elif id(stream) in used:
+            clocks.append((stream, table_clock(stream, *time_column(stream, stated, source.name), source.name)))
+    starts = [one.start for _, one in clocks if one.start is not None]
+    if starts and len(starts) < len(clocks):
+        kinds = "; ".join(f"{stream.name}: {one.text}" for stream, one in clocks)
+        raise InputError(f"clocks cannot be brought together: {kinds}", file=source.name, remedy="give files with one clock")
+    if starts:
+        first = min(one.start + int(np.nanmin(one.times) * 1e9) for _, one in clocks if one.start is not None)
+        clocks = [(stream, one.since(first)) for stream, one in clocks]
+    signals, told = make_signals(layout, clocks, stated, source.name, held=not poses)
+    joined = join(signals, source.name)
+    done = [text for _, one in clocks for text in one.told] + told
+    for signal in signals:
+        if signal.held > 1.0:
+            rate = 1.0 / signal.step if signal.step else 0.0
+            done.append(
+                f"{signal.called}: each sample is repeated for {signal.held:.3g} rows; the true rate is {rate:.4g} Hz, and only "
+                "the rows in which it changes are used"
+            )
+    done += [f"rows are at the times of {joined.base.called}"] if joined.how else []
+    return Recording(source, layout, tuple(clocks), tuple(signals), joined, (*done, *joined.how))
+
+
+def read_stated(path: Path, name: str, stated: ColumnMap, joints: Sequence[str], wrench: bool, poses: bool) -> Table:
+    """Read a file of an experiment folder whose columns experiment.toml names.
+
+    Parameters
+    ----------
+    path, name
+        The file, and its path within the folder for messages.
+    stated
+        What experiment.toml says of its columns.
+    joints
+        The robot's, in the order of q1 ... qn.
+    wrench
+        Whether the wrench is used.
+    poses
+        Whether rows are separate poses at rest.
+
+    Raises
+    ------
+    InputError
+        As `read_source` and `make_recording`, or the file holds several recordings.
+    """
+    if not path.exists():
+        raise InputError(f"{name}: no such file; write it or correct the name in experiment.toml")
+    sources = read_source(path, mapped=stated.names())
+    if len(sources) != 1:
+        raise InputError(f"{name}: holds {len(sources)} recordings; make an experiment of them with {call('import')}")
+    recording = make_recording(Source(name, sources[0].streams, sources[0].unread), stated, joints, joints, poses=poses)
+    table = recording.table(name, wrench)
+    return replace(table, told=(*(f"{name}: {text}" for text in recording.done), *table.told))
