@@ -9,9 +9,10 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet
 READY := $(VENV)/ready
 FIGAROH := .venv-figaroh
 NUMPYRO := .venv-numpyro
+RELEASE := .venv-release
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-slow bench lint clean
+.PHONY: help demo test test-slow bench lint release-check clean
 
 help:
 	@echo "make demo       identify an embedded example robot and write a report"
@@ -20,6 +21,7 @@ help:
 	@echo "make bench      speed and memory, also against FIGAROH (its own environment, $(FIGAROH))"
 	@echo "                and the samplers, also against numpyro's NUTS ($(NUMPYRO))"
 	@echo "make lint       ruff, pyright and the layers of imports"
+	@echo "make release-check  wheel and sdist, each installed into an empty environment that runs the demonstration"
 	@echo "make clean      remove all environments and everything built"
 
 demo: $(READY)
@@ -47,8 +49,19 @@ lint: $(READY)
 	$(BIN)/pyright
 	$(BIN)/lint-imports
 
+# Newest versions of everything, as `pip install bayesid` takes them: constraints.txt is for the tests.
+release-check:
+	rm -rf $(RELEASE) dist && $(PYTHON) -m venv $(RELEASE)
+	$(RELEASE)/bin/python -m pip --disable-pip-version-check install --quiet build
+	$(RELEASE)/bin/python -m build --outdir dist
+	for package in dist/*.whl dist/*.tar.gz; do \
+	  $(PYTHON) -m venv --clear $(RELEASE) && \
+	  $(RELEASE)/bin/python -m pip --disable-pip-version-check install --quiet $$package && \
+	  (cd $(RELEASE) && bin/bayesid --version && bin/bayesid demo --out demo) || exit 1; \
+	done
+
 clean:
-	rm -rf $(VENV) $(FIGAROH) $(NUMPYRO) build dist bayesid.egg-info
+	rm -rf $(VENV) $(FIGAROH) $(NUMPYRO) $(RELEASE) build dist bayesid.egg-info
 
 # An environment that was left half made, or whose Python is gone, is made anew.
 $(READY): pyproject.toml constraints.txt

@@ -10,6 +10,13 @@ from bayesid.signals.numba_cache import find_place
 find_place()  # before anything imports numba
 del find_place
 
-__version__ = "0.1.0"
+_found, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+
+def __getattr__(name: str) -> object:
+    """A public name, imported now; the version is that of the installed package, from its tag."""
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("bayesid")
+    return _found(name)

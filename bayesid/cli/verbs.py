@@ -13,7 +13,6 @@ from importlib import import_module
 
 import click
 
-import bayesid
 from bayesid.arguments import on_command_line
 from bayesid.errors import BayesidError, InputError
 
@@ -133,7 +132,7 @@ def _plain(text: str) -> str:
 
 
 @click.group(cls=Verbs, context_settings={"help_option_names": ["-h", "--help"]})
-@click.version_option(bayesid.__version__, prog_name="bayesid")
+@click.version_option(package_name="bayesid", prog_name="bayesid")
 @click.option("--traceback", "wanted", is_flag=True, envvar="BAYESID_TRACEBACK", help="On a failure, show where in the code.")
 @click.pass_obj
 def commands(telling: _Telling, wanted: bool) -> None:
