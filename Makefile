@@ -69,7 +69,8 @@ $(READY): pyproject.toml constraints.txt
 	  { echo "$(PYTHON) is too old or missing: bayesid needs Python 3.11 or newer; name one: make PYTHON=python3.12 ..." >&2; exit 1; }
 	@echo "Installing bayesid into $(VENV); this happens once and takes a minute or two."
 	@$(BIN)/python -m pip --version >/dev/null 2>&1 || $(PYTHON) -m venv --clear $(VENV)
-	$(PIP) --constraint constraints.txt --editable '.[dev]'
+	@$(PIP) --upgrade 'pip>=25.1'  # the first that knows dependency groups
+	$(PIP) --constraint constraints.txt --editable . --group dev
 	@touch $@
 
 $(FIGAROH)/ready:
