@@ -79,6 +79,7 @@ def _number_pairs(context, parameter, value: tuple[str, ...]) -> dict[str, float
 )
 @click.option("--topics", callback=names, help="Topics of a bag to be read, by commas; default: joint states and wrenches.")
 @click.option("--episodes", callback=_numbers, help="Episodes of a LeRobot data set, by commas; default: all.")
+@click.option("--hold-out", type=float, help="Share of a recording, its end, that is kept for validation, such as 0.3.")
 @click.option("--join", is_flag=True, help="The sources are parts of one recording, such as a file a topic.")
 @UNUSED_SEED
 def import_(

@@ -126,14 +126,16 @@ class Imported:
         return "\n".join([*lines, *(f"  warning: {text}" for text in self.experiment.warnings)])
 
     def _recording_lines(self, recording: ImportedRecording) -> list[str]:
-        motion = self.experiment[recording.name]
-        table = motion.table
-        rate = f" at {number(1.0 / table.step, 4)} Hz" if table.step else ""
-        since = f", from {date(recording.start)}" if recording.start is not None else ""
-        lines = [
-            f"  {motion.role} '{motion.name}' ({', '.join(recording.files)}): {len(table)} rows over "
-            f"{number(table.duration, 4)} s{rate}{since}"
-        ]
+        lines = []
+        for motion in self.experiment:
+            if motion.name in (recording.name, f"{recording.name}-end"):
+                table = motion.table
+                rate = f" at {number(1.0 / table.step, 4)} Hz" if table.step else ""
+                since = f", from {date(recording.start)}" if recording.start is not None and motion.name == recording.name else ""
+                lines.append(
+                    f"  {motion.role} '{motion.name}' ({', '.join(recording.files)}): {len(table)} rows over "
+                    f"{number(table.duration, 4)} s{rate}{since}"
+                )
         alike: dict[tuple[str, bytes, float], list[Signal]] = {}
         for signal in recording.signals:
             alike.setdefault((signal.topic, signal.times.tobytes(), signal.held), []).append(signal)

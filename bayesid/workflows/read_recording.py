@@ -9,24 +9,30 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from bayesid.arguments import argument
 from bayesid.effects.library import EffectLibrary
 from bayesid.errors import InputError
-from bayesid.recordings.complaints import suggest
+from bayesid.recordings.complaints import listed, suggest
 from bayesid.recordings.experiment import Experiment, Motion, Sensor
 from bayesid.recordings.importing.column_map import ColumnMap, load_column_map
+from bayesid.recordings.importing.lag import lag
 from bayesid.recordings.importing.reader import joined, read_source
 from bayesid.recordings.importing.recording import Recording, make_recording
+from bayesid.recordings.importing.signals import Signal
 from bayesid.recordings.importing.stream import Source
 from bayesid.recordings.robot_section import robot_doubts
 from bayesid.results.imported import Delay, Imported, ImportedRecording
 from bayesid.robot.robot import load_robot
 from bayesid.robot.urdf_file import UrdfFile, read_urdf
+from bayesid.signals.smoothing import smooth
 from bayesid.validation.mistakes.delay import delay_profile
 
 _Paths = str | Path | Sequence[str | Path]
 #: Parts of a complaint of a unit, and what says the unit in an import.
+_COURSE = 10.0  # bandwidth of the positions that other topics are compared with [Hz]
+_STANDS = 0.02  # a joint that moves by less stands [rad or m]
 _UNITS = {
     "degrees per second": "v=deg/s", "degrees": "q=deg", "millimetres": "q=mm", "milliseconds": "t=ms", "microseconds": "t=us",
     "nanoseconds": "t=ns",
@@ -51,6 +57,7 @@ def read_recording(
     topics: Sequence[str] = (),
     episodes: Sequence[int] = (),
     join_files: bool = False,
+    hold_out: float | None = None,
     name: str = "imported",
 ) -> Imported:
     """Make an experiment of files of other tools: ROS bags, MCAP, CSV, Parquet, NPZ, MAT, HDF5, LeRobot.
@@ -95,6 +102,8 @@ def read_recording(
         Of a LeRobot data set, those to be read; default: all.
     join_files
         Whether the files of ``source`` are parts of one recording.
+    hold_out
+        Share of each recording for identification, its end, that is kept for validation: a motion of its own.
     name
         The experiment's.
 
@@ -120,27 +129,25 @@ def read_recording(
     given, held_out = read(source), read(validation)
     if not given:
         raise InputError(f"no recording is given; name one ({argument('source')})")
-    if len(given) > 1 and not held_out:
+    if hold_out is not None and not 0.0 < hold_out < 1.0:
+        raise InputError(f"{argument('hold_out', hold_out)}: give a share between 0 and 1, such as 0.3")
+    if len(given) > 1 and not held_out and hold_out is None:
         given, held_out = given[:-1], given[-1:]
     file = read_urdf(urdf)
     moving = [joint.name for joint in file.joints.values() if joint.kind not in ("fixed", "floating", "planar")]
     robot_joints, told = _joint_order(Path(urdf), moving), []
     stated.check_joints(robot_joints)
     made: list[tuple[Recording, tuple[str, ...]]] = []
+    free = [joint for joint in robot_joints if joint not in (locked or {})]
     for one, files in [*given, *held_out]:
-        recording = make_recording(one, stated, robot_joints, joints, clock)
+        recording = make_recording(one, stated, free, joints, clock)
         joints = recording.layout.joints
         made.append((recording, files))
     assert joints is not None
     placed, place_told = _sensor(sensor, [recording for recording, _ in made], file)
     told += place_told
-    stand = {joint: float((locked or {}).get(joint, 0.0)) for joint in robot_joints if joint not in joints}
-    if stand:
-        at = ", ".join(f"{joint} at {position:g}" for joint, position in stand.items())
-        told.append(f"no positions of {at}: locked there ({argument('locked')})")
-    if not held_out:
-        told.append(f"no recording for validation; name one ({argument('validation')}), to test the estimate on it")
-    stand |= locked or {}
+    stand, stand_told = _locked([joint for joint in robot_joints if joint not in joints], dict(locked or {}), made)
+    told += stand_told
     robot = load_robot(urdf, list(joints), stand, gravity, None if placed is None else placed.joint)
     doubts = robot_doubts(robot, file, stand, "")
     names = _names([recording.source.name for recording, _ in made])
@@ -148,6 +155,13 @@ def read_recording(
         Motion(label, "identification" if k < len(given) else "validation", recording.table(label))
         for k, (label, (recording, _)) in enumerate(zip(names, made, strict=True))
     ]
+    if hold_out is not None:
+        motions = [part for motion in motions for part in _halves(motion, hold_out)]
+    if not any(motion.role == "validation" for motion in motions):
+        told.append(
+            f"no recording for validation: name one ({argument('validation')}), or hold out the end of this one "
+            f"({argument('hold_out', 0.3)}), to test the estimate"
+        )
     _check_readings(motions, placed)
     library = EffectLibrary().for_robot(robot.n, np.flatnonzero(robot.prismatic).tolist())
     try:
@@ -172,6 +186,42 @@ def _stated(
     base = mapping if isinstance(mapping, ColumnMap) else ColumnMap() if mapping is None else load_column_map(mapping)
     given = dict(columns=columns, units=units, scale=scale, joints=joint_names)
     return replace(base, **{key: {**getattr(base, key), **more} for key, more in given.items() if more})
+
+
+def _halves(motion: Motion, share: float) -> list[Motion]:
+    """A recording for identification, and its end for validation; one for validation as it is."""
+    if motion.role == "validation":
+        return [motion]
+    table = motion.table
+    cut = int(np.searchsorted(table.times, table.times[0] + (1.0 - share) * table.duration))
+    end = replace(table[cut:], source=f"{motion.name}-end", told=())
+    return [replace(motion, table=table[:cut]), Motion(f"{motion.name}-end", "validation", end)]
+
+
+def _locked(
+    joints: Sequence[str], given: dict[str, float], made: Sequence[tuple[Recording, tuple[str, ...]]]
+) -> tuple[dict[str, float], list[str]]:
+    """Where joints stand that are not used: as stated, else as recorded, else at zero; and what is to be said of it."""
+    told, without, stand = [], [], {}
+    for joint in joints:
+        if joint in given:
+            continue
+        at = [recording.resting[joint] for recording, _ in made if joint in recording.resting]
+        stand[joint] = float(np.median([middle for middle, _ in at])) if at else 0.0
+        if not at:
+            without.append(joint)
+        elif max(span for _, span in at) > _STANDS:
+            far = max(span for _, span in at)
+            told.append(
+                f"{joint} is not used but moves by {far:.3g}: it is locked in the middle, at {stand[joint]:.4g}; use it "
+                f"({argument('joints')}), if its motion counts"
+            )
+        else:
+            told.append(f"{joint} is not used and stands: locked at {stand[joint]:.4g}")
+    if without:
+        they = "it stands" if len(without) == 1 else "they stand"
+        told.append(f"no positions of {listed(without)}: locked at 0; say where {they} ({argument('locked')})")
+    return stand | given, told
 
 
 def _joint_order(urdf: Path, moving: list[str]) -> list[str]:
@@ -242,16 +292,41 @@ def _with_unit(error: InputError) -> InputError:
 
 
 def _delays(experiment: Experiment, name: str, recording: Recording) -> tuple[Delay, ...]:
-    """By how much readings are later than the positions, where they come from other topics."""
+    """By how much other topics are later than that of the positions."""
     positions = next(s for s in recording.signals if s.quantity == "q")
     out = []
-    for quantity, channel in (("wrench", "wrench"), ("tau", "torque")):
-        signal = next((s for s in recording.signals if s.quantity == quantity), None)
-        if signal is None or signal.topic == positions.topic or (quantity == "wrench" and experiment.sensor is None):
+    for signal in recording.signals:
+        found, method = None, "by what the motion explains of it"
+        if signal.topic == positions.topic or (signal.quantity == "wrench" and experiment.sensor is None):
             continue
-        alone = replace(experiment, motions=(experiment[name],))
-        profile = delay_profile(alone, channel)
-        found = None if profile is None else profile.best()
+        if signal.quantity in ("wrench", "tau"):
+            profile = delay_profile(
+                replace(experiment, motions=(experiment[name],)), "wrench" if signal.quantity == "wrench" else "torque"
+            )
+            found = None if profile is None else profile.best()
+        elif signal.quantity in ("v", "qr"):
+            found, method = _lag(signal, positions), "cross-correlation"
         if found is not None:
-            out.append(Delay(signal.called, positions.called, *found, "by what the motion explains of it"))
+            out.append(Delay(signal.called, positions.called, *found, method))
     return tuple(out)
+
+
+def _lag(signal: Signal, positions: Signal) -> tuple[float, float] | None:
+    """The lag of velocities behind the positions' rates, or of commands behind the positions (negative: ahead)."""
+    shared = [k for k, ours in enumerate(positions.ours) if f"{signal.quantity}{ours[1:]}" in signal.ours]
+    columns = [signal.ours.index(f"{signal.quantity}{positions.ours[k][1:]}") for k in shared]
+    there = ~np.isnan(signal.values).any(axis=1)
+    known = ~np.isnan(positions.values).any(axis=1)
+    times, values = positions.times[known], positions.values[known][:, shared]
+    if len(times) < 20 or not there.any() or not shared or positions.gaps():
+        return None
+    bandwidth = min(_COURSE, 0.2 / positions.step)
+    smoothed = smooth(times, values - values.mean(axis=0), bandwidth)
+    course, rate = (CubicSpline(times, smoothed[k]) for k in ((1, 2) if signal.quantity == "v" else (0, 1)))
+    return lag(
+        signal.times[there],
+        signal.values[there][:, columns],
+        lambda at: (course(at), rate(at)),
+        float(times[0]),
+        float(times[-1]),
+    )

@@ -124,6 +124,12 @@ def find_columns(
     return Layout(names, tuple(found))
 
 
+def positions_of(streams: Sequence[Stream], stated: ColumnMap, joints: Sequence[str], source: str) -> dict[str, Found]:
+    """Columns of the positions of joints that are not used, where their names say so."""
+    columns = _Finder(streams, stated, source).by_name("q", joints)
+    return {joints[k]: _found(f"q{k + 1}", *place) for k, place in columns.items()}
+
+
 def time_column(stream: Stream, stated: ColumnMap, source: str) -> tuple[str, str | None]:
     """The column of a table's times, and its unit where the user or its name states it.
 

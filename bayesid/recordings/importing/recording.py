@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,10 +14,10 @@ from bayesid.errors import InputError
 from bayesid.recordings.complaints import listed
 from bayesid.recordings.importing.clock import Clock, table_clock, topic_clock
 from bayesid.recordings.importing.column_map import ColumnMap
-from bayesid.recordings.importing.found_columns import Layout, find_columns, time_column
+from bayesid.recordings.importing.found_columns import Layout, find_columns, positions_of, time_column
 from bayesid.recordings.importing.joining import Joined, join
 from bayesid.recordings.importing.reader import read_source
-from bayesid.recordings.importing.signals import Signal, make_signals
+from bayesid.recordings.importing.signals import Signal, make_signals, resting
 from bayesid.recordings.importing.stream import Source, Stream
 from bayesid.recordings.table import WRENCH_COLUMNS, Table
 
@@ -40,6 +40,8 @@ class Recording:
         All of them at common times.
     done
         What was done and noticed, one line each.
+    resting
+        Of joints that are not used, where they stand and how far they move [rad or m].
     """
 
     source: Source
@@ -48,6 +50,7 @@ class Recording:
     signals: tuple[Signal, ...]
     joined: Joined
     done: tuple[str, ...]
+    resting: Mapping[str, tuple[float, float]]
 
     @property
     def start(self) -> int | None:
@@ -144,7 +147,10 @@ def make_recording(
                 "the rows in which it changes are used"
             )
     done += [f"rows are at the times of {joined.base.called}"] if joined.how else []
-    return Recording(source, layout, tuple(clocks), tuple(signals), joined, (*done, *joined.how))
+    others = [joint for joint in moving if joint not in layout.joints]
+    found = positions_of(source.streams, stated, others, source.name) if others else {}
+    stand = {joint: at for joint, one in found.items() if (at := resting(one, stated, joint, source.name)) is not None}
+    return Recording(source, layout, tuple(clocks), tuple(signals), joined, (*done, *joined.how), stand)
 
 
 def read_stated(path: Path, name: str, stated: ColumnMap, joints: Sequence[str], wrench: bool, poses: bool) -> Table:

@@ -156,6 +156,14 @@ def make_signals(
     return signals, list(dict.fromkeys(told))
 
 
+def resting(found: Found, stated: ColumnMap, joint: str, source: str) -> tuple[float, float] | None:
+    """Where a joint that is not used stands, and how far it moves [rad or m]; None where it has no position."""
+    unit = ColumnMap(units={"q1": unit} if (unit := stated.units.get("q") or found.unit) else {}, file=stated.file)
+    values = _converted(Found("q1", found.stream, found.column), unit, [joint], source)[0]
+    values = values[~np.isnan(values)]
+    return (float(np.median(values)), float(np.ptp(values))) if len(values) else None
+
+
 def _converted(found: Found, stated: ColumnMap, joints: Sequence[str], source: str) -> tuple[np.ndarray, str]:
     """A column in SI units, and the unit that it was written in."""
     quantity = found.ours[0] if found.ours in WRENCH_COLUMNS else found.ours.rstrip("0123456789")

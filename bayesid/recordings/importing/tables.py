@@ -129,6 +129,9 @@ def _header_line(lines: list[str], source: str) -> tuple[int, str]:
         raise InputError("is empty", file=source, remedy="give a table with a header and one row per sample")
     counts = {separator: lines[first].count(separator) for separator in _SEPARATORS}
     separator = max(counts, key=lambda s: counts[s])
+    if not counts[separator] and len({len(line.split(" ")) for line in lines[first:] if line}) == 1:
+        counts[" "] = lines[first].count(" ")  # as logs of Universal Robots' RTDE have it
+        separator = " "
     if not counts[separator]:
         raise InputError(
             f'line {first + 1} names one column, "{cut(lines[first].strip())}"', file=source,

@@ -42,7 +42,7 @@ def test_a_bag_is_read_as_it_was_written(kind, known, tmp_path):
     assert told.start == START and {s.clock.kind for s in told.signals} == {"header"}
     assert told.signals[0].clock.late == pytest.approx((1.5e-3, 0.0))
     text = str(imported)
-    assert "the log's times are 1.50 +- 0 ms later" in text and "gripper at 0: locked there" in text
+    assert "the log's times are 1.50 +- 0 ms later" in text and "no positions of gripper: locked at 0" in text
     assert "2023-11-14T22:13:20.000Z" in text and "at 125.0 Hz" in text
 
 
@@ -83,6 +83,8 @@ def test_order_may_differ_from_message_to_message_and_parts_may_be_empty(known, 
     np.testing.assert_array_equal(motion.table.torques, known.tau)
     assert motion.table.velocities is None
     assert imported.recordings[0].left_over == ("/joint_states/gripper/position",)
+    assert imported.experiment.locked == {"gripper": 0.01}
+    assert any("gripper is not used and stands: locked at 0.01" in text for text in imported.done)
 
 
 def test_topics_of_other_rates_meet_at_the_times_of_the_slower(known, tmp_path):
@@ -114,6 +116,23 @@ def test_a_delay_between_topics_is_told(known, tmp_path):
     (delay,) = bayesid.read_recording(tmp_path / "run", known.urdf).recordings[0].delays
     assert abs(delay.value - 0.03) < max(4.0 * delay.std, 1e-3) and delay.std < 2e-3
     assert "later than positions of /joint_states" in str(delay)
+
+
+def test_velocities_and_commands_of_other_topics_are_told_to_be_late(known, tmp_path):
+    """Commands lead by 40 ms, velocities are 15 ms late; the standard deviation is no smaller than the error."""
+    rng = np.random.default_rng(3)
+    with Bag(tmp_path / "run", "mcap") as bag:
+        for k, ns in enumerate(START + known.ns):
+            bag.joints(ns, JOINTS, known.q[k] + 1e-4 * rng.normal(size=2), tau=known.tau[k])
+            bag.joints(ns + 15_000_000, JOINTS, [], v=known.v[k] + 0.05 * rng.normal(size=2), topic="/drives")
+            bag.joints(ns - 40_000_000, JOINTS, known.q[k] + 1e-3 * rng.normal(size=2), topic="/controller/reference")
+    columns = {"q": "/joint_states/{joint}/position", "qr": "/controller/reference/{joint}/position"}
+    imported = bayesid.read_recording(tmp_path / "run", known.urdf, columns=columns, joints=JOINTS)
+    late = {delay.late: delay for delay in imported.recordings[0].delays}
+    for name, truth in (("velocities of /drives", 0.015), ("commands of /controller/reference", -0.04)):
+        delay = late[name]
+        assert delay.method == "cross-correlation" and 1e-6 < delay.std < 1e-3
+        assert abs(delay.value - truth) < 4.0 * delay.std
 
 
 def test_repeated_samples_are_told_with_the_true_rate(known, tmp_path):

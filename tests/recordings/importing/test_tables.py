@@ -144,9 +144,39 @@ def test_separators_and_decimals_of_other_countries(known, tmp_path):
     for name, options in (("semicolon.csv", dict(sep=";", decimal=",")), ("tab.txt", dict(sep="\t")), ("bar.csv", dict(sep="|"))):
         frame.to_csv(tmp_path / name, index=False, **options)
         np.testing.assert_array_equal(only(tmp_path / name, known).positions, known.q)
+    plain = pd.DataFrame({"timestamp": known.t, "actual_q_0": known.q[:, 0], "actual_q_1": known.q[:, 1], "target_q_0": 0.0})
+    plain["torque_0"], plain["torque_1"] = known.tau.T
+    plain.to_csv(tmp_path / "blank.csv", sep=" ", index=False)
+    np.testing.assert_array_equal(only(tmp_path / "blank.csv", known, joints=JOINTS).positions, known.q)
     text = (tmp_path / "tab.txt").read_text(encoding="utf-8").replace("\t", ",")
     (tmp_path / "remarks.csv").write_text("# made by a logger\n# rate 125\n# " + text, encoding="utf-8-sig")
     np.testing.assert_array_equal(only(tmp_path / "remarks.csv", known).positions, known.q)
+
+
+def test_the_end_of_a_recording_may_be_held_out(known, tmp_path):
+    by_joint(known, time=known.t).to_csv(tmp_path / "log.csv", index=False)
+    imported = bayesid.read_recording(tmp_path / "log.csv", known.urdf, hold_out=0.25)
+    first, end = imported.experiment.motions
+    assert (first.name, first.role, end.name, end.role) == ("log", "identification", "log-end", "validation")
+    assert len(end.table) == 250
+    for quantity, values in (("times", known.t), ("positions", known.q)):
+        np.testing.assert_array_equal(np.concatenate([getattr(m.table, quantity) for m in (first, end)]), values)
+    assert "validation 'log-end' (log.csv): 250 rows" in str(imported)
+    again = bayesid.load_experiment(imported.write(tmp_path / "arm"))
+    assert [len(m.table) for m in again] == [750, 250]
+    with pytest.raises(InputError, match="give a share between 0 and 1"):
+        bayesid.read_recording(tmp_path / "log.csv", known.urdf, hold_out=25.0)
+
+
+def test_joints_that_are_not_used_stand_where_they_were_recorded(known, tmp_path):
+    """Only the shoulder is identified: the elbow, which moves, is locked in the middle, and that is told."""
+    by_joint(known, time=known.t).to_csv(tmp_path / "log.csv", index=False)
+    imported = bayesid.read_recording(tmp_path / "log.csv", known.urdf, joints=["shoulder"], units={"q": "rad"})
+    assert imported.experiment.locked == {"elbow": np.median(known.q[:, 1]), "gripper": 0.0}
+    assert any("elbow is not used but moves by" in text for text in imported.done)
+    imported = bayesid.read_recording(tmp_path / "log.csv", known.urdf, locked={"elbow": 0.5})
+    assert imported.experiment.locked == {"elbow": 0.5, "gripper": 0.0}
+    assert imported.experiment.robot.joint_names == ("shoulder",)
 
 
 def test_a_table_of_merged_topics_has_the_times_of_the_slower(known, tmp_path):
