@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 from rosbags.rosbag1 import Writer as Writer1
-from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -72,13 +72,15 @@ def make_known(folder: Path, seed: int = 1, sensor: str | None = "wrist_ft", dur
 class Bag:
     """A bag that is written message by message."""
 
-    def __init__(self, path: Path, kind: str, definitions: str = "", of: str = "") -> None:
+    def __init__(self, path: Path, kind: str, definitions: str = "", of: str = "", compressed: bool = False) -> None:
         self.store = get_typestore(Stores.ROS1_NOETIC if kind == "ros1" else Stores.ROS2_HUMBLE)
         if definitions:
             self.store.register(get_types_from_msg(definitions, of))
         self.ros1 = kind == "ros1"
         plugin = StoragePlugin.MCAP if kind == "mcap" else StoragePlugin.SQLITE3
         self.writer: Any = Writer1(path) if self.ros1 else Writer2(path, version=9, storage_plugin=plugin)
+        if compressed:
+            self.writer.set_compression(CompressionMode.MESSAGE, CompressionFormat.ZSTD)
         self.connections: dict[str, Any] = {}
 
     def __enter__(self) -> Bag:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import sqlite3
 from dataclasses import replace
 from pathlib import Path
 
@@ -66,6 +68,18 @@ def test_a_bare_file_of_a_bag_is_enough(known, tmp_path):
         folder = write_bag(tmp_path / kind, known, kind)
         (file,) = folder.glob(end)
         _is(bayesid.read_recording(file, known.urdf).experiment.motions[0].table, known)
+
+
+def test_a_bag_without_definitions_and_a_compressed_one_are_read(known, tmp_path):
+    """ROS 2 before Iron wrote SQLite files without definitions; messages are compressed by ``--compression-mode message``."""
+    for name in ("old", "compressed"):
+        with Bag(tmp_path / name, "sqlite3", compressed=name == "compressed") as bag:
+            for k, ns in enumerate(START + known.ns):
+                bag.joints(ns, JOINTS, known.q[k], known.v[k], known.tau[k])
+    with contextlib.closing(sqlite3.connect(tmp_path / "old" / "old.db3")) as file:
+        file.executescript("DROP TABLE message_definitions; UPDATE schema SET schema_version = 2;")
+    for name in ("old", "compressed"):
+        _is(bayesid.read_recording(tmp_path / name, known.urdf).experiment.motions[0].table, known)
 
 
 def test_order_may_differ_from_message_to_message_and_parts_may_be_empty(known, tmp_path):
