@@ -13,10 +13,14 @@ from bayesid.diagnosis.noise_spectrum import measure
 from bayesid.diagnosis.repeats import find_rests
 from bayesid.diagnosis.spectra import Segment, low_passed, sensor_noise
 from bayesid.dynamics.regressors import dynamics_regressor
-from bayesid.effects import MotionSegment, Term
+from bayesid.effects import MotionSegment, Term, columns
+from bayesid.effects.loads import Tether
 from bayesid.recordings.table import usual_step
 from bayesid.regression.readings import has_readings, readings_of
 from bayesid.signals.smoothing import smooth
+
+#: Poses for each column that is fitted to them, at least, before what is left is taken for noise.
+_POSES_A_COLUMN = 2
 
 
 def at_instants(data: DiagnosisData, links: np.ndarray, terms: Sequence[Term], seed: int) -> DiagnosisData:
@@ -113,7 +117,10 @@ def _poses_with_noise(data: DiagnosisData, links: np.ndarray, terms: Sequence[Te
 
 
 def pose_noise(data: DiagnosisData) -> np.ndarray:
-    """Noise of the wrench of poses (c,): the data sheet's, or what any bodies and any linear map of their wrench leave."""
+    """Noise of the wrench of poses (c,): the data sheet's, or what any bodies and any linear map of their wrench leave.
+
+    Of a sensor in the arm also what a cable leaves that pulls what it carries, where there are poses enough to tell.
+    """
     stated = _stated_noise(data)
     if stated is not None:
         return stated
@@ -121,14 +128,30 @@ def pose_noise(data: DiagnosisData) -> np.ndarray:
     q, read = (np.concatenate([getattr(s, name) for s in every]) for name in ("encoders", "readings"))
     rigid = dynamics_regressor(data.robot, data.channels, q, 0.0 * q, 0.0 * q)
     beside = np.column_stack([rigid @ data.robot.nominal.ravel(), np.ones(len(q))])
+    pulls = _pulls(data, every)
     out = np.empty(read.shape[1])
     for c in range(len(out)):
-        columns = np.column_stack([rigid[:, c], beside])
-        basis, power, _ = np.linalg.svd(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300), full_matrices=False)
+        fitted = np.column_stack([rigid[:, c], beside])
+        if len(q) >= _POSES_A_COLUMN * (np.linalg.matrix_rank(fitted) + pulls.shape[2]):
+            fitted = np.column_stack([fitted, pulls[:, c]])
+        length = np.maximum(np.linalg.norm(fitted, axis=0), 1e-300)
+        basis, power, _ = np.linalg.svd(fitted / length, full_matrices=False)
         basis = basis[:, power > 1e-9 * power[0]]
         left = read[:, c] - basis @ (basis.T @ read[:, c])
         out[c] = np.sqrt(np.sum(left**2) / max(len(q) - basis.shape[1], 1))
     return out
+
+
+def _pulls(data: DiagnosisData, segments: Sequence[Segment]) -> np.ndarray:
+    """Readings of a cable without length at the one body that a sensor in the arm carries, by stiffness and pull (N, c, 4)."""
+    carried = np.flatnonzero(data.robot.sensor_bodies)
+    if data.robot.sensor_parent < 0 or len(carried) > 1:
+        return np.zeros((sum(len(s.times) for s in segments), len(data.channels), 0))
+    joint = int(data.robot.body_joint[carried[0]])
+    cable = Tether(f"joint{joint + 1}", joint)
+    taut = (1.0, *(0.0,) * (len(cable.parameters) - 1))
+    each = [columns(data.robot, data.channels, s.scene, data.links, (), cable, taut) for s in segments]
+    return np.concatenate(each)[:, :, [0, 2, 3, 4]]
 
 
 def _rests(data: DiagnosisData, count: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
