@@ -21,6 +21,7 @@ from .regression.options import FitOptions
 from .regression.regression import Regression
 from .results.accuracy import Accuracy
 from .results.bounds import ControllerBounds
+from .results.calibration import Calibration
 from .results.changes import Changes
 from .results.comparison import Comparison
 from .results.diagnosis import Diagnosis
@@ -42,6 +43,7 @@ from .simulation.trajectories import Trajectory, fourier_trajectory
 from .simulation.trajectory_file import read_trajectory, write_trajectory
 from .workflows.accuracy import accuracy
 from .workflows.bounds import bounds
+from .workflows.calibrate import calibrate
 from .workflows.check import check
 from .workflows.compare import compare
 from .workflows.diagnose import diagnose
@@ -63,6 +65,7 @@ __all__ = [
     "BayesidError",
     "BayesidWarning",
     "Bounds",
+    "Calibration",
     "Changes",
     "Comparison",
     "ControllerBounds",
@@ -109,6 +112,7 @@ __all__ = [
     "Watch",
     "accuracy",
     "bounds",
+    "calibrate",
     "check",
     "compare",
     "diagnose",

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 _O = TypeVar("_O", bound="DataclassInstance")
 #: Options of the command line that are not called as the argument is.
 _OPTIONS = {
-    "bounds": "method sdp --bounds", "certificate": "twins", "folder": "out", "quantities": "quantity",
+    "bounds": "method sdp --bounds", "certificate": "twins", "folder": "out", "quantities": "quantity", "target": "next",
     "trajectories": "trajectory",
 }  # fmt: skip
 #: Arguments that belong to a class of options, and how Python passes that.

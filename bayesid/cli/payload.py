@@ -8,7 +8,19 @@ import click
 
 import bayesid
 from bayesid.cli.options import EFFECTS_FROM, EXPERIMENT, MODEL, OUT, OUTPUTS, SEED, load, names, output_folder, show_progress
+from bayesid.errors import InputError
 from bayesid.results.files import check_output
+
+
+def two(_context, _parameter, value: str | None) -> tuple[float, float] | None:
+    """Two numbers that a comma separates."""
+    if value is None:
+        return None
+    try:
+        one, other = map(float, value.split(","))
+    except ValueError:
+        raise InputError(f"--next {value}: give two numbers, KG,M, such as 0.005,0.001") from None
+    return one, other
 
 
 @click.command()
@@ -20,13 +32,14 @@ from bayesid.results.files import check_output
 @click.option("--joint", help="Joint whose link carries the payload; default: the last one, or the sensor's.")
 @click.option("--frame", help="URDF link in whose frame it is told; default: the flange.")
 @click.option("--extent", type=float, help="No part of it is farther from its centre of mass [m]; bounds what is not shown.")
+@click.option("--next", "target", callback=two, help="KG,M: half intervals wanted; proposes poses that reach them.")
 @click.option("--diagnosis/--no-diagnosis", default=True, help="Look for what else is in the readings.")
 @MODEL
 @EFFECTS_FROM
 @OUT
 @SEED
 def payload(
-    experiment, reference, channel, motions, effects, joint, frame, extent, diagnosis, model, effects_from, out, seed
+    experiment, reference, channel, motions, effects, joint, frame, extent, target, diagnosis, model, effects_from, out, seed
 ) -> None:
     """Mass, centre of mass and inertia of what the last link carries, in the forms that controllers take."""
     check_output(out or OUTPUTS, "payload")
@@ -36,7 +49,7 @@ def payload(
         known = None if reference is None else load(reference, model, effects_from)
         result = bayesid.payload(
             loaded, channel, reference=known, motions=motions, effects=effects, joint=joint, frame=frame, extent=extent,
-            diagnosis=diagnosis, seed=seed, progress=progress,
+            target=target, diagnosis=diagnosis, seed=seed, progress=progress,
         )  # fmt: skip
         progress("report")
         report = result.write(output_folder(out, loaded.name, "payload"))

@@ -20,6 +20,7 @@ from bayesid.errors import BayesidError, InputError
 VERBS = {
     "accuracy": "What errors depend on, effects left out, whether intervals hold.",
     "bounds": "What a controller may rely on: bounds of parameters, mass matrix and torques.",
+    "calibrate": "What a force/torque sensor in place has: offset, gain, cross-talk, orientation.",
     "check": "Read and validate an experiment folder; say what is in it.",
     "compare": "Several estimators on the same data, side by side.",
     "demo": "The main job on an embedded example, in under a minute.",

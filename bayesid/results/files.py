@@ -26,6 +26,7 @@ BESIDE = ("result", "printed", "files")
 WRITTEN = {
     "accuracy": ("accuracy.json",),
     "bounds": ("bounds.json", "bounds.mat", "identified.urdf"),
+    "calibrate": ("calibration.json", "gravity_compensation.yaml", "ros2_gravity_filter.yaml", "ros2_admittance.yaml"),
     "check": ("check.json",),
     "compare": ("comparison.json",),
     "diagnose": ("diagnosis.json", "model.toml", "next_motion.csv", "draft_effect.toml"),
@@ -37,7 +38,7 @@ WRITTEN = {
     "identify": ("estimate.json", "identified.urdf", "identified-unconstrained.urdf", "model.toml"),
     "payload": (
         "payload.json", "ur.script", "endeffector-config.json", "kuka.dat", "xarm.py", "gravity_compensation.yaml",
-        "ros2_gravity_filter.yaml", "ros2_admittance.yaml",
+        "ros2_gravity_filter.yaml", "ros2_admittance.yaml", "next_poses.csv",
     ),  # fmt: skip
     "sample": ("posterior.json", "posterior.nc", "identified.urdf"),
     "watch": ("watch.json",),

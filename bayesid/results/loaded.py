@@ -37,7 +37,7 @@ DOCUMENTS = {
     "estimate.json": "Identification", "comparison.json": "Comparison", "posterior.json": "ExperimentPosterior",
     "diagnosis.json": "Diagnosis", "bounds.json": "ControllerBounds", "accuracy.json": "Accuracy",
     "identifiability.json": "Identifiability", "excitation.json": "Excitation", "watch.json": "Watch",
-    "payload.json": "PayloadEstimate", "check.json": "Inspection",
+    "payload.json": "PayloadEstimate", "calibration.json": "Calibration", "check.json": "Inspection",
 }  # fmt: skip
 DRAWS = "posterior.nc"
 

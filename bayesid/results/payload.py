@@ -9,17 +9,18 @@ from typing import Any
 import numpy as np
 
 from bayesid.design.payload.body import BodyKnowledge, Quantity
+from bayesid.design.payload.poses import NextPoses
 from bayesid.errors import InputError
-from bayesid.estimators.parameters import with_ends
+from bayesid.results.beside import FoundEffect, cells
 from bayesid.results.controllers import FORMATS, Load
 from bayesid.results.files import Result
-from bayesid.results.text import DASH, channel_text, ends, html_table, number, text_table, with_half, with_interval
+from bayesid.results.text import channel_text, html_table, number, text_table
 from bayesid.robot import inertia
 from bayesid.robot.inertia import PARAMETERS, inertia_matrix
 
 SCHEMA = 1
-#: Share of half an interval by which its middle may be off the value for the interval to be told as ±.
-_SKEW = 0.05
+#: The table of poses to record next.
+NEXT_POSES = "next_poses.csv"
 HEAD = ["", "value", "95 % interval", "unit", ""]
 #: Where the payload is known from, in words.
 SOURCES = {
@@ -28,41 +29,6 @@ SOURCES = {
     "nominal": "beside the nominal model, whose inertias are trusted to {where}",
 }
 _NAMES = {"m": "mass", "x": "centre of mass x", "y": "centre of mass y", "z": "centre of mass z"}
-
-
-@dataclass(frozen=True)
-class FoundEffect:
-    """Something beside the payload that the readings show.
-
-    Attributes
-    ----------
-    name, where
-        As in the experiment format.
-    values
-        Value, standard deviation and unit of each parameter.
-    ambiguous_with
-        Effects, ``name@where``, that explain the readings as well.
-    in_model
-        Whether the payload's values are those beside it.
-    """
-
-    name: str
-    where: str
-    values: Mapping[str, tuple[float, float, str]]
-    ambiguous_with: tuple[str, ...] = ()
-    in_model: bool = True
-
-    @property
-    def spec(self) -> str:
-        """``name@where``."""
-        return f"{self.name}@{self.where}"
-
-    def to_dict(self) -> dict[str, Any]:
-        """An entry of ``effects``."""
-        return {
-            "name": self.name, "where": self.where, "parameters": {k: with_ends(*v) for k, v in self.values.items()},
-            "ambiguous_with": list(self.ambiguous_with), "in_model": self.in_model,
-        }  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +62,7 @@ class PayloadEstimate(Result):
     verdict
         Of the diagnosis, as in ``diagnosis.json``; None where it was left out.
     offset
-        Constant reading of the sensor and its standard deviation (2, 6) [N, N m]; None without a sensor.
+        Constant reading of the sensor that carries it, ``fx`` … ``mz`` (6,); empty without one.
     sensor_frame, centre_in_sensor
         Name of the sensor's frame, and centre of mass in it (3,) [m]; None without a sensor that carries it.
     world, gravity
@@ -105,6 +71,8 @@ class PayloadEstimate(Result):
         Log evidence that something was attached since the reference; None without one.
     nominal_share
         Share of the mass's variance that the nominal model contributes; None where it has no part.
+    more
+        Poses that bring it to a stated accuracy; None where none was asked for, or nothing weighs it alone.
     sentences
         What it says in words, most important first.
     warnings
@@ -129,13 +97,14 @@ class PayloadEstimate(Result):
     plain: tuple[Quantity, ...]
     effects: tuple[FoundEffect, ...]
     verdict: str | None
-    offset: np.ndarray | None
+    offset: tuple[Quantity, ...]
     sensor_frame: str | None
     centre_in_sensor: np.ndarray | None
     world: str
     gravity: np.ndarray
     evidence: float | None
     nominal_share: float | None
+    more: NextPoses | None
     sentences: tuple[str, ...]
     warnings: tuple[str, ...]
     seconds: Mapping[str, float] = field(default_factory=dict)
@@ -186,7 +155,7 @@ class PayloadEstimate(Result):
         return Load(
             self.mass.value, self.centre_of_mass, self.inertia_about_centre, self.frame, self.world, self.gravity,
             self.sensor_frame, self.centre_in_sensor,
-            None if self.offset is None else self.offset[0],
+            np.array([q.value for q in self.offset]) if self.offset and all(q.shown for q in self.offset) else None,
         )  # fmt: skip
 
     def exports(self) -> dict[str, str]:
@@ -220,16 +189,8 @@ class PayloadEstimate(Result):
         """Cells of the table: name, value, interval, unit, whether it is shown."""
         out = []
         for q in self.quantities:
-            half = 0.5 * (q.high - q.low)
-            if q.shown and abs(q.low + half - q.value) < _SKEW * half:  # a ratio's interval is hardly ever quite even
-                value, text = with_half(q.value, half)
-                half = f"± {text}"
-            elif q.shown:
-                value, half = with_interval(q.value, q.std, q.low, q.high)
-            else:
-                value, half = DASH, ends(q.low, q.high) if np.isfinite([q.low, q.high]).all() else DASH
             name = _NAMES.get(q.name, f"inertia {q.name}")
-            out.append([name, value, half, q.unit.replace("^2", "²"), "" if q.shown else "not shown"])
+            out.append([name, *cells(q), q.unit.replace("^2", "²"), "" if q.shown else "not shown"])
         return out
 
     def __str__(self) -> str:
@@ -246,11 +207,6 @@ class PayloadEstimate(Result):
 
     def to_dict(self) -> dict[str, Any]:
         """``payload.json``."""
-        wrench = ("fx", "fy", "fz", "mx", "my", "mz")
-        offset = None
-        if self.offset is not None:
-            units = ("N",) * 3 + ("N m",) * 3
-            offset = {k: with_ends(v, s, u) for k, v, s, u in zip(wrench, *self.offset, units, strict=True)}
         return {
             "schema": SCHEMA, "experiment": self.name, "channel": self.channel,
             "source": {"kind": self.source, "detail": self.source_detail},
@@ -266,10 +222,15 @@ class PayloadEstimate(Result):
                 "names": list(PARAMETERS), "values": self.body.mean.tolist(), "covariance": self.body.covariance.tolist(),
                 "determined": self.body.shown.tolist(), "degrees_of_freedom": _finite(self.body.freedom),
             },
-            "sensor_offset": offset,
+            "sensor_offset": {q.name: q.to_dict() for q in self.offset} or None,
             "centre_in_sensor": None if self.centre_in_sensor is None else self.centre_in_sensor.tolist(),
             "verdict": self.verdict, "effects": [e.to_dict() for e in self.effects],
             "without_effects": None if not self.effects else {q.name: q.to_dict() for q in self.plain},
+            "next": None if self.more is None else {
+                "file": NEXT_POSES, "poses": self.more.positions.tolist(), "reached": self.more.reached,
+                "wanted": {"mass": self.more.wanted[0], "centre_of_mass": self.more.wanted[1]},
+                "expected": {"mass": _finite(self.more.expected[0]), "centre_of_mass": _finite(self.more.expected[1])},
+            },
             "log_evidence": self.evidence, "nominal_share": self.nominal_share,
             "summary": list(self.sentences), "warnings": list(self.warnings), "runtime_s": dict(self.seconds),
         }  # fmt: skip

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -20,29 +20,30 @@ from bayesid.design.payload.knowledge import (
     in_frame,
     weighed_alone,
 )
+from bayesid.design.payload.poses import NextPoses, next_poses
 from bayesid.diagnosis.settings import Settings
 from bayesid.drawing import Figures, figures_of
-from bayesid.effects import Term
+from bayesid.effects import Effect
 from bayesid.effects.bodies import body_of
-from bayesid.errors import BayesidError, InputError
+from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, as_experiment
 from bayesid.regression.options import FitOptions, some_options
 from bayesid.regression.readings import default_channel
-from bayesid.results.diagnosis import Diagnosis
+from bayesid.results.beside import FoundEffect
 from bayesid.results.files import Files, files_of, strict
-from bayesid.results.fitted_model import fitted_model
-from bayesid.results.identification import Identification
-from bayesid.results.payload import FoundEffect, PayloadEstimate
-from bayesid.results.text import DASH, number, percent, with_half
+from bayesid.results.payload import NEXT_POSES, PayloadEstimate
+from bayesid.results.text import number, percent, with_half
 from bayesid.robot.urdf_file import read_urdf
-from bayesid.rounding import HALF
 from bayesid.workflows.diagnose import diagnose
-from bayesid.workflows.identify import identify
+from bayesid.workflows.explained import Explained, explain, offset_of
 from bayesid.workflows.progress import SHOWN, Clock, Progress, shows_progress
 from bayesid.workflows.warnings import contradictions, impossible_signs
 
 #: Effects that are another body on a link: on the one that carries the payload they are the payload.
 _BODIES = ("payload", "inertia_error")
+#: An error of the stated origin of the sensor: readings do not tell it from another centre of mass.
+_ORIGIN = ("sensor_translation",)
+_SHIFTED = "it cannot be told from another centre of mass, which is from the stated origin of the sensor."
 #: A body's farthest part is assumed to be this many times as far from its centre of mass as that is from the flange, and at
 #: least so far [m].
 _EXTENT, _SMALLEST_EXTENT = 2.0, 0.1
@@ -62,6 +63,7 @@ class _Asked:
     seed: int
     settings: Settings | None
     clock: Clock
+    target: tuple[float, float] | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,9 +76,10 @@ class _Found:
     rivals: tuple[BodyKnowledge, ...] = ()
     effects: tuple[FoundEffect, ...] = ()
     verdict: str | None = None
-    offset: np.ndarray | None = None
+    offset: tuple[Quantity, ...] = ()
     evidence: float | None = None
     share: float | None = None
+    more: NextPoses | None = None
     sentences: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
 
@@ -93,6 +96,7 @@ def payload(
     joint: str | None = None,
     frame: str | None = None,
     extent: float | None = None,
+    target: tuple[float, float] | None = None,
     diagnosis: bool = True,
     seed: int = 0,
     settings: Settings | None = None,
@@ -124,6 +128,9 @@ def payload(
         URDF link in whose frame it is told; default the flange, where the URDF has one, else the link that carries it.
     extent
         No part of the payload is farther from its centre of mass [m]: bounds an inertia that the readings do not show.
+    target
+        Half 95 % intervals that are wanted of the mass [kg] and the centre of mass along any axis [m]: for a sensor that carries
+        the payload alone, the poses that reach them are proposed.
     diagnosis
         Whether to look for what else is in the readings.
     seed
@@ -153,7 +160,7 @@ def payload(
     read = chosen.channel or default_channel(experiment)
     if chosen.effects is not None:
         experiment = replace(experiment, effects=tuple(chosen.effects))
-    asked = _Asked(experiment, FitOptions(channel=read, motions=chosen.motions), diagnosis, seed, settings, clock)
+    asked = _Asked(experiment, FitOptions(channel=read, motions=chosen.motions), diagnosis, seed, settings, clock, target)
     carried = weighed_alone(experiment, read)
     sensor = experiment.sensor
     if reference is not None:
@@ -193,7 +200,8 @@ def payload(
         sensor_frame=urdf.joints[detail].child if source == "sensor" else None,
         centre_in_sensor=_in_sensor(found, experiment) if source == "sensor" else None,
         world=next(link for link in _links(urdf.root) if link not in {j.child for j in urdf.joints.values()}),
-        gravity=experiment.robot.gravity, evidence=found.evidence, nominal_share=found.share, sentences=found.sentences,
+        gravity=experiment.robot.gravity, evidence=found.evidence, nominal_share=found.share, more=found.more,
+        sentences=found.sentences,
         warnings=found.warnings, seconds=clock.stop(),
     )  # fmt: skip
     return replace(result, sentences=(*_not_shown(result), *result.sentences))
@@ -212,7 +220,15 @@ def _(result: PayloadEstimate) -> Files:
     from bayesid.report.payload import payload_report
 
     others = {name: partial(_write, text) for name, text in result.exports().items()}
+    if (more := result.more) is not None and len(more.positions):
+        others[NEXT_POSES] = partial(_write, _table(more.positions))
     return Files({"payload.json": strict(result.to_dict())}, others, payload_report(result))
+
+
+def _table(positions: np.ndarray) -> str:
+    """Poses as a table of a motion of kind ``poses``."""
+    rows = [",".join([str(k), *(f"{x:.6f}" for x in row)]) for k, row in enumerate(positions)]
+    return "\n".join([",".join(["t", *(f"q{j + 1}" for j in range(positions.shape[1]))]), *rows]) + "\n"
 
 
 def _write(text: str, path: Path) -> None:
@@ -221,22 +237,33 @@ def _write(text: str, path: Path) -> None:
 
 def _weighed(asked: _Asked, body: int) -> _Found:
     """By a sensor that carries it alone."""
-    first, plain, found = _fitted(asked, body, lambda fit: from_sensor(fit.problem, fit.estimate, body))
-    last = found.fit
-    offset = None if last.offset is None else np.array(last.offset)
-    sentences = [] if offset is None else [_offset_sentence(offset)]
+    # What it carries is free: its nominal values are mostly placeholders, and an error of theirs is no fault.
+    found = _explained(asked, replace(asked.experiment, inertia_rel_std=None), body)
+    plain, known, *others = (from_sensor(f.problem, f.estimate, body) for f in (found.first, found.best, *found.rivals))
+    last = found.best
+    offset = offset_of(last)
+    sentences = [_offset_sentence(offset)] if offset else []
+    more = None
+    if asked.target is not None:
+        asked.clock("poses to record next")
+        more = next_poses(last.problem, last.estimate, body, asked.target, asked.seed)
+        sentences = [_next_sentence(more), *sentences]
     return _Found(
-        body, found.known, plain, found.rivals, found.effects, found.verdict, offset,
+        body, known, plain, tuple(others), found.effects, found.verdict, offset, more=more,
         sentences=(*sentences, *_beside(found.effects, plain), _COMMON_GAIN),
-        warnings=(*impossible_signs(last.estimate, last.problem), *found.warnings, *contradictions(first.agreements)),
+        warnings=(
+            *impossible_signs(last.estimate, last.problem), *_told(found, plain, known), *contradictions(found.first.agreements)
+        ),
     )  # fmt: skip
 
 
 def _beside_nominal(asked: _Asked, joint: str | None, trust: float) -> _Found:
     """Beside a nominal model that is trusted so far."""
     body = body_of(asked.experiment.robot, carrying_joint(asked.experiment.robot, joint))
-    first, plain, found = _fitted(asked, body, lambda fit: from_nominal(fit.problem, fit.estimate, body, trust)[0])
-    share = from_nominal(found.fit.problem, found.fit.estimate, body, trust)[1]
+    found = _explained(asked, asked.experiment, body)
+    fits = (found.first, found.best, *found.rivals)
+    plain, known, *others = (from_nominal(f.problem, f.estimate, body, trust)[0] for f in fits)
+    share = from_nominal(found.best.problem, found.best.estimate, body, trust)[1]
     says = (
         f"The answer depends on the nominal model: {percent(share, 2)} of the mass's variance is its. A recording without the "
         f"payload ({argument('reference')}) does without it."
@@ -244,9 +271,34 @@ def _beside_nominal(asked: _Asked, joint: str | None, trust: float) -> _Found:
         else f"The nominal model contributes {percent(share, 2)} of the mass's variance."
     )
     return _Found(
-        body, found.known, plain, found.rivals, found.effects, found.verdict, share=share,
-        sentences=(says, *_beside(found.effects, plain)), warnings=(*found.warnings, *contradictions(first.agreements)),
+        body, known, plain, tuple(others), found.effects, found.verdict, share=share,
+        sentences=(says, *_beside(found.effects, plain)),
+        warnings=(*_told(found, plain, known), *contradictions(found.first.agreements)),
     )  # fmt: skip
+
+
+def _explained(asked: _Asked, experiment: Experiment, body: int) -> Explained:
+    """Fits without and with what else is in the readings."""
+    here = f"joint{int(experiment.robot.body_joint[body]) + 1}"
+
+    def is_payload(effect: Effect) -> bool:
+        return effect.name in _BODIES and effect.where == here
+
+    return explain(
+        experiment, asked.options, is_payload, lambda e: e.name in _ORIGIN, asked.diagnosis, asked.seed, asked.settings,
+        asked.clock,
+    )  # fmt: skip
+
+
+def _told(found: Explained, plain: BodyKnowledge, known: BodyKnowledge) -> list[str]:
+    """What to know of the effects beside the payload."""
+    out = list(found.warnings)
+    if shifted := [e.spec for e in found.effects if e.name in _ORIGIN]:
+        out.append(f"The readings also hold {', '.join(shifted)}: {_SHIFTED}")
+    if plain.mass.shown and not known.mass.shown:
+        names = ", ".join(e.spec for e in found.effects if e.in_model)
+        out.append(f"With {names} in the model these recordings do not show the mass: take it away, or record more poses.")
+    return out
 
 
 def _since(asked: _Asked, before: Experiment, joint: str | None) -> _Found:
@@ -291,92 +343,6 @@ def _since(asked: _Asked, before: Experiment, joint: str | None) -> _Found:
     )  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
-class _Explained:
-    """The best fit with what a diagnosis names beside the payload, what it says, and what those say that do as well."""
-
-    fit: Identification
-    known: BodyKnowledge
-    rivals: tuple[BodyKnowledge, ...] = ()
-    effects: tuple[FoundEffect, ...] = ()
-    verdict: str | None = None
-    warnings: tuple[str, ...] = ()
-
-
-def _fitted(
-    asked: _Asked, body: int, read: Callable[[Identification], BodyKnowledge]
-) -> tuple[Identification, BodyKnowledge, _Explained]:
-    """A fit of the user's model, what it says of the payload, and the same with what a diagnosis names beside it."""
-    asked.clock("fit")
-    first = identify(asked.experiment, options=asked.options, progress=None)
-    plain = read(first)
-    if not asked.diagnosis:
-        return first, plain, _Explained(first, plain)
-    asked.clock("what else is in the readings")
-    experiment, options = asked.experiment, asked.options
-    # What a sensor carries alone is free: its nominal values are mostly placeholders, and an error of theirs is no fault.
-    alone = weighed_alone(experiment, str(options.channel)) is not None
-    free = replace(experiment, inertia_rel_std=None) if alone else experiment
-    try:
-        found = diagnose(free, options=options, seed=asked.seed, settings=asked.settings, progress=None)
-    except BayesidError as error:
-        warning = f"The readings were not searched for anything beside the payload: {error}"
-        return first, plain, _Explained(first, plain, warnings=(warning,))
-    told: tuple[str, ...] = ()
-    if found.verdict in ("unknown", "named_in_part"):
-        told = (f"Something in the readings stays unexplained: the intervals do not count it. {found.next_experiment}",)
-    here = f"joint{int(experiment.robot.body_joint[body]) + 1}"
-
-    def is_payload(term: Term) -> bool:  # or what is estimated anyway
-        e = term.effect
-        return (e.name in _BODIES and e.where == here) or not {e.spec, e.name}.isdisjoint(first.problem.effects)
-
-    beside = [f for f in found.found if not is_payload(f.term)]
-    if not beside:
-        return first, plain, _Explained(first, plain, verdict=found.verdict, warnings=told)
-    asked.clock("fit with it")
-    terms = [f.term for f in beside]
-    effects = tuple(_effect(f.term, f.std, [t for t, _ in f.rivals]) for f in beside)
-    last = _refit(found, options, terms)
-    known = None if last is None else read(last)
-    if last is None or known is None or _hides(known, plain):
-        names = ", ".join(e.spec for e in effects)
-        why = "does not converge" if last is None else "leaves the payload open"
-        told = (*told, f"The readings also hold {names}. A fit with it {why}: the values are without it.")
-        effects = tuple(replace(e, in_model=False) for e in effects)
-        return first, plain, _Explained(first, plain, effects=effects, verdict=found.verdict, warnings=told)
-    rivals = []
-    for k, f in enumerate(beside):
-        for rival, _ in f.rivals:
-            other = first if is_payload(rival) else _refit(found, options, [*terms[:k], rival, *terms[k + 1 :]])
-            if other is not None and not _hides(said := read(other), plain):
-                rivals.append(said)
-    return first, plain, _Explained(last, known, tuple(rivals), effects, found.verdict, told)
-
-
-def _hides(known: BodyKnowledge, plain: BodyKnowledge) -> bool:
-    """Whether mass or centre of mass are not shown that another model shows."""
-    pairs = zip((known.mass, *known.centre), (plain.mass, *plain.centre), strict=True)
-    return any(other.shown and not q.shown for q, other in pairs)
-
-
-def _refit(found: Diagnosis, options: FitOptions, terms: Sequence[Term]) -> Identification | None:
-    """A fit with some effects from their values on; None where it fails."""
-    experiment = found.data.experiment
-    known = found.terms[: len(found.terms) - len(found.found)]
-    effects, values = fitted_model(experiment, [*experiment.effects, *(t.effect.spec for t in terms)], [*known, *terms])
-    try:
-        return identify(replace(experiment, effects=effects, effect_values=values), options=options, progress=None)
-    except BayesidError:
-        return None
-
-
-def _effect(term: Term, std: np.ndarray, rivals: Sequence[Term]) -> FoundEffect:
-    e = term.effect
-    values = {n: (v, float(s), u) for n, v, s, u in zip(e.parameters, term.values, std, e.units, strict=True)}
-    return FoundEffect(e.name, e.where, values, tuple(t.effect.spec for t in rivals))
-
-
 def _joined(own: Sequence[Quantity], others: Sequence[Sequence[Quantity]]) -> tuple[Quantity, ...]:
     return tuple(q.joined(tuple(o[k] for o in others)) for k, q in enumerate(own))
 
@@ -394,9 +360,22 @@ def _links(root) -> list[str]:
     return [str(link.get("name")) for link in root.findall("link")]
 
 
-def _offset_sentence(offset: np.ndarray) -> str:
-    told = [" ± ".join(with_half(v, HALF * s)) for v, s in offset.T]
-    return f"Sensor offset: fx {told[0]}, fy {told[1]}, fz {told[2]} N; mx {told[3]}, my {told[4]}, mz {told[5]} N m."
+def _next_sentence(more: NextPoses) -> str:
+    mass, centre = (number(x, 2) for x in (more.expected[0], 1e3 * more.expected[1]))
+    wanted = f"{number(more.wanted[0], 2)} kg and {number(1e3 * more.wanted[1], 2)} mm"
+    if not len(more.positions):
+        return f"The accuracy asked for, {wanted}, is reached."
+    if not more.reached:
+        return f"{len(more.positions)} more poses would bring ± {mass} kg and ± {centre} mm, not the {wanted} asked for."
+    return (
+        f"{len(more.positions)} more poses ({NEXT_POSES}) are expected to bring ± {mass} kg and ± {centre} mm. They keep to the "
+        "joints' limits; check them for collisions."
+    )
+
+
+def _offset_sentence(offset: Sequence[Quantity]) -> str:
+    told = [f"{q.name} {' ± '.join(with_half(q.value, q.high - q.value)) if q.shown else 'not shown'}" for q in offset]
+    return f"Sensor offset: {', '.join(told[:3])} N; {', '.join(told[3:])} N m."
 
 
 def _beside(effects: Sequence[FoundEffect], plain: BodyKnowledge) -> list[str]:
@@ -404,21 +383,11 @@ def _beside(effects: Sequence[FoundEffect], plain: BodyKnowledge) -> list[str]:
     effects = [e for e in effects if e.in_model]
     if not effects:
         return []
-    parts = []
-    for e in effects:
-        values = ", ".join(_value(k, *given) for k, given in e.values.items())
-        rivals = f", or {' or '.join(e.ambiguous_with)}: these recordings do not tell" if e.ambiguous_with else ""
-        parts.append(f"{e.spec} ({values}){rivals}")
-    out = [f"Beside the payload the readings hold {'; '.join(parts)}. It is in the model."]
+    out = [f"Beside the payload the readings hold {'; '.join(map(str, effects))}. It is in the model."]
     if plain.mass.shown:
         centre = ", ".join(number(1e3 * q.value, 3) for q in plain.centre)
         out.append(f"Without it: {number(plain.mass.value, 4)} kg, centre of mass ({centre}) mm in the carrying link's frame.")
     return out
-
-
-def _value(name: str, value: float, std: float, unit: str) -> str:
-    text, half = with_half(value, HALF * std)
-    return f"{name} {text}{'' if half == DASH else f' ± {half}'} {'' if unit == '1' else unit}".rstrip()
 
 
 def _not_shown(result: PayloadEstimate) -> list[str]:

@@ -94,6 +94,15 @@ OPTIONS: dict[str, dict[str, st.SearchStrategy[str]]] = {
     },
     "diagnose": {**_COMMON, "--reference": st.sampled_from(["{arm}", "nowhere", ""])},
     "watch": {**_COMMON},
+    "calibrate": {
+        "--reference": st.sampled_from(["{arm}", "nowhere", ""]),
+        "--mass": _ANY,
+        "--mass-std": _ANY,
+        "--motions": _COMMON["--motions"],
+        "--effects": _COMMON["--effects"],
+        "--out": _OUT,
+        "--seed": _ANY,
+    },
     "payload": {
         **_COMMON,
         "--reference": st.sampled_from(["{arm}", "nowhere", ""]),
@@ -174,7 +183,7 @@ OPTIONS: dict[str, dict[str, st.SearchStrategy[str]]] = {
 #: How often each verb runs: those that take seconds seldom.
 SHARES = {
     "check": 11, "identify": 5, "simulate": 5, "compare": 1, "diagnose": 1, "sample": 1, "identifiability": 3, "excite": 3,
-    "accuracy": 1, "bounds": 1, "watch": 1, "payload": 1,
+    "accuracy": 1, "bounds": 1, "watch": 1, "payload": 1, "calibrate": 1,
 }  # fmt: skip
 #: What keeps a verb's run short, where a case does not say otherwise.
 SHORT = {

@@ -16,8 +16,8 @@ from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recordin
 
 SENSOR = Sensor(translation=np.array([0.0, 0.0, -0.1]))
 KINDS = ["identification", "estimate", "prediction", "comparison", "posterior", "own_posterior", "bounds", "diagnosis", "changes",
-         "accuracy", "identifiability", "excitation", "telling", "watch", "payload", "inspection", "experiment", "simulation",
-         "regression", "table"]  # fmt: skip
+         "accuracy", "identifiability", "excitation", "telling", "watch", "payload", "calibration", "inspection", "experiment",
+         "simulation", "regression", "table"]  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -65,6 +65,7 @@ def results(arm):
         "excitation": bayesid.excite(arm, duration=10.0, period=5.0, **quick),
         "telling": bayesid.tell(arm, ["base_tilt", "sensor_rotation"], bayesid.ExcitationOptions(duration=6.0, **quick)),
         "watch": bayesid.watch(arm, [arm], "torque"),
+        "calibration": bayesid.calibrate(arm),
         "payload": bayesid.payload(arm, "torque", diagnosis=False),
         "inspection": bayesid.check(arm),
         "experiment": arm,
@@ -121,7 +122,7 @@ WRITTEN = {
     "identification": "estimate.json", "comparison": "comparison.json", "posterior": "posterior.nc", "bounds": "bounds.json",
     "diagnosis": "diagnosis.json", "changes": "diagnosis.json", "accuracy": "accuracy.json", "excitation": "excitation.json",
     "identifiability": "identifiability.json", "telling": "excitation.json", "watch": "watch.json",
-    "payload": "payload.json", "inspection": "check.json",
+    "payload": "payload.json", "calibration": "calibration.json", "inspection": "check.json",
 }  # fmt: skip
 NUMBERS = ("names", "values", "std", "low", "high", "covariance", "link_parameters", "base_draws", "link_draws", "rho", "verdict")
 
@@ -197,7 +198,7 @@ def test_a_loaded_posterior_has_its_draws(results, loaded, tmp_path):
 @pytest.mark.parametrize(
     ("kind", "name"), [("identification", "predict"), ("identification", "plot_predictions"), ("comparison", "predict"),
                        ("posterior", "log_density"), ("bounds", "torque"), ("diagnosis", "search"), ("watch", "sentences"),
-                       ("payload", "export")]
+                       ("payload", "export"), ("calibration", "compensate")]
 )  # fmt: skip
 def test_what_needs_the_recording_says_so(loaded, kind, name):
     with pytest.raises(bayesid.NeedsRecording, match=f"does not hold what {name} of .* needs, which is the recording"):

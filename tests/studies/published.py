@@ -36,6 +36,7 @@ SHOWN = {
     "docs/identified-urdf.json": ("real/*/growth", "simulated/*/growth"),
     "docs/named-in-part.json": ("cases/*/remainder", "cases/*/seconds"),
     "docs/outliers.json": ("arms/*/fits/*/error", "arms/*/fits/*/coverage"),
+    "docs/payload-coverage.json": ("groups/*/coverage_mean", "faults/*/told", "named_without", "told"),
     "docs/physical.json": ("cases/*/methods/*/coverage/mean", "cases/*/methods/*/coverage/lowest"),
     "docs/physical-speed.json": ("milliseconds/*", "times_faster*"),
     "docs/posterior-speed.json": ("*/bayesid/rate", "*/bayesid_over_*", "whole/*/seconds"),

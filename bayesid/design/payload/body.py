@@ -69,6 +69,13 @@ class Quantity:
         """A number that the data do not show, with what bounds it."""
         return cls(name, unit, np.nan, np.nan, low, high, False)
 
+    @classmethod
+    def of(cls, name: str, unit: str, value: float, std: float, half: float) -> Quantity:
+        """A number with its standard deviation, and half its interval in these; one that is not finite is not shown."""
+        if not isfinite(std):
+            return cls.unknown(name, unit)
+        return cls(name, unit, float(value), float(std), float(value - half * std), float(value + half * std), True)
+
     def joined(self, others: tuple[Quantity, ...]) -> Quantity:
         """The same with an interval that holds those of other models, too, which the data cannot tell from its own."""
         ends = [(q.low, q.high) for q in (self, *others)]
@@ -144,7 +151,7 @@ class BodyKnowledge:
     @property
     def half(self) -> float:
         """Half a central 95 % interval in standard deviations."""
-        return float(student.ppf(0.5 + LEVEL / 2, self.freedom)) if isfinite(self.freedom) else HALF
+        return half_interval(self.freedom)
 
     @cached_property
     def possible(self) -> BodyKnowledge:
@@ -203,6 +210,11 @@ class BodyKnowledge:
             made = Quantity(n, "kg m^2", float(value), float(std), float(lo), float(hi), True)
             out.append(made if shown else Quantity.unknown(n, "kg m^2", float(lo), float(hi)))
         return tuple(out)
+
+
+def half_interval(freedom: float) -> float:
+    """Half a central 95 % interval in standard deviations that are known from so many degrees of freedom."""
+    return float(student.ppf(0.5 + LEVEL / 2, freedom)) if isfinite(freedom) else HALF
 
 
 def about_centre(parameters: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

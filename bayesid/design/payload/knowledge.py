@@ -3,6 +3,10 @@
 **A sensor** in the wrist weighs what is beyond it and nothing else: the base parameters of its wrench are combinations of that
 one body's ten parameters, ``b = K p``.
 
+Of a few poses the noise of each channel is known from few numbers. Intervals are Student's then, and as the channels share what
+they weigh by estimated weights, the covariance is larger by ``1 + 4 (1 - 1/k) / nu`` with k = 3 channels of nu degrees of
+freedom each [Meier1953]_.
+
 **A nominal model** with links ``phi_0`` and errors of covariance P. What is attached to link n adds to its parameters:
 ``b - K phi_0 = K_n p + K (phi - phi_0)``, so that p is told with the covariance ``V + K P K'``.
 
@@ -36,6 +40,8 @@ from bayesid.robot.urdf_file import read_urdf
 
 #: Ends of the names of URDF links that are a flange, in whose frame controllers want a payload, the most certain first.
 FLANGES = ("tool0", "_link8", "flange")
+#: What estimated weights of three channels add to the variance, times the degrees of freedom of each.
+_WEIGHTS = 4.0 * (1.0 - 1.0 / 3.0)
 
 
 def carrying_joint(robot: Robot, joint: str | None) -> int:
@@ -96,7 +102,9 @@ def from_sensor(problem: Problem, estimate: Estimate, body: int) -> BodyKnowledg
     told = ~estimate.undetermined[: base.rank]
     matrix = base.matrix[:, 10 * body : 10 * body + 10][told]
     assert estimate.covariance is not None
-    return BodyKnowledge.of(matrix, estimate.values[told], estimate.covariance[np.ix_(told, told)], _freedom(problem, estimate))
+    freedom = degrees_of_freedom(problem, estimate)
+    covariance = (1.0 + _WEIGHTS / freedom) * estimate.covariance[np.ix_(told, told)]
+    return BodyKnowledge.of(matrix, estimate.values[told], covariance, freedom)
 
 
 def from_nominal(problem: Problem, estimate: Estimate, body: int, rel_std: float) -> tuple[BodyKnowledge, float]:
@@ -205,7 +213,7 @@ def _is_payload(change: Hypothesis, where: str) -> bool:
     return change.name == Payload.name and change.where == where
 
 
-def _freedom(problem: Problem, estimate: Estimate) -> float:
+def degrees_of_freedom(problem: Problem, estimate: Estimate) -> float:
     """Degrees of freedom of a channel's noise, where a few poses are all that it is known from."""
     fitted = [s for name in problem.fitted for s in problem.segments[name]]
     if not all(s.poses for s in fitted):

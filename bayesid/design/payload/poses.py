@@ -1,0 +1,129 @@
+"""How many more poses, and which, bring mass and centre of mass of a payload to a stated accuracy.
+
+With Sigma the covariance of all that was estimated and rows X of a pose in units of the sensor's noise, that after it is
+
+    (Sigma^-1 + X' X)^-1 = Sigma - Sigma X' (1 + X Sigma X')^-1 X Sigma.
+
+Poses are added one by one, each the one that makes the sum of the variances of mass and centre of mass, in units of the squares
+of what is wanted of them, smallest [Fedorov1972]_.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from bayesid.arguments import argument
+from bayesid.design.payload.body import BodyKnowledge
+from bayesid.design.payload.knowledge import degrees_of_freedom
+from bayesid.errors import InputError
+from bayesid.estimators import Estimate
+from bayesid.regression.problem import Problem
+from bayesid.regression.segment import Segment
+from bayesid.robot.limits import motion_limits
+
+#: Poses to choose from, and the most that are proposed.
+_CANDIDATES, _MOST = 200, 100
+#: Variance of what is not determined yet, relative to the largest that is.
+_OPEN = 1e6
+
+
+@dataclass(frozen=True, eq=False)
+class NextPoses:
+    """Poses to record next.
+
+    Attributes
+    ----------
+    positions
+        Joint positions (k, n) [rad or m]; none where the accuracy is reached.
+    wanted
+        Half widths of the 95 % intervals that were asked for: mass [kg], centre of mass along any axis [m].
+    expected
+        Those expected once these poses are recorded, too.
+    reached
+        Whether these poses suffice.
+    """
+
+    positions: np.ndarray
+    wanted: tuple[float, float]
+    expected: tuple[float, float]
+    reached: bool
+
+
+def next_poses(problem: Problem, estimate: Estimate, body: int, wanted: tuple[float, float], seed: int = 0) -> NextPoses:
+    """Choose poses within the joints' limits; collisions are not looked for.
+
+    Parameters
+    ----------
+    problem, estimate
+        A fit to the wrench of a sensor that carries the body alone.
+    body
+        Index of the body.
+    wanted
+        See `NextPoses`.
+    seed
+        Of the poses to choose from.
+
+    Raises
+    ------
+    InputError
+        What is wanted is no accuracy.
+    """
+    if len(wanted) != 2 or not all(np.isfinite(w) and w > 0.0 for w in wanted):
+        raise InputError(
+            f"{argument('target', list(wanted))}: give two numbers above 0, half intervals of the mass [kg] and the centre [m]"
+        )
+    robot, model, rank = problem.experiment.robot, problem.row_model, estimate.base.rank
+    lower, upper, _ = motion_limits(robot)
+    # A full turn each way at most: what is beyond is the same pose again.
+    lower, upper = np.maximum(lower, -np.pi), np.minimum(upper, np.pi)
+    q = np.random.default_rng(seed).uniform(lower, upper, (_CANDIDATES, robot.n))
+    read = np.zeros((len(q), len(model.channels.names)))
+    rows = model.samples(Segment(np.arange(float(len(q))), q, read, read[0], 0, poses=True), 0, len(q))[:, :, :-1]
+    noise = estimate.noise.get("poses") or next(iter(estimate.noise.values()))
+    rows = rows / noise.std[:, None]
+    covariance, freedom = _open(estimate), degrees_of_freedom(problem, estimate)
+    own = estimate.base.matrix[:, 10 * body : 10 * body + 10]
+    slopes = _slopes(own, estimate.values, wanted)
+    taken: list[int] = []
+
+    def expected() -> tuple[float, float]:
+        added = len(taken) if np.isfinite(freedom) else 0.0
+        known = BodyKnowledge.of(own, estimate.values, covariance[:rank, :rank], freedom + added)
+        centre = max(0.5 * (c.high - c.low) if c.shown else np.inf for c in known.centre)
+        return (0.5 * (known.mass.high - known.mass.low) if known.mass.shown else np.inf), centre
+
+    while not _reached(now := expected(), wanted) and len(taken) < _MOST:
+        along = covariance @ rows.transpose(0, 2, 1)  # (C, p, 6)
+        told = along[:, :rank].transpose(0, 2, 1) @ slopes.T  # (C, 6, 4)
+        inner = np.eye(rows.shape[1]) + rows @ along
+        gain = np.sum(told * np.linalg.solve(inner, told), axis=(1, 2))
+        gain[taken] = -1.0
+        best = int(np.argmax(gain))
+        covariance = covariance - along[best] @ np.linalg.solve(inner[best], along[best].T)
+        taken.append(best)
+    return NextPoses(q[taken], wanted, now, _reached(now, wanted))
+
+
+def _reached(now: tuple[float, float], wanted: tuple[float, float]) -> bool:
+    return now[0] <= wanted[0] and now[1] <= wanted[1]
+
+
+def _open(estimate: Estimate) -> np.ndarray:
+    """Covariance of all that was estimated, wide where the data say nothing (p, p)."""
+    assert estimate.full_covariance is not None
+    covariance = np.array(estimate.full_covariance)
+    size = np.sqrt(np.diag(covariance)[~estimate.undetermined].max(initial=1.0))
+    covariance[estimate.undetermined] = covariance[:, estimate.undetermined] = 0.0
+    covariance[np.diag_indices(len(covariance))] += np.where(estimate.undetermined, _OPEN * size**2, 0.0)
+    return covariance
+
+
+def _slopes(own: np.ndarray, values: np.ndarray, wanted: tuple[float, float]) -> np.ndarray:
+    """Derivatives of mass and centre of mass, in what is wanted of them, with respect to the base parameters (4, r)."""
+    back = np.linalg.pinv(own)  # (10, r)
+    body = back @ values
+    mass = max(float(body[0]), 1e-3)
+    centre = (back[1:4] - np.outer(body[1:4] / mass, back[0])) / mass
+    return np.vstack([back[0] / wanted[0], centre / wanted[1]])

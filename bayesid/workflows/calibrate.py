@@ -1,0 +1,226 @@
+"""The verb ``calibrate``: what a force/torque sensor in place has."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+
+from bayesid.arguments import argument
+from bayesid.design.payload.body import BodyKnowledge, Quantity
+from bayesid.design.payload.knowledge import from_sensor, weighed_alone
+from bayesid.diagnosis.settings import Settings
+from bayesid.drawing import Figures, figures_of
+from bayesid.errors import InputError
+from bayesid.recordings.experiment import Experiment, as_experiment
+from bayesid.regression.options import FitOptions, some_options
+from bayesid.results.calibration import KINDS, Calibration, Hidden
+from bayesid.results.controllers import Load
+from bayesid.results.diagnosis import Diagnosis
+from bayesid.results.files import Files, files_of, strict
+from bayesid.results.identification import Identification
+from bayesid.results.text import number, percent
+from bayesid.robot.urdf_file import read_urdf
+from bayesid.workflows.explained import Explained, explain, offset_of
+from bayesid.workflows.progress import SHOWN, Clock, Progress, shows_progress
+from bayesid.workflows.warnings import contradictions, impossible_signs
+
+#: A mass that people have, and would hang on [kg].
+_USUAL = 1.0
+
+
+@shows_progress
+def calibrate(
+    experiment: Experiment | str | Path,
+    *,
+    reference: Experiment | str | Path | None = None,
+    mass: float | None = None,
+    mass_std: float = 0.0,
+    options: FitOptions | None = None,
+    motions: str | Sequence[str] | None = None,
+    effects: str | Sequence[str] | None = None,
+    seed: int = 0,
+    settings: Settings | None = None,
+    progress: Progress | None = SHOWN,
+) -> Calibration:
+    """Offset, drift, gain, cross-talk, orientation, origin and delay of a force/torque sensor in place, and the tilt of its base.
+
+    Only as many of them are told as the recordings prove, each with its interval; of the others how large they may be without
+    standing out. A gain that all axes share looks like a heavier load: a known mass tells it.
+
+    Parameters
+    ----------
+    experiment
+        Poses or motions with the sensor's readings; loaded, or its folder.
+    reference
+        The same sensor without the known mass, which was hung on for ``experiment``.
+    mass, mass_std
+        The known mass and its standard deviation [kg]: of all that the sensor carries, or with ``reference`` of what was hung on.
+    options
+        ``motions`` and ``effects`` at once; those that are given beside it stand in its place.
+    motions
+        Names of those to fit; default those with role ``identification``.
+    effects
+        Replaces ``[model] effects``.
+    seed
+        Of everything random in the diagnosis.
+    settings
+        Thresholds of the diagnosis other than the usual ones.
+    progress
+        Called with the name of every stage; default: shown where it takes over two seconds; None: never.
+
+    Returns
+    -------
+    calibration
+        With `Calibration.compensate`, which takes weight and offset out of readings.
+
+    Raises
+    ------
+    InputError
+        There is no sensor, or a mass that cannot be used.
+    """
+    chosen = some_options("calibrate", options, motions=motions, effects=effects)
+    clock = Clock(progress)
+    clock("reading")
+    experiment = as_experiment(experiment)
+    sensor = experiment.sensor
+    if sensor is None:
+        raise InputError(f"experiment {experiment.name}: has no force/torque sensor; add [sensor] to experiment.toml")
+    if mass is not None and not (np.isfinite(mass) and mass > 0.0):
+        raise InputError(f"{argument('mass', mass)}: give the known mass in kilograms, above 0")
+    if not (np.isfinite(mass_std) and mass_std >= 0.0):
+        raise InputError(f"{argument('mass_std', mass_std)}: give a standard deviation in kilograms, 0 or more")
+    if reference is not None and mass is None:
+        raise InputError(f"{argument('reference')}: says how much was hung on only with that mass; add {argument('mass', 1.0)}")
+    if chosen.effects is not None:
+        experiment = replace(experiment, effects=tuple(chosen.effects))
+    asked = FitOptions(channel="wrench", motions=chosen.motions)
+    body = weighed_alone(experiment, "wrench")
+    if body is None and mass is not None:
+        raise InputError(f"{argument('mass', mass)}: is of use where the sensor carries one body; this one carries the arm")
+
+    def look(recorded: Experiment) -> Explained:
+        free = recorded if body is None else replace(recorded, inertia_rel_std=None)
+        return explain(free, asked, lambda _: False, lambda _: False, True, seed, settings, clock)
+
+    found = look(experiment)
+    best, known = found.best, None
+    if body is not None:
+        known = from_sensor(best.problem, best.estimate, body)
+    gain = None
+    if known is not None and mass is not None and known.mass.shown:
+        weighed, variance = known.mean[0], known.covariance[0, 0]
+        if reference is not None:
+            clock("reference")
+            other = look(as_experiment(reference)).best
+            bare = from_sensor(other.problem, other.estimate, body or 0)
+            weighed, variance = weighed - bare.mean[0], variance + bare.covariance[0, 0]
+        std = float(np.sqrt(variance + (weighed / mass * mass_std) ** 2)) / mass
+        gain = Quantity.of("gain", "1", weighed / mass - 1.0, std, known.half)
+    clock("result")
+    return Calibration(
+        fit=best, sensor=sensor.joint or "base", found=_quantities(best),
+        ambiguous={e.spec: e.ambiguous_with for e in found.effects if e.in_model and e.ambiguous_with},
+        hidden=() if found.diagnosis is None else _hidden(found.diagnosis, best, body is not None),
+        mass=None if known is None else known.mass,
+        centre=() if known is None else known.centre, common_gain=gain, load=_load(best, experiment, known),
+        verdict=found.verdict, sentences=tuple(_sentences(best, known, gain, mass, reference is not None)),
+        warnings=(*impossible_signs(best.estimate, best.problem), *found.warnings, *contradictions(found.first.agreements)),
+        seconds=clock.stop(),
+    )  # fmt: skip
+
+
+@figures_of.register
+def _(result: Calibration) -> Figures:
+    from bayesid.report.prediction_figures import measured_against_predicted
+
+    return {"predictions": partial(measured_against_predicted, result.fit.fitted[0], None)}
+
+
+@files_of.register
+def _(result: Calibration) -> Files:
+    """``calibration.json``, gravity compensation for ROS, and the report."""
+    from bayesid.report.calibration import calibration_report
+
+    others = {name: partial(_write, text) for name, text in result.exports().items()}
+    return Files({"calibration.json": strict(result.to_dict())}, others, calibration_report(result))
+
+
+def _write(text: str, path: Path) -> None:
+    path.write_text(text, encoding="utf-8")
+
+
+def _quantities(fit: Identification) -> dict[str, tuple[Quantity, ...]]:
+    """Every effect of the model on the wrench with its parameters."""
+    out = {}
+    for effect in fit.effects():
+        spec = f"{effect['name']}@{effect['where']}"
+        out[spec] = tuple(
+            Quantity(name, p["unit"], p["value"], p["std"], p["low"], p["high"], True)
+            if p["std"] is not None and p["low"] is not None else Quantity.unknown(name, p["unit"])
+            for name, p in effect["parameters"].items()
+        )  # fmt: skip
+    if offset := offset_of(fit):
+        out["sensor_offset@sensor"] = offset
+    return out
+
+
+def _hidden(found: Diagnosis, fit: Identification, alone: bool) -> tuple[Hidden, ...]:
+    """Kinds that the model does not have, where they would stand out least."""
+    there = {name.partition("@")[0] for name in _quantities(fit)}
+    out: dict[str, Hidden] = {}
+    for p in found.search.proposals:
+        effect = p.term.effect
+        if effect.name not in KINDS or effect.name in there or p.minimum is None or not np.isfinite(p.minimum):
+            continue
+        if alone and effect.name == "sensor_translation":  # it is another centre of mass
+            continue
+        if effect.name not in out or p.minimum > out[effect.name].size:
+            unit, name = effect.units[0], effect.parameters[0]
+            out[effect.name] = Hidden(effect.name, effect.spec, name, float(p.minimum), unit)
+    return tuple(out[k] for k in KINDS if k in out)
+
+
+def _load(fit: Identification, experiment: Experiment, known: BodyKnowledge | None) -> Load | None:
+    """What controllers are told of what the sensor carries."""
+    if known is None or fit.offset is None or experiment.sensor is None or not all(q.shown for q in (known.mass, *known.centre)):
+        return None
+    sensor, urdf = experiment.sensor, read_urdf(experiment.robot.urdf)
+    centre = np.array([q.value for q in known.centre])
+    turn = pin.rpy.rpyToMatrix(*map(float, sensor.rpy))
+    frame, children = urdf.joints[str(sensor.joint)].child, {j.child for j in urdf.joints.values()}
+    world = next(str(link.get("name")) for link in urdf.root.findall("link") if link.get("name") not in children)
+    return Load(
+        known.mass.value, centre, None, frame, world, experiment.robot.gravity, frame, turn.T @ (centre - sensor.translation),
+        np.asarray(fit.offset[0]),
+    )  # fmt: skip
+
+
+def _sentences(
+    fit: Identification, known: BodyKnowledge | None, gain: Quantity | None, mass: float | None, hung_on: bool
+) -> list[str]:
+    if known is None:
+        return ["The sensor carries the whole arm: a gain that all its axes share cannot be told from heavier links."]
+    if gain is not None:
+        what = "what was hung on" if hung_on else "all that it carries"
+        verdict = "differs from none" if gain.low * gain.high > 0.0 else "may be none"
+        return [
+            f"Against {number(mass)} kg of {what} the forces read {percent(gain.value, 2)} too much (± "
+            f"{percent(gain.high - gain.value, 2)}): the common gain {verdict}."
+        ]
+    if not known.mass.shown:
+        return ["These recordings do not show the mass that the sensor carries: turn it through more attitudes."]
+    # Two weighings, each as sure as this one.
+    share = np.sqrt(2.0) * known.half * known.mass.std / _USUAL
+    return [
+        "A gain that all force axes share cannot be told from another mass: state the mass that it carries "
+        f"({argument('mass')}), or hang a known one on and name this recording as {argument('reference')}. "
+        f"{number(_USUAL, 1)} kg would tell it to ± {percent(share, 2)}.",
+        "A gain that all moment axes share, and another origin of the sensor, cannot be told from another centre of mass.",
+    ]
+
+

@@ -1,0 +1,140 @@
+"""A fit beside one with what a diagnosis names in the readings: what the verbs `payload` and `calibrate` begin with."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from bayesid.design.payload.body import Quantity, half_interval
+from bayesid.design.payload.knowledge import degrees_of_freedom
+from bayesid.diagnosis.settings import Settings
+from bayesid.effects import Effect, Term
+from bayesid.errors import BayesidError
+from bayesid.recordings.experiment import WRENCH_COLUMNS, Experiment
+from bayesid.regression.options import FitOptions
+from bayesid.results.beside import FoundEffect
+from bayesid.results.diagnosis import Diagnosis
+from bayesid.results.fitted_model import fitted_model
+from bayesid.results.identification import Identification
+from bayesid.workflows.diagnose import diagnose
+from bayesid.workflows.identify import identify
+from bayesid.workflows.progress import Clock
+
+
+@dataclass(frozen=True, eq=False)
+class Explained:
+    """Fits without and with what a diagnosis names.
+
+    Attributes
+    ----------
+    first
+        Of the user's model.
+    best
+        With the effects found; the same where there are none.
+    rivals
+        With effects in their place that explain the readings as well.
+    effects
+        What was found.
+    diagnosis
+        All of it; None where it was left out or refused.
+    warnings
+        What the user should know.
+    """
+
+    first: Identification
+    best: Identification
+    rivals: tuple[Identification, ...] = ()
+    effects: tuple[FoundEffect, ...] = ()
+    diagnosis: Diagnosis | None = None
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def verdict(self) -> str | None:
+        """Of the diagnosis."""
+        return None if self.diagnosis is None else self.diagnosis.verdict
+
+
+def explain(
+    experiment: Experiment, options: FitOptions, part_of_it: Callable[[Effect], bool], not_modelled: Callable[[Effect], bool],
+    wanted: bool, seed: int, settings: Settings | None, clock: Clock,
+) -> Explained:  # fmt: skip
+    """Fit, diagnose, and fit again with what was named.
+
+    Parameters
+    ----------
+    experiment, options
+        The recordings, and what to fit.
+    part_of_it
+        Whether an effect is what was asked for under another name.
+    not_modelled
+        Whether an effect is told but kept out of the model.
+    wanted
+        Whether to diagnose at all.
+    seed, settings
+        Of the diagnosis.
+    clock
+        Is told the stages.
+    """
+    clock("fit")
+    first = identify(experiment, options=options, progress=None)
+    if not wanted:
+        return Explained(first, first)
+    clock("what else is in the readings")
+    try:
+        found = diagnose(experiment, options=options, seed=seed, settings=settings, progress=None)
+    except BayesidError as error:
+        return Explained(first, first, warnings=(f"The readings were not searched for anything else: {error}",))
+    told: tuple[str, ...] = ()
+    if found.verdict in ("unknown", "named_in_part"):
+        told = (f"Something in the readings stays unexplained: the intervals do not count it. {found.next_experiment}",)
+
+    def known(effect: Effect) -> bool:  # or estimated anyway
+        return part_of_it(effect) or not {effect.spec, effect.name}.isdisjoint(first.problem.effects)
+
+    beside = [f for f in found.found if not known(f.term.effect)]
+    terms = [f.term for f in beside if not not_modelled(f.term.effect)]
+    effects = tuple(
+        replace(_effect(f.term, f.std, [t for t, _ in f.rivals]), in_model=not not_modelled(f.term.effect)) for f in beside
+    )
+    if not terms:
+        return Explained(first, first, (), effects, found, told)
+    clock("fit with it")
+    best = _refit(found, options, terms)
+    if best is None:
+        names = ", ".join(e.spec for e in effects)
+        told = (*told, f"The readings also hold {names}. A fit with it does not converge: the values are without it.")
+        return Explained(first, first, (), tuple(replace(e, in_model=False) for e in effects), found, told)
+    rivals = []
+    for f in beside:
+        for rival, _ in f.rivals if f.term in terms else ():
+            if not not_modelled(rival.effect):
+                others = [rival if t is f.term else t for t in terms]
+                rivals.append(_refit(found, options, [t for t in others if not known(t.effect)]))
+    return Explained(first, best, tuple(r for r in rivals if r is not None), effects, found, told)
+
+
+def offset_of(fit: Identification) -> tuple[Quantity, ...]:
+    """Constant reading of the sensor, ``fx`` … ``mz``, with intervals (6,); empty without one."""
+    if fit.offset is None:
+        return ()
+    half, units = half_interval(degrees_of_freedom(fit.problem, fit.estimate)), ("N",) * 3 + ("N m",) * 3
+    return tuple(Quantity.of(*given, half) for given in zip(WRENCH_COLUMNS, units, *fit.offset, strict=True))
+
+
+def _refit(found: Diagnosis, options: FitOptions, terms: Sequence[Term]) -> Identification | None:
+    """A fit with some effects from their values on; None where it fails."""
+    experiment = found.data.experiment
+    known = found.terms[: len(found.terms) - len(found.found)]
+    effects, values = fitted_model(experiment, [*experiment.effects, *(t.effect.spec for t in terms)], [*known, *terms])
+    try:
+        return identify(replace(experiment, effects=effects, effect_values=values), options=options, progress=None)
+    except BayesidError:
+        return None
+
+
+def _effect(term: Term, std: np.ndarray, rivals: Sequence[Term]) -> FoundEffect:
+    e = term.effect
+    values = {n: (v, float(s), u) for n, v, s, u in zip(e.parameters, term.values, std, e.units, strict=True)}
+    return FoundEffect(e.name, e.where, values, tuple(t.effect.spec for t in rivals))
