@@ -138,12 +138,16 @@ def read_recording(
     robot_joints, told = _joint_order(Path(urdf), moving), []
     stated.check_joints(robot_joints)
     made: list[tuple[Recording, tuple[str, ...]]] = []
-    free = [joint for joint in robot_joints if joint not in (locked or {})]
     for one, files in [*given, *held_out]:
-        recording = make_recording(one, stated, free, joints, clock)
-        joints = recording.layout.joints
+        recording = make_recording(one, stated, robot_joints, joints, clock, locked=locked or {})
         made.append((recording, files))
-    assert joints is not None
+    joints = made[0][0].layout.joints
+    for recording, _ in made:
+        if recording.layout.joints != joints:
+            raise InputError(
+                f"has positions of {listed(recording.layout.joints)}, but {made[0][0].source.name} of {listed(joints)}",
+                file=recording.source.name, remedy=f"name the joints of both ({argument('joints')}), or leave one out",
+            )  # fmt: skip
     placed, place_told = _sensor(sensor, [recording for recording, _ in made], file)
     told += place_told
     stand, stand_told = _locked([joint for joint in robot_joints if joint not in joints], dict(locked or {}), made)

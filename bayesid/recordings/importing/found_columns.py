@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 
 from bayesid.arguments import argument
@@ -79,7 +79,12 @@ class Layout:
 
 
 def find_columns(
-    streams: Sequence[Stream], stated: ColumnMap, moving: Sequence[str], joints: Sequence[str] | None, source: str
+    streams: Sequence[Stream],
+    stated: ColumnMap,
+    moving: Sequence[str],
+    joints: Sequence[str] | None,
+    source: str,
+    locked: Collection[str] = (),
 ) -> Layout:
     """Find the columns of a recording.
 
@@ -95,6 +100,8 @@ def find_columns(
         Those that the user wants, in the order of q1 ... qn; None: all that have positions.
     source
         The recording's name, for messages.
+    locked
+        Joints that are not used, whatever positions they have.
 
     Raises
     ------
@@ -103,25 +110,29 @@ def find_columns(
     """
     finder = _Finder(streams, stated, source)
     wanted = tuple(joints or moving)
-    positions = finder.stated_joints("q", wanted) or finder.by_name("q", wanted) or finder.by_number("q", wanted, joints is None)
+    positions = finder.stated_joints("q", wanted) or finder.by_name("q", wanted) or finder.by_number("q", wanted, True)
     if not positions:
         raise InputError(f"no positions of {listed(wanted, 6)} are found", file=source, remedy=finder.what_to_name(wanted))
     if joints is not None and (missing := [name for k, name in enumerate(joints) if k not in positions]):
         raise InputError(
             f"no positions of {listed(missing)} are found", file=source, remedy=f"name their columns; {_shown(streams)}"
         )
-    kept = [k for k in range(len(wanted)) if k in positions]
-    names = tuple(wanted[k] for k in kept)
-    found = [_found(f"q{at + 1}", *positions[k]) for at, k in enumerate(kept)]
+    present = [k for k in range(len(wanted)) if k in positions]
+    names = tuple(wanted[k] for k in present)
+    place = {k: at for at, k in enumerate(k for k, name in enumerate(names) if name not in locked)}  # of those that are used
+    if not place:
+        raise InputError(f"{listed(names)} are locked, all that have positions", file=source, remedy="leave one free")
+    found = [_found(f"q{at + 1}", *positions[present[k]]) for k, at in place.items()]
     for quantity in JOINT_QUANTITIES[1:]:
         columns = (
             finder.stated_joints(quantity, names) or finder.by_name(quantity, names) or finder.by_number(quantity, names, False)
         )
-        if len(columns) == len(names) or quantity == "tau":  # each torque says something of the links that its joint moves
-            found += [_found(f"{quantity}{k + 1}", *columns[k]) for k in sorted(columns)]
+        columns = {place[k]: column for k, column in columns.items() if k in place}
+        if len(columns) == len(place) or quantity == "tau":  # each torque says something of the links that its joint moves
+            found += [_found(f"{quantity}{at + 1}", *columns[at]) for at in sorted(columns)]
     wrench = finder.stated_wrench() or finder.wrench_by_name()
     found += [_found(name, *column) for name, column in wrench.items()]
-    return Layout(names, tuple(found))
+    return Layout(tuple(names[k] for k in place), tuple(found))
 
 
 def positions_of(streams: Sequence[Stream], stated: ColumnMap, joints: Sequence[str], source: str) -> dict[str, Found]:
@@ -227,9 +238,10 @@ class _Finder:
             if must and whole:
                 columns = [column for _, column in whole[0].values()]
                 raise InputError(
-                    f"{len(columns)} positions ({columns[0]} ... {columns[-1]}) but the URDF has {len(joints)} moving joints "
-                    f"({listed(joints, 10)})", file=self.source,
-                    remedy=f"name those of the columns, in their order ({argument('joints')})",
+                    f"{len(columns)} positions ({columns[0]} ... {columns[-1]}) but {len(joints)} joints ({listed(joints, 10)})",
+                    file=self.source,
+                    remedy=f"name those of all these columns, in their order ({argument('joints')}); {argument('locked')} leaves "
+                    "out what is not to be used",
                 )  # fmt: skip
             return {}
         return {k: place for k, (_, place) in enumerate(sorted(fitting[0].items()))}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -93,6 +93,7 @@ def make_recording(
     joints: Sequence[str] | None = None,
     clock: str | None = None,
     poses: bool = False,
+    locked: Collection[str] = (),
 ) -> Recording:
     """Find the columns of what was read, convert them, and bring them together.
 
@@ -110,6 +111,8 @@ def make_recording(
         Of topics: ``header`` or ``log``; None: headers, where they have stamps that count.
     poses
         Whether rows are separate poses at rest: no sample is held then.
+    locked
+        Joints that are not used, whatever positions they have.
 
     Raises
     ------
@@ -121,7 +124,7 @@ def make_recording(
         raise InputError(
             f"holds no joint states{topics}", file=source.name, remedy=f"name the topics that do ({argument('topics')})"
         )
-    layout = find_columns(source.streams, stated, moving, joints, source.name)
+    layout = find_columns(source.streams, stated, moving, joints, source.name, locked)
     used = {id(found.stream) for found in layout.found}
     clocks: list[tuple[Stream, Clock]] = []
     for stream in source.streams:

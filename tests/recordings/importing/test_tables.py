@@ -49,7 +49,7 @@ def test_our_own_names_need_no_mapping(known, tmp_path):
     for name, values in (("times", known.t), ("positions", known.q), ("torques", known.tau), ("wrench", known.wrench)):
         np.testing.assert_array_equal(getattr(table, name), values)
     assert imported.recordings[0].left_over == ("mode",) and imported.recordings[0].start is None
-    with pytest.raises(InputError, match=r"2 positions \(q1 ... q2\) but the URDF has 3 moving joints .* name those .*joints"):
+    with pytest.raises(InputError, match=r"2 positions \(q1 ... q2\) but 3 joints \(shoulder, elbow, gripper\); name those of"):
         bayesid.read_recording(tmp_path / "log.csv", known.urdf)
 
 
@@ -177,6 +177,21 @@ def test_joints_that_are_not_used_stand_where_they_were_recorded(known, tmp_path
     imported = bayesid.read_recording(tmp_path / "log.csv", known.urdf, locked={"elbow": 0.5})
     assert imported.experiment.locked == {"elbow": 0.5, "gripper": 0.0}
     assert imported.experiment.robot.joint_names == ("shoulder",)
+    frame = pd.DataFrame({"t": known.t, "q1": known.q[:, 0], "q2": known.q[:, 1]})
+    frame["tau1"], frame["tau2"] = known.tau.T
+    frame.to_csv(tmp_path / "numbered.csv", index=False)
+    files = [tmp_path / "numbered.csv", tmp_path / "log.csv"]
+    with pytest.raises(InputError, match=r"2 positions \(q1 ... q2\) but 1 joints \(elbow\)"):
+        bayesid.read_recording(files[0], known.urdf, joints=["elbow"])
+    imported = bayesid.read_recording(files, known.urdf, joints=JOINTS, locked={"shoulder": 0.5})
+    for motion in imported.experiment:
+        np.testing.assert_array_equal(motion.table.positions, known.q[:, 1:])
+        np.testing.assert_array_equal(motion.table.torques, known.tau[:, 1:])
+    by_joint(known, time=known.t).filter(regex="time|elbow").to_csv(tmp_path / "elbow.csv", index=False)
+    with pytest.raises(InputError, match="elbow: has positions of elbow, but log of shoulder, elbow"):
+        bayesid.read_recording([tmp_path / "log.csv", tmp_path / "elbow.csv"], known.urdf)
+    with pytest.raises(InputError, match="shoulder, elbow are locked, all that have positions"):
+        bayesid.read_recording(tmp_path / "log.csv", known.urdf, locked={"shoulder": 0.5, "elbow": 0.0})
 
 
 def test_a_table_of_merged_topics_has_the_times_of_the_slower(known, tmp_path):
