@@ -390,7 +390,7 @@ def as_experiment(given: object, also: str = "") -> Experiment:
     Parameters
     ----------
     given
-        An experiment, or the path of its folder.
+        An experiment, the path of its folder, or what holds it as ``experiment``, such as what `bayesid.read_recording` returns.
     also
         What else the verb takes, for the message.
 
@@ -403,6 +403,8 @@ def as_experiment(given: object, also: str = "") -> Experiment:
         return given
     if isinstance(given, (str, Path)):
         return load_experiment(given)
+    if isinstance(held := getattr(given, "experiment", None), Experiment):
+        return held
     takes = f"the folder of an experiment, an Experiment{f' or {also}' if also else ''}"
     raise InputError(f"a {type(given).__name__} is given for the experiment: pass {takes}")
 

@@ -57,7 +57,7 @@ def test_the_folder_written_is_taken_by_check_and_identify(known, tmp_path):
     again = bayesid.load_experiment(folder)
     np.testing.assert_array_equal(again["first"].table.positions, known.q)
     assert again.locked == {"gripper": 0.0}
-    assert bayesid.check(again).channel == "wrench"
+    assert bayesid.check(imported).channel == "wrench"
     result = bayesid.identify(again)
     assert result.to_dict()["validation"][0]["relative_error"] < 0.05
     assert not any("delay" in text or "late" in text for text in again.warnings)
