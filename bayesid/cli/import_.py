@@ -64,6 +64,7 @@ def _number_pairs(context, parameter, value: tuple[str, ...]) -> dict[str, float
 @click.option(
     "--joint-names", callback=_pairs, multiple=True, help="The log's names of joints by the URDF's: joint1=shoulder_pan,..."
 )
+@click.option("--shift", callback=_number_pairs, multiple=True, help="Added to the times of a quantity [s]: wrench=-0.03.")
 @click.option("--joints", callback=names, help="Moving joints in the order of q1 ..., by commas; default: all with positions.")
 @click.option(
     "--locked", callback=_number_pairs, multiple=True, help="Where other joints stand [rad or m], NAME=VALUE; default 0."

@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -49,6 +49,7 @@ def read_recording(
     units: Mapping[str, str] | None = None,
     scale: Mapping[str, float] | None = None,
     joint_names: Mapping[str, str] | None = None,
+    shift: Mapping[str, float] | None = None,
     joints: Sequence[str] | None = None,
     locked: Mapping[str, float] | None = None,
     gravity: Sequence[float] = (0.0, 0.0, -9.81),
@@ -78,13 +79,15 @@ def read_recording(
         A TOML file with ``[columns]``, ``[units]`` and ``[units.scale]``.
     columns
         The log's names by ours: ``{"t": "Time", "q": "{joint}/pos", "fx": "Fx"}``; in place of those of ``mapping``, as the
-        next three.
+        next four.
     units
         By quantity or column: ``{"t": "ms", "q": "deg", "tau": "A"}``.
     scale
         Factors by column, quantity, or joint (of its torque): ``{"elbow_joint": 11.2}`` [N m/A at the joint].
     joint_names
         The log's names of joints by the URDF's, where they differ.
+    shift
+        What is added to the times of a quantity [s]: ``{"wrench": -0.03}`` where its stamps are 30 ms late.
     joints
         Moving joints in the order of q1 ... qn; default: every moving joint that has positions, in the URDF's order.
     locked
@@ -117,7 +120,7 @@ def read_recording(
     InputError
         A file cannot be read, a column is not found or could be several, or what is recorded cannot be right.
     """
-    stated = _stated(mapping, columns, units, scale, joint_names)
+    stated = _stated(mapping, dict(columns=columns, units=units, scale=scale, joints=joint_names, shift=shift))
 
     def read(paths: _Paths) -> list[tuple[Source, tuple[str, ...]]]:
         listed_paths = [Path(paths)] if isinstance(paths, (str, Path)) else [Path(path) for path in paths]
@@ -182,14 +185,10 @@ def read_recording(
     return Imported(experiment, recordings, tuple(told))
 
 
-def _stated(
-    mapping: str | Path | ColumnMap | None, columns: Mapping[str, str | Sequence[str]] | None, units: Mapping[str, str] | None,
-    scale: Mapping[str, float] | None, joint_names: Mapping[str, str] | None,
-) -> ColumnMap:  # fmt: skip
+def _stated(mapping: str | Path | ColumnMap | None, beside: Mapping[str, Mapping[str, Any] | None]) -> ColumnMap:
     """What the user states in a file, with what is stated beside it in its place."""
     base = mapping if isinstance(mapping, ColumnMap) else ColumnMap() if mapping is None else load_column_map(mapping)
-    given = dict(columns=columns, units=units, scale=scale, joints=joint_names)
-    return replace(base, **{key: {**getattr(base, key), **more} for key, more in given.items() if more})
+    return replace(base, **{key: {**getattr(base, key), **more} for key, more in beside.items() if more})
 
 
 def _halves(motion: Motion, share: float) -> list[Motion]:

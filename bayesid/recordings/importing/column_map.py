@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from pydantic import ConfigDict
@@ -18,6 +18,7 @@ from bayesid.recordings.toml_file import Keys, Number, Section, read_toml
 #: Quantities of one number a joint, and those of the wrench, of three or six.
 JOINT_QUANTITIES = ("q", "v", "qr", "tau")
 _AXES = {"wrench": WRENCH_COLUMNS, "f": WRENCH_COLUMNS[:3], "m": WRENCH_COLUMNS[3:]}
+_LONGEST_SHIFT = 1e6  # [s]
 _ONE = re.compile(r"(qr|q|v|tau)([1-9]\d*)")
 
 
@@ -36,9 +37,10 @@ class _MapFile(Section):
     columns: Columns = {}
     units: UnitSection = UnitSection()
     joints: dict[str, str] = {}
+    shift: dict[str, Number] = {}
 
 
-_KEYS: Keys = {(): ("columns", "units", "joints"), ("units",): ("scale", *UNITS)}
+_KEYS: Keys = {(): ("columns", "units", "joints", "shift"), ("units",): ("scale", *UNITS)}
 
 
 @dataclass(frozen=True)
@@ -58,6 +60,9 @@ class ColumnMap:
         Factors that columns are multiplied with after their unit, by quantity, column, or joint's name (of its torque).
     joints
         The log's names of joints by the URDF's, where they differ.
+    shift
+        What is added to the times of a quantity [s], by ``q``, ``v``, ``qr``, ``tau`` or ``wrench``: -0.03 where it is 30 ms
+        late.
     file
         Where they were stated, for messages.
     """
@@ -66,6 +71,7 @@ class ColumnMap:
     units: Mapping[str, str] = field(default_factory=dict)
     scale: Mapping[str, float] = field(default_factory=dict)
     joints: Mapping[str, str] = field(default_factory=dict)
+    shift: Mapping[str, float] = field(default_factory=dict)
     file: str = ""
 
     def __post_init__(self) -> None:
@@ -77,16 +83,16 @@ class ColumnMap:
             A key is none of ours, or a unit is unknown.
         """
         for key in self.columns:
-            if (
-                key != "t"
-                and key not in JOINT_QUANTITIES
-                and key not in _AXES
-                and key not in WRENCH_COLUMNS
-                and not _ONE.fullmatch(key)
-            ):
+            if key not in ("t", *JOINT_QUANTITIES, *_AXES, *WRENCH_COLUMNS) and not _ONE.fullmatch(key):
                 raise InputError(
                     f'"{cut(key)}" is no column of ours', file=self.file, key="columns", value=key,
                     remedy=suggest(key, ("t", "q", "v", "qr", "tau", "wrench", "q1", "tau1", *WRENCH_COLUMNS), "write one of"),
+                )  # fmt: skip
+        for key, by in self.shift.items():
+            if key not in (*JOINT_QUANTITIES, "wrench") or not abs(by) <= _LONGEST_SHIFT:
+                raise InputError(
+                    f"{cut(key)} = {by:g} is no shift of a quantity", file=self.file, key="shift", value=by,
+                    remedy=f"write seconds, up to {_LONGEST_SHIFT:g}, by q, v, qr, tau or wrench",
                 )  # fmt: skip
         checked = {}
         for key, unit in self.units.items():
@@ -151,7 +157,7 @@ def quantity_of(column: str) -> str | None:
 
 
 def load_column_map(path: str | Path) -> ColumnMap:
-    """Read a TOML file with sections ``[columns]``, ``[units]``, ``[units.scale]`` and ``[joints]``.
+    """Read a TOML file with sections ``[columns]``, ``[units]``, ``[units.scale]``, ``[joints]`` and ``[shift]``.
 
     Raises
     ------
@@ -160,7 +166,7 @@ def load_column_map(path: str | Path) -> ColumnMap:
     """
     path = Path(path)
     given = read_toml(path, _MapFile, _KEYS, "a TOML file with [columns] and [units]")
-    return column_map(given.columns, given.units, given.joints, path.name)
+    return replace(column_map(given.columns, given.units, given.joints, path.name), shift=given.shift)
 
 
 def column_map(columns: Columns, units: UnitSection, joints: Mapping[str, str], file: str) -> ColumnMap:
@@ -175,4 +181,4 @@ def column_map(columns: Columns, units: UnitSection, joints: Mapping[str, str], 
     for key, unit in given.items():
         if not isinstance(unit, str):
             raise InputError(f"{cut(str(unit))} is not a text", file=file, key=f"[units] {key}", value=unit, remedy='write "deg"')
-    return ColumnMap(columns, given, units.scale, joints, file)
+    return ColumnMap(columns, given, units.scale, joints, file=file)

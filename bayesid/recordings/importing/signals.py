@@ -147,8 +147,12 @@ def make_signals(
             found, units, values = [found[k] for k in there], tuple(units[k] for k in there), values[:, there]
         rows, more = _usable(clock, values, stream.name or "table", source)
         told += more
+        times = clock.times[rows]
+        if shift := stated.shift.get(quantity, 0.0):
+            times = times + shift
+            told.append(f"{NAMES[quantity]}: times shifted by {shift:g} s, as stated")
         signal = Signal(
-            quantity, tuple(f.ours for f in found), clock.times[rows], values[rows],
+            quantity, tuple(f.ours for f in found), times, values[rows],
             tuple(stream.full_name(f.column) for f in found), units, stream.name, clock, rows,
             int(np.count_nonzero(~np.isnan(values).any(axis=1))),
         )  # fmt: skip

@@ -130,6 +130,11 @@ def test_a_delay_between_topics_is_told(known, tmp_path):
     (delay,) = bayesid.read_recording(tmp_path / "run", known.urdf).recordings[0].delays
     assert abs(delay.value - 0.03) < max(4.0 * delay.std, 1e-3) and delay.std < 2e-3
     assert "later than positions of /joint_states" in str(delay)
+    imported = bayesid.read_recording(tmp_path / "run", known.urdf, shift={"wrench": -0.03})
+    np.testing.assert_allclose(imported.experiment.motions[0].table.wrench, known.wrench, rtol=0.0, atol=1e-6)
+    assert any("wrench: times shifted by -0.03 s" in text for text in imported.recordings[0].done)
+    with pytest.raises(InputError, match="shift: fx = 1 is no shift of a quantity"):
+        bayesid.read_recording(tmp_path / "run", known.urdf, shift={"fx": 1.0})
 
 
 def test_velocities_and_commands_of_other_topics_are_told_to_be_late(known, tmp_path):
