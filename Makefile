@@ -10,9 +10,10 @@ READY := $(VENV)/ready
 FIGAROH := .venv-figaroh
 NUMPYRO := .venv-numpyro
 RELEASE := .venv-release
+DOCS := .venv-docs
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-slow bench lint release-check clean
+.PHONY: help demo test test-slow bench lint docs release-check clean
 
 help:
 	@echo "make demo       identify an embedded example robot and write a report"
@@ -21,6 +22,7 @@ help:
 	@echo "make bench      speed and memory, also against FIGAROH (its own environment, $(FIGAROH))"
 	@echo "                and the samplers, also against numpyro's NUTS ($(NUMPYRO))"
 	@echo "make lint       ruff, pyright and the layers of imports"
+	@echo "make docs       the documentation as web pages, in build/docs"
 	@echo "make release-check  wheel and sdist, each installed into an empty environment that runs the demonstration"
 	@echo "make clean      remove all environments and everything built"
 
@@ -44,6 +46,11 @@ bench: $(READY) $(FIGAROH)/ready $(NUMPYRO)/ready
 	$(BIN)/python tests/benchmarks/diagnosis.py
 	$(BIN)/python tests/benchmarks/startup.py
 
+# A warning is an error; nothing is fetched from a network.
+docs: $(DOCS)/ready
+	$(DOCS)/bin/sphinx-build --fail-on-warning --fresh-env -c docs -b html . build/docs
+	@echo "open build/docs/docs/site.html"
+
 lint: $(READY)
 	$(BIN)/ruff check
 	$(BIN)/pyright
@@ -61,7 +68,7 @@ release-check:
 	done
 
 clean:
-	rm -rf $(VENV) $(FIGAROH) $(NUMPYRO) $(RELEASE) build dist bayesid.egg-info
+	rm -rf $(VENV) $(FIGAROH) $(NUMPYRO) $(RELEASE) $(DOCS) build dist bayesid.egg-info
 
 # An environment that was left half made, or whose Python is gone, is made anew.
 $(READY): pyproject.toml constraints.txt
@@ -71,6 +78,12 @@ $(READY): pyproject.toml constraints.txt
 	@$(BIN)/python -m pip --version >/dev/null 2>&1 || $(PYTHON) -m venv --clear $(VENV)
 	@$(PIP) --upgrade 'pip>=25.1'  # the first that knows dependency groups
 	$(PIP) --constraint constraints.txt --editable . --group dev
+	@touch $@
+
+$(DOCS)/ready: pyproject.toml constraints.txt
+	@$(DOCS)/bin/python -m pip --version >/dev/null 2>&1 || $(PYTHON) -m venv --clear $(DOCS)
+	@$(DOCS)/bin/python -m pip --disable-pip-version-check install --quiet --upgrade 'pip>=25.1'
+	$(DOCS)/bin/python -m pip --disable-pip-version-check install --quiet --constraint constraints.txt --editable . --group docs
 	@touch $@
 
 $(FIGAROH)/ready:

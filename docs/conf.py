@@ -1,0 +1,54 @@
+"""The documentation as web pages: ``make docs``. The source is the repository itself, so that links work there and here alike."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from importlib.metadata import version as version_of
+from pathlib import Path
+
+import bayesid
+
+project = "bayesid"
+author = "The bayesid developers"
+copyright = "the bayesid developers"
+version = release = version_of("bayesid")
+
+root_doc = "docs/site"
+include_patterns = ["README.md", "docs/*.md", "docs/*.rst", "docs/api/*.rst", "case_studies/*/README.md"]
+extensions = ["myst_nb", "numpydoc", "sphinx.ext.autosummary", "sphinx.ext.mathjax"]
+
+myst_enable_extensions = ["amsmath", "dollarmath"]
+myst_heading_anchors = 4
+nb_execution_mode = "off"  # the tests run every code block
+# Links to files of the repository that are no pages: scripts, tables, pictures of the source.
+# And sources that only docstrings of the inside name.
+suppress_warnings = ["myst.xref_missing", "ref.citation"]
+
+autosummary_generate = True
+autodoc_typehints = "none"  # the docstrings say shapes and units, which annotations do not
+numpydoc_show_class_members = False
+numpydoc_class_members_toctree = False
+
+html_theme = "pydata_sphinx_theme"
+html_title = "bayesid"
+html_show_sourcelink = False
+html_theme_options = {"show_toc_level": 2, "navigation_with_keys": False, "secondary_sidebar_items": ["page-toc"]}
+
+
+
+
+def _reference() -> str:
+    """The page of the public names, what is called first: what ``bayesid`` exports stands there."""
+    named = {name: getattr(bayesid, name) for name in sorted(bayesid.__all__)}
+    lines = ["Python reference", "=" * 16, "", "Everything that ``bayesid`` exports.", ""]
+    for title, belongs in (("Functions", inspect.isroutine), ("Classes", inspect.isclass)):
+        lines += [title, "-" * len(title), "", ".. currentmodule:: bayesid", "", ".. autosummary::", "   :toctree: api", ""]
+        lines += [f"   {name}" for name, value in named.items() if belongs(value)] + [""]
+    pages = (Path(__file__).parent / "references.md").read_text(encoding="utf-8")
+    sources = re.findall(r"^\*\*\[(\w+)\]\*\* (.+?)(?=\n\n|\Z)", pages, re.MULTILINE | re.DOTALL)
+    lines += ["Sources", "-------", "", *(f".. [{key}] {' '.join(text.split())}" for key, text in sources), ""]
+    return "\n".join(lines)
+
+
+(Path(__file__).parent / "api.rst").write_text(_reference(), encoding="utf-8")
