@@ -122,14 +122,8 @@ def read_recording(
     """
     stated = _stated(mapping, dict(columns=columns, units=units, scale=scale, joints=joint_names, shift=shift))
 
-    def read(paths: _Paths) -> list[tuple[Source, tuple[str, ...]]]:
-        listed_paths = [Path(paths)] if isinstance(paths, (str, Path)) else [Path(path) for path in paths]
-        sources = [(one, (path.name,)) for path in listed_paths for one in read_source(path, topics, stated.names(), episodes)]
-        if join_files and len(sources) > 1:
-            return [(joined([one for one, _ in sources]), tuple(path.name for path in listed_paths))]
-        return sources
-
-    given, held_out = read(source), read(validation)
+    options = dict(topics=topics, mapped=stated.names(), episodes=episodes)
+    given, held_out = _read(source, join_files, **options), _read(validation, join_files, **options)
     if not given:
         raise InputError(f"no recording is given; name one ({argument('source')})")
     if hold_out is not None and not 0.0 < hold_out < 1.0:
@@ -137,23 +131,20 @@ def read_recording(
     if len(given) > 1 and not held_out and hold_out is None:
         given, held_out = given[:-1], given[-1:]
     file = read_urdf(urdf)
-    moving = [joint.name for joint in file.joints.values() if joint.kind not in ("fixed", "floating", "planar")]
-    robot_joints, told = _joint_order(Path(urdf), moving), []
-    stated.check_joints(robot_joints)
-    made: list[tuple[Recording, tuple[str, ...]]] = []
-    for one, files in [*given, *held_out]:
-        recording = make_recording(one, stated, robot_joints, joints, clock, locked=locked or {})
-        made.append((recording, files))
-    joints = made[0][0].layout.joints
-    for recording, _ in made:
-        if recording.layout.joints != joints:
-            raise InputError(
-                f"has positions of {listed(recording.layout.joints)}, but {made[0][0].source.name} of {listed(joints)}",
-                file=recording.source.name, remedy=f"name the joints of both ({argument('joints')}), or leave one out",
-            )  # fmt: skip
+    moving = _moving(Path(urdf), file)
+    stated.check_joints(moving)
+    for key, names in (("joints", joints or ()), ("locked", locked or {})):
+        for joint in names:
+            if joint not in moving:
+                raise InputError(f"{argument(key)}: {joint} is no moving joint of {Path(urdf).name}; {suggest(joint, moving)}")
+    made = [
+        (make_recording(one, stated, moving, joints, clock, locked=locked or {}), files) for one, files in [*given, *held_out]
+    ]
+    joints = _shared_joints([recording for recording, _ in made])
+    told: list[str] = []
     placed, place_told = _sensor(sensor, [recording for recording, _ in made], file)
     told += place_told
-    stand, stand_told = _locked([joint for joint in robot_joints if joint not in joints], dict(locked or {}), made)
+    stand, stand_told = _locked([joint for joint in moving if joint not in joints], dict(locked or {}), made)
     told += stand_told
     robot = load_robot(urdf, list(joints), stand, gravity, None if placed is None else placed.joint)
     doubts = robot_doubts(robot, file, stand, "")
@@ -227,9 +218,31 @@ def _locked(
     return stand | given, told
 
 
-def _joint_order(urdf: Path, moving: list[str]) -> list[str]:
+def _moving(urdf: Path, file: UrdfFile) -> list[str]:
     """Every moving joint in the order that a robot has them by default."""
-    return [name for name in load_robot(urdf).joint_names if name in moving]
+    still = ("fixed", "floating", "planar")
+    return [name for name in load_robot(urdf).joint_names if name in file.joints and file.joints[name].kind not in still]
+
+
+def _read(paths: _Paths, join_files: bool, **options: Any) -> list[tuple[Source, tuple[str, ...]]]:
+    """What files hold, with their names: a recording each, or all together one."""
+    files = [Path(paths)] if isinstance(paths, (str, Path)) else [Path(path) for path in paths]
+    sources = [(one, (path.name,)) for path in files for one in read_source(path, **options)]
+    if join_files and len(sources) > 1:
+        return [(joined([one for one, _ in sources]), tuple(path.name for path in files))]
+    return sources
+
+
+def _shared_joints(recordings: Sequence[Recording]) -> tuple[str, ...]:
+    """The joints of all recordings, which must be the same."""
+    first = recordings[0]
+    for recording in recordings:
+        if recording.layout.joints != first.layout.joints:
+            raise InputError(
+                f"has positions of {listed(recording.layout.joints)}, but {first.source.name} of {listed(first.layout.joints)}",
+                file=recording.source.name, remedy=f"name the joints of both ({argument('joints')}), or leave one out",
+            )  # fmt: skip
+    return first.layout.joints
 
 
 def _names(given: Sequence[str]) -> list[str]:

@@ -17,14 +17,14 @@ from tests.recordings.importing.logs import JOINTS, Known, make_known
 W = 2.0 * np.pi * 1.3
 
 
-def signal(quantity: str, rate: float, start: float = 0.0, end: float = 10.0, hole: tuple[float, float] = (0, 0)) -> Signal:
+def signal(quantity: str, rate: float, start: float = 0.0, end: float = 10.0, hole=(0.0, 0.0)) -> Signal:
     """A sine of 1.3 Hz, without the samples of a hole."""
     times = start + np.arange(round((end - start) * rate)) / rate
     times = times[(times < hole[0]) | (times >= hole[1])]
     ours = ("fx", "fy", "fz", "mx", "my", "mz") if quantity == "wrench" else (f"{quantity}1",)
     values = np.repeat(np.sin(W * times)[:, None], len(ours), axis=1)
-    clock = Clock("header", "stamps", times, None)
-    return Signal(quantity, ours, times, values, ours, ("",) * len(ours), f"/{quantity}", clock, np.arange(len(times)), len(times))
+    clock, rows = Clock("header", "stamps", times, None), np.arange(len(times))
+    return Signal(quantity, ours, times, values, ours, ("",) * len(ours), f"/{quantity}", clock, rows, len(times))
 
 
 def test_readings_of_a_faster_topic_are_averaged_about_each_row():

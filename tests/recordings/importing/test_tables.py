@@ -297,7 +297,8 @@ STATED = {
     "an array that is none": (dict(columns={"wrench": "kms"}), 'no column "kms"'),
     "several columns for one": (dict(columns={"q1": ["time", "time"]}), "several columns for one"),
     "times that are not there": (dict(columns={"t": ["zeit", "stunde"]}), 'no column "zeit", "stunde"'),
-    "a joint that is none": (dict(joints=["shoulder", "wrist"]), "no positions of wrist are found"),
+    "a joint that is none": (dict(joints=["shoulder", "wrist"]), "joints: wrist is no moving joint of robot.urdf; known: "),
+    "a locked joint that is none": (dict(locked={"elbw": 0.0}), "locked: elbw is no moving joint of robot.urdf; did you mean"),
 }
 
 
