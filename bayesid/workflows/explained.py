@@ -22,6 +22,9 @@ from bayesid.workflows.diagnose import diagnose
 from bayesid.workflows.identify import identify
 from bayesid.workflows.progress import Clock
 
+#: What tells more where poses are all that was recorded.
+_POSES = "Take cables off, and come back to the first pose every few poses: what differs there is the sensor's drift."
+
 
 @dataclass(frozen=True, eq=False)
 class Explained:
@@ -88,7 +91,9 @@ def explain(
         return Explained(first, first, warnings=(f"The readings were not searched for anything else: {error}",))
     told: tuple[str, ...] = ()
     if found.verdict in ("unknown", "named_in_part"):
-        told = (f"Something in the readings stays unexplained: the intervals do not count it. {found.next_experiment}",)
+        still = all(s.still for s in found.data.segments)
+        advice = _POSES if still else found.next_experiment
+        told = (f"Something in the readings stays unexplained: the intervals do not count it. {advice}",)
 
     def known(effect: Effect) -> bool:  # or estimated anyway
         return part_of_it(effect) or not {effect.spec, effect.name}.isdisjoint(first.problem.effects)

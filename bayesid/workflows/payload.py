@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from bayesid.arguments import argument
+from bayesid.arguments import argument, call
 from bayesid.design.payload.body import BodyKnowledge, Quantity
 from bayesid.design.payload.knowledge import (
     carrying_joint,
@@ -392,6 +392,12 @@ def _beside(effects: Sequence[FoundEffect], plain: BodyKnowledge) -> list[str]:
 
 def _not_shown(result: PayloadEstimate) -> list[str]:
     """What the recordings do not show, and what helps."""
+    body = result.body
+    if body.shown[0] and body.mean[0] + body.half * np.sqrt(body.covariance[0, 0]) < 0.0:
+        return [
+            f"The mass comes out negative, {number(float(body.mean[0]), 3)} kg: sign, axes or order of the readings are not as "
+            f"they are taken; `{call('check')}` looks for that."
+        ]
     if not result.mass.shown:
         return ["The recordings do not show the mass: tilt the payload in more ways, or record longer."]
     out = []

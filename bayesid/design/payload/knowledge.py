@@ -40,6 +40,8 @@ from bayesid.robot.urdf_file import read_urdf
 
 #: Ends of the names of URDF links that are a flange, in whose frame controllers want a payload, the most certain first.
 FLANGES = ("tool0", "_link8", "flange")
+#: Share of the prior's variance that recordings leave where they say nothing.
+_LEFT = 0.5
 #: What estimated weights of three channels add to the variance, times the degrees of freedom of each.
 _WEIGHTS = 4.0 * (1.0 - 1.0 / 3.0)
 
@@ -158,8 +160,12 @@ def from_reference(comparison: Comparison, joint: int) -> tuple[BodyKnowledge, f
     s = replace(s, accepted=(*(a for a in s.accepted if a is not named), whole))
     own, columns = s.directions[-1], whole.change.columns
     fitted = amplitudes(s.marginal())
-    root = fitted.part_root(own)[columns]
-    return BodyKnowledge(fitted.part(own)[columns], root @ root.T), evidence
+    root, prior = fitted.part_root(own)[columns], whole.size * whole.change.sizes
+    covariance = root @ root.T
+    # Of a parameter of which the recordings leave most of the prior's variance they say nothing: what is told is the prior's.
+    open_ = np.diag(covariance) > _LEFT * prior**2
+    covariance[open_] = covariance[:, open_] = 0.0
+    return BodyKnowledge(fitted.part(own)[columns], covariance, np.eye(10)[:, open_]), evidence
 
 
 def in_frame(
