@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayesid.design.payload.body import BodyKnowledge, Quantity
+from bayesid.design.payload.body import BodyKnowledge, Quantity, about_centre
 from bayesid.design.payload.poses import NextPoses
 from bayesid.errors import InputError
 from bayesid.results.beside import FoundEffect, cells
@@ -17,6 +17,9 @@ from bayesid.results.files import Result
 from bayesid.results.text import channel_text, html_table, number, text_table
 from bayesid.robot import inertia
 from bayesid.robot.inertia import PARAMETERS, inertia_matrix
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 SCHEMA = 1
 #: The table of poses to record next.
@@ -48,7 +51,7 @@ class PayloadEstimate(Result):
     carrier, frame
         The body that it hangs on, and the URDF link in whose frame it is told.
     body
-        What is known of its ten parameters; the values are those of a body that can exist.
+        What the data say of its ten parameters, whether such a body can exist or not; all values below are of one that can.
     mass, centre, inertia
         Its quantities; intervals hold those of every model that the readings cannot tell from the best one.
     extent
@@ -140,6 +143,28 @@ class PayloadEstimate(Result):
         made = inertia.from_mass_com_inertia(self.mass.value, self.centre_of_mass, whole)
         return bool(inertia.is_physically_consistent(made, 1e-6))
 
+    def sample(self, draws: int = 2000, seed: int = 0) -> DataFrame:
+        """Draws of mass, centre of mass and inertia about it, of bodies that can exist: the posterior under a flat prior.
+
+        Parameters
+        ----------
+        draws, seed
+            How many; the same seed gives the same draws.
+
+        Returns
+        -------
+        DataFrame
+            A row a draw with the columns ``m``, ``x``, ``y``, ``z``, ``Ixx`` … ``Izz`` [kg, m, kg m^2]; nan where nothing is
+            known.
+        """
+        from pandas import DataFrame
+
+        bodies = self.body.draws(draws, seed)
+        with np.errstate(invalid="ignore"):
+            centre = bodies[:, 1:4] / bodies[:, :1]
+            about = np.array([about_centre(b)[0] for b in bodies])
+        return DataFrame(np.column_stack([bodies[:, 0], centre, about]), columns=[q.name for q in self.quantities])
+
     @property
     def load(self) -> Load:
         """What controllers are told.
@@ -219,7 +244,8 @@ class PayloadEstimate(Result):
             },
             "physically_consistent": self.physically_consistent,
             "parameters": {
-                "names": list(PARAMETERS), "values": self.body.mean.tolist(), "covariance": self.body.covariance.tolist(),
+                "names": list(PARAMETERS), "values": self.body.possible.mean.tolist(),
+                "covariance": self.body.covariance.tolist(),
                 "determined": self.body.shown.tolist(), "degrees_of_freedom": _finite(self.body.freedom),
             },
             "sensor_offset": {q.name: q.to_dict() for q in self.offset} or None,

@@ -182,7 +182,8 @@ def payload(
         source, detail = "nominal", percent(trust, 2)
         found = _beside_nominal(asked, joint, trust)
     clock("result")
-    known, name = in_frame(found.known.possible, experiment, found.body, frame)
+    told, name = in_frame(found.known, experiment, found.body, frame)
+    known = told.possible
     plain, _ = in_frame(found.plain.possible, experiment, found.body, frame)
     others = [in_frame(k.possible, experiment, found.body, frame)[0] for k in found.rivals]
     mass = known.mass.joined(tuple(k.mass for k in others))
@@ -193,7 +194,7 @@ def payload(
     urdf = read_urdf(experiment.robot.urdf)
     carrier = experiment.robot.body_names[found.body]
     result = PayloadEstimate(
-        name=experiment.name, channel=read, source=source, source_detail=detail, carrier=carrier, frame=name, body=known,
+        name=experiment.name, channel=read, source=source, source_detail=detail, carrier=carrier, frame=name, body=told,
         mass=mass, centre=centre, inertia=moments, extent=assumed if extent is None else float(extent),
         extent_assumed=extent is None,
         plain=(plain.mass, *plain.centre), effects=found.effects, verdict=found.verdict, offset=found.offset,

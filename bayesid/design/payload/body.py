@@ -23,6 +23,7 @@ from functools import cached_property
 from math import inf, isfinite
 
 import numpy as np
+from scipy.special import ndtr, ndtri
 from scipy.stats import t as student
 
 from bayesid.dynamics.kinematics import transform_matrix
@@ -37,6 +38,8 @@ _SIZES = np.array([1.0, *(0.1,) * 3, *(0.01,) * 6])
 _SMALLEST = 1e-7
 #: Share of the largest variance, in standard deviations, below which one is a zero.
 _OPEN = 1e-11
+#: Steps between two draws, and draws left out at the beginning.
+_THIN, _BURN_IN = 20, 50
 _MOMENTS = ("Ixx", "Iyy", "Izz")
 
 
@@ -168,6 +171,42 @@ class BodyKnowledge:
         problem = Conic(factor, self.mean, (tuple(range(10)),), inertia.solid(around)[None])
         return replace(self, mean=solve_conic(problem).x)
 
+    def draws(self, count: int, seed: int = 0) -> np.ndarray:
+        """Draws of the ten parameters of bodies that can exist (count, 10); nan where nothing is known.
+
+        Hit and run [Smith1984]_: along a random direction, in units of the covariance's root, the law is a normal one cut off
+        where the pseudo-inertia P ceases to be positive definite. With ``P = L L'`` and the direction's D the ends are -1 over
+        the extreme eigenvalues of ``L^-1 D L^-T``.
+        """
+        rng = np.random.default_rng(seed)
+        if not self.shown.all():  # of an inertia that is not known there always is one: only the mass is bounded
+            out = np.full((count, 10), np.nan)
+            at = np.flatnonzero(self.shown)
+            root = np.linalg.cholesky(self.covariance[np.ix_(at, at)])
+            out[:, at] = self.mean[at] + rng.normal(size=(count, len(at))) @ root.T
+            while self.shown[0] and (bad := out[:, 0] <= 0.0).any():
+                out[np.ix_(bad, at)] = self.mean[at] + rng.normal(size=(int(bad.sum()), len(at))) @ root.T
+            return out
+        size = np.sqrt(np.diag(self.covariance))
+        root = size[:, None] * np.linalg.cholesky(self.covariance / np.outer(size, size))
+        inside = inertia.from_pseudo_inertia(inertia.solid(self.possible.mean))
+        z = np.linalg.solve(root, inside - self.mean)
+        out = np.empty((count, 10))
+        for k in range(-_BURN_IN, count):
+            for _ in range(_THIN):
+                way = rng.normal(size=10)
+                way /= np.linalg.norm(way)
+                lower = np.linalg.cholesky(inertia.pseudo_inertia(self.mean + root @ z))
+                turned = np.linalg.solve(lower, np.linalg.solve(lower, inertia.pseudo_inertia(root @ way)).T)
+                values = np.linalg.eigvalsh(turned)
+                first = -1.0 / values[-1] if values[-1] > 0.0 else -inf
+                last = -1.0 / values[0] if values[0] < 0.0 else inf
+                along = float(z @ way)
+                z = z + (1.0 - 1e-9) * (_cut_normal(first + along, last + along, rng.uniform()) - along) * way
+            if k >= 0:
+                out[k] = self.mean + root @ z
+        return out
+
     @cached_property
     def mass(self) -> Quantity:
         """The mass [kg]."""
@@ -210,6 +249,14 @@ class BodyKnowledge:
             made = Quantity(n, "kg m^2", float(value), float(std), float(lo), float(hi), True)
             out.append(made if shown else Quantity.unknown(n, "kg m^2", float(lo), float(hi)))
         return tuple(out)
+
+
+def _cut_normal(low: float, high: float, share: float) -> float:
+    """Quantile of a standard normal law cut off at both ends."""
+    if low > 0.0:  # in the tail where probabilities keep their digits
+        return -_cut_normal(-high, -low, 1.0 - share)
+    a, b = ndtr(low), ndtr(high)
+    return float(np.clip(ndtri(a + share * (b - a)), low, high))
 
 
 def half_interval(freedom: float) -> float:
