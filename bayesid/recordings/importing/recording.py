@@ -142,6 +142,10 @@ def make_recording(
     signals, told = make_signals(layout, clocks, stated, source.name, held=not poses)
     joined = join(signals, source.name)
     done = [text for _, one in clocks for text in one.told] + told
+    if len({one.kind for _, one in clocks}) > 1:
+        kinds = ", ".join(f"{stream.name} by {one.text}" for stream, one in clocks)
+        one_for_all = argument("clock", "log")
+        done.append(f"topics have times of different kinds, and are late by the difference: {kinds} (one for all: {one_for_all})")
     for signal in signals:
         if signal.held > 1.0:
             rate = 1.0 / signal.step if signal.step else 0.0

@@ -215,6 +215,8 @@ def _usable(clock: Clock, values: np.ndarray, what: str, source: str) -> tuple[n
     rows = np.flatnonzero(~np.isnan(clock.times))
     none = np.any(np.isnan(values), axis=1)
     if clock.kind != "column" or none.mean() > _OWN_TIMES:
+        if clock.kind != "column" and none.any():
+            told.append(f"{what}: {int(none.sum())} messages lack a number; left out")
         rows = rows[~none[rows]]
     times = clock.times[rows]
     if clock.kind == "column":

@@ -175,6 +175,20 @@ def test_headers_that_count_nothing_leave_the_log(known, tmp_path):
         bayesid.read_recording(tmp_path / "run", known.urdf, clock="header")
 
 
+def test_clocks_of_different_kinds_and_messages_that_lack_a_number_are_told(known, tmp_path):
+    """The wrench has no stamps, so that it is late by the transport of the joints' messages; one position is NaN."""
+    with Bag(tmp_path / "run", "mcap") as bag:
+        for k, ns in enumerate(START + known.ns):
+            bag.joints(ns, JOINTS, [np.nan, 0.0] if k == 100 else known.q[k], tau=known.tau[k], log=ns + 2_000_000)
+            bag.wrench(0, known.wrench[k], log=ns + 2_000_000)
+    imported = bayesid.read_recording(tmp_path / "run", known.urdf)
+    done = imported.recordings[0].done
+    assert any("/ft by times of the log, /joint_states by stamps of headers (one for all: clock=" in text for text in done)
+    assert any("/joint_states: 1 messages lack a number" in text for text in done)
+    table = bayesid.read_recording(tmp_path / "run", known.urdf, clock="log").experiment.motions[0].table
+    np.testing.assert_array_equal(table.wrench, known.wrench)
+
+
 def test_a_gap_and_stamps_out_of_order_are_told(known, tmp_path):
     kept = np.flatnonzero((known.t < 3.0) | (known.t > 3.5))
     shuffled = kept.copy()
