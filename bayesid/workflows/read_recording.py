@@ -32,6 +32,7 @@ from bayesid.validation.mistakes.delay import delay_profile
 _Paths = str | Path | Sequence[str | Path]
 #: Parts of a complaint of a unit, and what says the unit in an import.
 _COURSE = 10.0  # bandwidth of the positions that other topics are compared with [Hz]
+_LONGEST_NAME = 80  # of a motion, which experiment.toml may call a little longer [bytes]
 _STANDS = 0.02  # a joint that moves by less stands [rad or m]
 _UNITS = {
     "degrees per second": "v=deg/s", "degrees": "q=deg", "millimetres": "q=mm", "milliseconds": "t=ms", "microseconds": "t=us",
@@ -164,7 +165,7 @@ def read_recording(
     library = EffectLibrary().for_robot(robot.n, np.flatnonzero(robot.prismatic).tolist())
     try:
         experiment = Experiment(
-            name=name, robot=robot, motions=tuple(motions), sensor=placed, locked=stand, warnings=tuple(doubts),
+            name=_names([name])[0], robot=robot, motions=tuple(motions), sensor=placed, locked=stand, warnings=tuple(doubts),
             library=library,
         )  # fmt: skip
     except InputError as error:
@@ -249,7 +250,8 @@ def _names(given: Sequence[str]) -> list[str]:
     """Names of motions: of the files, apart and as experiment.toml takes them."""
     names: list[str] = []
     for text in given:
-        plain = re.sub(r'[/\\,"\s]+', "_", text).lstrip(".")[:90] or "recording"
+        plain = "".join(c if c.isprintable() else "_" for c in re.sub(r'[/\\,"\s]+', "_", text)).lstrip(".")
+        plain = plain.encode()[:_LONGEST_NAME].decode(errors="ignore") or "recording"
         name, k = plain, 2
         while name in names:
             name, k = f"{plain}-{k}", k + 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import tomllib
 from pathlib import Path
 
@@ -151,6 +152,15 @@ def test_separators_and_decimals_of_other_countries(known, tmp_path):
     text = (tmp_path / "tab.txt").read_text(encoding="utf-8").replace("\t", ",")
     (tmp_path / "remarks.csv").write_text("# made by a logger\n# rate 125\n# " + text, encoding="utf-8-sig")
     np.testing.assert_array_equal(only(tmp_path / "remarks.csv", known).positions, known.q)
+
+
+def test_any_name_of_a_file_becomes_one_that_a_folder_takes(known, tmp_path):
+    for name in ('.,a "b" c\u0007', "Aufnahme ä" * 20, "x" * 200, "run.1"):
+        by_joint(known, time=known.t).to_csv(tmp_path / f"{name}.csv", index=False)
+        imported = bayesid.read_recording(tmp_path / f"{name}.csv", known.urdf, name=name)
+        again = bayesid.load_experiment(imported.write(tmp_path / "arm"))
+        assert len(again.motions[0].table) == len(known.t)
+        shutil.rmtree(tmp_path / "arm")
 
 
 def test_the_end_of_a_recording_may_be_held_out(known, tmp_path):
