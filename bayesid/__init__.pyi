@@ -26,6 +26,7 @@ from .results.changes import Changes
 from .results.comparison import Comparison
 from .results.diagnosis import Diagnosis
 from .results.excitation import Excitation
+from .results.exported import Exported
 from .results.identifiability import Identifiability
 from .results.identification import Identification, summary
 from .results.imported import Imported
@@ -48,6 +49,7 @@ from .workflows.check import check
 from .workflows.compare import compare
 from .workflows.diagnose import diagnose
 from .workflows.excite import excite
+from .workflows.export import export
 from .workflows.identifiability import identifiability
 from .workflows.identify import identify
 from .workflows.payload import payload
@@ -79,6 +81,7 @@ __all__ = [
     "ExcitationOptions",
     "Experiment",
     "ExperimentPosterior",
+    "Exported",
     "FitOptions",
     "Huber",
     "Identifiability",
@@ -118,6 +121,7 @@ __all__ = [
     "diagnose",
     "estimator",
     "excite",
+    "export",
     "fit",
     "fourier_trajectory",
     "identifiability",

@@ -34,6 +34,9 @@ WRITTEN = {
         "excitation.json", "trajectory.csv", "motions.toml", "parked.csv", "poses.csv", "reversed.csv", "speed-33.csv",
         "speed-67.csv", "stop-and-go.csv",
     ),  # fmt: skip
+    "export": (
+        "export.json", "identified.xml", "identified.urdf", "inverse_dynamics.hpp", "inverse_dynamics.py", "ranges.json",
+    ),  # fmt: skip
     "identifiability": ("identifiability.json",),
     "identify": ("estimate.json", "identified.urdf", "identified-unconstrained.urdf", "model.toml"),
     "payload": (

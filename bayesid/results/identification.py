@@ -27,6 +27,7 @@ from bayesid.results.estimated import HasEstimate
 from bayesid.results.figures import PlotsPredictions
 from bayesid.results.files import Result
 from bayesid.results.fitted_model import fitted_model
+from bayesid.results.robot_section import robot_section
 from bayesid.results.urdf_links import UrdfLinks
 from bayesid.rounding import LEVEL
 from bayesid.validation.cross_checks import Agreement
@@ -217,6 +218,7 @@ class Identification(PlotsPredictions, HasEstimate, Result):
             "prior_against_data": None if self.prior_check is None else self.prior_check.to_dict(),
             "channel": self.problem.channel,
             "motions": list(self.problem.fitted),
+            "robot": robot_section(self.problem.experiment),
             "static": self.problem.static,
             "filter": {
                 "l": None if filters is None else filters.l,

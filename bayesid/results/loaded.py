@@ -38,6 +38,7 @@ DOCUMENTS = {
     "diagnosis.json": "Diagnosis", "bounds.json": "ControllerBounds", "accuracy.json": "Accuracy",
     "identifiability.json": "Identifiability", "excitation.json": "Excitation", "watch.json": "Watch",
     "payload.json": "PayloadEstimate", "calibration.json": "Calibration", "check.json": "Inspection",
+    "export.json": "Exported",
 }  # fmt: skip
 DRAWS = "posterior.nc"
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +12,7 @@ from bayesid.posterior.result import Posterior
 from bayesid.regression.problem import Problem
 from bayesid.results.figures import PlotsPredictions
 from bayesid.results.files import Result
+from bayesid.results.robot_section import robot_section
 from bayesid.validation.predicted_readings import PredictedReadings, predict_readings
 from bayesid.validation.prediction import Prediction
 
@@ -54,6 +56,27 @@ class ExperimentPosterior(PlotsPredictions, Posterior, Result):
         covariance = np.atleast_2d(np.cov(columns.T))
         return predict_readings(self.problem, columns.mean(axis=0), covariance, nothing, q, v, a, times)
 
+    def effects(self) -> list[dict[str, Any]]:
+        """Every effect of the model with the means and standard deviations (None: fixed) of its parameters, and units."""
+        row_model = self.problem.row_model
+        values = np.zeros(len(row_model.free)) if row_model.point is None else row_model.point.values.copy()
+        stds = np.full(len(row_model.free), np.nan)
+        values[row_model.free], stds[row_model.free] = (
+            self.effect_draws.mean(axis=(0, 1)), self.effect_draws.std(axis=(0, 1), ddof=1)
+        )  # fmt: skip
+        entries = iter(zip(values.tolist(), stds.tolist(), strict=True))
+        return [
+            {
+                "name": effect.name, "where": effect.where,
+                "parameters": {
+                    key: {"value": value, "std": std if np.isfinite(std) else None, "unit": unit}
+                    for key, unit, (value, std) in zip(effect.parameters, effect.units, itertools.islice(
+                        entries, len(effect.parameters)), strict=True)
+                },
+            }
+            for effect in row_model.effects
+        ]  # fmt: skip
+
     def to_dict(self) -> dict[str, Any]:
         """``posterior.json``."""
         filters, own = self.problem.row_model.filters, super().to_dict()
@@ -63,6 +86,8 @@ class ExperimentPosterior(PlotsPredictions, Posterior, Result):
             "prior_against_data": own["prior_against_data"],
             "channel": self.problem.channel,
             "motions": list(self.problem.fitted),
+            "robot": robot_section(self.problem.experiment),
+            "effects": self.effects(),
             "filter": {"l": None if filters is None else filters.l, "d": None if filters is None else filters.d},
             "inertia_rel_std": self.trust,
             **own,

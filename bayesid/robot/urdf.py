@@ -48,7 +48,12 @@ class JointDynamics:
 def write_urdf(
     robot: Robot, parameters: np.ndarray, path: Path, dynamics: JointDynamics | None = None
 ) -> None:
-    """Write the robot's URDF with other link parameters.
+    """Write the robot's URDF with other link parameters, as `urdf_text` makes it."""
+    path.write_text(urdf_text(robot, parameters, dynamics), encoding="utf-8")
+
+
+def urdf_text(robot: Robot, parameters: np.ndarray, dynamics: JointDynamics | None = None) -> str:
+    """The robot's URDF with other link parameters.
 
     Every moving joint's child link gets its body's parameters, merged links beyond fixed or locked joints lose
     theirs (they are in the body's), and a split sensor link's far part goes to the sensor joint's child. Elements that
@@ -60,14 +65,11 @@ def write_urdf(
         Loaded from the URDF that is to be changed.
     parameters
         Ten a body (b, 10) or (10 b,).
-    path
-        File to write.
     dynamics
         Friction of the joints; that of joints it does not name stays as it is. What a URDF has no place for stands in comments.
     """
     dynamics = dynamics or JointDynamics({})
     root = read_urdf(robot.urdf).root
-    tree = ET.ElementTree(root)
     links = {link.get("name"): link for link in root.findall("link")}
     joints = {joint.get("name"): joint for joint in root.findall("joint")}
     owners = [_child(joints[name]) for name in robot.body_names]
@@ -90,8 +92,14 @@ def write_urdf(
                 element.remove(child)
     for line in reversed(dynamics.comments()):
         root.insert(0, ET.Comment(f" {line.replace('--', '- -')} "))
-    ET.indent(tree)
-    tree.write(path, encoding="utf-8", xml_declaration=True)
+    ET.indent(root)
+    return ET.tostring(root, encoding="utf-8", xml_declaration=True).decode("utf-8")
+
+
+def link_names(robot: Robot) -> tuple[str, ...]:
+    """The URDF link that holds each body (b,): the child of the joint that it is named after."""
+    joints = {joint.get("name"): joint for joint in read_urdf(robot.urdf).root.findall("joint")}
+    return tuple(_child(joints[name]) for name in robot.body_names)
 
 
 def _child(joint: ET.Element) -> str:

@@ -105,10 +105,11 @@ def test_python_blocks_run_as_cells_of_a_notebook(name, my_arm, tmp_path, monkey
 
 @pytest.mark.parametrize("page", [README, *sorted((ROOT / "docs").glob("howto-*.md"))], ids=lambda page: page.name)
 def test_every_block_of_a_page_is_tried(page):
-    """Python and command lines run (above and below), tables of settings are read, and text is output that a test looks at."""
+    """Python and command lines run (above and below), tables of settings are read, text is output that a test looks at, and a
+    test of what the page is about compiles C++."""
     kinds = [kind for kind, _ in _CODE.findall(page.read_text(encoding="utf-8"))]
     fences = page.read_text(encoding="utf-8").count("\n```") // 2
-    assert len(kinds) == fences and set(kinds) <= {"python", "console", "toml", "text", "matlab"}
+    assert len(kinds) == fences and set(kinds) <= {"python", "console", "toml", "text", "matlab", "cpp"}
     for code in snippets(page, "toml"):
         assert tomllib.loads(code)
 

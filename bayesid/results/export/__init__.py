@@ -1,0 +1,1 @@
+"""What an identified robot is handed on as: models of simulators, code for controllers, ranges for learning."""

@@ -1,0 +1,165 @@
+"""Joint torques of an identified robot as code without dependencies: one C++ header, one NumPy module.
+
+The torques are those of rigid bodies, by the recursion of [Luh1980]_ over the tree in each joint's own frame, and of what acts
+inside the joints. Bodies are given by the base parameters alone: links that have them in the kept columns and nothing elsewhere
+move as the robot does. The torques' standard deviation is ``sqrt(y' C y)`` with C the covariance of base and effect parameters
+and y the row of the regressor, which the same recursion gives, column by column.
+"""
+
+from __future__ import annotations
+
+import functools
+import re
+from dataclasses import dataclass
+
+import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from scipy.stats import norm
+
+from bayesid.dynamics.base_parameters import structural_base
+from bayesid.dynamics.channels import torque_channels
+from bayesid.results.export.identified import IdentifiedRobot
+from bayesid.results.export.laws import LAWS, RAMP, JointLaw
+from bayesid.robot import inertia
+from bayesid.robot.robot import Robot
+from bayesid.rounding import LEVEL
+
+#: What of a base parameter of the torques may lie outside those that were identified, relative to its length.
+_OUTSIDE = 1e-4
+#: Share of a row's length that columns without any information may have before nothing is known of the torque.
+NOTHING = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class InverseDynamics:
+    """Torques of all joints, linear in parameters.
+
+    Attributes
+    ----------
+    robot
+        Kinematics.
+    bodies
+        The joint whose link each of the first r columns belongs to (r,), and its ten parameters in that joint's frame (r, 10).
+    laws
+        What acts inside the joints, whose estimated parameters have the other columns.
+    names
+        Of the parameters (k,).
+    values, covariance, undetermined
+        Of the parameters (k,), (k, k), (k,); covariance None where there is none.
+    left_out
+        Effects of the model that are not in it, ``name@where``.
+    """
+
+    robot: Robot
+    bodies: tuple[np.ndarray, np.ndarray]
+    laws: tuple[JointLaw, ...]
+    names: tuple[str, ...]
+    values: np.ndarray
+    covariance: np.ndarray | None
+    undetermined: np.ndarray
+    left_out: tuple[str, ...]
+
+
+def inverse_dynamics(found: IdentifiedRobot) -> InverseDynamics:
+    """The model of the joints' torques behind an estimate, whichever readings it is from.
+
+    Base parameters b of the torques follow from those identified by ``b = T beta``, their covariance by ``T C T'``. Where one is
+    no such combination, the value is that of the links of ``identified.urdf`` and nothing is said of its uncertainty.
+    """
+    robot = found.robot
+    base = structural_base(robot, torque_channels(robot))
+    through = np.linalg.lstsq(found.base.matrix.T, base.matrix.T, rcond=None)[0].T
+    outside = np.linalg.norm(through @ found.base.matrix - base.matrix, axis=1)
+    foreign = outside > _OUTSIDE * np.linalg.norm(base.matrix, axis=1)
+    through[np.abs(through) < 1e-12 * np.abs(through).max(axis=1, keepdims=True, initial=0.0)] = 0.0
+    laws, columns, left_out = _laws(found, base.rank)
+    whole = np.zeros((base.rank + len(columns), len(found.solution)))
+    whole[: base.rank, : found.base.rank] = through
+    whole[base.rank + np.arange(len(columns)), columns] = 1.0
+    values = whole @ found.solution
+    undetermined = np.asarray(np.any(np.abs(whole[:, found.undetermined]) > NOTHING, axis=1))
+    if foreign.any():
+        values[: base.rank][foreign] = 0.0 if found.links is None else (base.matrix @ found.links)[foreign]
+        undetermined[: base.rank] |= foreign
+    covariance = None
+    if found.covariance is not None:
+        covariance = whole @ np.where(np.isfinite(found.covariance), found.covariance, 0.0) @ whole.T
+    names = (*base.names, *(found.effect_names[c - found.base.rank] for c in columns))
+    return InverseDynamics(
+        robot, _bodies(robot, base.independent), laws, names, values, covariance, undetermined, left_out
+    )
+
+
+def _laws(found: IdentifiedRobot, rank: int) -> tuple[tuple[JointLaw, ...], list[int], tuple[str, ...]]:
+    """Laws inside the joints, the columns of the solution that they take, and effects that have no law."""
+    laws, columns, left_out = [], [], []
+    for effect in found.effects:
+        if effect.joint is None or effect.name not in LAWS:
+            left_out.append(effect.spec)
+            continue
+        own: list[int | None] = []
+        for key in effect.values:
+            column = found.effect_columns.get(f"{effect.spec}.{key}")
+            own.append(None if column is None else rank + len(columns))
+            columns += [] if column is None else [column]
+        laws.append(JointLaw(effect.spec, effect.name, effect.joint, tuple(effect.values.values()), tuple(own)))
+    return tuple(laws), columns, tuple(left_out)
+
+
+def _bodies(robot: Robot, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Which joint moves the body of each of some columns, and the ten parameters of a unit of it in that joint's frame."""
+    body = columns // 10
+    units = np.eye(10)[columns % 10]
+    placed = [
+        inertia.transform(unit, robot.body_rotation[b], robot.body_translation[b]) if b >= robot.n else unit
+        for b, unit in zip(body.tolist(), units, strict=True)
+    ]
+    return robot.body_joint[body], np.array(placed).reshape(-1, 10)
+
+
+def cpp_header(found: IdentifiedRobot, model: InverseDynamics) -> str:
+    """A self-contained C++17 header: torques, their standard deviations, and the 95 % band."""
+    return _rendered("inverse_dynamics.hpp", found, model)
+
+
+def numpy_module(found: IdentifiedRobot, model: InverseDynamics) -> str:
+    """The same as a Python module that needs NumPy alone."""
+    return _rendered("inverse_dynamics.py.txt", found, model)
+
+
+def _rendered(template: str, found: IdentifiedRobot, model: InverseDynamics) -> str:
+    robot = model.robot
+    joint, ten = model.bodies
+    links = np.zeros((robot.n, 10))
+    np.add.at(links, joint, model.values[: len(joint), None] * ten)
+    return _environment().get_template(template).render(
+        found=found, model=model, robot=robot, n=robot.n, count=len(model.values), rank=len(joint), order=robot.order,
+        body_joint=joint, body_ten=ten, links=links, covariance=model.covariance, half=float(norm.ppf(0.5 * (1.0 + LEVEL))),
+        level=LEVEL, ramp=RAMP, nothing=NOTHING,
+    )  # fmt: skip
+
+
+@functools.cache
+def _environment() -> Environment:
+    environment = Environment(
+        loader=PackageLoader("bayesid.results.export", "templates"), autoescape=False, undefined=StrictUndefined,
+        trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True,
+    )  # fmt: skip
+    environment.filters |= {
+        "braces": lambda a: _nested(a, "{", "}"), "brackets": lambda a: _nested(a, "[", "]"), "cpp": _cpp,
+    }  # fmt: skip
+    return environment
+
+
+def _cpp(law: str, joint: int) -> str:
+    """A law of one joint with what it takes from the arrays of all joints."""
+    return re.sub(r"\b[qva]\b", lambda found: f"{found[0]}[{joint}]", re.sub(r"\bs\b", "s_", law))
+
+
+def _nested(array: np.ndarray, opening: str, closing: str) -> str:
+    """Numbers with all their digits, between braces or brackets; one line a row."""
+    array = np.asarray(array)
+    if array.ndim > 1:
+        return opening + "\n    " + ",\n    ".join(_nested(row, opening, closing) for row in array) + closing
+    texts = [str(int(x)) if array.dtype.kind in "bi" else repr(float(x)) for x in array]
+    return opening + ", ".join(texts) + closing

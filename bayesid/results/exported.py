@@ -1,0 +1,74 @@
+"""What ``export`` made."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from bayesid.results.files import Result
+
+SCHEMA = 1
+
+
+@dataclass(frozen=True, eq=False)
+class Exported(Result):
+    """An identified robot in other tools' forms.
+
+    Attributes
+    ----------
+    name, method, channel
+        Of the experiment; how it was estimated, and from which readings.
+    to
+        The forms asked for.
+    texts
+        The files by name.
+    about
+        What each file is, by form.
+    left_out
+        Value and unit of what was identified and a form cannot hold, by form and name.
+    warnings
+        What the user should know.
+    """
+
+    verb = "export"
+    name: str
+    method: str
+    channel: str
+    to: tuple[str, ...]
+    texts: Mapping[str, str]
+    about: Mapping[str, str]
+    left_out: Mapping[str, Mapping[str, tuple[float, str]]] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+
+    def __getitem__(self, name: str) -> str:
+        """Text of a file."""
+        return self.texts[name]
+
+    def __repr__(self) -> str:
+        return f"<Exported {self.name}: {', '.join(self.to)}>"
+
+    def __str__(self) -> str:
+        """Which files, and what they do not hold."""
+        lines = [f"{self.name}, {self.method} from the {self.channel}:"]
+        lines += [f"  {form}: {text}" for form, text in self.about.items()]
+        for form, values in self.left_out.items():
+            told = ", ".join(f"{name} = {value:.4g} {unit}".rstrip() for name, (value, unit) in values.items())
+            lines += [f"  not in {form}: {told}"] if told else []
+        return "\n".join([*lines, *(f"  warning: {text}" for text in self.warnings)])
+
+    def to_dict(self) -> dict[str, Any]:
+        """``export.json``."""
+        return {
+            "schema": SCHEMA,
+            "experiment": self.name,
+            "method": self.method,
+            "channel": self.channel,
+            "to": list(self.to),
+            "about": dict(self.about),
+            "not_held": {
+                form: {name: {"value": value, "unit": unit} for name, (value, unit) in values.items()}
+                for form, values in self.left_out.items()
+            },
+            "warnings": list(self.warnings),
+        }

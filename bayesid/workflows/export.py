@@ -1,0 +1,291 @@
+"""The verb ``export``: an identified robot for simulators, controllers and learning."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bayesid.arguments import argument
+from bayesid.errors import InputError
+from bayesid.results.export.identified import FoundEffect, IdentifiedRobot
+from bayesid.results.export.inverse_dynamics import InverseDynamics, cpp_header, inverse_dynamics, numpy_module
+from bayesid.results.export.mjcf import joint_constants, mjcf
+from bayesid.results.export.randomisation import draws_of, randomisation
+from bayesid.results.exported import Exported
+from bayesid.results.files import Files, files_of
+from bayesid.results.identification import Identification
+from bayesid.results.loaded import Loaded, LoadedIdentification, LoadedPosterior, load
+from bayesid.results.posterior import ExperimentPosterior
+from bayesid.results.robot_section import robot_of
+from bayesid.robot.robot import Robot
+from bayesid.robot.urdf import JointDynamics, urdf_text
+from bayesid.workflows.progress import SHOWN, Clock, Progress, shows_progress
+
+__all__ = ["FORMS", "export"]
+
+
+@dataclass
+class _Making:
+    """Files as they are made."""
+
+    texts: dict[str, str] = field(default_factory=dict)
+    about: dict[str, str] = field(default_factory=dict)
+    left_out: dict[str, dict[str, tuple[float, str]]] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+
+
+@shows_progress
+def export(
+    result: Identification | ExperimentPosterior | Loaded | str | Path,
+    to: str | Sequence[str] = "mjcf",
+    out: str | Path | None = None,
+    *,
+    draws: int = 0,
+    seed: int = 0,
+    progress: Progress | None = SHOWN,
+) -> Exported:
+    """Hand an identified robot on.
+
+    Parameters
+    ----------
+    result
+        Of `bayesid.identify` or `bayesid.sample`, or the folder or file that it was written to.
+    to
+        ``mjcf``, ``urdf``, ``cpp``, ``numpy``, ``ranges``, one or several, or several in one text, separated by commas.
+    out
+        Folder to write the files to; default: `Exported.write` does.
+    draws
+        How many draws of a posterior are written, each as a robot of its own in the forms ``mjcf`` and ``urdf``.
+    seed
+        Of which draws.
+    progress
+        Called with the name of every stage; default: shown where it takes over two seconds; None: never.
+
+    Returns
+    -------
+    exported
+        Texts of the files by name, and what they cannot hold.
+
+    Raises
+    ------
+    InputError
+        Bad input; the message says what to do. MuJoCo is missing, refuses the robot, or does not agree with Pinocchio.
+    """
+    forms = [part.strip() for part in to.split(",") if part.strip()] if isinstance(to, str) else list(to)
+    unknown = [form for form in forms if form not in FORMS]
+    if unknown or not forms:
+        raise InputError(f"{argument('to', ', '.join(unknown))}: choose from {', '.join(FORMS)}")
+    if draws < 0:
+        raise InputError(f"{argument('draws', draws)}: give a number of draws, 0 for none")
+    if draws and not {"mjcf", "urdf"} & {*forms}:
+        raise InputError(f"{argument('draws', draws)}: is for {argument('to', 'mjcf')} or urdf; the others hold the uncertainty")
+    clock = Clock(progress)
+    clock("reading")
+    found, told = _found(result)
+    made = _Making(warnings=list(told))
+    for form in dict.fromkeys(forms):
+        clock(form)
+        FORMS[form](found, made)
+    if draws:
+        clock("draws")
+        _draw(found, [form for form in ("mjcf", "urdf") if form in forms], draws, seed, made)
+    exported = Exported(
+        found.name, found.method, found.channel, tuple(dict.fromkeys(forms)), made.texts, made.about, made.left_out,
+        tuple(dict.fromkeys(made.warnings)),
+    )  # fmt: skip
+    if out is not None:
+        exported.write(out)
+    return exported
+
+
+# ---- what was identified ------------------------------------------------------------------------------------------
+
+
+def _found(result: Any) -> tuple[IdentifiedRobot, tuple[str, ...]]:
+    """What is handed on, and what was warned of that makes it worth less."""
+    if isinstance(result, (str, Path)):
+        result = load(result)
+    if isinstance(result, Identification):
+        return _of_identification(result), result.unusable
+    if isinstance(result, ExperimentPosterior):
+        return _of_posterior(result), ()
+    if isinstance(result, LoadedIdentification):
+        return _of_file(result), ()
+    if isinstance(result, LoadedPosterior):
+        return _of_draws(result), ()
+    raise InputError(
+        f"{argument('result', getattr(result, 'kind', type(result).__name__))}: is not of identify or sample; give one of those"
+    )
+
+
+def _effects(listed: Sequence[Mapping[str, Any]]) -> tuple[FoundEffect, ...]:
+    """Effects as ``estimate.json`` lists them."""
+    return tuple(
+        FoundEffect(
+            e["name"], e["where"], {key: float(p["value"]) for key, p in e["parameters"].items()},
+            {key: str(p["unit"]) for key, p in e["parameters"].items()},
+        )
+        for e in listed
+    )  # fmt: skip
+
+
+def _of_identification(result: Identification) -> IdentifiedRobot:
+    problem, e = result.problem, result.estimate
+    return IdentifiedRobot(
+        name=problem.experiment.name, method=e.method, channel=problem.channel, robot=problem.experiment.robot,
+        locked=dict(problem.experiment.locked), base=e.base, effects=_effects(result.effects()), effect_names=e.effect_names,
+        solution=e.solution, covariance=e.full_covariance, undetermined=e.undetermined, links=result.urdf.links,
+        dynamics=result.urdf.dynamics,
+    )  # fmt: skip
+
+
+def _of_file(result: LoadedIdentification) -> IdentifiedRobot:
+    d, e = result.document, result.estimate
+    robot, locked = robot_of(d, result.path)
+    saved = d["identified_urdf"]
+    beside = {name: (entry["value"], entry["unit"]) for name, entry in saved["not_in_urdf"].items()}
+    return IdentifiedRobot(
+        name=d["experiment"], method=d["method"], channel=d["channel"], robot=robot, locked=locked, base=e.base,
+        effects=_effects(d["effects"]), effect_names=tuple(d["full_covariance_names"][e.base.rank :]),
+        solution=e.solution, covariance=e.full_covariance, undetermined=e.undetermined, links=result.link_parameters,
+        dynamics=JointDynamics(saved["dynamics"], tuple(saved["negative_friction"]), beside),
+    )  # fmt: skip
+
+
+def _of_posterior(result: ExperimentPosterior) -> IdentifiedRobot:
+    problem, links = result.problem, result.link_draws if result.model.physical else None
+    return _drawn(
+        problem.experiment.name, problem.channel, problem.experiment.robot, dict(problem.experiment.locked), result,
+        _effects(result.effects()), result.model.effect_names, links,
+    )  # fmt: skip
+
+
+def _of_draws(result: LoadedPosterior) -> IdentifiedRobot:
+    d = result.document
+    if "effects" not in d:
+        raise InputError(f"{result.path}: does not list the effects of its model, as earlier versions did not; run it again")
+    robot, locked = robot_of(d, result.path)
+    names = tuple(p["name"] for p in d["effect_parameters"])
+    return _drawn(d["experiment"], d["channel"], robot, locked, result, _effects(d["effects"]), names, result.link_draws)
+
+
+def _drawn(
+    name: str, channel: str, robot: Robot, locked: dict[str, float], result: ExperimentPosterior | LoadedPosterior,
+    effects: tuple[FoundEffect, ...], effect_names: tuple[str, ...], links: np.ndarray | None,
+) -> IdentifiedRobot:  # fmt: skip
+    columns = np.concatenate([result.base_draws, result.effect_draws], axis=-1)
+    columns = columns.reshape(-1, columns.shape[-1])  # base parameters there always are
+    if links is not None:
+        links = links.reshape(-1, links.shape[-1])
+    mean = columns.mean(axis=0)
+    return IdentifiedRobot(
+        name=name, method="sample", channel=channel, robot=robot, locked=locked, base=result.base, effects=effects,
+        effect_names=effect_names, solution=mean, covariance=np.atleast_2d(np.cov(columns.T)),
+        undetermined=np.zeros(len(mean), bool), links=None if links is None else links.mean(axis=0), dynamics=None,
+        link_draws=links, effect_draws=None if links is None else columns[:, result.base.rank :],
+    )  # fmt: skip
+
+
+# ---- forms --------------------------------------------------------------------------------------------------------
+
+
+def _links(found: IdentifiedRobot, form: str) -> np.ndarray:
+    if found.links is None:
+        raise InputError(f"{argument('to', form)}: needs links, and a posterior with a flat prior has none; take prior nominal")
+    return found.links
+
+
+def _mjcf(found: IdentifiedRobot, made: _Making) -> None:
+    links, dynamics = _links(found, "mjcf"), found.joint_dynamics()
+    made.texts["identified.xml"] = mjcf(found.robot, found.locked, links, dynamics)
+    made.about["mjcf"] = "identified.xml, mass matrix and bias forces as Pinocchio's"
+    constants = joint_constants(found.robot, dynamics)
+    made.left_out["mjcf"] = constants.beside
+    _tell_negative(constants.left_out, "identified.xml", made)
+
+
+def _urdf(found: IdentifiedRobot, made: _Making) -> None:
+    links, dynamics = _links(found, "urdf"), found.joint_dynamics()
+    made.texts["identified.urdf"] = urdf_text(found.robot, links, dynamics)
+    made.about["urdf"] = "identified.urdf"
+    made.left_out["urdf"] = dynamics.beside
+    _tell_negative(dynamics.left_out, "identified.urdf", made)
+
+
+def _tell_negative(names: Sequence[str], file: str, made: _Making) -> None:
+    if names:
+        named = ", ".join(names)
+        made.warnings.append(f"Negative and so not in {file}: {named}. Simulators take none; look for a missing effect.")
+
+
+def _cpp(found: IdentifiedRobot, made: _Making) -> None:
+    model = inverse_dynamics(found)
+    made.texts["inverse_dynamics.hpp"] = cpp_header(found, model)
+    made.about["cpp"] = "inverse_dynamics.hpp, C++17: torques and their 95 % band"
+    _tell_code(found, model, "cpp", made)
+
+
+def _numpy(found: IdentifiedRobot, made: _Making) -> None:
+    model = inverse_dynamics(found)
+    made.texts["inverse_dynamics.py"] = numpy_module(found, model)
+    made.about["numpy"] = "inverse_dynamics.py: torques and their 95 % band"
+    _tell_code(found, model, "numpy", made)
+
+
+def _tell_code(found: IdentifiedRobot, model: InverseDynamics, form: str, made: _Making) -> None:
+    made.left_out[form] = {
+        f"{effect.spec}.{key}": (value, effect.units[key])
+        for effect in found.effects if effect.spec in model.left_out for key, value in effect.values.items()
+    }  # fmt: skip
+    if found.channel == "wrench":
+        made.warnings.append(
+            "The sensor does not feel what acts inside the joints: friction is not in the torques of inverse_dynamics."
+        )
+    if model.covariance is None:
+        made.warnings.append(f"{found.method} has no covariance, so the torques have no band; take another method, such as wls.")
+
+
+def _ranges(found: IdentifiedRobot, made: _Making) -> None:
+    made.texts["ranges.json"] = json.dumps(randomisation(found), indent=1, allow_nan=False) + "\n"
+    made.about["ranges"] = "ranges.json: mean, std, 5 and 95 % of every link's and joint's constants"
+
+
+#: What a robot can be exported as, and the function that does it.
+FORMS: dict[str, Callable[[IdentifiedRobot, _Making], None]] = {
+    "mjcf": _mjcf, "urdf": _urdf, "cpp": _cpp, "numpy": _numpy, "ranges": _ranges,
+}  # fmt: skip
+
+
+def _draw(found: IdentifiedRobot, forms: Sequence[str], count: int, seed: int, made: _Making) -> None:
+    """Draws of the posterior, each as a robot of its own."""
+    links, effects = draws_of(found)
+    if count > len(links):
+        raise InputError(f"{argument('draws', count)}: the posterior has {len(links)}; ask for fewer")
+    for k, draw in enumerate(np.random.default_rng(seed).choice(len(links), count, replace=False).tolist(), 1):
+        dynamics = found.joint_dynamics(effects[draw])
+        if "mjcf" in forms:
+            made.texts[f"sampled-{k:03d}.xml"] = mjcf(found.robot, found.locked, links[draw], dynamics)
+        if "urdf" in forms:
+            made.texts[f"sampled-{k:03d}.urdf"] = urdf_text(found.robot, links[draw], dynamics)
+    for form, ending in (("mjcf", "xml"), ("urdf", "urdf")):
+        if form in forms:
+            made.about[form] += f"; {count} draws of the posterior, sampled-001.{ending} ..."
+
+
+@files_of.register
+def _(result: Exported) -> Files:
+    """``export.json``, the files asked for, and the report."""
+    from bayesid.report.export import export_report
+
+    others = {name: partial(_write, text) for name, text in result.texts.items()}
+    return Files({"export.json": result.to_dict()}, others, export_report(result))
+
+
+def _write(text: str, path: Path) -> None:
+    path.write_text(text, encoding="utf-8")

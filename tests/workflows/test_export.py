@@ -1,0 +1,373 @@
+"""An identified robot handed on: code compiled and run, models loaded, against Pinocchio and `predict`."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import re
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+import pytest
+from scipy.stats import norm
+
+import bayesid
+from bayesid.cli import main
+from bayesid.dynamics.channels import torque_channels
+from bayesid.dynamics.regressors import dynamics_regressor
+from bayesid.effects import EffectLibrary, JointMotion
+from bayesid.effects.segment import direction
+from bayesid.results.export.laws import LAWS, JointLaw
+from bayesid.results.export.mjcf import mjcf
+from bayesid.robot.examples import PAPER_LOCKED
+from bayesid.robot.robot import load_robot
+from bayesid.robot.urdf import JointDynamics
+from tests.robots import ROBOTS, write
+from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
+
+ROTOR = 0.2
+EFFECTS = ("viscous_friction", "coulomb_friction", "torque_offset")
+MAIN = """
+#include "inverse_dynamics.hpp"
+#include <cstdio>
+int main() {
+    constexpr int n = bayesid_model::joints;
+    double x[3 * n], torque[n], half[n];
+    while (true) {
+        for (double& value : x) if (std::scanf("%lf", &value) != 1) return 0;
+        bayesid_model::inverse_dynamics(x, x + n, x + 2 * n, torque);
+        bayesid_model::half_band(x, x + n, x + 2 * n, half);
+        for (double value : torque) std::printf("%.17g ", value);
+        for (double value : half) std::printf("%.17g ", value);
+        std::printf("\\n");
+    }
+}
+"""
+BAND = norm.ppf(0.975)
+
+
+def arm(folder: Path, name: str, effects=EFFECTS, sensor: Sensor | None = None, **options):
+    """A simulated recording of an arm with friction."""
+    robot = puma2(folder) if name == "puma2" else load_robot(write(folder, ROBOTS[name]()))
+    rng = np.random.default_rng(5)
+    viscous, coulomb = rng.uniform(0.5, 2.0, (2, robot.n))
+    motions = []
+    for seed, role in enumerate(("identification", "validation"), 1):
+        motion = fourier(robot, seed, duration=10.0)
+        table = recording(robot, sensor, motion, seed=seed, torque_std=0.2, force_std=0.3, resolution=1e-5)
+        friction = viscous * motion[2] + coulomb * np.sign(motion[2])
+        if "spring@joint1" in effects:
+            friction[:, 0] += 12.0 * (motion[1][:, 0] - 0.4)
+        if "rotor_inertia@joint3" in effects:
+            friction[:, 2] += ROTOR * motion[3][:, 2]
+        motions.append(Motion(role, role, replace(table, torques=table.torques + friction)))
+    return experiment(robot, motions, sensor, effects=effects, inertia_rel_std=0.1, **options)
+
+
+@pytest.fixture(scope="module")
+def identified(tmp_path_factory):
+    """A six-joint arm with what most models have."""
+    return bayesid.identify(arm(tmp_path_factory.mktemp("ur5"), "ur5", (*EFFECTS, "rotor_inertia@joint3")), method="wls")
+
+
+@pytest.fixture(scope="module")
+def curved(tmp_path_factory):
+    """Two joints with a law that is not linear in its parameters, and other joints locked where their angle counts."""
+    made = arm(tmp_path_factory.mktemp("puma"), "puma2", ("viscous_friction", "coulomb_friction", "spring@joint1"))
+    return bayesid.identify(made, method="wls")
+
+
+def states(robot, count: int = 40, seed: int = 3) -> list[np.ndarray]:
+    rng = np.random.default_rng(seed)
+    q, v, a = rng.uniform(-3.0, 3.0, (count, robot.n)), rng.normal(size=(count, robot.n)), rng.normal(size=(count, robot.n))
+    q[:, robot.prismatic] *= 0.1
+    v[0], a[0] = 0.0, 0.0
+    v[1] *= 1e-4  # within the ramp of friction
+    return [q, v, a]
+
+
+def run_cpp(folder: Path, header: str, x: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Torques and half bands of the header, compiled with every warning as an error."""
+    if shutil.which("g++") is None:
+        pytest.skip("no g++ to compile the header with")
+    (folder / "inverse_dynamics.hpp").write_text(header, encoding="utf-8")
+    (folder / "main.cpp").write_text(MAIN, encoding="utf-8")
+    words = ["g++", "-std=c++17", "-O1", "-Wall", "-Wextra", "-Werror", "-pedantic", "main.cpp", "-o", "model"]
+    done = subprocess.run(words, cwd=folder, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    lines = "\n".join(" ".join(repr(float(number)) for number in row) for row in np.concatenate(x, axis=1))
+    out = subprocess.run([folder / "model"], input=lines, capture_output=True, text=True, check=True).stdout
+    rows = np.array([line.split() for line in out.splitlines()], float)
+    return rows[:, : x[0].shape[1]], rows[:, x[0].shape[1] :]
+
+
+def run_numpy(folder: Path, text: str, x: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    path = folder / "exported_model.py"
+    path.write_text(text, encoding="utf-8")
+    spec = importlib.util.spec_from_file_location("exported_model", path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.inverse_dynamics(*x), module.half_band(*x)
+
+
+RUN = {"cpp": run_cpp, "numpy": run_numpy}
+FILE = {"cpp": "inverse_dynamics.hpp", "numpy": "inverse_dynamics.py"}
+
+
+@pytest.mark.parametrize("form", RUN)
+def test_code_gives_the_torques_and_the_band_of_predict(identified, form, tmp_path):
+    x = states(identified.problem.experiment.robot)
+    expected = identified.predict(*x)
+    made = bayesid.export(identified, form)
+    torque, half = RUN[form](tmp_path, made[FILE[form]], x)
+    size = np.abs(expected.values).max()
+    np.testing.assert_allclose(torque, expected.values, rtol=1e-9, atol=1e-9 * size)
+    np.testing.assert_allclose(half, BAND * expected.std, rtol=1e-9)
+    assert not made.left_out[form] and not made.warnings
+
+
+def test_the_program_of_the_page_compiles(identified, tmp_path):
+    page = Path(__file__).parents[2] / "docs" / "howto-export.md"
+    (code,) = re.findall(r"^```cpp\n(.*?)^```$", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+    x = [np.zeros((1, 6))] * 3
+    torque, half = run_cpp(tmp_path, bayesid.export(identified, "cpp")["inverse_dynamics.hpp"], x)
+    (tmp_path / "page.cpp").write_text(code, encoding="utf-8")
+    subprocess.run(["g++", "-std=c++17", "-Wall", "-Wextra", "-Werror", "page.cpp", "-o", "page"], cwd=tmp_path, check=True)
+    said = subprocess.run([tmp_path / "page"], capture_output=True, text=True, check=True).stdout.splitlines()
+    numbers = np.array([re.findall(r"-?\d+\.\d+", line) for line in said], float)
+    np.testing.assert_allclose(numbers, np.column_stack([torque[0], half[0]]), atol=1e-6)
+    assert said[0].startswith("shoulder_pan_joint ")
+
+
+@pytest.mark.parametrize("form", RUN)
+def test_code_gives_laws_that_are_not_linear(curved, form, tmp_path):
+    """The law itself, where `predict` takes it straight from the last step of the fit, which has settled to 1e-4."""
+    x = states(curved.problem.experiment.robot)
+    expected = curved.predict(*x)
+    torque, half = RUN[form](tmp_path, bayesid.export(curved, form)[FILE[form]], x)
+    np.testing.assert_allclose(torque, expected.values, atol=1e-4 * np.abs(expected.values).max())
+    np.testing.assert_allclose(half, BAND * expected.std, rtol=1e-2)
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_a_law_is_that_of_its_effect(name):
+    """Torque as the class computes it, derivatives as central differences."""
+    kind = EffectLibrary().classes[name]
+    rng = np.random.default_rng(2)
+    q, v, a = rng.normal(size=(3, 50))
+    values = rng.uniform(0.3, 2.0, len(kind.quantities))
+    effect = kind("joint1", 0)
+    scope = {"q": q, "v": v, "a": a, "s": direction(v, a, 0.0), "abs": np.abs, "exp": np.exp, "sin": np.sin, "cos": np.cos}
+
+    def torque(at):
+        return effect.torque(JointMotion(np.arange(50.0), q, v, a, None, 0.0), at)
+
+    law = JointLaw("", name, 0, tuple(values), tuple(range(len(values))))
+    np.testing.assert_allclose(eval(law.torque, scope), torque(values), rtol=1e-13, atol=1e-14)
+    assert [column for column, _ in law.derivatives] == list(range(len(values)))
+    for (_, text), step in zip(law.derivatives, 1e-6 * np.eye(len(values)), strict=True):
+        slope = (torque(values + step) - torque(values - step)) / 2e-6
+        np.testing.assert_allclose(eval(text, scope) + np.zeros(50), slope, rtol=1e-7, atol=1e-8)
+
+
+def pinocchio_model(text: str, robot):
+    """The URDF with all but the robot's joints locked at zero."""
+    whole = pin.buildModelFromXML(text)
+    whole.gravity.linear = np.array(robot.gravity)
+    return whole
+
+
+def test_mjcf_has_the_mass_matrix_of_the_links_and_the_torques_of_the_estimate(identified):
+    """MuJoCo's inverse dynamics, damping, armature and friction included, against Pinocchio's on identified.urdf."""
+    made = bayesid.export(identified, "mjcf,urdf")
+    model = mujoco.MjModel.from_xml_string(made["identified.xml"])
+    other = pinocchio_model(made["identified.urdf"], identified.problem.experiment.robot)
+    data, own = other.createData(), mujoco.MjData(model)
+    friction = identified.urdf.dynamics.friction
+    rotor = identified.urdf.dynamics.beside["rotor_inertia@joint3.inertia"][0]
+    armature = np.array([0.0, 0.0, rotor, 0.0, 0.0, 0.0])
+    names = identified.problem.experiment.robot.joint_names
+    damping, loss = (np.array([friction.get(n, {}).get(key, 0.0) for n in names]) for key in ("damping", "friction"))
+    assert (damping > 0).all() and (loss > 0).all()
+    np.testing.assert_array_equal(model.dof_damping, damping)
+    np.testing.assert_array_equal(model.dof_frictionloss, loss)
+    np.testing.assert_array_equal(model.dof_armature, armature)
+    assert rotor == pytest.approx(ROTOR, rel=0.1)
+    for q, v, a in zip(*states(identified.problem.experiment.robot), strict=True):
+        own.qpos[:], own.qvel[:], own.qacc[:] = q, v, a
+        mujoco.mj_inverse(model, own)
+        without_loss = own.qfrc_inverse + own.qfrc_constraint
+        np.testing.assert_allclose(without_loss, pin.rnea(other, data, q, v, a) + damping * v + armature * a, atol=1e-8)
+    assert {name.split("@")[0] for name in made.left_out["mjcf"]} == {"torque_offset"}
+    assert {name.split("@")[0] for name in made.left_out["urdf"]} == {"torque_offset", "rotor_inertia"}
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_every_robot_becomes_an_mjcf_with_pinocchios_mass_matrix(name, tmp_path):
+    """Trees, sliding and endless joints, tools behind fixed joints."""
+    robot = load_robot(write(tmp_path, ROBOTS[name]()))
+    text = mjcf(robot, {}, robot.nominal.ravel(), JointDynamics({}))
+    model = mujoco.MjModel.from_xml_string(text)
+    assert [model.joint(k).name for k in range(model.njnt)] == [str(n) for n in pin.buildModelFromUrdf(str(robot.urdf)).names[1:]]
+    at = [model.joint(n).qposadr[0] for n in robot.joint_names]
+    q, v, a = states(robot, 3)
+    expected = inverse_of_nominal(robot, q, v, a)
+    data = mujoco.MjData(model)
+    for k in range(3):
+        data.qpos[at], data.qvel[at], data.qacc[at] = q[k], v[k], a[k]
+        mujoco.mj_inverse(model, data)
+        np.testing.assert_allclose((data.qfrc_inverse + data.qfrc_constraint)[at], expected[k], atol=1e-8)
+
+
+def inverse_of_nominal(robot, q, v, a):
+    return dynamics_regressor(robot, torque_channels(robot), q, v, a) @ robot.nominal.ravel()
+
+
+def test_locked_joints_stand_still_in_the_mjcf_where_they_were(tmp_path):
+    robot = puma2(tmp_path)
+    model = mujoco.MjModel.from_xml_string(mjcf(robot, PAPER_LOCKED, robot.nominal.ravel(), JointDynamics({})))
+    assert [model.joint(k).name for k in range(model.njnt)] == ["joint1", "joint2"]
+    q, v, a = states(robot, 3)
+    data = mujoco.MjData(model)
+    for k, expected in enumerate(inverse_of_nominal(robot, q, v, a)):
+        data.qpos[:], data.qvel[:], data.qacc[:] = q[k], v[k], a[k]
+        mujoco.mj_inverse(model, data)
+        np.testing.assert_allclose(data.qfrc_inverse + data.qfrc_constraint, expected, atol=1e-8)
+    # The last link is where Pinocchio has it, which the masses, all in the link before, would not show.
+    whole = pin.buildModelFromUrdf(str(robot.urdf))
+    posture = pin.neutral(whole)
+    for joint, position in [*PAPER_LOCKED.items(), *zip(robot.joint_names, q[2], strict=True)]:
+        posture[whole.joints[whole.getJointId(joint)].idx_q] = position
+    there = whole.createData()
+    pin.framesForwardKinematics(whole, there, posture)
+    last = whole.frames[-1]
+    np.testing.assert_allclose(data.body(last.name).xpos, there.oMf[whole.nframes - 1].translation, atol=1e-9)
+
+
+def test_a_saved_result_gives_the_same_files(identified, tmp_path, capsys):
+    identified.write(tmp_path / "run")
+    assert main(["export", str(tmp_path / "run"), "--to", "mjcf,urdf,cpp,numpy", "--out", str(tmp_path / "out")]) == 0
+    said = capsys.readouterr().out
+    direct = bayesid.export(identified, ["mjcf", "urdf", "cpp", "numpy"], tmp_path / "direct")
+    for name, text in direct.texts.items():
+        assert (tmp_path / "out" / name).read_text(encoding="utf-8") == text == (tmp_path / "direct" / name).read_text("utf-8")
+        assert name in said
+    document = json.loads((tmp_path / "out" / "export.json").read_text(encoding="utf-8"))
+    assert document["not_held"]["mjcf"]["torque_offset@joint1.offset"]["unit"] == "N m"
+    assert bayesid.load(tmp_path / "out").to == ["mjcf", "urdf", "cpp", "numpy"]
+    assert "torque_offset@joint1.offset" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def posterior(tmp_path_factory):
+    return bayesid.sample(arm(tmp_path_factory.mktemp("sampled"), "puma2", ("viscous_friction", "coulomb_friction")), draws=400)
+
+
+def test_draws_of_a_posterior_load_and_ranges_hold_them(posterior, tmp_path):
+    """Twenty robots: masses of the links drawn, friction of the effects; ranges as numpy has them of all draws."""
+    posterior.write(tmp_path / "run")
+    assert main(["export", str(tmp_path / "run"), "--to", "mjcf,urdf,ranges", "--draws", "20", "--out", str(tmp_path / "o")]) == 0
+    files = sorted((tmp_path / "o").glob("sampled-*.xml"))
+    assert len(files) == len(sorted((tmp_path / "o").glob("sampled-*.urdf"))) == 20
+    models = [mujoco.MjModel.from_xml_path(str(file)) for file in files]
+    links = posterior.link_draws.reshape(-1, posterior.link_draws.shape[-1])
+    drawn = np.random.default_rng(0).choice(len(links), 20, replace=False)
+    children = ["link1", "link2"]
+    masses = np.array([[m.body(name).mass[0] for name in children] for m in models])
+    np.testing.assert_allclose(masses, links[drawn][:, ::10], rtol=1e-12)
+    effects = posterior.effect_draws.reshape(len(links), -1)
+    at = posterior.model.effect_names.index("viscous_friction@joint2.coefficient")
+    np.testing.assert_allclose([m.dof_damping[1] for m in models], effects[drawn, at])
+    ranges = json.loads((tmp_path / "o" / "ranges.json").read_text(encoding="utf-8"))
+    assert ranges["draws"] == len(links) and list(ranges["links"]) == children
+    mass = ranges["links"]["link2"]["mass"]
+    assert [mass["mean"], mass["std"]] == pytest.approx([links[:, 10].mean(), links[:, 10].std(ddof=1)])
+    com = ranges["links"]["link2"]["centre_of_mass"][0]
+    assert [com["p05"], com["p95"]] == pytest.approx(np.quantile(links[:, 11] / links[:, 10], [0.05, 0.95]))
+    damping = ranges["joints"]["joint2"]["damping"]
+    assert damping["mean"] == pytest.approx(effects[:, at].mean()) and damping["unit"] == "N m s/rad"
+    assert set(ranges["joints"]["joint1"]) == {"damping", "frictionloss"}
+
+
+def test_code_of_a_posterior_has_the_band_of_its_draws(posterior, tmp_path):
+    x = states(posterior.problem.experiment.robot)
+    expected = posterior.predict(*x)
+    torque, half = run_numpy(tmp_path, bayesid.export(posterior, "numpy")["inverse_dynamics.py"], x)
+    np.testing.assert_allclose(torque, expected.values, rtol=1e-9, atol=1e-9 * np.abs(expected.values).max())
+    np.testing.assert_allclose(half, BAND * expected.std, rtol=1e-9)
+
+
+@pytest.mark.parametrize("form", RUN)
+def test_code_from_a_base_sensor_gives_the_links_torques(form, tmp_path):
+    """The wrench tells the torques of the links, with the band that the base parameters of the wrench give, and no friction."""
+    made = arm(tmp_path, "ur5", (), Sensor(translation=[0.0, 0.0, -0.1]))
+    result = bayesid.identify(made, channel="wrench", method="wls")
+    exported = bayesid.export(result, form)
+    x = states(made.robot)
+    torque, half = RUN[form](tmp_path, exported[FILE[form]], x)
+    matrix = dynamics_regressor(made.robot, torque_channels(made.robot), *x)
+    through = matrix @ np.linalg.pinv(result.base.matrix)  # torques are combinations of what the wrench shows
+    np.testing.assert_allclose(torque, through @ result.values, atol=1e-6 * np.abs(torque).max())
+    std = np.sqrt(np.einsum("ncp,pq,ncq->nc", through, result.covariance, through))
+    np.testing.assert_allclose(half, BAND * std, rtol=1e-4, atol=1e-12)
+    assert any("does not feel what acts inside the joints" in w for w in exported.warnings)
+
+
+def test_what_cannot_be_exported_is_said_in_one_line(identified, tmp_path, monkeypatch, capsys):
+    with pytest.raises(bayesid.InputError, match='to="sdf2": choose from mjcf, urdf, cpp'):
+        bayesid.export(identified, "sdf2")
+    with pytest.raises(bayesid.InputError, match="draws of links are asked for.*run bayesid sample"):
+        bayesid.export(identified, "mjcf", draws=3)
+    with pytest.raises(bayesid.InputError, match='draws=2: is for to="mjcf" or urdf'):
+        bayesid.export(identified, "cpp", draws=2)
+    with pytest.raises(bayesid.InputError, match="draws of links"):
+        bayesid.export(identified, "ranges")
+    assert main(["export", str(tmp_path / "nothing")]) == 2
+    assert "no" in capsys.readouterr().err
+    identified.write(tmp_path / "run")
+    document = json.loads((tmp_path / "run" / "estimate.json").read_text(encoding="utf-8"))
+    del document["robot"]
+    (tmp_path / "run" / "estimate.json").write_text(json.dumps(document), encoding="utf-8")
+    assert main(["export", str(tmp_path / "run"), "--out", str(tmp_path / "out")]) == 2
+    assert "run it again" in capsys.readouterr().err and not (tmp_path / "out").exists()
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    with pytest.raises(bayesid.InputError, match=r'not installed; pip install "bayesid\[mujoco\]"'):
+        bayesid.export(identified, "mjcf")
+
+
+def test_a_robot_that_mujoco_sees_otherwise_is_refused(identified, monkeypatch):
+    """Were MuJoCo to read other inertias than Pinocchio, the file would not be written."""
+    real = mujoco.MjModel.from_xml_string
+
+    def heavier(text: str):
+        model = real(text)
+        model.body_mass[-1] *= 1.0 + 1e-6
+        return model
+
+    class Model:
+        from_xml_string = staticmethod(heavier)
+
+    monkeypatch.setattr(mujoco, "MjModel", Model)
+    with pytest.raises(bayesid.InputError, match="mass matrices of MuJoCo and Pinocchio differ"):
+        bayesid.export(identified, "mjcf")
+
+
+def test_negative_friction_is_told_and_not_written(identified):
+    changed = replace(identified.urdf.dynamics, left_out=("wrist_3_joint friction",))
+    told = bayesid.export(replace(identified, urdf=replace(identified.urdf, dynamics=changed)), "mjcf,urdf").warnings
+    assert [w.split(":")[0] for w in told] == ["Negative and so not in identified.xml", "Negative and so not in identified.urdf"]
+
+
+def test_a_law_that_has_no_place_is_told(tmp_path):
+    """Load friction is in the model, and not in the header."""
+    made = arm(tmp_path, "puma2", ("viscous_friction", "load_friction@joint2"))
+    exported = bayesid.export(bayesid.identify(made), "cpp")
+    assert list(exported.left_out["cpp"]) == ["load_friction@joint2.coefficient"]
+    assert "Not in it, though in the model that was identified: load_friction@joint2" in exported["inverse_dynamics.hpp"]
+    assert "not in cpp: load_friction@joint2.coefficient" in str(exported)
