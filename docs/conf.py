@@ -51,7 +51,10 @@ def _mathml(node, block: bool) -> str:
         drawn = tex2mathml(formula, as_block=block)
     except MathError as error:
         raise ExtensionError(f"formula {formula!r}: {error}") from None
-    return f'<div class="math-wrapper">{drawn}<span class="eqno">({number.rstrip().rstrip("}")})</span></div>' if number else drawn
+    drawn = drawn.replace(' accent="true"', "")  # with it, browsers draw the dots of derivatives into the letter
+    if not number:
+        return drawn
+    return f'<div class="math-wrapper">{drawn}<span class="eqno">({number.rstrip().rstrip("}")})</span></div>'
 
 
 def _inline(self, node) -> None:
