@@ -6,12 +6,14 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
 from bayesid.errors import InputError
 from bayesid.recordings.importing.arrays import read_hdf5, read_mat, read_npz
 from bayesid.recordings.importing.bags import read_bag
 from bayesid.recordings.importing.kinds import kind_of
 from bayesid.recordings.importing.lerobot import read_lerobot
-from bayesid.recordings.importing.stream import Source
+from bayesid.recordings.importing.stream import Source, Stream
 from bayesid.recordings.importing.tables import read_csv, read_parquet
 
 _ARRAYS = {"numpy": read_npz, "mat": read_mat, "hdf5": read_hdf5}
@@ -65,6 +67,26 @@ def read_source(
 
 
 def joined(sources: Sequence[Source]) -> Source:
-    """Several files that are parts of one recording, their tables under the files' names."""
-    streams = [stream if stream.name else replace(stream, name=source.name) for source in sources for stream in source.streams]
-    return Source(sources[0].name, tuple(streams), tuple(topic for source in sources for topic in source.unread))
+    """Several files that are parts of one recording: topics and tables with the same columns one after the other.
+
+    Tables with other columns have the names of their files before those of their columns.
+    """
+    groups: dict[tuple[str, frozenset[str], frozenset[str]], list[tuple[str, Stream]]] = {}
+    for source in sources:
+        for stream in source.streams:
+            key = (stream.name, frozenset(stream.columns), frozenset(stream.clocks))
+            groups.setdefault(key, []).append((source.name, stream))
+    tables = sum(not name for name, _, _ in groups)
+    streams = []
+    for (name, _, _), parts in groups.items():
+        first = parts[0][1]
+        streams.append(
+            replace(
+                first,
+                name=name or (parts[0][0] if tables > 1 else ""),
+                columns={c: np.concatenate([stream.columns[c] for _, stream in parts]) for c in first.columns},
+                clocks={c: np.concatenate([stream.clocks[c] for _, stream in parts]) for c in first.clocks},
+            )
+        )
+    unread = dict.fromkeys(topic for source in sources for topic in source.unread)
+    return Source(sources[0].name, tuple(streams), tuple(unread))

@@ -13,6 +13,7 @@ import pytest
 import bayesid
 from bayesid.cli import main
 from bayesid.errors import InputError
+from bayesid.recordings.table import Table
 from tests.recordings.importing.logs import JOINTS, START, Bag, Known, make_known, write_bag
 
 
@@ -80,6 +81,21 @@ def test_a_bag_without_definitions_and_a_compressed_one_are_read(known, tmp_path
         file.executescript("DROP TABLE message_definitions; UPDATE schema SET schema_version = 2;")
     for name in ("old", "compressed"):
         _is(bayesid.read_recording(tmp_path / name, known.urdf).experiment.motions[0].table, known)
+
+
+@pytest.mark.parametrize("kind", ["ros1", "mcap", "csv"])
+def test_a_recording_that_was_split_into_files_is_one_again(kind, known, tmp_path):
+    parts = [tmp_path / ("a.bag" if kind == "ros1" else "a"), tmp_path / ("b.bag" if kind == "ros1" else "b")]
+    for path, rows in zip(parts, (slice(0, 400), slice(400, None)), strict=True):
+        part = replace(known, ns=known.ns[rows], **{k: getattr(known, k)[rows] for k in ("q", "v", "tau", "wrench")})
+        if kind == "csv":
+            Table(part.t, part.q, part.v, torques=part.tau).to_dataframe().to_csv(path.with_suffix(".csv"), index=False)
+        else:
+            write_bag(path, part, kind)
+    files = [path.with_suffix(".csv") for path in parts] if kind == "csv" else parts
+    imported = bayesid.read_recording(files, known.urdf, joints=JOINTS, join_files=True)
+    _is(imported.experiment.motions[0].table, known)
+    assert imported.experiment.motions[0].name == "a" and len(imported.experiment.motions) == 1
 
 
 def test_order_may_differ_from_message_to_message_and_parts_may_be_empty(known, tmp_path):
