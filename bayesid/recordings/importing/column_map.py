@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Annotated, Any
 
-from pydantic import ConfigDict
+from pydantic import AfterValidator, ConfigDict
 
 from bayesid.errors import InputError
 from bayesid.recordings.complaints import cut, suggest
@@ -30,7 +32,13 @@ class UnitSection(Section):
     scale: dict[str, Number] = {}
 
 
-Columns = dict[str, str | list[str]]
+def _name_or_names(value: Any) -> str | list[str]:
+    if isinstance(value, str) or (isinstance(value, list) and all(isinstance(part, str) for part in value)):
+        return value
+    raise ValueError('write a column\'s name, "Time", or a list of them')
+
+
+Columns = dict[str, Annotated[Any, AfterValidator(_name_or_names)]]
 
 
 class _MapFile(Section):
@@ -88,6 +96,10 @@ class ColumnMap:
                     f'"{cut(key)}" is no column of ours', file=self.file, key="columns", value=key,
                     remedy=suggest(key, ("t", "q", "v", "qr", "tau", "wrench", "q1", "tau1", *WRENCH_COLUMNS), "write one of"),
                 )  # fmt: skip
+        for key, by in self.scale.items():
+            if not (math.isfinite(by) and by):
+                problem = f"{cut(key)} = {by:g} is no factor"
+                raise InputError(problem, file=self.file, key="units.scale", value=by, remedy="write a number but 0")
         for key, by in self.shift.items():
             if key not in (*JOINT_QUANTITIES, "wrench") or not abs(by) <= _LONGEST_SHIFT:
                 raise InputError(
