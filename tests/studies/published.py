@@ -37,6 +37,7 @@ SHOWN = {
     "docs/named-in-part.json": ("cases/*/remainder", "cases/*/seconds"),
     "docs/outliers.json": ("arms/*/fits/*/error", "arms/*/fits/*/coverage"),
     "docs/payload-coverage.json": ("groups/*/coverage_mean", "faults/*/told", "named_without", "told"),
+    "docs/payload-real.json": ("wrist/inside", "wrist/plain", "wrist/gain", "loaded/*/mass", "loaded/*/low", "loaded/*/high"),
     "docs/physical.json": ("cases/*/methods/*/coverage/mean", "cases/*/methods/*/coverage/lowest"),
     "docs/physical-speed.json": ("milliseconds/*", "times_faster*"),
     "docs/posterior-speed.json": ("*/bayesid/rate", "*/bayesid_over_*", "whole/*/seconds"),
