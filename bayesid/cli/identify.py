@@ -25,7 +25,9 @@ from bayesid.results.files import check_output
 @click.command()
 @EXPERIMENT
 @model_options
-@click.option("--method", default=bayesid.DEFAULT_METHOD, show_default=True, help=", ".join(bayesid.METHODS))
+@click.option(
+    "--method", help=f"{', '.join(bayesid.METHODS)}  [default: {bayesid.DEFAULT_METHOD}; with a mount that rings, gls]"
+)
 @BOUNDS
 @STATIC
 @click.option("--unconstrained-urdf", is_flag=True, help="Also write the links with exactly the estimated base parameters.")
@@ -35,11 +37,12 @@ def identify(experiment, filter_l, filter_d, model, effects_from, method, bounds
     """Base parameters with their uncertainty, link parameters, and held-out validation."""
     check_output(out or OUTPUTS, "identify")
     filters = low_pass(filter_l, filter_d)
-    chosen = bayesid.estimator(method)
+    chosen = None if method is None else bayesid.estimator(method)
     with show_progress() as progress:
         progress("reading")
         loaded = load(experiment, model, effects_from)
-        chosen = bounded(chosen, bounds, loaded)
+        if bounds is not None:
+            chosen = bounded(chosen or bayesid.estimator(bayesid.DEFAULT_METHOD), bounds, loaded)
         result = bayesid.identify(loaded, method=chosen, low_pass=filters, progress=progress, **options)
         progress("report")
         report = result.write(output_folder(out, loaded.name, "identify"))

@@ -21,9 +21,9 @@ from bayesid.design.visibility import (
     shows_more,
     standing,
 )
-from bayesid.diagnosis.surroundings import STILL
 from bayesid.dynamics.base_parameters import BaseParameters, structural_base
 from bayesid.dynamics.channels import Channels
+from bayesid.effects.surroundings import STILL
 from bayesid.posterior.result import PRIOR_DRIVEN
 from bayesid.recordings.experiment import Experiment, Motion
 from bayesid.regression.readings import has_readings, make_channels

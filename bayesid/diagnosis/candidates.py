@@ -21,8 +21,8 @@ from bayesid.diagnosis.projector import NuisanceProjector
 from bayesid.diagnosis.ripples import RippleScan
 from bayesid.diagnosis.rows import model_rows, residual_rows, term_rows
 from bayesid.diagnosis.span import Span, orthonormal
-from bayesid.diagnosis.surroundings import joint_inertia, mean_places, moving
 from bayesid.effects import Effect, ExternalContact, Linearisation, Surroundings, Term
+from bayesid.effects.surroundings import surroundings_of
 
 #: Derivatives are exact to this share of the readings: 1e-16 over a step of 1e-4, and a hundred times that for a joint's play.
 _DERIVATIVES = 1e-10
@@ -285,16 +285,10 @@ def everywhere(data: DiagnosisData) -> tuple[Effect, ...]:
 def surroundings(data: DiagnosisData) -> Surroundings:
     """What effects may want to know of the recordings."""
     sensor = data.experiment.sensor
-    return Surroundings(
-        robot=data.robot,
-        mean_places=mean_places(data.robot, [s.scene for s in data.segments]),
-        joint_inertia=joint_inertia(data.robot, data.segments[0].scene, data.links),
-        moving=moving(data.robot, [s.scene for s in data.segments]),
-        links_known=data.experiment.inertia_rel_std is not None,
-        both_channels=data.channel == "both",
-        static_run=data.offset_free,
-        base_sensor=data.channel != "torque" and sensor is not None and sensor.joint is None,
-    )
+    return surroundings_of(
+        data.robot, [s.scene for s in data.segments], data.links, data.channel, sensor is not None and sensor.joint is None,
+        static_run=data.offset_free, links_known=data.experiment.inertia_rel_std is not None,
+    )  # fmt: skip
 
 
 def _inside(effect: Effect, values: np.ndarray) -> tuple[float, ...]:

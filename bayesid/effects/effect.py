@@ -118,7 +118,7 @@ class Effect(ABC):
     needs_gear_ratio
         Whether it wants to know its joint's gear ratio.
     settling
-        Time that it is given at the start of a recording to forget how it was set off [s].
+        Time that it is given at the start of a recording that does not start at rest to forget how it was set off [s].
     amplifies_encoder_errors
         Whether it differentiates a load again; encoders' errors pass through it much enlarged.
     reverses_at_once

@@ -56,10 +56,6 @@ class Point:
         """Time before and after some samples that their readings depend on [s]."""
         return reach_of(self.terms(effects), bandwidth, step)
 
-    def settling(self, effects: Sequence[Effect]) -> float:
-        """Time that effects are given to forget how they were set off [s]; the same at every point, so that rows stay."""
-        return max((effect.settling for effect in effects), default=0.0)
-
 
 def reach_of(terms: Sequence[Term], bandwidth: float, step: float) -> float:
     """Time before and after some samples that their readings depend on [s].

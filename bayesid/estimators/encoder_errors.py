@@ -96,10 +96,10 @@ def may_matter(regression: Regression, weights: Weights) -> bool:
     """Whether anything is known of the regressor's errors, and the model lacks nothing.
 
     What residuals of an incomplete model hold beside encoder errors is no sensor's noise, and the scatter between stretches
-    counts it all.
+    counts it all. Nor need they be told apart where the noise holds what is simulated of them.
     """
     law = regression.regressor_noise
-    return law is not None and law.present() and weights.complete
+    return law is not None and law.present() and weights.complete and not weights.by_noise
 
 
 def with_encoder_errors(

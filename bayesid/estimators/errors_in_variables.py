@@ -227,11 +227,12 @@ def split_noise(
     for k, pairs in enumerate(draws):
         total, rows = np.zeros(p), []
         for block, pair in zip(law.simulated(None) if truth is None else truth, pairs, strict=True):
-            exact = block.matrix @ solution
+            # The target changes, too, where readings are linearised: about a point it is shifted by what the columns are there.
+            left = block.residual(solution)
             x, z = pair.regressors, pair.instruments
-            error = exact - x.matrix @ solution
+            error = x.residual(solution) - left
             if pair.symmetric:
-                other = exact - z.matrix @ solution
+                other = z.residual(solution) - left
                 total += 0.5 * (start.project(z, error) + start.project(x, other))
                 error = 0.5 * (error + other)
             else:

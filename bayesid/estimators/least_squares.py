@@ -166,7 +166,7 @@ def _rule(automatic: bool) -> str:
 
 def likelihood_weights(weights: Weights) -> str:
     """How rows are weighted where they stand for a likelihood: ``noise``, or ``channel`` where the model lacks something."""
-    return "noise" if weights.complete else "channel"
+    return "noise" if weights.complete or weights.by_noise else "channel"
 
 
 def weighted_factor(
@@ -225,6 +225,8 @@ def covariance_middle(
     """
     if scale is not None and not may_matter(regression, weights):
         return sandwich_middle(regression, weights.dispersed(), scale)
+    if scale is None and weights.by_noise:  # encoder errors are in the noise that rows were whitened with
+        return weights.dispersion * factor.matrix.T @ factor.matrix
     exact = scale is None and regression.noise_std is not None  # whitened with noise that is known
     if exact:
         middle = factor.matrix.T @ factor.matrix

@@ -2,26 +2,38 @@
 
 The readings are linearised at a point, estimated, and linearised again at the estimate, until it no longer moves.
 A step that makes the residual larger is halved.
+
+From afar, a mount that rings looks stiff: the cost of a resonance has a valley as narrow as the resonance is sharp, and
+Gauss-Newton finds the bottom of the one that it starts in. So where no starting value of an effect that rings is stated, each
+of its own trials (`bayesid.effects.Effect.trials`) is held in turn, everything linear is fitted, and the one that leaves least
+is the start: least in ``sum_c log s_c``, s_c what channel c leaves, the likelihood of noise of unknown sizes.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
 from bayesid.dynamics.nearest_links import nearest_links
-from bayesid.effects import Point, moved
+from bayesid.effects import Effect, Point, Surroundings, moved
+from bayesid.effects.surroundings import surroundings_of
 from bayesid.errors import InputError
 from bayesid.estimators import DEFAULT_METHOD, Estimate, Estimator, Huber, Physical, Student, estimator, fit
+from bayesid.estimators.factor import Pilot
 from bayesid.estimators.least_squares import LeastSquares, Ridge, TruncatedSVD
 from bayesid.regression.gauss_newton import Linearised, StepControl, minimise
-from bayesid.regression.problem import Problem, relinearised
+from bayesid.regression.linalg import solve as least_squares
+from bayesid.regression.problem import Problem, chosen_again, relinearised
 from bayesid.regression.structure import absorbed_offset
 
 #: The effects' parameters have settled when a step is this small against their standard deviations.
 SETTLED = 0.05
+#: Rounds of weighting channels by what a start leaves in them.
+_STARTING_PASSES = 3
+#: Times that the bandwidth is chosen again, at most: two choices may follow each other for ever.
+_ROUNDS = 3
 #: Estimators whose values do not depend on what is known of encoder errors, only their covariance does.
 _COVARIANCE_ALONE = (LeastSquares, Ridge, TruncatedSVD, Huber, Student, Physical)
 #: Shares of a step are tried until one makes the residual no larger; the next step is tried whole again.
@@ -52,8 +64,83 @@ def solve(problem: Problem, method: str | Estimator = DEFAULT_METHOD) -> tuple[P
     """
     if problem.row_model.point is None:
         return problem, fit(problem.regression, method)
-    found = _minimised(problem, method)
+    found = _found(problem, method)
     return found.problem, found.estimate if found.whole else fit(found.problem.regression, method)
+
+
+def _found(problem: Problem, method: str | Estimator) -> Fitted:
+    """The minimum, from the best start, with the bandwidth chosen again where the effects are known."""
+    found = _minimised(_started(problem), method)
+    for _ in range(_ROUNDS):
+        again = chosen_again(found.problem)
+        if again.smoother.bandwidth == found.problem.smoother.bandwidth:
+            break
+        found = _minimised(again, method)
+    return found
+
+
+def _started(problem: Problem) -> Problem:
+    """The problem linearised where the best trial of effects that ring is; the same where a value is stated or found already."""
+    for effect in problem.row_model.effects:
+        if effect.settling > 0.0 and _at_start(problem, effect):
+            problem = _best(problem, effect)
+    return problem
+
+
+def _place(problem: Problem, effect: Effect) -> slice:
+    """Where its parameters are among those of all effects."""
+    before = problem.row_model.effects[: problem.row_model.effects.index(effect)]
+    first = sum(len(e.parameters) for e in before)
+    return slice(first, first + len(effect.parameters))
+
+
+def _at_start(problem: Problem, effect: Effect) -> bool:
+    """Whether all its parameters are estimated and stand where they start if nothing is stated."""
+    point, own = problem.row_model.point, _place(problem, effect)
+    return point is not None and bool(point.free[own].all()) and tuple(point.values[own]) == effect.starts
+
+
+def _best(problem: Problem, effect: Effect) -> Problem:
+    point, own = problem.row_model.point, _place(problem, effect)
+    assert point is not None
+    tried = [problem]
+    for values in effect.trials(_surroundings(problem)):
+        there = point.values.copy()
+        there[own] = values
+        tried.append(relinearised(problem, replace(point, values=there)))
+    return min(tried, key=partial(_left, held=own))
+
+
+def _left(problem: Problem, held: slice) -> float:
+    """``sum_c log s_c`` with some of the effects' parameters held; infinite where readings are not finite."""
+    point = problem.row_model.point
+    assert point is not None
+    at = np.zeros(len(point.values), bool)
+    at[held] = True
+    at = np.concatenate([np.zeros(len(point.base), bool), at[point.free]])
+    solution, scale = np.concatenate([point.base, point.values[point.free]]), np.ones(len(problem.row_model.channels))
+    blocks = problem.regression.pilot()
+    if not all(np.isfinite(b.rows).all() for b in blocks):
+        return np.inf
+    pilot = Pilot.of(blocks)
+    for _ in range(_STARTING_PASSES):
+        factor = pilot.weighted(scale)
+        solution[~at] = least_squares(factor.matrix[:, ~at], factor.target - factor.matrix[:, at] @ solution[at])
+        residual = np.concatenate([b.residual(solution) for b in blocks])
+        scale = np.sqrt(np.mean(residual**2, axis=0))
+        scale = np.maximum(scale, 1e-9 * max(float(scale.max()), 1e-300))
+    return float(np.sum(np.log(scale)))
+
+
+def _surroundings(problem: Problem) -> Surroundings:
+    row_model, experiment = problem.row_model, problem.experiment
+    robot, sensor = row_model.robot, experiment.sensor
+    segments = [s for name in problem.fitted for s in problem.segments[name]]
+    scenes = [row_model.state(s, 0, len(s.times)) for s in segments]
+    return surroundings_of(
+        robot, scenes, robot.nominal.ravel(), problem.channel, sensor is not None and sensor.joint is None,
+        static_run=problem.static != "none", links_known=experiment.inertia_rel_std is not None,
+    )  # fmt: skip
 
 
 def _minimised(problem: Problem, method: str | Estimator) -> Fitted:
@@ -82,7 +169,8 @@ class Fitted:
     @property
     def whole(self) -> bool:
         """Whether the covariance counts encoder errors; where values do not depend on them, steps do not wait for that."""
-        return self.problem.regression.regressor_noise is None or not isinstance(estimator(self.method), _COVARIANCE_ALONE)
+        law = self.problem.regression.regressor_noise
+        return law is None or law.rung or not isinstance(estimator(self.method), _COVARIANCE_ALONE)
 
     def linearised(self) -> Linearised[Fitted] | None:
         """Steps towards the estimate; None where it is at the point already."""
@@ -105,9 +193,14 @@ class Fitted:
         return Linearised(_cost(problem, here, estimate), trial)
 
 
+def default_method(problem: Problem) -> str:
+    """`DEFAULT_METHOD`; ``gls`` where something rings: weights by channel alone would let it follow the noise."""
+    return "gls" if problem.row_model.rings else DEFAULT_METHOD
+
+
 def settled(problem: Problem) -> Problem:
     """The problem linearised at its least-squares estimate; the same where nothing has to be."""
-    return problem if problem.row_model.point is None else _minimised(problem, DEFAULT_METHOD).problem
+    return problem if problem.row_model.point is None else _found(problem, default_method(problem)).problem
 
 
 def _stepped(problem: Problem, here: Point, estimate: Estimate, step: np.ndarray, share: float) -> Point:

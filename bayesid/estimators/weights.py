@@ -13,7 +13,8 @@ import numpy as np
 
 from bayesid.estimators.dispersion import Dispersion, Rows, dispersions, widening
 from bayesid.estimators.factor import Factor, Pilot, regressor_times, whitened
-from bayesid.regression.blocks import Block
+from bayesid.estimators.sensor_noise import sensor_noise
+from bayesid.regression.blocks import Block, RegressorNoise
 from bayesid.regression.hypothesis_tests import hausman
 from bayesid.regression.linalg import pseudo_inverse, solve, standard_deviations
 from bayesid.regression.regression import Regression
@@ -22,6 +23,8 @@ from bayesid.signals.noise import NoiseModel, estimate_noise, memoryless
 #: Rounds of estimating the noise, at most, and the largest change of a round after which no other is needed, relative to the
 #: noise's power and to one.
 _PASSES, _SETTLED = 3, 1e-4
+#: Draws of encoder errors that ring that their spectrum is averaged over, and the seed of the noise that is added to them.
+_DRAWS, _SEED = 16, 36
 #: Two fits contradict each other when their difference is less probable than the first, and the efficient one's
 #: residuals have more than the second times the power of the plain one's; either alone happens by chance.
 SMALLEST_AGREEMENT = 1e-4
@@ -52,6 +55,8 @@ class Weights:
         (`bayesid.estimators.dispersion`).
     channels
         That of each channel, by name; none where the model is complete: how much they differ is mostly chance there.
+    by_noise
+        Whether rows are weighted by the noise even if the model lacks something, for it is not learned from residuals alone.
     """
 
     noise: dict[str, NoiseModel]
@@ -60,6 +65,7 @@ class Weights:
     solution: np.ndarray
     scatter: Dispersion = Dispersion()
     channels: dict[str, Dispersion] = field(default_factory=dict)
+    by_noise: bool = False
 
     @cached_property
     def factors(self) -> np.ndarray:
@@ -112,6 +118,9 @@ def _learned(regression: Regression) -> Weights:
     known = stated_noise(regression)
     if known is not None:  # and what exceeds it is for `bayesid.estimators.fit` to tell
         return Weights(known, 1.0, True, plain)
+    law = regression.regressor_noise
+    if law is not None and law.rung and law.present():
+        return _with_rung_errors(regression, law, pilot, plain)
     first = noise = noise_of_residuals(regression, blocks, plain)
     efficient = plain
     for _ in range(_PASSES):
@@ -141,6 +150,33 @@ def _learned(regression: Regression) -> Weights:
     ]
     scatter, *parts = dispersions(Rows(pilot.stretches(rows), middle), plain, channels)
     return Weights(noise, agreement, complete, plain, scatter, dict(zip(names, parts, strict=True)))
+
+
+def _with_rung_errors(regression: Regression, law: RegressorNoise, pilot: Pilot, plain: np.ndarray) -> Weights:
+    """The noise where a model rings with the encoders' errors: those simulated, and beside them what the fit leaves.
+
+    Rows weighted by channel alone would be fitted best without any ringing, for then the errors do not ring either; and residuals
+    of such a fit do not show how loud they are. So the spectrum of what the model makes of the errors is known from simulation
+    where it is linearised, and only what is left beside them is learned (`bayesid.estimators.sensor_noise`).
+    """
+    blocks, drawn = list(law.pieces()), law.misread(_DRAWS, plain)
+    rng = np.random.default_rng(_SEED)
+    values, spread = plain, None
+    noise: dict[str, NoiseModel] = {}
+    for _ in range(_PASSES):
+        noise = noise_of_residuals(regression, pilot.blocks, values)
+        own = [b for b in pilot.blocks if b.group == "trajectory"]
+        errors = [[e for b, e in zip(blocks, draw, strict=True) if b.group == "trajectory"] for draw in drawn]
+        beside = sensor_noise(
+            [b.residual(values) for b in own], errors, [] if spread is None else [regressor_times(b, spread) for b in own],
+            regression.known_poles,
+        )  # fmt: skip
+        together = [error + beside.drawn(len(error), rng) for draw in errors for error in draw]
+        noise["trajectory"] = estimate_noise(together, known_poles=regression.known_poles)
+        factor = pilot.whitened(noise)
+        values, spread = solve(factor.matrix, factor.target), pseudo_inverse(factor.matrix)
+    (found,) = dispersions(Rows(pilot.stretches([rows for _, rows in whitened(pilot.orthonormal, noise)])), values)
+    return Weights(noise, 1.0, not found.beyond_chance(SMALLEST_STRETCHES), values, found, by_noise=True)
 
 
 def pilot_of(regression: Regression) -> Pilot:

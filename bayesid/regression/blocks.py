@@ -120,6 +120,8 @@ class RegressorNoise:
         How large it is, for the estimate's details.
     draws
         How many there are; None: any number.
+    rung
+        Whether something in the model rings with them, and makes much more of them than rigid bodies do.
     """
 
     perturbed: Callable[[int, float], Iterable[Block]]
@@ -129,3 +131,4 @@ class RegressorNoise:
     present: Callable[[], bool]
     describe: Callable[[], dict[str, Any]]
     draws: int | None = None
+    rung: bool = False

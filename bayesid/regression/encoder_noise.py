@@ -102,7 +102,7 @@ def errors_of(row_model: RowModel, segments: Sequence[Segment], smoother: Smooth
     serves as the instrument of the other.
     """
     e = _Encoders.of(row_model, segments, smoother)
-    law = RegressorNoise(e.perturbed, e.simulated, e.pieces, e.misread, e.present, e.described)
+    law = RegressorNoise(e.perturbed, e.simulated, e.pieces, e.misread, e.present, e.described, rung=row_model.rings)
     return law, Instruments(e.pairs, e.instruments_described, e.drawn_pairs)
 
 
@@ -245,8 +245,8 @@ def _pieces(row_model: RowModel, segments: Sequence[Segment]) -> Sequence[Segmen
         return segments
     out = [r for r in segments if r.poses]
     for r in moving:
-        count = max(round(_PIECES * len(r.times) / total), 1)
-        length = min(max(_SAMPLES // _PIECES, int(4 * row_model.margin * len(r.times) / np.ptp(r.times))), len(r.times))
+        count, needed = max(round(_PIECES * len(r.times) / total), 1), 4 * max(row_model.margin, r.settling)
+        length = min(max(_SAMPLES // _PIECES, int(needed * len(r.times) / np.ptp(r.times))), len(r.times))
         out += [r.part(a, a + length) for a in np.linspace(0, len(r.times) - length, count).astype(int)]
     return out
 

@@ -62,4 +62,5 @@ class MotionRows:
 def row_count(row_model: RowModel, segments: Sequence[Segment]) -> int:
     """How many rows `make_blocks` makes."""
     margin, step = row_model.margin, row_model.step
-    return sum(len(s.times) if s.poses else max(int((s.times[-1] - s.times[0] - 2 * margin) / step), 1) for s in segments)
+    long = [(s, s.times[-1] - s.times[0] - s.lost(margin) - margin) for s in segments if not s.poses]
+    return sum(len(s.times) for s in segments if s.poses) + sum(max(int(duration / step), 1) for _, duration in long)

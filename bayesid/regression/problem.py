@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
 from bayesid.arguments import argument
-from bayesid.effects import Point
+from bayesid.effects import Effect, Point
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, Motion
 from bayesid.recordings.table import usual_step
@@ -27,13 +27,17 @@ from bayesid.regression.rows import make_blocks
 from bayesid.regression.segment import Segment
 from bayesid.regression.structure import model_structure
 from bayesid.robot.typical import states_masses, typical_links
-from bayesid.signals.filters import LowPass, row_noise_poles
+from bayesid.signals.filters import row_noise_poles
 from bayesid.signals.smoothing import Smoother, choose_smoother
 
 #: Rows a second, as a multiple of the bandwidth of the joint motion: products of joint motions reach higher.
 ROWS_PER_BANDWIDTH = 2.5
 #: At least this many rows a second, so that the noise can be told from the motion.
 LOWEST_ROW_RATE = 20.0
+#: Bandwidth of a motion that makes something ring, at least [Hz], as in a diagnosis.
+_RINGING = 12.0
+#: Share of the band clear of encoder noise to which a load that is differentiated again, or rings, is smoothed.
+_CLEAR_SHARE = 0.7
 #: Samples that the bandwidth is chosen from, in pieces spread over a long recording: by positions, by predictions.
 _PILOT_SAMPLES, _JUDGED_SAMPLES = 5_000, 12_000
 _PIECES = 4
@@ -114,25 +118,29 @@ def prepare(experiment: Experiment, options: FitOptions | None = None) -> Proble
     fitted = [r for m in chosen for r in segments[m.name]]
     where = "experiment.toml: [model] effects" if options.effects is None else argument("effects")
     structure = model_structure(experiment, channels, specs, fitted, where)
-    base = structure.base
+    segments, base = _settling(segments, structure.effects), structure.base
+    fitted = [r for m in chosen for r in segments[m.name]]
     if not base.rank:
         raise InputError(
             f"{', '.join(m.table.source for m in chosen)}: these readings show no parameter of the robot; at rest its static "
             'readings take all away: remove [[motion]] static, or write kind = "trajectory"'
         )
-    smoother = smoother_of(experiment, [r for rs in segments.values() for r in rs if not r.poses], options.bandwidth)
-    fastest = min((1.0 / usual_step(r.times) for rs in segments.values() for r in rs if not r.poses), default=np.inf)
-
-    def rows_at(bandwidth: float, filters: LowPass | None) -> RowModel:
-        step = row_step(bandwidth, fastest)
-        return RowModel(experiment.robot, channels, base, structure.effects, bandwidth, step, filters, structure.point)
-
+    smoother = smoother_of(experiment, _moving(segments), options.bandwidth)
+    fastest = _fastest(segments)
+    row_model = RowModel(
+        experiment.robot, channels, base, structure.effects, smoother.bandwidth, row_step(smoother.bandwidth, fastest),
+        options.low_pass, structure.point,
+    )  # fmt: skip
     choice = None
-    if options.bandwidth is None and any(not r.poses for r in fitted):
-        judges = _judges(fitted, smoother.bandwidth)
-        choice = choose_bandwidth(lambda b: tuple(make_blocks(rows_at(b, None), judges)), smoother.bandwidth, smoother.at_end)
+    if row_model.rings and np.isfinite(fastest):
+        if options.bandwidth is None:
+            smoother = _ringing(smoother, fastest)
+        clear = _CLEAR_SHARE * min(smoother.automatic, smoother.bandwidth)
+        row_model = replace(_at_bandwidth(row_model, segments, smoother.bandwidth), clear=clear)
+    elif options.bandwidth is None and any(not r.poses for r in fitted):
+        choice = _judged(row_model, segments, fitted, smoother)
         smoother = _chosen(smoother, choice)
-    row_model = rows_at(smoother.bandwidth, options.low_pass)
+        row_model = _at_bandwidth(row_model, segments, smoother.bandwidth)
     for motion in readable:
         _require_length(motion, segments[motion.name], row_model)
     rows, names = MotionRows(row_model, segments), tuple(m.name for m in chosen)
@@ -154,6 +162,71 @@ def prepare(experiment: Experiment, options: FitOptions | None = None) -> Proble
 def row_step(bandwidth: float, fastest: float = np.inf) -> float:
     """Distance of rows [s] for a bandwidth of the joint motion [Hz], at most so many rows a second as samples."""
     return 1.0 / min(max(ROWS_PER_BANDWIDTH * bandwidth, LOWEST_ROW_RATE), fastest)
+
+
+def _settling(segments: Mapping[str, list[Segment]], effects: Sequence[Effect]) -> dict[str, list[Segment]]:
+    """The segments with the time that effects need to settle where these start in motion."""
+    longest = max((effect.settling for effect in effects), default=0.0)
+    return {name: [replace(r, settling=longest) for r in own] for name, own in segments.items()}
+
+
+def _moving(segments: Mapping[str, list[Segment]]) -> list[Segment]:
+    return [r for rs in segments.values() for r in rs if not r.poses]
+
+
+def _fastest(segments: Mapping[str, list[Segment]]) -> float:
+    """Samples a second of the slowest recording [Hz]."""
+    return min((1.0 / usual_step(r.times) for r in _moving(segments)), default=np.inf)
+
+
+def _ringing(smoother: Smoother, fastest: float) -> Smoother:
+    """The smoother of motions that make something ring: tails of the motion, that encoder noise hides, are seen in the ringing.
+
+    Rows are weighted by the noise that the model makes of the encoders' errors (`bayesid.estimators.weights`), so that no
+    bandwidth has to be low enough for them.
+    """
+    bandwidth = max(smoother.bandwidth, min(_RINGING, 0.2 * fastest))
+    reason = "of a motion that makes something ring; encoder noise is weighed by frequency, not cut off"
+    return smoother if bandwidth <= smoother.bandwidth else replace(smoother, bandwidth=float(bandwidth), reason=reason)
+
+
+def _at_bandwidth(row_model: RowModel, segments: Mapping[str, list[Segment]], bandwidth: float) -> RowModel:
+    return replace(row_model, bandwidth=bandwidth, step=row_step(bandwidth, _fastest(segments)))
+
+
+def _judged(
+    row_model: RowModel, segments: Mapping[str, list[Segment]], fitted: list[Segment], smoother: Smoother
+) -> BandwidthChoice | None:
+    """What bandwidths from that of the positions downwards do to predictions of the model where it is linearised."""
+    judges, plain = _judges(fitted, smoother.bandwidth), replace(row_model, filters=None)
+
+    def rows(bandwidth: float) -> tuple[Block, ...]:
+        return tuple(make_blocks(_at_bandwidth(plain, segments, bandwidth), judges))
+
+    return choose_bandwidth(rows, smoother.bandwidth, smoother.at_end)
+
+
+def chosen_again(problem: Problem) -> Problem:
+    """The problem at the bandwidth that predicts best with the model where it is linearised now.
+
+    The first choice is made where the effects start; what these leave unexplained there looks like motion that should be left
+    out. A bandwidth that was given stays.
+
+    Raises
+    ------
+    InputError
+        Nothing is left of a motion where its trajectory has settled.
+    """
+    if problem.bandwidths is None:
+        return problem
+    smoother = smoother_of(problem.experiment, _moving(problem.segments))
+    fitted = [segment for name in problem.fitted for segment in problem.segments[name]]
+    choice = _judged(problem.row_model, problem.segments, fitted, smoother)
+    smoother = _chosen(smoother, choice)
+    row_model = _at_bandwidth(problem.row_model, problem.segments, smoother.bandwidth)
+    for motion in problem.experiment.motions:
+        _require_length(motion, problem.segments.get(motion.name, []), row_model)
+    return _remade(replace(problem, smoother=smoother, bandwidths=choice), row_model)
 
 
 def restrict(problem: Problem, motions: Sequence[str]) -> Problem:
@@ -190,6 +263,7 @@ def elsewhere(problem: Problem, other: Experiment) -> Problem:
         raise InputError(f"experiment {other.name}: no motion has the readings that were fitted ({problem.channel})")
     subtract, channels = problem.static == "motion", row_model.channels
     segments = {m.name: motion_segments(recorded, channels, m, k, problem.channel, subtract) for k, m in enumerate(readable)}
+    segments = _settling(segments, row_model.effects)
     for motion in readable:
         _require_length(motion, segments[motion.name], row_model)
     return replace(problem, experiment=other, segments=segments, rows=MotionRows(row_model, segments))
@@ -197,7 +271,11 @@ def elsewhere(problem: Problem, other: Experiment) -> Problem:
 
 def relinearised(problem: Problem, point: Point) -> Problem:
     """The same problem with its readings linearised at another point."""
-    row_model = replace(problem.row_model, point=point)
+    return _remade(problem, replace(problem.row_model, point=point))
+
+
+def _remade(problem: Problem, row_model: RowModel) -> Problem:
+    """The same problem with rows made otherwise."""
     names, rel_std = problem.regression.motion_names, problem.experiment.inertia_rel_std
     rows = MotionRows(row_model, problem.segments)
     regression = _regression(rows, problem.smoother, problem.fitted, names, rel_std)
@@ -264,11 +342,11 @@ def _pilot(row_model: RowModel, fitted: list[Segment]) -> Iterator[Block]:
 
 def _pilot_segments(row_model: RowModel, segments: list[Segment]) -> list[Segment]:
     """Short pieces of long segments, evenly spread, that make about `PILOT_ROWS` rows together."""
-    length = PILOT_ROWS / PILOT_SEGMENTS * row_model.step + 2 * row_model.margin
+    rows = PILOT_ROWS / PILOT_SEGMENTS * row_model.step
     whole = sum(r.times[-1] - r.times[0] for r in segments if not r.poses)
     out = []
     for r in segments:
-        duration = r.times[-1] - r.times[0]
+        duration, length = r.times[-1] - r.times[0], rows + row_model.margin + max(row_model.margin, r.settling)
         count = 1 if r.poses else round(PILOT_SEGMENTS * duration / whole)
         starts = r.times[0] + max(duration - length, 0.0) * np.linspace(0.0, 1.0, max(count, 1))
         for start in starts:
@@ -297,9 +375,10 @@ def _require_length(motion: Motion, segments: list[Segment], row_model: RowModel
     moving = [s for s in segments if not s.poses]
     if moving and not any(np.ptp(s.inner(row_model.margin)) for s in moving):
         longest = max(float(s.times[-1] - s.times[0]) for s in moving)
+        lost = max(s.lost(row_model.margin) for s in moving)
         raise InputError(
-            f"no segment without a gap is longer than {longest:.3g} s, and {row_model.margin:.3g} s at both ends are lost "
-            f"where the trajectory is loose (bandwidth {row_model.bandwidth:.3g} Hz)",
+            f"no segment without a gap is longer than {longest:.3g} s, and up to {lost:.3g} s at both ends are lost where the "
+            f"trajectory is loose (bandwidth {row_model.bandwidth:.3g} Hz) or something rings",
             file=motion.table.source, value=longest, remedy=f"record longer, or remove motion '{motion.name}'",
         )  # fmt: skip
 

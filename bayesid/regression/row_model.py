@@ -35,6 +35,8 @@ class RowModel:
         The paper's low-passes, or None for rows straight from the smoothed trajectory.
     point
         Where the readings are linearised, where effects are not plain columns beside the rigid ones.
+    clear
+        As in `bayesid.effects.MotionSegment` [Hz].
     """
 
     robot: Robot
@@ -45,12 +47,17 @@ class RowModel:
     step: float
     filters: LowPass | None = None
     point: Point | None = None
+    clear: float | None = None
+
+    @property
+    def rings(self) -> bool:
+        """Whether an effect rings for a while with all that strikes it, the encoders' errors among that."""
+        return any(effect.settling > 0.0 for effect in self.effects)
 
     @property
     def margin(self) -> float:
-        """Time at both ends of a segment where trajectory or mount have not settled [s]."""
-        settling = 0.0 if self.point is None else self.point.settling(self.effects)
-        return max(0.75 / self.bandwidth, settling)
+        """Time at both ends of a segment where the smoothed trajectory is loose [s]."""
+        return 0.75 / self.bandwidth
 
     @cached_property
     def kernel(self) -> Kernel:
@@ -133,7 +140,10 @@ class RowModel:
             reach = self.point.reach(self.effects, self.bandwidth, float(np.median(np.diff(times[:1000]))))
             a = int(np.searchsorted(times, times[first] - reach))
             b = int(np.searchsorted(times, times[last - 1] + reach, side="right"))
-        return replace(self.state(segment, a, b), still=segment.poses, bandwidth=self.bandwidth, middle=self.point.middle), a, b
+        scene = replace(
+            self.state(segment, a, b), still=segment.poses, bandwidth=self.bandwidth, middle=self.point.middle, clear=self.clear
+        )
+        return scene, a, b
 
     def about_point(self, segment: Segment, first: int, last: int) -> np.ndarray:
         """Unfiltered rows of samples about the point: regressor, effects, shifted target (N, channels, p + 1)."""

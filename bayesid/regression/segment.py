@@ -6,6 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+#: A segment starts at rest if in so long a time [s] joints move by no more than this share of the most in such a time.
+_REST, _STILL = 0.1, 0.01
+
 
 @dataclass(frozen=True)
 class Segment:
@@ -33,6 +36,8 @@ class Segment:
         The motion repeats with it [s], if it does.
     rates
         Velocities and accelerations of a planned motion (2, N, n) [rad/s or m/s, and per second]; None: positions are smoothed.
+    settling
+        Time that what rings needs to forget how the robot was moving when the segment starts, unless it starts at rest [s].
     """
 
     times: np.ndarray
@@ -46,14 +51,26 @@ class Segment:
     commanded: np.ndarray | None = None
     period: float | None = None
     rates: np.ndarray | None = None
+    settling: float = 0.0
 
     def measured(self, first: int, last: int) -> np.ndarray:
         """Readings of samples first ... last - 1 less what is known (k, channels)."""
         return self.readings[first:last] - (self.known if self.known.ndim == 1 else self.known[first:last])
 
+    def lost(self, margin: float) -> float:
+        """Time that is lost at the start where a margin [s] is lost at the end."""
+        return margin if self.settling <= margin or self._starts_at_rest else self.settling
+
+    @property
+    def _starts_at_rest(self) -> bool:
+        """Whether the joints move `_REST` s from the start by next to nothing of what they do in such a time at most."""
+        later = min(int(np.searchsorted(self.times, self.times[0] + _REST)), len(self.times) - 1)
+        moved = np.linalg.norm(self.positions[later:] - self.positions[: len(self.positions) - later], axis=1)
+        return bool(moved[0] <= _STILL * moved.max())
+
     def inner(self, margin: float) -> tuple[int, int]:
-        """First and last sample (exclusive) that are a time [s] from both ends; the same where none is."""
-        first = int(np.searchsorted(self.times, self.times[0] + margin))
+        """First and last sample (exclusive) that are a time [s] from both ends, and have settled; the same where none is."""
+        first = int(np.searchsorted(self.times, self.times[0] + self.lost(margin)))
         last = int(np.searchsorted(self.times, self.times[-1] - margin, side="right"))
         return first, max(first, last)
 

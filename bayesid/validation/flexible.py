@@ -218,7 +218,8 @@ def _pieces(row_model: RowModel, segments: Sequence[Segment]) -> Iterator[Segmen
     for s in segments:
         duration = float(np.ptp(s.times))
         count = max(round(PILOT_SEGMENTS * duration / whole), 1)
-        length = min(PILOT_ROWS / PILOT_SEGMENTS * row_model.step + 2.0 * row_model.margin, duration)
+        ends = row_model.margin + max(row_model.margin, s.settling)
+        length = min(PILOT_ROWS / PILOT_SEGMENTS * row_model.step + ends, duration)
         for start in s.times[0] + (duration - length) * np.linspace(0.0, 1.0, count):
             a, b = np.searchsorted(s.times, [start, start + length + 1e-9])
             piece = s.part(int(a), int(b))

@@ -136,7 +136,7 @@ def _require_timeless(problem: Problem, states: list[np.ndarray], gravity: bool)
     row_model = problem.row_model
     effects, point = row_model.effects, row_model.point
     waits = isinstance(point, Point) and (
-        point.settling(effects) > 0.0 or point.reach(effects, row_model.bandwidth, row_model.step) > 0.0
+        any(e.settling > 0.0 for e in effects) or point.reach(effects, row_model.bandwidth, row_model.step) > 0.0
     )
     if not waits:
         some = [x[:8] for x in states]

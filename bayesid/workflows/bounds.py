@@ -21,7 +21,7 @@ from bayesid.design.bounds.workspace import CONFIGURATIONS, sobol_configurations
 from bayesid.drawing import Figures, figures_of
 from bayesid.effects import MotionSegment
 from bayesid.errors import InputError
-from bayesid.estimators import DEFAULT_METHOD, Estimator
+from bayesid.estimators import Estimator
 from bayesid.recordings.experiment import Experiment, Motion, as_experiment
 from bayesid.regression.options import FitOptions, fit_options
 from bayesid.regression.parallel import one_blas_thread
@@ -140,7 +140,7 @@ def _fitted(
     trusted = bool(prior_std or experiment.inertia_rel_std) and bool((experiment.robot.nominal[:, 0] > 0.0).any())
     if method is None and trusted:
         return sample(experiment, draws=DRAWS, prior_std=prior_std, seed=seed, progress=clock.progress, options=options)
-    return identify(experiment, method=method or DEFAULT_METHOD, progress=clock.progress, options=options)
+    return identify(experiment, method=method, progress=clock.progress, options=options)
 
 
 def _known(source: ExperimentPosterior | Identification, prior_std: float | None, seed: int) -> Known:

@@ -12,10 +12,10 @@ import numpy as np
 from bayesid.arguments import argument
 from bayesid.drawing import Figures, figures_of
 from bayesid.dynamics.base_parameters import structural_base
-from bayesid.estimators import DEFAULT_METHOD, Estimate, Estimator, estimator
+from bayesid.estimators import Estimate, Estimator, estimator
 from bayesid.estimators.against_prior import against_nominal
 from bayesid.estimators.conic.consistent_links import channel_grams
-from bayesid.estimators.nonlinear import solve
+from bayesid.estimators.nonlinear import default_method, solve
 from bayesid.estimators.prior_check import PriorCheck, conflicts
 from bayesid.recordings.experiment import Experiment, as_experiment
 from bayesid.recordings.schema import write_model
@@ -49,7 +49,7 @@ from bayesid.workflows.warnings import (
 def identify(
     experiment: Experiment | str | Path,
     channel: str | None = None,
-    method: str | Estimator = DEFAULT_METHOD,
+    method: str | Estimator | None = None,
     *,
     options: FitOptions | None = None,
     low_pass: LowPass | None = None,
@@ -69,7 +69,7 @@ def identify(
     channel
         ``wrench``, ``torque`` or ``both``; default the wrench where there is a sensor, else the torques.
     method
-        Name of an estimator, or an object with ``fit(regression)``.
+        Name of an estimator, or an object with ``fit(regression)``; default ``wls``, with a mount that rings ``gls``.
     options
         All of ``channel``, ``low_pass``, ``motions``, ``effects``, ``static`` and ``bandwidth`` at once; those that are given
         beside it stand in its place.
@@ -93,7 +93,7 @@ def identify(
     InputError
         Bad input; the message says what to do.
     """
-    method = estimator(method)
+    method = None if method is None else estimator(method)  # refused before any work is done
     options = fit_options(options, channel, low_pass, motions, effects, static, bandwidth)
     clock = Clock(progress)
     with one_blas_thread():
@@ -101,6 +101,7 @@ def identify(
         experiment = as_experiment(experiment)
         clock("regressor")
         problem = prepare(experiment, options)
+        method = estimator(default_method(problem)) if method is None else method
         unfitted = [
             m for m in experiment.motions
             if m.name in problem.segments and m.name not in problem.fitted and m.role == "validation"

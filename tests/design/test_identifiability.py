@@ -8,7 +8,7 @@ import pinocchio as pin
 import pytest
 
 import bayesid
-from bayesid.diagnosis.surroundings import STILL
+from bayesid.effects.surroundings import STILL
 from bayesid.regression.problem import prepare
 from bayesid.robot import examples
 from bayesid.robot.robot import load_robot

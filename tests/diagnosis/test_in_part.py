@@ -24,11 +24,11 @@ from bayesid.diagnosis.remarks import remarks
 from bayesid.diagnosis.rows import model_rows, residual_rows
 from bayesid.diagnosis.search import Search
 from bayesid.diagnosis.settings import DEFAULT
-from bayesid.diagnosis.surroundings import moving
 from bayesid.diagnosis.verdict import named_in_part
 from bayesid.effects import EffectLibrary, MotionSegment, Term
 from bayesid.effects.drives import Spring
 from bayesid.effects.friction import CoulombFriction, StribeckFriction
+from bayesid.effects.surroundings import moving
 from bayesid.recordings.experiment import Experiment
 from bayesid.report.diagnosis import diagnosis_report
 from bayesid.robot.examples import PAPER_LOCKED, puma_two_joint_urdf

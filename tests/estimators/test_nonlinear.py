@@ -34,7 +34,6 @@ def motions(setup):
 RECORDER = bayesid.Recorder(resolution=0.0, force_std=0.2, torque_std=0.02, drive_std=0.001)
 #: What each is started from where it would not find the truth by itself.
 STARTS = {
-    "base_compliance@base": {"resonance": 13.0, "damping": 0.06},
     "torque_ripple@joint2": {"periods": 19.9, "amplitude": 0.1},
 }
 

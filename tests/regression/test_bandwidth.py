@@ -1,13 +1,19 @@
 """The choice of the bandwidth by predictions of stretches left out."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import bayesid
+from bayesid.recordings.experiment import Sensor
 from bayesid.regression.bandwidth import LOWEST, candidates, choose_bandwidth
 from bayesid.regression.blocks import Block
 from bayesid.regression.options import FitOptions
-from bayesid.regression.problem import prepare
+from bayesid.regression.problem import chosen_again, prepare, relinearised
+from bayesid.simulation.simulation import Recorder, simulate
+from bayesid.simulation.trajectories import fourier_trajectory
+from tests.simulated import experiment, puma2
 
 
 def rows_at(bandwidth, spoilt_above=np.inf, blurred_below=0.0):
@@ -58,3 +64,19 @@ def test_a_real_arm_is_not_read_at_the_end_of_the_grid(shared):
     problem = prepare(bayesid.load_experiment(shared("data/ur10e/before")), FitOptions())
     assert problem.bandwidths is not None and problem.smoother.at_end
     assert 6.0 < problem.smoother.bandwidth < 16.0
+
+
+def test_it_is_chosen_again_where_effects_are_known_as_if_their_values_had_been_stated(tmp_path):
+    """What a late sensor leaves grows with frequency: at the start, without delay, a bandwidth that is too low seems best."""
+    robot = puma2(tmp_path)
+    setup = experiment(robot, [], Sensor(), position_resolution=1e-6)
+    motions = [fourier_trajectory(robot, duration=20.0, fundamental=0.8, harmonics=10)]
+    late = simulate(setup, motions, effects={"sensor_delay": {"delay": 0.02}}, recorder=Recorder(resolution=1e-6), seed=1)
+    options = FitOptions("wrench", effects=["sensor_delay"])
+    start, known = (prepare(replace(late, effect_values=v), options) for v in ({}, {"sensor_delay": {"delay": 0.02}}))
+    again = chosen_again(relinearised(start, known.row_model.point))
+    assert again.smoother.reason == known.smoother.reason and again.row_model.step == known.row_model.step
+    np.testing.assert_array_equal(again.bandwidths.error, known.bandwidths.error)
+    assert again.smoother.bandwidth > start.smoother.bandwidth
+    given = prepare(late, replace(options, bandwidth=7.0))
+    assert chosen_again(given) is given

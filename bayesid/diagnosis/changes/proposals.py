@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from bayesid.diagnosis.changes.scales import LASTING
-from bayesid.diagnosis.surroundings import joint_inertia, mean_places, moving
-from bayesid.effects import BodyEffect, Effect, Linearisation, MotionSegment, Point, Surroundings, Term, columns, linearised
+from bayesid.effects import BodyEffect, Effect, Linearisation, MotionSegment, Point, Term, columns, linearised
 from bayesid.effects.drives import CoupledFriction
+from bayesid.effects.surroundings import surroundings_of
 from bayesid.regression.problem import Problem
 from bayesid.regression.row_model import RowModel
 from bayesid.regression.segment import Segment
@@ -113,16 +113,10 @@ def make_proposals(problem: Problem, links: np.ndarray) -> tuple[Proposal, ...]:
     model, experiment = problem.row_model, problem.experiment
     robot = experiment.robot
     scenes = _scenes(model, [s for name in problem.fitted for s in problem.segments[name]])
-    around = Surroundings(
-        robot=robot,
-        mean_places=mean_places(robot, scenes),
-        joint_inertia=joint_inertia(robot, scenes[0], links),
-        moving=moving(robot, scenes),
-        links_known=True,
-        both_channels=problem.channel == "both",
-        static_run=problem.static != "none",
-        base_sensor=problem.channel != "torque" and experiment.sensor is not None and experiment.sensor.joint is None,
-    )
+    around = surroundings_of(
+        robot, scenes, links, problem.channel, experiment.sensor is not None and experiment.sensor.joint is None,
+        static_run=problem.static != "none", links_known=True,
+    )  # fmt: skip
     known = {e.spec for e in model.effects}
     out = []
     for name, kind in experiment.library.classes.items():

@@ -8,11 +8,39 @@ import numpy as np
 
 from bayesid.dynamics.channels import torque_channels
 from bayesid.dynamics.kinematics import P, link_states
-from bayesid.effects import MotionSegment, readings
+from bayesid.effects.exact import readings
+from bayesid.effects.proposals import Surroundings
+from bayesid.effects.segment import MotionSegment
 from bayesid.robot.robot import Robot
 
 #: A joint that moves by no more than this stands still: a held joint gives way by as much under load [rad or m].
 STILL = 1e-3
+
+
+def surroundings_of(
+    robot: Robot, scenes: Sequence[MotionSegment], links: np.ndarray, channel: str, sensor_under_base: bool, *, static_run: bool,
+    links_known: bool,
+) -> Surroundings:  # fmt: skip
+    """What effects may want to know of some motions.
+
+    Parameters
+    ----------
+    robot, scenes
+        The nominal robot, and how it moves.
+    links
+        Ten parameters a body (10 b,), for what joints feel.
+    channel
+        ``wrench``, ``torque`` or ``both``.
+    sensor_under_base
+        Whether there is a sensor, and under the base.
+    static_run, links_known
+        As in `Surroundings`.
+    """
+    return Surroundings(
+        robot=robot, mean_places=mean_places(robot, scenes), joint_inertia=joint_inertia(robot, scenes[0], links),
+        moving=moving(robot, scenes), links_known=links_known, both_channels=channel == "both", static_run=static_run,
+        base_sensor=channel != "torque" and sensor_under_base,
+    )  # fmt: skip
 
 
 def mean_places(robot: Robot, scenes: Sequence[MotionSegment]) -> np.ndarray:
