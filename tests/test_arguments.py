@@ -17,8 +17,8 @@ from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recordin
 
 PUBLIC = [name for name in bayesid.__all__ if inspect.isfunction(getattr(bayesid, name))]
 SENSOR = Sensor(translation=np.array([0.0, 0.0, -0.1]))
-VERBS = ["accuracy", "bounds", "calibrate", "check", "compare", "diagnose", "excite", "identifiability", "identify", "payload",
-         "sample", "tell", "watch"]  # fmt: skip
+VERBS = ["accuracy", "bounds", "calibrate", "check", "compare", "diagnose", "excite", "export", "identifiability", "identify",
+         "payload", "sample", "tell", "watch"]  # fmt: skip
 
 
 @pytest.fixture(scope="module")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -53,8 +54,9 @@ class Exported(Result):
         lines = [f"{self.name}, {self.method} from the {self.channel}:"]
         lines += [f"  {form}: {text}" for form, text in self.about.items()]
         for form, values in self.left_out.items():
-            told = ", ".join(f"{name} = {value:.4g} {unit}".rstrip() for name, (value, unit) in values.items())
-            lines += [f"  not in {form}: {told}"] if told else []
+            count = Counter(name.partition("@")[0] for name in values)
+            told = ", ".join(f"{name} ({number})" for name, number in count.items())
+            lines += [f"  not in {form}: {told}; values in export.json"] if told else []
         return "\n".join([*lines, *(f"  warning: {text}" for text in self.warnings)])
 
     def to_dict(self) -> dict[str, Any]:

@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 
 from bayesid.arguments import argument
+from bayesid.effects.built_in import CLASSES
+from bayesid.effects.families import SensorEffect
 from bayesid.errors import InputError
 from bayesid.results.export.identified import FoundEffect, IdentifiedRobot
 from bayesid.results.export.inverse_dynamics import InverseDynamics, cpp_header, inverse_dynamics, numpy_module
@@ -112,16 +114,22 @@ def _found(result: Any) -> tuple[IdentifiedRobot, tuple[str, ...]]:
     if isinstance(result, (str, Path)):
         result = load(result)
     if isinstance(result, Identification):
-        return _of_identification(result), result.unusable
+        return _of_identification(result), _told(result.urdf.usable)
     if isinstance(result, ExperimentPosterior):
         return _of_posterior(result), ()
     if isinstance(result, LoadedIdentification):
-        return _of_file(result), ()
+        return _of_file(result), _told(result.document["identified_urdf"]["usable"])
     if isinstance(result, LoadedPosterior):
         return _of_draws(result), ()
     raise InputError(
         f"{argument('result', getattr(result, 'kind', type(result).__name__))}: is not of identify or sample; give one of those"
     )
+
+
+def _told(usable: bool) -> tuple[str, ...]:
+    """That links are no robot that one would build."""
+    text = "The links of identified.urdf are no usable result, as the warnings of identify say: do not simulate with them."
+    return () if usable else (text,)
 
 
 def _effects(listed: Sequence[Mapping[str, Any]]) -> tuple[FoundEffect, ...]:
@@ -206,7 +214,7 @@ def _mjcf(found: IdentifiedRobot, made: _Making) -> None:
     made.texts["identified.xml"] = mjcf(found.robot, found.locked, links, dynamics)
     made.about["mjcf"] = "identified.xml, mass matrix and bias forces as Pinocchio's"
     constants = joint_constants(found.robot, dynamics)
-    made.left_out["mjcf"] = constants.beside
+    made.left_out["mjcf"] = _of_robot(constants.beside)
     _tell_negative(constants.left_out, "identified.xml", made)
 
 
@@ -214,14 +222,29 @@ def _urdf(found: IdentifiedRobot, made: _Making) -> None:
     links, dynamics = _links(found, "urdf"), found.joint_dynamics()
     made.texts["identified.urdf"] = urdf_text(found.robot, links, dynamics)
     made.about["urdf"] = "identified.urdf"
-    made.left_out["urdf"] = dynamics.beside
+    made.left_out["urdf"] = _of_robot(dynamics.beside)
     _tell_negative(dynamics.left_out, "identified.urdf", made)
 
 
+def _of_robot(values: Mapping[str, tuple[float, str]]) -> dict[str, tuple[float, str]]:
+    """Without what is of the force/torque sensor, which nobody would look for in a model of the robot."""
+    kinds = {kind.name: kind for kind in CLASSES}
+    return {
+        name: value for name, value in values.items()
+        if (kind := kinds.get(name.partition("@")[0])) is None or not issubclass(kind, SensorEffect)
+    }  # fmt: skip
+
+
 def _tell_negative(names: Sequence[str], file: str, made: _Making) -> None:
-    if names:
-        named = ", ".join(names)
-        made.warnings.append(f"Negative and so not in {file}: {named}. Simulators take none; look for a missing effect.")
+    if not names:
+        return
+    text = f"Negative and so not in {file}: {', '.join(names)}. Simulators take none; look for a missing effect."
+    if any(name.endswith(" armature") for name in names):
+        text += (
+            f" The links of {file} go with a negative rotor inertia and have too much without it: identify with "
+            f"{argument('method', 'sdp')}, whose rotors and links can exist together."
+        )
+    made.warnings.append(text)
 
 
 def _cpp(found: IdentifiedRobot, made: _Making) -> None:
@@ -239,10 +262,16 @@ def _numpy(found: IdentifiedRobot, made: _Making) -> None:
 
 
 def _tell_code(found: IdentifiedRobot, model: InverseDynamics, form: str, made: _Making) -> None:
-    made.left_out[form] = {
+    values = {
         f"{effect.spec}.{key}": (value, effect.units[key])
         for effect in found.effects if effect.spec in model.left_out for key, value in effect.values.items()
     }  # fmt: skip
+    made.left_out[form] = _of_robot(values)
+    if model.foreign:
+        made.warnings.append(
+            f"These readings say nothing of {model.foreign} of {len(model.bodies[0])} base parameters of the joint torques: they "
+            "are those of identified.urdf, near to the nominal links, and torques that take them have no band."
+        )
     if found.channel == "wrench":
         made.warnings.append(
             "The sensor does not feel what acts inside the joints: friction is not in the torques of inverse_dynamics."
@@ -265,14 +294,18 @@ FORMS: dict[str, Callable[[IdentifiedRobot, _Making], None]] = {
 def _draw(found: IdentifiedRobot, forms: Sequence[str], count: int, seed: int, made: _Making) -> None:
     """Draws of the posterior, each as a robot of its own."""
     links, effects = draws_of(found)
+    negative = 0
     if count > len(links):
         raise InputError(f"{argument('draws', count)}: the posterior has {len(links)}; ask for fewer")
     for k, draw in enumerate(np.random.default_rng(seed).choice(len(links), count, replace=False).tolist(), 1):
         dynamics = found.joint_dynamics(effects[draw])
+        negative += bool(joint_constants(found.robot, dynamics).left_out)
         if "mjcf" in forms:
             made.texts[f"sampled-{k:03d}.xml"] = mjcf(found.robot, found.locked, links[draw], dynamics)
         if "urdf" in forms:
             made.texts[f"sampled-{k:03d}.urdf"] = urdf_text(found.robot, links[draw], dynamics)
+    if negative:
+        made.warnings.append(f"In {negative} of {count} draws friction or rotor inertia of a joint is negative, and left out.")
     for form, ending in (("mjcf", "xml"), ("urdf", "urdf")):
         if form in forms:
             made.about[form] += f"; {count} draws of the posterior, sampled-001.{ending} ..."

@@ -10,8 +10,8 @@ import bayesid
 from bayesid.workflows import progress
 from bayesid.workflows.progress import SHOWN, quiet, shows_progress
 
-VERBS = ["accuracy", "bounds", "calibrate", "check", "compare", "diagnose", "excite", "identifiability", "identify", "payload",
-         "sample", "tell", "watch"]  # fmt: skip
+VERBS = ["accuracy", "bounds", "calibrate", "check", "compare", "diagnose", "excite", "export", "identifiability", "identify",
+         "payload", "sample", "tell", "watch"]  # fmt: skip
 
 
 @shows_progress

@@ -18,12 +18,16 @@ from scipy.stats import norm
 
 from bayesid.dynamics.base_parameters import structural_base
 from bayesid.dynamics.channels import torque_channels
+from bayesid.effects.built_in import CLASSES
+from bayesid.effects.families import SensorEffect
 from bayesid.results.export.identified import IdentifiedRobot
 from bayesid.results.export.laws import LAWS, RAMP, JointLaw
 from bayesid.robot import inertia
 from bayesid.robot.robot import Robot
 from bayesid.rounding import LEVEL
 
+#: Effects of the force/torque sensor, which no torque holds.
+_SENSOR = {kind.name for kind in CLASSES if issubclass(kind, SensorEffect)}
 #: What of a base parameter of the torques may lie outside those that were identified, relative to its length.
 _OUTSIDE = 1e-4
 #: Share of a row's length that columns without any information may have before nothing is known of the torque.
@@ -48,6 +52,8 @@ class InverseDynamics:
         Of the parameters (k,), (k, k), (k,); covariance None where there is none.
     left_out
         Effects of the model that are not in it, ``name@where``.
+    foreign
+        How many of the r are no combination of what was identified.
     """
 
     robot: Robot
@@ -58,6 +64,7 @@ class InverseDynamics:
     covariance: np.ndarray | None
     undetermined: np.ndarray
     left_out: tuple[str, ...]
+    foreign: int = 0
 
 
 def inverse_dynamics(found: IdentifiedRobot) -> InverseDynamics:
@@ -86,8 +93,9 @@ def inverse_dynamics(found: IdentifiedRobot) -> InverseDynamics:
         covariance = whole @ np.where(np.isfinite(found.covariance), found.covariance, 0.0) @ whole.T
     names = (*base.names, *(found.effect_names[c - found.base.rank] for c in columns))
     return InverseDynamics(
-        robot, _bodies(robot, base.independent), laws, names, values, covariance, undetermined, left_out
-    )
+        robot, _bodies(robot, base.independent), laws, names, values, covariance, undetermined, left_out,
+        int(foreign.sum()),
+    )  # fmt: skip
 
 
 def _laws(found: IdentifiedRobot, rank: int) -> tuple[tuple[JointLaw, ...], list[int], tuple[str, ...]]:
@@ -95,7 +103,7 @@ def _laws(found: IdentifiedRobot, rank: int) -> tuple[tuple[JointLaw, ...], list
     laws, columns, left_out = [], [], []
     for effect in found.effects:
         if effect.joint is None or effect.name not in LAWS:
-            left_out.append(effect.spec)
+            left_out += [effect.spec] * (effect.name not in _SENSOR)
             continue
         own: list[int | None] = []
         for key in effect.values:
@@ -135,7 +143,7 @@ def _rendered(template: str, found: IdentifiedRobot, model: InverseDynamics) -> 
     return _environment().get_template(template).render(
         found=found, model=model, robot=robot, n=robot.n, count=len(model.values), rank=len(joint), order=robot.order,
         body_joint=joint, body_ten=ten, links=links, covariance=model.covariance, half=float(norm.ppf(0.5 * (1.0 + LEVEL))),
-        level=LEVEL, ramp=RAMP, nothing=NOTHING,
+        loaded=any(law.per_load for law in model.laws), level=LEVEL, ramp=RAMP, nothing=NOTHING,
     )  # fmt: skip
 
 
@@ -153,7 +161,7 @@ def _environment() -> Environment:
 
 def _cpp(law: str, joint: int) -> str:
     """A law of one joint with what it takes from the arrays of all joints."""
-    return re.sub(r"\b[qva]\b", lambda found: f"{found[0]}[{joint}]", re.sub(r"\bs\b", "s_", law))
+    return re.sub(r"\b[qva]\b", lambda found: f"{found[0]}[{joint}]", re.sub(r"\b([sl])\b", r"\1_", law))
 
 
 def _nested(array: np.ndarray, opening: str, closing: str) -> str:

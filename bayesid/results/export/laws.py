@@ -11,7 +11,8 @@ from dataclasses import dataclass
 from bayesid.effects.segment import REST_SPEED
 
 #: Torque [N m or N], then its derivatives with respect to the parameters, in the order of the effect's own: ``q, v, a`` are
-#: of the joint, ``s`` is the velocity's sign with a narrow ramp, ``p0 ...`` are the parameters.
+#: of the joint, ``s`` is the velocity's sign with a narrow ramp, ``l`` the torque that moves and carries the links, ``p0 ...``
+#: are the parameters.
 LAWS: dict[str, tuple[str, ...]] = {
     "viscous_friction": ("p0 * v", "v"),
     "directional_friction": ("p0 * abs(v)", "abs(v)"),
@@ -22,11 +23,14 @@ LAWS: dict[str, tuple[str, ...]] = {
         "exp(-(v / p1) * (v / p1)) * s",
         "p0 * exp(-(v / p1) * (v / p1)) * s * 2.0 * (v / p1) * (v / p1) / p1",
     ),
+    "load_friction": ("p0 * abs(l) * s", "abs(l) * s"),
     "torque_offset": ("p0", "1.0"),
     "rotor_inertia": ("p0 * a", "a"),
     "torque_ripple": ("p0 * sin(p1 * q + p2)", "sin(p1 * q + p2)", "p0 * q * cos(p1 * q + p2)", "p0 * cos(p1 * q + p2)"),
     "spring": ("p0 * (q - p1)", "q - p1", "-p0"),
 }
+#: Derivatives of the torque with respect to ``l``, where it depends on it; ``sign`` is 0 at 0.
+PER_LOAD = {"load_friction": "p0 * sign(l) * s"}
 #: Speed at which the ramp of ``s`` ends [rad/s or m/s].
 RAMP = REST_SPEED
 #: Stribeck velocity below which there is none [rad/s or m/s]: it is divided by.
@@ -59,8 +63,13 @@ class JointLaw:
 
     @property
     def torque(self) -> str:
-        """Its torque as an expression of ``q, v, a, s``."""
+        """Its torque as an expression of ``q, v, a, s, l``."""
         return self._filled(LAWS[self.name][0])
+
+    @property
+    def per_load(self) -> str | None:
+        """Its derivative with respect to the links' torque; None where it does not depend on that."""
+        return self._filled(PER_LOAD[self.name]) if self.name in PER_LOAD else None
 
     @property
     def derivatives(self) -> list[tuple[int, str]]:

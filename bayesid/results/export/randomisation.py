@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from bayesid.arguments import argument, call
 from bayesid.errors import InputError
 from bayesid.results.export.identified import IdentifiedRobot
 from bayesid.results.export.mjcf import ARMATURE
@@ -66,8 +67,8 @@ def draws_of(found: IdentifiedRobot) -> tuple[np.ndarray, np.ndarray]:
     """
     if found.link_draws is None or found.effect_draws is None:
         raise InputError(
-            f"{found.name}: draws of links are asked for, and a result of {found.method} has none; run bayesid sample with a "
-            "nominal prior (inertia_rel_std in experiment.toml, or --prior-std) and export that"
+            f"{found.name}: draws of links are asked for, and a result of {found.method} has none; export one of "
+            f"`{call('sample')}` with a nominal prior (inertia_rel_std in experiment.toml, or {argument('prior_std', 0.3)})"
         )
     return found.link_draws, found.effect_draws
 

@@ -144,15 +144,13 @@ inline double direction(double v) {
     return v >= {{ ramp }} ? 1.0 : v <= -{{ ramp }} ? -1.0 : v / {{ ramp }};
 }
 
-}  // namespace detail
+inline double sign(double x) {
+    return x > 0.0 ? 1.0 : x < 0.0 ? -1.0 : 0.0;
+}
 
-// Torque of every joint [N m or N] at positions q, velocities v and accelerations a.
-inline void inverse_dynamics(const double* q, const double* v, const double* a, double* torque) {
-    using namespace detail;
-    using std::abs; using std::cos; using std::exp; using std::sin;
-    State state[joints];
+// Torques that move and carry the links.
+inline void of_links(const State* state, double* torque) {
     double force[joints][3], moment[joints][3];
-    forward(q, v, a, state);
     for (int i = 0; i < joints; ++i) wrench(state[i], links[i], force[i], moment[i]);
     for (int k = joints - 1; k >= 0; --k) {
         const int i = order[k], up = parent[i];
@@ -164,9 +162,24 @@ inline void inverse_dynamics(const double* q, const double* v, const double* a, 
             moment[up][c] += moment[i][c];
         }
     }
+}
+
+}  // namespace detail
+
+// Torque of every joint [N m or N] at positions q, velocities v and accelerations a.
+inline void inverse_dynamics(const double* q, const double* v, const double* a, double* torque) {
+    using namespace detail;
+    using std::abs; using std::cos; using std::exp; using std::sin;
+    State state[joints];
+    forward(q, v, a, state);
+    of_links(state, torque);
+{% if loaded %}
+    double load[joints];
+    for (int i = 0; i < joints; ++i) load[i] = torque[i];
+{% endif %}
 {% for law in model.laws %}
     {  // {{ law.spec }}
-        [[maybe_unused]] const double s_ = detail::direction(v[{{ law.joint }}]);
+        [[maybe_unused]] const double s_ = direction(v[{{ law.joint }}]){{ ", l_ = load[%d]" | format(law.joint) if law.per_load }};
         torque[{{ law.joint }}] += {{ law.torque | cpp(law.joint) }};
     }
 {% endfor %}
@@ -191,9 +204,19 @@ inline void half_band([[maybe_unused]] const double* q, [[maybe_unused]] const d
             carry(state[i], force, moment);
         }
     }
+{% if loaded %}
+    double load[joints];
+    of_links(state, load);
+{% endif %}
+{% for law in model.laws if law.per_load %}
+    {  // {{ law.spec }}, which multiplies what the links take
+        const double s_ = direction(v[{{ law.joint }}]), l_ = load[{{ law.joint }}], more = {{ law.per_load | cpp(law.joint) }};
+        for (int c = 0; c < bodies; ++c) row[{{ law.joint }}][c] *= 1.0 + more;
+    }
+{% endfor %}
 {% for law in model.laws if law.derivatives %}
     {  // {{ law.spec }}
-        [[maybe_unused]] const double s_ = detail::direction(v[{{ law.joint }}]);
+        [[maybe_unused]] const double s_ = direction(v[{{ law.joint }}]){{ ", l_ = load[%d]" | format(law.joint) if law.per_load }};
 {% for column, text in law.derivatives %}
         row[{{ law.joint }}][{{ column }}] = {{ text | cpp(law.joint) }};
 {% endfor %}
