@@ -237,8 +237,8 @@ class PayloadEstimate(Result):
             "source": {"kind": self.source, "detail": self.source_detail},
             "carried_by": self.carrier, "frame": self.frame,
             "mass": self.mass.to_dict(),
-            "centre_of_mass": {q.name: q.to_dict() for q in self.centre},
-            "inertia": {q.name: q.to_dict() for q in self.inertia},
+            "centre_of_mass": _together(self.centre),
+            "inertia": _together(self.inertia),
             "inertia_bound": {
                 "value": self.inertia_bound, "unit": "kg m^2", "extent": self.extent, "assumed": self.extent_assumed,
             },
@@ -260,6 +260,14 @@ class PayloadEstimate(Result):
             "log_evidence": self.evidence, "nominal_share": self.nominal_share,
             "summary": list(self.sentences), "warnings": list(self.warnings), "runtime_s": dict(self.seconds),
         }  # fmt: skip
+
+
+def _together(quantities: tuple[Quantity, ...]) -> dict[str, Any]:
+    """Quantities as lists, None where not all are shown, and each by its name."""
+    shown = all(q.shown for q in quantities)
+    lists = {k: [getattr(q, k) for q in quantities] if shown else None for k in ("value", "std", "low", "high")}
+    each = {q.name: q.to_dict() for q in quantities}
+    return {**lists, "order": list(each), "unit": quantities[0].unit, "shown": shown, **each}
 
 
 def _finite(value: float) -> float | None:

@@ -247,6 +247,7 @@ def test_the_command_writes_what_the_function_finds(wrist, tmp_path, capsys, und
     assert str(result).splitlines()[3] in printed and "ur.script" in printed and "not shown" in printed
     written = json.loads((out / "payload.json").read_text(encoding="utf-8"))
     assert written["mass"] == result.to_dict()["mass"] and written["inertia"]["Ixx"]["value"] is None
+    assert written["centre_of_mass"]["value"] == result.centre_of_mass.tolist() and written["inertia"]["value"] is None
     assert written["physically_consistent"] and written["inertia_bound"]["extent"] == 0.3
     assert {*result.exports(), "payload.json", "report.html"} == {p.name for p in Path(out).iterdir()}
     for name, text in result.exports().items():
