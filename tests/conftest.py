@@ -25,7 +25,8 @@ LONGEST = (
     "test_diagnosis_input.py", "test_diagnosis_study.py", "test_excitation.py", "test_posterior.py", "test_physical.py",
     "test_tell.py", "test_outputs.py", "test_in_part.py", "test_certificate.py", "test_flexible.py", "test_figures.py",
     "test_regression.py", "test_consistent_links.py", "test_errors_in_variables.py", "test_posterior_sampling.py",
-    "test_newcomers.py", "test_printed_estimate.py", "test_expressions.py", "test_liu1998.py", "test_identify.py",
+    "test_newcomers.py", "test_payload.py", "test_printed_estimate.py", "test_expressions.py", "test_liu1998.py",
+    "test_identify.py",
 )  # fmt: skip
 
 

@@ -38,8 +38,8 @@ _SIZES = np.array([1.0, *(0.1,) * 3, *(0.01,) * 6])
 _SMALLEST = 1e-7
 #: Share of the largest variance, in standard deviations, below which one is a zero.
 _OPEN = 1e-11
-#: Steps between two draws, and draws left out at the beginning.
-_THIN, _BURN_IN = 20, 50
+#: Chains side by side, steps between two draws of one, and steps left out at the beginning.
+_CHAINS, _THIN, _BURN_IN = 200, 20, 400
 _MOMENTS = ("Ixx", "Iyy", "Izz")
 
 
@@ -190,22 +190,24 @@ class BodyKnowledge:
         size = np.sqrt(np.diag(self.covariance))
         root = size[:, None] * np.linalg.cholesky(self.covariance / np.outer(size, size))
         inside = inertia.from_pseudo_inertia(inertia.solid(self.possible.mean))
-        z = np.linalg.solve(root, inside - self.mean)
-        out = np.empty((count, 10))
-        for k in range(-_BURN_IN, count):
-            for _ in range(_THIN):
-                way = rng.normal(size=10)
-                way /= np.linalg.norm(way)
-                lower = np.linalg.cholesky(inertia.pseudo_inertia(self.mean + root @ z))
-                turned = np.linalg.solve(lower, np.linalg.solve(lower, inertia.pseudo_inertia(root @ way)).T)
-                values = np.linalg.eigvalsh(turned)
-                first = -1.0 / values[-1] if values[-1] > 0.0 else -inf
-                last = -1.0 / values[0] if values[0] < 0.0 else inf
-                along = float(z @ way)
-                z = z + (1.0 - 1e-9) * (_cut_normal(first + along, last + along, rng.uniform()) - along) * way
-            if k >= 0:
-                out[k] = self.mean + root @ z
-        return out
+        chains = min(count, _CHAINS)
+        z = np.tile(np.linalg.solve(root, inside - self.mean), (chains, 1))
+        kept: list[np.ndarray] = []
+        for k in range(_BURN_IN + _THIN * -(-count // chains)):
+            way = rng.normal(size=z.shape)
+            way /= np.linalg.norm(way, axis=1, keepdims=True)
+            lower = np.linalg.cholesky(inertia.pseudo_inertia(self.mean + z @ root.T))
+            once = np.linalg.solve(lower, inertia.pseudo_inertia(way @ root.T))
+            values = np.linalg.eigvalsh(np.linalg.solve(lower, np.swapaxes(once, 1, 2)))
+            with np.errstate(divide="ignore"):
+                first = np.where(values[:, -1] > 0.0, -1.0 / values[:, -1], -inf)
+                last = np.where(values[:, 0] < 0.0, -1.0 / values[:, 0], inf)
+            along = np.sum(z * way, axis=1)
+            step = _cut_normal(first + along, last + along, rng.uniform(size=chains)) - along
+            z = z + (1.0 - 1e-9) * step[:, None] * way
+            if k >= _BURN_IN and (k - _BURN_IN) % _THIN == _THIN - 1:
+                kept.append(self.mean + z @ root.T)
+        return np.concatenate(kept)[:count]
 
     @cached_property
     def mass(self) -> Quantity:
@@ -251,12 +253,13 @@ class BodyKnowledge:
         return tuple(out)
 
 
-def _cut_normal(low: float, high: float, share: float) -> float:
-    """Quantile of a standard normal law cut off at both ends."""
-    if low > 0.0:  # in the tail where probabilities keep their digits
-        return -_cut_normal(-high, -low, 1.0 - share)
-    a, b = ndtr(low), ndtr(high)
-    return float(np.clip(ndtri(a + share * (b - a)), low, high))
+def _cut_normal(low: np.ndarray, high: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """Quantiles of standard normal laws cut off at both ends (n,)."""
+    flipped = low > 0.0  # in the tail where probabilities keep their digits
+    a, b = np.where(flipped, -high, low), np.where(flipped, -low, high)
+    first, last = ndtr(a), ndtr(b)
+    found = np.clip(ndtri(first + np.where(flipped, 1.0 - share, share) * (last - first)), a, b)
+    return np.where(flipped, -found, found)
 
 
 def half_interval(freedom: float) -> float:
