@@ -22,8 +22,9 @@ from bayesid.robot.urdf import JointDynamics, urdf_text
 
 #: The effect that MuJoCo calls armature.
 ARMATURE = "rotor_inertia"
-#: States that both libraries are compared in, and the largest difference, relative to the largest number.
-STATES, AGREEMENT = 20, 1e-9
+#: States that both libraries are compared in, and the largest difference, relative to the largest number: MuJoCo 4 agrees to
+#: rounding, MuJoCo 3 finds principal axes of inertia to 1e-7.
+STATES, AGREEMENT = 20, 1e-6
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,8 @@
 //   bayesid_model::half_band(q, v, a, half);               // torque +- half holds the truth's mean with {{ "%g" | format(100 * level) }} %, joint by joint
 //
 // half is nan where the data say nothing of a parameter that the torque takes{{ "" if covariance is not none else ", here everywhere: " ~ found.method ~ " has no covariance" }}.
-// No function allocates, throws, or keeps anything.
+// No function allocates, throws, or keeps anything. For a second robot in one program, say before including its file
+//   #define BAYESID_NAMESPACE another_name
 {% for spec in model.left_out %}
 // Not in it, though in the model that was identified: {{ spec }}.
 {% endfor %}
@@ -16,7 +17,11 @@
 #include <cmath>
 #include <limits>
 
-namespace bayesid_model {
+#ifndef BAYESID_NAMESPACE
+#define BAYESID_NAMESPACE bayesid_model
+#endif
+
+namespace BAYESID_NAMESPACE {
 
 constexpr int joints = {{ n }};
 constexpr int parameters = {{ count }};  // {{ rank }} of rigid bodies, then those inside the joints
@@ -237,4 +242,6 @@ inline void half_band([[maybe_unused]] const double* q, [[maybe_unused]] const d
 {% endif %}
 }
 
-}  // namespace bayesid_model
+}  // namespace BAYESID_NAMESPACE
+
+#undef BAYESID_NAMESPACE
