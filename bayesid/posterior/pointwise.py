@@ -3,7 +3,7 @@
 Rows that scatter together count as one. Where the model is complete, whitened instants are independent and a term is one
 instant. Where it is not, the likelihood counts all rows as an estimate b with covariance V (`bayesid.posterior.likelihood`), and
 g instants for one, where ``g = trace(A^-1 M) / n`` is how much larger V is than rows on their own would make it: a term is that
-many neighbouring instants, and with residuals r(beta) of the adjusted rows
+many neighbouring instants of one channel, which the likelihood weights on its own, and with residuals r(beta) of the adjusted rows
 
     term = -(|r(beta)|^2 - |r(b)|^2) / (2 s^2) - |r(b)|^2 / 2 - n log(s) / terms,
 
@@ -64,7 +64,10 @@ def _terms(likelihood: Likelihood, blocks: Iterable[Block]) -> Iterator[tuple[st
     for block, white in whitened(blocks, likelihood.noise):
         if len(white):
             for rows in np.array_split(white @ likelihood.adjust, max(round(len(white) / size), 1)):
-                yield block.group, rows
+                if likelihood.estimate_only:
+                    yield from ((block.group, rows[:, c : c + 1]) for c in range(channels))
+                else:
+                    yield block.group, rows
 
 
 def _part(likelihood: Likelihood, group: str, channels: int) -> slice:

@@ -89,7 +89,7 @@ def test_terms_of_an_incomplete_model_add_up_to_its_likelihood(incomplete):
     summed = terms.sum(axis=2)
     assert_allclose(summed - summed.mean(), whole - whole.mean(), atol=0.05)
     together = posterior.model.likelihood.adjust[-1, -1] ** -2.0
-    assert 10.0 < together and terms.shape[2] == pytest.approx(2000 / together, abs=1.5)
+    assert 10.0 < together and terms.shape[2] == pytest.approx(2 * 2000 / together, abs=3)
     effective = terms.reshape(-1, terms.shape[2]).var(axis=0, ddof=1).sum()  # [Vehtari2017], equation 12
     assert effective < 8.0
 
