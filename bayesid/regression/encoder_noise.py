@@ -52,7 +52,7 @@ class EncoderNoise:
     correlation: np.ndarray
 
 
-def measure(segments: Sequence[Segment], bandwidth: float, most: np.ndarray) -> EncoderNoise:
+def measure(segments: Sequence[Segment], bandwidth: float, most: np.ndarray, least: float = 0.0) -> EncoderNoise:
     """Size of the encoder noise from what the smoother leaves over.
 
     Parameters
@@ -63,6 +63,8 @@ def measure(segments: Sequence[Segment], bandwidth: float, most: np.ndarray) -> 
         Of the smoother [Hz].
     most
         Standard deviations that are not exceeded (n,): a bandwidth below the motion's would take motion for noise.
+    least
+        What is stated of them: errors that were filtered with the positions are not seen beside the motion, and are in it.
     """
     n, moving = len(most), [r for r in segments if not r.poses]
     power, product, free = np.zeros(n), np.zeros(n), 0
@@ -78,7 +80,7 @@ def measure(segments: Sequence[Segment], bandwidth: float, most: np.ndarray) -> 
         product += np.sum(residual[1:] * residual[:-1], axis=0)
         # A spline through N samples takes as many degrees of freedom as it has functions.
         free += len(r.times) - functions
-    std = np.minimum(np.sqrt(power / max(free, 1)), most)
+    std = np.maximum(np.minimum(np.sqrt(power / max(free, 1)), most), least)
     return EncoderNoise(std, product / np.maximum(power, 1e-300))
 
 
@@ -136,7 +138,8 @@ class _Encoders:
         smooth_all = partial(_as_smooth, min(smoother.automatic or row_model.bandwidth, row_model.bandwidth))
         return cls(
             row_model, segments, smoother, tuple(_kind(row_model, r) for r in segments),
-            Once(partial(measure, segments, row_model.bandwidth, smoother.position_std)), Once(partial(smooth_all, segments)),
+            Once(partial(measure, segments, row_model.bandwidth, smoother.position_std, smoother.stated_error)),
+            Once(partial(smooth_all, segments)),
             Once(partial(_smooth_pieces, smooth_all, row_model, segments)),
         )  # fmt: skip
 

@@ -65,6 +65,8 @@ class Smoother:
         Whether that is the end of the range searched, so that it is no choice.
     resolution
         Encoder count [rad or m]; 0 where it is not known.
+    stated
+        Random error of one position sample on top of the count that is stated [rad or m]; 0: none.
     """
 
     bandwidth: float
@@ -73,6 +75,12 @@ class Smoother:
     automatic: float = 0.0
     at_end: bool = False
     resolution: float = 0.0
+    stated: float = 0.0
+
+    @property
+    def stated_error(self) -> float:
+        """Error of one position sample by what is stated, the count's and the random one together; 0 without a random one."""
+        return float(np.hypot(self.resolution / 12.0**0.5, self.stated)) if self.stated else 0.0
 
     @property
     def spacing(self) -> float:
@@ -233,7 +241,7 @@ def _chosen(
         else "no joint moves; the lowest bandwidth searched"
     )
     error, at_end = np.maximum(errors[chosen], np.sqrt(floor)), bandwidth >= 0.999 * highest
-    return Smoother(bandwidth, error, reason, bandwidth, at_end, resolution)
+    return Smoother(bandwidth, error, reason, bandwidth, at_end, resolution, noise)
 
 
 @numba.njit(cache=True, nogil=True, error_model="numpy")

@@ -6,14 +6,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import butter, sosfiltfilt
 from threadpoolctl import threadpool_limits
 
+import bayesid
 from bayesid import estimators
 from bayesid.errors import BayesidWarning
+from bayesid.estimators.errors_in_variables import TotalLeastSquares
+from bayesid.recordings.experiment import Sensor
 from bayesid.regression.encoder_noise import _errors, measure
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import prepare
 from bayesid.regression.segment import Segment
+from bayesid.simulation.trajectories import fourier_trajectory
+from tests.simulated import experiment, puma2
 from tests.studies import encoder_coverage
 from tests.studies.coverage_case import setup
 
@@ -83,3 +89,35 @@ def test_size_on_a_long_recording_with_many_short_stretches():
 def segment_of(times, positions):
     nothing = np.zeros((len(times), 1))
     return Segment(times, positions, nothing, np.zeros(1), 0)
+
+
+def test_noise_that_is_stated_counts_where_filtered_positions_show_less_of_it(tmp_path):
+    """A drive's low-pass of 20 Hz takes the noise out of what is seen beside the motion, and leaves that in the motion's band."""
+    robot, noise, low_pass = puma2(tmp_path), 2e-4, butter(2, 20.0, fs=200.0, output="sos")
+    motion = [fourier_trajectory(robot, duration=16.0, rate=200.0, fundamental=0.5, seed=3)]
+    truth, options = robot.nominal.ravel(), FitOptions("wrench", bandwidth=10.0)
+
+    def fitted(stated: float | None, filtered: bool, seed: int):
+        recorder = bayesid.Recorder(resolution=0.0, force_std=0.1, torque_std=0.01, position_std=noise)
+        made = bayesid.simulate(experiment(robot, [], Sensor()), motion, recorder=recorder, seed=seed)
+        (recorded,) = made.motions
+        if filtered:
+            read = sosfiltfilt(low_pass, recorded.table.positions, axis=0)
+            recorded = replace(recorded, table=replace(recorded.table, positions=read))
+        known = replace(made, motions=(recorded,), position_std=stated, position_resolution=None)
+        estimate = estimators.fit(prepare(known, options).regression, TotalLeastSquares(draws=8))
+        return estimate, (estimate.values - estimate.base.matrix @ truth) / estimate.std
+
+    runs = {
+        case: [fitted(*case, seed) for seed in range(8)] for case in ((None, False), (None, True), (noise, True), (noise, False))
+    }
+    std = {case: np.median([e.std for e, _ in found], axis=0) for case, found in runs.items()}
+    encoder = {case: np.mean([e.details.encoder_std for e, _ in found]) for case, found in runs.items()}
+    bias = {case: np.abs(np.mean([z for _, z in found], axis=0)).max() for case, found in runs.items()}
+    assert encoder[None, True] < 0.2 * noise and encoder[noise, True] == pytest.approx(noise)
+    assert encoder[None, False] == pytest.approx(noise, rel=0.03)
+    np.testing.assert_allclose(std[noise, False], std[None, False], rtol=0.03)  # what is seen already changes nothing
+    np.testing.assert_allclose(std[noise, True], std[None, False], rtol=0.15)
+    assert bias[noise, True] < 0.6 * bias[None, True]
+    held = np.abs([z for _, z in runs[noise, True]]) < 1.96
+    assert held.mean() > 0.95
