@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from bayesid.arguments import argument
+from bayesid.arguments import argument, call
 from bayesid.effects.built_in import CLASSES
 from bayesid.effects.families import SensorEffect
 from bayesid.errors import InputError
@@ -122,7 +122,8 @@ def _found(result: Any) -> tuple[IdentifiedRobot, tuple[str, ...]]:
     if isinstance(result, LoadedPosterior):
         return _of_draws(result), ()
     raise InputError(
-        f"{argument('result', getattr(result, 'kind', type(result).__name__))}: is not of identify or sample; give one of those"
+        f"{getattr(result, 'kind', type(result).__name__)}: cannot be exported; give what `{call('identify')}` or "
+        f"`{call('sample')}` found"
     )
 
 

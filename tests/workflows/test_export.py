@@ -23,11 +23,13 @@ from bayesid.dynamics.channels import torque_channels
 from bayesid.dynamics.regressors import dynamics_regressor
 from bayesid.effects import EffectLibrary, JointMotion
 from bayesid.effects.segment import direction
+from bayesid.results.export.inverse_dynamics import cpp_header, inverse_dynamics, numpy_module
 from bayesid.results.export.laws import LAWS, JointLaw
 from bayesid.results.export.mjcf import mjcf
 from bayesid.robot.examples import PAPER_LOCKED
 from bayesid.robot.robot import load_robot
 from bayesid.robot.urdf import JointDynamics
+from bayesid.workflows import export as workflow
 from tests.robots import ROBOTS, wrist_sensor_arm, write
 from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
 
@@ -145,6 +147,47 @@ def test_the_program_of_the_page_compiles(identified, tmp_path):
     numbers = np.array([re.findall(r"-?\d+\.\d+", line) for line in said], float)
     np.testing.assert_allclose(numbers, np.column_stack([torque[0], half[0]]), atol=1e-6)
     assert said[0].startswith("shoulder_pan_joint ")
+
+
+@pytest.mark.parametrize("form", RUN)
+def test_code_of_both_channels_gives_their_torques(form, tmp_path):
+    """Base parameters of wrench and torques together; what is the sensor's own is none of the joints'."""
+    made = arm(tmp_path, "puma2", ("viscous_friction", "coulomb_friction", "sensor_offset"), Sensor(translation=[0.0, 0.0, -0.1]))
+    result = bayesid.identify(made, channel="both", method="wls")
+    x, exported = states(made.robot), bayesid.export(result, [form, "urdf"])
+    expected = result.predict(*x)
+    torque, half = RUN[form](tmp_path, exported[FILE[form]], x)
+    at = [expected.channel_names.index(f"tau{k}") for k in (1, 2)]
+    np.testing.assert_allclose(torque, expected.values[:, at], atol=1e-9 * np.abs(torque).max())
+    np.testing.assert_allclose(half, BAND * expected.std[:, at], rtol=1e-7, atol=1e-12)
+    assert exported.left_out == {form: {}, "urdf": {}}
+
+
+@pytest.mark.parametrize("name", ["kuka-lwr4", "tx40", "ur10e/before"])
+def test_code_of_a_real_arm_predicts_as_the_estimate(name, shared, tmp_path):
+    """Frames as makers write them, right angles rounded, offsets that only one of two sums shows."""
+    made = bayesid.load_experiment(shared(f"data/{name}"))
+    result = bayesid.identify(made, channel="torque", effects=[*EFFECTS, "rotor_inertia"])
+    x, exported = states(made.robot), bayesid.export(result, "cpp,numpy,mjcf")
+    expected = result.predict(*x)
+    for form in RUN:
+        torque, half = RUN[form](tmp_path, exported[FILE[form]], x)
+        np.testing.assert_allclose(torque, expected.values, rtol=1e-9, atol=1e-9 * np.abs(expected.values).max())
+        np.testing.assert_allclose(half, BAND * expected.std, rtol=1e-9, atol=1e-12)
+    assert mujoco.MjModel.from_xml_string(exported["identified.xml"]).nv == made.robot.n
+
+
+def test_names_are_no_code(identified):
+    """A name with quotes, or with a line's end, stays within its comment or its text."""
+    robot = identified.problem.experiment.robot
+    robot = replace(robot, joint_names=('a"b', *robot.joint_names[1:]))
+    found = replace(workflow._of_identification(identified), name='x\n"""\\', robot=robot)
+    model = inverse_dynamics(found)
+    scope = {}
+    exec(numpy_module(found, model), scope)
+    assert scope["JOINT_NAMES"][0] == 'a"b'
+    header = cpp_header(found, model)
+    assert header.splitlines()[0].startswith("// Joint torques of x \'\'\'\', identified") and '{"a\\"b", ' in header
 
 
 def test_two_robots_stand_in_one_program(identified, curved, tmp_path):
@@ -394,7 +437,10 @@ def test_what_cannot_be_exported_is_said_in_one_line(identified, tmp_path, monke
     with pytest.raises(bayesid.InputError, match="draws of links"):
         bayesid.export(identified, "ranges")
     assert main(["export", str(tmp_path / "nothing")]) == 2
-    assert "no" in capsys.readouterr().err
+    assert "holds no result" in capsys.readouterr().err
+    bayesid.export(identified, "numpy", tmp_path / "exported")
+    assert main(["export", str(tmp_path / "exported")]) == 2
+    assert "Exported: cannot be exported; give what `bayesid identify` or `bayesid sample` found" in capsys.readouterr().err
     identified.write(tmp_path / "run")
     document = json.loads((tmp_path / "run" / "estimate.json").read_text(encoding="utf-8"))
     del document["robot"]

@@ -9,6 +9,7 @@ and y the row of the regressor, which the same recursion gives, column by column
 from __future__ import annotations
 
 import functools
+import json
 import re
 from dataclasses import dataclass
 
@@ -155,8 +156,14 @@ def _environment() -> Environment:
     )  # fmt: skip
     environment.filters |= {
         "braces": lambda a: _nested(a, "{", "}"), "brackets": lambda a: _nested(a, "[", "]"), "cpp": _cpp,
+        "quoted": json.dumps, "plain": _plain,
     }  # fmt: skip
     return environment
+
+
+def _plain(text: str) -> str:
+    """A name as it may stand in a comment of either language."""
+    return re.sub(r'[\\"]', "'", "".join(c if c.isprintable() else " " for c in text))
 
 
 def _cpp(law: str, joint: int) -> str:

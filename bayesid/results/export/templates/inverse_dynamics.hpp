@@ -1,6 +1,6 @@
-// Joint torques of {{ found.name }}, identified by {{ found.method }} from the {{ found.channel }}, with their {{ "%g" | format(100 * level) }} % band.
+// Joint torques of {{ found.name | plain }}, identified by {{ found.method | plain }} from the {{ found.channel }}, with their {{ "%g" | format(100 * level) }} % band.
 // Written by bayesid. C++17, no dependencies. SI units: rad or m, N m or N; joints in the order
-//   {{ robot.joint_names | join(", ") }}
+//   {{ robot.joint_names | join(", ") | plain }}
 //
 //   double q[{{ n }}], v[{{ n }}], a[{{ n }}], torque[{{ n }}], half[{{ n }}];
 //   bayesid_model::inverse_dynamics(q, v, a, torque);      // rigid bodies, friction and what else acts inside the joints
@@ -10,7 +10,7 @@
 // No function allocates, throws, or keeps anything. For a second robot in one program, say before including its file
 //   #define BAYESID_NAMESPACE another_name
 {% for spec in model.left_out %}
-// Not in it, though in the model that was identified: {{ spec }}.
+// Not in it, though in the model that was identified: {{ spec | plain }}.
 {% endfor %}
 #pragma once
 
@@ -27,7 +27,7 @@ constexpr int joints = {{ n }};
 constexpr int parameters = {{ count }};  // {{ rank }} of rigid bodies, then those inside the joints
 constexpr double quantile = {{ half }};  // of the normal law, of half the band
 inline constexpr const char* joint_names[joints] = {
-{%- for name in robot.joint_names %}"{{ name }}"{{ ", " if not loop.last }}{% endfor -%} };
+{%- for name in robot.joint_names %}{{ name | quoted }}{{ ", " if not loop.last }}{% endfor -%} };
 
 namespace detail {
 
@@ -183,7 +183,7 @@ inline void inverse_dynamics(const double* q, const double* v, const double* a, 
     for (int i = 0; i < joints; ++i) load[i] = torque[i];
 {% endif %}
 {% for law in model.laws %}
-    {  // {{ law.spec }}
+    {  // {{ law.spec | plain }}
         [[maybe_unused]] const double s_ = direction(v[{{ law.joint }}]){{ ", l_ = load[%d]" | format(law.joint) if law.per_load }};
         torque[{{ law.joint }}] += {{ law.torque | cpp(law.joint) }};
     }
@@ -214,13 +214,13 @@ inline void half_band([[maybe_unused]] const double* q, [[maybe_unused]] const d
     of_links(state, load);
 {% endif %}
 {% for law in model.laws if law.per_load %}
-    {  // {{ law.spec }}, which multiplies what the links take
+    {  // {{ law.spec | plain }}, which multiplies what the links take
         const double s_ = direction(v[{{ law.joint }}]), l_ = load[{{ law.joint }}], more = {{ law.per_load | cpp(law.joint) }};
         for (int c = 0; c < bodies; ++c) row[{{ law.joint }}][c] *= 1.0 + more;
     }
 {% endfor %}
 {% for law in model.laws if law.derivatives %}
-    {  // {{ law.spec }}
+    {  // {{ law.spec | plain }}
         [[maybe_unused]] const double s_ = direction(v[{{ law.joint }}]){{ ", l_ = load[%d]" | format(law.joint) if law.per_load }};
 {% for column, text in law.derivatives %}
         row[{{ law.joint }}][{{ column }}] = {{ text | cpp(law.joint) }};
