@@ -7,6 +7,9 @@ import numpy as np
 #: Singular values of columns at unit length that count as none, relative to the largest: the root of the machine's precision, for
 #: covariances are products of the factor with itself, in which nothing but rounding is left below it.
 UNSEEN = 1e-8
+#: What a row may take of a change that the data do not show, as a share of what it takes of the change's parts, and of its own
+#: length. A URDF's right angles are rounded to 4e-6, and columns that are alike but for those are.
+SHARE_OF_CHANGE, SHARE_OF_ROW = 1e-4, 1e-9
 
 
 def column_lengths(matrix: np.ndarray, smallest: float = 1e-14) -> np.ndarray:
@@ -66,6 +69,36 @@ def undetermined(matrix: np.ndarray, tolerance: float = UNSEEN) -> np.ndarray:
     out = nothing.copy()
     out[~nothing] = (np.abs(vt[s <= tolerance * s[0]]) > 1e-6).any(axis=0)
     return out
+
+
+def unshown(covariance: np.ndarray, hidden: np.ndarray) -> np.ndarray:
+    """Changes of parameters that the data do not show, of unit length (p, m): the null space of the hidden ones' covariance.
+
+    That is a pseudo-inverse: where the data know a sum of two hidden parameters, such as a link's inertia and its rotor's, only
+    their difference is in it.
+
+    Parameters
+    ----------
+    covariance
+        Of an estimate (p, p).
+    hidden
+        Which parameters are not determined, or only in sums with others (p,).
+    """
+    at = np.flatnonzero(hidden)
+    own = covariance[np.ix_(at, at)]
+    size = np.sqrt(np.maximum(np.diag(own), 0.0))
+    size = np.where(size > 0.0, size, 1.0)
+    values, vectors = np.linalg.eigh(own / np.outer(size, size))
+    out = np.zeros((len(covariance), int(np.sum(values <= UNSEEN))))
+    out[at] = vectors[:, values <= UNSEEN] / size[:, None]
+    return out / np.linalg.norm(out, axis=0)
+
+
+def takes(rows: np.ndarray, changes: np.ndarray) -> np.ndarray:
+    """Whether rows (..., p) take any of some changes of unit length (p, m), rounding and rounded right angles apart (...)."""
+    taken, among = np.abs(rows @ changes), np.abs(rows) @ np.abs(changes)
+    least = np.maximum(SHARE_OF_CHANGE * among, SHARE_OF_ROW * np.linalg.norm(rows, axis=-1, keepdims=True))
+    return np.any(taken > least, axis=-1)
 
 
 def condition_number(matrix: np.ndarray) -> float:

@@ -9,12 +9,10 @@ import numpy as np
 from bayesid.effects import MotionSegment, Point, linearised
 from bayesid.errors import InputError
 from bayesid.estimators.parameters import central_interval
+from bayesid.regression.linalg import takes, unshown
 from bayesid.regression.problem import Problem
 from bayesid.regression.row_model import RowModel
 from bayesid.regression.segment import Segment
-
-#: Share of a row's length that a column without any information may have before nothing is known of the reading.
-_NOTHING = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +27,8 @@ class PredictedReadings:
         Predicted readings (N, c), effects such as friction included.
     std
         Their standard deviations (N, c), from the covariance of all parameters; the noise of a single reading is not in them.
-        nan where the estimate has no honest covariance, or where the reading takes a parameter that the data say nothing of.
+        nan where the estimate has no honest covariance, or where the reading takes something that the data say nothing of. A
+        sum that they know, such as of a link's inertia and its rotor's, is known, whatever is open of its parts.
     gravity
         Whether they hold gravity; False where a static run was subtracted from what was fitted: then the estimate knows
         the motion's part of the wrench only.
@@ -105,8 +104,7 @@ def predict_readings(
     std = np.full(values.shape, np.nan)
     if covariance is not None:
         std = np.sqrt(np.maximum(np.einsum("ncp,pq,ncq->nc", matrix, covariance, matrix, optimize=True), 0.0))
-        length = np.linalg.norm(matrix, axis=2)
-        std[np.linalg.norm(matrix[:, :, undetermined], axis=2) > _NOTHING * length] = np.nan
+        std[takes(matrix, unshown(covariance, undetermined))] = np.nan
     channels = row_model.channels
     return PredictedReadings(channels.names, channels.units, values, std, gravity)
 

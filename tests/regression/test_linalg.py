@@ -1,7 +1,7 @@
 """Scaled least squares against plain dense answers."""
 
 import numpy as np
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_equal
 
 from bayesid.regression.linalg import (
     column_lengths,
@@ -10,7 +10,9 @@ from bayesid.regression.linalg import (
     pseudo_inverse,
     solve,
     standard_deviations,
+    takes,
     undetermined,
+    unshown,
 )
 
 SIZES = 10.0 ** np.array([-6.0, 0.0, 3.0, 6.0])
@@ -80,3 +82,22 @@ def test_columns_that_rounding_alone_keeps_apart_are_undetermined():
     inverse = determined_inverse(factor, hidden)
     bread = inverse @ inverse.T
     assert np.linalg.eigvalsh(bread @ (factor.T @ factor) @ bread).min() > -1e-15
+
+
+def test_a_row_takes_what_the_data_do_not_show_unless_it_takes_the_sum_that_they_know():
+    """Of two equal columns the sum is known, with the variance of one column in their place; of a column of zeros nothing."""
+    rng = np.random.default_rng(4)
+    one, other = rng.normal(size=(2, 50))
+    rows = np.column_stack([one, 3e-3 * other, 3e-3 * other, np.zeros(50)])
+    inverse = pseudo_inverse(rows)
+    covariance, hidden = inverse @ inverse.T, undetermined(rows)
+    assert_equal(hidden, [False, True, True, True])
+    changes = unshown(covariance, hidden)
+    assert changes.shape == (4, 2)
+    assert_allclose(np.linalg.norm(changes, axis=0), 1.0)
+    close = 5 + 1e-5
+    asked = np.array([[1.0, 0, 0, 0], [1, 5, 5, 0], [1, 5, close, 0], [0, 5, 0, 0], [0, 0, 0, 1], [1, 5, 5, 1e-6], [0, 0, 0, 0]])
+    assert_equal(takes(asked, changes), [False, False, False, True, True, True, False])
+    kept = np.linalg.inv(rows[:, :2].T @ rows[:, :2])
+    assert_allclose(asked[1] @ covariance @ asked[1], asked[1, :2] @ kept @ asked[1, :2], rtol=1e-9)
+    assert unshown(covariance, np.zeros(4, bool)).shape == (4, 0) and not takes(asked, np.zeros((4, 0))).any()

@@ -482,3 +482,17 @@ def test_a_law_that_has_no_place_is_told(tmp_path):
     assert list(exported.left_out["cpp"]) == ["torque_delay@joint1.delay", "torque_delay@joint2.delay"]
     assert "Not in it, though in the model that was identified: torque_delay@joint1" in exported["inverse_dynamics.hpp"]
     assert "not in cpp: torque_delay (2)" in str(exported)
+
+
+def test_a_rotor_that_no_reading_tells_from_its_link_changes_no_band(tmp_path):
+    """About the first axis, which is upright, both are one inertia: torques and bands are those without the rotor."""
+    made = arm(tmp_path, "ur5", ("viscous_friction", "coulomb_friction"))
+    x = states(made.robot)
+    plain = bayesid.identify(made, method="wls").predict(*x)
+    result = bayesid.identify(made, method="wls", effects=["viscous_friction", "coulomb_friction", "rotor_inertia@joint1"])
+    assert result.estimate.undetermined.sum() == 2
+    with_rotor = result.predict(*x)
+    np.testing.assert_allclose(with_rotor.values, plain.values, atol=1e-6 * np.abs(plain.values).max())
+    np.testing.assert_allclose(with_rotor.std, plain.std, rtol=1e-4, atol=1e-12)
+    torque, half = run_numpy(tmp_path, bayesid.export(result, "numpy")["inverse_dynamics.py"], x)
+    np.testing.assert_allclose(half, BAND * with_rotor.std, rtol=1e-9, atol=1e-12)

@@ -21,6 +21,7 @@ from bayesid.dynamics.base_parameters import structural_base
 from bayesid.dynamics.channels import torque_channels
 from bayesid.effects.built_in import CLASSES
 from bayesid.effects.families import SensorEffect
+from bayesid.regression.linalg import SHARE_OF_CHANGE, SHARE_OF_ROW, unshown
 from bayesid.results.export.identified import IdentifiedRobot
 from bayesid.results.export.laws import LAWS, RAMP, JointLaw
 from bayesid.robot import inertia
@@ -31,8 +32,7 @@ from bayesid.rounding import LEVEL
 _SENSOR = {kind.name for kind in CLASSES if issubclass(kind, SensorEffect)}
 #: What of a base parameter of the torques may lie outside those that were identified, relative to its length.
 _OUTSIDE = 1e-4
-#: Share of a row's length that columns without any information may have before nothing is known of the torque.
-NOTHING = 1e-9
+_NOTHING = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,8 +49,10 @@ class InverseDynamics:
         What acts inside the joints, whose estimated parameters have the other columns.
     names
         Of the parameters (k,).
-    values, covariance, undetermined
-        Of the parameters (k,), (k, k), (k,); covariance None where there is none.
+    values, covariance
+        Of the parameters (k,), (k, k); None where there is none.
+    hidden
+        Changes of the parameters, of unit length, that the data do not show (k, m).
     left_out
         Effects of the model that are not in it, ``name@where``.
     foreign
@@ -63,7 +65,7 @@ class InverseDynamics:
     names: tuple[str, ...]
     values: np.ndarray
     covariance: np.ndarray | None
-    undetermined: np.ndarray
+    hidden: np.ndarray
     left_out: tuple[str, ...]
     foreign: int = 0
 
@@ -85,16 +87,17 @@ def inverse_dynamics(found: IdentifiedRobot) -> InverseDynamics:
     whole[: base.rank, : found.base.rank] = through
     whole[base.rank + np.arange(len(columns)), columns] = 1.0
     values = whole @ found.solution
-    undetermined = np.asarray(np.any(np.abs(whole[:, found.undetermined]) > NOTHING, axis=1))
     if foreign.any():
         values[: base.rank][foreign] = 0.0 if found.links is None else (base.matrix @ found.links)[foreign]
-        undetermined[: base.rank] |= foreign
-    covariance = None
+    covariance, hidden = None, np.zeros((len(values), 0))
     if found.covariance is not None:
-        covariance = whole @ np.where(np.isfinite(found.covariance), found.covariance, 0.0) @ whole.T
+        own = np.where(np.isfinite(found.covariance), found.covariance, 0.0)
+        covariance, left_open = whole @ own @ whole.T, whole @ unshown(own, found.undetermined)
+        left_open = left_open[:, np.linalg.norm(left_open, axis=0) > _NOTHING]  # no torque holds a sensor's offset
+        hidden = np.hstack([left_open / np.linalg.norm(left_open, axis=0), np.eye(len(values))[:, : base.rank][:, foreign]])
     names = (*base.names, *(found.effect_names[c - found.base.rank] for c in columns))
     return InverseDynamics(
-        robot, _bodies(robot, base.independent), laws, names, values, covariance, undetermined, left_out,
+        robot, _bodies(robot, base.independent), laws, names, values, covariance, hidden, left_out,
         int(foreign.sum()),
     )  # fmt: skip
 
@@ -144,7 +147,8 @@ def _rendered(template: str, found: IdentifiedRobot, model: InverseDynamics) -> 
     return _environment().get_template(template).render(
         found=found, model=model, robot=robot, n=robot.n, count=len(model.values), rank=len(joint), order=robot.order,
         body_joint=joint, body_ten=ten, links=links, covariance=model.covariance, half=float(norm.ppf(0.5 * (1.0 + LEVEL))),
-        loaded=any(law.per_load for law in model.laws), level=LEVEL, ramp=RAMP, nothing=NOTHING,
+        loaded=any(law.per_load for law in model.laws), level=LEVEL, ramp=RAMP,
+        share_of_change=SHARE_OF_CHANGE, share_of_row=SHARE_OF_ROW,
     )  # fmt: skip
 
 

@@ -6,7 +6,7 @@
 //   bayesid_model::inverse_dynamics(q, v, a, torque);      // rigid bodies, friction and what else acts inside the joints
 //   bayesid_model::half_band(q, v, a, half);               // torque +- half holds the truth's mean with {{ "%g" | format(100 * level) }} %, joint by joint
 //
-// half is nan where the data say nothing of a parameter that the torque takes{{ "" if covariance is not none else ", here everywhere: " ~ found.method ~ " has no covariance" }}.
+// half is nan where the torque takes something that the data say nothing of{{ "" if covariance is not none else ", here everywhere: " ~ found.method ~ " has no covariance" }}.
 // No function allocates, throws, or keeps anything. For a second robot in one program, say before including its file
 //   #define BAYESID_NAMESPACE another_name
 {% for spec in model.left_out %}
@@ -48,7 +48,11 @@ inline constexpr int bodies = {{ rank }};
 inline constexpr int body_joint[bodies] = {{ body_joint | braces }};
 inline constexpr double body[bodies][10] = {{ body_ten | braces }};
 {% if covariance is not none %}
-inline constexpr bool unknown[parameters] = {{ model.undetermined | braces }};
+{% if model.hidden.shape[1] %}
+// Changes of the parameters that the data do not show: a torque that takes any of them is not known.
+inline constexpr int changes = {{ model.hidden.shape[1] }};
+inline constexpr double hidden[changes][parameters] = {{ model.hidden.T | braces }};
+{% endif %}
 inline constexpr double covariance[parameters][parameters] = {{ covariance | braces }};
 {% endif %}
 
@@ -228,16 +232,26 @@ inline void half_band([[maybe_unused]] const double* q, [[maybe_unused]] const d
     }
 {% endfor %}
     for (int i = 0; i < joints; ++i) {
-        double variance = 0.0, length = 0.0, open = 0.0;
+        double variance = 0.0;
         for (int k = 0; k < parameters; ++k) {
             double sum = 0.0;
             for (int j = 0; j < parameters; ++j) sum += covariance[k][j] * row[i][j];
             variance += row[i][k] * sum;
-            length += row[i][k] * row[i][k];
-            if (unknown[k]) open += row[i][k] * row[i][k];
         }
-        half[i] = open > {{ nothing * nothing }} * length ? std::numeric_limits<double>::quiet_NaN()
-                                 : quantile * std::sqrt(variance > 0.0 ? variance : 0.0);
+        half[i] = quantile * std::sqrt(variance > 0.0 ? variance : 0.0);
+{% if model.hidden.shape[1] %}
+        double length = 0.0;
+        for (double x : row[i]) length += x * x;
+        for (const auto& change : hidden) {
+            double taken = 0.0, among = 0.0;
+            for (int k = 0; k < parameters; ++k) {
+                taken += row[i][k] * change[k];
+                among += abs(row[i][k] * change[k]);
+            }
+            if (abs(taken) > {{ share_of_change }} * among && abs(taken) > {{ share_of_row }} * std::sqrt(length))
+                half[i] = std::numeric_limits<double>::quiet_NaN();
+        }
+{% endif %}
     }
 {% endif %}
 }
