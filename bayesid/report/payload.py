@@ -2,26 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
+from bayesid.design.payload.body import Quantity
 from bayesid.report.figures import CLASSES, GREY, add_legend, make_grid, styled
 from bayesid.report.page import render, run_times, svg, versions
+from bayesid.results.beside import cells
 from bayesid.results.payload import SOURCES, PayloadEstimate
-from bayesid.results.text import channel_text, number, with_interval
+from bayesid.results.text import channel_text, number
 
 
 def payload_report(result: PayloadEstimate) -> str:
     """The report of ``payload``: an HTML page with all figures inside."""
-    mass, half = with_interval(result.mass.value, result.mass.std, result.mass.low, result.mass.high)
-    cards = [{"value": f"{mass} kg" if result.mass.shown else "not shown", "mood": "good" if result.mass.shown else "bad",
-              "text": f"mass, ± {half} kg" if result.mass.shown else "mass"}]  # fmt: skip
-    for q in result.centre:
-        value, half = with_interval(1e3 * q.value, 1e3 * q.std, 1e3 * q.low, 1e3 * q.high)
-        cards.append({"value": f"{value} mm" if q.shown else "not shown", "mood": "good" if q.shown else "bad",
-                      "text": f"centre of mass {q.name}" + (f", ± {half} mm" if q.shown else "")})  # fmt: skip
+    cards = [_card("mass", result.mass, 1.0, "kg"), *(_card(f"centre of mass {q.name}", q, 1e3, "mm") for q in result.centre)]
     return render(
         "payload.html",
         name=result.name, source=SOURCES[result.source].format(where=result.source_detail), channel=channel_text(result.channel),
@@ -35,26 +32,30 @@ def payload_report(result: PayloadEstimate) -> str:
     )  # fmt: skip
 
 
+def _card(name: str, q: Quantity, scale: float, unit: str) -> dict[str, str]:
+    """A quantity in another unit, in large type."""
+    if not q.shown:
+        return {"value": "not shown", "mood": "bad", "text": name}
+    scaled = replace(q, **{k: scale * getattr(q, k) for k in ("value", "std", "low", "high")})
+    value, interval = cells(scaled)
+    return {"value": f"{value} {unit}", "mood": "good", "text": f"{name}, {interval} {unit}"}
+
+
 @styled
 def payload_figure(result: PayloadEstimate, ax: Any = None) -> Figure:
-    """Mass [kg] and centre of mass [mm] with their 95 % intervals, beside those without the effects that were found."""
-    figure, axes = make_grid(1, 2, 1.5, gap=0.4, width_ratios=(1.0, 2.0), ax=ax)
-    one, other = axes[0, 0], axes[0, 1]
+    """Mass [kg] and centre of mass [mm] with their 95 % intervals, a panel each, beside those without the effects found."""
+    figure, axes = make_grid(1, 4, 1.5, gap=0.55, ax=ax)
     told = [(result.quantities[:4], CLASSES["alone"], "told", 0.0)]
-    if result.effects:
-        told.append((result.plain, GREY, "without the effects found", 0.18))
-    for quantities, colour, label, shift in told:
-        for panel, part, scale in ((one, quantities[:1], 1.0), (other, quantities[1:4], 1e3)):
-            x = np.arange(len(part)) + shift
-            ends = (np.array([getattr(q, k) if q.shown else np.nan for q in part]) for k in ("value", "low", "high"))
-            value, low, high = (scale * e for e in ends)
-            panel.errorbar(x, value, [np.maximum(value - low, 0.0), np.maximum(high - value, 0.0)], fmt="o", ms=4, color=colour,
-                           capsize=2.5, lw=1.2, label=label)  # fmt: skip
-    one.set_title("mass [kg]")
-    one.set_xticks([0], ["m"])
-    one.set_xlim(-0.6, 0.8)
-    other.set_title(f"centre of mass in the frame of {result.frame} [mm]")
-    other.set_xticks([0, 1, 2], ["x", "y", "z"])
-    other.set_xlim(-0.6, 2.8)
-    add_legend(axes, *other.get_legend_handles_labels())
+    if any(e.in_model for e in result.effects):
+        told.append((result.plain, GREY, "without the effects found", 1.0))
+    for quantities, colour, label, x in told:
+        for panel, q, scale in zip(axes[0], quantities, (1.0, 1e3, 1e3, 1e3), strict=True):
+            value, low, high = (scale * getattr(q, k) if q.shown else np.nan for k in ("value", "low", "high"))
+            ends = [[max(value - low, 0.0)], [max(high - value, 0.0)]]
+            panel.errorbar([x], [value], ends, fmt="o", ms=4, color=colour, capsize=2.5, lw=1.2, label=label)
+    for panel, title in zip(axes[0], ("mass [kg]", *(f"centre {k} [mm]" for k in "xyz")), strict=True):
+        panel.set_title(title)
+        panel.set_xticks([])
+        panel.set_xlim(-1.0, 2.0)
+    add_legend(axes, *axes[0, 0].get_legend_handles_labels())
     return figure

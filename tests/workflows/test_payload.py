@@ -255,4 +255,4 @@ def test_the_command_writes_what_the_function_finds(wrist, tmp_path, capsys, und
     again = bayesid.load(out)
     assert str(again) == str(result) and again.mass["value"] == result.mass.value
     assert repr(result).startswith("<PayloadEstimate of test") and "<table" in result._repr_html_()
-    assert len(result.plot().axes) == 2
+    assert len(result.plot().axes) == 4
