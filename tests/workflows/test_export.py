@@ -10,6 +10,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import ModuleType, SimpleNamespace
 
 import mujoco
 import numpy as np
@@ -496,3 +497,60 @@ def test_a_rotor_that_no_reading_tells_from_its_link_changes_no_band(tmp_path):
     np.testing.assert_allclose(with_rotor.std, plain.std, rtol=1e-4, atol=1e-12)
     torque, half = run_numpy(tmp_path, bayesid.export(result, "numpy")["inverse_dynamics.py"], x)
     np.testing.assert_allclose(half, BAND * with_rotor.std, rtol=1e-9, atol=1e-12)
+
+
+def page_functions() -> dict:
+    """What the page's Python blocks define, with nothing of them run but definitions and imports."""
+    page = Path(__file__).parents[2] / "docs" / "howto-export.md"
+    blocks = re.findall(r"^```python\n(.*?)^```$", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+    scope: dict = {}
+    for code in blocks:
+        if "def " in code:
+            exec(code, scope)
+    return scope
+
+
+class Stand:
+    """Stands for a model of MJX: remembers what is replaced in it."""
+
+    def tree_replace(self, values):
+        return values
+
+
+def test_each_environment_of_the_pages_snippet_gets_one_whole_draw(posterior, tmp_path, monkeypatch):
+    """With numpy in the place of JAX, which is not installed: what is chosen, and that MuJoCo's models have the fields."""
+    bayesid.export(posterior, "mjcf", tmp_path / "for-learning", draws=5)
+    monkeypatch.chdir(tmp_path)
+    jax = ModuleType("jax")
+    jax.numpy = np
+    jax.vmap = lambda f: lambda keys: np.array([f(key) for key in keys])
+    jax.random = SimpleNamespace(randint=lambda key, shape, low, high: low + key % (high - low))
+    jax.tree_util = SimpleNamespace(tree_map=lambda f, model: model)
+    monkeypatch.setitem(sys.modules, "jax", jax)
+    monkeypatch.setitem(sys.modules, "jax.numpy", np)
+    scope = page_functions()
+    values, axes = scope["domain_randomize"](Stand(), np.arange(8))
+    assert set(values) == set(axes) == set(scope["FIELDS"]) and set(axes.values()) == {0}
+    models = [mujoco.MjModel.from_xml_path(path) for path in scope["DRAWS"]]
+    assert len(models) == 5
+    for field, drawn in values.items():
+        np.testing.assert_array_equal(drawn, [getattr(models[k % 5], field) for k in range(8)])
+
+
+def test_the_pages_terms_for_isaac_lab_hold_the_ranges(posterior, monkeypatch):
+    terms, mdp = ModuleType("isaaclab.managers"), ModuleType("isaaclab.envs.mdp")
+    terms.EventTermCfg = terms.SceneEntityCfg = lambda *given, **options: (given, options)
+    mdp.randomize_rigid_body_mass, mdp.randomize_joint_parameters = "mass", "joint"
+    lab, envs = ModuleType("isaaclab"), ModuleType("isaaclab.envs")
+    lab.envs, envs.mdp = envs, mdp
+    for module in (lab, envs, mdp, terms):
+        monkeypatch.setitem(sys.modules, module.__name__, module)
+    ranges = json.loads(bayesid.export(posterior, "ranges")["ranges.json"])
+    made = page_functions()["events"](ranges)
+    assert set(made) == {"mass_of_link1", "mass_of_link2", "inside_joint1", "inside_joint2"}
+    mass, friction = made["mass_of_link2"][1], made["inside_joint1"][1]
+    assert mass["func"] == "mass" and friction["func"] == "joint"
+    entry = ranges["links"]["link2"]["mass"]
+    assert mass["params"]["mass_distribution_params"] == (entry["p05"], entry["p95"])
+    entry = ranges["joints"]["joint1"]["frictionloss"]
+    assert friction["params"]["friction_distribution_params"] == (entry["p05"], entry["p95"])
