@@ -93,7 +93,7 @@ def mjcf(robot: Robot, locked: Mapping[str, float], links: np.ndarray, dynamics:
         for name in robot.joint_names:
             spec.joint(name).armature = constants.armature.get(name, 0.0)
         model = spec.compile()
-        text = _with_all_digits(mujoco, spec.to_xml(), model)
+        text = _with_all_digits(mujoco, spec.to_xml(), model, constants.beside)
         written = mujoco.MjModel.from_xml_string(text)
     except ValueError as error:
         reason = " ".join(str(error).split())[:200]
@@ -168,8 +168,8 @@ def _move_limits(joint: ET.Element, robot: Robot, k: int) -> None:
         joint.set("type", "continuous")
 
 
-def _with_all_digits(mujoco: Any, text: str, model: Any) -> str:
-    """MuJoCo's file with the numbers of its compiled model; it writes six digits of them, which a URDF's are not rounded to."""
+def _with_all_digits(mujoco: Any, text: str, model: Any, beside: Mapping[str, tuple[float, str]]) -> str:
+    """MuJoCo's file with all digits of its compiled model, of which it writes six, and comments on what it does not hold."""
     root = ET.fromstring(text)
     for element in root.iter("body"):
         body = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, element.get("name"))
@@ -193,6 +193,9 @@ def _with_all_digits(mujoco: Any, text: str, model: Any) -> str:
             _put(element, {"range": model.jnt_range[joint]})
     option = root.find("option")
     _put(ET.SubElement(root, "option") if option is None else option, {"gravity": model.opt.gravity})
+    lines = [f"{name} = {value:.6g} {unit}".rstrip() for name, (value, unit) in beside.items()]
+    for line in reversed(["Identified along, and not part of this model:", *lines] if lines else []):
+        root.insert(0, ET.Comment(f" {line.replace('--', '- -')} "))
     ET.indent(root)
     return ET.tostring(root, encoding="unicode") + "\n"
 
