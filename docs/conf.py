@@ -42,8 +42,6 @@ html_show_sourcelink = False
 html_theme_options = {"show_toc_level": 2, "navigation_with_keys": False, "secondary_sidebar_items": ["page-toc"]}
 
 
-
-
 def _mathml(node, block: bool) -> str:
     """A formula as browsers draw it themselves: no script, no network."""
     formula, _, number = node.astext().partition(r"\tag{")

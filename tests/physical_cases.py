@@ -53,7 +53,11 @@ def flat_bodies(robot: Robot, rng: np.random.Generator, flat: int) -> np.ndarray
 
 
 def random_case(
-    arm: Arm, rng: np.random.Generator, bounded: bool | None = None, std: float | None = None, rel_std: float | None = None,
+    arm: Arm,
+    rng: np.random.Generator,
+    bounded: bool | None = None,
+    std: float | None = None,
+    rel_std: float | None = None,
     metric: str = "warped",
 ) -> tuple[LinkData, LinkPrior, Conic]:
     """Truth of bodies with and without extent, noise from tiny to huge, trust from tight to next to none."""

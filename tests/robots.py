@@ -62,10 +62,17 @@ def _universal(
     quarter: Vector = (0.0, HALF, 0.0)
     table: tuple[tuple[str, str, Vector, Vector, Vector, float, Vector, Vector], ...] = (
         ("shoulder_pan", "shoulder", (0, 0, height), ZERO, Z, 2 * PI, (0, 0.04, 0.003), (0.08, 0.1, 0.07)),
-        ("shoulder_lift", "upper_arm", (0, shoulder, 0), quarter, Y, 2 * PI,
-         (0.006, -0.02, 0.65 * upper), (0.08, 0.1, 0.75 * upper)),
-        ("elbow", "forearm", (0, elbow, upper), ZERO, Y, PI,
-         (0.004, 0, 0.6 * fore), (0.06, 0.07, 0.7 * fore)),
+        (
+            "shoulder_lift",
+            "upper_arm",
+            (0, shoulder, 0),
+            quarter,
+            Y,
+            2 * PI,
+            (0.006, -0.02, 0.65 * upper),
+            (0.08, 0.1, 0.75 * upper),
+        ),
+        ("elbow", "forearm", (0, elbow, upper), ZERO, Y, PI, (0.004, 0, 0.6 * fore), (0.06, 0.07, 0.7 * fore)),
         ("wrist_1", "wrist_1", (0, 0, fore), quarter, Y, 2 * PI, (-0.003, 0.08, 0.005), (0.05, 0.07, 0.06)),
         ("wrist_2", "wrist_2", (0, wrist1, 0), ZERO, Z, 2 * PI, (0.002, 0.004, 0.07), (0.05, 0.06, 0.07)),
         ("wrist_3", "wrist_3", (0, 0, wrist2), ZERO, Y, 2 * PI, (0.001, 0.06, -0.002), (0.04, 0.03, 0.045)),
@@ -151,14 +158,14 @@ def prismatic_arm() -> str:
         body("flange", 1.2, (0.06, 0.02, 0.05), (0.1, 0.06, 0.05)),
     ]
     joints = [
-        Joint("rail", "frame", "carriage", (0, 0.1, 0.8), (0.1, 0.2, -0.3), "prismatic", (0.8, 0.0, 0.6),
-              (-0.6, 0.6, 1.0, 800.0)),
-        Joint("swing", "carriage", "boom", (0.1, 0, 0.15), (0.2, -0.3, 0.5), axis=(0.0, 0.6, 0.8),
-              limits=(-2.4, 2.4, 2.5, 150.0)),
-        Joint("lift", "boom", "ram", (0.5, 0.05, 0), (-0.4, 0.3, 0.2), "prismatic", (0.48, 0.6, -0.64),
-              (-0.3, 0.4, 0.8, 400.0)),
-        Joint("roll", "ram", "flange", (0, 0.05, 0.4), (0.7, 0.1, -0.2), axis=(-0.36, 0.48, 0.8),
-              limits=(-3.0, 3.0, 4.0, 30.0)),
+        Joint(
+            "rail", "frame", "carriage", (0, 0.1, 0.8), (0.1, 0.2, -0.3), "prismatic", (0.8, 0.0, 0.6), (-0.6, 0.6, 1.0, 800.0)
+        ),
+        Joint(
+            "swing", "carriage", "boom", (0.1, 0, 0.15), (0.2, -0.3, 0.5), axis=(0.0, 0.6, 0.8), limits=(-2.4, 2.4, 2.5, 150.0)
+        ),
+        Joint("lift", "boom", "ram", (0.5, 0.05, 0), (-0.4, 0.3, 0.2), "prismatic", (0.48, 0.6, -0.64), (-0.3, 0.4, 0.8, 400.0)),
+        Joint("roll", "ram", "flange", (0, 0.05, 0.4), (0.7, 0.1, -0.2), axis=(-0.36, 0.48, 0.8), limits=(-3.0, 3.0, 4.0, 30.0)),
     ]
     return urdf_text("prismatic_arm", links, joints)
 
@@ -180,17 +187,45 @@ def tree() -> str:
     joints = [
         Joint("waist", "pelvis", "torso", (0, 0, 0.2), limits=(-2.0, 2.0, 1.5, 200.0)),
         Joint("left_bracket", "torso", "left_shoulder", (0, 0.22, 0.45), (0.3, 0, 0.2), "fixed"),
-        Joint("left_shoulder_joint", "left_shoulder", "left_upper", (0, 0.06, 0), (0.1, 0.4, 0.2), axis=Y,
-              limits=(-2.2, 2.2, 2.5, 90.0)),
+        Joint(
+            "left_shoulder_joint",
+            "left_shoulder",
+            "left_upper",
+            (0, 0.06, 0),
+            (0.1, 0.4, 0.2),
+            axis=Y,
+            limits=(-2.2, 2.2, 2.5, 90.0),
+        ),
         Joint("left_clamp", "left_upper", "left_sleeve", (0.28, 0, 0), (0, 0.2, -0.3), "fixed"),
-        Joint("left_extension", "left_sleeve", "left_slide", (0.05, 0.01, 0), (0.2, 0, 0.1), "prismatic",
-              (1.0, 0.0, 0.0), (0.0, 0.3, 0.8, 250.0)),
-        Joint("left_wrist", "left_slide", "left_wheel", (0.3, 0, 0), (0, 0.5, 0), "continuous",
-              limits=(0.0, 0.0, 5.0, 20.0)),
-        Joint("right_shoulder_joint", "torso", "right_upper", (0, -0.22, 0.45), (-0.3, 0, -0.2),
-              axis=(0.0, 0.6, 0.8), limits=(-2.2, 2.2, 2.5, 90.0)),
-        Joint("right_elbow_joint", "right_upper", "right_fore", (0.28, 0, 0.02), (0.1, 0.1, -0.4), axis=Y,
-              limits=(-0.2, 2.4, 3.0, 60.0)),
+        Joint(
+            "left_extension",
+            "left_sleeve",
+            "left_slide",
+            (0.05, 0.01, 0),
+            (0.2, 0, 0.1),
+            "prismatic",
+            (1.0, 0.0, 0.0),
+            (0.0, 0.3, 0.8, 250.0),
+        ),
+        Joint("left_wrist", "left_slide", "left_wheel", (0.3, 0, 0), (0, 0.5, 0), "continuous", limits=(0.0, 0.0, 5.0, 20.0)),
+        Joint(
+            "right_shoulder_joint",
+            "torso",
+            "right_upper",
+            (0, -0.22, 0.45),
+            (-0.3, 0, -0.2),
+            axis=(0.0, 0.6, 0.8),
+            limits=(-2.2, 2.2, 2.5, 90.0),
+        ),
+        Joint(
+            "right_elbow_joint",
+            "right_upper",
+            "right_fore",
+            (0.28, 0, 0.02),
+            (0.1, 0.1, -0.4),
+            axis=Y,
+            limits=(-0.2, 2.4, 3.0, 60.0),
+        ),
         Joint("right_mount", "right_fore", "right_tool", (0.25, 0, 0), (0, HALF, 0.3), "fixed"),
     ]
     return urdf_text("tree", links, joints)

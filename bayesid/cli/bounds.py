@@ -33,9 +33,7 @@ _RUN = click.Path(path_type=Path)
 @click.option("--estimate", type=_RUN, help="Folder that bayesid identify wrote.")
 @click.option("--method", help="Identify with this estimator and do not sample.")
 @BOUNDS
-@click.option(
-    "--static", type=click.Choice(["motion", "joint"]), help="Subtract a stop-and-go run (default), or fit it along."
-)
+@click.option("--static", type=click.Choice(["motion", "joint"]), help="Subtract a stop-and-go run (default), or fit it along.")
 @click.option("--trajectory", type=_RUN, help="A planned motion, a table with t, q1 ...: its readings get bands.")
 @click.option("--urdfs", type=click.IntRange(min=0), default=0, show_default=True, help="How many sampled URDFs to write.")
 @click.option("--prior-std", type=float, help="Relative standard deviation of every nominal mass; default: inertia_rel_std.")
@@ -44,9 +42,7 @@ _RUN = click.Path(path_type=Path)
 )
 @OUT
 @SEED
-def bounds(
-    experiment, filter_l, filter_d, model, effects_from, posterior, estimate, method, bounds, out, **options
-) -> None:
+def bounds(experiment, filter_l, filter_d, model, effects_from, posterior, estimate, method, bounds, out, **options) -> None:
     """What a controller may rely on: bounds of parameters, mass matrix, gravity and torques."""
     check_output(out or OUTPUTS, "bounds")
     filters = low_pass(filter_l, filter_d)

@@ -94,9 +94,7 @@ def excite(experiment, model, effects_from, out, joints, blocks, quantities, tel
     setup = load_setup(experiment, library) if tell is None else load_experiment(experiment, library, planned=True)
     setup = setup if model is None else setup.with_model(model)
     folder = output_folder(out, setup.name, "excite")
-    chosen = ExcitationOptions(
-        joints=joints, blocks=blocks or (), quantities=quantities or (), **options
-    )
+    chosen = ExcitationOptions(joints=joints, blocks=blocks or (), quantities=quantities or (), **options)
     with show_progress() as progress:
         if tell is None:
             result = bayesid.excite(setup, chosen, warm_start=warm_start, seed=seed, progress=progress)

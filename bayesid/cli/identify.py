@@ -25,9 +25,7 @@ from bayesid.results.files import check_output
 @click.command()
 @EXPERIMENT
 @model_options
-@click.option(
-    "--method", help=f"{', '.join(bayesid.METHODS)}  [default: {bayesid.DEFAULT_METHOD}; with a mount that rings, gls]"
-)
+@click.option("--method", help=f"{', '.join(bayesid.METHODS)}  [default: {bayesid.DEFAULT_METHOD}; with a mount that rings, gls]")
 @BOUNDS
 @STATIC
 @click.option("--unconstrained-urdf", is_flag=True, help="Also write the links with exactly the estimated base parameters.")

@@ -22,7 +22,9 @@ from bayesid.simulation.trajectory_file import planned_trajectories
 @EXPERIMENT
 @click.option("--new", is_flag=True, help="New random motions; default: those of the experiment's tables again.")
 @click.option(
-    "--trajectory", type=click.Path(path_type=Path), multiple=True,
+    "--trajectory",
+    type=click.Path(path_type=Path),
+    multiple=True,
     help="A planned motion (columns t, q1 ..., v1 ..., a1 ...), as excite writes it; several: the last is for validation.",
 )
 @click.option("--duration", type=float, help="Length of a new motion [s]; default 20.")

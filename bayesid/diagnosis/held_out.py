@@ -221,9 +221,7 @@ def _columns(
     return without_offset(data, segments, np.hstack([*parts, residual[:, None]]))
 
 
-def _by_blocks(
-    data: DiagnosisData, segments: Sequence[Segment], columns: np.ndarray
-) -> Iterator[tuple[int, np.ndarray, float]]:
+def _by_blocks(data: DiagnosisData, segments: Sequence[Segment], columns: np.ndarray) -> Iterator[tuple[int, np.ndarray, float]]:
     """Stretch, course in time (k, c, p) and number of rows of every block of time."""
     alone = {s.motion for s in data.segments} == {segments[0].motion}
     row = 0

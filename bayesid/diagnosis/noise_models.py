@@ -108,4 +108,3 @@ def prepared(projector: NuisanceProjector, terms: Sequence[Term], best: Fit | No
     )
     base = fit(projector, terms, base)
     return projector, base, make_library(projector, base, best)
-

@@ -63,8 +63,12 @@ def remarks(
         out.append(
             f"On recordings held out in turn {', '.join(by_kind(f.term for f in part.search.found))} would close "
             f"{100 * (1.0 - part.remainder):.3g} % of the gap. "
-            + ("Fitted to all fitted motions they predict the validation motions no better" if worse else
-               "What imitates an effect that the library lacks closes as much") + ": not named."
+            + (
+                "Fitted to all fitted motions they predict the validation motions no better"
+                if worse
+                else "What imitates an effect that the library lacks closes as much"
+            )
+            + ": not named."
         )
     if verdict == "named_in_part" and part is not None and part.groups:
         each = "; ".join(f"{', '.join(g.channels)}: {100 * g.closed:.3g} % by {', '.join(g.effects)}" for g in part.groups)

@@ -154,9 +154,7 @@ def _runs(flags: np.ndarray) -> list[tuple[int, int]]:
     return [(int(i), int(j)) for i, j in zip(edges[::2], edges[1::2], strict=True)]
 
 
-def find_rests(
-    times: np.ndarray, encoders: np.ndarray, counts: np.ndarray, settings: Settings
-) -> list[tuple[float, float]]:
+def find_rests(times: np.ndarray, encoders: np.ndarray, counts: np.ndarray, settings: Settings) -> list[tuple[float, float]]:
     """Times [s] in which no joint moves for `Settings.shortest_repeat` at least, less what may still ring at both ends.
 
     Parameters

@@ -160,10 +160,7 @@ def canonical(term: Term) -> Term:
 def _contains(without: Fit, wider: Term, term: Term) -> bool:
     """Whether an effect can do all that another does and more (a spring, an offset): no rival, but a longer name for it."""
     projector, data = without.projector, without.projector.data
-    outer, inner = (
-        projector.columns(term_rows(data, data.segments, without.links, without.terms, t))
-        for t in (wider, term)
-    )
+    outer, inner = (projector.columns(term_rows(data, data.segments, without.links, without.terms, t)) for t in (wider, term))
     if outer.shape[1] <= inner.shape[1]:
         return False
     q = orthonormal(outer)

@@ -35,9 +35,7 @@ def term_rows(
     return np.vstack(parts)
 
 
-def _white_columns(
-    data: DiagnosisData, segment: Segment, links: np.ndarray, terms: tuple[Term, ...], term: Term
-) -> np.ndarray:
+def _white_columns(data: DiagnosisData, segment: Segment, links: np.ndarray, terms: tuple[Term, ...], term: Term) -> np.ndarray:
     """Rows of one segment (rows, k); where they depend on neither the links nor the term's values they are made once."""
 
     def made() -> np.ndarray:

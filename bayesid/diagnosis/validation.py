@@ -119,9 +119,7 @@ def motion_errors(data: DiagnosisData, base: Fit, best: Fit | None) -> tuple[Mot
             def size(parts: Sequence[np.ndarray], weight=weight) -> np.ndarray:
                 return np.sqrt(sum(np.sum(p**2, axis=0) for p in parts) / np.maximum(weight, 1e-300))
 
-            left = [
-                size([np.linalg.solve(segments[k].whitener, w[k][:, :, None])[:, :, 0] for k in mine]) for w in white
-            ]
+            left = [size([np.linalg.solve(segments[k].whitener, w[k][:, :, None])[:, :, 0] for k in mine]) for w in white]
             signal = size([segments[k].measured_readings for k in mine])
             out.append(MotionErrors(motion, fitted, left[0], left[1] if best is not None else None, signal))
     return tuple(out)

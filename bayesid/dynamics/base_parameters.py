@@ -103,7 +103,7 @@ def structural_base(
     # Turning joints anywhere: the structure does not depend on limits. Rates of about 1 keep columns comparable.
     q = rng.uniform(-np.pi, np.pi, (count, robot.n))
     q[:, robot.prismatic] *= 0.2
-    v, a = (np.zeros((2, count, robot.n)) if at_rest else rng.normal(0.0, [[[1.0]], [[4.0]]], (2, count, robot.n)))
+    v, a = np.zeros((2, count, robot.n)) if at_rest else rng.normal(0.0, [[[1.0]], [[4.0]]], (2, count, robot.n))
     if held is not None:
         still = np.isfinite(held)
         q[:, still], v[:, still], a[:, still] = held[still], 0.0, 0.0

@@ -261,8 +261,6 @@ def _gradient(
             i = order[k]
             moves = i < joints
             here = (q[s, i], v[s, i], a[s, i]) if moves else (0.0, 0.0, 0.0)
-            found = _advance_back(
-                state[parent[i]], bar[i], bar[parent[i]], *here, turn[i], translation[i], axis[i], slides[i]
-            )
+            found = _advance_back(state[parent[i]], bar[i], bar[parent[i]], *here, turn[i], translation[i], axis[i], slides[i])
             if moves:
                 out[0, s, i], out[1, s, i], out[2, s, i] = found

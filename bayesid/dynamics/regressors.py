@@ -120,9 +120,7 @@ class Kernel:
         _regressor(False, q, v, a, *self._chain(gravity), *self.tables[6:], out, out[:0])
         return out
 
-    def momentum(
-        self, positions: np.ndarray, velocities: np.ndarray, *, gravity: bool = True
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def momentum(self, positions: np.ndarray, velocities: np.ndarray, *, gravity: bool = True) -> tuple[np.ndarray, np.ndarray]:
         """Regressors P, Q with ``reading = d/dt(P phi) - Q phi``, each (samples, channels, columns).
 
         Parameters are those of `dynamics`; no acceleration is needed.

@@ -36,9 +36,7 @@ class Payload(BodyEffect):
     name = "payload"
     summary = "a body is attached to a link"
     equation = "a possible body in the joint's frame; on the far side of a sensor in that link"
-    quantities = tuple(
-        Parameter(n, u, 0.0 if n == "m" else -inf) for n, u in zip(inertia.PARAMETERS, inertia.UNITS, strict=True)
-    )
+    quantities = tuple(Parameter(n, u, 0.0 if n == "m" else -inf) for n, u in zip(inertia.PARAMETERS, inertia.UNITS, strict=True))
     confusable_with = ("inertia_error", "payload")
     columns_of = "inertia_error"  # which of the two it is, the fit decides
 

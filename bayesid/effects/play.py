@@ -126,9 +126,7 @@ class Recorded:
     inertia: Callable[[int], np.ndarray]
     fitting: Fitting
 
-    def behind(
-        self, play: Sequence[tuple[PlayEffect, Sequence[float]]], start: Mapping[int, Behind]
-    ) -> dict[int, Behind]:
+    def behind(self, play: Sequence[tuple[PlayEffect, Sequence[float]]], start: Mapping[int, Behind]) -> dict[int, Behind]:
         """How far the links of joints with play are behind their motors at the samples.
 
         Parameters

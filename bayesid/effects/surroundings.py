@@ -73,7 +73,5 @@ def joint_inertia(robot: Robot, scene: MotionSegment, links: np.ndarray) -> np.n
     rates = np.tile(np.eye(n), (len(poses) // n, 1))
     channels = torque_channels(robot)
     times = np.arange(len(poses), dtype=float)
-    torque = [
-        readings(robot, channels, MotionSegment(times, poses, 0.0 * poses, a), links, ()) for a in (rates, 0.0 * rates)
-    ]
+    torque = [readings(robot, channels, MotionSegment(times, poses, 0.0 * poses, a), links, ()) for a in (rates, 0.0 * rates)]
     return np.einsum("knn->n", (torque[0] - torque[1]).reshape(-1, n, n)) / (len(poses) // n)

@@ -51,7 +51,7 @@ def estimator(method: str | Estimator) -> Estimator:
     if isinstance(method, type):
         raise InputError(f"method {method.__name__} is a class: pass one of it, {method.__name__}(...)")
     if not isinstance(method, str):
-        lacks = [] if isinstance(getattr(method, "name", None), str) else ["a name: write name = \"my-estimator\" into its class"]
+        lacks = [] if isinstance(getattr(method, "name", None), str) else ['a name: write name = "my-estimator" into its class']
         lacks += [] if callable(getattr(method, "fit", None)) else ["fit(regression) that returns a bayesid.Estimate"]
         if lacks:
             raise InputError(f"method {type(method).__name__} is no estimator: it lacks {' and '.join(lacks)}")
@@ -105,7 +105,7 @@ def _require_estimate(method: Estimator, estimate: object, regression: Regressio
     if not isinstance(estimate, Estimate):
         raise EstimationError(
             f"method '{method.name}': fit returned a {type(estimate).__name__}, not a bayesid.Estimate; change one that another "
-            "estimator made, as in dataclasses.replace(bayesid.fit(regression, \"wls\"), solution=...)"
+            'estimator made, as in dataclasses.replace(bayesid.fit(regression, "wls"), solution=...)'
         )
     count = len(regression.column_names)
     if np.shape(estimate.solution) != (count,) or not np.isfinite(estimate.solution).all():

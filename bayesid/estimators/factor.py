@@ -78,9 +78,7 @@ def reduce_rows(blocks: Iterable[Block], transform: Callable[[Block], np.ndarray
     return Factor(r, sum(rows for _, rows in parts))
 
 
-def gram_rows(
-    blocks: Iterable[Block], transform: Callable[[Block], np.ndarray], *, row_by_row: bool = False
-) -> np.ndarray:
+def gram_rows(blocks: Iterable[Block], transform: Callable[[Block], np.ndarray], *, row_by_row: bool = False) -> np.ndarray:
     """Sum of ``X'X`` of the transformed rows (k, channels, p); where squares are wanted, cheaper than a factor.
 
     Parameters

@@ -169,9 +169,7 @@ def likelihood_weights(weights: Weights) -> str:
     return "noise" if weights.complete or weights.by_noise else "channel"
 
 
-def weighted_factor(
-    regression: Regression, weights: Weights, kind: str
-) -> tuple[Factor, dict[str, np.ndarray] | None]:
+def weighted_factor(regression: Regression, weights: Weights, kind: str) -> tuple[Factor, dict[str, np.ndarray] | None]:
     """Factor of weighted rows, and what each channel (c,) of a group of rows was weighted with; None: rows were whitened.
 
     Parameters
@@ -288,7 +286,12 @@ def completeness(weights: Weights) -> dict[str, Any]:
 
 
 def make_estimate(
-    name: str, regression: Regression, weights: Weights, factor: Factor, solution: np.ndarray, covariance: np.ndarray | None,
+    name: str,
+    regression: Regression,
+    weights: Weights,
+    factor: Factor,
+    solution: np.ndarray,
+    covariance: np.ndarray | None,
     hidden: np.ndarray,
 ) -> Estimate:
     """An estimate with what every one says of itself: residuals in units of the noise, whiteness, weak parameters.

@@ -155,7 +155,12 @@ def conflicts(check: PriorCheck | None) -> list[str]:
 
 
 def compared(
-    base: BaseParameters, evidence: Evidence, mean: np.ndarray, root: np.ndarray, rel_std: float | None = None, *,
+    base: BaseParameters,
+    evidence: Evidence,
+    mean: np.ndarray,
+    root: np.ndarray,
+    rel_std: float | None = None,
+    *,
     stated: bool = True,
 ) -> PriorCheck | None:
     """Compare an estimate of the data alone with a prior; None where there is nothing to compare.

@@ -250,9 +250,7 @@ def _agreement(efficient: Factor, plain: Factor, middle: np.ndarray, difference:
 
 def _middle(pilot: Pilot, noise: dict[str, NoiseModel], scale: np.ndarray) -> np.ndarray:
     """``X' W Sigma W X`` of rows weighted by channel (p, p)."""
-    return pilot.gram(
-        lambda b, x: noise[b.group].colour_transposed(x / scale[:, None] ** 2), row_by_row=memoryless(noise)
-    )
+    return pilot.gram(lambda b, x: noise[b.group].colour_transposed(x / scale[:, None] ** 2), row_by_row=memoryless(noise))
 
 
 def _channel_middle(pilot: Pilot, noise: dict[str, NoiseModel], scale: np.ndarray, channel: int) -> np.ndarray:

@@ -57,9 +57,7 @@ def load_checkpoint(path: Path, mark: str) -> dict[str, Any] | None:
     if content is None:
         raise InputError("is damaged or was changed", file=str(path), remedy=remedy)
     if content["mark"] != mark:
-        raise InputError(
-            "belongs to another run (data, model, draws or seed differ)", file=str(path), remedy=remedy
-        )
+        raise InputError("belongs to another run (data, model, draws or seed differ)", file=str(path), remedy=remedy)
     return content
 
 

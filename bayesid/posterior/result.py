@@ -301,9 +301,7 @@ class Posterior(Plots, HasParameters):
         """
         return figures_of(self)["marginals"](ax=ax)
 
-    def plot_predictive(
-        self, rows: str | None = None, *, channels: Sequence[str] | str | None = None, ax: Any = None
-    ) -> Figure:
+    def plot_predictive(self, rows: str | None = None, *, channels: Sequence[str] | str | None = None, ax: Any = None) -> Figure:
         """Draw rows as measured over the central 95 % of the readings that the posterior predicts, noise included.
 
         Parameters

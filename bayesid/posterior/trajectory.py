@@ -284,9 +284,7 @@ def _travel(x, velocity, mean, root, bodies, bounded, to_bernstein, nodes, most)
     return bounces
 
 
-def travel(
-    x: np.ndarray, velocity: np.ndarray, mean: np.ndarray, root: np.ndarray, bodies: int, bounded: np.ndarray
-) -> int:
+def travel(x: np.ndarray, velocity: np.ndarray, mean: np.ndarray, root: np.ndarray, bodies: int, bounded: np.ndarray) -> int:
     """Move a point of a truncated Gaussian along one exact trajectory of a quarter turn.
 
     Parameters

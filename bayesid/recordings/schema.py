@@ -229,7 +229,7 @@ def check_keys(file: ExperimentFile) -> list[str]:
         if effect not in listed and effect.partition("@")[0] not in listed:
             warnings.append(
                 f'experiment.toml: [model.values."{effect}"]: effects does not list it; add it there, unless '
-                f'{argument("effects")} is to'
+                f"{argument('effects')} is to"
             )
     return warnings
 

@@ -69,9 +69,7 @@ def candidates(highest: float) -> np.ndarray:
     return highest / RATIO ** np.arange(count)
 
 
-def choose_bandwidth(
-    rows: Callable[[float], Sequence[Block]], highest: float, at_end: bool = False
-) -> BandwidthChoice | None:
+def choose_bandwidth(rows: Callable[[float], Sequence[Block]], highest: float, at_end: bool = False) -> BandwidthChoice | None:
     """Judge bandwidths by stretches that were left out; None where there is nothing to choose or too little to judge by.
 
     Parameters

@@ -185,9 +185,7 @@ class RowModel:
         state, rank = self.state(segment, first, last), self.base.rank
         links = np.zeros(len(self.base.parameter_names))
         links[self.base.independent] = solution[:rank]
-        rigid = self.kernel.readings(
-            state.positions, state.velocities, state.accelerations, links, gravity=segment.gravity
-        )
+        rigid = self.kernel.readings(state.positions, state.velocities, state.accelerations, links, gravity=segment.gravity)
         effects = self.effect_columns(segment, state)
         return rigid + np.tensordot(effects, solution[rank:], 1)
 

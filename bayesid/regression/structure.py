@@ -89,9 +89,7 @@ def absorbed_offset(base: BaseParameters, links: np.ndarray) -> np.ndarray:
     return np.zeros(6) if base.absorbed is None else base.absorbed[:6] @ np.ravel(links)
 
 
-def _point(
-    experiment: Experiment, base: BaseParameters, effects: tuple[Effect, ...], fitted: Sequence[Segment]
-) -> Point | None:
+def _point(experiment: Experiment, base: BaseParameters, effects: tuple[Effect, ...], fitted: Sequence[Segment]) -> Point | None:
     """Where to start from, for effects that are more than columns beside the rigid ones."""
     try:
         values, free = starting_point(effects, experiment.effect_values, experiment.robot.joint_names)

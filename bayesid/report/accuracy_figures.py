@@ -193,9 +193,7 @@ def certificate_figure(certificate: Certificate, parameters: Sequence[str], ax: 
     return figure
 
 
-def _over_parameters(
-    parameters: Sequence[str], height: float, left: float, right: float, ax: Any
-) -> tuple[Figure, Axes, float]:
+def _over_parameters(parameters: Sequence[str], height: float, left: float, right: float, ax: Any) -> tuple[Figure, Axes, float]:
     """A panel over base parameters, named below it unless they are too many; its margins and the one below in inches."""
     many = len(parameters) > _NAMED
     below = 0.45 if many else 0.3 + 0.072 * max(map(len, parameters), default=0)

@@ -82,8 +82,11 @@ def _cards(result: ControllerBounds) -> list[dict[str, str]]:
     cards = [
         {"value": number(region.rho, 3), "mood": "", "text": "rho, radius of the ball (SI units)"},
         {"value": number(region.ellipsoid, 3), "mood": "", "text": "rho_V, radius of the ellipsoid"},
-        {"value": number(w.alpha, 3), "mood": "good" if w.alpha < 0.5 else "fair" if w.alpha < 1 else "bad",
-         "text": "alpha of computed torque, to be below 1"},
+        {
+            "value": number(w.alpha, 3),
+            "mood": "good" if w.alpha < 0.5 else "fair" if w.alpha < 1 else "bad",
+            "text": "alpha of computed torque, to be below 1",
+        },
     ]
     if result.trajectories:
         name, t = result.trajectories[0].name, result.trajectories[0].torque

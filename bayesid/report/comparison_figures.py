@@ -75,7 +75,9 @@ def values_side_by_side(
 
 @styled
 def proof_side_by_side(
-    estimators: Sequence[str], baselines: int, motions: Sequence[tuple[str, Sequence[str], *tuple[np.ndarray, ...]]],
+    estimators: Sequence[str],
+    baselines: int,
+    motions: Sequence[tuple[str, Sequence[str], *tuple[np.ndarray, ...]]],
     ax: Any = None,
 ) -> Figure:
     """What each estimator's prediction misses, motion by motion: in per cent of the signal and in units of the noise.

@@ -244,9 +244,7 @@ def _rivals(found: Found) -> dict[str, Any]:
     return {
         "spec": found.term.effect.spec,
         "gain": _large(found.gain),
-        "rivals": [
-            {"spec": t.effect.spec, "lack": number(lack, 2), "summary": t.effect.summary} for t, lack in found.rivals
-        ],
+        "rivals": [{"spec": t.effect.spec, "lack": number(lack, 2), "summary": t.effect.summary} for t, lack in found.rivals],
     }
 
 

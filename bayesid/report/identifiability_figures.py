@@ -45,9 +45,7 @@ def classes(reports: Sequence[SetReport], main: SetReport, ax: Any = None) -> Fi
     rows = -(-len(reports) // across_page)
     longest = max(map(len, bodies))
     height = max(_ROW * len(bodies), 0.5)
-    figure, axes = make_grid(
-        rows, across_page, height, left=0.25 + 0.075 * longest, top=0.75 + 0.2 * (rows - 1), gap=0.25, ax=ax
-    )
+    figure, axes = make_grid(rows, across_page, height, left=0.25 + 0.075 * longest, top=0.75 + 0.2 * (rows - 1), gap=0.25, ax=ax)
     if ax is None:
         figure.subplots_adjust(hspace=0.5 / height, top=1.0 - 0.75 / figure.get_figheight())
     for k, ax in enumerate(axes.ravel()):

@@ -75,9 +75,7 @@ def identification_report(result: Identification) -> str:
         links=_links(result),
         links_note=result.urdf.text(),
         links_unconstrained=result.unconstrained_urdf,
-        agreements=[
-            {**a.to_dict(), "rms": number(a.rms, 3), "probability": chance(a.probability)} for a in result.agreements
-        ],
+        agreements=[{**a.to_dict(), "rms": number(a.rms, 3), "probability": chance(a.probability)} for a in result.agreements],
         static=_both_ways(result),
         certificate=certificate_section(result.certificate, estimate.base),
         how=_how(result),
@@ -143,7 +141,8 @@ def _cards(result: Identification) -> list[dict[str, str]]:
         left = "what the fit left (sensor noise unknown)" if p.noise_source == RESIDUALS else "the sensor's noise"
         cards += [
             {
-                "value": percent(p.relative_error), "mood": mood,
+                "value": percent(p.relative_error),
+                "mood": mood,
                 "text": f"error of the signal on ‘{p.motion}’, below {BAND:.2g} Hz",
             },
             {"value": f"{number(p.whitened_rms, 3)} ×", "mood": mood, "text": f"{left}: the residual on ‘{p.motion}’"},

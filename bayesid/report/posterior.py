@@ -203,5 +203,3 @@ def _how(result: ExperimentPosterior) -> list[tuple[str, str]]:
         run_times(result.seconds),
         versions("emcee", "arviz", "numpy"),
     ]
-
-

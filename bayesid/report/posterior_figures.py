@@ -74,7 +74,10 @@ def marginals(
 
 @styled
 def predictive(
-    names: Sequence[str], replicated: np.ndarray, measured: np.ndarray, channels: Sequence[str] | str | None = None,
+    names: Sequence[str],
+    replicated: np.ndarray,
+    measured: np.ndarray,
+    channels: Sequence[str] | str | None = None,
     ax: Any = None,
 ) -> Figure:
     """Rows as they were measured, over the central 95 % of those that the posterior predicts, noise included.

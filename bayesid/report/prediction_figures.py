@@ -27,9 +27,7 @@ from bayesid.validation.prediction import BAND, Prediction, Spectrum
 
 
 @styled
-def measured_against_predicted(
-    prediction: Prediction, channels: Sequence[str] | str | None = None, ax: Any = None
-) -> Figure:
+def measured_against_predicted(prediction: Prediction, channels: Sequence[str] | str | None = None, ax: Any = None) -> Figure:
     """Each channel of one motion, measured and predicted: the paper's figure 5."""
     chosen = picked(prediction.channel_names, channels)
     count = len(chosen)

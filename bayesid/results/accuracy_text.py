@@ -37,9 +37,7 @@ def accuracy_text(
         if rows:
             parts.append(("What would buy most", ["change", "median error", "prediction", "by"], rows))
     if sweeps is not None and html:  # too long for a terminal
-        rows = [
-            [s.title if k == 0 else "", *level_cells(v, k == s.own)] for s in sweeps.sweeps for k, v in enumerate(s.levels)
-        ]
+        rows = [[s.title if k == 0 else "", *level_cells(v, k == s.own)] for s in sweeps.sweeps for k, v in enumerate(s.levels)]
         head = ["factor", "level", "median error", "95 %", "prediction", "lost"]
         parts.append((f"One factor at a time, {sweeps.runs} twins a level", head, rows))
     if susceptibility:
@@ -105,7 +103,7 @@ def size_text(s: Susceptibility) -> str:
 
 def _short(label: str) -> str:
     first = label.split(" ")
-    return label if len(label) <= 24 else " ".join(first[:2 if first[0][:1] != "I" else 1]) + " …"
+    return label if len(label) <= 24 else " ".join(first[: 2 if first[0][:1] != "I" else 1]) + " …"
 
 
 def sensor_title(sensors: SensorChoice) -> str:

@@ -17,7 +17,6 @@ from bayesid.results.text import number, percent
 Table = tuple[list[str], list[list[str]]]
 
 
-
 def headline(left: Remainder | None, fitted: Sequence[str]) -> str:
     """What the bounds hold with probability 95 % of, and what that is conditional on."""
     sets = "Sets of parameters hold with probability 95 %, given that the model is right"
@@ -95,4 +94,3 @@ def trajectories(bands: Iterable[tuple[str, Band]]) -> Table:
         for name, torque in bands
     ]  # fmt: skip
     return head, rows
-

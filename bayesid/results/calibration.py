@@ -183,4 +183,3 @@ class Calibration(Result):
             "common_gain": None if self.common_gain is None else self.common_gain.to_dict(),
             "summary": list(self.sentences), "warnings": list(self.warnings), "runtime_s": dict(self.seconds),
         }  # fmt: skip
-

@@ -114,9 +114,7 @@ class Identification(PlotsPredictions, HasEstimate, Result):
         """Whether every link of ``link_parameters`` can exist."""
         return not impossible_bodies(self.link_parameters.reshape(-1, 10), self.problem.experiment.robot.body_names)
 
-    def predict(
-        self, q: np.ndarray, v: np.ndarray, a: np.ndarray, times: np.ndarray | None = None
-    ) -> PredictedReadings:
+    def predict(self, q: np.ndarray, v: np.ndarray, a: np.ndarray, times: np.ndarray | None = None) -> PredictedReadings:
         """Readings of any motion, friction and other effects included, with their 95 % band.
 
         Parameters
@@ -226,8 +224,11 @@ class Identification(PlotsPredictions, HasEstimate, Result):
                 "bandwidth_hz": smoother.bandwidth,
                 "row_rate_hz": 1.0 / self.problem.row_model.step,
                 "reason": smoother.reason,
-                "bandwidths_tried": None if tried is None else {
-                    "bandwidth_hz": tried.bandwidths.tolist(), "error_over_first": np.sqrt(tried.error).tolist(),
+                "bandwidths_tried": None
+                if tried is None
+                else {
+                    "bandwidth_hz": tried.bandwidths.tolist(),
+                    "error_over_first": np.sqrt(tried.error).tolist(),
                 },
             },
             **self.estimate.to_dict(),

@@ -47,9 +47,7 @@ class ExperimentPosterior(PlotsPredictions, Posterior, Result):
     warnings: tuple[str, ...] = ()
     seconds: dict[str, float] = field(default_factory=dict)
 
-    def predict(
-        self, q: np.ndarray, v: np.ndarray, a: np.ndarray, times: np.ndarray | None = None
-    ) -> PredictedReadings:
+    def predict(self, q: np.ndarray, v: np.ndarray, a: np.ndarray, times: np.ndarray | None = None) -> PredictedReadings:
         """Readings of any motion by the posterior's mean, with the 95 % band of its covariance; as `Identification.predict`."""
         columns = self.columns.reshape(-1, self.columns.shape[-1])
         nothing = np.zeros(columns.shape[1], bool)

@@ -167,8 +167,15 @@ def _puma(name: str, rolls: Sequence[int], axes: Sequence[Vector]) -> str:
         mass, com, inertia = _LINKS[i]
         link = f"link{i + 1}"
         joints.append(
-            Joint(f"joint{i + 1}", links[-1].name, link, xyz, (turns * math.pi / 2, 0.0, 0.0), axis=axis,
-                  limits=(lower, upper, _VELOCITY[i], _EFFORT[i]))
+            Joint(
+                f"joint{i + 1}",
+                links[-1].name,
+                link,
+                xyz,
+                (turns * math.pi / 2, 0.0, 0.0),
+                axis=axis,
+                limits=(lower, upper, _VELOCITY[i], _EFFORT[i]),
+            )
         )
         links.append(Link(link, mass, _about_x(-roll, com), inertia, (-roll * math.pi / 2, 0.0, 0.0)))
         parent_roll = roll
@@ -195,13 +202,34 @@ PAPER_LOCKED = {"joint3": math.radians(-142.1), "joint4": 0.0, "joint5": 0.0, "j
 217.9 degrees, which is within the joint's range."""
 
 PAPER_LABELS = (
-    "m1 r1x", "m1 r1z + d2 m2 + m2 r2z", "(a2 + r2x) m2", "m2 r2y", "I1xy",
-    "I1yy + m2 d2^2 + 2 d2 m2 r2z + I2xx", "I1yz", "I2xy", "I2xz", "I2yy - I2xx", "I2yz", "I2zz",
+    "m1 r1x",
+    "m1 r1z + d2 m2 + m2 r2z",
+    "(a2 + r2x) m2",
+    "m2 r2y",
+    "I1xy",
+    "I1yy + m2 d2^2 + 2 d2 m2 r2z + I2xx",
+    "I1yz",
+    "I2xy",
+    "I2xz",
+    "I2yy - I2xx",
+    "I2yz",
+    "I2zz",
 )
 """The paper's twelve base parameters, in its order."""
 
 PAPER_ESTIMATE = (
-    0.1125, -4.2455, 2.2202, -0.1834, -0.2278, 1.2489, 0.1338, 0.1213, -0.1247, 0.8596, -0.0086, 0.9867,
+    0.1125,
+    -4.2455,
+    2.2202,
+    -0.1834,
+    -0.2278,
+    1.2489,
+    0.1338,
+    0.1213,
+    -0.1247,
+    0.8596,
+    -0.0086,
+    0.9867,
 )
 """What the paper identified on its PUMA 550, a different arm [kg m, kg m^2]: for orders of magnitude only."""
 

@@ -45,9 +45,7 @@ class JointDynamics:
         }  # fmt: skip
 
 
-def write_urdf(
-    robot: Robot, parameters: np.ndarray, path: Path, dynamics: JointDynamics | None = None
-) -> None:
+def write_urdf(robot: Robot, parameters: np.ndarray, path: Path, dynamics: JointDynamics | None = None) -> None:
     """Write the robot's URDF with other link parameters, as `urdf_text` makes it."""
     path.write_text(urdf_text(robot, parameters, dynamics), encoding="utf-8")
 

@@ -269,9 +269,7 @@ def _doubts(bodies: dict[str, np.ndarray], root: str, source: str) -> list[str]:
     empty = [name for name, body in moved.items() if body[0] == 0.0 and body.any()]
     if empty:
         out.append(f"{source}: mass 0 but an inertia: {_listed(empty)}; write the mass, or remove <inertial>")
-    impossible = [
-        name for name, body in moved.items() if body[0] > 0.0 and not inertia.is_physically_consistent(body).all()
-    ]
+    impossible = [name for name, body in moved.items() if body[0] > 0.0 and not inertia.is_physically_consistent(body).all()]
     if impossible:
         out.append(
             f"{source}: no body can have the mass, centre and inertia of {_listed(impossible)}; "

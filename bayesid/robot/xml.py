@@ -59,9 +59,7 @@ def read_xml(path: Path, source: str) -> ET.Element:
         builder.end(_qualified(tag))
 
     def doctype(*_: object) -> None:
-        raise InputError(
-            f"line {parser.CurrentLineNumber}: <!DOCTYPE is not read", file=source, remedy="remove it, entities too"
-        )
+        raise InputError(f"line {parser.CurrentLineNumber}: <!DOCTYPE is not read", file=source, remedy="remove it, entities too")
 
     parser.StartElementHandler, parser.EndElementHandler = start, end
     parser.CharacterDataHandler = builder.data

@@ -10,9 +10,7 @@ import numpy as np
 _jit = numba.njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz", "reassoc"})
 
 
-def fit(
-    series: Sequence[np.ndarray], order: int, taken: Sequence[np.ndarray] = ()
-) -> tuple[np.ndarray, np.ndarray]:
+def fit(series: Sequence[np.ndarray], order: int, taken: Sequence[np.ndarray] = ()) -> tuple[np.ndarray, np.ndarray]:
     """Whitening polynomials of orders 0 ... order and their innovation variances, channel by channel.
 
     Burg's recursion over all recordings. Where ``taken`` is given, its mean autocovariance is added to that of Burg's highest

@@ -68,9 +68,7 @@ def complete_effects(
     return out
 
 
-def _parse(
-    spec: str, robot: Robot, library: EffectLibrary, gear_ratio: Mapping[str, float] | None = None
-) -> tuple[Effect, ...]:
+def _parse(spec: str, robot: Robot, library: EffectLibrary, gear_ratio: Mapping[str, float] | None = None) -> tuple[Effect, ...]:
     library.named(spec.partition("@")[0], spec, "'{}' cannot be simulated")
     channels = (*WRENCH_NAMES, *(f"tau{i + 1}" for i in range(robot.n)))
     return library.parse([spec], robot.joint_names, channels, gear_ratio)
@@ -150,8 +148,13 @@ def plant_readings(
             b = int(np.searchsorted(times, times[last - 1] + margin, side="right"))
         part = slice(a, b)
         piece = MotionSegment(
-            times[part], segment.positions[part], segment.velocities[part], segment.accelerations[part], segment.still,
-            _BANDWIDTH, middle,
+            times[part],
+            segment.positions[part],
+            segment.velocities[part],
+            segment.accelerations[part],
+            segment.still,
+            _BANDWIDTH,
+            middle,
         )
         with np.errstate(all="ignore"):  # what is not finite is told below
             out[first:last] = readings(robot, channels, piece, links, terms)[first - a : last - a]

@@ -222,5 +222,3 @@ def _sentences(
         f"{number(_USUAL, 1)} kg would tell it to ± {percent(share, 2)}.",
         "A gain that all moment axes share, and another origin of the sensor, cannot be told from another centre of mass.",
     ]
-
-

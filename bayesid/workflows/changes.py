@@ -34,9 +34,7 @@ def changes(
         progress("reading")
         after, before = as_experiment(after), as_experiment(before)
         progress("what changed since the reference")
-        found = compare_with_reference(
-            before, after, channel, effects=effects, motions=motions, seed=seed, settings=settings
-        )
+        found = compare_with_reference(before, after, channel, effects=effects, motions=motions, seed=seed, settings=settings)
     return Changes(found, time.perf_counter() - since)
 
 

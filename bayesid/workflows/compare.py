@@ -241,14 +241,17 @@ def _warnings(
         beaten = {
             what: ", ".join(e.name for e in done if error(e.validation[k]) >= error(yardstick))
             for what, error in (
-                ("in units of the noise", lambda q: q.whitened_rms), ("in per cent of the signal", lambda q: q.relative_error)
+                ("in units of the noise", lambda q: q.whitened_rms),
+                ("in per cent of the signal", lambda q: q.relative_error),
             )
         }
         model = "nominal model with its effects fitted" if len(baselines) > 1 else "nominal model"
         for names in dict.fromkeys(n for n in beaten.values() if n):
             where = " and ".join(what for what, those in beaten.items() if those == names)
-            out.append(f"On '{p.motion}' the {model} predicts as well as or better than {names}, {where}: "
-                       "keep the nominal parameters for such motions, or fit motions like it, too.")
+            out.append(
+                f"On '{p.motion}' the {model} predicts as well as or better than {names}, {where}: "
+                "keep the nominal parameters for such motions, or fit motions like it, too."
+            )
     if problem is not None and not done[0].validation:
         out.append(
             "No validation motion: the errors are those of fitted motions and say little about others. "

@@ -237,8 +237,14 @@ def _prior(regression: Regression, prior: str | Prior | None, std: float | None)
 
 
 def _with_predictions(
-    model: PosteriorModel, result: Chains, seed: int, check: PriorCheck | None, regression: Regression, problem: Problem | None,
-    trust: float | None, clock: Clock,
+    model: PosteriorModel,
+    result: Chains,
+    seed: int,
+    check: PriorCheck | None,
+    regression: Regression,
+    problem: Problem | None,
+    trust: float | None,
+    clock: Clock,
 ) -> Posterior:
     posterior = Posterior(model, result, seed, prior_check=check)
     if problem is None:
@@ -299,8 +305,10 @@ def as_estimate(posterior: Posterior, regression: Regression) -> Estimate:
 def _warnings(posterior: Posterior, problem: Problem, validation: Sequence[Prediction]) -> tuple[str, ...]:
     out = conflicts(posterior.prior_check)
     if not posterior.diagnosis.passed:
-        out.append(f"The chains did not converge: {posterior.diagnosis.complaint()}. Do not use these draws as a posterior; "
-                   f"draw longer, such as {argument('longest', 64)}, or take {argument('engine', 'hmc')}.")
+        out.append(
+            f"The chains did not converge: {posterior.diagnosis.complaint()}. Do not use these draws as a posterior; "
+            f"draw longer, such as {argument('longest', 64)}, or take {argument('engine', 'hmc')}."
+        )
     out += [*unpredicted(validation), *repeated_motions(validation)]
     if not validation:
         out.append(

@@ -76,7 +76,12 @@ def _read(file: Path) -> dict[str, Any]:
 
 
 def _known(
-    experiment: Experiment, file: Path, document: dict[str, Any], options: FitOptions, prior_std: float | None, count: int,
+    experiment: Experiment,
+    file: Path,
+    document: dict[str, Any],
+    options: FitOptions,
+    prior_std: float | None,
+    count: int,
     seed: int,
 ) -> tuple[Known, tuple[str, ...]]:
     if document["experiment"] != experiment.name:
@@ -132,9 +137,7 @@ def _problem(experiment: Experiment, document: dict[str, Any], options: FitOptio
     )  # fmt: skip
 
 
-def _posterior(
-    problem: Problem, file: Path, document: dict[str, Any], prior_std: float | None, count: int, seed: int
-) -> Known:
+def _posterior(problem: Problem, file: Path, document: dict[str, Any], prior_std: float | None, count: int, seed: int) -> Known:
     path = file.parent / "posterior.nc"
     if not path.is_file():
         raise InputError(f"{path}: no such file, and the draws are in it; sample again")

@@ -24,9 +24,7 @@ def repeated_motions(predictions: Sequence[Prediction]) -> list[str]:
     own, other = (quoted(dict.fromkeys(names)) for names in ((p.motion for p in again), (str(p.repeats) for p in again)))
     if len(again) == 1:
         return [f"Motion {own} repeats the fitted motion {other}: its error says little about others; validate on another."]
-    return [
-        f"Motions {own} repeat motions that are fitted ({other}): their errors say little about others; validate on another."
-    ]
+    return [f"Motions {own} repeat motions that are fitted ({other}): their errors say little about others; validate on another."]
 
 
 def unpredicted(predictions: Sequence[Prediction]) -> list[str]:

@@ -87,7 +87,10 @@ def true_torques(model: pin.Model, q: np.ndarray, v: np.ndarray, a: np.ndarray) 
 
 
 def follow(
-    model: pin.Model, command: Callable[..., np.ndarray], desired: Callable[[float], tuple[np.ndarray, ...]], time: float,
+    model: pin.Model,
+    command: Callable[..., np.ndarray],
+    desired: Callable[[float], tuple[np.ndarray, ...]],
+    time: float,
     step: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Times (N,), errors of the joints (N, 7) and torques (N, 7) under control, from rest on the path (Runge-Kutta).

@@ -188,9 +188,7 @@ def run(urdf: Path, table: Path, kind: str, cutoff: float, solver: str) -> dict[
         task.process_data()
         ends = round(TRIM / float(np.median(np.diff(times))))
         inner = slice(ends, len(times) - ends)
-        motion = {
-            name: task.processed_data[name][inner] for name in ("positions", "velocities", "accelerations")
-        }
+        motion = {name: task.processed_data[name][inner] for name in ("positions", "velocities", "accelerations")}
     with watch.stage("regressor"):
         builder = RegressorBuilder(
             robot,

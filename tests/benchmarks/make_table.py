@@ -43,9 +43,7 @@ def one_period(model: pin.Model, rng: np.random.Generator) -> tuple[Floats, Floa
     v = (c * rates) @ sine - (s * rates) @ cosine
     a = -(s * rates**2) @ sine - (c * rates**2) @ cosine
     centre = (q.max(axis=0) + q.min(axis=0)) / 2
-    scale = np.minimum(
-        SWING / np.ptp(q, axis=0) * 2, VELOCITY_SHARE * model.velocityLimit / np.abs(v).max(axis=0)
-    )
+    scale = np.minimum(SWING / np.ptp(q, axis=0) * 2, VELOCITY_SHARE * model.velocityLimit / np.abs(v).max(axis=0))
     return (q - centre) * scale, v * scale, a * scale
 
 

@@ -64,9 +64,7 @@ def main() -> None:
     with np.load(options.table) as arrays:
         times, positions = arrays["t"], arrays["q"]
     for kind in ["wrench", "torque"] if options.kind == "both" else [options.kind]:
-        seconds = [
-            time_loop(options.urdf, times, positions, wrench=kind == "wrench") for _ in range(options.repeats)
-        ]
+        seconds = [time_loop(options.urdf, times, positions, wrench=kind == "wrench") for _ in range(options.repeats)]
         report = {
             "tool": "pinocchio " + pin.__version__,
             "kind": kind,

@@ -1,6 +1,5 @@
 """Standard deviations expected before any reading, against Monte-Carlo, fits, and dense algebra."""
 
-
 import numpy as np
 import pytest
 

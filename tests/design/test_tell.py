@@ -240,7 +240,7 @@ def test_effects_by_name_at_usual_sizes(robot):
         (["base_tilt"], "at least two different effects"),
         (["base_tilt", "base_tilt@base"], "at least two different effects"),
         (["base_tilt", "tether"], "could be at 2 places; name one, as in tether@joint1"),
-        (["base_tilt", "coulomb_friction@joint1"], "acts on no reading of channel=\"wrench\""),
+        (["base_tilt", "coulomb_friction@joint1"], 'acts on no reading of channel="wrench"'),
         (["base_tilt", "tether@joint9"], "joint9"),
     ],
 )

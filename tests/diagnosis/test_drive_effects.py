@@ -41,7 +41,8 @@ def bench(tmp_path_factory):
         pytest.param("warming_friction@joint2", {"coefficient": 0.1, "time": 120.0}, marks=pytest.mark.slow),
         pytest.param("torque_delay@robot", {}, marks=pytest.mark.slow),
         pytest.param(
-            "backlash@joint2", {"firm": 0.9},
+            "backlash@joint2",
+            {"firm": 0.9},
             marks=[pytest.mark.slow, pytest.mark.xfail(reason="a crossing of the play is sought at a wrong time: see limits.md")],
         ),
         pytest.param("torque_gain@joint2", {}, marks=pytest.mark.slow),

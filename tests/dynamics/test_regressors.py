@@ -161,7 +161,7 @@ def test_momentum_form_is_the_dynamics_form(path, sensor, gravity):
 
     for channels in channels_of(robot):
         # Central difference of fourth order; its error is near 1e-9.
-        rate = (8 * (momentum(channels, h) - momentum(channels, -h)) - momentum(channels, 2 * h) + momentum(channels, -2 * h))
+        rate = 8 * (momentum(channels, h) - momentum(channels, -h)) - momentum(channels, 2 * h) + momentum(channels, -2 * h)
         _, rest = momentum_regressors(robot, channels, q, v, gravity=gravity)
         assert_equal(rate / (12 * h) - rest, dynamics_regressor(robot, channels, q, v, a, gravity=gravity), 1e-7)
 

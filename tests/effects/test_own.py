@@ -53,8 +53,8 @@ def test_a_file_adds_to_one_library_only(tmp_path):
         (GOOD.replace("typical=2.0", "start=2.0, upper=1.0"), "k starts at 2, outside -inf ... 1"),
         (GOOD.replace('Parameter("k", "N m/rad^3", typical=2.0),', ""), "at least one Parameter"),
         (GOOD.replace('"k"', '"fixed"'), "not 'fixed'"),
-        (GOOD.replace('name =', 'at = "elbow"\n    name ='), "at = 'elbow'; write one of sensor"),
-        (GOOD.replace('name =', 'channels = ("force",)\n    name ='), "channels = ('force',)"),
+        (GOOD.replace("name =", 'at = "elbow"\n    name ='), "at = 'elbow'; write one of sensor"),
+        (GOOD.replace("name =", 'channels = ("force",)\n    name ='), "channels = ('force',)"),
     ],
 )
 def test_what_cannot_be_is_refused_in_one_line(tmp_path, text, message):

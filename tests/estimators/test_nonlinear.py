@@ -97,8 +97,13 @@ def test_fixed_values_are_kept(setup, motions):
 def test_every_effect_can_be_simulated_and_modelled(setup, motions, name):
     """One place of each: the recording differs from that without it, and a model with the true values explains it."""
     kind = EffectLibrary().classes[name]
-    where = {"joint": "@joint2", "joint|robot": "@joint2", "axis": "@fy", "axis->axis": "@mx->fz",
-             "joint->joint": "@joint1->joint2"}.get(kind.at, "")
+    where = {
+        "joint": "@joint2",
+        "joint|robot": "@joint2",
+        "axis": "@fy",
+        "axis->axis": "@mx->fz",
+        "joint->joint": "@joint1->joint2",
+    }.get(kind.at, "")
     spec = name + where
     plant = complete_effects(setup.robot, [spec], {})
     quiet = bayesid.Recorder(resolution=0.0, force_std=1e-3, torque_std=1e-4, drive_std=1e-5)

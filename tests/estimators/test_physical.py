@@ -301,6 +301,7 @@ def test_closest_body_fits_as_well_as_the_data_demand(tmp_path):
     assert near.details.misfit == pytest.approx(limit, rel=1e-5)  # as far as it may go
     assert near.interval == "none" and near.interval_reason
     metric = Prior.nominal(made.robot.nominal, 1.0).precision
+
     def distance(links):
         return (links - made.robot.nominal.ravel()) @ metric @ (links - made.robot.nominal.ravel())
 

@@ -89,9 +89,7 @@ def test_intervals_follow_what_is_stated_in_every_estimator(method):
     target = matrix @ body + 0.01 * STD * rng.normal(size=(SAMPLES, CHANNELS))
     errors = 1e-9 * rng.normal(size=(10, *matrix.shape))
     options = dict(bodies=[range(10)], instruments=matrix, regressor_noise=errors)
-    one, two = (
-        bayesid.Regression.from_arrays(matrix, target, noise_std=k * 0.01 * STD, **options) for k in (1.0, 2.0)
-    )
+    one, two = (bayesid.Regression.from_arrays(matrix, target, noise_std=k * 0.01 * STD, **options) for k in (1.0, 2.0))
     first = bayesid.fit(one, method)
     with pytest.warns(bayesid.BayesidWarning, match="intervals are too long; correct noise_std"):
         second = bayesid.fit(two, method)
@@ -104,9 +102,7 @@ def test_robust_estimators_count_outliers_in_that_noise(method):
     matrix, target = arrays()
     spoiled = target.copy()
     spoiled[100:110] += 200.0 * STD
-    clean, dirty = (
-        bayesid.fit(bayesid.Regression.from_arrays(matrix, y, noise_std=STD), method) for y in (target, spoiled)
-    )
+    clean, dirty = (bayesid.fit(bayesid.Regression.from_arrays(matrix, y, noise_std=STD), method) for y in (target, spoiled))
     with pytest.warns(bayesid.BayesidWarning, match="complete the model"):
         plain = bayesid.fit(bayesid.Regression.from_arrays(matrix, spoiled, noise_std=STD), "wls")
     moved, carried = (np.abs(e.values - clean.values).max() / clean.std.max() for e in (dirty, plain))

@@ -235,6 +235,7 @@ def drawn(figure):
 
 def test_identified_urdf_is_the_same_robot_whichever_verb_writes_it(results, loaded, arm, tmp_path):
     """Of the estimate, of bounds around it, and of bounds by its files; of the posterior, and of bounds around that."""
+
     def written(result, name):
         return (result.write(tmp_path / name).parent / "identified.urdf").read_text(encoding="utf-8")
 

@@ -13,8 +13,14 @@ from tests.robots import ROBOTS, write
 
 # Moving joints, total mass without the root [kg].
 EXPECTED = {
-    "puma560": (6, 36.5), "ur5": (6, 17.0), "ur10": (6, 28.7), "panda": (7, 16.8), "lwr4": (7, 14.4),
-    "prismatic_arm": (4, 18.2), "tree": (6, 23.7), "wrist_sensor_arm": (6, 18.7),
+    "puma560": (6, 36.5),
+    "ur5": (6, 17.0),
+    "ur10": (6, 28.7),
+    "panda": (7, 16.8),
+    "lwr4": (7, 14.4),
+    "prismatic_arm": (4, 18.2),
+    "tree": (6, 23.7),
+    "wrist_sensor_arm": (6, 18.7),
 }
 
 
@@ -29,8 +35,7 @@ def two_joint_model(floating: bool) -> pin.Model:
 
 
 def link_parameters(model: pin.Model) -> np.ndarray:
-    return np.concatenate([np.asarray(model.inertias[model.getJointId(n)].toDynamicParameters())
-                           for n in ("joint1", "joint2")])
+    return np.concatenate([np.asarray(model.inertias[model.getJointId(n)].toDynamicParameters()) for n in ("joint1", "joint2")])
 
 
 def base_wrench_matrix(gravity: bool, samples: int = 60) -> np.ndarray:

@@ -171,8 +171,13 @@ def estimate(case: Case, motion: Motion, method: str, bandwidth: float) -> Estim
     experiment = replace(case.experiment, motions=(replace(motion, role="identification"),))
     if method == "sample":
         posterior = bayesid.sample(
-            experiment, draws=1000, prior="flat", effects=case.effects, bandwidth=bandwidth, keep_going=True,
-            sampler=bayesid.Sampler(longest=8)
+            experiment,
+            draws=1000,
+            prior="flat",
+            effects=case.effects,
+            bandwidth=bandwidth,
+            keep_going=True,
+            sampler=bayesid.Sampler(longest=8),
         )
         return as_estimate(posterior, prepare(experiment, FitOptions(effects=case.effects, bandwidth=bandwidth)).regression)
     return estimators.fit(prepare(experiment, FitOptions(effects=case.effects, bandwidth=bandwidth)).regression, method)

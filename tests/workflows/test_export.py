@@ -188,7 +188,7 @@ def test_names_are_no_code(identified):
     exec(numpy_module(found, model), scope)
     assert scope["JOINT_NAMES"][0] == 'a"b'
     header = cpp_header(found, model)
-    assert header.splitlines()[0].startswith("// Joint torques of x \'\'\'\', identified") and '{"a\\"b", ' in header
+    assert header.splitlines()[0].startswith("// Joint torques of x '''', identified") and '{"a\\"b", ' in header
 
 
 def test_two_robots_stand_in_one_program(identified, curved, tmp_path):
@@ -314,8 +314,9 @@ def test_mjcf_has_the_mass_matrix_of_the_links_and_the_torques_of_the_estimate(i
         expected = pin.rnea(other, data, q, v, a) + damping * v + armature * a
         np.testing.assert_allclose(own.qfrc_inverse + own.qfrc_constraint, expected, atol=1e-8)
     assert {name.split("@")[0] for name in made.left_out["mjcf"]} == {"torque_offset"}
-    assert f"<!-- torque_offset@joint2.offset = {made.left_out['mjcf']['torque_offset@joint2.offset'][0]:.6g} N m -->" in (
-        made["identified.xml"]
+    assert (
+        f"<!-- torque_offset@joint2.offset = {made.left_out['mjcf']['torque_offset@joint2.offset'][0]:.6g} N m -->"
+        in (made["identified.xml"])
     )
     assert {name.split("@")[0] for name in made.left_out["urdf"]} == {"torque_offset", "rotor_inertia"}
 

@@ -109,8 +109,13 @@ class Bench:
 
 
 def make_bench(
-    experiment: Experiment, method: Estimator, options: FitOptions, problem: Problem | None = None,
-    estimate: Estimate | None = None, *, nominal: bool = False,
+    experiment: Experiment,
+    method: Estimator,
+    options: FitOptions,
+    problem: Problem | None = None,
+    estimate: Estimate | None = None,
+    *,
+    nominal: bool = False,
 ) -> Bench:
     """Fit an experiment, unless that is done already, and take what was found for the truth.
 

@@ -115,7 +115,9 @@ def _encoder(bench: Bench) -> Factor:
     what = f"counts of {count:.2g}" if count else f"random errors of {max(bench.position_std):.2g}"
     trials = tuple(
         Trial(
-            f"× {k:g}" + (f" ({count * k:.2g})" if count and k else ""), k, replace(own, encoder=k),
+            f"× {k:g}" + (f" ({count * k:.2g})" if count and k else ""),
+            k,
+            replace(own, encoder=k),
             improvement="encoders four times as fine" if k == 0.25 else "",
         )
         for k in (0.0, 0.25, 4.0, 16.0)
@@ -144,7 +146,10 @@ def _length(bench: Bench) -> Factor:
     shorter = [Trial(f"first {whole * k:.3g} s", k, replace(own, length=k)) for k in (0.25, 0.5)]
     longer = [
         Trial(
-            f"repeated {k:g} times", k, None, (1.0, k**-0.5),
+            f"repeated {k:g} times",
+            k,
+            None,
+            (1.0, k**-0.5),
             _if_complete(bench, "the motion twice") if k == 2.0 else "",
         )
         for k in (2.0, 4.0)
@@ -160,7 +165,9 @@ def _filter(bench: Bench) -> Factor:
     own, used = own_setting(bench), bench.options.low_pass
     trials = tuple(
         Trial(
-            text := _filter_text(tried), None, replace(own, options=replace(own.options, low_pass=tried)),
+            text := _filter_text(tried),
+            None,
+            replace(own, options=replace(own.options, low_pass=tried)),
             improvement=f"filter: {text}",
         )
         for tried in (None, *FILTERS)
@@ -174,7 +181,9 @@ def _bandwidth(bench: Bench) -> Factor:
     how = "" if bench.options.bandwidth is not None else " (automatic)"
     trials = tuple(
         Trial(
-            f"{found * k:.3g} Hz", k, replace(own, options=replace(own.options, bandwidth=found * k)),
+            f"{found * k:.3g} Hz",
+            k,
+            replace(own, options=replace(own.options, bandwidth=found * k)),
             improvement=f"bandwidth {found * k:.3g} Hz",
         )
         for k in (0.5, 0.71, 1.4, 2.0)

@@ -93,8 +93,14 @@ class Band:
 
 
 def band(
-    model: ReadingModel, q: np.ndarray, v: np.ndarray, a: np.ndarray, times: np.ndarray | None = None,
-    trained: np.ndarray | None = None, left: Remainder | None = None, seed: int = 0,
+    model: ReadingModel,
+    q: np.ndarray,
+    v: np.ndarray,
+    a: np.ndarray,
+    times: np.ndarray | None = None,
+    trained: np.ndarray | None = None,
+    left: Remainder | None = None,
+    seed: int = 0,
 ) -> Band:
     """Readings of a trajectory with their bands.
 

@@ -141,9 +141,7 @@ class Region:
 
     def table(self) -> Parameters:
         """The parameters with the ends of the box, each of the class in ``determined_by``."""
-        return Parameters(
-            self.names, self.labels, self.values, self.std, self.low, self.high, self.units, self.determined_by
-        )
+        return Parameters(self.names, self.labels, self.values, self.std, self.low, self.high, self.units, self.determined_by)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, as in ``bounds.json``."""
@@ -156,7 +154,11 @@ class Region:
 
 
 def region_of_draws(
-    names: Sequence[str], labels: Sequence[str], units: Sequence[str], draws: np.ndarray, prior_driven: np.ndarray,
+    names: Sequence[str],
+    labels: Sequence[str],
+    units: Sequence[str],
+    draws: np.ndarray,
+    prior_driven: np.ndarray,
     centre: np.ndarray | None = None,
 ) -> Region:
     """The sets of draws (n, k) about their mean, or about another centre (k,), whose covariance is the mean square."""
@@ -177,8 +179,13 @@ def region_of_draws(
 
 
 def region_of_normal(
-    names: Sequence[str], labels: Sequence[str], units: Sequence[str], values: np.ndarray, covariance: np.ndarray,
-    undetermined: np.ndarray, seed: int = 0,
+    names: Sequence[str],
+    labels: Sequence[str],
+    units: Sequence[str],
+    values: np.ndarray,
+    covariance: np.ndarray,
+    undetermined: np.ndarray,
+    seed: int = 0,
 ) -> Region:
     """The sets of a normal law; of ``undetermined`` parameters (k,) alone it says nothing."""
     away = normal_deviations(covariance, NORMAL_DRAWS, seed)
@@ -190,4 +197,3 @@ def region_of_normal(
         ellipsoid=float(np.sqrt(chi2.ppf(LEVEL, max(count, 1)))), rho=quantile(np.linalg.norm(away, axis=1), LEVEL),
         draws=None, prior_driven=np.zeros(len(values), bool), undetermined=undetermined | (std <= 0.0),
     )  # fmt: skip
-

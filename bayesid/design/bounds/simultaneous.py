@@ -90,4 +90,3 @@ def normal_deviations(covariance: np.ndarray, count: int, seed: int) -> np.ndarr
     """Draws of N(0, V), (count, k)."""
     root = root_of(covariance)
     return np.random.default_rng([seed, 11]).normal(size=(count, root.shape[1])) @ root.T
-

@@ -161,8 +161,12 @@ class Terms:
 
 
 def workspace_bounds(
-    model: ReadingModel, draws: int = DRAWS, configurations: int = CONFIGURATIONS, seed: int = 0,
-    possible: np.ndarray | None = None, progress: Callable[[str], None] = lambda _: None,
+    model: ReadingModel,
+    draws: int = DRAWS,
+    configurations: int = CONFIGURATIONS,
+    seed: int = 0,
+    possible: np.ndarray | None = None,
+    progress: Callable[[str], None] = lambda _: None,
 ) -> Workspace:
     """Bounds of the joint torques' model over the workspace.
 

@@ -82,7 +82,6 @@ class Task:
         """Scaled information matrix (r, r)."""
         return self.information.matrix(series.at(self.coordinates.times), self.recorded, self.step)
 
-
     def quantity_stds(self, series: FourierSeries) -> tuple[float, ...]:
         """Expected standard deviations of the quantities."""
         motion = series.at(self.coordinates.times)

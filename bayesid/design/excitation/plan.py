@@ -283,7 +283,8 @@ def _explain(task: Task, seed: int) -> None:
                 f"no pose keeps the {load.kind} within its limit: {load.channels.names[c]} reads at least "
                 f"{worst[:, c].min() * load.most[c]:.4g} at rest and may read {load.most[c]:.4g}; raise "
                 + (
-                    f"{argument('sensor_range')} or {argument('sensor_share')}" if load.kind == "wrench"
+                    f"{argument('sensor_range')} or {argument('sensor_share')}"
+                    if load.kind == "wrench"
                     else f"{argument('torque_share')} or the URDF's effort limit"
                 )
             )

@@ -168,9 +168,7 @@ def from_reference(comparison: Comparison, joint: int) -> tuple[BodyKnowledge, f
     return BodyKnowledge(fitted.part(own)[columns], covariance, np.eye(10)[:, open_]), evidence
 
 
-def in_frame(
-    known: BodyKnowledge, experiment: Experiment, body: int, frame: str | None
-) -> tuple[BodyKnowledge, str]:
+def in_frame(known: BodyKnowledge, experiment: Experiment, body: int, frame: str | None) -> tuple[BodyKnowledge, str]:
     """The same in the frame of a URDF link that is fixed to the body, and that link's name.
 
     Parameters
@@ -226,4 +224,3 @@ def degrees_of_freedom(problem: Problem, estimate: Estimate) -> float:
         return inf
     channels = len(problem.row_model.channels.names)
     return max((estimate.rows - len(estimate.solution)) / channels, 1.0)
-

@@ -177,5 +177,3 @@ def _differs(one: Robot, other: Robot) -> str | None:
         if unlike or np.max(np.abs(np.subtract(a, b, dtype=float)), initial=0.0) > _SAME:
             return words
     return None
-
-

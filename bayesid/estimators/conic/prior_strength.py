@@ -149,7 +149,6 @@ def link_prior(
     # Exactly known links leave nothing to estimate: whoever asks for an estimate does not take them for exact.
     found = stated is None or stated == 0
 
-
     def checked(std: float) -> tuple[np.ndarray, PriorCheck | None]:
         root = _scaled_root(mean, data.bodies, metric, std)
         return root, compared(regression.base, evidence, mean, root, std, stated=not found)

@@ -120,8 +120,14 @@ class Fitted:
 
 
 def reasons(
-    regression: Regression, share: float, direction: np.ndarray, scale: float, robust: Fitted, plain: Fitted,
-    values: np.ndarray, least_squares: np.ndarray,
+    regression: Regression,
+    share: float,
+    direction: np.ndarray,
+    scale: float,
+    robust: Fitted,
+    plain: Fitted,
+    values: np.ndarray,
+    least_squares: np.ndarray,
 ) -> tuple[str, ...]:
     """Why the fit cannot be right, in words; empty where nothing says so.
 

@@ -240,9 +240,7 @@ def _without_filters(regression: Regression) -> Regression:
             yield replace(block, rows=rows, times=block.times[len(block.times) - len(rows) :])
 
     rows = regression.rows
-    source = replace(
-        rows.source, blocks=lambda: undone(rows.blocks()), pilot=lambda: undone(rows.pilot()), known_poles=None
-    )
+    source = replace(rows.source, blocks=lambda: undone(rows.blocks()), pilot=lambda: undone(rows.pilot()), known_poles=None)
     std = regression.noise_std  # of what went into the filters
     if std is not None:
         std = np.sqrt(np.diag(NoiseModel.stated(std, poles).innovation))

@@ -413,7 +413,7 @@ def test_what_is_wrong_with_a_mapping_in_experiment_toml_is_said_in_one_line(fol
         ("shoulder = 11.5", "shouldr = 11.5", 'experiment.toml: units.scale: "shouldr" is neither a column nor a joint'),
         ('t = "Zeit"', "t = 3", "[columns] t: 3 will not do; write a column's name"),
         ("[columns]", "[colums]", "experiment.toml: colums: unknown key"),
-        ("tau = \"A\"", "tau = \"N m\"", ""),
+        ('tau = "A"', 'tau = "N m"', ""),
         ("log.csv", "lag.csv", "lag.csv: no such file"),
     ):
         (folder / "experiment.toml").write_text(toml.replace(old, new), encoding="utf-8")
