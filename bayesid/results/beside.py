@@ -65,7 +65,7 @@ def _value(name: str, value: float, std: float, unit: str) -> str:
 def cells(q: Quantity) -> tuple[str, str]:
     """Value and interval of a quantity as a table has them: ``± half`` where it is even, both ends otherwise, a dash without."""
     if not q.shown:
-        return DASH, ends(q.low, q.high) if np.isfinite([q.low, q.high]).all() else DASH
+        return DASH, ends(q.low, q.high) if np.isfinite([q.low, q.high]).all() and q.low < q.high else DASH
     half = 0.5 * (q.high - q.low)
     if abs(q.low + half - q.value) < _SKEW * half:  # a ratio's interval is hardly ever quite even
         value, text = with_half(q.value, half)
