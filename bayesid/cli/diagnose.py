@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 import bayesid
-from bayesid.cli.options import EFFECTS_FROM, EXPERIMENT, MODEL, OUT, OUTPUTS, SEED, load, names, output_folder, show_progress
+from bayesid.cli.options import EXPERIMENT, OUTPUTS, diagnosis_options, load, output_folder, show_progress
 from bayesid.results.files import check_output
 
 
@@ -15,12 +15,7 @@ from bayesid.results.files import check_output
 @EXPERIMENT
 @click.option("--reference", type=click.Path(path_type=Path), help="The robot in its known state: a folder; names what changed.")
 @click.option("--channel", type=click.Choice(["wrench", "torque", "both"]), help="Which readings to compare.")
-@click.option("--motions", callback=names, help="Motions to fit, separated by commas.")
-@click.option("--effects", callback=names, help="Effects that the model already has, separated by commas.")
-@MODEL
-@EFFECTS_FROM
-@OUT
-@SEED
+@diagnosis_options
 def diagnose(experiment, reference, channel, motions, effects, model, effects_from, out, seed) -> None:
     """Where model and data disagree, which effect is missing, and validation on motions that were not fitted."""
     check_output(out or OUTPUTS, "diagnose")

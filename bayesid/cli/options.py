@@ -59,14 +59,26 @@ def names(_context, _parameter, value: str | None) -> list[str] | None:
     return None if value is None else [part.strip() for part in value.split(",") if part.strip()]
 
 
+CHANNEL = click.option("--channel", type=click.Choice(["wrench", "torque", "both"]), help="Which readings to fit.")
+MOTIONS = click.option("--motions", callback=names, help="Motions to fit, separated by commas.")
+KNOWN_EFFECTS = click.option("--effects", callback=names, help="Effects that the model already has, separated by commas.")
+
+
+def diagnosis_options(command):
+    """Options of every verb that looks for effects in a recording."""
+    for option in (SEED, OUT, EFFECTS_FROM, MODEL, KNOWN_EFFECTS, MOTIONS):
+        command = option(command)
+    return command
+
+
 def model_options(command):
     """Options of every verb that fits a model."""
     options = [
-        click.option("--channel", type=click.Choice(["wrench", "torque", "both"]), help="Which readings to fit."),
+        CHANNEL,
         click.option("--filter-l", type=float, help="First low-pass of the paper [rad/s]; default: none."),
         click.option("--filter-d", type=float, help="Second low-pass of the paper [rad/s]; default 50 with --filter-l."),
         click.option("--bandwidth", type=float, help="Bandwidth of the joint motion [Hz]; default: from the positions."),
-        click.option("--motions", callback=names, help="Motions to fit, separated by commas."),
+        MOTIONS,
         click.option("--effects", callback=names, help="Effects in the model, separated by commas."),
         MODEL,
         EFFECTS_FROM,

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 import bayesid
-from bayesid.cli.options import EFFECTS_FROM, EXPERIMENT, MODEL, OUT, OUTPUTS, SEED, load, names, output_folder, show_progress
+from bayesid.cli.options import CHANNEL, EXPERIMENT, OUTPUTS, diagnosis_options, load, output_folder, show_progress
 from bayesid.errors import InputError
 from bayesid.results.files import check_output
 
@@ -26,18 +26,13 @@ def two(_context, _parameter, value: str | None) -> tuple[float, float] | None:
 @click.command()
 @EXPERIMENT
 @click.option("--reference", type=click.Path(path_type=Path), help="The robot without the payload: a folder.")
-@click.option("--channel", type=click.Choice(["wrench", "torque", "both"]), help="Which readings to fit.")
-@click.option("--motions", callback=names, help="Motions to fit, separated by commas.")
-@click.option("--effects", callback=names, help="Effects that the model already has, separated by commas.")
+@CHANNEL
 @click.option("--joint", help="Joint whose link carries the payload; default: the last one, or the sensor's.")
 @click.option("--frame", help="URDF link in whose frame it is told; default: the flange.")
 @click.option("--extent", type=float, help="No part of it is farther from its centre of mass [m]; bounds what is not shown.")
 @click.option("--next", "target", callback=two, help="KG,M: half intervals wanted; proposes poses that reach them.")
 @click.option("--diagnosis/--no-diagnosis", default=True, help="Look for what else is in the readings.")
-@MODEL
-@EFFECTS_FROM
-@OUT
-@SEED
+@diagnosis_options
 def payload(
     experiment, reference, channel, motions, effects, joint, frame, extent, target, diagnosis, model, effects_from, out, seed
 ) -> None:

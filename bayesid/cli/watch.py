@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 import bayesid
-from bayesid.cli.options import EFFECTS_FROM, MODEL, OUT, OUTPUTS, SEED, load, names, output_folder, show_progress
+from bayesid.cli.options import EFFECTS_FROM, KNOWN_EFFECTS, MODEL, OUT, OUTPUTS, SEED, load, names, output_folder, show_progress
 from bayesid.errors import EstimationError
 from bayesid.results.files import check_output
 
@@ -17,7 +17,7 @@ from bayesid.results.files import check_output
 @click.argument("recordings", type=click.Path(path_type=Path), nargs=-1, required=True)
 @click.option("--channel", type=click.Choice(["wrench", "torque", "both"]), help="Which readings to compare.")
 @click.option("--motions", callback=names, help="Motions to compare, separated by commas.")
-@click.option("--effects", callback=names, help="Effects that the model already has, separated by commas.")
+@KNOWN_EFFECTS
 @MODEL
 @EFFECTS_FROM
 @OUT

@@ -39,11 +39,15 @@ def log_likelihood_terms(posterior: Posterior, blocks: Iterable[Block]) -> np.nd
     """
     likelihood = posterior.model.likelihood
     chains, draws = posterior.columns.shape[:2]
+    centre = np.zeros(0)
+    if likelihood.estimate_only:
+        factor = likelihood.factors[0]
+        centre = np.linalg.lstsq(factor[:, :-1], factor[:, -1], rcond=None)[0]
     at = np.concatenate([-posterior.columns.reshape(chains * draws, -1).T, np.ones((1, chains * draws))])
     terms = [
         _student(posterior, group, rows, at)
         if posterior.model.noise == "student"
-        else _together(posterior, rows, at)
+        else _together(posterior, rows, at, centre)
         if likelihood.estimate_only
         else _by_channel(posterior, group, rows, at)
         for group, rows in _terms(likelihood, blocks)
@@ -60,7 +64,8 @@ def _terms(likelihood: Likelihood, blocks: Iterable[Block]) -> Iterator[tuple[st
     assert likelihood.noise is not None and likelihood.adjust is not None
     channels = len(next(iter(likelihood.noise.values())).std)
     together = likelihood.adjust[-1, -1] ** -2.0
-    size = max(together, likelihood.rows / channels / TERMS)
+    # Instants in a term; where each channel has terms of its own, as many more.
+    size = max(together, likelihood.rows / TERMS / (1 if likelihood.estimate_only else channels))
     for block, white in whitened(blocks, likelihood.noise):
         if len(white):
             for rows in np.array_split(white @ likelihood.adjust, max(round(len(white) / size), 1)):
@@ -83,15 +88,12 @@ def _by_channel(posterior: Posterior, group: str, rows: np.ndarray, at: np.ndarr
     return np.sum(-0.5 * squares / scales**2 - count * (np.log(scales) + 0.5 * _LOG_2PI), axis=1)
 
 
-def _together(posterior: Posterior, rows: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Of an estimate and its covariance, but for the logarithm of its scale (draws,)."""
-    count, channels, size = rows.shape
-    one = posterior.model.likelihood.factors[0]
-    centre = np.linalg.lstsq(one[:, :-1], one[:, -1], rcond=None)[0]
-    flat = rows.reshape(count * channels, size)
+def _together(posterior: Posterior, rows: np.ndarray, at: np.ndarray, centre: np.ndarray) -> np.ndarray:
+    """Of an estimate (p,) and its covariance, but for the logarithm of its scale (draws,)."""
+    flat = rows.reshape(-1, rows.shape[-1])
     best = float(np.sum((flat @ np.append(-centre, 1.0)) ** 2))
     scale = posterior.scales.reshape(-1)
-    return -0.5 * (_squares(flat, at) - best) / scale**2 - 0.5 * best - 0.5 * count * channels * _LOG_2PI
+    return -0.5 * (_squares(flat, at) - best) / scale**2 - 0.5 * best - 0.5 * len(flat) * _LOG_2PI
 
 
 def _student(posterior: Posterior, group: str, rows: np.ndarray, at: np.ndarray) -> np.ndarray:

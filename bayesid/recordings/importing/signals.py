@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -201,9 +202,9 @@ def _converted(found: Found, stated: ColumnMap, joints: Sequence[str], source: s
     return (values if factor == 1.0 else values * factor), unit or next(iter(UNITS[quantity]))
 
 
-def _is_number(cell: object) -> bool:
+def _is_number(cell: Any) -> bool:
     try:
-        float(cell)  # type: ignore[arg-type]
+        float(cell)
     except (TypeError, ValueError):
         return False
     return True

@@ -73,13 +73,8 @@ def read_parquet(path: Path) -> Stream:
         columns: dict[str, np.ndarray] = {}
         for name, column in zip(table.column_names, table.columns, strict=True):
             columns |= _arrow_column(name, column)
-    except (
-        ValueError,
-        OSError,
-        MemoryError,
-        KeyError,
-        NotImplementedError,
-    ) as error:  # pyarrow's own are ValueErrors or OSErrors
+    # pyarrow's own errors are these, too: NotImplementedError for a type that it cannot read
+    except (ValueError, OSError, MemoryError, KeyError, NotImplementedError) as error:
         raise InputError(
             f"cannot be read as Parquet ({cut(one_line(str(error)), 80)})", file=path.name, remedy="write it again"
         ) from None
