@@ -49,7 +49,7 @@ bench: $(READY) $(FIGAROH)/ready $(NUMPYRO)/ready
 # A warning is an error; nothing is fetched from a network.
 docs: $(DOCS)/ready
 	$(DOCS)/bin/sphinx-build --fail-on-warning --fresh-env -c docs -b html . build/docs
-	@echo "open build/docs/docs/site.html"
+	@echo "open build/docs/docs/index.html"
 
 lint: $(READY)
 	$(BIN)/ruff check

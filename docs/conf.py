@@ -19,8 +19,8 @@ author = "The bayesid developers"
 copyright = "the bayesid developers"
 version = release = version_of("bayesid")
 
-root_doc = "docs/site"
-include_patterns = ["README.md", "docs/*.md", "docs/*.rst", "docs/api/*.rst", "case_studies/*/README.md"]
+root_doc = "docs/index"
+include_patterns = ["README.md", "docs/**", "case_studies/*/README.md"]
 extensions = ["myst_nb", "numpydoc", "sphinx.ext.autosummary"]
 
 myst_enable_extensions = ["amsmath", "dollarmath"]
@@ -65,9 +65,21 @@ def _display(self, node) -> None:
     raise SkipNode
 
 
+def _contents(app, page: str, source: list[str]) -> None:
+    """Give an index the pages that it links to as the pages below it, in that order; the root has the README and the indices."""
+    if page.endswith("/index"):
+        links = list(dict.fromkeys(re.findall(r"\]\(([\w/.-]+)\.md\)", source[0])))
+        if page == root_doc:
+            links = ["The first minute <../README>", *(link for link in links if link.endswith("/index"))]
+        if page == "docs/reference/index":
+            links.append("api")
+        source[0] += "\n".join(["", "```{toctree}", ":hidden:", *links, "```"])
+
+
 def setup(app) -> None:
-    """Draw formulas."""
+    """Draw formulas, and make the tree of pages."""
     app.add_html_math_renderer("mathml", (_inline, None), (_display, None))
+    app.connect("source-read", _contents)
 
 
 def _reference() -> str:
@@ -77,10 +89,10 @@ def _reference() -> str:
     for title, belongs in (("Functions", inspect.isroutine), ("Classes", inspect.isclass)):
         lines += [title, "-" * len(title), "", ".. currentmodule:: bayesid", "", ".. autosummary::", "   :toctree: api", ""]
         lines += [f"   {name}" for name, value in named.items() if belongs(value)] + [""]
-    pages = (Path(__file__).parent / "references.md").read_text(encoding="utf-8")
+    pages = (Path(__file__).parent / "reference" / "references.md").read_text(encoding="utf-8")
     sources = re.findall(r"^\*\*\[(\w+)\]\*\* (.+?)(?=\n\n|\Z)", pages, re.MULTILINE | re.DOTALL)
     lines += ["Sources", "-------", "", *(f".. [{key}] {' '.join(text.split())}" for key, text in sources), ""]
     return "\n".join(lines)
 
 
-(Path(__file__).parent / "api.rst").write_text(_reference(), encoding="utf-8")
+(Path(__file__).parent / "reference" / "api.rst").write_text(_reference(), encoding="utf-8")

@@ -1,8 +1,8 @@
 """All thresholds of a diagnosis in one place, each with its derivation, its source, or "set by looking at cases".
 
 Looking at cases means: on simulated recordings of an independent plant (case_studies/blind_naming) and the public recordings of
-docs/benchmarks.md, before the sets that are published were made. ``tests/studies/diagnosis_settings.py`` moves each of them by
-30 % either way on fresh sets, docs/diagnosis-settings.md is its table. Limits of rounding stand where they are used.
+docs/studies/benchmarks, before the sets that are published were made. ``tests/studies/diagnosis_settings.py`` moves each of them
+by 30 % either way on fresh sets, docs/studies/diagnosis-settings is its table. Limits of rounding stand where they are used.
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ def load_effects(path: str | Path, library: EffectLibrary | None = None) -> Effe
     """The effects that there are, and those of a Python file.
 
     The file is run. Every class in it that derives from `bayesid.effects.Effect` and has a ``name`` is an effect; see
-    ``docs/howto-own-effect.md``.
+    ``docs/howto/own-effect.md``.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The experiment folder: read it and check it. docs/experiment.md describes it."""
+"""The experiment folder: read it and check it. docs/reference/experiment.md describes it."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ format        document                                                          
 ``admittance``  ros-controls, *ros2_controllers*, ``admittance_controller``         ``ros2_admittance.yaml``
 ============  ====================================================================  =======================================
 
-Addresses stand in docs/howto-payload.md.
+Addresses stand in docs/howto/payload.md.
 """
 
 from __future__ import annotations

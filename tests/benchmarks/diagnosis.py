@@ -1,7 +1,7 @@
 """python tests/benchmarks/diagnosis.py [--write]: how long `diagnose` takes on 40 s of a six-joint arm.
 
 The example PUMA 560, wrench and torques in turn, two motions of 20 s and one of 12 s for validation, one hidden effect each.
-``--write`` renews docs/diagnosis-speed.md and .json.
+``--write`` renews docs/studies/diagnosis-speed.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from bayesid.robot.examples import puma560_urdf
 from bayesid.robot.robot import load_robot
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
-from tests.studies.page import DOCS, write_page
+from tests.studies.page import STUDIES, write_page
 
 PAGE = """\
 # How long a diagnosis takes
@@ -28,7 +28,7 @@ PAGE = """\
 The example PUMA 560, six joints: two motions of 20 s to fit and one of 12 s for validation, encoder counts of 2e-5 rad, one
 hidden effect each. Median {{ median_s }} s, at most {{ largest_s }} s, on {{ cpus }} cores; all of them take {{ processor_s }} s
 of processor time. This page is made by `python tests/benchmarks/diagnosis.py --write`. How often it names correctly:
-[blind naming](../case_studies/blind_naming/README.md).
+[blind naming](../../../case_studies/blind_naming/README.md).
 
 | channel | hidden | named | seconds | of processor time |
 |---|---|---|---|---|
@@ -82,8 +82,8 @@ def main() -> None:
     }  # fmt: skip
     print(f"median {result['median_s']:.1f} s on {result['cpus']} cores")
     if options.write:
-        (DOCS / "diagnosis-speed.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
-        write_page(PAGE, DOCS / "diagnosis-speed.md", **result)
+        (STUDIES / "diagnosis-speed" / "results.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+        write_page(PAGE, STUDIES / "diagnosis-speed" / "README.md", **result)
 
 
 if __name__ == "__main__":

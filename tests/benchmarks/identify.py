@@ -4,7 +4,7 @@ A UR5 with 100,000 samples to fit and another motion of 20,000 samples to valida
 readings estimated along, default method: base parameters and their deviations, noise, prediction of the validation motion,
 consistency of the motions, nearest links; what the prediction of the fitted motion takes, which is made when it is asked for, is
 told apart. FIGAROH fits the same 100,000 samples and does nothing of the rest. Every run is a process of its own, the tools take
-turns, medians are quoted. ``--write`` renews docs/identify-speed.md and .json.
+turns, medians are quoted. ``--write`` renews docs/studies/identify-speed.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ import bayesid
 from bayesid.recordings.experiment import Experiment, Motion, Sensor
 from bayesid.recordings.table import Table
 from bayesid.robot.robot import load_robot
-from tests.studies.page import DOCS, write_numbers, write_page
+from tests.studies.page import STUDIES, write_numbers, write_page
 
 FITTED, VALIDATED = 100_000, 20_000
 PAGE = """\
@@ -47,7 +47,8 @@ by `print`, `write` and the command line.
 
 {% endfor %}
 
-How much of that is the regressor and the reduction alone: [benchmarks](benchmarks.md). Stages overlap on several cores, so they
+How much of that is the regressor and the reduction alone: [benchmarks](../benchmarks/README.md). Stages overlap on several
+cores, so they
 are shares of the time that passes, not of work.
 """
 #: Of the encoders [rad], as in `make_table`.
@@ -148,9 +149,9 @@ def main() -> None:
         urdf.write_text(ur5(), encoding="utf-8")
         result = compare(urdf, Path(temporary), options.repeats)
     if options.write:
-        result = write_numbers(result, DOCS / "identify-speed.json", 4)
+        result = write_numbers(result, STUDIES / "identify-speed" / "results.json", 4)
         stages = list(result["wrench"]["stages"])
-        write_page(PAGE, DOCS / "identify-speed.md", cpus=os.cpu_count(), stages=stages, rows=rows_of(result))
+        write_page(PAGE, STUDIES / "identify-speed" / "README.md", cpus=os.cpu_count(), stages=stages, rows=rows_of(result))
 
 
 if __name__ == "__main__":

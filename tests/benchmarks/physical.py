@@ -101,7 +101,7 @@ def main() -> None:
     text = json.dumps(result, indent=2)
     print(text)
     if options.write:
-        (ROOT / "docs" / "physical-speed.json").write_text(text + "\n", encoding="utf-8")
+        (ROOT / "docs" / "studies" / "physical" / "speed.json").write_text(text + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -42,6 +42,7 @@ from bayesid.simulation.simulation import perturbed_links
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent.parent
+STUDY = ROOT / "docs" / "studies" / "posterior-speed"
 NUMPYRO = ROOT / ".venv-numpyro" / "bin" / "python"
 TRUST = 0.3
 CHAINS, CHAINS_NUTS = 4, 2
@@ -287,7 +288,7 @@ def main() -> None:
     parser.add_argument("--draws", type=int, default=600, help="of each chain of NUTS")
     parser.add_argument("--warm-up", type=int, default=250, help="draws in which each chain of NUTS adapts")
     parser.add_argument("--depth", type=int, default=13, help="at most 2^depth steps a draw")
-    parser.add_argument("--write", action="store_true", help="write docs/posterior-speed.json and .md")
+    parser.add_argument("--write", action="store_true", help="write docs/studies/posterior-speed")
     options = parser.parse_args()
     if not NUMPYRO.exists():
         raise SystemExit("numpyro is not installed: make .venv-numpyro/ready")
@@ -302,8 +303,8 @@ def main() -> None:
         result["whole"] = whole(experiment)
         print(json.dumps(result["whole"], indent=1))
     if options.write:
-        (ROOT / "docs" / "posterior-speed.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
-        (ROOT / "docs" / "posterior-speed.md").write_text(page(result), encoding="utf-8")
+        (STUDY / "results.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+        (STUDY / "README.md").write_text(page(result), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 
 Every measurement is a process of its own, tools take turns, and medians are quoted: machines are noisy. FIGAROH
 is run with the interpreter of ``.venv-figaroh`` (``make bench`` makes it). Prints a table and writes
-``docs/benchmarks.json`` with ``--write``.
+``docs/studies/benchmarks/results.json`` with ``--write``.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from tests.robots import ur5
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parent.parent
+STUDY = ROOT / "docs" / "studies" / "benchmarks"
 FIGAROH = ROOT / ".venv-figaroh" / "bin" / "python"
 
 
@@ -122,7 +123,7 @@ def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--repeats", type=int, default=3)
-    parser.add_argument("--write", action="store_true", help="write docs/benchmarks.json")
+    parser.add_argument("--write", action="store_true", help="write docs/studies/benchmarks/results.json")
     options = parser.parse_args()
     if not FIGAROH.exists():
         print("FIGAROH is not installed (make bench does that); measuring without it")
@@ -138,8 +139,8 @@ def main() -> None:
             "scaling": scaling(urdf, folder, sizes),
         }
     if options.write:
-        (ROOT / "docs" / "benchmarks.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
-        (ROOT / "docs" / "benchmarks.md").write_text(page(result), encoding="utf-8")
+        (STUDY / "results.json").write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+        (STUDY / "README.md").write_text(page(result), encoding="utf-8")
 
 
 if __name__ == "__main__":

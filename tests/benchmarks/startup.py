@@ -2,7 +2,7 @@
 
 ``--help``, ``--version``, ``import bayesid`` and the whole of ``check`` on an arm's recordings, each a process of its own in its
 own interpreter, taking turns with the imports of the libraries that the work is done with and of FIGAROH. Medians of wall time.
-``--write`` renews docs/startup.md and .json.
+``--write`` renews docs/studies/startup.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from run import FIGAROH
 
-from tests.studies.page import DOCS, write_numbers, write_page
+from tests.studies.page import STUDIES, write_numbers, write_page
 
 PAGE = """\
 # How long starting takes
@@ -107,8 +107,8 @@ def main() -> None:
     for name, (low, middle, high) in found.items():
         print(f"{name:28s} {middle:.3f} s ({low:.3f} to {high:.3f})")
     if options.write:
-        found = write_numbers(found, DOCS / "startup.json", 3)
-        write_page(PAGE, DOCS / "startup.md", seconds=found, cpus=os.cpu_count(), repeats=options.repeats)
+        found = write_numbers(found, STUDIES / "startup" / "results.json", 3)
+        write_page(PAGE, STUDIES / "startup" / "README.md", seconds=found, cpus=os.cpu_count(), repeats=options.repeats)
 
 
 if __name__ == "__main__":

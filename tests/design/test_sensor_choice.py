@@ -137,7 +137,7 @@ def test_a_list_that_is_not_there_and_a_joint_that_does_not_exist(tmp_path):
 
 
 def test_the_list_in_the_documentation_can_be_read(tmp_path):
-    page = (Path(__file__).parents[2] / "docs" / "howto-accuracy.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[2] / "docs" / "howto" / "accuracy.md").read_text(encoding="utf-8")
     (text,) = re.findall(r"^```toml\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
     (tmp_path / "sensors.toml").write_text(text, encoding="utf-8")
     found = read_sensors(tmp_path / "sensors.toml", bench("puma").experiment.robot)

@@ -1,4 +1,4 @@
-"""docs/architecture.md and its picture are those of the code; the code keeps to what the page promises."""
+"""docs/explanation/architecture.md and its picture are those of the code; the code keeps to what the page promises."""
 
 import ast
 import re
@@ -8,14 +8,15 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-PAGE = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
-RENEW = "run python docs/structure.py"
+FOLDER = ROOT / "docs" / "explanation"
+PAGE = (FOLDER / "architecture.md").read_text(encoding="utf-8")
+RENEW = "run python docs/explanation/structure.py"
 _CONTAINERS = r"default_factory=(list|dict|set|deque|defaultdict)\b"
 
 
 @pytest.fixture(scope="module")
 def script():
-    return runpy.run_path(str(ROOT / "docs" / "structure.py"))
+    return runpy.run_path(str(FOLDER / "structure.py"))
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +29,7 @@ def test_every_package_is_on_the_page_with_what_it_imports(script, found):
 
 
 def test_the_picture_shows_every_package_and_arrow(script, found):
-    drawn = (ROOT / "docs" / "structure.svg").read_text(encoding="utf-8")
+    drawn = (FOLDER / "structure.svg").read_text(encoding="utf-8")
     assert script["in_words"](found).replace(">", "&gt;") in drawn, RENEW
     assert {name for name in found.packages if f">{name}</text>" in drawn} == set(found.packages), RENEW
 

@@ -25,8 +25,10 @@ from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recordin
 
 ROOT = Path(__file__).parents[2]
 README = ROOT / "README.md"
-PAGES = [README, *sorted((ROOT / "docs").glob("*.md"))]
-BY_NAME = {page.name: page for page in PAGES}
+DOCS = ROOT / "docs"
+PAGES = [README, *sorted(DOCS.rglob("*.md"))]
+CASE_STUDIES = sorted(ROOT.glob("case_studies/*/README.md"))
+BY_NAME = {page.relative_to(ROOT).as_posix(): page for page in PAGES}
 _CODE = re.compile(r"^```(\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 _LINK = re.compile(r"\[[^\]]*\]\(([^)]+)\)")
 _CITED = re.compile(r"\[([A-Z]\w+\d{4}\w?)\]")
@@ -39,7 +41,7 @@ def snippets(page: Path, language: str) -> list[str]:
 
 def pages_with(language: str) -> list[str]:
     """Names of the pages that have such code."""
-    return [page.name for page in PAGES if snippets(page, language)]
+    return [name for name, page in BY_NAME.items() if snippets(page, language)]
 
 
 @pytest.fixture(scope="module")
@@ -90,20 +92,20 @@ def test_python_blocks_run_as_cells_of_a_notebook(name, my_arm, tmp_path, monkey
     notebook = Notebook(tmp_path)
     for code in snippets(BY_NAME[name], "python"):
         notebook.run(code)
-    notebook.write(tmp_path / f"{name}.ipynb")
+    notebook.write(tmp_path / "page.ipynb")
     assert any(cell["outputs"] for cell in notebook.cells)
     assert all(image.startswith(b"\x89PNG") for image in notebook.images)
     last_lines = {k: cell["source"].splitlines()[-1] for k, cell in enumerate(notebook.cells)}
     drawn = [notebook.cells[k] for k, line in last_lines.items() if re.match(r"[\w.]+\.plot\w*\(", line)]
     assert all(any("image/png" in output.get("data", {}) for output in cell["outputs"]) for cell in drawn)
-    if name == "howto-notebook.md":
+    if name == "docs/howto/notebook.md":
         assert len(notebook.images) == len(drawn) >= 5
         assert "<Figure" not in "".join(output.get("text", "") for cell in notebook.cells for output in cell["outputs"])
-    if name == "howto-own-effect.md":
+    if name == "docs/howto/own-effect.md":
         _own_effect_was_found(notebook.scope, my_arm / "found")
 
 
-@pytest.mark.parametrize("page", [README, *sorted((ROOT / "docs").glob("howto-*.md"))], ids=lambda page: page.name)
+@pytest.mark.parametrize("page", [README, *sorted((DOCS / "howto").glob("*.md"))], ids=lambda page: page.name)
 def test_every_block_of_a_page_is_tried(page):
     """Python and command lines run (above and below), tables of settings are read, text is output that a test looks at, and a
     test of what the page is about compiles C++."""
@@ -162,7 +164,7 @@ def test_readme_shows_what_the_demo_prints(tmp_path, monkeypatch, capsys, undraw
     assert digits(printed) == pytest.approx(digits(shown), rel=1e-2, abs=2e-3)
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", [*PAGES, *CASE_STUDIES], ids=lambda page: page.relative_to(ROOT).as_posix())
 def test_links_point_at_files(page):
     """Relative links of the pages exist."""
     for target in _LINK.findall(page.read_text(encoding="utf-8")):
@@ -178,8 +180,8 @@ def test_links_point_at_files(page):
 
 
 def test_every_cited_source_is_listed():
-    """Keys that docstrings and pages cite stand in docs/references.md."""
-    text = (ROOT / "docs" / "references.md").read_text(encoding="utf-8")
+    """Keys that docstrings and pages cite stand in docs/reference/references.md."""
+    text = (DOCS / "reference" / "references.md").read_text(encoding="utf-8")
     listed = set(re.findall(r"^\*\*\[(\w+)\]\*\*", text, re.MULTILINE))
     sources = [*(ROOT / "bayesid").rglob("*.py"), *(ROOT / "tests").rglob("*.py"), *PAGES]
     cited = {key for source in sources for key in _CITED.findall(source.read_text(encoding="utf-8"))}
@@ -189,7 +191,7 @@ def test_every_cited_source_is_listed():
 
 def test_experiment_page_is_complete():
     """Every key that is read stands on the page."""
-    text = (ROOT / "docs" / "experiment.md").read_text(encoding="utf-8")
+    text = (DOCS / "reference" / "experiment.md").read_text(encoding="utf-8")
     sections = (schema.ExperimentFile, schema.RobotSection, schema.SensorSection, schema.MotionSection, schema.ModelSection)
     keys = {key for section in sections for key in section.model_fields}
     assert not {key for key in keys if not re.search(rf"\b{key}\b", text)}
@@ -197,7 +199,7 @@ def test_experiment_page_is_complete():
 
 def test_bounds_page_is_complete_and_its_file_is_read(tmp_path):
     """Every key of bounds.toml stands on the page, and the file shown is taken as it is."""
-    page = BY_NAME["bounds.md"]
+    page = BY_NAME["docs/reference/bounds.md"]
     (shown,) = snippets(page, "toml")
     (tmp_path / "bounds.toml").write_text(shown, encoding="utf-8")
     known = load_bounds(tmp_path / "bounds.toml")
@@ -208,7 +210,7 @@ def test_bounds_page_is_complete_and_its_file_is_read(tmp_path):
 
 def test_method_page_names_modules_that_exist():
     """Modules in the headings, below bayesid/, and those of the diagnosis below its package."""
-    text = (ROOT / "docs" / "method.md").read_text(encoding="utf-8")
+    text = (DOCS / "explanation" / "method.md").read_text(encoding="utf-8")
     headings = re.findall(r"`([^`]+)`", " ".join(re.findall(r"^#+ .*\((`.*`)\)$", text, re.MULTILINE)))
     bold = re.findall(r"`(\w+\.py)`", " ".join(re.findall(r"^\*\*[^*]+\*\* \(([^)]+)\)", text, re.MULTILINE)))
     assert len(headings) >= 12 and len(bold) >= 10
@@ -218,7 +220,7 @@ def test_method_page_names_modules_that_exist():
 
 def test_changelog_sends_nobody_to_a_module_that_is_not_there():
     """Modules in the last column of the table of moves exist; ``.name`` continues the package before it."""
-    text = (ROOT / "docs" / "changelog.md").read_text(encoding="utf-8")
+    text = (DOCS / "reference" / "changelog.md").read_text(encoding="utf-8")
     rows = [line.split("|")[2] for line in text.splitlines() if line.startswith("| `bayesid.")]
     assert len(rows) > 15
     for row in rows:
@@ -232,14 +234,14 @@ def test_changelog_sends_nobody_to_a_module_that_is_not_there():
 
 def test_method_page_states_the_limit_of_the_code():
     """A validation motion is warned about above the residual that the page says."""
-    text = (ROOT / "docs" / "method.md").read_text(encoding="utf-8")
+    text = (DOCS / "explanation" / "method.md").read_text(encoding="utf-8")
     assert f"Above {TOLERATED} times that there is a\n  warning" in text
 
 
 def test_effects_page_is_made_from_the_classes():
-    """docs/effects.md is what docs/effects_table.py makes of the classes, every effect included."""
-    made = runpy.run_path(str(ROOT / "docs" / "effects_table.py"))["page"]()
-    assert (ROOT / "docs" / "effects.md").read_text(encoding="utf-8") == made
+    """effects.md is what effects_table.py makes of the classes, every effect included."""
+    made = runpy.run_path(str(DOCS / "reference" / "effects_table.py"))["page"]()
+    assert (DOCS / "reference" / "effects.md").read_text(encoding="utf-8") == made
     assert not {name for name in EffectLibrary().classes if f"| `{name}` |" not in made}
 
 

@@ -15,7 +15,7 @@ from bayesid.errors import InputError
 from bayesid.workflows.demo import puma_setup
 from tests.effects.arms import LIBRARY, both, moving
 
-PAGE = Path(__file__).parents[2] / "docs" / "howto-own-effect.md"
+PAGE = Path(__file__).parents[2] / "docs" / "howto" / "own-effect.md"
 COGGING = {"tau": "c * sin(3 * q)", "parameters": {"c": {"unit": "N m", "typical": 0.5}}}
 
 

@@ -142,7 +142,7 @@ def test_a_wide_play_is_followed_through_stops(tmp_path, seed):
 
 @pytest.mark.slow
 def test_a_wide_play_through_many_stops(tmp_path):
-    """The figures of docs/limits.md; without crossings sought anew the median was 47 and the largest 158."""
+    """The figures of docs/explanation/limits.md; without crossings sought anew the median was 47 and the largest 158."""
     errors = [over_the_bound(tmp_path, seed) for seed in range(14)]
     assert np.median(errors) < 6.0 and np.max(errors) < 35.0
 

@@ -274,8 +274,8 @@ def test_encoder_noise_study(case):
 def test_the_page_of_the_study_is_written(tmp_path):
     result = encoder_noise.study(count=2, processes=1, cases=("puma, automatic",))
     encoder_noise.write(result, tmp_path)
-    assert {f.name for f in tmp_path.iterdir()} == {"encoder-noise.md", "encoder-noise.json"}
-    assert "iv, commanded trajectory" in (tmp_path / "encoder-noise.md").read_text(encoding="utf-8")
+    assert {f.name for f in tmp_path.iterdir()} == {"README.md", "results.json"}
+    assert "iv, commanded trajectory" in (tmp_path / "README.md").read_text(encoding="utf-8")
 
 
 def test_where_both_give_the_same_numbers_intervals_are_no_narrower_than_those_of_wls(shared):

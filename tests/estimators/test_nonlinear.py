@@ -122,6 +122,6 @@ def test_every_effect_can_be_simulated_and_modelled(setup, motions, name):
     for block in problem.regression.blocks():
         error = max(error, float(np.sqrt(np.mean((block.target - block.matrix @ solution) ** 2, axis=0)).max()))
         signal = max(signal, float(np.sqrt(np.mean(block.target**2, axis=0)).max()))
-    # As teeth cross their play the motor makes a step that is faster than positions are smoothed to: docs/effects.md.
+    # As teeth cross their play the motor makes a step that is faster than positions are smoothed to: docs/reference/effects.md.
     share = {"joint_flexibility": 0.05, "base_compliance": 0.05, "backlash": 0.1}.get(name, 0.01)
     assert error < share * change.max() + 1e-3 * signal

@@ -434,7 +434,7 @@ def test_collision_geometry_bounds_a_body(tmp_path):
 
 
 def test_intervals_take_the_nominal_model_in_only_where_that_was_proved(tmp_path):
-    """docs/physical.md: up to a stated trust of 0.2; beyond, and where it is found from the data, the data's alone."""
+    """docs/studies/physical: up to a stated trust of 0.2; beyond, and where it is found from the data, the data's alone."""
     stds = {}
     for trust in (0.2, 0.5, None):
         _, _, made = simulated(tmp_path, rel=0.2, std=2.0, trust=trust)
@@ -518,7 +518,7 @@ def test_compare_takes_bounds(tmp_path, capsys):
 @pytest.mark.slow
 @pytest.mark.parametrize("case", [study.CASES[k] for k in (0, 3, 6, 7)], ids=str)
 def test_intervals_cover_also_with_every_run_on_the_boundary(case):
-    """Other recordings than those of docs/physical.md."""
+    """Other recordings than those of docs/studies/physical."""
     found = study.study(*case, 60, 40_000_000)
     methods = [m for name, m in found["methods"].items() if name.startswith("sdp")]
     for method in methods:
@@ -529,9 +529,9 @@ def test_intervals_cover_also_with_every_run_on_the_boundary(case):
 
 
 def test_the_page_of_the_study_is_what_its_numbers_say(tmp_path):
-    docs = study.ROOT / "docs"
-    study.write_page(json.loads((docs / "physical.json").read_text(encoding="utf-8")), tmp_path)
-    for name in ("physical.json", "physical.md"):
+    docs = study.ROOT / "docs" / "studies" / "physical"
+    study.write_page(json.loads((docs / "results.json").read_text(encoding="utf-8")), tmp_path)
+    for name in ("results.json", "README.md"):
         assert (tmp_path / name).read_text(encoding="utf-8") == (docs / name).read_text(encoding="utf-8")
 
 

@@ -324,4 +324,4 @@ def test_page_is_written(tmp_path):
     results = outliers.run("puma", 2, 1, processes=1)
     arms = {name: outliers.summarise(results) for name in outliers.ARMS}
     outliers.write({"seed": 1, "level": 0.95, "arms": arms}, tmp_path)
-    assert {p.name for p in tmp_path.iterdir()} == {"outliers.md", "outliers.json"}
+    assert {p.name for p in tmp_path.iterdir()} == {"README.md", "results.json"}

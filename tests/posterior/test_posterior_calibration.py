@@ -46,7 +46,7 @@ def test_truths_are_possible_bodies_and_page_is_written(tmp_path):
     assert effects.min() >= 0 and scales.min() > 0
     ranks = np.random.default_rng(0).integers(0, sbc.DRAWS + 1, (20, len(sbc.names_of("ur5-active"))))
     sbc.write({"seed": 0, "runs": 20, "cases": {"ur5-active": sbc.summarise("ur5-active", ranks)}}, tmp_path)
-    assert {p.name for p in tmp_path.iterdir()} == {"sbc.json", "sbc.md", "sbc.png"}
+    assert {p.name for p in tmp_path.iterdir()} == {"results.json", "README.md", "sbc.png"}
 
 
 @pytest.mark.slow

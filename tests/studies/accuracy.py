@@ -1,6 +1,6 @@
 """Do formulae, predicted biases and certificates of `accuracy` agree with simulation?
 
-``python -m tests.studies.accuracy`` from the repository runs it and writes ``docs/accuracy.md`` and ``.json``; finished twins of
+``python -m tests.studies.accuracy`` from the repository runs it and writes ``docs/studies/accuracy``; finished twins of
 the certificates are kept in a temporary folder, so that a run that was stopped goes on.
 
 Two robots: the two-joint PUMA with a static run that is subtracted, and a UR5 whose offset is fitted; Fourier motions of 20 s at
@@ -140,9 +140,9 @@ def study(count: int, seed: int, folder: Path) -> dict[str, Any]:
 PAGE = """\
 # Accuracy: formulae, predicted biases and certificates against simulation
 
-`python -m tests.studies.accuracy` made this page and [accuracy.json](accuracy.json): {{ count }} twins of each robot, seed
+`python -m tests.studies.accuracy` made this page and [results.json](results.json): {{ count }} twins of each robot, seed
 {{ seed }}. Links are a tenth off the nominal ones, noise is 0.5 N and 0.05 N m, counts are 1e-4 rad; `wls`, the default.
-[Accuracy](howto-accuracy.md) says what the words mean.
+[Accuracy](../../howto/accuracy.md) says what the words mean.
 
 ## Standard deviations by formula
 
@@ -176,7 +176,7 @@ forces, for one, hardly biases, but moves the weights of its channels.
 
 def write_study(result: dict[str, Any], docs: Path) -> None:
     """The page and its numbers."""
-    rounded = write_numbers(result, docs / "accuracy.json", 4)
+    rounded = write_numbers(result, docs / "results.json", 4)
     formulae, effects, covers, beyond = [], [], [], []
     for name, arm in rounded["arms"].items():
         f, errors = arm["formula"], np.array([b["error"] for b in arm["biases"]])
@@ -196,7 +196,7 @@ def write_study(result: dict[str, Any], docs: Path) -> None:
             f"{'yes' if arm['holds'] else '**no**'} |"
         )
     write_page(
-        PAGE, docs / "accuracy.md", count=rounded["count"], seed=rounded["seed"], largest=f"{LARGEST:g}",
+        PAGE, docs / "README.md", count=rounded["count"], seed=rounded["seed"], largest=f"{LARGEST:g}",
         least=f"{LEAST:g}", averaged=AVERAGED, known=f"{100 * KNOWN:g}", most=MOST,
         error=max(arm["formula"]["error_of_one"] for arm in rounded["arms"].values()),
         formulae=table("robot | base parameters | median | lowest | highest", formulae),
@@ -208,7 +208,7 @@ def write_study(result: dict[str, Any], docs: Path) -> None:
 
 def main(arguments: list[str]) -> None:
     """Run from the command line."""
-    given = parsed(arguments, __doc__, count=COUNT, of="robot", seed=SEED)
+    given = parsed(arguments, __doc__, docs="accuracy", count=COUNT, of="robot", seed=SEED)
     write_study(study(given.count, given.seed, Path(tempfile.gettempdir())), given.docs)
 
 

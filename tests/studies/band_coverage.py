@@ -1,7 +1,7 @@
 """Do the bands of ``bounds`` hold the torques of recordings that nobody has shown to it, of other motions and other days?
 
 ``python -m tests.studies.band_coverage --write`` from the repository measures every case on the recordings below ``BAYESID_DATA``
-and writes ``docs/band-coverage.md`` and ``.json``. ``--column before`` stores the figures beside the others, as those of an
+and writes ``docs/studies/band-coverage``. ``--column before`` stores the figures beside the others, as those of an
 earlier revision that stands first on ``PYTHONPATH``.
 
 Recordings are read with numpy, low-passed and differentiated with SciPy; nothing of the fit but its bands and the bandwidth of
@@ -22,7 +22,7 @@ import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
 import bayesid
-from tests.studies.page import DOCS, table, write_numbers, write_page
+from tests.studies.page import STUDIES, table, write_numbers, write_page
 
 DATA = Path(os.environ.get("BAYESID_DATA", Path(__file__).resolve().parents[3] / "shared")) / "data"
 DRIVES = ("viscous_friction", "coulomb_friction", "torque_offset", "rotor_inertia")
@@ -122,11 +122,12 @@ def title(case: Case) -> dict[str, str]:
 PAGE = """\
 # Bands on other days
 
-Bands of [`bounds`](howto-controller.md), held against recordings that were neither fitted nor held out: torques below 10 Hz, read
+Bands of [`bounds`](../../howto/controller.md), held against recordings that were neither fitted nor held out: torques below
+10 Hz, read
 and differentiated with NumPy and SciPy alone. Each row fits some recordings, shows others to `bounds` as validation motions, and
 judges on the rest. 95 % of the samples should be inside the pointwise bands. The width is half a band over what the residuals
 need, the 95 % quantile of their size: bands that follow speed and posture can be below 1 and still hold 95 %.
-`python -m tests.studies.band_coverage --write` made this page and [band-coverage.json](band-coverage.json); *before* is revision
+`python -m tests.studies.band_coverage --write` made this page and [results.json](results.json); *before* is revision
 88cd97e.
 
 {{ rows }}
@@ -140,13 +141,13 @@ day. The KUKA is the example of why: its third recording is gentler than the fir
 Where stretches of one recording contradict each other, as those of the UR10 and of the KUKA's first do, the covariance is
 multiplied for it; other recordings of these robots show that this is too careful, and bands without a held-out motion are wide.
 
-On simulated robots whose model is complete nothing is added: [bounds held against the truth](controller-bounds.md).
+On simulated robots whose model is complete nothing is added: [bounds held against the truth](../controller-bounds/README.md).
 """
 
 
-def write(result: dict[str, Any], folder: Path = DOCS) -> None:
+def write(result: dict[str, Any], folder: Path = STUDIES / "band-coverage") -> None:
     """Page and JSON."""
-    rounded = write_numbers(result, folder / "band-coverage.json", digits=4)
+    rounded = write_numbers(result, folder / "results.json", digits=4)
     head = "robot | fitted | held out | judged on | inside, % before | after | width before | after | error, % before | after"
     rows = []
     for k, case in enumerate(CASES):
@@ -157,7 +158,7 @@ def write(result: dict[str, Any], folder: Path = DOCS) -> None:
                 text = f"{found.mean():.{digits}f}"
                 cells.append(text if key == "error" else f"{text} ({found.min():.{digits}f} … {found.max():.{digits}f})")
         rows.append("| " + " | ".join([*told.values(), *cells]) + " |")
-    write_page(PAGE, folder / "band-coverage.md", rows=table(head, rows))
+    write_page(PAGE, folder / "README.md", rows=table(head, rows))
 
 
 def main(arguments: list[str]) -> None:
@@ -166,7 +167,7 @@ def main(arguments: list[str]) -> None:
     parser.add_argument("--column", choices=COLUMNS, default="after")
     parser.add_argument("--write", action="store_true")
     given = parser.parse_args(arguments)
-    stored = DOCS / "band-coverage.json"
+    stored = STUDIES / "band-coverage" / "results.json"
     result = json.loads(stored.read_text(encoding="utf-8")) if stored.is_file() else {}
     result[given.column] = []
     for case in CASES:

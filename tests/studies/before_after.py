@@ -1,7 +1,7 @@
 """Study: every ordered pair of the UR10e's recordings, before and after.
 
 Run ``python -m tests.studies.before_after --write``, with the recordings where ``BAYESID_DATA`` says (default ``../shared``); it
-writes ``docs/before-after.md`` and ``.json``.
+writes ``docs/studies/before-after``.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from pathlib import Path
 
 import bayesid
 
-DOCS = Path(__file__).resolve().parents[2] / "docs"
+FOLDER = Path(__file__).parents[2] / "docs" / "studies" / "before-after"
 UNLOADED = ("before", "feb05-20s-12h", "feb05-20s-8h", "feb06-20s-10h", "feb06-20s-5h")
 LOADED = ("after-load",)
 MASS = 2.805  # of the payload [kg], weighed
@@ -22,7 +22,8 @@ INTRODUCTION = """# Before and after on a real arm
 
 A UR10e, motor currents times drive gains, recorded on several days, once with a payload of 2.805 kg at its flange: every
 ordered pair with an unloaded reference, by `python -m tests.studies.before_after --write`.
-[Before and after](howto-before-after.md) says how to do it, [the method](method.md) how it works. The recordings have no
+[Before and after](../../howto/before-after.md) says how to do it, [the method](../../explanation/method.md) how it works.
+The recordings have no
 licence, so users fetch them themselves: github.com/shamilmamedov/dynamic_calibration.
 """
 
@@ -102,12 +103,12 @@ def _head(*names: str) -> list[str]:
 def main() -> None:
     """Run the study; print the page, or write it."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--write", action="store_true", help="write docs/before-after.md and .json")
+    parser.add_argument("--write", action="store_true", help="write docs/studies/before-after")
     write = parser.parse_args().write
     rows = study()
     if write:
-        (DOCS / "before-after.md").write_text(page(rows), encoding="utf-8")
-        (DOCS / "before-after.json").write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
+        (FOLDER / "README.md").write_text(page(rows), encoding="utf-8")
+        (FOLDER / "results.json").write_text(json.dumps(rows, indent=1) + "\n", encoding="utf-8")
     else:
         print(page(rows))
 

@@ -1,7 +1,7 @@
 """Do the bounds for controllers hold the truth, and does a robust controller keep its tracking bound?
 
-``python -m tests.studies.controller_bounds --write`` from the repository runs every case and writes ``docs/controller-bounds.md``
-and ``.json``; a run that was stopped goes on where it was. Seeds stand in this file.
+``python -m tests.studies.controller_bounds --write`` from the repository runs every case and writes
+``docs/studies/controller-bounds``; a run that was stopped goes on where it was. Seeds stand in this file.
 
 Each robot has links of its own, a recording with sensor and encoder noise, an estimate or a posterior, its bounds, and Spong's
 controller with these bounds on the true robot. Readings, true torques and the controlled robot are Pinocchio's.
@@ -50,7 +50,7 @@ from bayesid.validation.noise_floor import noise_floor
 from tests import robots
 from tests.simulated import fourier
 from tests.studies.coverage import band
-from tests.studies.page import DOCS, table, write_numbers, write_page
+from tests.studies.page import STUDIES, table, write_numbers, write_page
 
 SEED = 20_261_213
 CHUNK = 40
@@ -370,9 +370,10 @@ PAGE = """\
 
 Robots with links of their own, drawn from the prior that is stated (relative standard deviation {{ trust }} of every mass); one
 recording of each, {{ duration }} s at {{ rate }} Hz with white noise of {{ force }} N and {{ noises }} N m, and {{ encoder }} rad
-of encoder noise; an estimate or a posterior; its [bounds](howto-controller.md); and Spong's controller with these bounds on the
+of encoder noise; an estimate or a posterior; its [bounds](../../howto/controller.md); and Spong's controller with these
+bounds on the
 true robot. Recordings, true torques and the controlled robot are Pinocchio's. `python -m tests.studies.controller_bounds --write`
-made this page and [controller-bounds.json](controller-bounds.json) from seed {{ seed }}.
+made this page and [results.json](results.json) from seed {{ seed }}.
 
 Bounds hold with probability 95 %, so about 95 % of the robots have to keep each. The share that exact bounds keep to with 99 % is
 in the last line of the table; what is outside is bold. Above it bounds are wider than need be.
@@ -384,7 +385,8 @@ nominal ones as well; the sets of the parameters use the data alone where these 
 
 ## Tracking
 
-Passivity-based control with the robust term of the ellipsoid, or Spong's of the ball ([method](method.md)): gains {{ gain }} 1/s
+Passivity-based control with the robust term of the ellipsoid, or Spong's of the ball
+([method](../../explanation/method.md)): gains {{ gain }} 1/s
 times the joints' smallest inertias, rate {{ rate_of }} 1/s, boundary layers such that the term alone ends at
 ‖K^½ r‖ = {{ rest }}; from rest on the path, {{ time }} s. The bound is that of `bounds.tracking_bound`, for the joint that comes
 nearest to its own. Robots whose parameters are outside of their set are counted, too.
@@ -395,9 +397,9 @@ All mass matrices of all links that were drawn are positive definite at all conf
 """
 
 
-def write(result: dict[str, Any], folder: Path = DOCS) -> None:
+def write(result: dict[str, Any], folder: Path = STUDIES / "controller-bounds") -> None:
     """Page and JSON."""
-    rounded = write_numbers(result, folder / "controller-bounds.json", digits=4)
+    rounded = write_numbers(result, folder / "results.json", digits=4)
     cases = list(rounded["cases"].values())
 
     def share(case: dict[str, Any], key: str) -> str:
@@ -415,7 +417,7 @@ def write(result: dict[str, Any], folder: Path = DOCS) -> None:
         for c in cases for shape, t in c["tracking"].items()
     ]  # fmt: skip
     write_page(
-        PAGE, folder / "controller-bounds.md", held=table(head, rows), seed=SEED, trust=TRUST, duration=f"{DURATION:g}",
+        PAGE, folder / "README.md", held=table(head, rows), seed=SEED, trust=TRUST, duration=f"{DURATION:g}",
         rate=f"{RATE:g}", force=FORCE, encoder=ENCODER, gain=f"{GAIN:g}", rate_of=f"{LAMBDA:g}", rest=REST,
         time=TIME,
         tracked=table("robots | term | kept the bound | largest error over the bound | median", tracked),

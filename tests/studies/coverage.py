@@ -1,6 +1,6 @@
 """How often 95 % intervals hold the truth, and how close estimates come to the Cramér-Rao bound.
 
-``python -m tests.studies.coverage`` from the repository runs it and writes ``docs/coverage.md``, ``.json`` and ``.svg``.
+``python -m tests.studies.coverage`` from the repository runs it and writes ``docs/studies/coverage``.
 A run that was stopped goes on where it was. `coverage_case` says what is simulated.
 """
 
@@ -33,7 +33,7 @@ SEED = 20_260_101
 COUNT = 2000
 LEVEL, SIMULTANEOUS = 0.95, 0.99
 CHUNK = 20
-DOCS = Path(__file__).parents[2] / "docs"
+FOLDER = Path(__file__).parents[2] / "docs" / "studies" / "coverage"
 NAMES = {"puma": "two-joint PUMA, static run", "ur5": "UR5, no static run"}
 
 
@@ -167,7 +167,7 @@ PAGE = """\
 
 A 95 % interval should hold the truth in 95 of 100 recordings. Here the truth is known: {{ count }} simulated recordings of
 each robot, all from seed {{ seed }}. `python -m tests.studies.coverage` made this page, its figure and
-[coverage.json](coverage.json); `make test-slow` repeats the study and holds it against them.
+[results.json](results.json); `make test-slow` repeats the study and holds it against them.
 
 ![Coverage of each base parameter](coverage.svg)
 {% for name, arm in arms.items() %}
@@ -231,7 +231,7 @@ def write(study: dict[str, Any], folder: Path) -> None:
     """Write the page, its numbers and its figure."""
     folder.mkdir(parents=True, exist_ok=True)
     rounded = json.loads(json.dumps(study), parse_float=lambda text: float(f"{float(text):.5g}"))
-    (folder / "coverage.json").write_text(json.dumps(rounded, indent=1) + "\n", encoding="utf-8")
+    (folder / "results.json").write_text(json.dumps(rounded, indent=1) + "\n", encoding="utf-8")
     environment = Environment(undefined=StrictUndefined, trim_blocks=True, keep_trailing_newline=True, autoescape=False)
     first = next(iter(rounded["arms"].values()))
     ratios = [
@@ -247,7 +247,7 @@ def write(study: dict[str, Any], folder: Path) -> None:
         pct=lambda x: f"{100 * x:.1f}", median=lambda values: float(np.median(values)),
         bias=lambda arm: float(np.abs(arm["fits"]["default"]["z_mean"]).max()),
     )  # fmt: skip
-    (folder / "coverage.md").write_text(text, encoding="utf-8")
+    (folder / "README.md").write_text(text, encoding="utf-8")
     with matplotlib.rc_context({"svg.hashsalt": "coverage"}):
         draw(rounded).savefig(folder / "coverage.svg", metadata={"Date": None})
 
@@ -271,7 +271,7 @@ def main(arguments: list[str]) -> None:
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--out", type=Path, default=None, help="where finished chunks are kept (a temporary folder)")
-    parser.add_argument("--docs", type=Path, default=DOCS, help="where the page is written")
+    parser.add_argument("--docs", type=Path, default=FOLDER, help="where the page is written")
     given = parser.parse_args(arguments)
     write(study(given.count, given.seed, given.out or kept(), given.processes), given.docs)
 

@@ -6,7 +6,7 @@
 Recordings come from the independent plant of case_studies/blind_naming. Every diagnosis is kept in DIR/diagnoses.json as soon as
 it is made, and none is made twice: the run can be interrupted and taken up again. A threshold that the diagnosis of a recording
 never reads cannot change it; that one is not made again. ``--quick`` takes two recordings and four thresholds, to see that the
-script works. Writes docs/diagnosis-settings.md from what there is.
+script works. Writes docs/studies/diagnosis-settings from what there is.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from judge import CLAIMS, within
 
 import bayesid
 from bayesid.diagnosis.settings import DEFAULT, Settings
-from tests.studies.page import DOCS, write_page
+from tests.studies.page import STUDIES, write_page
 
 MOVED = 0.3
 QUICK = ("accept", "unexplained", "race_share", "mostly_closed")
@@ -36,7 +36,8 @@ PAGE = """\
 
 Every threshold of `bayesid.diagnosis.settings.Settings`, where its derivation or source stands, moved by 30 % down and up (whole
 numbers by one at least, shares at most half-way to one), the others held, on {{ cases }} fresh recordings of the plant of
-[blind naming](../case_studies/blind_naming/README.md). "Right" counts recordings whose hidden effects are named and nothing else;
+[blind naming](../../../case_studies/blind_naming/README.md). "Right" counts recordings whose hidden effects are named and
+nothing else;
 nothing, where nothing is hidden; and `unknown`, where what is hidden is not in the library. "Changed" counts recordings with
 another verdict or other names than with the thresholds as they stand, which are right in {{ right }} of {{ cases }}. Made by
 `python -m tests.studies.diagnosis_settings`.
@@ -135,7 +136,7 @@ def written(work: Path, names: list[str], cases: list[dict[str, Any]], docs: Pat
     rows = [row for row in rows if row["down"] and row["up"]]
     right = sum(is_right(c, plain[c["case"]]) for c in cases)
     partial = len(rows) < len(fields(DEFAULT))
-    write_page(PAGE, docs / "diagnosis-settings.md", cases=len(cases), right=right, rows=rows, partial=partial)
+    write_page(PAGE, docs / "README.md", cases=len(cases), right=right, rows=rows, partial=partial)
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -147,7 +148,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--jobs", type=int, default=1, help="processes")
     parser.add_argument("--only", default="", help="thresholds to move, separated by commas; default all")
     parser.add_argument("--quick", action="store_true")
-    parser.add_argument("--docs", type=Path, default=DOCS)
+    parser.add_argument("--docs", type=Path, default=STUDIES / "diagnosis-settings")
     options = parser.parse_args(arguments)
     names = [f.name for f in fields(DEFAULT)]
     chosen = options.only.split(",") if options.only else list(QUICK) if options.quick else names

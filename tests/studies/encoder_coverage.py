@@ -1,6 +1,6 @@
 """Coverage of intervals with encoder noise, on recordings of a plant that is not the estimator's model.
 
-``python -m tests.studies.encoder_coverage`` from the repository runs it and writes ``docs/encoder-coverage.md`` and ``.json``.
+``python -m tests.studies.encoder_coverage`` from the repository runs it and writes ``docs/studies/encoder-coverage``.
 Robots and sensor are those of `coverage_case`, its motions a few times faster, so that encoders matter; readings come from
 Pinocchio's recursive Newton-Euler algorithm with a free-flyer under the base. Every recording is of another robot, whose links
 are unlike the URDF's: intervals of an estimator that knows the URDF are to hold for robots like that, not for one of them.
@@ -147,8 +147,8 @@ PAGE = """\
 
 95 % intervals on recordings with encoder errors of known size, white or as counts (their root mean square is the count over
 the root of 12), made by Pinocchio's recursive Newton-Euler algorithm, which is not the estimator's model. Robots and sensor noise
-are those of [coverage.md](coverage.md), motions {{ faster }} times faster. Everything at its defaults.
-`python -m tests.studies.encoder_coverage` made this page and [encoder-coverage.json](encoder-coverage.json) from seed {{ seed }}.
+are those of [coverage](../coverage/README.md), motions {{ faster }} times faster. Everything at its defaults.
+`python -m tests.studies.encoder_coverage` made this page and [results.json](results.json) from seed {{ seed }}.
 
 In each cell: *coverage* in per cent of all parameters, in brackets that of the worst one, and the root mean square error in units
 of the standard deviation that was stated, which should be 1. *Error* is the root mean square error in units of that of `wls`,
@@ -200,7 +200,7 @@ def title(name: str) -> str:
 
 def main(arguments: list[str]) -> None:
     """Run from the command line."""
-    given = parsed(arguments, __doc__, count=COUNT, of="case", seed=SEED)
+    given = parsed(arguments, __doc__, docs="encoder-coverage", count=COUNT, of="case", seed=SEED)
     given.docs.mkdir(parents=True, exist_ok=True)
     # Cases that are done, of this seed and size: a run that was stopped goes on where it was.
     state = given.docs / f"encoder-coverage-{given.seed}-{given.count}.part"
@@ -213,8 +213,8 @@ def main(arguments: list[str]) -> None:
             print(title(name), {fit: round(f["mean"], 3) for fit, f in results[name]["fits"].items()}, flush=True)
             state.write_text(json.dumps(results), encoding="utf-8")
     results = {name: results[name] for name in CASES}
-    rounded = write_numbers({"seed": given.seed, "cases": results}, given.docs / "encoder-coverage.json", digits=4)
-    page = given.docs / "encoder-coverage.md"
+    rounded = write_numbers({"seed": given.seed, "cases": results}, given.docs / "results.json", digits=4)
+    page = given.docs / "README.md"
     write_page(PAGE, page, tables=tables(rounded["cases"]), seed=given.seed, faster=f"{FASTER:g}")
     state.unlink()
 

@@ -1,6 +1,6 @@
 """What encoder noise of 1e-3 rad does to estimates, and which estimators undo it.
 
-``python -m tests.studies.encoder_noise`` from the repository runs it and writes ``docs/encoder-noise.md`` and ``.json``.
+``python -m tests.studies.encoder_noise`` from the repository runs it and writes ``docs/studies/encoder-noise``.
 Robots, motions, truth and sensor noise are those of `coverage_case`; the encoders differ: white noise instead of counts.
 """
 
@@ -26,7 +26,7 @@ from bayesid.regression.problem import prepare
 from bayesid.regression.readings import make_channels
 from tests.studies.coverage import LEVEL, NAMES, band
 from tests.studies.coverage_case import DURATION, FUNDAMENTAL, NOISE, OFFSET, RATE, Setup, setup
-from tests.studies.page import DOCS, parsed, write_numbers, write_page
+from tests.studies.page import STUDIES, parsed, write_numbers, write_page
 
 SEED = 20_260_201
 COUNT = 100
@@ -141,8 +141,8 @@ PAGE = """\
 # Encoder noise
 
 White encoder noise of {{ std }} rad on every sample, some fifty counts of a good encoder. Robots, motions (20 s, 125 Hz) and
-sensor noise are those of [coverage.md](coverage.md). `python -m tests.studies.encoder_noise` made this page and
-[encoder-noise.json](encoder-noise.json) from seed {{ seed }}; `make test-slow` repeats a part of it.
+sensor noise are those of [coverage](../coverage/README.md). `python -m tests.studies.encoder_noise` made this page and
+[results.json](results.json) from seed {{ seed }}; `make test-slow` repeats a part of it.
 {% for name, case in cases.items() %}
 
 ## {{ names[name.split(",")[0]] }}, {{ name.split(", ")[1] }} bandwidth
@@ -174,7 +174,8 @@ The automatic bandwidth is what the motions need; 5 Hz is set by hand, as one wo
 `tls` needs no more than the positions. `iv` is as good as its instruments: the commanded trajectory (here {{ lead }} ms ahead of
 the robot) is free of noise; another period, and even and odd samples, bring noise of their own. `gls` gives little weight to the
 frequencies that contain the noise. `ols`, `wls` and `gls` treat the regressor as exact, and their
-intervals do not hold the bias. All intervals hold the scatter that encoder noise makes ([coverage](encoder-coverage.md)); at 5
+intervals do not hold the bias. All intervals hold the scatter that encoder noise makes
+([coverage](../encoder-coverage/README.md)); at 5
 Hz and with so much noise those of `gls`, `tls` and `iv` are wider than they need be.
 """
 
@@ -200,12 +201,12 @@ def summed_up(case: dict[str, Any]) -> dict[str, str]:
     return {"bias": bias, "short": short or "No coverage lies below its band."}
 
 
-def write(result: dict[str, Any], folder: Path = DOCS) -> None:
+def write(result: dict[str, Any], folder: Path = STUDIES / "encoder-noise") -> None:
     """Write the page and its numbers."""
     folder.mkdir(parents=True, exist_ok=True)
-    rounded = write_numbers(result, folder / "encoder-noise.json", digits=4)
+    rounded = write_numbers(result, folder / "results.json", digits=4)
     write_page(
-        PAGE, folder / "encoder-noise.md", cases=rounded["cases"], names=NAMES, seed=rounded["seed"],
+        PAGE, folder / "README.md", cases=rounded["cases"], names=NAMES, seed=rounded["seed"],
         std=rounded["encoder_std"], seen=seen, lead=round(1000 * LEAD),
         summary=[{"title": f"{NAMES[n.split(',')[0]]}, {n.split(', ')[1]}", **summed_up(c)} for n, c in rounded["cases"].items()],
     )  # fmt: skip
@@ -213,7 +214,7 @@ def write(result: dict[str, Any], folder: Path = DOCS) -> None:
 
 def main(arguments: list[str]) -> None:
     """Run from the command line."""
-    given = parsed(arguments, __doc__, count=COUNT, of="case", seed=SEED)
+    given = parsed(arguments, __doc__, docs="encoder-noise", count=COUNT, of="case", seed=SEED)
     write(study(given.count, given.seed, given.processes), given.docs)
 
 

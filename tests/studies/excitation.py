@@ -1,6 +1,6 @@
 """Are exciting trajectories better than random ones and than published optimised ones, within the same limits?
 
-``python -m tests.studies.excitation`` from the repository runs it and writes ``docs/excitation.json`` and ``docs/excitation.md``;
+``python -m tests.studies.excitation`` from the repository runs it and writes ``docs/studies/excitation``;
 cases that the JSON file holds already are not run again: remove it to begin anew.
 
 *Random*: for each arm `bayesid.excite` once with its defaults (20 s), and the best determinant of 1,000 random motions of the
@@ -155,8 +155,8 @@ PAGE = """\
 # Exciting trajectories
 
 Is the motion of `bayesid excite` better than random motions, and than motions that others have optimised and published, within
-the same limits? `python -m tests.studies.excitation` made this page and [excitation.json](excitation.json).
-[The method](method.md) has the equations, [the how-to](howto-excite.md) the use.
+the same limits? `python -m tests.studies.excitation` made this page and [results.json](results.json).
+[The method](../../explanation/method.md) has the equations, [the how-to](../../howto/excite.md) the use.
 
 ## Beside random motions
 
@@ -213,10 +213,10 @@ def main(arguments: list[str]) -> None:
     parser.add_argument("--count", type=int, default=RANDOM, help="random motions for each arm")
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--tiago", type=Path, help="folder with FIGAROH's motion of a Tiago")
-    parser.add_argument("--docs", type=Path, default=ROOT / "docs", help="where the page is written")
+    parser.add_argument("--docs", type=Path, default=ROOT / "docs" / "studies" / "excitation", help="where the page is written")
     given = parser.parse_args(arguments)
     given.docs.mkdir(parents=True, exist_ok=True)
-    path, setting = given.docs / "excitation.json", {"seed": given.seed, "count": given.count}
+    path, setting = given.docs / "results.json", {"seed": given.seed, "count": given.count}
     found = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
     if {key: found.get(key) for key in setting} != setting:
         found = {**setting, "random": [], "published": []}
@@ -229,7 +229,7 @@ def main(arguments: list[str]) -> None:
         if case[0] not in [c["motion"] for c in found["published"]]:
             found["published"].append(against_published(*case, given.seed))
             page.write_numbers(found, path, digits=5)
-    page.write_page(PAGE, given.docs / "excitation.md", **page.write_numbers(found, path, digits=5))
+    page.write_page(PAGE, given.docs / "README.md", **page.write_numbers(found, path, digits=5))
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Standard deviations expected before any reading against Monte-Carlo, on two arms.
 
-``python -m tests.studies.expected`` from the repository runs it and writes ``docs/expected.md`` and ``.json``. Robots and motions
+``python -m tests.studies.expected`` from the repository runs it and writes ``docs/studies/expected``. Robots and motions
 are those of `coverage_case`, the plant is Pinocchio's inverse dynamics of their URDFs.
 """
 
@@ -31,7 +31,7 @@ from bayesid.simulation.trajectories import Trajectory
 from tests.design.plant import readings, recorded
 from tests.studies.coverage import NAMES
 from tests.studies.coverage_case import ARMS, setup
-from tests.studies.page import DOCS, parsed, table, write_numbers, write_page
+from tests.studies.page import STUDIES, parsed, table, write_numbers, write_page
 
 SEED, COUNT = 13, 1500
 GIVEN = {"force": 0.5, "moment": 0.1}
@@ -105,9 +105,10 @@ PAGE = """\
 # Expected standard deviations
 
 What `identifiability` expects of base parameters before any reading, beside what estimates then scatter by. Robots and motions
-(20 s, 125 Hz) are those of [coverage.md](coverage.md); readings come from Pinocchio's inverse dynamics of the URDF with 0.5 N and
+(20 s, 125 Hz) are those of [coverage](../coverage/README.md); readings come from Pinocchio's inverse dynamics of the URDF
+with 0.5 N and
 0.1 N m of white noise; each is fitted by the default method. `python -m tests.studies.expected` made this page and
-[expected.json](expected.json) from seed {{ seed }}; the slow tests repeat a part of it.
+[results.json](results.json) from seed {{ seed }}; the slow tests repeat a part of it.
 
 {{ rows }}
 
@@ -117,22 +118,22 @@ of the standard deviations that the fits themselves give, from noise learned of 
 """
 
 
-def write(result: dict[str, Any], folder: Path = DOCS) -> None:
+def write(result: dict[str, Any], folder: Path = STUDIES / "expected") -> None:
     """Write the page and its numbers."""
     folder.mkdir(parents=True, exist_ok=True)
-    rounded = write_numbers(result, folder / "expected.json", digits=4)
+    rounded = write_numbers(result, folder / "results.json", digits=4)
     head = "arm | base parameters | recordings | scatter / expected | of each | by chance alone | within 5 % | stated / expected"
     rows = [
         f"| {NAMES[name]} | {a['parameters']} | {a['draws']} | {a['all']:.3f} | {a['lowest']:.3f} to {a['highest']:.3f} | "
         f"{a['band'][0]:.3f} to {a['band'][1]:.3f} | {a['within']} | {a['stated']:.3f} |"
         for name, a in rounded["arms"].items()
     ]
-    write_page(PAGE, folder / "expected.md", rows=table(head, rows), seed=rounded["seed"])
+    write_page(PAGE, folder / "README.md", rows=table(head, rows), seed=rounded["seed"])
 
 
 def main(arguments: list[str]) -> None:
     """Run from the command line."""
-    given = parsed(arguments, __doc__, count=COUNT, of="arm", seed=SEED)
+    given = parsed(arguments, __doc__, docs="expected", count=COUNT, of="arm", seed=SEED)
     write(study(given.count, given.seed, given.processes), given.docs)
 
 

@@ -1,6 +1,6 @@
 """Is `identified.urdf` a robot that can exist, and does it predict as well as the estimate?
 
-``python -m tests.studies.identified_urdf`` from the repository runs it and writes ``docs/identified-urdf.md`` and ``.json``.
+``python -m tests.studies.identified_urdf`` from the repository runs it and writes ``docs/studies/identified-urdf``.
 Real recordings are taken from where ``BAYESID_DATA`` says (default ``../shared``) and left out where there are none; MuJoCo is
 asked where it is installed (``pip install mujoco``).
 
@@ -182,8 +182,8 @@ PAGE = """\
 # `identified.urdf` on real and simulated recordings
 
 Links of `identified.urdf` can exist and are the nearest to the nominal ones within the estimate's uncertainty
-([method.md](method.md), section 9). `python -m tests.studies.identified_urdf` made this page and
-[identified-urdf.json](identified-urdf.json): every real recording at hand by `wls` and `sdp`, and {{ simulated.recordings }}
+([method.md](../../explanation/method.md), section 9). `python -m tests.studies.identified_urdf` made this page and
+[results.json](results.json): every real recording at hand by `wls` and `sdp`, and {{ simulated.recordings }}
 simulated ones by `wls` (four arms, 0.05 to 3 N m of noise; joint torques with friction in the model, with friction left out
 of it, or the wrench of a base sensor), seeds from {{ seed }}.
 
@@ -207,7 +207,7 @@ The UR10e's recordings validate each other, but for the loaded one.
 
 def main(arguments: list[str]) -> None:
     """Run from the command line."""
-    given = parsed(arguments, __doc__, count=COUNT, of="simulated kind together", seed=SEED)
+    given = parsed(arguments, __doc__, docs="identified-urdf", count=COUNT, of="simulated kind together", seed=SEED)
     warnings.simplefilter("ignore")
     lines, found = [], {}
     for name, (made, effects) in real().items():
@@ -223,7 +223,7 @@ def main(arguments: list[str]) -> None:
             print(row(name, drawn[f"{index} {name}"]), flush=True)
     out = {"seed": given.seed, "real": found, "simulated": drawn}
     given.docs.mkdir(parents=True, exist_ok=True)
-    rounded = write_numbers(out, given.docs / "identified-urdf.json", digits=4)
+    rounded = write_numbers(out, given.docs / "results.json", digits=4)
     head = ("recording | method | possible before | moved / radius | most | MuJoCo | least eigenvalue | error of the estimate "
             "| error of the URDF | heaviest link [kg] | time [ms]")  # fmt: skip
     keys = {
@@ -234,7 +234,7 @@ def main(arguments: list[str]) -> None:
         "within_or_said": "that, or a warning says by how much and why",
     }  # fmt: skip
     write_page(
-        PAGE, given.docs / "identified-urdf.md", seed=given.seed, postures=POSTURES, lines=list(keys.items()),
+        PAGE, given.docs / "README.md", seed=given.seed, postures=POSTURES, lines=list(keys.items()),
         real=summary(list(rounded["real"].values())) if found else dict.fromkeys([*keys, "median_ms", "slowest_ms"], 0),
         simulated=summary(list(rounded["simulated"].values())), table=table(head, lines),
     )  # fmt: skip

@@ -32,7 +32,7 @@ from bayesid.recordings.experiment import Experiment, load_experiment
 from bayesid.recordings.table import Table
 from bayesid.validation.mistakes.candidates import base_axes
 from bayesid.validation.mistakes.search import find_mistakes
-from tests.studies.page import DOCS, table, write_numbers, write_page
+from tests.studies.page import STUDIES, table, write_numbers, write_page
 
 DATA = Path(os.environ.get("BAYESID_DATA", "../shared"))
 #: Simulated recordings beside the real ones: torques of six and seven joints, and base wrenches of two and six.
@@ -330,7 +330,8 @@ def rows(results: dict[str, Any]) -> list[str]:
 TEMPLATE = """# Mistakes made on purpose
 
 What `bayesid check` says when signs, orders, units and frames are wrong: each mistake is made on every recording at hand, one
-at a time, by `python -m tests.studies.mistakes`. How a mistake is found stands in [method.md](method.md#mistakes).
+at a time, by `python -m tests.studies.mistakes`. How a mistake is found stands in
+[method.md](../../explanation/method.md#mistakes).
 
 *Named*: the mistake is what is said, or among what is said to be as likely, or the recording is refused with a line that names
 it. *Other*: another mistake is said. *Silent*: nothing is said.
@@ -365,12 +366,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", help="recordings whose name holds this; no page is written")
     parser.add_argument("--from-json", action="store_true", help="write the page again from its numbers")
-    parser.add_argument("--docs", type=Path, default=DOCS)
+    parser.add_argument("--docs", type=Path, default=STUDIES / "mistakes")
     options = parser.parse_args()
     warnings.simplefilter("ignore")
     results: dict[str, Any] = {}
     if options.from_json:
-        results = json.loads((options.docs / "mistakes.json").read_text())
+        results = json.loads((options.docs / "results.json").read_text())
     for name, folder in folders().items() if not options.from_json else ():
         if options.only and options.only not in name:
             continue
@@ -381,10 +382,10 @@ def main() -> None:
                 print(f"    {m['result']}: {m['kind']}, expected {m['expected']}: {m['said'][:150]}", flush=True)
     if options.only:
         return
-    write_numbers(results, options.docs / "mistakes.json", 4)
+    write_numbers(results, options.docs / "results.json", 4)
     head = "mistake | made | named | other | silent"
     write_page(
-        TEMPLATE, options.docs / "mistakes.md",
+        TEMPLATE, options.docs / "README.md",
         real=sum(not k.startswith("practice") for k in results), plain=counted(results, False), whole=counted(results, True),
         alarms=sum(bool(v["original"]) for k, v in results.items() if not k.startswith("practice")),
         practice_alarms=sum(bool(v["original"]) for k, v in results.items() if k.startswith("practice")),

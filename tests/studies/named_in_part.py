@@ -3,7 +3,7 @@
     python -m tests.studies.named_in_part [--only NAME] [--state FILE] [--write]
 
 Recordings are where ``BAYESID_DATA`` says (default ``../shared``). Every diagnosis is kept in the state file as soon as it is
-made, and none is made twice. ``--write`` makes docs/named-in-part.md and .json.
+made, and none is made twice. ``--write`` makes docs/studies/named-in-part.
 
 Beside each diagnosis stands what least squares in thirty lines says of the same motions, without friction and with it.
 """
@@ -22,7 +22,7 @@ import numpy as np
 
 import bayesid
 from bayesid.recordings.experiment import Experiment, Motion, load_experiment
-from tests.studies.page import DOCS, table, write_numbers, write_page
+from tests.studies.page import STUDIES, table, write_numbers, write_page
 from tests.studies.real_robots import DATA, FRICTION, Case, thirty_lines
 
 #: Folder, and what is left out of its model: everything, or nothing.
@@ -115,14 +115,17 @@ def least_squares(experiment: Experiment, effects: tuple[str, ...]) -> float:
 PAGE = """# What is named on real robots
 
 Written by `python -m tests.studies.named_in_part --write`; recordings with their sources stand in
-[real robots](real-robots.md). `diagnose` at its defaults, with all effects left out of the model and with those that the
-recording's `experiment.toml` states. [How it decides](howto-diagnose.md#real-robots), [the method](method.md).
+[real robots](../real-robots/README.md). `diagnose` at its defaults, with all effects left out of the model and with those
+that the
+recording's `experiment.toml` states. [How it decides](../../howto/diagnose.md#real-robots),
+[the method](../../explanation/method.md).
 
 {{ cases }}
 
 - **Closed**: share of the gap between the user's model and the noise on recordings held out in turn; every channel counts alike.
 - **Friction at**: joints with at least one kind of friction named.
-- **Least squares**: the thirty lines of [real robots](real-robots.md), error over signal below 10 Hz on the motion that was not
+- **Least squares**: the thirty lines of [real robots](../real-robots/README.md), error over signal below 10 Hz on the
+motion that was not
   fitted (of a single motion: on its last 40 %), of links alone, and with Coulomb, viscous and constant friction of every joint:
   by other means, how much friction there is to name.
 - Processor time is that of the diagnosis, without its report.
@@ -135,13 +138,15 @@ recording's `experiment.toml` states. [How it decides](howto-diagnose.md#real-ro
 
 In the TX40's wrist motor 6 turns with joint 5. Its tables are of the motors: friction and rotor of motor 6 are then those of
 "joint 6", exactly, and what the coupling does to the light links of the wrist is lost in what stays ([with and without
-it](real-robots.md#tx40) unseen motions are predicted about alike). *tx40 of the joints* is the same recording as a controller
+it](../real-robots/README.md#tx40) unseen motions are predicted about alike). *tx40 of the joints* is the same recording as
+a controller
 gives it that knows the coupling, positions and torques of the joints. There friction joint by joint is wrong, and what motor 6
 loses shows in joints 5 and 6.
 
 {{ coupled }}
 
-Published, by least squares with the coupling known [Nguyen2023](references.md): viscous 0.616, Coulomb 1.95, rotor
+Published, by least squares with the coupling known [Nguyen2023](../../reference/references.md): viscous 0.616, Coulomb
+1.95, rotor
 inertia 0.00964. Predictions of the unseen motion's torques by `identify` are off by {{ without }} of the signal in joints 5 and 6
 with friction joint by joint, by {{ with_it }} with `coupled_friction@joint5->joint6` in the model, too (published: 135 and 67 %,
 26 and 31 %).
@@ -150,7 +155,7 @@ with friction joint by joint, by {{ with_it }} with `coupled_friction@joint5->jo
 
 def write(rows: list[dict[str, Any]], docs: Path) -> None:
     """The page and its numbers."""
-    result = write_numbers({"cases": rows, "wrist": wrist_errors()}, docs / "named-in-part.json", 4)
+    result = write_numbers({"cases": rows, "wrist": wrist_errors()}, docs / "results.json", 4)
     rows = result["cases"]
 
     def percent(x):
@@ -185,7 +190,7 @@ def write(rows: list[dict[str, Any]], docs: Path) -> None:
     )  # fmt: skip
     without, with_it = (" and ".join(map(percent, result["wrist"][k])) for k in ("without", "with"))
     write_page(
-        PAGE, docs / "named-in-part.md", cases=table(head, lines), names="\n".join(names), coupled=coupled, without=without,
+        PAGE, docs / "README.md", cases=table(head, lines), names="\n".join(names), coupled=coupled, without=without,
         with_it=with_it,
     )  # fmt: skip
 
@@ -209,7 +214,7 @@ def main() -> None:
         with given.state.open("a", encoding="utf-8") as file:
             file.write(json.dumps(row, default=float) + "\n")
     if given.write:
-        write(sorted(rows, key=lambda r: CASES.index((r["folder"], r["bare"]))), DOCS)
+        write(sorted(rows, key=lambda r: CASES.index((r["folder"], r["bare"]))), STUDIES / "named-in-part")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """What hammer taps and a contact do to estimates, and whether robust estimators and their intervals hold.
 
-``python -m tests.studies.outliers`` from the repository runs it and writes ``docs/outliers.md`` and ``.json``.
+``python -m tests.studies.outliers`` from the repository runs it and writes ``docs/studies/outliers``.
 
 Recordings are those of `coverage_case`; each is fitted as it is and with what `disturb` adds to its readings.
 """
@@ -22,7 +22,7 @@ from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import prepare
 from tests.studies.coverage import LEVEL, NAMES, band
 from tests.studies.coverage_case import ARMS, DURATION, PAPER, record, setup
-from tests.studies.page import DOCS, parsed, write_numbers, write_page
+from tests.studies.page import STUDIES, parsed, write_numbers, write_page
 
 #: Seed of the recordings that judge; development used others.
 SEED = 20_260_303
@@ -147,7 +147,7 @@ PAGE = """\
 External forces disturb the recording: {{ taps }} hammer taps (half sines of 100 to 300 N, 10 to 40 ms) and one
 contact (1 s, 20 to 60 N, ramps of 0.2 s) in 20 s, at random times, points and directions. {{ count }} simulated recordings of
 each robot from seed {{ seed }}, each fitted undisturbed (*clean*) and *disturbed*. `python -m tests.studies.outliers`
-made this page and [outliers.json](outliers.json). Motions, sensor and noise are those of [coverage.md](coverage.md).
+made this page and [results.json](results.json). Motions, sensor and noise are those of [coverage](../coverage/README.md).
 
 *Error* is the root mean square over all recordings and base parameters, in units of the standard deviation of `wls` on the
 clean recording. *Over clean* divides it by the same method's error on clean recordings (`wls` for `ols`); *worst* is the
@@ -184,14 +184,14 @@ are assumed to hold the joints. Disturbances that fill more than half of a recor
 """
 
 
-def write(study: dict[str, Any], folder: Path = DOCS) -> None:
+def write(study: dict[str, Any], folder: Path = STUDIES / "outliers") -> None:
     """Write the page and its numbers."""
     folder.mkdir(parents=True, exist_ok=True)
-    rounded = write_numbers(study, folder / "outliers.json", digits=5)
+    rounded = write_numbers(study, folder / "results.json", digits=5)
     arms = rounded["arms"]
     widths = [arm["fits"][f"disturbed, {m}"]["stated_std"] for arm in arms.values() for m in ("ols", "wls")]
     write_page(
-        PAGE, folder / "outliers.md", arms=arms, names=NAMES, seed=study["seed"], taps=TAPS,
+        PAGE, folder / "README.md", arms=arms, names=NAMES, seed=study["seed"], taps=TAPS,
         count=next(iter(arms.values()))["recordings"], wide=int(min(widths) // 10 * 10), three=lambda x: f"{x:.3g}",
     )  # fmt: skip
 
@@ -203,7 +203,7 @@ def study(count: int = COUNT, seed: int = SEED, processes: int = 2) -> dict[str,
 
 def main(arguments: list[str]) -> None:
     """Run from the command line."""
-    given = parsed(arguments, __doc__, count=COUNT, of="robot", seed=SEED)
+    given = parsed(arguments, __doc__, docs="outliers", count=COUNT, of="robot", seed=SEED)
     write(study(given.count, given.seed, given.processes), given.docs)
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from jinja2 import Environment, StrictUndefined
 
 DOCS = Path(__file__).parents[2] / "docs"
+STUDIES = DOCS / "studies"  #: A folder a study: its page, README.md, its numbers, results.json, and its picture.
 STYLE = {"font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "axes.grid": True, "grid.alpha": 0.25}
 BLUE, ORANGE, GREY, GREEN = "#1f6feb", "#d9480f", "#6b7280", "#2b8a3e"
 
@@ -53,11 +54,11 @@ def fill(text: str, parts: dict[str, str]) -> str:
     return text
 
 
-def parsed(arguments: list[str], about: str | None, *, count: int, of: str, seed: int) -> argparse.Namespace:
-    """``count`` (recordings of each ``of``), ``seed``, ``processes`` and ``docs`` from the command line."""
+def parsed(arguments: list[str], about: str | None, *, docs: str, count: int, of: str, seed: int) -> argparse.Namespace:
+    """``count`` (recordings of each ``of``), ``seed``, ``processes`` and ``docs`` (a folder of STUDIES) from the command line."""
     parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--count", type=int, default=count, help=f"recordings of each {of}")
     parser.add_argument("--seed", type=int, default=seed)
     parser.add_argument("--processes", type=int, default=2)
-    parser.add_argument("--docs", type=Path, default=DOCS, help="where the page is written")
+    parser.add_argument("--docs", type=Path, default=STUDIES / docs, help="where the page is written")
     return parser.parse_args(arguments)

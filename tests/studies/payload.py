@@ -1,6 +1,6 @@
 """Whether intervals of a payload hold the truth, and whether a hidden fault of the sensor or the mount is named.
 
-``python -m tests.studies.payload`` from the repository runs it and writes ``docs/payload-coverage.md`` and ``.json``.
+``python -m tests.studies.payload`` from the repository runs it and writes ``docs/studies/payload-coverage``.
 
 Each recording is of another tool (0.1 to 5 kg) on another sensor (noise, offset) in the wrist of a UR5-like arm: poses at rest,
 or a motion. Every other one hides a fault, three times as large as the smallest that could be told from noise: `size_of`.
@@ -28,7 +28,7 @@ from bayesid.recordings.experiment import Experiment, Sensor
 from bayesid.robot import inertia
 from bayesid.simulation.trajectories import Trajectory
 from tests import robots
-from tests.studies.page import DOCS, parsed, write_numbers, write_page
+from tests.studies.page import STUDIES, parsed, write_numbers, write_page
 
 #: Seed of the recordings that judge; development used others.
 SEED = 20_261_125
@@ -230,7 +230,7 @@ another force/torque sensor (noise 0.02 to 0.3 N of one reading, offsets up to 2
 poses at rest, or a motion of 12 s. The noise is not stated. Every other recording hides a fault, three times as large as the
 smallest that could be told from noise, and no larger than what is missed by eye: a gain or cross-talk of an axis, a turned
 sensor, a tilted base, drift (in motions), a cable at the tool. `python -m tests.studies.payload` made this page and
-[payload-coverage.json](payload-coverage.json); [What hangs at the flange](howto-payload.md) says how to use the verb.
+[results.json](results.json); [What hangs at the flange](../../howto/payload.md) says how to use the verb.
 
 *Coverage* is that of 95 % intervals of mass and of the three coordinates of the centre of mass, all four together; *plain* is
 that of the same fit without what the diagnosis named. Where a number is not *shown*, its interval is what the readings exclude.
@@ -260,12 +260,12 @@ Faults smaller than that size, {{ smaller }} here, count in the first table alon
 """
 
 
-def write(study: dict[str, Any], folder: Path = DOCS) -> None:
+def write(study: dict[str, Any], folder: Path = STUDIES / "payload-coverage") -> None:
     """Write the page and its numbers."""
     folder.mkdir(parents=True, exist_ok=True)
-    rounded = write_numbers(study, folder / "payload-coverage.json", digits=4)
+    rounded = write_numbers(study, folder / "results.json", digits=4)
     write_page(
-        PAGE, folder / "payload-coverage.md", count=rounded["recordings"], seed=rounded["seed"], groups=rounded["groups"],
+        PAGE, folder / "README.md", count=rounded["recordings"], seed=rounded["seed"], groups=rounded["groups"],
         faults=rounded["faults"], named_without=rounded["named_without"], told=rounded["told"],
         smaller=sum(g["smaller"] for g in rounded["faults"].values()), pct2=lambda x: f"{100 * x:.2f}",
     )  # fmt: skip
@@ -273,7 +273,7 @@ def write(study: dict[str, Any], folder: Path = DOCS) -> None:
 
 def main(arguments: list[str]) -> None:
     """Run from the command line."""
-    given = parsed(arguments, __doc__, count=COUNT, of="kind", seed=SEED)
+    given = parsed(arguments, __doc__, docs="payload-coverage", count=COUNT, of="kind", seed=SEED)
     write({"seed": given.seed, **summarise(run(given.count, given.seed, given.processes))}, given.docs)
 
 

@@ -1,7 +1,7 @@
 """``payload`` and ``calibrate`` on real recordings whose payload is known from elsewhere.
 
 ``python -m tests.studies.payload_real DATA WILD`` from the repository runs it on ``kuka-med-wrist`` and ``ur10e`` below DATA and
-on ``06-ati-orientation-only`` below WILD, and writes ``docs/payload-real.md`` and ``.json``. The recordings carry no licence, so
+on ``06-ati-orientation-only`` below WILD, and writes ``docs/studies/payload-real``. The recordings carry no licence, so
 they are not part of the repository.
 """
 
@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 import bayesid
-from tests.studies.page import DOCS, write_numbers, write_page
+from tests.studies.page import STUDIES, write_numbers, write_page
 
 #: What the sources say of the wrist's tool: mass [kg], centre of mass [m], offsets [N, N m], by least squares of the same poses.
 WRIST = (0.9323, 0.28e-3, 0.05e-3, 43.90e-3)
@@ -26,7 +26,7 @@ REFERENCES = ("before", "feb05-20s-12h", "feb05-20s-8h", "feb06-20s-10h", "feb06
 PAGE = """\
 # Payloads on real arms
 
-`python -m tests.studies.payload_real DATA WILD` made this page and [payload-real.json](payload-real.json). The recordings carry
+`python -m tests.studies.payload_real DATA WILD` made this page and [results.json](results.json). The recordings carry
 no licence: users fetch them (Zenodo 11075230 and 11096791 for the first wrist, for the second
 github.com/leledeyuan00/Gravity-Compensation-F-T-sensor; github.com/shamilmamedov/dynamic_calibration for the UR10e).
 
@@ -128,15 +128,15 @@ def arm(folder: Path) -> dict[str, Any]:
     return {"loaded": loaded, "empty": empty}
 
 
-def write(study: dict[str, Any], folder: Path = DOCS) -> None:
+def write(study: dict[str, Any], folder: Path = STUDIES / "payload-real") -> None:
     """Write the page and its numbers."""
-    s = write_numbers(study, folder / "payload-real.json", digits=4)
+    s = write_numbers(study, folder / "results.json", digits=4)
     loaded = [
         {**r, **{k: f"{r[k]:.0f}" for k in ("evidence", "seconds")}, "centre": ", ".join(f"{x:.0f}" for x in r["centre"])}
         for r in s["loaded"]
     ]
     write_page(
-        PAGE, folder / "payload-real.md", wrist={**s["wrist"], "effects": ", ".join(s["wrist"]["effects"]) or "nothing"},
+        PAGE, folder / "README.md", wrist={**s["wrist"], "effects": ", ".join(s["wrist"]["effects"]) or "nothing"},
         loaded=loaded, empty=s["empty"], inside=sum(r["low"] <= HUNG <= r["high"] for r in s["loaded"]),
         second=[
             {"name": r["name"], "mass": r["mass"] if r["shown"] else "not shown", "said": "; ".join(r["said"]) or "nothing",
@@ -150,7 +150,7 @@ def write(study: dict[str, Any], folder: Path = DOCS) -> None:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("data", type=Path)
-    parser.add_argument("--docs", type=Path, default=DOCS)
+    parser.add_argument("--docs", type=Path, default=STUDIES / "payload-real")
     parser.add_argument("wild", type=Path)
     given = parser.parse_args()
     hand = second(given.wild / "06-ati-orientation-only")

@@ -1,6 +1,6 @@
 """Do the intervals of `sdp` cover, also where links are on the boundary of what can exist?
 
-``python -m tests.studies.physical`` from the repository runs it and writes ``docs/physical.json`` and ``docs/physical.md``.
+``python -m tests.studies.physical`` from the repository runs it and writes ``docs/studies/physical``.
 
 Links are drawn about the nominal ones, torques have noise, encoders counts of 1e-5 rad. In the cases *truth on the boundary* the
 true links lose extent (in turn a plate, a rod and a point mass), in *nominal on the boundary* the nominal ones do before
@@ -138,7 +138,7 @@ PAGE = """\
 # Intervals of `sdp`
 
 A 95 % interval should hold the truth in 95 of 100 recordings, also when the estimate is held inside the bodies that can exist.
-`python -m tests.studies.physical` made this page and [physical.json](physical.json): {{ runs }} simulated recordings a case,
+`python -m tests.studies.physical` made this page and [results.json](results.json): {{ runs }} simulated recordings a case,
 seeds from {{ seed }}. *Spread* is the relative standard deviation of the true links about the nominal ones. It is stated as
 the prior's (*prior stated*), or the prior's is estimated from the data (*prior found*). *Lowest* is that of the worst base
 parameter; exact intervals stay within the band for all of them at once with 99 %. *On boundary*: runs in which a link ended on
@@ -175,10 +175,10 @@ was at most {{ pct(alarm) }} % (the test is at 1 %); certified were {{ pct(certi
 
 def write_page(out: dict[str, Any], docs: Path) -> None:
     """JSON and page."""
-    rounded = page.write_numbers(out, docs / "physical.json", digits=5)
+    rounded = page.write_numbers(out, docs / "results.json", digits=5)
     methods = [m for c in rounded["cases"] for m in c["methods"].values() if m["certified"] is not None]
     page.write_page(
-        PAGE, docs / "physical.md", **rounded, alarm=max(m["false_contradictions"] for m in methods),
+        PAGE, docs / "README.md", **rounded, alarm=max(m["false_contradictions"] for m in methods),
         certified=float(np.mean([m["certified"] for m in methods])),
     )  # fmt: skip
 
@@ -189,7 +189,7 @@ def main(arguments: list[str]) -> None:
     parser.add_argument("--runs", type=int, default=RUNS)
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--processes", type=int, default=2)
-    parser.add_argument("--docs", type=Path, default=ROOT / "docs", help="where the page is written")
+    parser.add_argument("--docs", type=Path, default=ROOT / "docs" / "studies" / "physical", help="where the page is written")
     given = parser.parse_args(arguments)
     with ProcessPoolExecutor(given.processes, mp_context=get_context("spawn")) as pool:
         jobs = [pool.submit(study, *case, given.runs, given.seed + 10_000 * k) for k, case in enumerate(CASES)]

@@ -1,7 +1,7 @@
 """python -m tests.studies.published [--before REVISION] [--after REVISION] [--write]: published figures, old beside new.
 
 Collects the figures of every stored study (JSON in docs/ and case_studies/) at two revisions of the repository; without
-``--after`` those of the working tree. ``--write`` makes docs/figures.md from it, and nothing is run again: who renews a
+``--after`` those of the working tree. ``--write`` makes docs/studies/figures from it, and nothing is run again: who renews a
 study runs its own script first.
 """
 
@@ -16,36 +16,51 @@ from collections.abc import Iterator
 from fnmatch import fnmatchcase
 from typing import Any
 
-from tests.studies.page import DOCS, write_page
+from tests.studies.page import STUDIES, write_page
 
-ROOT = DOCS.parent
-#: The last revision before the packages of docs/architecture.md.
+ROOT = STUDIES.parents[1]
+#: The last revision before the packages of docs/explanation/architecture.md.
 BEFORE = "679f174"
 #: Which figures of a file are published, as paths of keys with wildcards; of a file that is not here, all single numbers.
 SHOWN = {
-    "docs/accuracy.json": ("arms/*/formula/*", "arms/*/coverage", "arms/*/lowest", "arms/*/highest"),
-    "docs/band-coverage.json": ("after/*/inside/*", "after/*/width/*"),
-    "docs/benchmarks.json": ("comparison/*/*/us_per_sample", "comparison/*/*_over_bayesid", "comparison/*/memory_share"),
-    "docs/controller-bounds.json": ("cases/*/held/*", "cases/*/tracking/*/kept"),
-    "docs/coverage.json": ("arms/*/fits/*/coverage", "arms/*/fits/*/rms_over_sensor_bound"),
-    "docs/diagnosis-speed.json": ("median_s", "largest_s"),
-    "docs/encoder-coverage.json": ("cases/*/fits/*/mean", "cases/*/fits/*/lowest", "cases/*/fits/*/error"),
-    "docs/encoder-noise.json": ("cases/*/fits/*/bias", "cases/*/fits/*/rms_error", "cases/*/fits/*/coverage/mean"),
-    "docs/excitation.json": ("random/*/seconds", "random/*/std_ratio", "published/*/std_ratio"),
-    "docs/expected.json": ("arms/*/all", "arms/*/lowest", "arms/*/highest"),
-    "docs/identified-urdf.json": ("real/*/growth", "simulated/*/growth"),
-    "docs/named-in-part.json": ("cases/*/remainder", "cases/*/seconds"),
-    "docs/outliers.json": ("arms/*/fits/*/error", "arms/*/fits/*/coverage"),
-    "docs/payload-coverage.json": ("groups/*/coverage_mean", "faults/*/told", "named_without", "told"),
-    "docs/payload-real.json": ("wrist/inside", "wrist/plain", "wrist/gain", "loaded/*/mass", "loaded/*/low", "loaded/*/high"),
-    "docs/physical.json": ("cases/*/methods/*/coverage/mean", "cases/*/methods/*/coverage/lowest"),
-    "docs/physical-speed.json": ("milliseconds/*", "times_faster*"),
-    "docs/posterior-speed.json": ("*/bayesid/rate", "*/bayesid_over_*", "whole/*/seconds"),
-    "docs/real-robots.json": ("*/thirty_lines", "*/methods/*/unseen", "*/methods/*/halves"),
-    "docs/startup.json": ("*",),
-    "docs/tell.json": ("ambiguous", "settled", "among", "settled_among"),
-    "docs/sbc.json": ("cases/*/smallest_probability", "cases/*/mean_rank"),
-    "docs/unmodelled.json": ("fits/*/untouched", "fits/*/touched", "fits/*/z"),
+    "docs/studies/accuracy/results.json": ("arms/*/formula/*", "arms/*/coverage", "arms/*/lowest", "arms/*/highest"),
+    "docs/studies/band-coverage/results.json": ("after/*/inside/*", "after/*/width/*"),
+    "docs/studies/benchmarks/results.json": (
+        "comparison/*/*/us_per_sample",
+        "comparison/*/*_over_bayesid",
+        "comparison/*/memory_share",
+    ),
+    "docs/studies/controller-bounds/results.json": ("cases/*/held/*", "cases/*/tracking/*/kept"),
+    "docs/studies/coverage/results.json": ("arms/*/fits/*/coverage", "arms/*/fits/*/rms_over_sensor_bound"),
+    "docs/studies/diagnosis-speed/results.json": ("median_s", "largest_s"),
+    "docs/studies/encoder-coverage/results.json": ("cases/*/fits/*/mean", "cases/*/fits/*/lowest", "cases/*/fits/*/error"),
+    "docs/studies/encoder-noise/results.json": (
+        "cases/*/fits/*/bias",
+        "cases/*/fits/*/rms_error",
+        "cases/*/fits/*/coverage/mean",
+    ),
+    "docs/studies/excitation/results.json": ("random/*/seconds", "random/*/std_ratio", "published/*/std_ratio"),
+    "docs/studies/expected/results.json": ("arms/*/all", "arms/*/lowest", "arms/*/highest"),
+    "docs/studies/identified-urdf/results.json": ("real/*/growth", "simulated/*/growth"),
+    "docs/studies/named-in-part/results.json": ("cases/*/remainder", "cases/*/seconds"),
+    "docs/studies/outliers/results.json": ("arms/*/fits/*/error", "arms/*/fits/*/coverage"),
+    "docs/studies/payload-coverage/results.json": ("groups/*/coverage_mean", "faults/*/told", "named_without", "told"),
+    "docs/studies/payload-real/results.json": (
+        "wrist/inside",
+        "wrist/plain",
+        "wrist/gain",
+        "loaded/*/mass",
+        "loaded/*/low",
+        "loaded/*/high",
+    ),
+    "docs/studies/physical/results.json": ("cases/*/methods/*/coverage/mean", "cases/*/methods/*/coverage/lowest"),
+    "docs/studies/physical/speed.json": ("milliseconds/*", "times_faster*"),
+    "docs/studies/posterior-speed/results.json": ("*/bayesid/rate", "*/bayesid_over_*", "whole/*/seconds"),
+    "docs/studies/real-robots/results.json": ("*/thirty_lines", "*/methods/*/unseen", "*/methods/*/halves"),
+    "docs/studies/startup/results.json": ("*",),
+    "docs/studies/tell/results.json": ("ambiguous", "settled", "among", "settled_among"),
+    "docs/studies/sbc/results.json": ("cases/*/smallest_probability", "cases/*/mean_rank"),
+    "docs/studies/unmodelled/results.json": ("fits/*/untouched", "fits/*/touched", "fits/*/z"),
     "case_studies/blind_naming/results.json": ("rates/*", "coverage_95", "gap_after_within_*", "seconds/*"),
     "case_studies/diagnosis/results.json": ("hose/gap/after", "robot/*/*/gap/after", "wrist/*/*/gap/after"),
     "case_studies/kuka_lwr4/results.json": ("*/rows/*/fit", "*/rows/*/error"),
@@ -70,14 +85,14 @@ PAGE = """\
 # Published figures, old beside new
 
 Every number that the documentation takes from a stored study, at revision {{ before }} (the last before the
-packages of [architecture.md](architecture.md)) and {{ after }}.
+packages of [architecture.md](../../explanation/architecture.md)) and {{ after }}.
 `python -m tests.studies.published --write` makes this page and runs no study. A list
 of numbers is told by its mean, *se* is the standard error of a difference of shares.
 
 | file | figures | changed | |
 |---|---|---|---|
 {% for file in files %}
-| [{{ file.path }}](../{{ file.path }}) | {{ file.figures }} | {{ file.changed | length }} | {{ file.state }} |
+| [{{ file.path }}](../../../{{ file.path }}) | {{ file.figures }} | {{ file.changed | length }} | {{ file.state }} |
 {% endfor %}
 {% for file in files if file.changed %}
 
@@ -147,9 +162,17 @@ def _git(*arguments: str) -> str | None:
     return done.stdout if done.returncode == 0 else None
 
 
+def _at(revision: str, path: str) -> str | None:
+    """The file at a revision, also at one where all studies stood in docs/, ``docs/sbc.json``."""
+    before = (
+        path.removesuffix("/results.json").replace("docs/studies/physical/", "docs/physical-").replace("docs/studies/", "docs/")
+    )
+    return _git("show", f"{revision}:{path}") or _git("show", f"{revision}:{before.removesuffix('.json')}.json")
+
+
 def stored() -> list[str]:
     """Stored results of the working tree."""
-    files = [*(ROOT / "docs").glob("*.json"), *(ROOT / "case_studies").glob("*/results.json")]
+    files = [*STUDIES.glob("*/*.json"), *(ROOT / "case_studies").glob("*/results.json")]
     return sorted(file.relative_to(ROOT).as_posix() for file in files)
 
 
@@ -157,8 +180,8 @@ def table(before: str, after: str | None) -> list[dict[str, Any]]:
     """What the page shows of each file."""
     out = []
     for path in stored():
-        old = _git("show", f"{before}:{path}")
-        new = _git("show", f"{after}:{path}") if after else (ROOT / path).read_text(encoding="utf-8")
+        old = _at(before, path)
+        new = _at(after, path) if after else (ROOT / path).read_text(encoding="utf-8")
         figures = [published(path, json.loads(text)) if text else {} for text in (old, new)]
         state = "new" if old is None else "the same to the last digit" if old == new else "renewed"
         out.append({"path": path, "figures": len(figures[1]), "changed": compared(*figures), "state": state})
@@ -170,13 +193,13 @@ def main(arguments: list[str]) -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--before", default=BEFORE)
     parser.add_argument("--after", default=None)
-    parser.add_argument("--write", action="store_true", help="make docs/figures.md")
+    parser.add_argument("--write", action="store_true", help="make docs/studies/figures")
     given = parser.parse_args(arguments)
     if _git("cat-file", "-e", f"{given.before}^{{commit}}") is None:
         raise SystemExit(f"revision {given.before} is not in this clone; name another by --before")
     files = table(given.before, given.after)
     if given.write:
-        write_page(PAGE, DOCS / "figures.md", files=files, before=given.before, after=given.after or "now")
+        write_page(PAGE, STUDIES / "figures" / "README.md", files=files, before=given.before, after=given.after or "now")
     for file in files:
         print(f"{file['path']}: {file['figures']} figures, {len(file['changed'])} changed, {file['state']}")
         for row in file["changed"]:

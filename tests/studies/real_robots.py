@@ -8,7 +8,7 @@ For every recording, with the effects that its ``experiment.toml`` states and, f
 bandwidth, error on a motion that was not fitted (below 10 Hz, error norm over signal norm of all channels), the same of least
 squares in thirty lines, total mass, and how far estimates of the two halves of the motion, and of two motions of the same
 robot, lie apart in their own standard deviations (root mean square over all parameters; 1 is right). ``--write`` makes
-docs/real-robots.md and .json.
+docs/studies/real-robots.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import prepare
 from bayesid.validation.prediction import BAND, Prediction
 from bayesid.workflows.sample import as_estimate
-from tests.studies.page import DOCS, plain, write_page
+from tests.studies.page import STUDIES, plain, write_page
 
 DATA = Path(os.environ.get("BAYESID_DATA", "../shared")) / "data"
 METHODS = ("ols", "wls", "gls", "huber", "student", "tls", "iv", "sdp")
@@ -348,10 +348,19 @@ def gap(figures: dict[str, Any]) -> str:
 
 
 def page(cases: dict[str, Any]) -> None:
-    """Write docs/real-robots.md."""
+    """Write docs/studies/real-robots."""
     words = {True: "yes", False: "no"}
     possible = {"possible": lambda f: words.get(f.get("physical"), "")}
-    write_page(PAGE, DOCS / "real-robots.md", cases=cases, cell=cell, gap=gap, distance=distance, published=published, **possible)
+    write_page(
+        PAGE,
+        STUDIES / "real-robots" / "README.md",
+        cases=cases,
+        cell=cell,
+        gap=gap,
+        distance=distance,
+        published=published,
+        **possible,
+    )
 
 
 def main() -> None:
@@ -365,7 +374,7 @@ def main() -> None:
     parser.add_argument("--from-json", action="store_true", help="write the page again from its numbers")
     options = parser.parse_args()
     if options.from_json:
-        page(json.loads((DOCS / "real-robots.json").read_text(encoding="utf-8")))
+        page(json.loads((STUDIES / "real-robots" / "results.json").read_text(encoding="utf-8")))
         return
     methods = (*options.methods.split(","), *(() if options.no_sampling else ("sample",)))
     out = {}
@@ -376,7 +385,7 @@ def main() -> None:
     if options.out:
         options.out.write_text(json.dumps(out, indent=1) + "\n", encoding="utf-8")
     if options.write:
-        (DOCS / "real-robots.json").write_text(json.dumps(out, indent=1) + "\n", encoding="utf-8")
+        (STUDIES / "real-robots" / "results.json").write_text(json.dumps(out, indent=1) + "\n", encoding="utf-8")
         page(out)
 
 

@@ -2,7 +2,7 @@
 
 Draw a truth from a proper prior, data from the truth, and a posterior from the data: the rank of the truth among
 independent posterior draws is uniform if, and only if on average, sampler, density and prior fit together
-[Talts2018]_. ``python -m tests.studies.sbc`` from the repository writes ``docs/sbc.md``, ``.json`` and ``.png``; a run that was
+[Talts2018]_. ``python -m tests.studies.sbc`` from the repository writes ``docs/studies/sbc``; a run that was
 stopped goes on where it was.
 
 The truth's bodies are drawn by rejection, so nothing here shares code with the walls of the sampler.
@@ -44,7 +44,7 @@ SEED = 20_260_301
 RUNS = 500
 DRAWS = 199
 CHUNK = 10
-DOCS = Path(__file__).parents[2] / "docs"
+FOLDER = Path(__file__).parents[2] / "docs" / "studies" / "sbc"
 SCALES = ScalePrior(10.0, 10.0)
 DOF = DofPrior()
 OFFSET = 5.0  # standard deviation of the offsets' prior, in units of the noise
@@ -333,7 +333,7 @@ def page(study: dict[str, Any]) -> str:
         "",
         "If truths are drawn from the prior, data from the truths and posteriors from the data, the rank of each truth",
         "among independent posterior draws is uniform [Talts2018]. `python -m tests.studies.sbc` made this page, its figure",
-        f"and [sbc.json](sbc.json), from seed {study['seed']}: {DRAWS} draws a run (so 200 possible",
+        f"and [results.json](results.json), from seed {study['seed']}: {DRAWS} draws a run (so 200 possible",
         f"ranks), {INSTANTS} instants of six or seven channels, unknown scales of the noise with an inverse gamma prior. Ranked",
         "are all link parameters, base parameters, effects and scales, and three test quantities: total mass, log-likelihood and",
         "the largest torque of a reference move.",
@@ -391,10 +391,10 @@ def study(runs: int = RUNS, seed: int = SEED, folder: Path | None = None, proces
     return {"seed": seed, "runs": runs, "cases": cases}
 
 
-def write(result: dict[str, Any], folder: Path = DOCS) -> None:
+def write(result: dict[str, Any], folder: Path = FOLDER) -> None:
     """Page, figure and JSON."""
-    (folder / "sbc.json").write_text(json.dumps(result, indent=None) + "\n", encoding="utf-8")
-    (folder / "sbc.md").write_text(page(result), encoding="utf-8")
+    (folder / "results.json").write_text(json.dumps(result, indent=None) + "\n", encoding="utf-8")
+    (folder / "README.md").write_text(page(result), encoding="utf-8")
     draw(result).savefig(folder / "sbc.png", dpi=110, facecolor="white", metadata={"Software": None})
 
 
@@ -404,7 +404,7 @@ def main() -> int:
     parser.add_argument("--runs", type=int, default=RUNS)
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--processes", type=int, default=2)
-    parser.add_argument("--out", type=Path, default=DOCS)
+    parser.add_argument("--out", type=Path, default=FOLDER)
     options = parser.parse_args()
     result = study(options.runs, options.seed, kept(), options.processes)
     write(result, options.out)

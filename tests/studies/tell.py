@@ -1,7 +1,7 @@
 """Study: ambiguous diagnoses, the motion that each asks for, and whether that settles them as often as predicted.
 
 ``python -m tests.studies.tell --cases 50`` goes on where it stopped (``--state`` keeps a line a case, ``--seconds`` bounds the
-processor time of one run); ``--write`` writes ``docs/tell.md``, ``.json`` and ``.svg`` from what is there.
+processor time of one run); ``--write`` writes ``docs/studies/tell`` from what is there.
 
 A case hides one effect in recordings of slow, short motions. Its size is changed until the diagnosis is ambiguous. Then the true
 robot makes two more motions, one at a time: the one that the diagnosis asks for, and for the reliability of lower predictions a
@@ -37,7 +37,7 @@ from bayesid.robot.robot import Robot, load_robot
 from bayesid.simulation.plant import default_values
 from bayesid.simulation.simulation import Simulation, simulate
 from bayesid.simulation.trajectories import Trajectory, fourier_trajectory
-from tests.studies.page import BLUE, DOCS, GREY, STYLE, table, write_numbers, write_page
+from tests.studies.page import BLUE, GREY, STUDIES, STYLE, table, write_numbers, write_page
 
 #: Seed of the cases that judge; development used others.
 SEED = 20_270_301
@@ -250,7 +250,8 @@ PAGE = """# The motion that settles an ambiguous diagnosis
 Written by `python -m tests.studies.tell --write`. Simulated recordings of slow, short motions (8 s, a tenth to a quarter of the
 speed limits) of a PUMA's first two or three joints, base wrench or joint torques, links 5 % off, one effect hidden whose size was
 changed until `diagnose` said `ambiguous`. Then the true robot made the motion of `next_motion.csv`, and all recordings together
-were diagnosed again. [How to diagnose](howto-diagnose.md) says how it is used, [the method](method.md) how it works.
+were diagnosed again. [How to diagnose](../../howto/diagnose.md) says how it is used,
+[the method](../../explanation/method.md) how it works.
 
 - Ambiguous diagnoses: {{ r.ambiguous }}, of {{ r.tried }} hidden effects tried{{ partial }}.
   The true effect was among the names in {{ r.among }}.
@@ -284,7 +285,7 @@ where right odds would have given it {{ "%.2f" | format(r.odds_due) }}.
 
 def write(rows: list[dict[str, Any]], docs: Path) -> None:
     """The page, its numbers and its figure."""
-    result = write_numbers(summarise(rows), docs / "tell.json", 4)
+    result = write_numbers(summarise(rows), docs / "results.json", 4)
     bins = table(
         "predicted, mean | motions | settled | share | 95 % interval",
         [
@@ -302,7 +303,7 @@ def write(rows: list[dict[str, Any]], docs: Path) -> None:
         ],
     )
     partial = "" if result["ambiguous"] >= CASES else f" (a part of the {CASES} that are asked for; `--cases {CASES}` goes on)"
-    write_page(PAGE, docs / "tell.md", r=result, bins=bins, cases=cases, partial=partial)
+    write_page(PAGE, docs / "README.md", r=result, bins=bins, cases=cases, partial=partial)
     figure(result, docs / "tell.svg")
 
 
@@ -337,11 +338,11 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=np.inf, help="processor time of this run")
     parser.add_argument("--seed", type=int, default=SEED)
     parser.add_argument("--state", type=Path, default=Path(tempfile.gettempdir()) / "bayesid-tell.jsonl")
-    parser.add_argument("--write", action="store_true", help="write docs/tell.md, .json and .svg")
+    parser.add_argument("--write", action="store_true", help="write docs/studies/tell")
     given = parser.parse_args()
     rows = run(given.state, given.cases, given.seconds, given.seed)
     if given.write:
-        write(rows, DOCS)
+        write(rows, STUDIES / "tell")
     else:
         print(json.dumps({k: v for k, v in summarise(rows).items() if k != "cases"}, indent=1, default=float))
 

@@ -136,8 +136,8 @@ def test_page_and_figure_are_written(few, tmp_path):
     name, results = few
     arms = {arm: coverage.summarise(name, results) for arm in ARMS}
     coverage.write({"seed": SEED, "arms": arms}, tmp_path)
-    assert {p.name for p in tmp_path.iterdir()} == {"coverage.md", "coverage.json", "coverage.svg"}
-    assert "**below**" in (tmp_path / "coverage.md").read_text(encoding="utf-8")
+    assert {p.name for p in tmp_path.iterdir()} == {"README.md", "results.json", "coverage.svg"}
+    assert "**below**" in (tmp_path / "README.md").read_text(encoding="utf-8")
 
 
 def test_the_band_is_simultaneous():
@@ -178,7 +178,7 @@ def test_default_is_within_a_tenth_of_the_bound(full, name):
 @pytest.mark.slow
 def test_the_page_shows_this_study(full):
     """Other processors round differently, and a rare recording may then choose another bandwidth."""
-    shown = json.loads((coverage.DOCS / "coverage.json").read_text(encoding="utf-8"))
+    shown = json.loads((coverage.FOLDER / "results.json").read_text(encoding="utf-8"))
     assert shown["seed"] == full["seed"]
     for name, arm in full["arms"].items():
         for fit, result in arm["fits"].items():

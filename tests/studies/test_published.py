@@ -5,7 +5,7 @@ from fnmatch import fnmatchcase
 
 import pytest
 
-from tests.studies.page import DOCS
+from tests.studies.page import STUDIES
 from tests.studies.published import SHOWN, compared, leaves, published, stored
 
 BLIND = "case_studies/blind_naming/results.json"
@@ -32,7 +32,7 @@ def test_a_difference_is_in_standard_errors_where_it_can_be():
 @pytest.mark.parametrize("path", sorted(SHOWN))
 def test_every_stored_study_has_its_figures(path):
     """A pattern that finds nothing would leave figures out unseen."""
-    data = json.loads((DOCS.parent / path).read_text(encoding="utf-8"))
+    data = json.loads((STUDIES.parents[1] / path).read_text(encoding="utf-8"))
     for pattern in SHOWN[path]:
         assert any(_fits(name, pattern) for name in published(path, data)), pattern
 
@@ -43,5 +43,5 @@ def _fits(name, pattern):
 
 
 def test_the_page_has_every_stored_study():
-    text = (DOCS / "figures.md").read_text(encoding="utf-8")
+    text = (STUDIES / "figures" / "README.md").read_text(encoding="utf-8")
     assert [path for path in stored() if f"| [{path}]" not in text] == [], "run python -m tests.studies.published --write"

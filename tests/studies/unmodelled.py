@@ -4,7 +4,7 @@
 
 Recordings with one hidden effect of 1, 3 or 10 times the floor come from the plant of case_studies/blind_naming and are
 identified without that effect. Recordings and fits are kept in DIR: a run that was stopped goes on where it was. ``--write``
-makes docs/unmodelled.md and .json; ``--before`` takes DIR/fits.json of the same recordings by another revision of bayesid, which
+makes docs/studies/unmodelled; ``--before`` takes DIR/fits.json of the same recordings by another revision of bayesid, which
 this script makes when it is run with that revision on the path (only public functions are used to fit).
 """
 
@@ -44,7 +44,7 @@ PAGE = """\
 # Intervals under an effect that the model lacks
 
 {{ cases }} recordings with one hidden effect, 1, 3 or 10 times the floor of a perfect model, by the plant of
-[blind naming](../case_studies/blind_naming/README.md) (`{{ slow }}` left out, for its plant is slow), identified without
+[blind naming](../../../case_studies/blind_naming/README.md) (`{{ slow }}` left out, for its plant is slow), identified without
 the effect. How often 95 % intervals hold the truth, in per cent of all base parameters: of those that the effect cannot touch
 (leaving it out moves them by at most {{ touched }} of about the standard deviation of noise alone), and of the others.
 Made by `python -m tests.studies.unmodelled`, seed {{ seed }}.
@@ -59,7 +59,7 @@ Made by `python -m tests.studies.unmodelled`, seed {{ seed }}.
 
 *z* is what nine tenths of all errors stay below, in stated standard deviations; it should be 1.64. An effect that follows the
 motion in the same way from beginning to end biases all stretches of a recording alike; no interval that is learned from their
-disagreement can hold that ([limits](limits.md)). {{ counts }}
+disagreement can hold that ([limits](../../explanation/limits.md)). {{ counts }}
 """
 
 
@@ -166,9 +166,9 @@ def write(work: Path, before: Path | None, revision: str, docs: Path) -> None:
             if method == "wls":
                 counts += f" At {times} times the floor {one[3]} parameters are not touched and {one[4]} are."
     told = {"seed": SEED, "cases": len(cases), "cases_before": len(both), "fits": numbers}
-    write_numbers(told, docs / "unmodelled.json", digits=4)
+    write_numbers(told, docs / "results.json", digits=4)
     write_page(
-        PAGE, docs / "unmodelled.md", cases=len(cases), touched=TOUCHED, slow=", ".join(SLOW), seed=SEED,
+        PAGE, docs / "README.md", cases=len(cases), touched=TOUCHED, slow=", ".join(SLOW), seed=SEED,
         before=len(both), revision=revision,
         head=["estimator", "size", *(cell for name in ("not touched", "touched", "z of touched") for cell in (name, "before")
                                      if cell == name or old is not None)],
@@ -186,7 +186,7 @@ def main() -> None:
     parser.add_argument("--before", type=Path)
     parser.add_argument("--revision", default="679f174")
     parser.add_argument("--write", action="store_true")
-    parser.add_argument("--docs", type=Path, default=ROOT / "docs")
+    parser.add_argument("--docs", type=Path, default=ROOT / "docs" / "studies" / "unmodelled")
     options = parser.parse_args()
     os.environ["OMP_NUM_THREADS"] = "1"
     answers = recordings(options.work, options.count)

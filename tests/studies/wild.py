@@ -28,7 +28,7 @@ from bayesid.recordings.experiment import Experiment
 from bayesid.recordings.table import Table
 from bayesid.validation.mistakes.candidates import base_axes
 from tests.studies.mistakes import changed, times
-from tests.studies.page import DOCS, table, write_numbers, write_page
+from tests.studies.page import STUDIES, table, write_numbers, write_page
 
 WILD = Path(os.environ.get("BAYESID_DATA", "../shared")) / "wild"
 #: What is said is one line of these.
@@ -213,7 +213,8 @@ TEMPLATE = """# Public logs as they are
 
 What `bayesid check` says of recordings that other people made and published, and of a few that were made after their questions,
 beside the right answer; by `python -m tests.studies.wild`. The recordings are not part of the repository. How a
-mistake is found stands in [method.md](method.md#mistakes); [mistakes.md](mistakes.md) has mistakes made on purpose.
+mistake is found stands in [method.md](../../explanation/method.md#mistakes); [mistakes](../mistakes/README.md) has mistakes
+made on purpose.
 
 Of {{ count }} recordings, {{ right }} are told rightly or rightly not commented upon, {{ part }} in part, {{ wrong }} wrongly and
 {{ missed }} pass in silence though something is wrong.
@@ -231,7 +232,7 @@ def page(results: dict[str, Any], docs: Path) -> None:
     """Write the page from its numbers."""
     verdicts = [r["verdict"] for r in results.values()]
     write_page(
-        TEMPLATE, docs / "wild.md", count=len(verdicts), right=verdicts.count(RIGHT) + verdicts.count(SILENT),
+        TEMPLATE, docs / "README.md", count=len(verdicts), right=verdicts.count(RIGHT) + verdicts.count(SILENT),
         part=verdicts.count(PART), wrong=verdicts.count(WRONG), missed=verdicts.count(MISSED),
         rows=table("recording | right answer | said | in words | error | with the remedy", rows(results)),
     )  # fmt: skip
@@ -242,11 +243,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", help="recordings whose name holds this; no page is written")
     parser.add_argument("--from-json", action="store_true", help="write the page again from its numbers")
-    parser.add_argument("--docs", type=Path, default=DOCS)
+    parser.add_argument("--docs", type=Path, default=STUDIES / "wild")
     options = parser.parse_args()
     warnings.simplefilter("ignore")
     if options.from_json:
-        page(json.loads((options.docs / "wild.json").read_text()), options.docs)
+        page(json.loads((options.docs / "results.json").read_text()), options.docs)
         return
     unknown = {str(f.parent.relative_to(WILD)) for f in WILD.glob("*/*/experiment.toml")} - set(ANSWERS)
     if unknown:
@@ -258,7 +259,7 @@ def main() -> None:
         results[name] = tried(name, answer)
         print(rows({name: results[name]})[0], flush=True)
     if not options.only:
-        page(write_numbers(results, options.docs / "wild.json", 4), options.docs)
+        page(write_numbers(results, options.docs / "results.json", 4), options.docs)
 
 
 if __name__ == "__main__":

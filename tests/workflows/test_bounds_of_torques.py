@@ -13,6 +13,7 @@ from scipy.io import loadmat
 import bayesid
 from bayesid.regression.linalg import standard_deviations
 from tests.simulated import Motion, experiment, fourier, puma2, recording
+from tests.studies.page import DOCS
 
 DRIVES = ("viscous_friction", "coulomb_friction", "rotor_inertia")
 ROTORS = np.array([0.6, 0.2])
@@ -162,7 +163,7 @@ def saved(complete, tmp_path_factory):
 
 
 def test_the_ellipsoid_can_be_used_from_the_file(complete, saved):
-    """The lines of docs/howto-controller.md, by scipy; V itself is singular where a sum is all that is known."""
+    """The lines of docs/howto/controller.md, by scipy; V itself is singular where a sum is all that is known."""
     bounds, s = complete[1], loadmat(saved, simplify_cells=True)
     assert len(s["V_basis"]) == len(s["V"]) - 2
     factor = np.linalg.cholesky(s["V_basis"])
@@ -180,16 +181,10 @@ def test_the_lines_of_the_page_run_in_octave(saved):
     octave = shutil.which("octave-cli") or shutil.which("octave")
     if octave is None:
         pytest.skip("octave is not installed")
-    page = (bayesid_docs() / "howto-controller.md").read_text(encoding="utf-8")
+    page = (DOCS / "howto" / "controller.md").read_text(encoding="utf-8")
     lines = page.split("```matlab\n")[1].split("```")[0]
     done = subprocess.run(
         [octave, "--quiet", "--eval", lines + "\nassert(inside); assert(norm(S.V_basis - L*L') < 1e-9)"],
         cwd=saved.parent, capture_output=True, text=True, timeout=120, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
-
-
-def bayesid_docs():
-    from tests.studies.page import DOCS
-
-    return DOCS

@@ -138,7 +138,7 @@ def test_code_gives_the_torques_and_the_band_of_predict(identified, form, tmp_pa
 
 
 def test_the_program_of_the_page_compiles(identified, tmp_path):
-    page = Path(__file__).parents[2] / "docs" / "howto-export.md"
+    page = Path(__file__).parents[2] / "docs" / "howto" / "export.md"
     (code,) = re.findall(r"^```cpp\n(.*?)^```$", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
     x = [np.zeros((1, 6))] * 3
     torque, half = run_cpp(tmp_path, bayesid.export(identified, "cpp")["inverse_dynamics.hpp"], x)
@@ -505,7 +505,7 @@ def test_a_rotor_that_no_reading_tells_from_its_link_changes_no_band(tmp_path):
 
 def page_functions() -> dict:
     """What the page's Python blocks define, with nothing of them run but definitions and imports."""
-    page = Path(__file__).parents[2] / "docs" / "howto-export.md"
+    page = Path(__file__).parents[2] / "docs" / "howto" / "export.md"
     blocks = re.findall(r"^```python\n(.*?)^```$", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
     scope: dict = {}
     for code in blocks:

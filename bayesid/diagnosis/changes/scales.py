@@ -2,7 +2,7 @@
 
 Friction of real joints wanders from day to day with load, temperature and grease, and the gain from motor current to torque is
 known to a few per cent. Neither is a change worth a name. Recordings of one UR10e over three weeks
-(docs/before-after.md): with 10 % of friction and 2 % of drive gains as nuisances nothing is named between any two unloaded
+(docs/studies/before-after): with 10 % of friction and 2 % of drive gains as nuisances nothing is named between any two unloaded
 ones, and intervals of a known payload hold.
 """
 

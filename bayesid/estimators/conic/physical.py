@@ -41,7 +41,7 @@ from bayesid.regression.regression import Regression
 from bayesid.robot.prior import Prior
 
 #: Up to this prior relative standard deviation intervals of data and nominal model together cover as often as they say in
-#: simulation (docs/physical.md).
+#: simulation (docs/studies/physical).
 LARGEST_VALIDATED = 0.2
 #: Where data as far from the nominal links are less probable than this, the prior is doubtful and left out of intervals.
 DOUBTFUL = 0.05
@@ -293,7 +293,7 @@ def _of_data(matrix: np.ndarray) -> np.ndarray:
     """Covariance of the unconstrained estimate.
 
     For a prior that is wide, doubtful or chosen by the data themselves: too cautious about an estimate that the nominal
-    model pulls to the truth, but it held the truth in every case simulated (docs/physical.md).
+    model pulls to the truth, but it held the truth in every case simulated (docs/studies/physical).
     """
     inverse = pseudo_inverse(matrix, UNSEEN)
     return inverse @ inverse.T
