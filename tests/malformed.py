@@ -322,7 +322,7 @@ CASES = [
               ("robot.urdf: ", "line 3", "unbound prefix", "xacro")),
     Malformed("urdf is xacro", lambda f: (urdf("<link", '<xacro:include filename="a"/><link')(f),
                                           urdf("<robot", '<robot xmlns:xacro="http://ros.org/wiki/xacro"')(f)),
-              ("<xacro:include>", "expand")),
+              ("robot.urdf: ", "xacro")),
     Malformed("urdf of unknown encoding", urdf('version="1.0"', 'version="1.0" encoding="klingon"'), ("encoding", "UTF-8")),
     Malformed("urdf with an entity bomb", urdf("<robot", '<!DOCTYPE r [<!ENTITY a "aaaa"><!ENTITY b "&a;&a;">]>\n<robot'),
               ("robot.urdf: line 2", "<!DOCTYPE")),

@@ -49,7 +49,12 @@ def _number_pairs(context, parameter, value: tuple[str, ...]) -> dict[str, float
 
 @click.command(name="import")
 @click.argument("sources", type=click.Path(path_type=Path), nargs=-1, required=True, metavar="SOURCE...")
-@click.option("--urdf", type=click.Path(path_type=Path), required=True, help="The robot's URDF.")
+@click.option(
+    "--urdf",
+    type=click.Path(path_type=Path),
+    required=True,
+    help='The robot: a URDF, a xacro file ("FILE name:=value"), an MJCF file, or robot_descriptions:NAME.',
+)
 @click.option("--out", type=click.Path(path_type=Path), required=True, help="The experiment folder to be made.")
 @click.option(
     "--validation",

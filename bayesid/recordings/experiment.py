@@ -22,7 +22,7 @@ from bayesid.recordings.importing.column_map import ColumnMap, column_map
 from bayesid.recordings.importing.kinds import kind_of
 from bayesid.recordings.importing.recording import read_stated
 from bayesid.recordings.motion import Motion
-from bayesid.recordings.robot_section import read_robot, robot_doubts
+from bayesid.recordings.robot_section import read_robot, robot_doubts, with_stated_effects
 from bayesid.recordings.schema import (
     EffectParameters,
     ExperimentFile,
@@ -35,7 +35,6 @@ from bayesid.recordings.schema import (
 from bayesid.recordings.table import WRENCH_COLUMNS, Table
 from bayesid.recordings.table_reader import read_table
 from bayesid.robot.robot import Robot, load_robot
-from bayesid.robot.urdf_file import read_urdf
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -198,7 +197,7 @@ class Experiment(Plots):
         joints: Sequence[str] | None = None,
         locked: Mapping[str, float] | None = None,
         gravity: Sequence[float] = (0.0, 0.0, -9.81),
-        effects: Sequence[str] = (),
+        effects: Sequence[str] | None = None,
         inertia_rel_std: float | None = None,
         position_resolution: float | None = None,
         position_std: float | None = None,
@@ -213,7 +212,7 @@ class Experiment(Plots):
         Parameters
         ----------
         urdf
-            Path of the URDF, or a robot that was loaded with `bayesid.load_robot` (then with its joints and its gravity).
+            Path of the URDF or what else `bayesid.load_robot` takes, or a robot that it loaded (with its joints and gravity).
         t
             Times (N,) [s]; numpy's dates and durations count from the first.
         q
@@ -235,7 +234,7 @@ class Experiment(Plots):
         gravity
             In the base frame (3,) [m/s^2].
         effects
-            What the model has beside rigid bodies, as ``[model] effects``.
+            What the model has beside rigid bodies, as ``[model] effects``; default: what an MJCF file states, else nothing.
         inertia_rel_std, position_resolution, position_std, gear_ratio
             As the attributes of the experiment.
         kind
@@ -254,7 +253,8 @@ class Experiment(Plots):
             robot = urdf
         else:
             robot = load_robot(urdf, joints, locked, gravity, None if sensor is None else sensor.joint)
-            warnings += robot_doubts(robot, read_urdf(Path(urdf)), locked or {}, "")
+            warnings += robot_doubts(robot, locked or {}, "")
+        own, values = with_stated_effects(robot, effects)
         recording = dict(t=t, q=q, torques=torques, wrench=wrench, velocities=velocities, commanded=commanded)
         held_out = [validation] if isinstance(validation, (Table, Mapping)) else list(validation)
         motions = []
@@ -270,7 +270,7 @@ class Experiment(Plots):
             warnings += _check_present(table, sensor is not None, arrays=True)
             motions.append(Motion(called, "identification" if k == 0 else "validation", table, kind))
         experiment = cls(
-            name=name, robot=robot, motions=tuple(motions), sensor=sensor, effects=tuple(effects),
+            name=name, robot=robot, motions=tuple(motions), sensor=sensor, effects=own, effect_values=values,
             inertia_rel_std=inertia_rel_std, position_resolution=position_resolution, position_std=position_std,
             gear_ratio=dict(gear_ratio or {}), locked=dict(locked or {}), warnings=tuple(warnings),
             library=_library_of(robot),
@@ -455,6 +455,7 @@ def _read_setup(folder: Path, library: EffectLibrary | None) -> tuple[Experiment
                 )
         sensor = Sensor(**given)
     effects, values, expressions = model_parts(file.model)
+    effects, values = with_stated_effects(robot, effects if "effects" in file.model.model_fields_set else None, values)
     experiment = Experiment(
         name=file.name, robot=robot, sensor=sensor, motions=(), effects=effects, effect_values=values,
         inertia_rel_std=file.robot.inertia_rel_std, position_resolution=file.robot.position_resolution,

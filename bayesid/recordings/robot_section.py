@@ -3,18 +3,26 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from bayesid.errors import InputError
 from bayesid.recordings.complaints import listed, suggest
-from bayesid.recordings.schema import RobotSection
+from bayesid.recordings.schema import EffectParameters, RobotSection
 from bayesid.robot.robot import Robot, load_robot
+from bayesid.robot.sources import NAMED, locate
 from bayesid.robot.typical import states_masses
 from bayesid.robot.urdf_file import UrdfFile, read_urdf
 
+#: What an effect's parameters are called in MJCF; where the first is absent or zero, so is the effect.
+_INSIDE = {
+    "viscous_friction": {"coefficient": "damping"},
+    "coulomb_friction": {"level": "frictionloss"},
+    "rotor_inertia": {"inertia": "armature"},
+    "spring": {"stiffness": "stiffness", "rest": "springref"},
+}
 _LENGTH = 0.01  # between joints that are not at one place, as those of a wrist are [m]
 
 
@@ -39,15 +47,14 @@ def read_robot(folder: Path, section: RobotSection, sensor_joint: str | None) ->
     InputError
         The URDF is absent or damaged, or lacks a joint that experiment.toml names.
     """
-    path = folder / section.urdf
-    if not path.is_file():
+    if not section.urdf.startswith(NAMED) and not locate(section.urdf, folder).path.is_file():
         raise InputError(
             f'"{section.urdf}" is no file in {folder}', file="experiment.toml", key="[robot] urdf", value=section.urdf,
             remedy="name the URDF there",
         )  # fmt: skip
-    urdf = read_urdf(path)
+    urdf = read_urdf(section.urdf, folder)
     try:
-        robot = load_robot(path, section.joints, section.locked, section.gravity, sensor_joint)
+        robot = load_robot(urdf, section.joints, section.locked, section.gravity, sensor_joint)
     except InputError as error:
         # The robot knows the URDF only; the user's mistake may be in the keys that name its joints.
         for key, names in (("joints", section.joints), ("locked", list(section.locked))):
@@ -60,21 +67,51 @@ def read_robot(folder: Path, section: RobotSection, sensor_joint: str | None) ->
                 f'"{name}" is not one of joints', file="experiment.toml", key="[robot] gear_ratio", value=name,
                 remedy=suggest(name, section.joints),
             )  # fmt: skip
-    return robot, robot_doubts(robot, urdf, section.locked, "experiment.toml: [robot] ")
+    return robot, robot_doubts(robot, section.locked, "experiment.toml: [robot] ")
 
 
-def robot_doubts(robot: Robot, urdf: UrdfFile, locked: Mapping[str, float], stated: str) -> list[str]:
+def with_stated_effects(
+    robot: Robot, effects: Sequence[str] | None = None, values: EffectParameters | None = None
+) -> tuple[tuple[str, ...], EffectParameters]:
+    """Effects of a model, and starting values, with what the robot's own file states, as MJCF does: friction, rotors, springs.
+
+    Parameters
+    ----------
+    robot
+        The robot.
+    effects
+        What the user's model has; default: what the file states, of each joint that moves.
+    values
+        What the user states goes before what the file does.
+    """
+    own: EffectParameters = {}
+    values = values or {}
+    for effect, parameters in _INSIDE.items():
+        for k, joint in enumerate(robot.joint_names):
+            inside = robot.description.inside.get(joint, {})
+            if next(iter(parameters.values())) in inside and not {effect, f"{effect}@{joint}", f"{effect}@joint{k + 1}"} & {
+                *values
+            }:
+                own[f"{effect}@joint{k + 1}"] = {name: inside[key] for name, key in parameters.items()}
+    if effects is None:
+        return tuple(own), own | values
+    used = {spec: start for spec, start in own.items() if spec in effects or spec.partition("@")[0] in effects}
+    return tuple(effects), used | values
+
+
+def robot_doubts(robot: Robot, locked: Mapping[str, float], stated: str) -> list[str]:
     """What is doubtful about a robot and its URDF, one line each.
 
     Parameters
     ----------
-    robot, urdf
-        The robot, and the file it was read from.
+    robot
+        The robot.
     locked
         Positions of joints that do not move [rad or m].
     stated
         Where these and the joints are, for messages.
     """
+    urdf = robot.description
     return [*urdf.warnings, *_missing(robot, urdf), *_doubts(robot, urdf, locked, stated), *_weights(robot)]
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shutil
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -49,7 +48,7 @@ def write_experiment(experiment: Experiment, folder: str | Path, extra: Mapping[
 
 
 def _write_into(experiment: Experiment, folder: Path) -> None:
-    shutil.copyfile(experiment.robot.urdf, folder / "robot.urdf")
+    (folder / "robot.urdf").write_bytes(experiment.robot.description.data)
     robot: dict[str, Any] = {"urdf": "robot.urdf", "joints": list(experiment.robot.joint_names)}
     robot |= {"locked": dict(experiment.locked)} if experiment.locked else {}
     robot["gravity"] = [float(g) for g in experiment.robot.gravity]

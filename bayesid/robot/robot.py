@@ -20,7 +20,7 @@ from bayesid.errors import InputError
 from bayesid.robot import inertia
 from bayesid.robot.fingerprint import fingerprint
 from bayesid.robot.tree import SensorPlace, joint_rods, locate_sensor
-from bayesid.robot.urdf_file import read_urdf
+from bayesid.robot.urdf_file import UrdfFile, read_urdf
 
 _STANDARD_GRAVITY = (0.0, 0.0, -9.81)
 
@@ -31,8 +31,10 @@ class Robot:
 
     Attributes
     ----------
-    name, urdf
-        The URDF's name and path.
+    name
+        As its file says.
+    description
+        What was read, as a URDF.
     joint_names
         Joints in the order of q1 ... qn.
     parent
@@ -65,7 +67,7 @@ class Robot:
     """
 
     name: str
-    urdf: Path
+    description: UrdfFile
     joint_names: tuple[str, ...]
     parent: np.ndarray
     rotation: np.ndarray
@@ -92,6 +94,11 @@ class Robot:
 
     def __repr__(self) -> str:
         return f"<Robot {self.name}: {self.n} joints, {len(self.body_names)} bodies>"
+
+    @property
+    def urdf(self) -> Path:
+        """The file that it was read from."""
+        return self.description.path
 
     @property
     def n(self) -> int:
@@ -136,18 +143,18 @@ class Robot:
 
 
 def load_robot(
-    urdf: str | Path,
+    urdf: str | Path | UrdfFile,
     joints: Sequence[str] | None = None,
     locked: Mapping[str, float] | None = None,
     gravity: Sequence[float] = _STANDARD_GRAVITY,
     sensor_joint: str | None = None,
 ) -> Robot:
-    """Read a URDF and reduce it to the listed joints.
+    """Read a robot and reduce it to the listed joints.
 
     Parameters
     ----------
     urdf
-        Path of the file.
+        Path of a URDF, a xacro file (``"FILE name:=value"`` with arguments) or an MJCF file, or ``"robot_descriptions:NAME"``.
     joints
         Moving joints in the order of q1 ... qn; default: every moving joint in the URDF's order.
     locked
@@ -160,11 +167,11 @@ def load_robot(
     Raises
     ------
     InputError
-        The file cannot be read as a URDF, a joint is unknown or of a kind with more than one degree of
-        freedom.
+        The file cannot be read as a robot, a joint is unknown or of a kind with more than one degree of
+        freedom; or a package is missing that the format needs.
     """
-    urdf = Path(urdf)
-    model = _read(urdf)
+    file = urdf if isinstance(urdf, UrdfFile) else read_urdf(urdf)
+    urdf, model = file.path, _read(file)
     locked = dict(locked or {})
     moving = [str(name) for name in model.names[1:]]
     joints = list(moving if joints is None else joints)
@@ -235,16 +242,18 @@ def load_robot(
     for array in arrays.values():
         array.setflags(write=False)
     return Robot(
-        name=str(model.name), urdf=urdf, joint_names=tuple(joints), body_names=names, sensor_parent=sensor.parent, **arrays
+        name=str(model.name), description=file, joint_names=tuple(joints), body_names=names, sensor_parent=sensor.parent, **arrays
     )
 
 
-def _read(urdf: Path):
+def _read(urdf: UrdfFile):
     try:
-        return pin.buildModelFromXML(read_urdf(urdf).for_pinocchio())
+        return pin.buildModelFromXML(urdf.for_pinocchio())
     except (ValueError, RuntimeError) as error:
         reason = " ".join(str(error).split())[:200] or "not a valid URDF"
-        raise InputError(f"cannot be read as a URDF ({reason})", file=urdf.name, remedy="check it with a URDF viewer") from None
+        raise InputError(
+            f"cannot be read as a URDF ({reason})", file=urdf.path.name, remedy="check it with a URDF viewer"
+        ) from None
 
 
 def _unknown_joint(urdf: Path, model, name: str, moving: list[str]) -> str:

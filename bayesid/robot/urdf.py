@@ -11,7 +11,6 @@ import numpy as np
 
 from bayesid.robot import inertia
 from bayesid.robot.robot import Robot
-from bayesid.robot.urdf_file import read_urdf
 
 
 @dataclass(frozen=True)
@@ -60,14 +59,14 @@ def urdf_text(robot: Robot, parameters: np.ndarray, dynamics: JointDynamics | No
     Parameters
     ----------
     robot
-        Loaded from the URDF that is to be changed.
+        Loaded from what is to be changed.
     parameters
         Ten a body (b, 10) or (10 b,).
     dynamics
         Friction of the joints; that of joints it does not name stays as it is. What a URDF has no place for stands in comments.
     """
     dynamics = dynamics or JointDynamics({})
-    root = read_urdf(robot.urdf).root
+    root = robot.description.root
     links = {link.get("name"): link for link in root.findall("link")}
     joints = {joint.get("name"): joint for joint in root.findall("joint")}
     owners = [_child(joints[name]) for name in robot.body_names]
@@ -96,7 +95,7 @@ def urdf_text(robot: Robot, parameters: np.ndarray, dynamics: JointDynamics | No
 
 def link_names(robot: Robot) -> tuple[str, ...]:
     """The URDF link that holds each body (b,): the child of the joint that it is named after."""
-    joints = {joint.get("name"): joint for joint in read_urdf(robot.urdf).root.findall("joint")}
+    joints = {joint.get("name"): joint for joint in robot.description.root.findall("joint")}
     return tuple(_child(joints[name]) for name in robot.body_names)
 
 

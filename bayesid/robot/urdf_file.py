@@ -1,4 +1,4 @@
-"""A URDF as its author wrote it, checked before any parser of robots sees it.
+"""A robot's file as its author wrote it, as a URDF, checked before any parser of robots sees it.
 
 What cannot be a robot is refused: numbers that are none, negative or absurd masses, joints that form a loop. What
 is doubtful becomes a warning. `for_pinocchio` then hands on the links and joints alone, so that both read the same.
@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +17,9 @@ import pinocchio as pin
 
 from bayesid.errors import InputError
 from bayesid.robot import inertia
-from bayesid.robot.xml import read_xml
+from bayesid.robot.mjcf import read_mjcf
+from bayesid.robot.sources import expand, locate
+from bayesid.robot.xml import parse_xml, read_bytes
 
 #: A chain of so many links is no robot, and parsers that call themselves once a link run out of stack on longer ones.
 LONGEST_CHAIN, MOST_LINKS = 500, 5000
@@ -52,27 +54,44 @@ class UrdfJoint:
 
 @dataclass(frozen=True)
 class UrdfFile:
-    """A URDF that has passed the checks.
+    """A URDF that has passed the checks, or what another format says as one.
 
     Attributes
     ----------
-    root
-        The whole document.
+    path
+        The file that was read.
+    data
+        The whole document; of a URDF, byte by byte.
     joints
         By name.
     warnings
         What is doubtful in it, one line each.
+    inside
+        What an MJCF file states inside joints, by joint, as `bayesid.robot.mjcf.MjcfRobot` has it.
     """
 
-    root: ET.Element
+    path: Path
+    data: bytes
     joints: dict[str, UrdfJoint]
     warnings: tuple[str, ...]
+    inside: dict[str, dict[str, float]] = field(default_factory=dict)
+
+    @property
+    def root(self) -> ET.Element:
+        """The whole document, the caller's own to change."""
+        return parse_xml(self.data, self.path.name)
+
+    @property
+    def text(self) -> str:
+        """The whole document without its comments."""
+        return ET.tostring(self.root, encoding="unicode")
 
     def for_pinocchio(self) -> str:
         """Links with their masses, and joints, as XML: what Pinocchio needs and nothing else."""
-        root = ET.Element("robot", name=self.root.get("name", ""))
+        whole = self.root
+        root = ET.Element("robot", name=whole.get("name", ""))
         for kind, parts in (("link", ("inertial",)), ("joint", ("origin", "parent", "child", "axis", "limit"))):
-            for element in self.root.findall(kind):
+            for element in whole.findall(kind):
                 copy = ET.SubElement(root, kind, _plain(element))
                 for part in parts:
                     for inner in element.findall(part)[:1]:
@@ -82,22 +101,39 @@ class UrdfFile:
         return ET.tostring(root, encoding="unicode")
 
 
-def read_urdf(path: str | Path) -> UrdfFile:
-    """Read a URDF and check all that can be told without a robot in mind.
+def read_urdf(given: str | Path, folder: Path | None = None) -> UrdfFile:
+    """Read a robot's file and check all that can be told without a robot in mind.
 
     Parameters
     ----------
-    path
-        The file; its name alone goes into messages.
+    given
+        A URDF, a xacro file (``FILE name:=value ...`` with arguments), an MJCF file, or ``robot_descriptions:NAME``; the file's
+        name alone goes into messages.
+    folder
+        What its name starts from; default: where the program runs.
 
     Raises
     ------
     InputError
-        It is no XML, or no URDF: which link or joint, which value, what to do.
+        It is no XML, or no robot: which link or joint, which value, what to do. A package is missing that the format needs.
     """
-    path = Path(path)
+    source = locate(given, folder)
+    path = source.path
+    data = read_bytes(path, path.name)
+    root = parse_xml(data, path.name)
+    if root.tag == "mujoco":
+        robot = read_mjcf(path)
+        file = _checked(ET.tostring(robot.root), path, robot.told, robot.inside)
+        robot.check(file.for_pinocchio(), path.name)
+        return file
+    if source.arguments or any(_is_macro(element) for element in root.iter()):
+        data = expand(source)
+    return _checked(data, path)
+
+
+def _checked(data: bytes, path: Path, told: tuple[str, ...] = (), inside: dict | None = None) -> UrdfFile:
     source = path.name
-    root = read_xml(path, source)
+    root = parse_xml(data, source)
     _check_namespaces(root, source)
     links, joints = _named(root, "link", source), _named(root, "joint", source)
     if not links:
@@ -107,7 +143,7 @@ def read_urdf(path: str | Path) -> UrdfFile:
         _check_numbers(element, known[str(element.get("name"))], source)
     root_link = _check_tree(links, known, source)
     bodies = {name: _body(element, source) for name, element in links.items()}
-    return UrdfFile(root, known, tuple(_doubts(bodies, root_link, source)))
+    return UrdfFile(path, data, known, (*told, *_doubts(bodies, root_link, source)), inside or {})
 
 
 def _plain(element: ET.Element) -> dict[str, str]:
@@ -115,13 +151,11 @@ def _plain(element: ET.Element) -> dict[str, str]:
     return {key: " ".join(value.split()) if key != "name" else value for key, value in element.attrib.items()}
 
 
+def _is_macro(element: ET.Element) -> bool:
+    return "}" in element.tag and "xacro" in element.tag.partition("}")[0]
+
+
 def _check_namespaces(root: ET.Element, source: str) -> None:
-    for element in root.iter():
-        if "}" in element.tag and "xacro" in element.tag.partition("}")[0]:
-            raise InputError(
-                f"holds <xacro:{_cut(element.tag.partition('}')[2])}>", file=source,
-                remedy="expand the xacro file first: xacro FILE > robot.urdf",
-            )  # fmt: skip
     if root.tag.endswith("}robot"):
         raise InputError(
             "<robot> has a default namespace (xmlns=...), so that none of its parts is URDF's", file=source, remedy="remove it"
@@ -129,7 +163,7 @@ def _check_namespaces(root: ET.Element, source: str) -> None:
     if root.tag != "robot":
         raise InputError(
             f"its root element is <{_cut(root.tag)}>", file=source,
-            remedy="it cannot be read as a URDF, which has <robot>: name the robot's URDF",
+            remedy="it cannot be read as a URDF, which has <robot>, nor as MJCF, <mujoco>: name the robot's file",
         )  # fmt: skip
 
 

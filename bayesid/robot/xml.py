@@ -10,35 +10,39 @@ from bayesid.errors import InputError
 
 _DEEPEST = 100  # nested elements; a URDF has five
 _REMEDIES = {
-    "unbound prefix": "declare the prefix (xmlns:...) or remove these elements; if it is a xacro file, expand it first: "
-    "xacro FILE > robot.urdf",
+    "unbound prefix": "declare the prefix (xmlns:...) or remove these elements; a xacro file declares "
+    'xmlns:xacro="http://www.ros.org/wiki/xacro"',
     "XML or text declaration not at start of entity": "remove whatever stands before <?xml, blank lines too",
     "unknown encoding": "save the file as UTF-8",
 }
 
 
-def read_xml(path: Path, source: str) -> ET.Element:
-    """Read an XML file into its root element.
+def read_bytes(path: Path, source: str) -> bytes:
+    """What a file holds; InputError where it cannot be read, under the name that messages call it."""
+    if not path.is_file():
+        raise InputError("no such file", file=source, remedy="name the robot's URDF")
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise InputError(f"cannot be read ({error.strerror})", file=source, remedy="give a readable file") from None
+
+
+def parse_xml(data: bytes, source: str) -> ET.Element:
+    """Read XML into its root element.
 
     Parameters
     ----------
-    path
-        The file.
+    data
+        What the file holds.
     source
         What messages call it.
 
     Raises
     ------
     InputError
-        It cannot be read, is no well-formed XML, declares a document type (entities grow without bound and read
+        It is no well-formed XML, declares a document type (entities grow without bound and read
         other files), or nests elements a hundred deep. No content of the file is quoted.
     """
-    if not path.is_file():
-        raise InputError("no such file", file=source, remedy="name the robot's URDF")
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"cannot be read ({error.strerror})", file=source, remedy="give a readable file") from None
     builder = ET.TreeBuilder()
     parser = expat.ParserCreate(namespace_separator="}")
     depth = 0

@@ -24,7 +24,6 @@ from bayesid.results.diagnosis import Diagnosis
 from bayesid.results.files import Files, files_of, strict
 from bayesid.results.identification import Identification
 from bayesid.results.text import number, percent
-from bayesid.robot.urdf_file import read_urdf
 from bayesid.workflows.explained import Explained, explain, offset_of
 from bayesid.workflows.progress import SHOWN, Clock, Progress, shows_progress
 from bayesid.workflows.warnings import contradictions, impossible_signs
@@ -189,7 +188,7 @@ def _load(fit: Identification, experiment: Experiment, known: BodyKnowledge | No
     """What controllers are told of what the sensor carries."""
     if known is None or fit.offset is None or experiment.sensor is None or not all(q.shown for q in (known.mass, *known.centre)):
         return None
-    sensor, urdf = experiment.sensor, read_urdf(experiment.robot.urdf)
+    sensor, urdf = experiment.sensor, experiment.robot.description
     centre = np.array([q.value for q in known.centre])
     turn = pin.rpy.rpyToMatrix(*map(float, sensor.rpy))
     frame, children = urdf.joints[str(sensor.joint)].child, {j.child for j in urdf.joints.values()}

@@ -33,7 +33,6 @@ from bayesid.results.beside import FoundEffect
 from bayesid.results.files import Files, files_of, strict
 from bayesid.results.payload import NEXT_POSES, PayloadEstimate
 from bayesid.results.text import number, percent, with_half
-from bayesid.robot.urdf_file import read_urdf
 from bayesid.workflows.diagnose import diagnose
 from bayesid.workflows.explained import Explained, explain, offset_of
 from bayesid.workflows.progress import SHOWN, Clock, Progress, shows_progress
@@ -191,7 +190,7 @@ def payload(
     moments = _joined(known.inertia, [k.inertia for k in others])
     reach = [abs(q.value) for q in centre if q.shown]
     assumed = max(_EXTENT * float(np.linalg.norm(reach)), _SMALLEST_EXTENT)
-    urdf = read_urdf(experiment.robot.urdf)
+    urdf = experiment.robot.description
     carrier = experiment.robot.body_names[found.body]
     result = PayloadEstimate(
         name=experiment.name, channel=read, source=source, source_detail=detail, carrier=carrier, frame=name, body=told,

@@ -22,7 +22,7 @@ from bayesid.recordings.importing.reader import joined, read_source
 from bayesid.recordings.importing.recording import Recording, make_recording
 from bayesid.recordings.importing.signals import Signal
 from bayesid.recordings.importing.stream import Source
-from bayesid.recordings.robot_section import robot_doubts
+from bayesid.recordings.robot_section import robot_doubts, with_stated_effects
 from bayesid.results.imported import Delay, Imported, ImportedRecording
 from bayesid.robot.robot import load_robot
 from bayesid.robot.urdf_file import UrdfFile, read_urdf
@@ -73,7 +73,7 @@ def read_recording(
     source
         A file or folder, or several: a recording each, of which the last is for validation where ``validation`` names none.
     urdf
-        Path of the robot's URDF.
+        Path of the robot's URDF, or any other robot that `bayesid.load_robot` takes.
     validation
         Recordings that are only predicted.
     mapping
@@ -132,12 +132,12 @@ def read_recording(
     if len(given) > 1 and not held_out and hold_out is None:
         given, held_out = given[:-1], given[-1:]
     file = read_urdf(urdf)
-    moving = _moving(Path(urdf), file)
+    moving = _moving(file)
     stated.check_joints(moving)
     for key, names in (("joints", joints or ()), ("locked", locked or {})):
         for joint in names:
             if joint not in moving:
-                raise InputError(f"{argument(key)}: {joint} is no moving joint of {Path(urdf).name}; {suggest(joint, moving)}")
+                raise InputError(f"{argument(key)}: {joint} is no moving joint of {file.path.name}; {suggest(joint, moving)}")
     made = [
         (make_recording(one, stated, moving, joints, clock, locked=locked or {}), files) for one, files in [*given, *held_out]
     ]
@@ -147,8 +147,12 @@ def read_recording(
     told += place_told
     stand, stand_told = _locked([joint for joint in moving if joint not in joints], dict(locked or {}), made)
     told += stand_told
-    robot = load_robot(urdf, list(joints), stand, gravity, None if placed is None else placed.joint)
-    doubts = robot_doubts(robot, file, stand, "")
+    robot = load_robot(file, list(joints), stand, gravity, None if placed is None else placed.joint)
+    doubts = robot_doubts(robot, stand, "")
+    effects, values = with_stated_effects(robot)
+    if effects:
+        kinds = dict.fromkeys(effect.partition("@")[0] for effect in effects)
+        told.append(f"{file.path.name} states {listed(kinds)}: effects of the model, its numbers their starting values")
     names = _names([recording.source.name for recording, _ in made])
     motions = [
         Motion(label, "identification" if k < len(given) else "validation", recording.table(label))
@@ -166,7 +170,7 @@ def read_recording(
     try:
         experiment = Experiment(
             name=_names([name])[0], robot=robot, motions=tuple(motions), sensor=placed, locked=stand, warnings=tuple(doubts),
-            library=library,
+            effects=effects, effect_values=values, library=library,
         )  # fmt: skip
     except InputError as error:
         raise _with_unit(error) from None
@@ -219,10 +223,10 @@ def _locked(
     return stand | given, told
 
 
-def _moving(urdf: Path, file: UrdfFile) -> list[str]:
+def _moving(file: UrdfFile) -> list[str]:
     """Every moving joint in the order that a robot has them by default."""
     still = ("fixed", "floating", "planar")
-    return [name for name in load_robot(urdf).joint_names if name in file.joints and file.joints[name].kind not in still]
+    return [name for name in load_robot(file).joint_names if name in file.joints and file.joints[name].kind not in still]
 
 
 def _read(paths: _Paths, join_files: bool, **options: Any) -> list[tuple[Source, tuple[str, ...]]]:

@@ -18,6 +18,9 @@ from bayesid import fourier_trajectory, load_bounds, write_experiment, write_tra
 from bayesid.cli import main
 from bayesid.effects import EffectLibrary
 from bayesid.recordings import schema
+from bayesid.results.export.mjcf import mjcf
+from bayesid.robot.examples import PAPER_LOCKED
+from bayesid.robot.urdf import JointDynamics
 from bayesid.validation.prediction import TOLERATED
 from tests.docs.notebook import Notebook
 from tests.recordings.importing.logs import START, Bag
@@ -65,6 +68,11 @@ def my_arm(tmp_path_factory) -> Path:
     write_experiment(experiment(robot, motions, sensor, position_resolution=1e-4), folder / "my-arm")
     write_trajectory(fourier_trajectory(robot, duration=4.0, fundamental=0.25), folder / "move.csv")
     _write_logs(folder, motions)
+    inside = JointDynamics({name: {"damping": 4.0, "friction": 5.0} for name in robot.joint_names})
+    (folder / "my-arm.xml").write_text(mjcf(robot, PAPER_LOCKED, robot.nominal.ravel(), inside), encoding="utf-8")
+    macros = robot.description.text.replace("<robot ", '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" ', 1)
+    macros = macros.replace(">", '><xacro:property name="turned" value="$(arg elbow)"/>', 1)
+    (folder / "my-arm.urdf.xacro").write_text(macros, encoding="utf-8")
     return folder
 
 

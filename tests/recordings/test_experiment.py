@@ -321,9 +321,13 @@ def test_nothing_is_overwritten(folder: Path, tmp_path: Path) -> None:
     assert load_experiment(empty).warnings == ()
 
 
-def test_a_failed_write_leaves_nothing(folder: Path, tmp_path: Path) -> None:
+def test_a_failed_write_leaves_nothing(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     experiment = load_experiment(folder)
-    (folder / "robot.urdf").unlink()
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("bayesid.recordings.writer.write_table", full)
     with pytest.raises(InputError, match="cannot be written"):
         write_experiment(experiment, tmp_path / "new")
     assert [path.name for path in tmp_path.iterdir()] == ["arm"]

@@ -164,7 +164,7 @@ def _equipped(bench: Bench, candidate: Candidate) -> tuple[Experiment, np.ndarra
     rpy = pin.rpy.matrixToRpy(candidate.rotation)
     if candidate.joint is not None or robot.sensor_parent >= 0 or len(robot.body_names) != robot.n:
         try:
-            robot = load_robot(robot.urdf, robot.joint_names, own.locked, robot.gravity.tolist(), candidate.joint)
+            robot = load_robot(robot.description, robot.joint_names, own.locked, robot.gravity.tolist(), candidate.joint)
         except InputError as error:
             raise InputError(f'sensor "{candidate.name}": {error}') from None
     links = bench.links if robot.body_names == own.robot.body_names else robot.nominal

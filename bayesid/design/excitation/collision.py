@@ -19,7 +19,6 @@ import pinocchio as pin
 from bayesid.dynamics.kinematics import link_states
 from bayesid.effects.segment import Results
 from bayesid.robot.robot import Robot
-from bayesid.robot.urdf_file import read_urdf
 
 #: Pairs that touch in more than this share of random positions are taken for neighbours, as planners do.
 _NEIGHBOURS, _TRIED = 0.95, 100
@@ -139,10 +138,8 @@ def clearance(
     clearance, notes
         None without two bodies that can meet; what was left out, one line each.
     """
-    if not robot.urdf.is_file():  # a robot outlives its file
-        return None, (f"{robot.urdf.name} is not there any more, so that nothing is known of the bodies' shapes.",)
-    xml, notes = _with_geometry(robot.urdf)
-    model = pin.buildModelFromXML(read_urdf(robot.urdf).for_pinocchio())
+    xml, notes = _with_geometry(robot)
+    model = pin.buildModelFromXML(robot.description.for_pinocchio())
     geometry = pin.buildGeomFromUrdfString(model, xml, pin.GeometryType.COLLISION)
     carrier = _carriers(model, robot)
     for shape in geometry.geometryObjects:
@@ -202,9 +199,9 @@ def _carriers(model: Any, robot: Robot) -> np.ndarray:
     return out
 
 
-def _with_geometry(urdf: Path) -> tuple[str, tuple[str, ...]]:
+def _with_geometry(robot: Robot) -> tuple[str, tuple[str, ...]]:
     """The URDF as text with absolute paths of meshes, without those that are not there; and a note of these."""
-    root = ET.fromstring(ET.tostring(read_urdf(urdf).root))
+    root, urdf = robot.description.root, robot.urdf
     missing = []
     for link in root.findall("link"):
         for visual in link.findall("visual"):

@@ -36,7 +36,6 @@ from bayesid.recordings.experiment import Experiment
 from bayesid.regression.problem import Problem
 from bayesid.robot.prior import Prior
 from bayesid.robot.robot import Robot, load_robot
-from bayesid.robot.urdf_file import read_urdf
 
 #: Ends of the names of URDF links that are a flange, in whose frame controllers want a payload, the most certain first.
 FLANGES = ("tool0", "_link8", "flange")
@@ -188,14 +187,14 @@ def in_frame(known: BodyKnowledge, experiment: Experiment, body: int, frame: str
         There is no such link, or it does not move with the body.
     """
     robot = experiment.robot
-    urdf = read_urdf(robot.urdf)
+    urdf = robot.description
     above = {j.child: j.name for j in urdf.joints.values()}
     joint = int(robot.body_joint[body])
     own = robot.body_names[body]
 
     def place(link: str) -> tuple[np.ndarray, np.ndarray] | None:
         # A sensor in the joint above a link sits where the link does.
-        at = load_robot(robot.urdf, robot.joint_names, experiment.locked, sensor_joint=above[link])
+        at = load_robot(robot.description, robot.joint_names, experiment.locked, sensor_joint=above[link])
         return (at.sensor_rotation, at.sensor_translation) if at.sensor_parent == joint else None
 
     if frame is None:

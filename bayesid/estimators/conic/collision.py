@@ -32,10 +32,10 @@ def collision_boxes(robot: Robot, locked: Mapping[str, float] | None = None) -> 
     InputError
         The URDF has no collision geometry, or its meshes cannot be read.
     """
-    model = pin.buildModelFromUrdf(str(robot.urdf))
+    model = pin.buildModelFromXML(robot.description.text)
     try:
         folder = str(robot.urdf.parent)
-        shapes = pin.buildGeomFromUrdf(model, str(robot.urdf), pin.GeometryType.COLLISION, package_dirs=folder)
+        shapes = pin.buildGeomFromUrdfString(model, robot.description.text, pin.GeometryType.COLLISION, package_dirs=folder)
     except (ValueError, RuntimeError) as error:
         reason = " ".join(str(error).split())
         raise InputError(f"{robot.urdf.name}: collision geometry cannot be read ({reason}); give boxes in numbers") from None

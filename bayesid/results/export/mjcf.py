@@ -6,25 +6,21 @@ found. Before the file is believed, its mass matrix and its bias forces are comp
 
 from __future__ import annotations
 
-import importlib
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
 from bayesid.errors import InputError
+from bayesid.robot.mjcf import compare, load_mujoco
 from bayesid.robot.robot import Robot
 from bayesid.robot.urdf import JointDynamics, urdf_text
 
 #: The effect that MuJoCo calls armature.
 ARMATURE = "rotor_inertia"
-#: States that both libraries are compared in, and the largest difference, relative to the largest number: MuJoCo 4 agrees to
-#: rounding, MuJoCo 3 finds principal axes of inertia to 1e-7.
-STATES, AGREEMENT = 20, 1e-6
 
 
 @dataclass(frozen=True)
@@ -101,22 +97,11 @@ def mjcf(robot: Robot, locked: Mapping[str, float], links: np.ndarray, dynamics:
             f"MuJoCo refuses the identified robot ({reason})", file=robot.urdf.name,
             remedy="a moving link without mass and inertia is no body for it: identify with more motion, or write a URDF instead",
         ) from None  # fmt: skip
-    _compare(mujoco, written, urdf, robot, constants)
+    armature = np.array([constants.armature.get(name, 0.0) for name in robot.joint_names])
+    compare(
+        written, urdf, robot.joint_names, armature, robot.gravity.tolist(), robot.urdf.name, "write a URDF instead, and report it"
+    )
     return text
-
-
-def load_mujoco() -> Any:
-    """The package mujoco.
-
-    Raises
-    ------
-    InputError
-        It is not installed.
-    """
-    try:
-        return importlib.import_module("mujoco")
-    except ImportError:
-        raise InputError('MJCF is written by MuJoCo, which is not installed; pip install "bayesid[mujoco]"') from None
 
 
 def _plain_urdf(robot: Robot, locked: Mapping[str, float], links: np.ndarray, dynamics: JointDynamics) -> str:
@@ -203,42 +188,3 @@ def _with_all_digits(mujoco: Any, text: str, model: Any, beside: Mapping[str, tu
 def _put(element: ET.Element, values: Mapping[str, Any]) -> None:
     for key, value in values.items():
         element.set(key, " ".join(repr(float(x)) for x in np.atleast_1d(value)))
-
-
-def _compare(mujoco: Any, model: Any, urdf: str, robot: Robot, constants: JointConstants) -> None:
-    """Refuse a model whose mass matrix or bias forces are not those of Pinocchio for the same URDF, armature included."""
-    other = pin.buildModelFromXML(urdf)
-    other.gravity.linear = np.array(robot.gravity)
-    here = [model.joint(name) for name in robot.joint_names]
-    there = [other.joints[other.getJointId(name)] for name in robot.joint_names]
-    if model.nv != robot.n or other.nv != robot.n:
-        raise InputError(f"{robot.urdf.name}: MuJoCo has {model.nv} joints and Pinocchio {other.nv}, not {robot.n}; write a URDF")
-    mine, dofs = np.array([int(j.dofadr[0]) for j in here]), np.array([j.idx_v for j in there])
-    places = np.array([int(j.qposadr[0]) for j in here])
-    armature = np.array([constants.armature.get(name, 0.0) for name in robot.joint_names])
-    rng, data, own = np.random.default_rng(0), other.createData(), mujoco.MjData(model)
-    found: list[list[np.ndarray]] = [[], []]
-    for _ in range(STATES):
-        q, v = rng.uniform(-np.pi, np.pi, robot.n), rng.normal(size=robot.n)
-        q[robot.prismatic] *= 0.2
-        turn, rate = np.zeros((2, robot.n))
-        turn[dofs], rate[dofs] = q, v
-        posture = pin.integrate(other, pin.neutral(other), turn)
-        upper = np.triu(pin.crba(other, data, posture))
-        mass = (upper + np.triu(upper, 1).T)[np.ix_(dofs, dofs)] + np.diag(armature)
-        bias = pin.nonLinearEffects(other, data, posture, rate)[dofs]
-        own.qpos[places], own.qvel[mine] = q, v
-        mujoco.mj_forward(model, own)
-        full = np.zeros((model.nv, model.nv))
-        for column, unit in zip(full, np.eye(model.nv), strict=True):
-            mujoco.mj_mulM(model, own, column, unit)
-        found[0].append(np.column_stack([full[np.ix_(mine, mine)], own.qfrc_bias[mine]]))
-        found[1].append(np.column_stack([mass, bias]))
-    one, two = (np.array(f) for f in found)
-    for what, part in (("mass matrices", slice(None, -1)), ("bias forces", slice(-1, None))):
-        difference = float(np.abs(one[..., part] - two[..., part]).max() / max(np.abs(two[..., part]).max(), 1e-300))
-        if not difference <= AGREEMENT:
-            raise InputError(
-                f"{robot.urdf.name}: the {what} of MuJoCo and Pinocchio differ by {difference:.2g} of the largest number in "
-                f"{STATES} random states, which must not be; write a URDF instead, and report it"
-            )

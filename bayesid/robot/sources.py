@@ -1,0 +1,131 @@
+"""Where a robot is read from: a file, a xacro file with its arguments, or the name of a public description."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import io
+import re
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+
+from bayesid.errors import InputError
+
+#: Before the name of a description of the package robot_descriptions.
+NAMED = "robot_descriptions:"
+_ARGUMENT = re.compile(r"\s+([A-Za-z_][\w.-]*):=(\S*)$")
+_REASON = 200  # characters of another package's message that are quoted
+
+
+@dataclass(frozen=True)
+class RobotSource:
+    """A file, and the arguments that its macros take.
+
+    Attributes
+    ----------
+    path
+        The file.
+    arguments
+        By name, as the command xacro takes them.
+    packages
+        Where packages are that its macros name, beside those that are found.
+    """
+
+    path: Path
+    arguments: dict[str, str] = field(default_factory=dict)
+    packages: dict[str, str] = field(default_factory=dict)
+
+
+def locate(given: str | Path, folder: Path | None = None) -> RobotSource:
+    """Find the file of a robot.
+
+    Parameters
+    ----------
+    given
+        ``FILE``, ``FILE name:=value ...`` with arguments for xacro, or ``robot_descriptions:NAME``, which is fetched where it is
+        not there yet.
+    folder
+        What a file's name starts from; default: where the program runs.
+
+    Raises
+    ------
+    InputError
+        There is no such description, or it cannot be had.
+    """
+    text, arguments = str(given), {}
+    while found := _ARGUMENT.search(text):
+        arguments[found[1]] = found[2]
+        text = text[: found.start()]
+    arguments = dict(reversed(arguments.items()))
+    if text.startswith(NAMED):
+        return _described(text.removeprefix(NAMED).strip(), arguments)
+    return RobotSource((folder or Path()) / text, arguments)
+
+
+def expand(source: RobotSource) -> bytes:
+    """The URDF that a xacro file becomes.
+
+    Packages that it names are looked for in the folders above it, then where ROS has them.
+
+    Raises
+    ------
+    InputError
+        xacrodoc is missing, or the file, one that it includes or a package is not found or is wrong.
+    """
+    path = source.path
+    try:
+        packages: Any = importlib.import_module("xacrodoc.packages")
+        xacro: Any = importlib.import_module("xacro")
+    except ImportError:
+        raise InputError(
+            "is a xacro file, which needs xacrodoc", file=path.name,
+            remedy='pip install "bayesid[robots]", or expand it first: xacro FILE > robot.urdf',
+        ) from None  # fmt: skip
+    try:
+        packages.reset()  # a package of the same name that another robot's file has found
+        packages.walk_up_from(path)
+        packages.update_package_cache(source.packages)
+        with contextlib.redirect_stderr(io.StringIO()):  # its warnings; what went wrong is in the exception
+            return xacro.process_file(str(path), mappings=dict(source.arguments)).toxml("utf-8")
+    except Exception as error:  # whatever a user's expressions raise
+        reason, remedy = " ".join(str(error).split())[:_REASON] or type(error).__name__, "correct the file"
+        if "Undefined substitution argument" in reason:
+            remedy = 'give its value: "FILE name:=value"'
+        elif "not found" in reason or "No such file" in reason:
+            remedy = "put it beside the file, or name its folder in ROS_PACKAGE_PATH"
+        raise InputError(f"xacro cannot expand it ({reason})", file=path.name, remedy=remedy) from None
+
+
+def _described(name: str, arguments: Mapping[str, str]) -> RobotSource:
+    """A description by its name: its URDF, else its xacro file, else its MJCF."""
+    place = f"{NAMED}{name}"
+    try:
+        known = importlib.import_module("robot_descriptions").DESCRIPTIONS
+    except ImportError:
+        raise InputError(
+            "needs the package robot_descriptions", file=place, remedy='pip install "bayesid[robots]", or name a file'
+        ) from None
+    if name not in known:
+        close = get_close_matches(name, known, 1)
+        hint = f"did you mean {close[0]}?" if close else "`python -m robot_descriptions list` lists them"
+        raise InputError("no such description", file=place, remedy=hint)
+    try:
+        with contextlib.redirect_stdout(sys.stderr):
+            module: Any = importlib.import_module(f"robot_descriptions.{name}")
+    except Exception as error:  # of git, of a network
+        said = re.findall(r"fatal: .*", str(error)) or [" ".join(str(error).split())]
+        raise InputError(
+            f"cannot be fetched ({said[0][:_REASON] or type(error).__name__})", file=place,
+            remedy="connect to the network this once, or name a file",
+        ) from None  # fmt: skip
+    if hasattr(module, "XACRO_PATH") and not hasattr(module, "URDF_PATH"):
+        stated = {**getattr(module, "XACRO_ARGS", {}), **arguments}
+        return RobotSource(Path(module.XACRO_PATH), stated, dict(getattr(module, "XACRO_PACKAGE_PATHS", {})))
+    path = getattr(module, "URDF_PATH", None) or getattr(module, "MJCF_PATH", None)
+    if path is None:
+        raise InputError("has no URDF and no MJCF", file=place, remedy="name another")
+    return RobotSource(Path(path), dict(arguments))
