@@ -47,6 +47,7 @@ from .workflows.bounds import bounds
 from .workflows.calibrate import calibrate
 from .workflows.check import check
 from .workflows.compare import compare
+from .workflows.demo import Demo, demo
 from .workflows.diagnose import diagnose
 from .workflows.excite import excite
 from .workflows.export import export
@@ -62,6 +63,7 @@ __version__: str
 
 __all__ = [
     "DEFAULT_METHOD",
+    "Demo",
     "METHODS",
     "Accuracy",
     "BayesidError",
@@ -118,6 +120,7 @@ __all__ = [
     "calibrate",
     "check",
     "compare",
+    "demo",
     "diagnose",
     "estimator",
     "excite",

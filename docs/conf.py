@@ -25,7 +25,12 @@ extensions = ["myst_nb", "numpydoc", "sphinx.ext.autosummary"]
 
 myst_enable_extensions = ["amsmath", "dollarmath"]
 myst_heading_anchors = 4
-nb_execution_mode = "off"  # the tests run every code block
+nb_execution_mode = "cache"  # of docs/notebooks; code blocks of other pages are run by the tests
+nb_execution_cache_path = str(Path(__file__).parents[1] / "build" / "jupyter_cache")
+nb_execution_in_temp = True
+nb_execution_raise_on_error = True
+nb_execution_timeout = 120
+nb_output_stderr = "remove"  # progress
 # Links to files of the repository that are no pages: scripts, tables, pictures of the source.
 # And sources that only docstrings of the inside name.
 suppress_warnings = ["myst.xref_missing", "ref.citation"]
