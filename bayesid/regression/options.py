@@ -58,7 +58,8 @@ class FitOptions:
             ``static`` is neither ``motion`` nor ``joint``.
         """
         object.__setattr__(self, "motions", names(self.motions))
-        object.__setattr__(self, "effects", names(self.effects))
+        effects = self.effects.split(",") if isinstance(self.effects, str) else self.effects  # as on the command line
+        object.__setattr__(self, "effects", names(effects))
         if self.static not in STATIC:
             raise InputError(f"{argument('static', self.static)}: choose one of {', '.join(STATIC)}")
 

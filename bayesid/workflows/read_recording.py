@@ -289,7 +289,7 @@ def _sensor(given: Sensor | str | None, recordings: Sequence[Recording], file: U
     what = f'its frame "{frame}" is no child link of a fixed joint of the URDF' if not others and frame else "no frame says where"
     return None, [
         f"the wrench is kept but not used, for it is not known where the sensor sits ({what}): say it "
-        f"({argument('sensor', 'base')} or the name of a joint)"
+        f"({argument('sensor', 'base')} or the name of a joint; or in [sensor] of experiment.toml once it is written)"
     ]
 
 

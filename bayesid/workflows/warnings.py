@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
-from bayesid.arguments import call
+from bayesid.arguments import argument, call
 from bayesid.estimators import Estimate
 from bayesid.regression.problem import Problem
 from bayesid.validation.cross_checks import Agreement
@@ -64,7 +64,8 @@ def unusable(problem: Problem, predictions: Sequence[Prediction], mistakes: Sequ
     if mistakes:
         remedy = "Undo the mistake that is named below, then fit again"
     elif problem.channel != "wrench" and not any(e.channels == ("torque",) for e in problem.row_model.effects):
-        remedy = "Add viscous_friction, coulomb_friction and rotor_inertia to [model] effects: the model has none of a drive's"
+        drive = ["viscous_friction", "coulomb_friction", "rotor_inertia"]
+        remedy = f"The model has no effect of a drive: {argument('effects', drive)}, or the same in [model] effects, adds them"
     else:
         remedy = f"`{call('check')}` looks for wrong signs, units and joint order, `{call('diagnose')}` for what is missing"
     said = f"motions that were not fitted are predicted with an error of {size} % of the signal"
