@@ -1,3 +1,4 @@
+from . import datasets
 from .design.excitation.options import ExcitationOptions
 from .effects.library import EffectLibrary
 from .effects.own import load_effects
@@ -120,6 +121,7 @@ __all__ = [
     "calibrate",
     "check",
     "compare",
+    "datasets",
     "demo",
     "diagnose",
     "estimator",

@@ -23,6 +23,7 @@ VERBS = {
     "calibrate": "What a force/torque sensor in place has: offset, gain, cross-talk, orientation.",
     "check": "Read and validate an experiment folder; say what is in it.",
     "compare": "Several estimators on the same data, side by side.",
+    "datasets": "Public recordings of real robots: what there is, and each as an experiment.",
     "demo": "The main job on an embedded example, in under a minute.",
     "diagnose": "Where model and data disagree, and which effect is missing.",
     "excite": "An exciting trajectory within limits.",

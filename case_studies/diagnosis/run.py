@@ -1,16 +1,15 @@
 """Four diagnoses: a hidden hose, two real robots, a real wrist sensor, and one that goes wrong.
 
-    python case_studies/diagnosis/run.py [--data DIR] [--out DIR] [--only hose,robot,wrist,failure]
+    python case_studies/diagnosis/run.py [--out DIR] [--only hose,robot,wrist,failure]
 
-writes results.json, the figures and README.md with its tables filled in. ``robot`` and ``wrist`` need the recordings
-below $BAYESID_DATA and are skipped without. All four take about ten minutes on one core.
+writes results.json, the figures and README.md with its tables filled in. ``robot`` and ``wrist`` take the
+recordings that `bayesid.datasets` finds or fetches, and are skipped without. All four take about ten minutes on one core.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import os
 import shutil
 import sys
 import tempfile
@@ -28,7 +27,6 @@ from bayesid.diagnosis.locate import by_window, places_looked_at
 from bayesid.diagnosis.validation import residual_spectra
 
 HERE = Path(__file__).parent
-DATA = Path(os.environ.get("BAYESID_DATA", HERE.parents[2] / "shared"))
 sys.path.append(str(HERE.parent / "blind_naming"))
 FRICTION = ("viscous_friction", "coulomb_friction", "torque_offset")
 #: A soft hose from behind the shoulder to the middle of link 2: 12 N for each metre, slack below 0.45 m.
@@ -154,11 +152,11 @@ def hose(seed: int = 0) -> dict[str, Any]:
     return result
 
 
-def robot(data: Path = DATA) -> dict[str, Any]:
+def robot() -> dict[str, Any]:
     """Real arms against a rigid-body model, without and with friction."""
     out: dict[str, Any] = {}
     for name in ("kuka-lwr4", "ur10"):
-        experiment = bayesid.load_experiment(data / "data" / name)
+        experiment = bayesid.datasets.load(name)
         out[name] = {
             "rigid": outcome(bayesid.diagnose(experiment, "torque")),
             "friction": outcome(bayesid.diagnose(experiment, "torque", effects=FRICTION)),
@@ -172,9 +170,9 @@ def jolts(table: pd.DataFrame, edges: np.ndarray) -> list[float]:
     return [float(np.sqrt(np.mean(steps[a : max(b - 1, a + 1)] ** 2))) for a, b in zip(edges[:-1], edges[1:], strict=True)]
 
 
-def wrist(data: Path = DATA) -> dict[str, Any]:
+def wrist() -> dict[str, Any]:
     """A real wrist sensor: a quiet turn, and the same with hammer taps."""
-    folder = data / "data" / "kuka-med-wrist"
+    folder = bayesid.datasets.fetch("kuka-med-wrist")
     out: dict[str, Any] = {}
     for motion in ("baseline", "vibrations"):
         table = pd.read_csv(folder / f"{motion}.csv")
@@ -230,11 +228,10 @@ def failure(sizes: tuple[float, ...] = SIZES) -> list[dict[str, Any]]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, default=DATA, help="folder that holds data/ (default: BAYESID_DATA)")
     parser.add_argument("--out", type=Path, default=HERE, help="folder for results.json, the figures and the filled README.md")
     parser.add_argument("--only", default="hose,robot,wrist,failure", help="which, by commas; the others stay as they are")
     options = parser.parse_args()
-    studies = {"hose": hose, "robot": lambda: robot(options.data), "wrist": lambda: wrist(options.data), "failure": failure}
+    studies = {"hose": hose, "robot": robot, "wrist": wrist, "failure": failure}
     chosen = options.only.split(",") if options.only else []
     if strange := set(chosen) - set(studies):
         parser.error(f"--only {','.join(sorted(strange))}: give some of {','.join(studies)}")
@@ -242,10 +239,11 @@ def main() -> None:
     known = HERE / "results.json"
     results = json.loads(known.read_text(encoding="utf-8")) if known.exists() else {}
     for name in chosen:
-        if name in ("robot", "wrist") and not (options.data / "data" / "kuka-lwr4").exists():
-            print(f"{name} skipped: {options.data / 'data'} not found; set BAYESID_DATA or give --data")
+        try:
+            results[name] = plain(studies[name](), digits=5)
+        except bayesid.InputError as error:  # recordings that are not to be had
+            print(f"{name} skipped: {error}")
             continue
-        results[name] = plain(studies[name](), digits=5)
         (options.out / "results.json").write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
     filled = fill((HERE / "README.md").read_text(encoding="utf-8"), tables(results))
     (options.out / "README.md").write_text(filled, encoding="utf-8")

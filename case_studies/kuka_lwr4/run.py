@@ -1,8 +1,8 @@
 """A real KUKA LWR4+: what beats the CAD model on the faster motion.
 
-    python case_studies/kuka_lwr4/run.py [--data DIR] [--out DIR]
+    python case_studies/kuka_lwr4/run.py [--out DIR]
 
-needs the recordings (`data/kuka-lwr4` below $BAYESID_DATA); writes results.json, errors.png and README.md with its
+takes the recordings that `bayesid.datasets` finds or fetches; writes results.json, errors.png and README.md with its
 tables filled in. It takes a minute or two.
 """
 
@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
@@ -26,7 +25,6 @@ from bayesid.robot.prior import Prior
 from bayesid.robot.robot import Robot
 
 HERE = Path(__file__).parent
-DATA = Path(os.environ.get("BAYESID_DATA", HERE.parents[2] / "shared"))
 FRICTION = ("viscous_friction", "coulomb_friction", "torque_offset")
 #: Registered estimators that take part, in the order of the tables.
 NAMES = ("ols", "wls", "gls", "ridge", "tsvd", "iv", "tls", "huber", "student", "sdp")
@@ -175,9 +173,9 @@ def judge(experiment: bayesid.Experiment, effects: tuple[str, ...], folds: int) 
     return out
 
 
-def run(data: Path = DATA, folds: int = FOLDS) -> dict:
+def run(folds: int = FOLDS) -> dict:
     """All results."""
-    experiment = bayesid.load_experiment(data / "data" / "kuka-lwr4")
+    experiment = bayesid.datasets.load("kuka-lwr4")
     roles = {"identification": "validation", "validation": "identification"}
     swapped = replace(experiment, motions=tuple(replace(m, role=roles[m.role]) for m in experiment.motions))
     trusted = entries(experiment, FRICTION, [Physical(f"{s:g}", rel_std=s) for s in TRUSTS])
@@ -200,14 +198,15 @@ def run(data: Path = DATA, folds: int = FOLDS) -> dict:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, default=DATA, help="folder that holds data/kuka-lwr4 (default: BAYESID_DATA)")
     parser.add_argument("--out", type=Path, default=HERE, help="folder for results.json, the figure and the filled README.md")
     options = parser.parse_args()
-    if not (options.data / "data" / "kuka-lwr4" / "experiment.toml").exists():
-        print(f"skipped: {options.data / 'data' / 'kuka-lwr4'} not found; set BAYESID_DATA or give --data")
+    try:
+        bayesid.datasets.fetch("kuka-lwr4")
+    except bayesid.InputError as error:
+        print(f"skipped: {error}")
         return
     options.out.mkdir(parents=True, exist_ok=True)
-    results = run(options.data)
+    results = run()
     filled = fill((HERE / "README.md").read_text(encoding="utf-8"), tables(results))
     (options.out / "results.json").write_text(json.dumps(plain(results), indent=1) + "\n", encoding="utf-8")
     (options.out / "README.md").write_text(filled, encoding="utf-8")

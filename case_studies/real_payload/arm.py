@@ -11,49 +11,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+
+from bayesid.workflows.public_recordings import UR10E_LINKS, UR_JOINTS, dh_urdf, ur10e_rows
 
 COMMIT = "11af40e7"
 #: Below the clone; how a clone is told from ready folders.
 RAW = Path("dataset_ur10e") / "identification_data"
-#: Torque over motor current [N m/A]: the controller's own desired torque over its desired current while the arm stands still
-#: before it moves, which joints 2 to 4 tell; joint 1 has joint 2's drive, joints 5 and 6 have joint 4's. Perhaps 2 % off each.
-DRIVE_GAINS = (11.976, 11.976, 9.839, 10.763, 10.763, 10.763)
-STEP_S = 0.01
-#: A recording is used while the arm moves [rad/s], and this long [s] before and after.
-MOVING, MARGIN_S = 0.005, 0.3
-JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
 EFFECTS = ("viscous_friction", "coulomb_friction", "torque_offset")
-
-
-@dataclass(frozen=True)
-class Link:
-    """One row of the maker's tables: Denavit-Hartenberg parameters, largest torque and speed, mass properties.
-
-    Lengths in m, angles in rad; the centre of mass and the inertia (ixx, ixy, ixz, iyy, iyz, izz about it) in the link's own
-    Denavit-Hartenberg frame.
-    """
-
-    a: float
-    d: float
-    alpha: float
-    effort: float
-    speed: float
-    mass: float
-    centre: tuple[float, float, float]
-    inertia: tuple[float, float, float, float, float, float]
-
-
-QUARTER = 1.57079632679
-#: As Universal Robots publishes them for the UR10e ("DH parameters for calculations of kinematics and dynamics").
-LINKS = (
-    Link(0.0, 0.1807, QUARTER, 330, 2.09, 7.369, (0.021, 0.0, 0.027), (0.0341, 0, -0.0043, 0.0353, 0.0001, 0.0216)),
-    Link(-0.6127, 0.0, 0.0, 330, 2.09, 13.051, (0.38, 0.0, 0.158), (0.0281, 0.0001, -0.0156, 0.7707, 0, 0.7694)),
-    Link(-0.57155, 0.0, 0.0, 150, 3.14, 3.989, (0.24, 0.0, 0.068), (0.0101, 0.0001, 0.0092, 0.3093, 0, 0.3065)),
-    Link(0.0, 0.17415, QUARTER, 56, 3.14, 2.1, (0.0, 0.007, 0.018), (0.003, 0, 0, 0.0022, -0.0002, 0.0026)),
-    Link(0.0, 0.11985, -QUARTER, 56, 3.14, 1.98, (0.0, 0.007, 0.018), (0.003, 0, 0, 0.0022, -0.0002, 0.0026)),
-    Link(0.0, 0.11655, 0.0, 56, 3.14, 0.615, (0.0, 0.0, -0.026), (0.0006, 0, 0, 0.0006, 0, 0.0004)),
-)
 
 
 @dataclass(frozen=True)
@@ -103,31 +67,24 @@ def available(source: Path, recording: Recording) -> bool:
 def table(source: Path, recording: Recording) -> np.ndarray:
     """Times [s], joint positions [rad] and torques [N m] of a recording, 100 Hz (k, 13).
 
-    A raw row is the time, then six each of position, velocity, motor current, and the controller's desired current and torque.
-    Samples come every 10 or 12 ms, some later; a cubic spline goes through them. Nothing is filtered.
+    As `bayesid.datasets` reads them.
     """
     if not is_clone(source):
         return np.genfromtxt(source / str(recording.ready), delimiter=",", skip_header=1)
-    raw = np.loadtxt(source / RAW / recording.file, delimiter=",")
-    times, speeds = raw[:, 0] - raw[0, 0], np.abs(raw[:, 7:13]).max(axis=1)
-    moving = times[speeds > MOVING]
-    start, end = max(times[0], moving[0] - MARGIN_S), min(times[-1], moving[-1] + MARGIN_S)
-    grid = np.arange(start, end, STEP_S)
-    readings = np.hstack([raw[:, 1:7], raw[:, 13:19] * DRIVE_GAINS])
-    return np.column_stack([grid, CubicSpline(times, readings)(grid)])
+    return ur10e_rows(np.loadtxt(source / RAW / recording.file, delimiter=","))
 
 
 def write_folder(folder: Path, motions: dict[str, tuple[str, np.ndarray]]) -> None:
     """Write an experiment folder: the role and the table of every motion by its name."""
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "robot.urdf").write_text(urdf(), encoding="utf-8")
+    (folder / "robot.urdf").write_text(dh_urdf("ur10e", UR_JOINTS, UR10E_LINKS), encoding="utf-8")
     lines = [
         "format = 1", f'name = "{folder.name}"', "", "[robot]", 'urdf = "robot.urdf"',
-        f"joints = {_listed(f'{name}_joint' for name in JOINTS)}",
+        f"joints = {_listed(UR_JOINTS)}",
         "position_resolution = 1e-4   # the recording holds four decimals", "",
         "[model]", f"effects = {_listed(EFFECTS)}",
     ]  # fmt: skip
-    heads = ["t", *(f"{kind}{j + 1}" for kind in ("q", "tau") for j in range(len(JOINTS)))]
+    heads = ["t", *(f"{kind}{j + 1}" for kind in ("q", "tau") for j in range(len(UR_JOINTS)))]
     for name, (role, columns) in motions.items():
         lines += ["", "[[motion]]", f'name = "{name}"', f'role = "{role}"', f'table = "{name}.csv"']
         formats = ["%.3f"] + 6 * ["%.5f"] + 6 * ["%.4f"]
@@ -160,31 +117,3 @@ def prepare(source: Path, target: Path) -> list[Recording]:
     write_folder(target / "arm", {"jan31": first, "feb05": ("validation", tables[OTHER_DAY.name])})
     write_folder(target / "surprise", {"unloaded": first, "loaded": ("validation", tables[AFTER.name])})
     return found
-
-
-def urdf() -> str:
-    """The arm as URDF; a joint's frame is the Denavit-Hartenberg frame of the link before it."""
-    parts = ['<?xml version="1.0"?>', '<robot name="ur10e">', '  <link name="base_link"/>']
-    parent, origin = "base_link", "0 0 0"
-    turn = "0 0 0"
-    for name, link in zip(JOINTS, LINKS, strict=True):
-        c, s = np.cos(link.alpha), np.sin(link.alpha)
-        x, y, z = link.centre
-        centre = (link.a + x, c * y - s * z, link.d + s * y + c * z)
-        place = " ".join(f"{round(float(v), 6) + 0.0:g}" for v in centre)
-        named = zip(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), link.inertia, strict=True)
-        parts += [
-            f'  <joint name="{name}_joint" type="revolute">',
-            f'    <parent link="{parent}"/><child link="{name}_link"/>',
-            f'    <origin xyz="{origin}" rpy="{turn}"/><axis xyz="0 0 1"/>',
-            f'    <limit lower="-6.2832" upper="6.2832" effort="{link.effort:g}" velocity="{link.speed:g}"/>',
-            "  </joint>",
-            f'  <link name="{name}_link"><inertial>',
-            f'    <mass value="{link.mass:g}"/>',
-            f'    <origin xyz="{place}" rpy="{link.alpha:.12g} 0 0"/>',
-            "    <inertia " + " ".join(f'{key}="{value:g}"' for key, value in named) + "/>",
-            "  </inertial></link>",
-        ]
-        parent = f"{name}_link"
-        origin, turn = f"{link.a:g} 0 {link.d:g}", f"{link.alpha:.12g} 0 0"
-    return "\n".join([*parts, "</robot>"]) + "\n"

@@ -1,0 +1,373 @@
+"""Public recordings of real robots: what there is, where it is from, what is known of it, and each as an experiment.
+
+Nothing of them comes with this package: files are fetched from where their authors published them, and checked.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import os
+import shutil
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from urllib.error import HTTPError
+from urllib.request import urlopen
+
+from bayesid.arguments import argument
+from bayesid.errors import InputError
+from bayesid.recordings.complaints import suggest
+from bayesid.recordings.experiment import Experiment, load_experiment
+from bayesid.recordings.writer import write_experiment
+from bayesid.workflows import public_recordings as recipes
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+__all__ = ["Dataset", "RemoteFile", "about", "fetch", "load", "names", "table"]
+
+#: Names the folder with copies of experiments.
+OWN_COPIES = "BAYESID_DATA"
+_PATIENCE = 60.0  # s without an answer
+_RECIPES = b"1"  # counts changes of what is made of the files
+
+
+@dataclass(frozen=True)
+class RemoteFile:
+    """A file of a data set as its authors published it.
+
+    Attributes
+    ----------
+    name
+        What the recipe calls it; names differ within a data set.
+    url
+        Where it is, at a state that does not change.
+    sha256, size
+        Checksum, and length [bytes].
+    """
+
+    name: str
+    url: str
+    sha256: str
+    size: int
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """A public recording.
+
+    Attributes
+    ----------
+    name
+        What it is fetched by.
+    summary
+        Robot and readings.
+    licence
+        As its authors state it; "none stated": use it, and do not pass it on.
+    page
+        Where it is described.
+    known
+        What is known of the right answer, for comparison.
+    files
+        What is fetched.
+    make
+        Makes the experiment of these files by name; None: it is known, and not fetched.
+    folder
+        Where a copy of the experiment is below the folder that ``BAYESID_DATA`` names.
+    """
+
+    name: str
+    summary: str
+    licence: str
+    page: str
+    known: str
+    files: tuple[RemoteFile, ...]
+    make: Callable[[Mapping[str, Path]], Experiment] | None
+    folder: str
+
+    @property
+    def size(self) -> int:
+        """Length of all files [bytes]."""
+        return sum(file.size for file in self.files)
+
+    def __str__(self) -> str:
+        """All that is known of it."""
+        size = (
+            f"{self.size / 1e6:.1f} MB in {len(self.files)} file{'s' * (len(self.files) != 1)}" if self.files else "not fetched"
+        )
+        return f"{self.name}: {self.summary}\n  from {self.page}, {size}; licence: {self.licence}\n  known: {self.known}"
+
+
+def _github(
+    repository: str, commit: str, files: Mapping[str, tuple[str, str, int]], *, large: bool = False
+) -> tuple[RemoteFile, ...]:
+    """Files of a repository at a commit by name: path, checksum and length; ``large``: kept beside it, in Git LFS."""
+    host = "media.githubusercontent.com/media" if large else "raw.githubusercontent.com"
+    return tuple(
+        RemoteFile(name, f"https://{host}/{repository}/{commit}/{path}", sha256, size)
+        for name, (path, sha256, size) in files.items()
+    )
+
+
+_FLOBAROID = ("kjyv/FloBaRoID", "9c0680445e874947bac4056cd86ff9e26bdd7fcb")
+_SOLVER = ("unisa-acg/inverse-dynamics-solver", "41e196de5ca340f2b48e443484a7c74a77533da4")
+_FIGAROH = ("thanhndv212/figaroh-plus", "c3b5172849b744984b7181fd9d517c83fb4242e1")
+_UR10E = ("shamilmamedov/dynamic_calibration", "11af40e7deb758ec080a175fed8fcdd6c99aca29")
+_MED7 = ("lbr-stack/dynamic_parameter_identification", "58b4d88014db54cdecac66fcc059b2c9fa131e46")
+
+_SETS = [
+    Dataset(
+        "kuka-lwr4", "KUKA LWR4+, seven joints with torque sensors behind the gears; two motions of 25 s", "LGPL-3.0",
+        "https://github.com/kjyv/FloBaRoID",
+        "CAD is off by 10 to 12 % in torque; least squares with friction fits motion 1 to 2 % and predicts motion 3 with 12.5 to "
+        "14 %",
+        (
+            *_github(*_FLOBAROID, {
+                "measurements_1.npz": (
+                    "data/KUKA/HW/measurements_1.npz",
+                    "55b94c07e86a75311a584cc945c4436e7a5dbeafd5f7378a53225a0dd820c1fd", 2012328,
+                ),
+                "measurements_3.npz": (
+                    "data/KUKA/HW/measurements_3.npz",
+                    "4ca527bbac6d6f299e9478451c6b1f059672bf38859e218b0b37fc20bd783acd", 2012328,
+                ),
+            }, large=True),
+            *_github(*_FLOBAROID, {
+                "robot.urdf": (
+                    "model/kuka_lwr4.urdf",
+                    "8fd76631f12b38404812bc343e998cc9ca3af18d850856c5b050b39ab6fc62ad", 15219,
+                ),
+            }),
+        ),
+        recipes.kuka_lwr4, "data/kuka-lwr4",
+    ),
+    Dataset(
+        "med7", "KUKA LBR Med 7, joint torques of its interface; one motion of 16 s, its last 30 % held out", "MIT",
+        "https://github.com/lbr-stack/dynamic_parameter_identification",
+        "torques are recorded with the opposite sign, which is mended here; the nominal URDF predicts them with 23 %, least "
+        "squares with friction fits 3.9 % and predicts 16.9 %",
+        _github(*_MED7, {
+            "measurements.csv": (
+                "src/test/measurements.csv",
+                "a1c7d3fb1c0e0224e938b5d3d0d72042534573072905f661a07f31dfa2addd4d", 630880,
+            ),
+            "robot.urdf": (
+                "urdf/med/med7dock.urdf",
+                "29b19bce6d82a5a991ad3a7d24da87ee19194ad165eaeb63911de824276f43de", 17287,
+            ),
+        }),
+        recipes.med7, "wild/03-med7-real/flipped",
+    ),
+    Dataset(
+        "tx40", "Staubli TX40, motor positions and torques; one motion of 8 s", "Apache-2.0",
+        "https://github.com/thanhndv212/figaroh-plus",
+        "the wrist is coupled, and the experiment does not know it: joint 5 turns motor 6, too. Without the coupling 135 % and "
+        "67 % error in joints 5 and 6, with it 26 % and 31 %",
+        _github(*_FIGAROH, {
+            "positions.csv": (
+                "examples/staubli_TX40/data/pos_read_data.csv",
+                "5cc1cecc1024ef0e331d0caba06f689456ab789ec3f1e904599c0a8be5c27bc8", 2101824,
+            ),
+            "torques.csv": (
+                "examples/staubli_TX40/data/curr_data.csv",
+                "f4592f4ba4db42f5d7625688986be25b575ca34d0504b27979ca6b0276bd3af9", 2357129,
+            ),
+            "robot.urdf": (
+                "models/staubli_tx40_description/urdf/tx40_mdh_modified.urdf",
+                "3d00cbd46279c915d594b1bb4610dbac78d1e99ed27f95de70984bde13486074", 7448,
+            ),
+        }),
+        recipes.tx40, "data/tx40",
+    ),
+    Dataset(
+        "ur10", "Universal Robots UR10, torques from motor currents; a ROS 2 bag of 27.5 s, its last 40 % held out",
+        "BSD-3-Clause",
+        "https://github.com/unisa-acg/inverse-dynamics-solver",
+        "least squares with friction, rank 58, fits 6.5 % and predicts 9.1 %; the robot's centres of mass and inertias are "
+        "placeholders",
+        _github(*_SOLVER, {
+            "ur10.db3": (
+                "ur10_inverse_dynamics_solver/bagfiles/ur10_exciting_trajectory.db3",
+                "14244fc39e9b42047039824f3c20ab984f9d1b28d5a67e9415cc1b3cc0ac3369", 1257472,
+            ),
+        }),
+        recipes.ur10, "data/ur10",
+    ),
+]  # fmt: skip
+
+#: By folder: the recording's file, checksum and length.
+_UR10E_FILES = {
+    "before": (
+        "ur-20_01_31-unload.csv",
+        "513feea3e662364fad89214d5ff49e6ef96e02d56f85b4de57a408fc2563cb1c",
+        620666,
+    ),
+    "after-load": (
+        "ur-20_01_31-load.csv",
+        "5abab622cdbd53db78fe3ec72485535c55ec5db412a179ae26bb9da6bea5441c",
+        684549,
+    ),
+    "feb05-20s-12h": (
+        "ur-20_02_05-20sec_12harm.csv",
+        "642b590251f09df3151dc5dcc406748aacc248cba1d39ed80035a806824f159e",
+        731098,
+    ),
+    "feb05-20s-8h": (
+        "ur-20_02_05-20sec_8harm.csv",
+        "5456696773b5e3e12510640aab6049c65f4259c99880951bd71e1c74f8cb44e5",
+        593204,
+    ),
+    "feb06-20s-10h": (
+        "ur-20_02_06-20sec_10harm.csv",
+        "8959c47c991221e88a467a584c756a2f0f17c8268a291437709513cc112739c8",
+        797486,
+    ),
+    "feb06-20s-5h": (
+        "ur-20_02_06-20sec_5harm.csv",
+        "fd4d10b39211a5ad1d2f67b62bd3e66b01a0275d518fd2fd2f0876ea520903a4",
+        690095,
+    ),
+}
+for _label, (_file, _sha256, _size) in _UR10E_FILES.items():
+    _load = _label == "after-load"
+    _known = (
+        "against ur10e-before the payload is found at 2.76 +- 0.05 kg"
+        if _load
+        else ("least squares with friction predicts another unloaded motion with 6 %")
+    )
+    _SETS.append(Dataset(
+        f"ur10e-{_label}",
+        f"Universal Robots UR10e, torques from currents, {'2.805 kg at the flange' if _load else 'unloaded'}; one motion of 23 s",
+        "none stated", "https://github.com/shamilmamedov/dynamic_calibration",
+        f"{_known}; drive gains are perhaps 2 % off each",
+        _github(*_UR10E, {"recording.csv": (f"dataset_ur10e/identification_data/{_file}", _sha256, _size)}),
+        partial(recipes.ur10e, name=f"ur10e-{_label}"), f"data/ur10e/{_label}",
+    ))  # fmt: skip
+_SETS.append(Dataset(
+    "kuka-med-wrist", "a six-axis sensor (ATI Gamma) at a KUKA arm, under a rigid tool; 24 poses, motions of 6 s, hammer taps",
+    "none stated", "https://zenodo.org/records/11075230",
+    "the poses alone: 0.9323 kg, centre of mass (0.28, 0.05, 43.90) mm; the tool's inertia is practically not excited",
+    (), None, "data/kuka-med-wrist",
+))  # fmt: skip
+
+#: All, by name.
+DATASETS = {dataset.name: dataset for dataset in _SETS}
+
+
+def names() -> tuple[str, ...]:
+    """Names of the data sets."""
+    return tuple(DATASETS)
+
+
+def about(name: str) -> Dataset:
+    """What is known of a data set.
+
+    Raises
+    ------
+    InputError
+        There is none of that name.
+    """
+    if name not in DATASETS:
+        raise InputError(f"{argument('name', name)}: no such data set; {suggest(name, DATASETS, 'one of')}")
+    return DATASETS[name]
+
+
+def table() -> DataFrame:
+    """The data sets, a row each."""
+    from pandas import DataFrame
+
+    return DataFrame(
+        {"name": d.name, "summary": d.summary, "licence": d.licence, "megabytes": d.size / 1e6, "page": d.page, "known": d.known}
+        for d in DATASETS.values()
+    )
+
+
+def fetch(name: str, cache: str | Path | None = None) -> Path:
+    """The experiment folder of a public recording.
+
+    A copy below the folder that the environment variable ``BAYESID_DATA`` names is taken first; else its files are fetched
+    once, checked and kept.
+
+    Parameters
+    ----------
+    name
+        One of `bayesid.datasets.names`.
+    cache
+        Where fetched files and what is made of them are kept; default: the user's folder for such files.
+
+    Raises
+    ------
+    InputError
+        There is no such data set, the package pooch is missing, a file cannot be had, or it is not the one that was published.
+    """
+    dataset = about(name)
+    if (
+        OWN_COPIES in os.environ
+        and (own := Path(os.environ[OWN_COPIES]) / dataset.folder)
+        and (own / "experiment.toml").is_file()
+    ):
+        return own
+    if dataset.make is None:
+        raise InputError(
+            f"{name}: is not fetched; make an experiment folder of what is at {dataset.page}, and put it into "
+            f"{dataset.folder} below the folder that {OWN_COPIES} names"
+        )
+    pooch = _pooch(dataset)
+    cache = Path(pooch.os_cache("bayesid") if cache is None else cache)
+    made = cache / "experiments" / f"{name}-{_digest(dataset)}"
+    if not (made / "experiment.toml").is_file():
+        files = {file.name: _fetched(pooch, file, cache / "files", dataset) for file in dataset.files}
+        write_experiment(dataset.make(files), made)
+    return made
+
+
+def load(name: str, cache: str | Path | None = None) -> Experiment:
+    """A public recording as an experiment; parameters and errors as `fetch`."""
+    return load_experiment(fetch(name, cache))
+
+
+def _pooch(dataset: Dataset) -> Any:
+    try:
+        return importlib.import_module("pooch")
+    except ImportError:
+        raise InputError(
+            f'{dataset.name}: fetching it needs pooch; pip install "bayesid[datasets]", or put the experiment folder into '
+            f"{dataset.folder} below the folder that {OWN_COPIES} names"
+        ) from None
+
+
+def _fetched(pooch: Any, file: RemoteFile, folder: Path, dataset: Dataset) -> Path:
+    """A file as it was published; files are kept by their checksum."""
+    pooch.get_logger().setLevel("WARNING")
+    try:
+        return Path(
+            pooch.retrieve(file.url, f"sha256:{file.sha256}", f"{file.sha256[:16]}-{file.name}", folder, downloader=_download)
+        )
+    except ValueError:  # pooch's word for another checksum
+        raise InputError(
+            f"{dataset.name}: {file.url} is not what was published: its SHA256 is not {file.sha256[:16]}...; try again, or "
+            f"get it from {dataset.page} and tell us"
+        ) from None
+    except OSError as error:
+        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        raise InputError(
+            f"{dataset.name}: {file.url} cannot be fetched ({reason}); connect to the network, or put the experiment folder into "
+            f"{dataset.folder} below the folder that {OWN_COPIES} names"
+        ) from None
+
+
+def _download(url: str, output: str, _pooch: Any) -> None:
+    """Write what is at an address into a file; pooch's own leaves its sockets open."""
+    try:
+        with urlopen(url, timeout=_PATIENCE) as answer, open(output, "wb") as file:
+            shutil.copyfileobj(answer, file)
+    except HTTPError as error:
+        error.close()
+        raise
+
+
+def _digest(dataset: Dataset) -> str:
+    return hashlib.sha256(b"".join([_RECIPES, *(file.sha256.encode() for file in dataset.files)])).hexdigest()[:12]
