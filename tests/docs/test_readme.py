@@ -253,6 +253,16 @@ def test_effects_page_is_made_from_the_classes():
     assert not {name for name in EffectLibrary().classes if f"| `{name}` |" not in made}
 
 
+def test_mistakes_of_the_page_look_as_it_says(undrawn):
+    """docs/howto/what-goes-wrong.md is what docs/howto/what_goes_wrong.py makes, but for digits: every mistake is made here."""
+
+    def words(text: str) -> list[str]:
+        return re.sub(r"[-−]?\d[\d.e+]*", "#", text).split()
+
+    made = runpy.run_path(str(DOCS / "howto" / "what_goes_wrong.py"))["page"]()
+    assert words(made) == words(BY_NAME["docs/howto/what-goes-wrong.md"].read_text(encoding="utf-8"))
+
+
 def test_constraints_are_pins_without_addresses():
     """constraints.txt pins exact versions and names no place to get them from."""
     lines = [line for line in (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines() if not line.startswith("#")]
