@@ -14,7 +14,7 @@ from bayesid.results.files import check_output
 @click.command()
 @click.argument("result", type=click.Path(path_type=Path))
 @click.option(
-    "--to", callback=names, default="mjcf", show_default=True, help="mjcf, urdf, cpp, numpy, ranges; several by commas."
+    "--to", callback=names, default="mjcf", show_default=True, help="mjcf, urdf, sdf, cpp, numpy, ranges; several by commas."
 )
 @click.option(
     "--draws", type=click.IntRange(min=0), default=0, show_default=True,

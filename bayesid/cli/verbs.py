@@ -27,7 +27,7 @@ VERBS = {
     "demo": "The main job on an embedded example, in under a minute.",
     "diagnose": "Where model and data disagree, and which effect is missing.",
     "excite": "An exciting trajectory within limits.",
-    "export": "An identified robot as MJCF, URDF, C++, NumPy, or ranges for learning.",
+    "export": "An identified robot as MJCF, URDF, SDF, C++, NumPy, or ranges for learning.",
     "identifiability": "What these motions can and cannot determine, per sensor set.",
     "identify": "Base parameters with 95 % intervals, and link parameters.",
     "import": "Files of other tools (bags, MCAP, CSV, MAT, ...) into an experiment folder.",

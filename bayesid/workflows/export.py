@@ -17,8 +17,10 @@ from bayesid.effects.families import SensorEffect
 from bayesid.errors import InputError
 from bayesid.results.export.identified import FoundEffect, IdentifiedRobot
 from bayesid.results.export.inverse_dynamics import InverseDynamics, cpp_header, inverse_dynamics, numpy_module
-from bayesid.results.export.mjcf import joint_constants, mjcf
+from bayesid.results.export.mjcf import held, mjcf
+from bayesid.results.export.plain import joint_constants
 from bayesid.results.export.randomisation import draws_of, randomisation
+from bayesid.results.export.sdf import HELD, sdf
 from bayesid.results.exported import Exported
 from bayesid.results.files import Files, files_of
 from bayesid.results.identification import Identification
@@ -59,7 +61,7 @@ def export(
     result
         Of `bayesid.identify` or `bayesid.sample`, or the folder or file that it was written to.
     to
-        ``mjcf``, ``urdf``, ``cpp``, ``numpy``, ``ranges``, one or several, or several in one text, separated by commas.
+        ``mjcf``, ``urdf``, ``sdf``, ``cpp``, ``numpy``, ``ranges``, one or several, or several in one text, separated by commas.
     out
         Folder to write the files to; default: `Exported.write` does.
     draws
@@ -214,7 +216,7 @@ def _mjcf(found: IdentifiedRobot, made: _Making) -> None:
     links, dynamics = _links(found, "mjcf"), found.joint_dynamics()
     made.texts["identified.xml"] = mjcf(found.robot, found.locked, links, dynamics)
     made.about["mjcf"] = "identified.xml, mass matrix and bias forces as Pinocchio's"
-    constants = joint_constants(found.robot, dynamics)
+    constants = joint_constants(found.robot, dynamics, held())
     made.left_out["mjcf"] = _of_robot(constants.beside)
     _tell_negative(constants.left_out, "identified.xml", made)
 
@@ -225,6 +227,15 @@ def _urdf(found: IdentifiedRobot, made: _Making) -> None:
     made.about["urdf"] = "identified.urdf"
     made.left_out["urdf"] = _of_robot(dynamics.beside)
     _tell_negative(dynamics.left_out, "identified.urdf", made)
+
+
+def _sdf(found: IdentifiedRobot, made: _Making) -> None:
+    links, dynamics = _links(found, "sdf"), found.joint_dynamics()
+    made.texts["identified.sdf"] = sdf(found.robot, found.locked, links, dynamics)
+    made.about["sdf"] = "identified.sdf, version 1.9, fixed to the world"
+    constants = joint_constants(found.robot, dynamics, HELD)
+    made.left_out["sdf"] = _of_robot(constants.beside)
+    _tell_negative(constants.left_out, "identified.sdf", made)
 
 
 def _of_robot(values: Mapping[str, tuple[float, str]]) -> dict[str, tuple[float, str]]:
@@ -288,7 +299,7 @@ def _ranges(found: IdentifiedRobot, made: _Making) -> None:
 
 #: What a robot can be exported as, and the function that does it.
 FORMS: dict[str, Callable[[IdentifiedRobot, _Making], None]] = {
-    "mjcf": _mjcf, "urdf": _urdf, "cpp": _cpp, "numpy": _numpy, "ranges": _ranges,
+    "mjcf": _mjcf, "urdf": _urdf, "sdf": _sdf, "cpp": _cpp, "numpy": _numpy, "ranges": _ranges,
 }  # fmt: skip
 
 
@@ -300,7 +311,7 @@ def _draw(found: IdentifiedRobot, forms: Sequence[str], count: int, seed: int, m
         raise InputError(f"{argument('draws', count)}: the posterior has {len(links)}; ask for fewer")
     for k, draw in enumerate(np.random.default_rng(seed).choice(len(links), count, replace=False).tolist(), 1):
         dynamics = found.joint_dynamics(effects[draw])
-        negative += bool(joint_constants(found.robot, dynamics).left_out)
+        negative += bool(joint_constants(found.robot, dynamics, ("armature",)).left_out)
         if "mjcf" in forms:
             made.texts[f"sampled-{k:03d}.xml"] = mjcf(found.robot, found.locked, links[draw], dynamics)
         if "urdf" in forms:

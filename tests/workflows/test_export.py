@@ -8,6 +8,7 @@ import re
 import shutil
 import subprocess
 import sys
+import xml.etree.ElementTree as ET
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -16,6 +17,7 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
+from scipy.spatial.transform import Rotation
 from scipy.stats import norm
 
 import bayesid
@@ -27,6 +29,7 @@ from bayesid.effects.segment import direction
 from bayesid.results.export.inverse_dynamics import cpp_header, inverse_dynamics, numpy_module
 from bayesid.results.export.laws import LAWS, JointLaw
 from bayesid.results.export.mjcf import mjcf
+from bayesid.results.export.sdf import sdf
 from bayesid.robot.examples import PAPER_LOCKED
 from bayesid.robot.robot import load_robot
 from bayesid.robot.urdf import JointDynamics
@@ -342,6 +345,126 @@ def inverse_of_nominal(robot, q, v, a):
     return dynamics_regressor(robot, torque_channels(robot), q, v, a) @ robot.nominal.ravel()
 
 
+class SdfReader:
+    """Reads SDF by its specification alone, into a model of Pinocchio: frames by what they are attached or relative to."""
+
+    def __init__(self, text: str) -> None:
+        root = ET.fromstring(text)
+        assert (root.tag, root.get("version")) == ("sdf", "1.9")
+        self.parts = {str(e.get("name")): e for e in root[0] if e.tag in ("link", "joint", "frame")}
+        self.joint_of = {e.findtext("child"): name for name, e in self.parts.items() if e.tag == "joint"}
+        self.model, self.anchors = pin.Model(), {"world": (0, pin.SE3.Identity())}
+        for name, part in self.parts.items():
+            if part.tag == "link":
+                self.anchor(name)
+
+    @staticmethod
+    def pose(element: ET.Element | None) -> pin.SE3:
+        x = np.zeros(6) if element is None else np.array((element.text or "").split(), float)
+        return pin.SE3(Rotation.from_euler("xyz", x[3:]).as_matrix(), x[:3])
+
+    def anchor(self, name: str) -> tuple[int, pin.SE3]:
+        """Pinocchio's joint that carries a link or frame, and its placement there."""
+        if name in self.anchors:
+            return self.anchors[name]
+        part = self.parts[name]
+        if part.tag == "frame":
+            joint, placement = self.anchor(str(part.get("attached_to")))
+            self.anchors[name] = joint, placement * self.pose(part.find("pose"))
+            return self.anchors[name]
+        joint_name = self.joint_of[name]
+        element = self.parts[joint_name]
+        above, placement = self.anchor(str(element.findtext("parent")))
+        pose = element.find("pose")
+        if pose is not None:
+            assert pose.get("relative_to") == element.findtext("parent")
+            assert part.find("pose").get("relative_to") == joint_name and part.find("pose").text is None
+        placement = placement * self.pose(pose)
+        if element.get("type") == "fixed":
+            self.anchors[name] = above, placement
+        else:
+            axis = np.array(element.findtext("axis/xyz").split(), float)
+            kind = pin.JointModelPrismaticUnaligned if element.get("type") == "prismatic" else pin.JointModelRevoluteUnaligned
+            joint = self.model.addJoint(above, kind(axis / np.linalg.norm(axis)), placement, joint_name)
+            self.anchors[name] = joint, pin.SE3.Identity()
+        joint, placement = self.anchors[name]
+        m, about = float(part.findtext("inertial/mass")), np.zeros((3, 3))
+        for (i, j), key in {(0, 0): "ixx", (0, 1): "ixy", (0, 2): "ixz", (1, 1): "iyy", (1, 2): "iyz", (2, 2): "izz"}.items():
+            about[i, j] = about[j, i] = float(part.findtext(f"inertial/inertia/{key}") or 0.0)
+        body = self.pose(part.find("inertial/pose")).act(pin.Inertia(m, np.zeros(3), about))
+        self.model.appendBodyToJoint(joint, placement.act(body), pin.SE3.Identity())
+        return self.anchors[name]
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_every_robot_becomes_an_sdf_with_its_torques(name, tmp_path):
+    """Read back without any reader of SDF that there is: mass matrix, gravity and Coriolis torques."""
+    robot = load_robot(write(tmp_path, ROBOTS[name]()))
+    model = SdfReader(sdf(robot, {}, robot.nominal.ravel(), JointDynamics({}))).model
+    assert sorted(model.names[1:]) == sorted(robot.joint_names)
+    at = [model.joints[model.getJointId(n)].idx_v for n in robot.joint_names]
+    q, v, a = states(robot, 3)
+    for k, expected in enumerate(inverse_of_nominal(robot, q, v, a)):
+        full = np.zeros((3, robot.n))
+        full[:, at] = q[k], v[k], a[k]
+        np.testing.assert_allclose(pin.rnea(model, model.createData(), *full)[at], expected, atol=1e-9 * np.abs(expected).max())
+
+
+def test_an_sdf_holds_friction_springs_limits_and_locked_joints(tmp_path):
+    robot = puma2(tmp_path)
+    beside = {
+        "spring@joint2.stiffness": (40.0, "N m/rad"),
+        "spring@joint2.rest": (0.3, "rad"),
+        "rotor_inertia@joint1.inertia": (1.0, "kg m^2"),
+    }
+    text = sdf(
+        robot, PAPER_LOCKED, robot.nominal.ravel(), JointDynamics({"joint1": {"damping": 2.0, "friction": 3.0}}, (), beside)
+    )
+    reader = SdfReader(text)
+    assert list(reader.model.names[1:]) == ["joint1", "joint2"]
+    # What hangs beyond locked joints has its mass in link 2, and is a frame there.
+    assert reader.parts["link3"].tag == reader.parts["link6"].tag == "frame" and "joint3" not in reader.parts
+    q, v, a = states(robot, 3)
+    for k, expected in enumerate(inverse_of_nominal(robot, q, v, a)):
+        np.testing.assert_allclose(pin.rnea(reader.model, reader.model.createData(), q[k], v[k], a[k]), expected, atol=1e-9)
+    one, two = (reader.parts[name].find("axis/dynamics") for name in ("joint1", "joint2"))
+    assert (one.findtext("damping"), one.findtext("friction")) == ("2.0", "3.0")
+    assert (two.findtext("spring_stiffness"), two.findtext("spring_reference")) == ("40.0", "0.3")
+    assert float(reader.parts["joint1"].findtext("axis/limit/upper")) == robot.upper[0]
+    assert "<!-- rotor_inertia@joint1.inertia = 1 kg m^2 -->" in text and "spring@" not in text
+
+
+def test_an_sdf_of_a_robot_without_masses_is_refused(tmp_path):
+    robot = puma2(tmp_path)
+    with pytest.raises(bayesid.InputError, match="robot.urdf: link link1 moves and has no mass, which SDF has no word for"):
+        sdf(robot, {}, np.zeros(robot.nominal.size), JointDynamics({}))
+
+
+def test_springs_and_delays_of_torques_are_mujocos(tmp_path):
+    """Read late: a sensor that is late. Read before they act: a motor that acts late; both by the seconds that were found."""
+    if not hasattr(mujoco.MjsActuator, "delay"):
+        pytest.skip("MuJoCo has delays from 3.5 on")
+    robot = puma2(tmp_path)
+    beside = {
+        "torque_delay@robot.delay": (-0.0073, "s"), "torque_delay@joint2.delay": (0.0133, "s"),
+        "spring@joint1.stiffness": (5.0, "N m/rad"), "spring@joint1.rest": (0.2, "rad"),
+    }  # fmt: skip
+    text = mjcf(robot, PAPER_LOCKED, robot.nominal.ravel(), JointDynamics({}, (), beside))
+    assert "<!--" not in text
+    model = mujoco.MjModel.from_xml_string(text.replace("</actuator>", '<motor name="other" joint="joint2"/></actuator>'))
+    assert [model.actuator(k).name for k in range(model.nu)] == ["joint1", "other"]
+    assert (model.joint("joint1").stiffness[0], model.qpos_spring[0]) == (5.0, 0.2)
+    data, times, forces, readings = mujoco.MjData(model), [], [], []
+    for _ in range(60):
+        times.append(data.time)
+        data.ctrl[:] = data.time  # a ramp
+        mujoco.mj_step(model, data)
+        forces.append(data.actuator("joint1").force[0])
+        readings.append(data.sensor("joint2_torque").data[0])
+    late = np.array(times)[30:, None] - np.column_stack([forces, readings])[30:]
+    np.testing.assert_allclose(late, np.tile([0.0073, 0.0060], (30, 1)), atol=1e-12)
+
+
 def test_locked_joints_stand_still_in_the_mjcf_where_they_were(tmp_path):
     robot = puma2(tmp_path)
     model = mujoco.MjModel.from_xml_string(mjcf(robot, PAPER_LOCKED, robot.nominal.ravel(), JointDynamics({})))
@@ -433,7 +556,7 @@ def test_code_from_a_base_sensor_gives_the_links_torques(form, tmp_path):
 
 
 def test_what_cannot_be_exported_is_said_in_one_line(identified, tmp_path, monkeypatch, capsys):
-    with pytest.raises(bayesid.InputError, match='to="sdf2": choose from mjcf, urdf, cpp'):
+    with pytest.raises(bayesid.InputError, match='to="sdf2": choose from mjcf, urdf, sdf, cpp'):
         bayesid.export(identified, "sdf2")
     with pytest.raises(bayesid.InputError, match="draws of links are asked for.*export one of `bayesid.sample`"):
         bayesid.export(identified, "mjcf", draws=3)

@@ -8,57 +8,23 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from bayesid.errors import InputError
+from bayesid.results.export.plain import JointConstants, joint_constants, plain_urdf
 from bayesid.robot.mjcf import compare, load_mujoco
 from bayesid.robot.robot import Robot
-from bayesid.robot.urdf import JointDynamics, urdf_text
+from bayesid.robot.urdf import JointDynamics
 
-#: The effect that MuJoCo calls armature.
-ARMATURE = "rotor_inertia"
-
-
-@dataclass(frozen=True)
-class JointConstants:
-    """What MuJoCo has inside a joint, by joint name, and what it has no place for.
-
-    Attributes
-    ----------
-    damping, frictionloss, armature
-        Of joints that any was identified of [N m s/rad, N m, kg m^2, or those of a slide].
-    left_out
-        Negative ones, ``joint1 armature``: MuJoCo takes none.
-    beside
-        Value and unit of everything else that was identified, by name.
-    """
-
-    damping: dict[str, float]
-    frictionloss: dict[str, float]
-    armature: dict[str, float]
-    left_out: tuple[str, ...]
-    beside: dict[str, tuple[float, str]]
+#: Time step of a simulation [s] down to which delays have room for their history.
+FINEST_STEP = 5e-4
 
 
-def joint_constants(robot: Robot, dynamics: JointDynamics) -> JointConstants:
-    """What of the identified effects MuJoCo can hold."""
-    armature, negative, beside = {}, list(dynamics.left_out), {}
-    own = {f"{ARMATURE}@joint{k + 1}.inertia": name for k, name in enumerate(robot.joint_names)}
-    for name, (value, unit) in dynamics.beside.items():
-        if name not in own:
-            beside[name] = (value, unit)
-        elif value >= 0.0:
-            armature[own[name]] = value
-        else:
-            negative.append(f"{own[name]} armature")
-    damping, friction = (
-        {joint: values[key] for joint, values in dynamics.friction.items() if key in values} for key in ("damping", "friction")
-    )
-    return JointConstants(damping, friction, armature, tuple(negative), beside)
+def held() -> tuple[str, ...]:
+    """What of `joint_constants` the MuJoCo that is installed has a place for; delays from version 3.5 on."""
+    return ("armature", "springs", *(["delays"] if hasattr(load_mujoco().MjsActuator, "delay") else []))
 
 
 def mjcf(robot: Robot, locked: Mapping[str, float], links: np.ndarray, dynamics: JointDynamics) -> str:
@@ -81,15 +47,19 @@ def mjcf(robot: Robot, locked: Mapping[str, float], links: np.ndarray, dynamics:
         The package mujoco is missing, MuJoCo refuses the robot, or both libraries do not agree on it.
     """
     mujoco = load_mujoco()
-    urdf = _plain_urdf(robot, locked, links, dynamics)
-    constants = joint_constants(robot, dynamics)
+    root = plain_urdf(robot, locked, links, dynamics)
+    settings = ET.Element("mujoco")
+    ET.SubElement(settings, "compiler", fusestatic="false", discardvisual="true", balanceinertia="false")
+    root.insert(0, settings)
+    urdf = ET.tostring(root, encoding="unicode")
+    constants = joint_constants(robot, dynamics, held())
     try:
         spec = mujoco.MjSpec.from_string(urdf)
         spec.option.gravity = robot.gravity
         for name in robot.joint_names:
             spec.joint(name).armature = constants.armature.get(name, 0.0)
         model = spec.compile()
-        text = _with_all_digits(mujoco, spec.to_xml(), model, constants.beside)
+        text = _with_all_digits(mujoco, spec.to_xml(), model, constants)
         written = mujoco.MjModel.from_xml_string(text)
     except ValueError as error:
         reason = " ".join(str(error).split())[:200]
@@ -104,56 +74,7 @@ def mjcf(robot: Robot, locked: Mapping[str, float], links: np.ndarray, dynamics:
     return text
 
 
-def _plain_urdf(robot: Robot, locked: Mapping[str, float], links: np.ndarray, dynamics: JointDynamics) -> str:
-    """The identified URDF without shapes, with the joints that do not move fixed where they stand."""
-    root = ET.fromstring(urdf_text(robot, links, dynamics))
-    for link in root.findall("link"):
-        for shape in (*link.findall("visual"), *link.findall("collision")):
-            link.remove(shape)
-    for element in (e for tag in ("material", "transmission", "gazebo", "mujoco") for e in root.findall(tag)):
-        root.remove(element)
-    for joint in root.findall("joint"):
-        name, kind = str(joint.get("name")), str(joint.get("type"))
-        for element in joint.findall("mimic"):
-            joint.remove(element)
-        if name not in robot.joint_names and kind != "fixed":
-            _fix(joint, kind, locked.get(name, 0.0))
-        elif name in robot.joint_names:
-            _move_limits(joint, robot, robot.joint_names.index(name))
-    settings = ET.Element("mujoco")
-    ET.SubElement(settings, "compiler", fusestatic="false", discardvisual="true", balanceinertia="false")
-    root.insert(0, settings)
-    return ET.tostring(root, encoding="unicode")
-
-
-def _fix(joint: ET.Element, kind: str, position: float) -> None:
-    """Make a joint fixed where it stands."""
-    origin, axis = joint.find("origin"), joint.find("axis")
-    if origin is None:
-        origin = ET.SubElement(joint, "origin")
-    xyz, rpy = (np.array(origin.get(key, "0 0 0").split(), float) for key in ("xyz", "rpy"))
-    along = np.array("1 0 0".split() if axis is None else str(axis.get("xyz")).split(), float)
-    along = along / np.linalg.norm(along)
-    turn = Rotation.from_euler("xyz", rpy)
-    if kind == "prismatic":
-        xyz = xyz + turn.apply(position * along)
-    else:
-        turn = turn * Rotation.from_rotvec(position * along)
-    origin.set("xyz", " ".join(repr(float(x)) for x in xyz))
-    origin.set("rpy", " ".join(repr(float(x)) for x in turn.as_euler("xyz")))
-    joint.set("type", "fixed")
-    for tag in ("axis", "limit", "dynamics", "calibration", "safety_controller"):
-        for element in joint.findall(tag):
-            joint.remove(element)
-
-
-def _move_limits(joint: ET.Element, robot: Robot, k: int) -> None:
-    """A joint without limits of its position is one that turns without end: MuJoCo would hold it at zeros."""
-    if joint.get("type") == "revolute" and not np.isfinite([robot.lower[k], robot.upper[k]]).all():
-        joint.set("type", "continuous")
-
-
-def _with_all_digits(mujoco: Any, text: str, model: Any, beside: Mapping[str, tuple[float, str]]) -> str:
+def _with_all_digits(mujoco: Any, text: str, model: Any, constants: JointConstants) -> str:
     """MuJoCo's file with all digits of its compiled model, of which it writes six, and comments on what it does not hold."""
     root = ET.fromstring(text)
     for element in root.iter("body"):
@@ -174,15 +95,37 @@ def _with_all_digits(mujoco: Any, text: str, model: Any, beside: Mapping[str, tu
             "axis": model.jnt_axis[joint], "armature": model.dof_armature[dof], "damping": model.dof_damping[dof],
             "frictionloss": model.dof_frictionloss[dof],
         })  # fmt: skip
+        if spring := constants.springs.get(str(element.get("name"))):
+            _put(element, {"stiffness": spring[0], "springref": spring[1]})
         if model.jnt_limited[joint]:
             _put(element, {"range": model.jnt_range[joint]})
     option = root.find("option")
     _put(ET.SubElement(root, "option") if option is None else option, {"gravity": model.opt.gravity})
-    lines = [f"{name} = {value:.6g} {unit}".rstrip() for name, (value, unit) in beside.items()]
+    _add_delays(root, constants.delays)
+    lines = [f"{name} = {value:.6g} {unit}".rstrip() for name, (value, unit) in constants.beside.items()]
     for line in reversed(["Identified along, and not part of this model:", *lines] if lines else []):
         root.insert(0, ET.Comment(f" {line.replace('--', '- -')} "))
     ET.indent(root)
     return ET.tostring(root, encoding="unicode") + "\n"
+
+
+def _add_delays(root: ET.Element, delays: Mapping[str, float]) -> None:
+    """Torques that are read late are a sensor's, those that act later than they are read a motor's."""
+    for joint, delay in delays.items():
+        if delay > 0.0:
+            element = ET.SubElement(_section(root, "sensor"), "jointactuatorfrc", name=f"{joint}_torque", joint=joint)
+        elif delay < 0.0:
+            element = ET.SubElement(_section(root, "actuator"), "motor", name=joint, joint=joint)
+        else:
+            continue
+        element.set("nsample", str(int(np.ceil(abs(delay) / FINEST_STEP)) + 1))
+        element.set("interp", "linear")
+        _put(element, {"delay": abs(delay)})
+
+
+def _section(root: ET.Element, name: str) -> ET.Element:
+    found = root.find(name)
+    return ET.SubElement(root, name) if found is None else found
 
 
 def _put(element: ET.Element, values: Mapping[str, Any]) -> None:
