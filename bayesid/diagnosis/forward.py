@@ -72,10 +72,14 @@ def forward_selection(state: State, progress: Callable[[str], None], first: Sequ
         state = replace(state, models=models)
         if better is None:
             break
-        # Small gains that leave much unexplained are surrogates of an unmodelled effect: nothing would come of more of them.
+        # Small gains that leave much unexplained are surrogates, of an unmodelled effect or of what effects found are inexact by:
+        # nothing would come of more of them.
         before, after = (f.chi2 / f.projector.rows - 1.0 for f in (state.best, better))
+        surrogate = after > settings.unexplained - 1.0 and after > settings.surrogate_share * before
+        if surrogate and len(state.best.terms) > state.known:
+            break
         state = replace(state, best=better)
-        if after > settings.unexplained - 1.0 and after > settings.surrogate_share * before:
+        if surrogate:
             break
         if _families_of(better.terms[state.known :]) < settings.most_families:  # so many are surrogates, however well chosen
             state = _exchanged(state)

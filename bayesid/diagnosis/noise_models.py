@@ -74,19 +74,23 @@ class NoiseModels:
         if key not in self.projectors:
             if not data.floor_known:
                 return self, fitted  # what the richest model leaves stands in for the noise, whatever makes it
-            made = make_projector(with_noise_of(data, fitted.links, fitted.terms, self.seed), fitted.terms)
-            models = replace(self, projectors={**self.projectors, key: made})
+            # A mount that is damped too much rings too little with the errors that made it look so.
+            for _ in range(data.settings.sweeps if key else 1):
+                own = with_noise_of(data, fitted.links, fitted.terms, self.seed)
+                fitted = fit(make_projector(own, fitted.terms), fitted.terms, fitted)
+            models = replace(self, projectors={**self.projectors, key: fitted.projector})
+        elif fitted.projector is self.projectors[key]:
+            return self, fitted
+        else:
+            fitted = fit(self.projectors[key], fitted.terms, fitted)
         projector = models.projectors[key]
-        if fitted.projector is projector:
-            return models, fitted
-        refitted = fit(projector, fitted.terms, fitted)
-        settled = refitted.chi2 < data.settings.unexplained * projector.rows
+        settled = fitted.chi2 < data.settings.unexplained * projector.rows
         if not key or settled or not fitted.terms[-1].effect.restarts:
-            return models, refitted
+            return models, fitted
         # A resonance near the motion's band is found only from nearby, and stiff joints' noise may have put the start afar.
         last = fitted.terms[-1]
         near = [(*fitted.terms[:-1], replace(last, values=(k * last.values[0], *last.values[1:]))) for k in last.effect.restarts]
-        return models, max([refitted, *(fit(projector, terms, fitted) for terms in near)], key=lambda f: f.score)
+        return models, max([fitted, *(fit(projector, terms, fitted) for terms in near)], key=lambda f: f.score)
 
     def library(self, fitted: Fit) -> tuple[NoiseModels, Library]:
         """All effects' columns under the noise that a model was fitted with."""

@@ -46,6 +46,7 @@ def prepare_data(
     seed: int,
     held: Collection[str] = (),
     settings: Settings = DEFAULT,
+    below: float = np.inf,
 ) -> DiagnosisData:
     """Cut the recordings into segments, smooth them and measure their noise.
 
@@ -65,6 +66,8 @@ def prepare_data(
         Effects among these, ``name@where``, whose values are kept.
     settings
         The thresholds.
+    below
+        Bandwidth of the joint motion, at most [Hz].
 
     Raises
     ------
@@ -99,7 +102,7 @@ def prepare_data(
     else:
         rate = min(1.0 / usual_step(m.table.times) for m in [*chosen, *unseen])
         clearest, *each = _clear(experiment, [*chosen, *unseen], settings)
-        bandwidth = min(max(clearest, settings.smoothing_bandwidth), 0.2 * rate)
+        bandwidth = min(max(clearest, settings.smoothing_bandwidth), 0.2 * rate, below)
     # One mount, one stiffness: "the middle of the motion" is the same pose for all motions, the first one's.
     middle = middle_of(chosen[0].table.positions)
     share = settings.fitted_clear_share

@@ -51,7 +51,7 @@ def remarks(
     verdict, reason
         See `bayesid.diagnosis.verdict`.
     stability
-        Of each effect named.
+        Of each effect found.
     part
         Effects that held-out recordings prove, where that was asked.
     worse
@@ -85,7 +85,8 @@ def remarks(
         )
     if verdict == "nothing_missing":
         out += _of_the_links(search)
-    out += [moment_sentence(x, data.settings.accept) for x in stability if x is not None and x.rests_on is not None]
+    if found or reason == "moment":
+        out += [moment_sentence(x, data.settings.accept) for x in stability if x is not None and x.rests_on is not None]
     return tuple(out)
 
 
@@ -101,6 +102,8 @@ def _unknown(search: Search, gap: Gap | None, reason: Reason) -> list[str]:
         ]
     if reason == "denied":
         return [f"{tried} fits the fitted motions, but predicts the unseen ones no better: not named."]
+    if reason == "moment":
+        return [f"{tried} is not named: it acts throughout a recording, and the evidence is of one moment."]
     if reason == "surrogates":
         together = ", ".join(by_kind((*(f.term for f in search.found), *search.dropped)))
         return [

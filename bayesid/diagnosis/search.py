@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from math import inf
 
 import numpy as np
 
 from bayesid.diagnosis.bodies import as_payload
-from bayesid.diagnosis.candidates import Library, Proposal
+from bayesid.diagnosis.candidates import Library, Proposal, surroundings
 from bayesid.diagnosis.fit import Fit, fit
 from bayesid.diagnosis.forward import State, forward_selection
 from bayesid.diagnosis.noise import with_noise_of
@@ -114,21 +115,46 @@ def refit(state: State, progress: Callable[[str], None]) -> State:
     return state if known else forward_selection(state, progress)
 
 
+def holds_below(s: Search) -> float:
+    """Frequency [Hz] up to which the effect that promises most holds, where that lies within what is compared; else infinite."""
+    data = s.projector.data
+    first = next((p for p in s.proposals if 0.5 * p.gain > data.settings.accept * s.dispersion), None)
+    limit = inf if first is None else first.term.effect.holds_below(first.term.values, surroundings(data))
+    return limit if limit < data.segments[0].scene.bandwidth else inf
+
+
 def certain(s: Search) -> Search:
-    """What was found without effects that do not differ from zero: those are not named, whatever the fit gains by them."""
+    """What was found without effects that do not differ from zero: those are not named, whatever the fit gains by them.
+
+    A rival that does differ from zero takes the place of such a one: play that only has to be large enough to look like a spring
+    is a flexible joint.
+    """
     known = len(s.base.terms)
     vague = [k for k in range(known, len(s.best.terms)) if not differs_from_zero(s.best, k, s.dispersion)]
     if not vague:
         return s
     least = min(vague, key=lambda k: distance(s.best, k)[0])
+    own = s.found[least - known]
+    for rival, lack in sorted(own.rivals, key=lambda r: r[1]):
+        best = fit(s.best.projector, (*s.best.terms[:least], rival, *s.best.terms[least + 1 :]), s.best)
+        if np.isfinite(best.score) and differs_from_zero(best, least, s.dispersion):
+            others = tuple(r for r in own.rivals if r[0] is not rival)
+            found = [*s.found]
+            found[least - known] = replace(own, gain=own.gain - lack, rivals=others)
+            return certain(_of_model(s, best, found))
     terms = tuple(t for k, t in enumerate(s.best.terms) if k != least)
     rest = [f for k, f in enumerate(s.found, known) if k != least]
-    best = fit(s.best.projector, terms, s.best) if rest else s.base
-    found = tuple(
+    return certain(_of_model(s, fit(s.best.projector, terms, s.best) if rest else s.base, rest))
+
+
+def _of_model(s: Search, best: Fit, found: Sequence[Found]) -> Search:
+    """The search with another best model and its effects, whose values are those of the model."""
+    known = len(s.base.terms)
+    own = tuple(
         replace(f, term=canonical(as_payload(best, k, s.dispersion)[0]), std=best.std(k, s.dispersion))
-        for k, f in enumerate(rest, known)
+        for k, f in enumerate(found, known)
     )
-    return certain(replace(s, best=best, found=found))
+    return replace(s, best=best, found=own)
 
 
-__all__ = ["Found", "Pruned", "Search", "certain", "refit", "search"]
+__all__ = ["Found", "Pruned", "Search", "certain", "holds_below", "refit", "search"]

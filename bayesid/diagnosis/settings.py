@@ -157,9 +157,8 @@ class Settings:
     worse_share: float = 0.02
     #: Where the gap before is this many times the floor, it has to shrink. Set by looking at cases.
     room_ratio: float = 1.05
-    #: Where the gap stays this many times the floor, this share of it must be closed; by effects that are named in part
-    #: of the whole gap, or of that in the channels that they act in. Set by looking at cases.
-    open_ratio: float = 1.1
+    #: Share that effects named in part must close: of the whole gap, or of that in the channels that they act in. Set by
+    #: looking at cases.
     mostly_closed: float = 0.7
     #: Where so much of the gap on unseen motions is closed, what is left of it there is no sign of something unknown. Set by
     #: looking at cases.

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 from bayesid.diagnosis.in_part import InPart
 from bayesid.diagnosis.search import Search
 from bayesid.diagnosis.settings import Settings
+from bayesid.diagnosis.stability import Stability
 from bayesid.diagnosis.surrogates import explained, unrelated
 from bayesid.diagnosis.validation import Gap
 
 #: ``named_in_part`` is decided on held-out recordings (`bayesid.diagnosis.in_part`) where this module says ``unknown``.
 Verdict = Literal["named", "named_in_part", "ambiguous", "unknown", "nothing_missing"]
-#: Why a verdict is ``unknown``: a residual that nothing explains, held-out motions that deny what was found, or so many effects
-#: that they stand in for one that the library lacks.
-Reason = Literal["", "residual", "denied", "surrogates"]
+#: Why a verdict is ``unknown``: a residual that nothing explains, held-out motions that deny what was found, an effect
+#: of the whole recording that one moment of it speaks for, or so many effects that they stand in for one that the library lacks.
+Reason = Literal["", "residual", "denied", "moment", "surrogates"]
 
 
 @dataclass(frozen=True)
@@ -39,6 +41,8 @@ class Evidence:
     unconfirmable
         Whether held-out motions cannot deny the effects found: a contact does not come again, and of a changed link the same
         motion is predicted as well by many links that are a little off.
+    momentary
+        Whether an effect would not be named without one moment of the recordings.
     before, after, floor
         Root mean squares on the held-out motions, without and with the effects and of a complete model; None without such
         motions.
@@ -55,6 +59,7 @@ class Evidence:
     dropped: bool = False
     rivals: bool = False
     unconfirmable: bool = False
+    momentary: bool = False
     before: float | None = None
     after: float | None = None
     floor: float | None = None
@@ -63,7 +68,7 @@ class Evidence:
     difference: float = float("inf")
 
 
-def evidence_of(search: Search, gap: Gap | None) -> Evidence:
+def evidence_of(search: Search, gap: Gap | None, stability: Sequence[Stability | None] = ()) -> Evidence:
     """The numbers that a verdict rests on.
 
     Parameters
@@ -72,7 +77,10 @@ def evidence_of(search: Search, gap: Gap | None) -> Evidence:
         The models fitted.
     gap
         On the held-out motions; None without any.
+    stability
+        Of each effect found.
     """
+    least = search.projector.data.settings.accept
     terms = [f.term for f in search.found]
     numbers = ("before", "after", "floor", "closed", "closed_low", "difference")
     given = {} if gap is None else {k: float(getattr(gap, k)) for k in numbers}
@@ -83,6 +91,7 @@ def evidence_of(search: Search, gap: Gap | None) -> Evidence:
         unrelated=unrelated(search.projector.data, terms),
         dropped=bool(search.dropped),
         rivals=any(f.rivals for f in search.found),
+        momentary=any(x is not None and x.rests_on is not None and x.least < least for x in stability),
         unconfirmable=all(t.effect.once or t.effect.changes_link for t in terms),
         **given,
     )
@@ -92,18 +101,17 @@ def nearly_complete(e: Evidence, s: Settings) -> bool:
     """Whether the model closes nearly all of the gap, so that what it leaves is its own inexactness."""
     if e.after is None or e.floor is None:
         return False
-    return e.closed > s.closed and e.after <= s.open_ratio * e.floor and e.explained > s.nearly_all
+    return e.closed > s.closed and e.after**2 <= s.unexplained * e.floor**2 and e.explained > s.nearly_all
 
 
 def denied(e: Evidence, s: Settings) -> bool:
-    """Whether held-out motions deny the effects: worse, no better where there was room, or most of the gap still open."""
+    """Whether held-out motions deny the effects: worse, or no better where there was room."""
     if e.before is None or e.after is None or e.floor is None:
         return False
     worse = e.after**2 > e.before**2 * (1.0 + s.worse_share)
     # Where the effects change too little to stand out of the noise, that nothing is better denies nothing.
     no_better = e.before > s.room_ratio * e.floor and e.closed_low <= 0.0 and e.difference >= s.detected**2
-    still_open = e.after > s.open_ratio * e.floor and e.closed < s.mostly_closed
-    return worse or no_better or still_open
+    return worse or no_better
 
 
 def verdict(evidence: Evidence, settings: Settings) -> tuple[Verdict, Reason]:
@@ -128,6 +136,8 @@ def verdict(evidence: Evidence, settings: Settings) -> tuple[Verdict, Reason]:
         return "nothing_missing", ""
     if not e.unconfirmable and denied(e, s):
         return "unknown", "denied"
+    if e.momentary:
+        return "unknown", "moment"
     if e.unrelated > s.likely_effects or (e.dropped and not nearly):
         return "unknown", "surrogates"
     return ("ambiguous" if e.rivals else "named"), ""

@@ -307,6 +307,10 @@ class Effect(ABC):
         """Whether at these values it is no more than other effects are: a search then leaves the name to them."""
         return False
 
+    def holds_below(self, values: Sequence[float], around: Surroundings) -> float:
+        """Frequency [Hz] up to which encoders show enough of what it does for its equation to hold; most hold anywhere."""
+        return inf
+
     def comes_after(self, other: Effect) -> bool:
         """Whether a search counts for it only what another effect leaves unexplained."""
         return False

@@ -58,6 +58,11 @@ class JointFlexibility(FlexibleJointEffect):
     def compliance(self, values):
         return float(values[0])
 
+    def holds_below(self, values, around):
+        # At its resonance, compliance * inertia * (2 pi f)^2 = 1, the link swings while the motor and its encoder stand still.
+        softness = values[0] * around.joint_inertia[self.joint or 0]
+        return 1.0 / (2.0 * np.pi * np.sqrt(softness)) if softness > 0.0 else inf
+
     def trials(self, around):
         felt = around.joint_inertia[self.joint or 0]
         tried = 1.0 / (felt * (2.0 * np.pi * JOINT_RESONANCES) ** 2)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
+from math import inf
 from pathlib import Path
 from typing import overload
 
@@ -18,12 +19,12 @@ from bayesid.diagnosis.locate import Disagreement, locate
 from bayesid.diagnosis.prepare import known_terms, prepare_data
 from bayesid.diagnosis.projector import make_projector
 from bayesid.diagnosis.remarks import next_experiment, remarks
-from bayesid.diagnosis.search import Search, certain, search
+from bayesid.diagnosis.search import Found, Search, certain, holds_below, search
 from bayesid.diagnosis.settings import DEFAULT, Settings
 from bayesid.diagnosis.shifts import base_shifts
-from bayesid.diagnosis.stability import stability
-from bayesid.diagnosis.validation import motion_errors, residual_spectra, validate
-from bayesid.diagnosis.verdict import evidence_of, named_in_part, verdict
+from bayesid.diagnosis.stability import Stability, stability
+from bayesid.diagnosis.validation import Gap, motion_errors, residual_spectra, validate
+from bayesid.diagnosis.verdict import Reason, Verdict, evidence_of, named_in_part, verdict
 from bayesid.drawing import Figures, figures_of
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, as_experiment
@@ -137,23 +138,64 @@ def diagnose(
         progress("noise of sensors and encoders")
         channel = channel or default_channel(experiment)
         terms, held = known_terms(experiment, channel, effects)
-        data = prepare_data(experiment, channel, terms, motions, seed, held, settings)
-        found = search(make_projector(data, data.terms), data.terms, seed, progress)
-        progress("validation on unseen motions")
-        result = _with_next_motion(_concluded(found, seed, progress), seed, progress)
+
+        def decided(below: float = inf) -> _Decided:
+            data = prepare_data(experiment, channel, terms, motions, seed, held, settings, below)
+            found = search(make_projector(data, data.terms), data.terms, seed, progress)
+            progress("validation on unseen motions")
+            return _decided(found, seed)
+
+        result = decided()
+        if result.verdict == "unknown" and (below := holds_below(result.search)) < inf:
+            again = decided(below)
+            result = result if again.verdict == "unknown" else again
+        result = _with_next_motion(_concluded(result, seed, progress), seed, progress)
         result = _with_description(result, seed, progress)
     return replace(result, seconds=time.perf_counter() - since)
 
 
-def _concluded(s: Search, seed: int, progress: Progress) -> Diagnosis:
-    """The verdict on what was found, and everything that goes with it."""
-    data: DiagnosisData = s.projector.data
+@dataclass(frozen=True, eq=False)
+class _Decided:
+    """What a search found, and the verdict on it.
+
+    Attributes
+    ----------
+    search, sure
+        All that it found, and without what does not differ from zero.
+    gap
+        Of the latter on motions that were not fitted.
+    stability
+        Of its effects.
+    verdict, reason
+        And why, if that is ``unknown``.
+    """
+
+    search: Search
+    sure: Search
+    gap: Gap | None
+    stability: tuple[Stability | None, ...]
+    verdict: Verdict
+    reason: Reason
+
+
+def _decided(s: Search, seed: int) -> _Decided:
     sure = certain(s)
     gap = validate(s.projector, s.base, sure.best, s.dispersion, seed)
-    decided, reason = verdict(evidence_of(sure, gap), data.settings)
+    parts = _stability(sure, sure.found)
+    return _Decided(s, sure, gap, parts, *verdict(evidence_of(sure, gap, parts), s.projector.data.settings))
+
+
+def _stability(s: Search, named: Sequence[Found]) -> tuple[Stability | None, ...]:
+    return stability(s.projector, s.best, len(s.base.terms), named, s.dispersion)
+
+
+def _concluded(found: _Decided, seed: int, progress: Progress) -> Diagnosis:
+    """The verdict on what was found, and everything that goes with it."""
+    s, gap, decided, reason = found.search, found.gap, found.verdict, found.reason
+    data: DiagnosisData = s.projector.data
     part, tried, worse, stays = None, None, False, ()
     if decided != "unknown":
-        s = sure
+        s = found.sure
     else:  # the best attempt is shown as it is
         progress("effects that held-out recordings confirm")
         tried = proven_effects(s, seed)
@@ -166,7 +208,7 @@ def _concluded(s: Search, seed: int, progress: Progress) -> Diagnosis:
             data = s.projector.data
             stays = _places(s, s.best)
     named = () if decided == "unknown" else s.found
-    parts = stability(s.projector, s.best, len(s.base.terms), named, s.dispersion)
+    parts = found.stability if part is None else _stability(s, named)
     return Diagnosis(
         data=data,
         verdict=decided,
@@ -177,7 +219,7 @@ def _concluded(s: Search, seed: int, progress: Progress) -> Diagnosis:
         shifts=base_shifts(s) if named else (),
         remarks=remarks(s, gap, decided, reason, parts, tried, worse),
         next_experiment=next_experiment(decided, named),
-        stability=parts,
+        stability=parts if named else (),
         part=part,
         remainder=stays,
         errors=motion_errors(s.projector.data, s.base, s.best if named else None),

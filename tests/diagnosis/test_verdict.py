@@ -35,12 +35,12 @@ BELOW, ABOVE = 0.999, 1.001
         # A model that explains nearly everything may leave more than noise, where held-out motions agree.
         (replace(CLEAR, residual=2.0), ("named", "")),
         (replace(CLEAR, residual=2.0, closed=DEFAULT.closed * BELOW), ("unknown", "residual")),
-        (replace(CLEAR, residual=2.0, after=DEFAULT.open_ratio * ABOVE), ("unknown", "residual")),
+        (replace(CLEAR, residual=2.0, after=math.sqrt(DEFAULT.unexplained) * ABOVE), ("unknown", "residual")),
         (replace(CLEAR, residual=2.0, explained=DEFAULT.nearly_all * BELOW), ("unknown", "residual")),
         # Livelier held-out motions: a small share of a large gap is forgiven, a large one not.
         (replace(CLEAR, after=2.0, closed=DEFAULT.closed * ABOVE), ("named", "")),
         (replace(CLEAR, after=2.0, closed=DEFAULT.closed * BELOW), ("unknown", "residual")),
-        # Held-out motions deny the effect: worse, no better where there was room, mostly open.
+        # Held-out motions deny the effect: worse, or no better where there was room.
         (replace(CLEAR, before=1.0, after=math.sqrt(1.0 + DEFAULT.worse_share) * ABOVE, closed=math.nan), ("unknown", "denied")),
         (replace(CLEAR, before=1.0, after=math.sqrt(1.0 + DEFAULT.worse_share) * BELOW, closed=math.nan), ("named", "")),
         (replace(CLEAR, before=DEFAULT.room_ratio * ABOVE, closed_low=0.0), ("unknown", "denied")),
@@ -48,9 +48,9 @@ BELOW, ABOVE = 0.999, 1.001
         # What changes them too little to be seen there is not denied by their being no better.
         (replace(CLEAR, before=1.2, closed_low=0.0, difference=DEFAULT.detected**2 * BELOW), ("named", "")),
         (replace(CLEAR, before=1.2, closed_low=0.0, difference=DEFAULT.detected**2 * ABOVE), ("unknown", "denied")),
-        (replace(CLEAR, after=DEFAULT.open_ratio * ABOVE, closed=DEFAULT.mostly_closed * BELOW), ("unknown", "denied")),
-        (replace(CLEAR, after=DEFAULT.open_ratio * BELOW, closed=DEFAULT.mostly_closed * BELOW), ("named", "")),
-        (replace(CLEAR, after=DEFAULT.open_ratio * ABOVE, closed=DEFAULT.mostly_closed * ABOVE), ("named", "")),
+        (replace(CLEAR, after=math.sqrt(DEFAULT.unexplained) * BELOW, closed=0.5), ("named", "")),
+        # One moment that speaks for an effect of the whole recording.
+        (replace(CLEAR, momentary=True), ("unknown", "moment")),
         (replace(CLEAR, before=1.0, after=1.1, closed=math.nan, unconfirmable=True), ("named", "")),
         # Surrogates: too many unrelated effects, or others that were left out of a model that is not nearly complete.
         (replace(CLEAR, effects=2, unrelated=DEFAULT.likely_effects), ("named", "")),

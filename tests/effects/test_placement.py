@@ -7,6 +7,7 @@ import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
 from bayesid.effects import Model, MotionSegment, readings
+from bayesid.effects.surroundings import surroundings_of
 from tests.effects.arms import at_base, moving, oracle, term
 
 
@@ -122,3 +123,18 @@ def test_a_coupled_motors_friction_is_read_at_both_joints(panda):
     # The power at the joints is that at the motor.
     power = np.sum(change[:, 6:] * segment.velocities, axis=1)
     np.testing.assert_allclose(power, taken * speed, atol=1e-9)
+
+
+def test_a_flexible_joint_holds_up_to_where_its_link_swings_on_a_held_motor(panda):
+    """``I q'' + q / c = 0`` about the motor, I by Pinocchio; none is held against a stiff joint or another effect."""
+    effect = term(panda, "joint_flexibility@joint2", 2e-4).effect
+    model, q = pin.buildModelFromUrdf(str(panda.urdf)), np.full(7, 0.3)
+    inertia = pin.crba(model, model.createData(), q)[1, 1]
+    times, still = np.arange(30.0), np.zeros((30, 7))
+    around = surroundings_of(
+        panda, [MotionSegment(times, np.tile(q, (30, 1)), still, still)], panda.nominal.ravel(), "torque", False,
+        static_run=False, links_known=True,
+    )  # fmt: skip
+    np.testing.assert_allclose(effect.holds_below((2e-4,), around), np.sqrt(1.0 / (2e-4 * inertia)) / (2.0 * np.pi), rtol=1e-6)
+    assert np.isinf(effect.holds_below((0.0,), around))
+    assert np.isinf(term(panda, "base_tilt", 0.05, -0.08).effect.holds_below((0.05, -0.08), around))
