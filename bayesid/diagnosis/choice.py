@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -90,7 +91,7 @@ class Choice:
 
     def with_one_more(self, kept: list[int], others: Sequence[int], possible: Possible, before: np.ndarray) -> list[int] | None:
         """The effect added that the data demand most, if held-out recordings confirm it."""
-        open_ = [k for k in self.beside(kept, others) if not self._contains_others(k)]
+        open_ = [k for k in self.beside(kept, others) if self.effects[k] not in self._containing]
         if not open_:
             return None
         gains = self.sums.evidence([*self.users, *kept], open_)
@@ -121,10 +122,11 @@ class Choice:
                 best = gain, more
         return best[1]
 
-    def _contains_others(self, index: int) -> bool:
-        """Whether an effect contains others that may be kept instead; only `with_one_instead` weighs it against all of these."""
-        own, others = self.effects[index], (e for k, e in enumerate(self.effects) if k not in self.users)
-        return any(own.comes_after(other) and own.excludes(other) for other in others)
+    @cached_property
+    def _containing(self) -> frozenset[Effect]:
+        """Effects that contain others that may be kept instead; only `with_one_instead` weighs them against all of these."""
+        others = {e for k, e in enumerate(self.effects) if k not in self.users}
+        return frozenset(own for own in {*self.effects} if any(own.comes_after(e) and own.excludes(e) for e in others))
 
     def price_of(self, effects: Sequence[int]) -> float:
         """Log evidence that the parameters of effects cost."""
@@ -202,7 +204,7 @@ class Choice:
         """
         for k in list(kept):
             size, without = len(self.effects[k].parameters), self.squares([x for x in kept if x != k])
-            plain = [x for x in others if not self._contains_others(x)]
+            plain = [x for x in others if self.effects[x] not in self._containing]
             for other, lack in self.rivals(kept, k, plain, possible, 0.0):
                 if lack < -self.settings.rival or len(self.effects[other].parameters) <= size:
                     changed = [other if x == k else x for x in kept]
