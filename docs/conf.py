@@ -43,6 +43,8 @@ numpydoc_class_members_toctree = False
 html_math_renderer = "mathml"
 html_theme = "pydata_sphinx_theme"
 html_title = "bayesid"
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
 html_show_sourcelink = False
 html_theme_options = {"show_toc_level": 2, "navigation_with_keys": False, "secondary_sidebar_items": ["page-toc"]}
 

@@ -130,7 +130,7 @@ ROWS = {
             line="bayesid: ",
         ),
         Row(
-            "Seconds of thousands",
+            "Times run to thousands of seconds",
             "Times are in milliseconds",
             "`bayesid import --units t=ms`, or seconds in the table",
             lambda e: tables(e, lambda t: replace(t, times=1e3 * t.times)),
