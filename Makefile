@@ -45,6 +45,7 @@ bench: $(READY) $(FIGAROH)/ready $(NUMPYRO)/ready
 	$(BIN)/python tests/benchmarks/posterior_speed.py
 	$(BIN)/python tests/benchmarks/diagnosis.py
 	$(BIN)/python tests/benchmarks/startup.py
+	$(BIN)/python tests/benchmarks/beside.py
 
 # A warning is an error; nothing is fetched from a network.
 docs: $(DOCS)/ready

@@ -34,7 +34,7 @@ class FitOptions:
     motions
         Which motions to fit; None: those with role ``identification``.
     effects
-        Replaces ``[model] effects``; None: those.
+        Replaces ``[model] effects``; a list, or one text with commas between the names. None: those of the experiment.
     static
         What to do with a stop-and-go run of the same positions: ``motion`` subtracts it (equation 21 of
         [Liu1998]_), ``joint`` fits it along as static poses.

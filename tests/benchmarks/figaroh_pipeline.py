@@ -219,6 +219,9 @@ def run(urdf: Path, table: Path, kind: str, cutoff: float, solver: str) -> dict[
         residual = measured - base @ estimate
     with watch.stage("deviations"):
         relative = relative_stdev(base, estimate, measured)
+    # Its formula: relative_stdev gives these in per cent, rounded to two digits.
+    variance = residual @ residual / (len(measured) - len(estimate))
+    z = (estimate - nominal) / np.sqrt(variance * np.diag(np.linalg.inv(base.T @ base)))
     peak = memory("VmHWM")
 
     total = sum(watch.seconds.values())
@@ -240,7 +243,10 @@ def run(urdf: Path, table: Path, kind: str, cutoff: float, solver: str) -> dict[
         "base_parameters": len(estimate),
         "median_relative_deviation_percent": float(np.median(relative)),
         "residual_rms": float(np.sqrt(np.mean(residual**2))),
-        # Where the URDF is the truth, the error of the noise-free prediction.
+        # Where the URDF is the truth: errors in standard deviations, intervals that hold it, and the error of the noise-free
+        # prediction.
+        "z_rms": float(np.sqrt(np.mean(z**2))),
+        "inside": float(np.mean(np.abs(z) < 1.96)),
         "difference_from_urdf_rms": float(np.sqrt(np.mean((base @ (estimate - nominal)) ** 2))),
     }
 

@@ -113,14 +113,14 @@ def test_python_blocks_run_as_cells_of_a_notebook(name, my_arm, tmp_path, monkey
         _own_effect_was_found(notebook.scope, my_arm / "found")
 
 
-@pytest.mark.parametrize("page", [README, *sorted((DOCS / "howto").glob("*.md"))], ids=lambda page: page.name)
-def test_every_block_of_a_page_is_tried(page):
+@pytest.mark.parametrize("name", [name for name in BY_NAME if not name.startswith("docs/notebooks")])
+def test_every_block_of_a_page_is_tried(name):
     """Python and command lines run (above and below), tables of settings are read, text is output that a test looks at, and a
     test of what the page is about compiles C++."""
-    kinds = [kind for kind, _ in _CODE.findall(page.read_text(encoding="utf-8"))]
-    fences = page.read_text(encoding="utf-8").count("\n```") // 2
+    text = BY_NAME[name].read_text(encoding="utf-8")
+    kinds, fences = [kind for kind, _ in _CODE.findall(text)], text.count("\n```") // 2
     assert len(kinds) == fences and set(kinds) <= {"python", "console", "toml", "text", "matlab", "cpp"}
-    for code in snippets(page, "toml"):
+    for code in snippets(BY_NAME[name], "toml"):
         assert tomllib.loads(code)
 
 

@@ -43,7 +43,7 @@ def test_a_script_imports_what_exists(script):
         assert exists(module, name), f"{script}: from {module} import {name}"
 
 
-@pytest.mark.parametrize("script", ["run", "identify", "posterior_speed", "diagnosis", "startup"])
+@pytest.mark.parametrize("script", ["run", "identify", "posterior_speed", "diagnosis", "startup", "beside"])
 def test_what_make_bench_runs_starts_from_anywhere(script, tmp_path):
     path = ROOT / "tests" / "benchmarks" / f"{script}.py"
     done = subprocess.run([sys.executable, str(path), "--help"], cwd=tmp_path, capture_output=True, text=True, check=False)
