@@ -23,7 +23,7 @@ help:
 	@echo "                and the samplers, also against numpyro's NUTS ($(NUMPYRO))"
 	@echo "make lint       ruff, pyright and the layers of imports"
 	@echo "make docs       the documentation as web pages, in build/docs"
-	@echo "make release-check  wheel and sdist, each installed into an empty environment that runs the demonstration"
+	@echo "make release-check  wheel and sdist, each tried in an empty environment of each Python that is there"
 	@echo "make clean      remove all environments and everything built"
 
 demo: $(READY)
@@ -58,16 +58,10 @@ lint: $(READY)
 	$(BIN)/pyright
 	$(BIN)/lint-imports
 
-# Newest versions of everything, as `pip install bayesid` takes them: constraints.txt is for the tests.
+# Newest versions of everything, as `pip install bayesid` takes them: constraints.txt is for the tests. On 3.11, 3.12 and 3.13,
+# as far as they are there, or on those named: make PYTHONS="python3.12 /opt/python3.13/bin/python" release-check
 release-check:
-	rm -rf $(RELEASE) dist && $(PYTHON) -m venv $(RELEASE)
-	$(RELEASE)/bin/python -m pip --disable-pip-version-check install --quiet build
-	$(RELEASE)/bin/python -m build --outdir dist
-	for package in dist/*.whl dist/*.tar.gz; do \
-	  $(PYTHON) -m venv --clear $(RELEASE) && \
-	  $(RELEASE)/bin/python -m pip --disable-pip-version-check install --quiet $$package && \
-	  (cd $(RELEASE) && bin/bayesid --version && bin/bayesid demo --out demo) || exit 1; \
-	done
+	PYTHONS="$(PYTHONS)" tests/release.sh $(RELEASE)
 
 clean:
 	rm -rf $(VENV) $(FIGAROH) $(NUMPYRO) $(RELEASE) $(DOCS) build dist bayesid.egg-info
