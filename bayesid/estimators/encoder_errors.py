@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import norm, t
 
-from bayesid.estimators.factor import gram_rows, reduce_whitened, regressor_times
+from bayesid.estimators.factor import gram_of, reduce_whitened, regressor_times
 from bayesid.estimators.sensor_noise import sensor_noise
 from bayesid.estimators.weights import Weights, stated_noise
 from bayesid.regression.blocks import Block, RegressorNoise
@@ -89,7 +89,7 @@ def sandwich_middle(regression: Regression, noise: dict[str, NoiseModel], scale:
     def colour(block: Block) -> np.ndarray:
         return noise[block.group].colour_transposed(block.matrix * scale[block.group].reshape(-1, 1) ** 2)
 
-    return gram_rows(regression.blocks(), colour, row_by_row=memoryless(noise))
+    return regression.rows.total(gram_of(colour, row_by_row=memoryless(noise)), np.add)
 
 
 def may_matter(regression: Regression, weights: Weights) -> bool:
@@ -143,7 +143,7 @@ def with_encoder_errors(
         back = model.whiten_transposed(rows) if scale is None else rows * scale[block.group].reshape(-1, 1)
         return sensor[block.group].colour_transposed(back)
 
-    return gram_rows(regression.blocks(), coloured) + draws.covariance(weighted)
+    return regression.rows.total(gram_of(coloured), np.add) + draws.covariance(weighted)
 
 
 def encoder_growth(regression: Regression, weights: Weights, scale: dict[str, np.ndarray], inverse: np.ndarray) -> np.ndarray:

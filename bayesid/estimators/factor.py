@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, reduce
 
 import numpy as np
 from numpy.linalg import LinAlgError
@@ -65,17 +65,23 @@ def reduce_rows(blocks: Iterable[Block], transform: Callable[[Block], np.ndarray
 
     Blocks are independent, so all cores work; LAPACK lets go of Python's lock.
     """
+    return reduce(stacked, in_order(factor_of(transform), blocks))
 
-    def reduced(block: Block) -> tuple[np.ndarray, int]:
+
+def factor_of(transform: Callable[[Block], np.ndarray]) -> Callable[[Block], Factor]:
+    """Factor of one block's transformed rows, for `reduce_rows`."""
+
+    def reduced(block: Block) -> Factor:
         new = transform(block)
         flat = new.reshape(-1, new.shape[-1])
-        return _stack_all(None, flat), len(flat)
+        return Factor(_stack_all(None, flat), len(flat))
 
-    parts = list(in_order(reduced, blocks))
-    r = parts[0][0]
-    for other, _ in parts[1:]:
-        r = stack(r, other)
-    return Factor(r, sum(rows for _, rows in parts))
+    return reduced
+
+
+def stacked(first: Factor, second: Factor) -> Factor:
+    """Factor of the rows of both."""
+    return Factor(stack(first.r, second.r), first.rows + second.rows)
 
 
 def gram_rows(blocks: Iterable[Block], transform: Callable[[Block], np.ndarray], *, row_by_row: bool = False) -> np.ndarray:
@@ -88,6 +94,11 @@ def gram_rows(blocks: Iterable[Block], transform: Callable[[Block], np.ndarray],
     row_by_row
         Whether ``transform`` treats each row alone, so that a few can be transformed at a time.
     """
+    return sum(in_order(gram_of(transform, row_by_row=row_by_row), blocks), np.zeros(()))
+
+
+def gram_of(transform: Callable[[Block], np.ndarray], *, row_by_row: bool = False) -> Callable[[Block], np.ndarray]:
+    """``X'X`` of one block's transformed rows, for `gram_rows`."""
 
     def gram(block: Block) -> np.ndarray:
         total = np.zeros(())
@@ -97,7 +108,7 @@ def gram_rows(blocks: Iterable[Block], transform: Callable[[Block], np.ndarray],
             total = total + flat.T @ flat
         return total
 
-    return sum(in_order(gram, blocks), np.zeros(()))
+    return gram
 
 
 def _stack_all(r: np.ndarray | None, flat: np.ndarray) -> np.ndarray:

@@ -191,7 +191,7 @@ def weighted_factor(regression: Regression, weights: Weights, kind: str) -> tupl
     channels = len(regression.channel_names)
     scale = {g: (1.0 / m.std if kind == "channel" else np.ones(channels)) for g, m in weights.noise.items()}
     root = pilot_of(regression).root
-    return reduce_in_coordinates(root, regression.blocks, lambda b: b.rows * scale[b.group][:, None]), scale
+    return reduce_in_coordinates(root, regression.rows, scale), scale
 
 
 def nominal_start(regression: Regression, p: int) -> np.ndarray:

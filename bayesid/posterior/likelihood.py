@@ -35,7 +35,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesid.estimators.conic.data import compressed
-from bayesid.estimators.factor import Factor, reduce_rows, reduce_whitened, stack, whitened
+from bayesid.estimators.factor import Factor, factor_of, reduce_whitened, stack, stacked, whitened
 from bayesid.estimators.least_squares import covariance_middle
 from bayesid.estimators.weights import Weights, learn_weights
 from bayesid.regression.linalg import pseudo_inverse, solve
@@ -196,7 +196,7 @@ def _by_channel(
 
     def weighted(noise: dict[str, NoiseModel]) -> tuple[dict[str, NoiseModel], dict[str, np.ndarray], Factor]:
         scale = {g: 1.0 / m.std for g, m in noise.items()}
-        return noise, scale, reduce_rows(regression.blocks(), lambda b: b.rows * scale[b.group][:, None])
+        return noise, scale, regression.rows.total(factor_of(lambda b: b.rows * scale[b.group][:, None]), stacked)
 
     if not passes:
         return weighted({g: NoiseModel(np.ones((len(m.std), 1)), np.diag(m.std**2)) for g, m in weights.noise.items()})

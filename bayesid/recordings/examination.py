@@ -12,6 +12,18 @@ from bayesid.recordings.wraps import unwrapped
 from bayesid.robot.robot import Robot
 
 
+def _in_chunks(motion: Motion) -> Finding:
+    """What it means that a motion is read in chunks."""
+    assert motion.stored is not None
+    size, part = len(motion.stored), len(motion.table)
+    excerpt = "the whole recording" if part == size else f"an excerpt of {part:,} samples in evenly spread pieces"
+    fitted = "is fitted in chunks" if motion.role == "identification" else "is only predicted, on that excerpt"
+    return Finding(
+        f"{motion.table.source}: {size:,} samples, of which few are in memory at a time: the recording {fitted}; what looks at "
+        f"recordings as wholes (checks, noise floor, figures, diagnose, methods tls and iv) has {excerpt}"
+    )
+
+
 def examine(motion: Motion, robot: Robot, resolution: float | None, place: str) -> tuple[Motion, list[Finding], list[str]]:
     """Examine a motion's tables, and undo what is certainly only a way of counting.
 
@@ -44,6 +56,8 @@ def examine(motion: Motion, robot: Robot, resolution: float | None, place: str) 
         static, moved = unwrapped(static, robot, motion.kind if motion.stop_and_go else "poses")
     certain = [*motion.table.told, told, *(motion.static.told if motion.static else ()), moved]
     findings += [Finding(text) for text in certain if text]
+    if motion.stored is not None:
+        findings.append(_in_chunks(motion))
     doubts += checks.check_positions(table, robot) + checks.check_channels(table)
     if motion.kind == "trajectory":
         held = held_columns(table)

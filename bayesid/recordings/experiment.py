@@ -32,6 +32,7 @@ from bayesid.recordings.schema import (
     read_file,
     read_model,
 )
+from bayesid.recordings.stored import StoredTable, stored_table
 from bayesid.recordings.table import WRENCH_COLUMNS, Table
 from bayesid.recordings.table_reader import read_table
 from bayesid.robot.robot import Robot, load_robot
@@ -474,19 +475,44 @@ def _read_table(folder: Path, name: str, kind: str, setup: Experiment, stated: C
     return read_stated(folder / name, name, stated, setup.robot.joint_names, has_sensor, kind == "poses"), []
 
 
+def _stored(folder: Path, section: MotionSection, setup: Experiment, stated: ColumnMap) -> StoredTable | None:
+    """The table of a motion that is read in chunks; None where it is read whole."""
+    if section.chunked is False or section.kind == "poses":
+        return None
+    place = f"experiment.toml: motion '{section.name}': a table that is read in chunks"
+    other = bool(stated.columns or stated.units or stated.scale)
+    if other and section.chunked:
+        raise InputError(f"{place} has bayesid's own columns; write it once with them, and remove [columns] and [units]")
+    if other:
+        return None
+    stored = stored_table(folder / section.table, section.table, setup.robot.n, setup.sensor is not None, section.chunked)
+    for key in ("period", "parked"):
+        if stored is not None and getattr(section, key):
+            raise InputError(f"{place} goes without {key}; remove it, or cut out what fits in memory")
+    return stored
+
+
 def _read_motion(
     folder: Path, section: MotionSection, setup: Experiment, planned: bool, stated: ColumnMap
 ) -> tuple[Motion, list[str]]:
     has_sensor = setup.sensor is not None
-    table, warnings = _read_table(folder, section.table, section.kind, setup, stated)
+    stored = _stored(folder, section, setup, stated)
+    table, warnings = (
+        (stored.excerpt(), [*stored.told]) if stored else _read_table(folder, section.table, section.kind, setup, stated)
+    )
     if not (planned and table.wrench is None and table.torques is None):
         warnings += _check_present(table, has_sensor, arrays=False)
     static = None
     if section.static is not None:
         static, doubts = _read_table(folder, section.static, "poses", setup, stated)
         warnings += doubts
+    if stored is not None and static is not None and len(static) in (len(stored), len(table)):
+        raise InputError(
+            f"experiment.toml: motion '{section.name}': a table that is read in chunks goes without a static run row by row; "
+            "remove static, or cut out what fits in memory"
+        )
     parked = tuple((float(start), float(end)) for start, end in section.parked)
-    return Motion(section.name, section.role, table, section.kind, static, section.period, parked), warnings
+    return Motion(section.name, section.role, table, section.kind, static, section.period, parked, stored=stored), warnings
 
 
 def _as_table(given: Mapping[str, Any], source: str) -> Table:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from bayesid.drawing import Plots, figures_of
 from bayesid.errors import InputError
+from bayesid.recordings.stored import StoredTable
 from bayesid.recordings.table import Table
 
 if TYPE_CHECKING:
@@ -32,6 +33,8 @@ class Motion(Plots):
         (start, end) times in which the robot stands still [s].
     examined
         Whether its tables have passed the checks of recorded data; an `Experiment` examines the motions that have not.
+    stored
+        The whole recording, where it is read in chunks; ``table`` is then an excerpt.
     """
 
     verb = "check"
@@ -43,6 +46,7 @@ class Motion(Plots):
     period: float | None = None
     parked: tuple[tuple[float, float], ...] = ()
     examined: bool = False
+    stored: StoredTable | None = None
 
     def __post_init__(self) -> None:
         """Check the words, and leave rows that one of two tables with the same rows lacks out of the other, too."""

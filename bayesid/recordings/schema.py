@@ -123,6 +123,7 @@ class MotionSection(Section):
     static: FilePath | None = None
     period: Positive | None = None
     parked: list[Interval] = []
+    chunked: bool | None = None
 
 
 class ExperimentFile(Section):

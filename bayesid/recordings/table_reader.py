@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 _SMALL = 8_000_000
 _BLOCK_ROWS = 200_000
 _BLOCK_BYTES = 1 << 24
-_EMPTY = ["", "nan", "NaN", "NAN"]  # cells without a reading; any other text is a mistake
+EMPTY = ["", "nan", "NaN", "NAN"]  # cells without a reading; any other text is a mistake
 _LARGEST_TIME = 1e19  # [s]; nanoseconds since 1970, which are told as such, are below
 
 
@@ -72,8 +72,8 @@ def read_table(path: Path, source: str, joints: int, wrench: bool = True) -> tup
 
 
 def _read_csv(path: Path, source: str, joints: int, wrench: bool) -> tuple[Table, list[str]]:
-    header = _header(path, source)
-    groups, warned = _groups(header, source, joints, wrench)
+    header = read_header(path, source)
+    groups, warned = column_groups(header, source, joints, wrench)
     # By place, not by name: pandas knows the names as they stand, with blanks around them.
     places = {group: [header.index(column) for column in columns] for group, columns in groups.items()}
     used = {place: header[place] for group in places.values() for place in group}
@@ -89,7 +89,7 @@ def _read_csv(path: Path, source: str, joints: int, wrench: bool) -> tuple[Table
     rows = 0
     options: dict[str, Any] = dict(
         header=0, names=list(range(len(header))), usecols=list(used), index_col=False, skipinitialspace=True,
-        encoding="utf-8-sig", chunksize=_BLOCK_ROWS, keep_default_na=False, na_values=_EMPTY,
+        encoding="utf-8-sig", chunksize=_BLOCK_ROWS, keep_default_na=False, na_values=EMPTY,
     )  # fmt: skip
     try:
         with pd.read_csv(path, dtype=np.float64, **options) as reader:
@@ -123,7 +123,14 @@ def _plain_cells(path: Path, places: list[int]) -> np.ndarray | None:
     return cells if np.isfinite(cells).all() else None
 
 
-def _read_parquet(path: Path, source: str, joints: int, wrench: bool) -> tuple[Table, list[str]]:
+def open_parquet(path: Path, source: str) -> Any:
+    """A Parquet file, of which nothing but its description is read yet.
+
+    Raises
+    ------
+    InputError
+        It is none, or pyarrow is not installed.
+    """
     try:
         parquet = importlib.import_module("pyarrow.parquet")
     except ImportError:
@@ -131,10 +138,14 @@ def _read_parquet(path: Path, source: str, joints: int, wrench: bool) -> tuple[T
             f'{source}: reading Parquet needs pyarrow; pip install "bayesid[parquet]", or write the table as CSV'
         ) from None
     try:
-        file = parquet.ParquetFile(path)
+        return parquet.ParquetFile(path)
     except ValueError as error:  # pyarrow.ArrowInvalid
         raise InputError(f"{source}: not a Parquet file ({' '.join(str(error).split())}); write it again") from None
-    groups, warned = _groups(list(file.schema_arrow.names), source, joints, wrench)
+
+
+def _read_parquet(path: Path, source: str, joints: int, wrench: bool) -> tuple[Table, list[str]]:
+    file = open_parquet(path, source)
+    groups, warned = column_groups(list(file.schema_arrow.names), source, joints, wrench)
     arrays = {}
     for group, columns in groups.items():
         frame = file.read(columns=columns).to_pandas()
@@ -183,7 +194,14 @@ def _assemble(
     return Table(times=times, source=source, dropped=dropped, told=told, **arrays)
 
 
-def _header(path: Path, source: str) -> list[str]:
+def read_header(path: Path, source: str) -> list[str]:
+    """Names of the columns of a CSV file.
+
+    Raises
+    ------
+    InputError
+        It is empty or no text, starts with numbers, or separates by something else than commas.
+    """
     try:
         with path.open(encoding="utf-8-sig", newline="") as handle:
             header = next((row for row in csv.reader(handle, skipinitialspace=True) if not _blank(row)), None)
@@ -200,8 +218,14 @@ def _header(path: Path, source: str) -> list[str]:
     return header
 
 
-def _groups(header: list[str], source: str, joints: int, wrench: bool) -> tuple[dict[str, list[str]], list[str]]:
-    """Choose the columns to read: group -> its columns; and say what of the robot's own is left out."""
+def column_groups(header: list[str], source: str, joints: int, wrench: bool) -> tuple[dict[str, list[str]], list[str]]:
+    """Choose the columns to read: group -> its columns; and say what of the robot's own is left out.
+
+    Raises
+    ------
+    InputError
+        A column is missing, or stands there twice.
+    """
     wanted = {"t": ["t"]}
     for group, prefix in JOINT_GROUPS.items():
         wanted[group] = [f"{prefix}{j + 1}" for j in range(joints)]
@@ -325,7 +349,7 @@ def _blame_cell(path: Path, source: str, columns: dict[int, str], options: dict[
     places, row = list(columns), 0
     for frame in _quietly(pd.read_csv(path, **options)):
         values = frame[places].apply(pd.to_numeric, errors="coerce").to_numpy(np.float64)
-        bad = np.argwhere(~np.isfinite(values) & ~frame[places].isin(_EMPTY).to_numpy())
+        bad = np.argwhere(~np.isfinite(values) & ~frame[places].isin(EMPTY).to_numpy())
         if len(bad):
             at, k = int(bad[0][0]), int(bad[0][1])
             cell = frame[places[k]].iloc[at]

@@ -15,7 +15,10 @@ from typing import Any
 
 import numpy as np
 
+from bayesid.arguments import argument
+from bayesid.errors import InputError
 from bayesid.regression.blocks import Block, Instruments, Pair, RegressorNoise
+from bayesid.regression.long_segment import LongSegment
 from bayesid.regression.parallel import Once
 from bayesid.regression.row_model import RowModel
 from bayesid.regression.rows import make_blocks
@@ -52,7 +55,7 @@ class EncoderNoise:
     correlation: np.ndarray
 
 
-def measure(segments: Sequence[Segment], bandwidth: float, most: np.ndarray, least: float = 0.0) -> EncoderNoise:
+def measure(segments: Sequence[Segment | LongSegment], bandwidth: float, most: np.ndarray, least: float = 0.0) -> EncoderNoise:
     """Size of the encoder noise from what the smoother leaves over.
 
     Parameters
@@ -68,10 +71,10 @@ def measure(segments: Sequence[Segment], bandwidth: float, most: np.ndarray, lea
     """
     n, moving = len(most), [r for r in segments if not r.poses]
     power, product, free = np.zeros(n), np.zeros(n), 0
-    total = sum(len(r.times) for r in moving)
+    total = sum(r.count for r in moving)
     size = _PIECE if total > _WHOLE else max(total, 1)
-    pieces = [r.part(a, min(a + size, len(r.times))) for r in moving for a in range(0, len(r.times), size)]
-    for r in pieces[:: max(total // _MEASURED, 1)]:
+    pieces = [(r, a) for r in moving for a in range(0, r.count, size)]
+    for r in (r.part(a, min(a + size, r.count)) for r, a in pieces[:: max(total // _MEASURED, 1)]):
         functions = int((r.times[-1] - r.times[0]) * 2 * bandwidth) + DEGREE + 1
         if len(r.times) <= functions:
             continue
@@ -84,7 +87,9 @@ def measure(segments: Sequence[Segment], bandwidth: float, most: np.ndarray, lea
     return EncoderNoise(std, product / np.maximum(power, 1e-300))
 
 
-def errors_of(row_model: RowModel, segments: Sequence[Segment], smoother: Smoother) -> tuple[RegressorNoise, Instruments]:
+def errors_of(
+    row_model: RowModel, segments: Sequence[Segment | LongSegment], smoother: Smoother
+) -> tuple[RegressorNoise, Instruments]:
     """The law of the regressor's errors, and instruments free of them.
 
     Parameters
@@ -125,7 +130,7 @@ class _Encoders:
     """
 
     row_model: RowModel
-    segments: Sequence[Segment]
+    segments: Sequence[Segment | LongSegment]
     smoother: Smoother
     kinds: tuple[str, ...]
     noise: Once[EncoderNoise]
@@ -133,13 +138,13 @@ class _Encoders:
     quiet_pieces: Once[list[Segment]]
 
     @classmethod
-    def of(cls, row_model: RowModel, segments: Sequence[Segment], smoother: Smoother) -> _Encoders:
+    def of(cls, row_model: RowModel, segments: Sequence[Segment | LongSegment], smoother: Smoother) -> _Encoders:
         """Nothing is measured or smoothed before it is needed."""
         smooth_all = partial(_as_smooth, min(smoother.automatic or row_model.bandwidth, row_model.bandwidth))
         return cls(
             row_model, segments, smoother, tuple(_kind(row_model, r) for r in segments),
             Once(partial(measure, segments, row_model.bandwidth, smoother.position_std, smoother.stated_error)),
-            Once(partial(smooth_all, segments)),
+            Once(partial(_smooth_whole, smooth_all, segments)),
             Once(partial(_smooth_pieces, smooth_all, row_model, segments)),
         )  # fmt: skip
 
@@ -158,7 +163,7 @@ class _Encoders:
 
     def perturbed(self, draw: int, sign: float) -> Iterator[Block]:
         """Rows of the recordings with the noise of a draw, times the sign, added."""
-        return make_blocks(self.row_model, self.again(self.segments, self.quiet(), draw, sign))
+        return make_blocks(self.row_model, self.again(_whole(self.segments), self.quiet(), draw, sign))
 
     def simulated(self, draw: int | None) -> Iterator[Block]:
         """Rows of the smooth motion, without noise (None) or with that of a draw."""
@@ -185,7 +190,7 @@ class _Encoders:
 
     def pairs(self, taken: Sequence[Segment] | None = None) -> Iterator[Pair]:
         """Rows of segments, default the recorded ones, beside those of their instruments."""
-        for r, kind in zip(self.segments if taken is None else taken, self.kinds, strict=True):
+        for r, kind in zip(_whole(self.segments) if taken is None else taken, self.kinds, strict=True):
             first, second = _both(self.row_model, r, kind)
             for x, z in zip(make_blocks(self.row_model, [first]), make_blocks(self.row_model, [second]), strict=True):
                 yield Pair(x, z, symmetric=kind == "halves")
@@ -215,8 +220,32 @@ def _as_smooth(bandwidth: float, segments: Sequence[Segment]) -> list[Segment]:
     return [r if r.poses else replace(r, positions=smooth(r.times, r.positions, bandwidth)[0]) for r in segments]
 
 
+def _whole(segments: Sequence[Segment | LongSegment]) -> list[Segment]:
+    """Segments that are in memory.
+
+    Raises
+    ------
+    InputError
+        One is read in chunks.
+    """
+    out = [r for r in segments if isinstance(r, Segment)]
+    for r in segments:
+        if isinstance(r, LongSegment):
+            raise InputError(
+                f"{r.stored.source}: is read in chunks, and {argument('method')} tls and iv need all of it at once; use wls, "
+                "gls or a robust one, or cut out what fits in memory"
+            )
+    return out
+
+
+def _smooth_whole(
+    smooth_all: Callable[[Sequence[Segment]], list[Segment]], segments: Sequence[Segment | LongSegment]
+) -> list[Segment]:
+    return smooth_all(_whole(segments))
+
+
 def _smooth_pieces(
-    smooth_all: Callable[[Sequence[Segment]], list[Segment]], row_model: RowModel, segments: Sequence[Segment]
+    smooth_all: Callable[[Sequence[Segment]], list[Segment]], row_model: RowModel, segments: Sequence[Segment | LongSegment]
 ) -> list[Segment]:
     return smooth_all(_pieces(row_model, segments))
 
@@ -240,17 +269,17 @@ def _errors(positions: np.ndarray, std: np.ndarray, resolution: float, rng: np.r
     return white + resolution * (np.round(exact) - exact)
 
 
-def _pieces(row_model: RowModel, segments: Sequence[Segment]) -> Sequence[Segment]:
+def _pieces(row_model: RowModel, segments: Sequence[Segment | LongSegment]) -> Sequence[Segment]:
     """The segments, or evenly spread pieces of long ones."""
     moving = [r for r in segments if not r.poses]
-    total = sum(len(r.times) for r in moving)
+    total = sum(r.count for r in moving)
     if total <= _SAMPLES:
-        return segments
-    out = [r for r in segments if r.poses]
+        return [r if isinstance(r, Segment) else r.part(0, r.count) for r in segments]
+    out = [r for r in segments if isinstance(r, Segment) and r.poses]
     for r in moving:
-        count, needed = max(round(_PIECES * len(r.times) / total), 1), 4 * max(row_model.margin, r.settling)
-        length = min(max(_SAMPLES // _PIECES, int(needed * len(r.times) / np.ptp(r.times))), len(r.times))
-        out += [r.part(a, a + length) for a in np.linspace(0, len(r.times) - length, count).astype(int)]
+        count, needed = max(round(_PIECES * r.count / total), 1), 4 * max(row_model.margin, r.settling)
+        length = min(max(_SAMPLES // _PIECES, int(needed * r.count / (r.ends[1] - r.ends[0]))), r.count)
+        out += [r.part(a, a + length) for a in np.linspace(0, r.count - length, count).astype(int).tolist()]
     return out
 
 
@@ -281,15 +310,15 @@ _SOURCES = {
 }
 
 
-def _kind(row_model: RowModel, r: Segment) -> str:
+def _kind(row_model: RowModel, r: Segment | LongSegment) -> str:
     if r.commanded is not None:
         return "commanded"
     if r.poses:
         return "own"
-    duration = r.times[-1] - r.times[0]
+    duration = r.ends[1] - r.ends[0]
     # Other periods' noise must not reach into this one's spline.
     reach = _APART * 0.5 / row_model.bandwidth
-    if r.period is not None and duration + 1.5 * duration / len(r.times) >= 2.0 * r.period and r.period > reach:
+    if r.period is not None and duration + 1.5 * duration / r.count >= 2.0 * r.period and r.period > reach:
         return "period"
     return "halves"
 

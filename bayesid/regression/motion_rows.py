@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from threading import Lock
 
 from bayesid.regression.blocks import Block
+from bayesid.regression.long_segment import LongSegment
 from bayesid.regression.row_cache import CACHE_BYTES
 from bayesid.regression.row_model import RowModel
-from bayesid.regression.rows import make_blocks
+from bayesid.regression.rows import make_blocks, row_chunks
 from bayesid.regression.segment import Segment
 
 
@@ -23,7 +25,7 @@ class MotionRows:
         Gap-free segments of every motion, by name.
     """
 
-    def __init__(self, row_model: RowModel, segments: Mapping[str, Sequence[Segment]]):
+    def __init__(self, row_model: RowModel, segments: Mapping[str, Sequence[Segment | LongSegment]]):
         self.row_model, self.segments = row_model, segments
         self._kept: dict[str, tuple[Block, ...]] = {}
         self._room, self._lock = CACHE_BYTES, Lock()
@@ -59,8 +61,25 @@ class MotionRows:
                     self._room += size if keep else 0
 
 
-def row_count(row_model: RowModel, segments: Sequence[Segment]) -> int:
+def row_parts(row_model: RowModel, segments: Sequence[Segment | LongSegment]) -> tuple[Callable[[], list[Block]], ...] | None:
+    """The rows of segments in parts that can be made anywhere; None where no recording is read in chunks."""
+    if not any(isinstance(s, LongSegment) for s in segments):
+        return None
+    parts: list[Callable[[], list[Block]]] = []
+    for segment in segments:
+        if isinstance(segment, LongSegment):
+            parts += row_chunks(row_model, segment)
+        else:
+            parts.append(partial(_all_blocks, row_model, segment))
+    return tuple(parts)
+
+
+def _all_blocks(row_model: RowModel, segment: Segment) -> list[Block]:
+    return list(make_blocks(row_model, [segment]))
+
+
+def row_count(row_model: RowModel, segments: Sequence[Segment | LongSegment]) -> int:
     """How many rows `make_blocks` makes."""
     margin, step = row_model.margin, row_model.step
-    long = [(s, s.times[-1] - s.times[0] - s.lost(margin) - margin) for s in segments if not s.poses]
-    return sum(len(s.times) for s in segments if s.poses) + sum(max(int(duration / step), 1) for _, duration in long)
+    moving = [s.ends[1] - s.ends[0] - s.lost(margin) - margin for s in segments if not s.poses]
+    return sum(s.count for s in segments if s.poses) + sum(max(int(duration / step), 1) for duration in moving)

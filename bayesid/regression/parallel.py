@@ -15,6 +15,8 @@ from typing import Generic, TypeVar
 
 from threadpoolctl import ThreadpoolController
 
+from bayesid.tasks import in_task
+
 _A = TypeVar("_A")
 _B = TypeVar("_B")
 
@@ -52,6 +54,8 @@ class _Working:
 
     def cores(self, own: int = 0) -> int:
         """Cores for the thread that asks and for so many jobs that it has given to others already."""
+        if in_task():  # of a cluster, which has a process for every core
+            return 1
         others = self._all - getattr(self._here, "works", 0) - own
         return min(os.cpu_count() or 1, _MOST) - others
 

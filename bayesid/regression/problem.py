@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import TypeVar
 
 import numpy as np
 
@@ -12,14 +13,21 @@ from bayesid.arguments import argument
 from bayesid.effects import Effect, Point
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, Motion
-from bayesid.recordings.table import usual_step
 from bayesid.regression.bandwidth import LOWEST, BandwidthChoice, choose_bandwidth
 from bayesid.regression.blocks import Block
 from bayesid.regression.encoder_noise import errors_of
-from bayesid.regression.motion_rows import MotionRows, row_count
+from bayesid.regression.long_segment import LongSegment
+from bayesid.regression.motion_rows import MotionRows, row_count, row_parts
 from bayesid.regression.options import FitOptions
 from bayesid.regression.parallel import in_order
-from bayesid.regression.readings import default_channel, has_readings, make_channels, motion_segments, require_readings
+from bayesid.regression.readings import (
+    default_channel,
+    has_readings,
+    long_segments,
+    make_channels,
+    motion_segments,
+    require_readings,
+)
 from bayesid.regression.regression import PriorKnowledge, Regression
 from bayesid.regression.row_cache import PILOT_ROWS, PILOT_SEGMENTS, RowCache, RowSource
 from bayesid.regression.row_model import RowModel
@@ -29,6 +37,8 @@ from bayesid.regression.structure import model_structure
 from bayesid.robot.typical import states_masses, typical_links
 from bayesid.signals.filters import row_noise_poles
 from bayesid.signals.smoothing import Smoother, choose_smoother
+
+_S = TypeVar("_S", Segment, LongSegment, Segment | LongSegment)
 
 #: Rows a second, as a multiple of the bandwidth of the joint motion: products of joint motions reach higher.
 ROWS_PER_BANDWIDTH = 2.5
@@ -64,9 +74,9 @@ class Problem:
     regression
         Rows of the motions that are fitted.
     segments
-        Gap-free segments of every motion, by name.
+        Gap-free segments of every motion, by name; of one that is read in chunks, those of its excerpt.
     rows
-        Their rows.
+        The rows of every motion, whether it is read in chunks or not.
     fitted
         Names of the motions that are fitted.
     static
@@ -118,15 +128,22 @@ def prepare(experiment: Experiment, options: FitOptions | None = None) -> Proble
     fitted = [r for m in chosen for r in segments[m.name]]
     where = "experiment.toml: [model] effects" if options.effects is None else argument("effects")
     structure = model_structure(experiment, channels, specs, fitted, where)
-    segments, base = _settling(segments, structure.effects), structure.base
-    fitted = [r for m in chosen for r in segments[m.name]]
+    base = structure.base
+    # What is fitted of a recording that is read in chunks stays in its file; its excerpt stands for it everywhere else.
+    sources: dict[str, list[Segment | LongSegment]] = {name: [*own] for name, own in segments.items()}
+    for k, m in enumerate(readable):
+        if m.stored is not None and m in chosen:
+            at_rest = [s for s in segments[m.name] if s.poses]
+            sources[m.name] = [*long_segments(experiment, channels, m, k, channel), *at_rest]
+    segments, sources = _settling(segments, structure.effects), _settling(sources, structure.effects)
+    fitted = [r for m in chosen for r in sources[m.name]]
     if not base.rank:
         raise InputError(
             f"{', '.join(m.table.source for m in chosen)}: these readings show no parameter of the robot; at rest its static "
             'readings take all away: remove [[motion]] static, or write kind = "trajectory"'
         )
-    smoother = smoother_of(experiment, _moving(segments), options.bandwidth)
-    fastest = _fastest(segments)
+    smoother = smoother_of(experiment, _moving(sources), options.bandwidth)
+    fastest = _fastest(sources)
     row_model = RowModel(
         experiment.robot, channels, base, structure.effects, smoother.bandwidth, row_step(smoother.bandwidth, fastest),
         options.low_pass, structure.point,
@@ -136,14 +153,14 @@ def prepare(experiment: Experiment, options: FitOptions | None = None) -> Proble
         if options.bandwidth is None:
             smoother = _ringing(smoother, fastest)
         clear = _CLEAR_SHARE * min(smoother.automatic, smoother.bandwidth)
-        row_model = replace(_at_bandwidth(row_model, segments, smoother.bandwidth), clear=clear)
+        row_model = replace(_at_bandwidth(row_model, sources, smoother.bandwidth), clear=clear)
     elif options.bandwidth is None and any(not r.poses for r in fitted):
-        choice = _judged(row_model, segments, fitted, smoother)
+        choice = _judged(row_model, sources, fitted, smoother)
         smoother = _chosen(smoother, choice)
-        row_model = _at_bandwidth(row_model, segments, smoother.bandwidth)
+        row_model = _at_bandwidth(row_model, sources, smoother.bandwidth)
     for motion in readable:
-        _require_length(motion, segments[motion.name], row_model)
-    rows, names = MotionRows(row_model, segments), tuple(m.name for m in chosen)
+        _require_length(motion, sources[motion.name], row_model)
+    rows, names = MotionRows(row_model, sources), tuple(m.name for m in chosen)
     return Problem(
         experiment=experiment,
         channel=channel,
@@ -164,19 +181,19 @@ def row_step(bandwidth: float, fastest: float = np.inf) -> float:
     return 1.0 / min(max(ROWS_PER_BANDWIDTH * bandwidth, LOWEST_ROW_RATE), fastest)
 
 
-def _settling(segments: Mapping[str, list[Segment]], effects: Sequence[Effect]) -> dict[str, list[Segment]]:
+def _settling(segments: Mapping[str, list[_S]], effects: Sequence[Effect]) -> dict[str, list[_S]]:
     """The segments with the time that effects need to settle where these start in motion."""
     longest = max((effect.settling for effect in effects), default=0.0)
     return {name: [replace(r, settling=longest) for r in own] for name, own in segments.items()}
 
 
-def _moving(segments: Mapping[str, list[Segment]]) -> list[Segment]:
+def _moving(segments: Mapping[str, Sequence[_S]]) -> list[_S]:
     return [r for rs in segments.values() for r in rs if not r.poses]
 
 
-def _fastest(segments: Mapping[str, list[Segment]]) -> float:
+def _fastest(segments: Mapping[str, Sequence[Segment | LongSegment]]) -> float:
     """Samples a second of the slowest recording [Hz]."""
-    return min((1.0 / usual_step(r.times) for r in _moving(segments)), default=np.inf)
+    return min((1.0 / r.step for r in _moving(segments)), default=np.inf)
 
 
 def _ringing(smoother: Smoother, fastest: float) -> Smoother:
@@ -190,12 +207,15 @@ def _ringing(smoother: Smoother, fastest: float) -> Smoother:
     return smoother if bandwidth <= smoother.bandwidth else replace(smoother, bandwidth=float(bandwidth), reason=reason)
 
 
-def _at_bandwidth(row_model: RowModel, segments: Mapping[str, list[Segment]], bandwidth: float) -> RowModel:
+def _at_bandwidth(row_model: RowModel, segments: Mapping[str, Sequence[Segment | LongSegment]], bandwidth: float) -> RowModel:
     return replace(row_model, bandwidth=bandwidth, step=row_step(bandwidth, _fastest(segments)))
 
 
 def _judged(
-    row_model: RowModel, segments: Mapping[str, list[Segment]], fitted: list[Segment], smoother: Smoother
+    row_model: RowModel,
+    segments: Mapping[str, Sequence[Segment | LongSegment]],
+    fitted: Sequence[Segment | LongSegment],
+    smoother: Smoother,
 ) -> BandwidthChoice | None:
     """What bandwidths from that of the positions downwards do to predictions of the model where it is linearised."""
     judges, plain = _judges(fitted, smoother.bandwidth), replace(row_model, filters=None)
@@ -220,13 +240,14 @@ def chosen_again(problem: Problem) -> Problem:
     """
     if problem.bandwidths is None or any(e.amplifies_encoder_errors for e in problem.row_model.effects):
         return problem
-    smoother = smoother_of(problem.experiment, _moving(problem.segments))
-    fitted = [segment for name in problem.fitted for segment in problem.segments[name]]
-    choice = _judged(problem.row_model, problem.segments, fitted, smoother)
+    sources = problem.rows.segments
+    smoother = smoother_of(problem.experiment, _moving(sources))
+    fitted = [segment for name in problem.fitted for segment in sources[name]]
+    choice = _judged(problem.row_model, sources, fitted, smoother)
     smoother = _chosen(smoother, choice)
-    row_model = _at_bandwidth(problem.row_model, problem.segments, smoother.bandwidth)
+    row_model = _at_bandwidth(problem.row_model, sources, smoother.bandwidth)
     for motion in problem.experiment.motions:
-        _require_length(motion, problem.segments.get(motion.name, []), row_model)
+        _require_length(motion, sources.get(motion.name, []), row_model)
     return _remade(replace(problem, smoother=smoother, bandwidths=choice), row_model)
 
 
@@ -278,7 +299,7 @@ def relinearised(problem: Problem, point: Point) -> Problem:
 def _remade(problem: Problem, row_model: RowModel) -> Problem:
     """The same problem with rows made otherwise."""
     names, rel_std = problem.regression.motion_names, problem.experiment.inertia_rel_std
-    rows = MotionRows(row_model, problem.segments)
+    rows = MotionRows(row_model, problem.rows.segments)
     regression = _regression(rows, problem.smoother, problem.fitted, names, rel_std)
     return replace(problem, row_model=row_model, rows=rows, regression=regression)
 
@@ -314,6 +335,7 @@ def _regression(
                 width=len(row_model.channels.names) * (base.rank + row_model.extra_columns + 1),
                 pilot=partial(_pilot, row_model, fitted),
                 known_poles=_known_poles(row_model, fitted),
+                parts=row_parts(row_model, fitted),
             )
         ),
         knowledge=PriorKnowledge(
@@ -328,31 +350,32 @@ def _regression(
     )
 
 
-def _known_poles(row_model: RowModel, fitted: list[Segment]) -> np.ndarray | None:
+def _known_poles(row_model: RowModel, fitted: Sequence[Segment | LongSegment]) -> np.ndarray | None:
     """Poles of the noise of rows that went through low-passes; None without."""
-    steps = [usual_step(r.times) for r in fitted if not r.poses]
+    steps = [r.step for r in fitted if not r.poses]
     if row_model.filters is None or not steps:
         return None
     return row_noise_poles(row_model.filters, float(np.median(steps)), row_model.step)
 
 
-def _pilot(row_model: RowModel, fitted: list[Segment]) -> Iterator[Block]:
+def _pilot(row_model: RowModel, fitted: Sequence[Segment | LongSegment]) -> Iterator[Block]:
     """Rows of a long recording's pieces."""
     return make_blocks(row_model, _pilot_segments(row_model, fitted))
 
 
-def _pilot_segments(row_model: RowModel, segments: list[Segment]) -> list[Segment]:
+def _pilot_segments(row_model: RowModel, segments: Sequence[Segment | LongSegment]) -> list[Segment]:
     """Short pieces of long segments, evenly spread, that make about `PILOT_ROWS` rows together."""
     rows = PILOT_ROWS / PILOT_SEGMENTS * row_model.step
-    whole = sum(r.times[-1] - r.times[0] for r in segments if not r.poses)
+    whole = sum(r.ends[1] - r.ends[0] for r in segments if not r.poses)
     out = []
     for r in segments:
-        duration, length = r.times[-1] - r.times[0], rows + row_model.margin + max(row_model.margin, r.settling)
+        begin, end = r.ends
+        duration, length = end - begin, rows + row_model.margin + max(row_model.margin, r.settling)
         count = 1 if r.poses else round(PILOT_SEGMENTS * duration / whole)
-        starts = r.times[0] + max(duration - length, 0.0) * np.linspace(0.0, 1.0, max(count, 1))
+        starts = begin + max(duration - length, 0.0) * np.linspace(0.0, 1.0, max(count, 1))
         for start in starts:
-            a = int(np.searchsorted(r.times, start))
-            b = a + PILOT_ROWS if r.poses else int(np.searchsorted(r.times, start + length, side="right"))
+            a = r.index(start)
+            b = a + PILOT_ROWS if r.poses else r.index(start + length, "right")
             out.append(r.part(a, b))
     return out
 
@@ -371,11 +394,11 @@ def _choose(experiment: Experiment, motions: Sequence[str] | None) -> list[Motio
     return [by_name[name] for name in motions]
 
 
-def _require_length(motion: Motion, segments: list[Segment], row_model: RowModel) -> None:
+def _require_length(motion: Motion, segments: Sequence[Segment | LongSegment], row_model: RowModel) -> None:
     """Check that something of a motion is left where its trajectory has settled."""
     moving = [s for s in segments if not s.poses]
     if moving and not any(np.ptp(s.inner(row_model.margin)) for s in moving):
-        longest = max(float(s.times[-1] - s.times[0]) for s in moving)
+        longest = max(s.ends[1] - s.ends[0] for s in moving)
         lost = max(s.lost(row_model.margin) for s in moving)
         raise InputError(
             f"no segment without a gap is longer than {longest:.3g} s, and up to {lost:.3g} s at both ends are lost where the "
@@ -384,17 +407,17 @@ def _require_length(motion: Motion, segments: list[Segment], row_model: RowModel
         )  # fmt: skip
 
 
-def _judges(fitted: list[Segment], bandwidth: float) -> list[Segment]:
+def _judges(fitted: Sequence[Segment | LongSegment], bandwidth: float) -> list[Segment]:
     """Segments, or evenly spread pieces of long ones, that bandwidths up to this one are judged on."""
-    moving, out = [r for r in fitted if not r.poses], [r for r in fitted if r.poses]
-    total = sum(len(r.times) for r in moving)
+    moving, out = [r for r in fitted if not r.poses], [r for r in fitted if isinstance(r, Segment) and r.poses]
+    total = sum(r.count for r in moving)
     for r in moving:
         share = min(_JUDGED_SAMPLES / total, 1.0)
-        pieces = max(round(2 * _PIECES * len(r.times) / total), 1) if share < 1.0 else 1
-        shortest = _SHORTEST_PIECE / min(bandwidth, LOWEST) / usual_step(r.times)
-        length = min(max(int(share * len(r.times) / pieces), int(shortest)), len(r.times))
-        pieces = min(pieces, len(r.times) // length)
-        out += [r.part(a, a + length) for a in np.linspace(0, len(r.times) - length, pieces).astype(int)]
+        pieces = max(round(2 * _PIECES * r.count / total), 1) if share < 1.0 else 1
+        shortest = _SHORTEST_PIECE / min(bandwidth, LOWEST) / r.step
+        length = min(max(int(share * r.count / pieces), int(shortest)), r.count)
+        pieces = min(pieces, r.count // length)
+        out += [r.part(a, a + length) for a in np.linspace(0, r.count - length, pieces).astype(int).tolist()]
     return out
 
 
@@ -411,17 +434,18 @@ def _chosen(smoother: Smoother, choice: BandwidthChoice | None) -> Smoother:
     return replace(smoother, bandwidth=float(choice.bandwidths[choice.chosen]), reason=reason)
 
 
-def smoother_of(experiment: Experiment, segments: Sequence[Segment], bandwidth: float | None = None) -> Smoother:
+def smoother_of(experiment: Experiment, segments: Sequence[Segment | LongSegment], bandwidth: float | None = None) -> Smoother:
     """How the positions of moving segments are smoothed: at the bandwidth given [Hz], else by cross-validation."""
     if bandwidth is not None and not (np.isfinite(bandwidth) and bandwidth > 0):
         raise InputError(f"{argument('bandwidth', bandwidth)}: give a positive frequency in Hz")
     pieces = []
     for r in segments:
-        starts, length = [0], len(r.times)
+        starts, length = [0], r.count
         if length > _PILOT_SAMPLES:
             length = _PILOT_SAMPLES // _PIECES
-            starts = np.linspace(0, len(r.times) - length, _PIECES).astype(int)
-        pieces += [(r.times[a : a + length], r.positions[a : a + length]) for a in starts if length >= 20]
+            starts = np.linspace(0, r.count - length, _PIECES).astype(int).tolist()
+        parts = [r.part(a, a + length) for a in starts if length >= 20]
+        pieces += [(part.times, part.positions) for part in parts]
     if not pieces:
         return Smoother(bandwidth or 1.0, np.zeros(experiment.robot.n), "only poses at rest: nothing to smooth")
     chosen = choose_smoother(pieces, experiment.position_resolution, experiment.position_std, each=in_order)

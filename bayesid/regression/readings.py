@@ -10,6 +10,7 @@ from bayesid.dynamics.channels import Channels, stack_channels, torque_channels,
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, Motion
 from bayesid.recordings.table import Table
+from bayesid.regression.long_segment import LongSegment
 from bayesid.regression.segment import Segment
 
 CHANNELS = ("wrench", "torque", "both")
@@ -77,6 +78,16 @@ def motion_segments(
             Segment(rest.times, rest.positions, rest.wrench, channels.static_wrench, index, poses=True, commanded=rest.commanded)
         )
     return out
+
+
+def long_segments(experiment: Experiment, channels: Channels, motion: Motion, index: int, channel: str) -> list[LongSegment]:
+    """Gap-free segments of a motion that is read in chunks; no static run is subtracted from it."""
+    assert motion.stored is not None
+    groups = tuple(name for name, other in (("wrench", "torque"), ("torques", "wrench")) if channel != other)
+    return [
+        LongSegment(motion.stored, p.start, p.stop, groups, experiment.torque_joints, channels.static_wrench, index)
+        for p in motion.stored.segments()
+    ]
 
 
 def readings_of(experiment: Experiment, table: Table, channel: str) -> np.ndarray:

@@ -8,12 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial, reduce
 from threading import Lock, RLock
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from bayesid.regression.blocks import Block
+from bayesid.regression.parallel import in_order
+from bayesid.tasks import fold, map_tasks
+
+_A = TypeVar("_A")
 
 #: Rows are kept in memory up to this many bytes, and made anew at every reading beyond.
 CACHE_BYTES = 64 * 2**20
@@ -38,6 +43,8 @@ class RowSource:
         Makes blocks of a few segments alone, where there are many more rows than `PILOT_ROWS`; None: picked from all blocks.
     known_poles
         Poles of the low-pass filters that the rows went through from the zero state, at the rows' spacing.
+    parts
+        Of recordings that are read in chunks: make some of the blocks each, anywhere; together, in order, all of them.
     """
 
     blocks: Callable[[], Iterable[Block]]
@@ -45,6 +52,7 @@ class RowSource:
     width: int
     pilot: Callable[[], Iterable[Block]] | None = None
     known_poles: np.ndarray | None = None
+    parts: Sequence[Callable[[], Iterable[Block]]] | None = None
 
     @property
     def fits_in_memory(self) -> bool:
@@ -96,6 +104,20 @@ class RowCache:
             with self._lock:
                 self._blocks = self._blocks or tuple(made)
 
+    def total(self, each: Callable[[Block], _A], add: Callable[[_A, _A], _A]) -> _A:
+        """Sum of what each block gives, from all cores; of recordings that are read in chunks, a task a chunk.
+
+        Parameters
+        ----------
+        each
+            Of a block.
+        add
+            Adds what two neighbours, or sums of neighbours, gave.
+        """
+        if self.source.parts is None:
+            return reduce(add, in_order(each, self.blocks()))
+        return fold(map_tasks(partial(_part_total, each, add), self.source.parts), add)
+
     def pilot(self) -> Sequence[Block]:
         """Enough blocks to learn the noise from: all of an ordinary recording, segments of a long one."""
         if self._pilot is None:
@@ -124,6 +146,10 @@ class RowCache:
     def with_pilot(self, pilot: Sequence[Block]) -> RowCache:
         """The same source with another pilot, of which nothing has been learned yet."""
         return RowCache(self.source, pilot=pilot)
+
+
+def _part_total(each: Callable[[Block], _A], add: Callable[[_A, _A], _A], part: Callable[[], Iterable[Block]]) -> _A:
+    return reduce(add, in_order(each, part()))
 
 
 def few_of(blocks: Iterable[Block], rows: int) -> Iterator[Block]:

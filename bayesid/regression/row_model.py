@@ -59,6 +59,11 @@ class RowModel:
         """Time at both ends of a segment where the smoothed trajectory is loose [s]."""
         return 0.75 / self.bandwidth
 
+    def reach(self, step: float) -> float:
+        """Time before and after samples that are a time ``step`` apart [s] that their rows depend on [s]."""
+        beyond = 0.0 if self.point is None else self.point.reach(self.effects, self.bandwidth, step)
+        return beyond + 2.0 * step + (OVERLAP + 2) * 0.5 / self.bandwidth
+
     @cached_property
     def kernel(self) -> Kernel:
         """Regressors of the base parameters."""

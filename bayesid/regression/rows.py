@@ -8,22 +8,29 @@ interpolated, if a check between those times shows that to be accurate.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from bayesid.effects import MotionSegment
 from bayesid.errors import InputError
 from bayesid.regression.blocks import Block
+from bayesid.regression.long_segment import LongSegment
 from bayesid.regression.parallel import in_order
 from bayesid.regression.row_model import RowModel
 from bayesid.regression.segment import Segment
-from bayesid.signals.filters import low_pass
+from bayesid.signals.filters import FilterState, low_pass
 from bayesid.signals.projection import HALF_WIDTH, GridProjection, project
 
 _CHUNK = 4096  # samples handled at once
 _PANEL = 512  # samples whose rows stay in the processor's cache
 _BLOCK_ROWS = 4096  # rows handed on at once
+#: Of a recording that is read in chunks: samples whose rows are made by one task, at least, and chunks in memory at a time.
+_TASK_SAMPLES, _WINDOW = 1 << 18, 16
+#: Time in units of the slower filter's own after which nothing is left of its state: exp(-36) = 2e-16.
+_FADED = 36.0
 #: Times in 1 / bandwidth that regressors are computed at and interpolated from; the first that is accurate is taken.
 _GRIDS = (16.0, 32.0)
 #: A grid is less work than regressors of all samples where there are so many times more of these.
@@ -39,7 +46,7 @@ Samples = Callable[[Segment, int, int], np.ndarray]
 
 
 def make_blocks(
-    row_model: RowModel, segments: Sequence[Segment], samples: Samples | None = None, *, kept: bool = False
+    row_model: RowModel, segments: Sequence[Segment | LongSegment], samples: Samples | None = None, *, kept: bool = False
 ) -> Iterator[Block]:
     """Turn segments into blocks of rows, one after the other.
 
@@ -53,22 +60,130 @@ def make_blocks(
         Whether all blocks will be kept: those of a segment then lie side by side, and memory is given out in large pages.
     """
     for segment in segments:
+        if isinstance(segment, LongSegment):
+            for chunk in row_chunks(row_model, segment):
+                yield from chunk.blocks(samples)
+            continue
         if segment.poses:
             for a in range(0, len(segment.times), _CHUNK):
                 b = min(a + _CHUNK, len(segment.times))
                 yield Block((samples or row_model.samples)(segment, a, b), segment.times[a:b], segment.motion, a == 0, "poses")
             continue
-        times = segment.times
-        a, b = segment.inner(row_model.margin)
-        if b - a < 2:
-            raise InputError(
-                f"a segment of {times[-1] - times[0]:.3g} s from t = {times[0]:.6g} is too short for "
-                f"{row_model.bandwidth:.3g} Hz; leave it out or record longer without gaps"
-            )
+        a, b = _inner(row_model, segment)
         if samples is None and row_model.point is not None:
             samples = row_model.about_point
-        parts = (_filtered if row_model.filters else _direct)(row_model, segment, a, b, samples)
-        yield from _merge(row_model, segment, a, b, parts, kept)
+        start = segment.times[a] + 0.5 * row_model.step
+        total = _count(row_model, float(segment.times[a]), float(segment.times[b - 1]))
+        if row_model.filters:
+            parts = _filtered(row_model, segment, range(a, b), samples, start, _Memory())
+        else:
+            parts = _direct(row_model, segment, range(a, b), samples, start)
+        yield from _merge(row_model, parts, start, range(total), segment.motion, kept)
+
+
+def _inner(row_model: RowModel, segment: Segment | LongSegment) -> tuple[int, int]:
+    """First and last sample (exclusive) that rows are made of."""
+    a, b = segment.inner(row_model.margin)
+    if b - a < 2:
+        begin, end = segment.ends
+        raise InputError(
+            f"a segment of {end - begin:.3g} s from t = {begin:.6g} is too short for {row_model.bandwidth:.3g} Hz; leave it "
+            "out or record longer without gaps"
+        )
+    return a, b
+
+
+def _count(row_model: RowModel, begin: float, end: float) -> int:
+    """How many rows samples from one time [s] to another make."""
+    return max(int((end - begin) / row_model.step), 1)
+
+
+@dataclass(frozen=True)
+class RowChunk:
+    """Some rows of a recording that is read in chunks: the same as if all of it were in memory.
+
+    Attributes
+    ----------
+    row_model, segment
+        How samples become rows, and where they are.
+    start
+        Time of the segment's first row [s].
+    rows
+        Which of its rows.
+    samples
+        The samples that all of its rows are made of.
+    spacing
+        Distance of times that regressors are interpolated from [s]; None: they are computed at all samples.
+    """
+
+    row_model: RowModel
+    segment: LongSegment
+    start: float
+    rows: range
+    samples: range
+    spacing: float | None
+
+    def __call__(self) -> list[Block]:
+        """All blocks."""
+        return list(self.blocks())
+
+    def blocks(self, samples: Samples | None = None) -> Iterator[Block]:
+        """Blocks of regressor and measurements, or of what else is to be put on the rows."""
+        model, segment, every = self.row_model, self.segment, self.samples
+        if samples is None and model.point is not None:
+            samples = model.about_point
+        begin = self.start + (self.rows.start - HALF_WIDTH - 1) * model.step
+        end = self.start + (self.rows.stop + HALF_WIDTH + 1) * model.step
+        if model.filters is not None:  # what they remember has faded by then
+            begin -= _FADED / min(model.filters.l, model.filters.d)
+        # Whole runs of samples from the segment's first one, as in memory.
+        first = max(segment.index(begin) - every.start, 0) // _CHUNK
+        last = -(-(segment.index(end, "right") - every.start) // _CHUNK)
+        run = range(every.start + first * _CHUNK, min(every.start + last * _CHUNK, every.stop))
+        yield from _merge(model, self._parts(run, samples), self.start, self.rows, segment.motion, False)
+
+    def _parts(self, run: range, samples: Samples | None) -> Iterator[_Part]:
+        """Parts of a run of samples, of which a few are in memory at a time."""
+        model, memory = self.row_model, _Memory()
+        for first in range(run.start, run.stop, _WINDOW * _CHUNK):
+            last = min(first + _WINDOW * _CHUNK, run.stop)
+            window, at = _window(model, self.segment, first, last)
+            here = range(first - at, last - at)
+            if model.filters is not None:
+                yield from _filtered(model, window, here, samples, self.start, memory)
+            else:
+                yield from _of_chunks(model, window, here, samples, self.start, self.spacing)
+
+
+def row_chunks(row_model: RowModel, segment: LongSegment) -> list[RowChunk]:
+    """The rows of a recording that is read in chunks: how they are divided depends on the recording alone.
+
+    Raises
+    ------
+    InputError
+        The segment is too short.
+    """
+    a, b = _inner(row_model, segment)
+    begin, end = segment.time(a), segment.time(b - 1)
+    start, total = begin + 0.5 * row_model.step, _count(row_model, begin, end)
+    usual, spacing = (end - begin) / (b - 1 - a), None
+    if row_model.point is None and row_model.filters is None:
+        last = min(a + _CHUNK, b)
+        window, at = _window(row_model, segment, a, last)
+        spacing, _ = _accurate_grid(row_model, window, range(a - at, last - at), start, usual)
+    size = _BLOCK_ROWS * max(math.ceil(_TASK_SAMPLES * usual / (_BLOCK_ROWS * row_model.step)), 1)
+    return [
+        RowChunk(row_model, segment, start, range(first, min(first + size, total)), range(a, b), spacing)
+        for first in range(0, total, size)
+    ]
+
+
+def _window(row_model: RowModel, segment: LongSegment, first: int, last: int) -> tuple[Segment, int]:
+    """Samples first ... last - 1 with all that their rows depend on, and the first sample of that."""
+    reach = row_model.reach(segment.step)
+    a = max(segment.index(segment.time(first) - reach) - 2, 0)
+    b = min(segment.index(segment.time(last - 1) + reach, "right") + 2, segment.count)
+    return segment.part(a, b), a
 
 
 #: A chunk's share of the rows: index of its first row, rows so far, their kernels' energies.
@@ -82,12 +197,29 @@ def _empty(row_model: RowModel, start: float, times: np.ndarray, columns: int) -
     return first, np.zeros((count, len(row_model.channels), columns)), np.zeros(count)
 
 
-def _direct(row_model: RowModel, segment: Segment, a: int, b: int, samples: Samples | None) -> Iterator[_Part]:
+def _direct(row_model: RowModel, segment: Segment, run: range, samples: Samples | None, start: float) -> Iterator[_Part]:
     """Parts from smoothed accelerations; chunks are independent, so all cores work."""
-    start = segment.times[a] + 0.5 * row_model.step
+    spacing = None
+    if samples is None:
+        times, first = segment.times, range(run.start, min(run.start + _CHUNK, run.stop))
+        usual = (times[run.stop - 1] - times[run.start]) / (len(run) - 1)
+        spacing, part = _accurate_grid(row_model, segment, first, start, usual)
+        if part is not None:
+            yield part
+            run = range(first.stop, run.stop)
+    yield from _of_chunks(row_model, segment, run, samples, start, spacing)
+
+
+def _of_chunks(
+    row_model: RowModel, segment: Segment, run: range, samples: Samples | None, start: float, spacing: float | None
+) -> Iterator[_Part]:
+    """Parts of a run of samples, each from a grid of this spacing where that is accurate."""
 
     def of_samples(first: int) -> _Part:
-        last = min(first + _CHUNK, b)
+        last = min(first + _CHUNK, run.stop)
+        part = None if spacing is None else _from_grid(row_model, segment, first, last, start, spacing)
+        if part is not None:
+            return part
         if samples is None:
             return _from_samples(row_model, segment, first, last, start)
         times, wide = segment.times[first:last], samples(segment, first, last)
@@ -95,24 +227,24 @@ def _direct(row_model: RowModel, segment: Segment, a: int, b: int, samples: Samp
         project(times, wide, start, row_model.step, begin, rows, energy)
         return begin, rows, energy
 
-    def of_grid(first: int, spacing: float) -> _Part | None:
-        return _from_grid(row_model, segment, first, min(first + _CHUNK, b), start, spacing)
-
-    for spacing in _grids(row_model, segment, a, b) if samples is None else ():
-        part = of_grid(a, spacing)
-        if part is not None:  # accurate in the first chunk, and most likely in others
-            yield part
-            yield from in_order(lambda first, h=spacing: of_grid(first, h) or of_samples(first), range(a + _CHUNK, b, _CHUNK))
-            return
-    yield from in_order(of_samples, range(a, b, _CHUNK))
+    yield from in_order(of_samples, range(run.start, run.stop, _CHUNK))
 
 
-def _grids(row_model: RowModel, segment: Segment, a: int, b: int) -> list[float]:
-    """Distances of times that regressors of samples a ... b - 1 may be interpolated from, with much less work [s]."""
+def _accurate_grid(
+    row_model: RowModel, segment: Segment, first: range, start: float, usual: float
+) -> tuple[float | None, _Part | None]:
+    """Distance of times [s] that regressors may be interpolated from, with much less work, and the first chunk's part.
+
+    What is accurate in the first chunk is so in others, most likely. None where none is.
+    """
     if not row_model.may_interpolate or segment.rates is not None:
-        return []
-    usual = (segment.times[b - 1] - segment.times[a]) / (b - 1 - a)
-    return [h for h in (1.0 / (each * row_model.bandwidth) for each in _GRIDS) if h >= _WORTH_A_GRID * usual]
+        return None, None
+    for spacing in (1.0 / (each * row_model.bandwidth) for each in _GRIDS):
+        if spacing >= _WORTH_A_GRID * usual:
+            part = _from_grid(row_model, segment, first.start, first.stop, start, spacing)
+            if part is not None:
+                return spacing, part
+    return None, None
 
 
 def _from_samples(row_model: RowModel, segment: Segment, first: int, last: int, start: float) -> _Part:
@@ -186,18 +318,26 @@ def _accurate(guessed: np.ndarray, exact: np.ndarray) -> bool:
     return bool(np.all(off <= _ACCURACY * np.maximum(size, _LITTLE * size.max(axis=1, keepdims=True))))
 
 
-def _filtered(row_model: RowModel, segment: Segment, a: int, b: int, samples: Samples | None) -> Iterator[_Part]:
+@dataclass
+class _Memory:
+    """What the filters remember of the samples before: of the rigid bodies, and of all else."""
+
+    rigid: FilterState | None = None
+    other: FilterState | None = None
+
+
+def _filtered(
+    row_model: RowModel, segment: Segment, run: range, samples: Samples | None, start: float, memory: _Memory
+) -> Iterator[_Part]:
     """Parts through the paper's filters, acceleration-free: d/dt of the momentum is left to the filter."""
     assert row_model.filters is not None
-    start = segment.times[a] + 0.5 * row_model.step
-    rigid_state = other_state = None
-    for first in range(a, b, _CHUNK):
-        last = min(first + _CHUNK, b)
+    for first in range(run.start, run.stop, _CHUNK):
+        last = min(first + _CHUNK, run.stop)
         if samples is not None:
             # The momentum has no simple form about a point: accelerations stand in for its rate.
             times, wide = segment.times[first:last], samples(segment, first, last)
             begin, rows, energy = _empty(row_model, start, times, wide.shape[2])
-            filtered, other_state = low_pass(row_model.filters, times, -wide.reshape(len(times), -1), None, other_state)
+            filtered, memory.other = low_pass(row_model.filters, times, -wide.reshape(len(times), -1), None, memory.other)
             project(times, filtered.reshape(wide.shape), start, row_model.step, begin, rows, energy)
             yield begin, rows, energy
             continue
@@ -214,8 +354,8 @@ def _filtered(row_model: RowModel, segment: Segment, a: int, b: int, samples: Sa
             measured = segment.measured(first + k, first + k + size)
             rest = np.concatenate([row_model.effect_columns(segment, sub), measured[:, :, None]], axis=2)
             flat = weight[1:-1].reshape(size, -1)
-            rigid, rigid_state = low_pass(row_model.filters, sub.times, flat, momentum.reshape(size, -1), rigid_state)
-            other, other_state = low_pass(row_model.filters, sub.times, -rest.reshape(size, -1), None, other_state)
+            rigid, memory.rigid = low_pass(row_model.filters, sub.times, flat, momentum.reshape(size, -1), memory.rigid)
+            other, memory.other = low_pass(row_model.filters, sub.times, -rest.reshape(size, -1), None, memory.other)
             filtered = np.concatenate([rigid.reshape(momentum.shape), other.reshape(rest.shape)], axis=2)
             project(sub.times, filtered, start, row_model.step, begin, rows, energy)
         yield begin, rows, energy
@@ -234,12 +374,10 @@ def _for_trapezoids(times: np.ndarray, momentum: np.ndarray) -> np.ndarray:
     return momentum[1:-1] + np.median(step) ** 2 / 12.0 * bend
 
 
-def _merge(row_model: RowModel, segment: Segment, a: int, b: int, parts: Iterable[_Part], kept: bool) -> Iterator[Block]:
-    """Add up the rows that neighbouring chunks share, and hand on those that are complete."""
-    start = segment.times[a] + 0.5 * row_model.step
-    total = max(int((segment.times[b - 1] - segment.times[a]) / row_model.step), 1)
-    done, waiting, energy = 0, None, np.zeros(0)
-    rows, begun, filled = np.empty(0), 0, 0
+def _merge(row_model: RowModel, parts: Iterable[_Part], start: float, wanted: range, motion: int, kept: bool) -> Iterator[Block]:
+    """Add up the rows that neighbouring chunks share, and hand on those that are complete and wanted."""
+    done, waiting, energy, total = 0, None, np.zeros(0), wanted.stop
+    rows, begun, filled = np.empty(0), wanted.start, 0
     room = np.empty(0)
 
     def handed_on(complete: np.ndarray, power: np.ndarray) -> Iterator[Block]:
@@ -249,7 +387,7 @@ def _merge(row_model: RowModel, segment: Segment, a: int, b: int, parts: Iterabl
             if not filled:
                 count = min(_BLOCK_ROWS, total - begun)
                 if not len(room):
-                    room = np.empty((total if kept else count, *complete.shape[1:]))
+                    room = np.empty((len(wanted) if kept else count, *complete.shape[1:]))
                 rows, room = room[:count], room[count:]
             taken = min(len(rows) - filled, len(complete))
             root = np.sqrt(np.maximum(power[:taken], 1e-12))
@@ -257,7 +395,7 @@ def _merge(row_model: RowModel, segment: Segment, a: int, b: int, parts: Iterabl
             complete, power, filled = complete[taken:], power[taken:], filled + taken
             if filled == len(rows):
                 times = start + row_model.step * np.arange(begun, begun + filled)
-                yield Block(rows, times, segment.motion, begun == 0)
+                yield Block(rows, times, motion, begun == 0)
                 begun, filled = begun + filled, 0
 
     for first, part, power in parts:
@@ -265,9 +403,10 @@ def _merge(row_model: RowModel, segment: Segment, a: int, b: int, parts: Iterabl
             shared = done + len(waiting) - first
             part[:shared] += waiting[first - done :]
             power[:shared] += energy[first - done :]
-            complete = max(min(first, total) - done, 0)
-            yield from handed_on(waiting[:complete], energy[:complete])
+            whole = slice(max(wanted.start - done, 0), max(min(first, total) - done, 0))
+            yield from handed_on(waiting[whole], energy[whole])
         done, waiting, energy = first, part, power
     if waiting is not None and done < total:
-        yield from handed_on(waiting[: total - done], energy[: total - done])
+        whole = slice(max(wanted.start - done, 0), total - done)
+        yield from handed_on(waiting[whole], energy[whole])
     assert begun == total, "the last chunk reaches beyond the last row, so that every block is full"

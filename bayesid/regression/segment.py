@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
+
+from bayesid.recordings.table import usual_step
 
 #: A segment starts at rest if in so long a time [s] joints move by no more than this share of the most in such a time.
 _REST, _STILL = 0.1, 0.01
@@ -53,9 +56,28 @@ class Segment:
     rates: np.ndarray | None = None
     settling: float = 0.0
 
+    @property
+    def count(self) -> int:
+        """Number of samples."""
+        return len(self.times)
+
+    @property
+    def step(self) -> float:
+        """Usual time between samples [s]."""
+        return usual_step(self.times)
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Times of the first and the last sample [s]."""
+        return float(self.times[0]), float(self.times[-1])
+
     def measured(self, first: int, last: int) -> np.ndarray:
         """Readings of samples first ... last - 1 less what is known (k, channels)."""
         return self.readings[first:last] - (self.known if self.known.ndim == 1 else self.known[first:last])
+
+    def index(self, time: float, side: Literal["left", "right"] = "left") -> int:
+        """Where a time [s] would be inserted among the samples', as `numpy.searchsorted` says it."""
+        return int(np.searchsorted(self.times, time, side=side))
 
     def lost(self, margin: float) -> float:
         """Time that is lost at the start where a margin [s] is lost at the end."""
@@ -70,8 +92,8 @@ class Segment:
 
     def inner(self, margin: float) -> tuple[int, int]:
         """First and last sample (exclusive) that are a time [s] from both ends, and have settled; the same where none is."""
-        first = int(np.searchsorted(self.times, self.times[0] + self.lost(margin)))
-        last = int(np.searchsorted(self.times, self.times[-1] - margin, side="right"))
+        first = self.index(self.times[0] + self.lost(margin))
+        last = self.index(self.times[-1] - margin, "right")
         return first, max(first, last)
 
     def part(self, first: int, last: int) -> Segment:

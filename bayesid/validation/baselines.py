@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from bayesid.estimators import Estimate
-from bayesid.estimators.factor import reduce_rows
+from bayesid.estimators.factor import factor_of, stacked
 from bayesid.estimators.weights import Weights
 from bayesid.regression.linalg import solve
 from bayesid.regression.problem import Problem, weight_columns
@@ -41,7 +41,7 @@ def nominal_estimates(problem: Problem, weights: Weights) -> list[tuple[str, Est
     out = [("nominal", "the nominal model as it is, nothing fitted", effects)]
     if names:
         scale = {group: 1.0 / model.std for group, model in weights.noise.items()}
-        factor = reduce_rows(regression.blocks(), lambda b: b.rows * scale[b.group][:, None])
+        factor = regression.rows.total(factor_of(lambda b: b.rows * scale[b.group][:, None]), stacked)
         rest = factor.target - factor.matrix[:, : base.rank] @ nominal
         fitted = solve(factor.matrix[:, base.rank :], rest)
         out.append(("nominal + effects", "nominal links; only effects such as offsets and friction are fitted", fitted))

@@ -65,6 +65,35 @@ def make_table(urdf: Path, samples: int, seed: int = 0) -> dict[str, Floats]:
         ``t``, ``q``, ``w`` and ``tau``.
     """
     rng = np.random.default_rng(seed)
+    q, effort = clean_period(urdf, rng)
+    repeats = -(-samples // len(q))
+    clean = np.tile(effort, (repeats, 1))[:samples]
+    std = np.full(effort.shape[1], TORQUE_STD)
+    std[:3] = FORCE_STD
+    clean += rng.standard_normal(clean.shape) * std
+    return {
+        "t": np.arange(samples) / SAMPLE_RATE,
+        "q": np.tile(q, (repeats, 1))[:samples],
+        "w": clean[:, :6].copy(),
+        "tau": clean[:, 6:].copy(),
+    }
+
+
+def clean_period(urdf: Path, rng: np.random.Generator) -> tuple[Floats, Floats]:
+    """Simulate one period without noise.
+
+    Parameters
+    ----------
+    urdf : Path
+        As for `make_table`.
+    rng : numpy.random.Generator
+        Draws the coefficients.
+
+    Returns
+    -------
+    tuple of ndarray
+        Encoder counts (1250, n) [rad]; the wrench and the joint torques (1250, 6 + n).
+    """
     fixed = pin.buildModelFromUrdf(str(urdf))
     free = pin.buildModelFromUrdf(str(urdf), pin.JointModelFreeFlyer())
     data = free.createData()
@@ -83,17 +112,7 @@ def make_table(urdf: Path, samples: int, seed: int = 0) -> dict[str, Floats]:
             for q_now, v_now, a_now in zip(q, v, a, strict=True)
         ]
     )
-    repeats = -(-samples // len(q))
-    clean = np.tile(effort, (repeats, 1))[:samples]
-    std = np.full(free.nv, TORQUE_STD)
-    std[:3] = FORCE_STD
-    clean += rng.standard_normal(clean.shape) * std
-    return {
-        "t": np.arange(samples) / SAMPLE_RATE,
-        "q": np.tile(np.round(q / RESOLUTION) * RESOLUTION, (repeats, 1))[:samples],
-        "w": clean[:, :6].copy(),
-        "tau": clean[:, 6:].copy(),
-    }
+    return np.round(q / RESOLUTION) * RESOLUTION, effort
 
 
 def main() -> None:

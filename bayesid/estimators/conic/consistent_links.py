@@ -23,11 +23,13 @@ from scipy.linalg import eigh
 from scipy.stats import chi2
 
 from bayesid.errors import EstimationError
+from bayesid.estimators import reduction
 from bayesid.estimators.conic.data import LinkData
 from bayesid.estimators.conic.prior_strength import LinkPrior, nominal_prior
 from bayesid.estimators.conic.region import conic, misfit
 from bayesid.estimators.conic.solver import solve_conic
 from bayesid.estimators.estimator import LEVEL, Estimate
+from bayesid.estimators.weights import pilot_of
 from bayesid.regression.linalg import or_one, standard_deviations
 from bayesid.regression.regression import Regression
 from bayesid.robot import inertia
@@ -182,9 +184,7 @@ def _inverse_root(regression: Regression, estimate: Estimate) -> tuple[np.ndarra
 
 def channel_grams(regression: Regression) -> np.ndarray:
     """Gram matrix of each channel's regressor and target over all rows (c, p + 1, p + 1), made once for all estimates."""
-    return regression.once(
-        "channel_grams", lambda: sum(np.einsum("tcp,tcq->cpq", b.rows, b.rows, optimize=True) for b in regression.blocks())
-    )
+    return regression.once("channel_grams", lambda: reduction.channel_grams(pilot_of(regression).root, regression.rows))
 
 
 def _prediction_root(regression: Regression, estimate: Estimate) -> np.ndarray:

@@ -1,0 +1,153 @@
+"""python tests/benchmarks/long_recording.py FOLDER [--samples N,N] [--modes chunks,memory,workers]: `identify` in chunks.
+
+A UR5 at 125 Hz with encoder counts and noise, in a Parquet file that is made chunk by chunk (times and positions of eight bytes,
+readings of four); it is made once, and stays in FOLDER. `bayesid.identify` with the default method and a validation motion of
+20,000 samples runs on it in a process of its own: in chunks, in memory, or in chunks on local workers. Told are the seconds from
+the folder to the result, and the largest memory of any process. What is measured is added to docs/long-recordings.json, and
+``--page`` makes the table of docs/howto-large.md of it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import resource
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from make_table import FORCE_STD, RESOLUTION, SAMPLE_RATE, TORQUE_STD, clean_period
+
+from tests.robots import ur5, write
+from tests.studies.page import DOCS, fill, table, write_numbers
+
+_ROWS = 250_000
+_WORKERS = 2
+NUMBERS = DOCS / "long-recordings.json"
+TOML = """\
+format = 1
+name = "long"
+
+[robot]
+urdf = "robot.urdf"
+joints = ["shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_2_joint", "wrist_3_joint"]
+position_resolution = {resolution}
+
+[sensor]
+
+[[motion]]
+name = "long"
+role = "identification"
+table = "long.parquet"
+chunked = {chunked}
+
+[[motion]]
+name = "unseen"
+role = "validation"
+table = "unseen.parquet"
+"""
+
+
+def make(folder: Path, samples: int) -> None:
+    """An experiment of so many samples, of which a few are in memory at a time."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    folder.mkdir(parents=True)
+    urdf = write(folder, ur5())
+    names = ["t", *(f"q{k}" for k in range(1, 7)), "fx", "fy", "fz", "mx", "my", "mz"]
+    schema = pa.schema(list(zip(names, [pa.float64()] * 7 + [pa.float32()] * 6, strict=True)))
+    std = np.repeat([FORCE_STD, TORQUE_STD], 3)
+    for name, count, seed in (("unseen", 20_000, 1), ("long", samples, 0)):
+        rng = np.random.default_rng(seed)
+        q, effort = clean_period(urdf, rng)
+        with pq.ParquetWriter(folder / f"{name}.parquet", schema) as file:
+            for first in range(0, count, _ROWS):
+                rows = np.arange(first, min(first + _ROWS, count))
+                wrench = effort[rows % len(q), :6] + rng.standard_normal((len(rows), 6)) * std
+                columns = [rows / SAMPLE_RATE, *q[rows % len(q)].T, *wrench.astype(np.float32).T]
+                file.write_table(pa.table(columns, schema=schema))
+
+
+def once(folder: Path, mode: str) -> dict:
+    """One run in this process, and on its workers."""
+    import bayesid
+    from bayesid.tasks import cluster
+
+    bayesid.identify  # noqa: B018 - what is imported late is not counted
+    (folder / "experiment.toml").write_text(TOML.format(resolution=RESOLUTION, chunked=str(mode != "memory").lower()))
+    since = time.perf_counter()
+    with cluster(_WORKERS if mode == "workers" else None):
+        started = time.perf_counter() - since
+        result = bayesid.identify(folder, "wrench", progress=None)
+    seconds = time.perf_counter() - since
+    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return {
+        "seconds": seconds, "processor_seconds": sum(u.ru_utime + u.ru_stime for u in used), "workers_started": started,
+        "peak_mib": max(u.ru_maxrss for u in used) / 1024, "stages": result.seconds,
+        "values": result.estimate.values.tolist(), "std": result.estimate.std.tolist(),
+        "unseen": result.validation[0].whitened_rms,
+    }  # fmt: skip
+
+
+def page(found: dict) -> None:
+    """The table of the page."""
+    rows = []
+    for samples, modes in sorted(found.items(), key=lambda item: int(item[0])):
+        cells = []
+        for mode in ("chunks", "memory", "workers"):
+            run = modes.get(mode)
+            cells += ["", ""] if run is None else [f"{run['seconds']:,.3g}", f"{run['peak_mib']:,.0f}"]
+        gap = max((run["apart"] for run in modes.values() if "apart" in run), default=None)
+        rows.append(f"| {int(samples):,} | " + " | ".join(cells) + (" | |" if gap is None else f" | {gap:.1g} |"))
+    head = (
+        "samples | in chunks [s] | [MiB] | in memory [s] | [MiB] | two workers [s] | largest process [MiB] | "
+        "largest difference of a parameter [std]"
+    )
+    path = next(DOCS.rglob("howto-large.md"))
+    path.write_text(fill(path.read_text(encoding="utf-8"), {"large": table(head, rows)}), encoding="utf-8")
+
+
+def main() -> None:
+    """Read the command line, make what is missing, and measure."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--samples", default="100000")
+    parser.add_argument("--modes", default="chunks,memory")
+    parser.add_argument("--once", help=argparse.SUPPRESS)
+    parser.add_argument("--page", action="store_true")
+    options = parser.parse_args()
+    if options.once:
+        print(json.dumps(once(options.folder, options.once)))
+        return
+    found = json.loads(NUMBERS.read_text(encoding="utf-8")) if NUMBERS.exists() else {}
+    for samples in map(int, options.samples.split(",")):
+        folder = options.folder / str(samples)
+        if not folder.exists():
+            make(folder, samples)
+        entry = found.setdefault(str(samples), {})
+        for mode in options.modes.split(","):
+            done = subprocess.run(
+                [sys.executable, __file__, str(folder), "--once", mode], capture_output=True, text=True, check=False,
+                env={**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"},
+            )  # fmt: skip
+            if done.returncode:
+                raise SystemExit(f"{mode}, {samples} samples:\n{done.stderr}")
+            entry[mode] = run = json.loads(done.stdout.splitlines()[-1])
+            first = entry.get("chunks", run)
+            run["apart"] = float(np.max(np.abs(np.subtract(run["values"], first["values"])) / np.array(first["std"])))
+            print(samples, mode, {k: v for k, v in run.items() if k not in ("values", "std")}, flush=True)
+        write_numbers(found, NUMBERS, 12)
+    if options.page:
+        page(found)
+
+
+if __name__ == "__main__":
+    main()
