@@ -5,6 +5,8 @@ from __future__ import annotations
 import contextlib
 import importlib
 import itertools
+import logging
+import signal
 import sys
 import threading
 import warnings
@@ -72,12 +74,13 @@ def cluster(workers: int | None = None, scheduler: str | None = None) -> Iterato
         warnings.filterwarnings("ignore", message="Sending large graph")
         # Ports and directories of others are none of the user's business here.
         warnings.filterwarnings("ignore", category=UserWarning, module="distributed")
-        stack.enter_context(distributed_settings())
+        stack.enter_context(_settings())
         if scheduler is None:
-            local = distributed.LocalCluster(
-                n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=None, memory_limit=0,
-                silence_logs=50,
-            )  # fmt: skip
+            with _without_interrupts():
+                local = distributed.LocalCluster(
+                    n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=None, memory_limit=0,
+                    silence_logs=logging.CRITICAL,
+                )  # fmt: skip
             stack.enter_context(local)
             scheduler = local.scheduler_address
         try:
@@ -94,7 +97,20 @@ def cluster(workers: int | None = None, scheduler: str | None = None) -> Iterato
             _clients.remove(client)
 
 
-def distributed_settings() -> contextlib.AbstractContextManager:
+@contextlib.contextmanager
+def _without_interrupts() -> Iterator[None]:
+    """Processes that are started here ignore Ctrl-C: it is for this one to end them."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _settings() -> contextlib.AbstractContextManager:
     """How the cluster of this process is set up."""
     dask = importlib.import_module("dask")
     return dask.config.set(
@@ -102,6 +118,7 @@ def distributed_settings() -> contextlib.AbstractContextManager:
             "distributed.scheduler.allowed-failures": _LOST,
             "distributed.worker.multiprocessing-method": "spawn",
             "distributed.worker.daemon": True,
+            "distributed.comm.timeouts.connect": "5s",
         }
     )
 

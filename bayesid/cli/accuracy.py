@@ -18,6 +18,7 @@ from bayesid.cli.options import (
     load,
     low_pass,
     model_options,
+    on_workers,
     output_folder,
     show_progress,
 )
@@ -41,6 +42,7 @@ from bayesid.workflows.accuracy import add_certificate, check_estimate
 )
 @click.option("--sensors", type=click.Path(path_type=Path), help="A sensors.toml of candidates to compare before buying one.")
 @click.option("--resume", is_flag=True, help="Go on with the twins of an interrupted run of the same --out.")
+@on_workers
 @OUT
 @SEED
 def accuracy(

@@ -17,6 +17,7 @@ from bayesid.cli.options import (
     low_pass,
     model_options,
     names,
+    on_workers,
     output_folder,
     show_progress,
 )
@@ -30,6 +31,7 @@ from bayesid.workflows.compare import DEFAULT_SET
 @click.option("--methods", callback=names, help="Estimators, separated by commas; default: one of each kind.")
 @BOUNDS
 @STATIC
+@on_workers
 @OUT
 @UNUSED_SEED
 def compare(experiment, filter_l, filter_d, model, effects_from, methods, bounds, out, **options) -> None:

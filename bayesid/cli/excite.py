@@ -15,6 +15,7 @@ from bayesid.cli.options import (
     OUTPUTS,
     SEED,
     names,
+    on_workers,
     output_folder,
     own_effects,
     show_progress,
@@ -84,9 +85,12 @@ def _options(command):
 @_options
 @MODEL
 @EFFECTS_FROM
+@on_workers
 @OUT
 @SEED
-def excite(experiment, model, effects_from, out, joints, blocks, quantities, tell, warm_start, seed, **options) -> None:
+def excite(
+    experiment, model, effects_from, out, joints, blocks, quantities, tell, warm_start, seed, workers, scheduler, **options
+) -> None:
     """An exciting trajectory within limits: trajectory.csv; needs experiment.toml and the URDF only."""
     check_output(out or OUTPUTS, "excite")
     library = own_effects(effects_from)
@@ -97,9 +101,14 @@ def excite(experiment, model, effects_from, out, joints, blocks, quantities, tel
     chosen = ExcitationOptions(joints=joints, blocks=blocks or (), quantities=quantities or (), **options)
     with show_progress() as progress:
         if tell is None:
-            result = bayesid.excite(setup, chosen, warm_start=warm_start, seed=seed, progress=progress)
+            result = bayesid.excite(
+                setup, chosen, warm_start=warm_start, seed=seed, workers=workers, scheduler=scheduler, progress=progress
+            )
         else:
-            others = {"--warm-start": warm_start, "--blocks": blocks, "--quantity": quantities}
+            others = {
+                "--warm-start": warm_start, "--blocks": blocks, "--quantity": quantities, "--workers": workers,
+                "--scheduler": scheduler,
+            }  # fmt: skip
             for name in (name for name, given in others.items() if given):
                 raise InputError(f"{name} is given with --tell; leave one of them out")
             result = bayesid.tell(setup, tell, chosen, seed=seed, progress=progress)

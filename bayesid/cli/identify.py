@@ -16,6 +16,7 @@ from bayesid.cli.options import (
     load,
     low_pass,
     model_options,
+    on_workers,
     output_folder,
     show_progress,
 )
@@ -29,6 +30,7 @@ from bayesid.results.files import check_output
 @BOUNDS
 @STATIC
 @click.option("--unconstrained-urdf", is_flag=True, help="Also write the links with exactly the estimated base parameters.")
+@on_workers
 @OUT
 @UNUSED_SEED
 def identify(experiment, filter_l, filter_d, model, effects_from, method, bounds, out, **options) -> None:

@@ -54,6 +54,17 @@ UNUSED_SEED = click.option(
 SEED = click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of everything random.")
 
 
+def on_workers(command):
+    """Options of every verb with many runs that depend on nothing but their number, or with recordings read in chunks."""
+    options = [
+        click.option("--workers", type=click.IntRange(min=1), help="Processes on this machine that share the work; needs Dask."),
+        click.option("--scheduler", help="Address of a running Dask cluster that does the work, such as tcp://10.0.0.1:8786."),
+    ]
+    for option in reversed(options):
+        command = option(command)
+    return command
+
+
 def names(_context, _parameter, value: str | None) -> list[str] | None:
     """Parts of an option that commas separate."""
     return None if value is None else [part.strip() for part in value.split(",") if part.strip()]

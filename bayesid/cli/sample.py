@@ -14,6 +14,7 @@ from bayesid.cli.options import (
     load,
     low_pass,
     model_options,
+    on_workers,
     output_folder,
     show_progress,
 )
@@ -35,6 +36,7 @@ from bayesid.results.files import check_output, checkpoint_of
 @click.option("--keep-going", is_flag=True, help="Write draws that have not converged, with a warning.")
 @click.option("--resume", is_flag=True, help="Go on with a run of the same --out that was interrupted.")
 @STATIC
+@on_workers
 @OUT
 @SEED
 def sample(experiment, filter_l, filter_d, model, effects_from, out, engine, longest, resume, **options) -> None:

@@ -7,7 +7,19 @@ from pathlib import Path
 import click
 
 import bayesid
-from bayesid.cli.options import EFFECTS_FROM, KNOWN_EFFECTS, MODEL, OUT, OUTPUTS, SEED, load, names, output_folder, show_progress
+from bayesid.cli.options import (
+    EFFECTS_FROM,
+    KNOWN_EFFECTS,
+    MODEL,
+    OUT,
+    OUTPUTS,
+    SEED,
+    load,
+    names,
+    on_workers,
+    output_folder,
+    show_progress,
+)
 from bayesid.errors import EstimationError
 from bayesid.results.files import check_output
 
@@ -20,9 +32,10 @@ from bayesid.results.files import check_output
 @KNOWN_EFFECTS
 @MODEL
 @EFFECTS_FROM
+@on_workers
 @OUT
 @SEED
-def watch(reference, recordings, channel, motions, effects, model, effects_from, out, seed) -> None:
+def watch(reference, recordings, channel, motions, effects, model, effects_from, out, seed, workers, scheduler) -> None:
     """A series of RECORDINGS against one REFERENCE of the same robot: what changed, and when."""
     check_output(out or OUTPUTS, "watch")
     with show_progress() as progress:
@@ -30,7 +43,8 @@ def watch(reference, recordings, channel, motions, effects, model, effects_from,
         known = load(reference, model, effects_from)
         series = [load(folder, model, effects_from) for folder in recordings]
         result = bayesid.watch(
-            known, series, channel, motions=motions, effects=effects, seed=seed, progress=progress,
+            known, series, channel, motions=motions, effects=effects, seed=seed, workers=workers,
+            scheduler=scheduler, progress=progress,
             tell=lambda recording: click.echo(str(recording)),
         )  # fmt: skip
         progress("report")

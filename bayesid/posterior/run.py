@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from hashlib import sha256
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
@@ -18,6 +19,7 @@ from bayesid.posterior.diagnostics import Convergence, convergence
 from bayesid.posterior.ensemble import Ensemble
 from bayesid.posterior.model import PosteriorModel
 from bayesid.posterior.reflective_gibbs import ReflectiveGibbs
+from bayesid.tasks import map_tasks
 
 ENGINES = ("hmc", "emcee")
 _ROUNDS = 10
@@ -186,7 +188,7 @@ def run(
     saved = load_checkpoint(checkpoint, mark) if resume and checkpoint is not None else None
     if saved is None:
         sequences = np.random.SeedSequence(seed).spawn(chains)
-        states = [engine.start(np.random.Generator(np.random.PCG64(s))) for s in sequences]
+        states = list(map_tasks(partial(_started, engine), sequences))
         kept, thin, rounds = np.empty((chains, 0, engine.walkers, len(model.names))), 1, 0
     else:
         states = [engine.restored(state) for state in saved["states"]]
@@ -197,7 +199,9 @@ def run(
             if stop_after is not None and rounds >= stop_after:
                 raise KeyboardInterrupt
             count = min(size, wanted - kept.shape[1])
-            kept = np.concatenate([kept, np.stack([engine.advance(s, count, thin) for s in states])], axis=1)
+            advanced = list(map_tasks(partial(_advanced, engine, count, thin), states))
+            states = [state for state, _ in advanced]
+            kept = np.concatenate([kept, np.stack([new for _, new in advanced])], axis=1)
             rounds += 1
             if tell is not None:
                 apart = f", draws {thin} times farther apart" if thin > 1 else ""
@@ -211,6 +215,16 @@ def run(
             even = np.linspace(0, each - 1, asked).astype(int)
             return Chains(flat[:, even], engine.name, thin, states, diagnosis)
         kept, thin = kept[:, 1::2], 2 * thin
+
+
+def _started(engine: Engine[S], sequence: np.random.SeedSequence) -> S:
+    return engine.start(np.random.Generator(np.random.PCG64(sequence)))
+
+
+def _advanced(engine: Engine[S], count: int, thin: int, state: S) -> tuple[S, np.ndarray]:
+    """The state that a chain has moved on to, and its draws."""
+    draws = engine.advance(state, count, thin)
+    return state, draws
 
 
 def _monitored(model: PosteriorModel, draws: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:

@@ -26,6 +26,7 @@ from bayesid.results.accuracy import Accuracy
 from bayesid.results.files import Files, amend, files_of, read_document
 from bayesid.results.identification import Identification
 from bayesid.signals.filters import LowPass
+from bayesid.tasks import cluster
 from bayesid.workflows.progress import SHOWN, Clock, Progress, shows_progress
 from bayesid.workflows.warnings import incomplete
 
@@ -56,6 +57,8 @@ def accuracy(
     seed: int = 0,
     kept: str | Path | None = None,
     resume: bool = False,
+    workers: int | None = None,
+    scheduler: str | None = None,
     progress: Progress | None = SHOWN,
 ) -> Accuracy:
     """How accurate an identification is, and what its accuracy depends on.
@@ -81,6 +84,8 @@ def accuracy(
         Of everything random.
     kept, resume
         File that keeps the certificate's twins while it runs, and whether to go on from it.
+    workers, scheduler
+        Processes on this machine that share the work, or the address of a Dask cluster that does; the result depends on neither.
     progress
         Called with what is going on; default: shown where it takes over two seconds; None: never.
 
@@ -96,7 +101,7 @@ def accuracy(
             f"{argument('runs', runs) if runs < 0 else argument('certificate', certificate)}: give a positive number, or 0"
         )
     clock = Clock(progress)
-    with one_blas_thread():
+    with one_blas_thread(), cluster(workers, scheduler):
         clock("reading")
         options = fit_options(options, channel, low_pass, motions, effects, static, bandwidth)
         bench = _bench(experiment, method, options, nominal, clock)

@@ -28,6 +28,7 @@ from bayesid.results.comparison import Comparison
 from bayesid.results.entry import Entry, equal_estimates
 from bayesid.results.files import Files, files_of
 from bayesid.signals.filters import LowPass
+from bayesid.tasks import cluster
 from bayesid.validation.agreement import HausmanTest, gaps, hausman
 from bayesid.validation.baselines import nominal_estimates
 from bayesid.validation.noise_floor import NoiseFloor, noise_floor
@@ -53,6 +54,8 @@ def compare(
     effects: str | Sequence[str] | None = None,
     static: str | None = None,
     bandwidth: float | None = None,
+    workers: int | None = None,
+    scheduler: str | None = None,
     progress: Progress | None = SHOWN,
 ) -> Comparison:
     """Fit the same rows with several estimators and put the results side by side.
@@ -67,6 +70,8 @@ def compare(
         Names of estimators or objects that follow the interface; default `DEFAULT_SET`.
     channel, options, low_pass, motions, effects, static, bandwidth
         As in `bayesid.identify`; not for a regression.
+    workers, scheduler
+        Processes on this machine that share the work, or the address of a Dask cluster that does; the result depends on neither.
     progress
         Called with the name of every stage; default: shown where it takes over two seconds; None: never.
 
@@ -81,7 +86,7 @@ def compare(
     options = fit_options(options, channel, low_pass, motions, effects, static, bandwidth)
     started = time.perf_counter()
     seconds: dict[str, float] = {}
-    with one_blas_thread():
+    with one_blas_thread(), cluster(workers, scheduler):
         if isinstance(experiment, Regression):
             if options != FitOptions():
                 raise InputError(NOT_FOR_REGRESSIONS.format("compare"))

@@ -34,6 +34,7 @@ from bayesid.robot.robot import Robot
 from bayesid.robot.typical import states_masses
 from bayesid.simulation.trajectories import Trajectory, recorded_trajectories
 from bayesid.simulation.trajectory_file import read_trajectory, write_trajectory
+from bayesid.tasks import cluster
 from bayesid.workflows.progress import SHOWN, Clock, Progress, shows_progress
 
 
@@ -71,6 +72,8 @@ def excite(
     starts: int | None = None,
     randoms: int | None = None,
     seconds: float | None = None,
+    workers: int | None = None,
+    scheduler: str | None = None,
     progress: Progress | None = SHOWN,
 ) -> Excitation:
     """Find the motion within limits that determines a robot's parameters best.
@@ -89,6 +92,8 @@ def excite(
     share, torque_share, sensor_share, acceleration, sensor_range, mount_frequency, collisions, margin, ground
     diagnosability, blocks, stops, settle, read, starts, randoms, seconds
         As in `bayesid.ExcitationOptions`, which explains them.
+    workers, scheduler
+        Processes on this machine that share the work, or the address of a Dask cluster that does; the result depends on neither.
     progress
         Called with the name of every stage; default: shown where it takes over two seconds; None: never.
 
@@ -111,7 +116,7 @@ def excite(
         starts=starts, randoms=randoms, seconds=seconds,
     )  # fmt: skip
     warm = _warm(warm_start, experiment) if isinstance(warm_start, (str, Path)) else warm_start
-    with one_blas_thread():
+    with one_blas_thread(), cluster(workers, scheduler):
         clock("searching")
         check_blocks(chosen.blocks)
         plan = make_plan(experiment, chosen, warm, seed, clock.progress)

@@ -26,6 +26,7 @@ from bayesid.results.files import Files, files_of
 from bayesid.results.identification import Identification
 from bayesid.robot.urdf import write_urdf
 from bayesid.signals.filters import LowPass
+from bayesid.tasks import cluster
 from bayesid.validation.cross_checks import Agreement, Alone, fits_alone, motions_apart, static_both_ways, wrench_against_torque
 from bayesid.validation.flexible import FlexibleModel, flexible_gaps
 from bayesid.validation.noise_floor import NoiseFloor, noise_floor
@@ -58,6 +59,8 @@ def identify(
     static: str | None = None,
     bandwidth: float | None = None,
     unconstrained_urdf: bool = False,
+    workers: int | None = None,
+    scheduler: str | None = None,
     progress: Progress | None = SHOWN,
 ) -> Identification:
     """Base parameters with uncertainty, link parameters, and held-out validation.
@@ -85,6 +88,8 @@ def identify(
         Of the joint motion [Hz]; default chosen from the positions.
     unconstrained_urdf
         Also write ``identified-unconstrained.urdf``: links with exactly the estimated base parameters, possible or not.
+    workers, scheduler
+        Processes on this machine that share the work, or the address of a Dask cluster that does; the result depends on neither.
     progress
         Called with the name of every stage; default: shown where it takes over two seconds; None: never.
 
@@ -96,7 +101,7 @@ def identify(
     method = None if method is None else estimator(method)  # refused before any work is done
     options = fit_options(options, channel, low_pass, motions, effects, static, bandwidth)
     clock = Clock(progress)
-    with one_blas_thread():
+    with one_blas_thread(), cluster(workers, scheduler):
         clock("reading")
         experiment = as_experiment(experiment)
         clock("regressor")

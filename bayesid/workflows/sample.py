@@ -39,6 +39,7 @@ from bayesid.robot.prior import Prior
 from bayesid.robot.urdf import write_urdf
 from bayesid.signals.filters import LowPass
 from bayesid.signals.noise import NoiseModel
+from bayesid.tasks import cluster
 from bayesid.validation.flexible import flexible_gaps
 from bayesid.validation.noise_floor import noise_floor
 from bayesid.validation.prediction import Prediction, predict
@@ -65,6 +66,8 @@ class SampleChoices(TypedDict, total=False):
     effects: str | Sequence[str] | None
     static: str | None
     bandwidth: float | None
+    workers: int | None
+    scheduler: str | None
     progress: Progress | None
 
 
@@ -97,6 +100,8 @@ def sample(
     effects: str | Sequence[str] | None = None,
     static: str | None = None,
     bandwidth: float | None = None,
+    workers: int | None = None,
+    scheduler: str | None = None,
     progress: Progress | None = SHOWN,
 ) -> Posterior:
     """Draws from the posterior over base parameters, the links behind them, effects and the noise.
@@ -122,6 +127,8 @@ def sample(
         How draws are made: engine, length, and the file that keeps an unfinished run.
     channel, options, low_pass, motions, effects, static, bandwidth
         As in `bayesid.identify`; for experiments.
+    workers, scheduler
+        Processes on this machine that share the work, or the address of a Dask cluster that does; the result depends on neither.
     progress
         Called with the name of every stage; default: shown where it takes over two seconds; None: never.
 
@@ -135,7 +142,7 @@ def sample(
     clock = Clock(progress)
     sampler = with_given(sampler or Sampler(), chains=chains)
     options = fit_options(options, channel, low_pass, motions, effects, static, bandwidth)
-    with one_blas_thread():
+    with one_blas_thread(), cluster(workers, scheduler):
         clock("reading")
         problem = None
         if isinstance(experiment, Regression):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -11,7 +10,7 @@ from math import log
 from pathlib import Path
 
 from bayesid.diagnosis.changes.findings import compare_with_learned
-from bayesid.diagnosis.changes.reference import learn_reference
+from bayesid.diagnosis.changes.reference import Reference, learn_reference
 from bayesid.diagnosis.settings import DEFAULT, Settings
 from bayesid.drawing import Figures, figures_of
 from bayesid.errors import BayesidError, InputError
@@ -20,6 +19,7 @@ from bayesid.regression.options import FitOptions, some_options
 from bayesid.regression.parallel import one_blas_thread
 from bayesid.results.files import Files, files_of, strict
 from bayesid.results.watch import Watch, Watched
+from bayesid.tasks import cluster, map_tasks
 from bayesid.workflows.progress import SHOWN, Progress, quiet, shows_progress
 
 
@@ -34,6 +34,8 @@ def watch(
     effects: str | Sequence[str] | None = None,
     seed: int = 0,
     settings: Settings | None = None,
+    workers: int | None = None,
+    scheduler: str | None = None,
     progress: Progress | None = SHOWN,
     tell: Callable[[Watched], object] = lambda _: None,
 ) -> Watch:
@@ -45,6 +47,9 @@ def watch(
         Loaded, or their folders; recordings in the order of time, or a single one.
     channel, options, motions, effects, seed, settings, progress
         As for `bayesid.diagnose` with a reference.
+    workers, scheduler
+        Processes on this machine that share the recordings, or the address of a Dask cluster that does; the result depends on
+        neither.
     tell
         Called with every recording as soon as it is compared.
 
@@ -73,21 +78,19 @@ def watch(
         raise InputError("watch: there are no recordings; name at least one folder after the reference")
     accept = settings.accept + log(len(series))
     done: list[Watched] = []
-    with one_blas_thread():
+    with one_blas_thread(), cluster(workers, scheduler):
         progress("reference")
-        learn = functools.cache(functools.partial(learn_reference, before, chosen.channel, chosen.effects))
+        learn = _Learned(before, chosen)
         learn()
+        named = list(zip(_names(series), series, strict=True))
+        compared = partial(_compared, learn, chosen.motions, seed, replace(settings, accept=accept))
         try:
-            for k, (after, name) in enumerate(zip(series, _names(series), strict=True), 1):
-                progress(f"recording {k} of {len(series)}: {name}")
-                try:
-                    found = compare_with_learned(
-                        learn, after, motions=chosen.motions, seed=seed, settings=replace(settings, accept=accept)
-                    )
-                    done.append(Watched(name, found))
-                except BayesidError as error:
-                    done.append(Watched(name, None, str(error)))
-                tell(done[-1])
+            progress(f"recording 1 of {len(series)}: {named[0][0]}")
+            for k, recording in enumerate(map_tasks(compared, named), 1):
+                done.append(recording)
+                tell(recording)
+                if k < len(series):
+                    progress(f"recording {k + 1} of {len(series)}: {named[k][0]}")
         except KeyboardInterrupt:
             if not done:
                 raise
@@ -95,6 +98,35 @@ def watch(
         raise InputError(f"none of the recordings could be compared; the first, {done[0].name}: {done[0].complaint}")
     folder = None if before.folder is None else str(before.folder)
     return Watch(before.name, folder, tuple(done), accept, len(series), time.perf_counter() - since)
+
+
+class _Learned:
+    """What the reference says at its own bandwidth or others, found once a process."""
+
+    def __init__(self, before: Experiment, chosen: FitOptions):
+        self._given = before, chosen
+        self._found: dict[float | None, Reference] = {}
+
+    def __call__(self, bandwidth: float | None = None) -> Reference:
+        if bandwidth not in self._found:
+            before, chosen = self._given
+            more = () if bandwidth is None else (bandwidth,)
+            self._found[bandwidth] = learn_reference(before, chosen.channel, chosen.effects, *more)
+        return self._found[bandwidth]
+
+    def __reduce__(self):
+        return _Learned, self._given
+
+
+def _compared(
+    learn: _Learned, motions: Sequence[str] | None, seed: int, settings: Settings, given: tuple[str, Experiment]
+) -> Watched:
+    """A recording compared with the reference, or why it cannot be."""
+    name, after = given
+    try:
+        return Watched(name, compare_with_learned(learn, after, motions=motions, seed=seed, settings=settings))
+    except BayesidError as error:
+        return Watched(name, None, str(error))
 
 
 def _names(series: Sequence[Experiment]) -> list[str]:

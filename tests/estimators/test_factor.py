@@ -1,11 +1,14 @@
 """Factors of differently weighted rows by way of orthonormal coordinates, against orthogonal decompositions of the rows."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 
 from bayesid.estimators.factor import Pilot, reduce_rows
-from bayesid.estimators.reduction import reduce_in_coordinates
+from bayesid.estimators.reduction import channel_grams, reduce_in_coordinates
 from bayesid.regression.blocks import Block
+from bayesid.regression.row_cache import RowCache, RowSource
 from bayesid.signals.noise import NoiseModel
 
 NOISE = NoiseModel(np.array([[1.0, -0.6], [1.0, 0.3]]), np.array([[1.0, 0.3], [0.3, 0.5]]))
@@ -53,12 +56,23 @@ def test_sums_of_squares_are_those_of_the_rows():
     np.testing.assert_allclose(found, expected, rtol=1e-10)
 
 
-def test_rows_reduced_in_a_pilots_coordinates_have_the_factor_of_an_orthogonal_decomposition():
+def cached(blocks, chunked=False):
+    """Blocks as the rows of a regression, of a recording that is in memory or read in chunks."""
+    parts = tuple(partial(list, [block]) for block in blocks) if chunked else None
+    return RowCache(RowSource(lambda: blocks, sum(len(b.rows) for b in blocks), blocks[0].rows[0].size, parts=parts))
+
+
+@pytest.mark.parametrize("chunked", [False, True])
+def test_rows_reduced_in_a_pilots_coordinates_have_the_factor_of_an_orthogonal_decomposition(chunked):
     blocks, scale = made([1.0, 10.0, 1e3]), np.array([3.0, 0.2])
     expected = reduce_rows(blocks, lambda b: b.rows / scale[:, None])
-    found = reduce_in_coordinates(Pilot.of(blocks[:1]).root, lambda: blocks, lambda b: b.rows / scale[:, None])
+    root = Pilot.of(blocks[:1]).root
+    found = reduce_in_coordinates(root, cached(blocks, chunked), {"trajectory": 1.0 / scale})
     assert found.rows == expected.rows
     np.testing.assert_allclose(np.abs(found.r), np.abs(expected.r), rtol=1e-9, atol=1e-12 * np.abs(expected.r).max())
+    by_channel = [sum(b.rows[:, c].T @ b.rows[:, c] for b in blocks) for c in range(2)]
+    grams = channel_grams(root, cached(blocks, chunked))
+    np.testing.assert_allclose(grams, by_channel, rtol=1e-9, atol=1e-10 * np.max(by_channel))
 
 
 def test_coordinates_of_a_pilot_unlike_the_other_rows_are_not_used():
@@ -67,8 +81,8 @@ def test_coordinates_of_a_pilot_unlike_the_other_rows_are_not_used():
     pilot = [Block(b.rows * [1.0, 1.0, 1e6, 1.0], b.times, 0, b.start) for b in blocks]
     root = Pilot.of(pilot).root
     assert root is not None
-    expected, found = reduce_rows(blocks, lambda b: b.rows), reduce_in_coordinates(root, lambda: blocks, lambda b: b.rows)
-    np.testing.assert_array_equal(found.r, expected.r)
     hidden = [Block(b.rows * [1.0, 0.0, 1.0, 1.0], b.times, 0, b.start) for b in blocks]
-    expected, found = reduce_rows(hidden, lambda b: b.rows), reduce_in_coordinates(root, lambda: hidden, lambda b: b.rows)
-    np.testing.assert_array_equal(found.r, expected.r)
+    for rows in (blocks, hidden):
+        expected = reduce_rows(rows, lambda b: b.rows)
+        found = reduce_in_coordinates(root, cached(rows), {"trajectory": np.ones(2)})
+        np.testing.assert_array_equal(found.r, expected.r)

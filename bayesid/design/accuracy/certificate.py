@@ -24,6 +24,7 @@ from bayesid.errors import BayesidError, EstimationError, InputError
 from bayesid.estimators.estimator import LEVEL
 from bayesid.posterior.checkpoint import load_checkpoint, save_checkpoint
 from bayesid.regression.parallel import in_order
+from bayesid.tasks import map_tasks
 
 #: Probability that exact intervals of all parameters stay within the band.
 SIMULTANEOUS = 0.99
@@ -165,7 +166,7 @@ def certify(
             save_checkpoint(kept, mark, {"kept": np.array(done)})
 
     try:
-        for k, each in enumerate(in_order(fitted, range(len(done), count))):
+        for k, each in enumerate(map_tasks(fitted, range(len(done), count), locally=in_order)):
             done.append(each)
             tell(f"certificate: {len(done)} of {count} twins")
             if k % _KEPT_EVERY == _KEPT_EVERY - 1:

@@ -30,6 +30,7 @@ from bayesid.regression.regression import Regression
 from bayesid.regression.segment import Segment
 from bayesid.signals.noise import NoiseModel
 from bayesid.simulation.plant import plant_readings
+from bayesid.tasks import map_tasks
 
 #: Fits with weights that were learned from the last one.
 _REWEIGHTED = 3
@@ -112,7 +113,7 @@ def susceptibility(
         return _fitted(bench, read, weights) - start
 
     out = []
-    for k, (term, error) in enumerate(zip(terms, in_order(off, terms), strict=True)):
+    for k, (term, error) in enumerate(zip(terms, map_tasks(off, terms, locally=in_order), strict=True)):
         tell(f"effects left out: {k + 1} of {len(terms)}")
         if error is not None:
             base = error[: bench.rank]

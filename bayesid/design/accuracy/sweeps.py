@@ -25,6 +25,7 @@ from bayesid.design.accuracy.fits import Errors, Learned, errors_of, fit_twin, l
 from bayesid.design.accuracy.twins import Setting, own_setting, twin
 from bayesid.errors import BayesidError
 from bayesid.regression.parallel import in_order
+from bayesid.tasks import map_tasks
 
 #: Resamples of the runs that intervals of ratios are taken from.
 _RESAMPLES = 300
@@ -194,7 +195,7 @@ def _simulated(
             return str(error)
 
     known: list[Learned | str | None] = []
-    for k, each in enumerate(in_order(learned, unique)):
+    for k, each in enumerate(map_tasks(learned, unique, locally=in_order)):
         known.append(each)
         tell(f"settings: {k + 1} of {len(unique)}")
     known = [known[0] if each is None else each for each in known]
@@ -211,7 +212,7 @@ def _simulated(
 
     jobs = list(product(range(len(unique)), seeds))
     results: list[np.ndarray | str] = []
-    for k, each in enumerate(in_order(run, jobs)):
+    for k, each in enumerate(map_tasks(run, jobs, locally=in_order)):
         results.append(each)
         tell(f"simulating: {k + 1} of {len(jobs)} twins")
     out: dict[str, Errors | str] = {}

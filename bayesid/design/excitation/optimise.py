@@ -16,6 +16,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 from scipy.optimize import minimize
@@ -27,6 +28,7 @@ from bayesid.design.excitation.limits import Limits
 from bayesid.design.excitation.quantities import Quantity
 from bayesid.design.excitation.restore import restored
 from bayesid.design.excitation.series import Coordinates, FourierSeries
+from bayesid.tasks import map_tasks, on_cluster
 
 _ROUNDS, _ITERATIONS, _STEEPNESS, _STEEPER, _FASTER = 12, 100, 10.0, 3.0, 0.3
 #: Share of the time that random motions may take.
@@ -129,6 +131,13 @@ class Search:
             self.finalists.append(self._local)
         self._local = None
 
+    def join(self, start: Search) -> None:
+        """Take what a start has found elsewhere."""
+        self.finalists += start.finalists
+        for value, series in start.finalists:
+            self.offer(series, value)
+        self._local = None
+
     @property
     def seconds(self) -> float:
         """Since the search began."""
@@ -186,7 +195,14 @@ def search(
             found.random.append(value)
             pool.append((value, series))
         pool.sort(key=lambda pair: pair[0])
-        for k, (_, start) in enumerate(pool[: starts + (warm is not None)]):
+        improved = pool[: starts + (warm is not None)]
+        if on_cluster():
+            jobs = partial(_improved, task, seconds - found.seconds)
+            for k, own in enumerate(map_tasks(jobs, [start for _, start in improved])):
+                tell(f"start {k + 1} of {len(improved)}")
+                found.join(own)
+            improved = []
+        for k, (_, start) in enumerate(improved):
             if found.seconds > seconds and found.best is not None:
                 break
             improve(task, start, found, seconds, lambda text, k=k: tell(f"start {k + 1} of {min(starts, len(pool))}, {text}"))
@@ -197,6 +213,14 @@ def search(
             fitted = scaled_to_fit(min(pool, key=lambda pair: pair[0])[1], task.limits, task.fine, largest=1.0)
             if fitted is not None:
                 found.offer(fitted, task.judged(fitted))
+    found.close()
+    return found
+
+
+def _improved(task: Task, seconds: float, start: FourierSeries) -> Search:
+    """What one start finds on its own."""
+    found = Search()
+    improve(task, start, found, seconds, lambda _: None)
     found.close()
     return found
 
