@@ -3,8 +3,8 @@
 A UR5 at 125 Hz with encoder counts and noise, in a Parquet file that is made chunk by chunk (times and positions of eight bytes,
 readings of four); it is made once, and stays in FOLDER. `bayesid.identify` with the default method and a validation motion of
 20,000 samples runs on it in a process of its own: in chunks, in memory, or in chunks on local workers. Told are the seconds from
-the folder to the result, and the largest memory of any process. What is measured is added to docs/long-recordings.json, and
-``--page`` makes the table of docs/howto-large.md of it.
+the folder to the result, and the largest memory of any process. What is measured is added to the numbers in
+docs/studies/long-recordings, and ``--page`` makes its page of them.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from make_table import FORCE_STD, RESOLUTION, SAMPLE_RATE, TORQUE_STD, clean_period
 
 from tests.robots import ur5, write
-from tests.studies.page import DOCS, fill, table, write_numbers
+from tests.studies.page import STUDIES, table, write_numbers, write_page
 
 _ROWS = 250_000
 _WORKERS = 2
-NUMBERS = DOCS / "long-recordings.json"
+FOLDER = STUDIES / "long-recordings"
 TOML = """\
 format = 1
 name = "long"
@@ -97,22 +97,47 @@ def once(folder: Path, mode: str) -> dict:
     }  # fmt: skip
 
 
+PAGE = """\
+# Recordings in chunks, and workers
+
+A UR5 at 125 Hz, encoder counts of 2e-5 rad, wrench under the base, all of `identify` with its default method and a validation
+motion of 20,000 samples. The recording is a Parquet file (times and positions of eight bytes, readings of four; 4.6 GB of 1e8
+samples), made chunk by chunk; `chunked` is `true`, or `false` for "in memory". Seconds from the folder to the result, of a process
+of its own on {{ cpus }} cores that other work had a share of; so the processor's seconds, all processes together and with their
+start, stand beside them. Memory is the largest of any process, libraries included. `python tests/benchmarks/long_recording.py` and
+`python tests/benchmarks/workers.py` measured it; [how to](../../howto/large.md).
+
+{{ table }}
+
+The difference is the largest between parameters found in chunks and in another way, in standard deviations.
+
+**Two workers:** {{ workers.twins }} twins of a certificate (`accuracy`) took {{ one }} s on a Dask cluster of one local process and
+{{ two }} s on two, {{ ratio }} times as fast; {{ here }} s in one process without Dask, whose threads use all cores. The least of
+{{ repeats }} repeats in turns.
+"""
+
+
 def page(found: dict) -> None:
-    """The table of the page."""
+    """The study's page."""
     rows = []
-    for samples, modes in sorted(found.items(), key=lambda item: int(item[0])):
+    for samples, modes in sorted(found["runs"].items(), key=lambda item: int(item[0])):
         cells = []
         for mode in ("chunks", "memory", "workers"):
             run = modes.get(mode)
-            cells += ["", ""] if run is None else [f"{run['seconds']:,.3g}", f"{run['peak_mib']:,.0f}"]
-        gap = max((run["apart"] for run in modes.values() if "apart" in run), default=None)
+            told = None if run is None else (f"{run[k]:,.3g}" for k in ("seconds", "processor_seconds"))
+            cells += ["", "", ""] if told is None else [*told, f"{run['peak_mib']:,.0f}"]
+        gap = max((run["apart"] for mode, run in modes.items() if mode != "chunks"), default=None)
         rows.append(f"| {int(samples):,} | " + " | ".join(cells) + (" | |" if gap is None else f" | {gap:.1g} |"))
     head = (
-        "samples | in chunks [s] | [MiB] | in memory [s] | [MiB] | two workers [s] | largest process [MiB] | "
-        "largest difference of a parameter [std]"
+        "samples | in chunks [s] | processor [s] | MiB | in memory [s] | processor [s] | MiB | two workers [s] | "
+        "processor [s] | MiB | difference"
     )
-    path = next(DOCS.rglob("howto-large.md"))
-    path.write_text(fill(path.read_text(encoding="utf-8"), {"large": table(head, rows)}), encoding="utf-8")
+    w = found["workers"]
+    least = {name: f"{seconds:.3g}" for name, seconds in w["seconds"].items()}
+    write_page(
+        PAGE, FOLDER / "README.md", table=table(head, rows), cpus=w["cpus"], workers=w, one=least["1"], two=least["2"],
+        here=least["here"], ratio=f"{w['two_over_one']:.2f}", repeats=len(w["all"]["1"]),
+    )  # fmt: skip
 
 
 def main() -> None:
@@ -127,12 +152,14 @@ def main() -> None:
     if options.once:
         print(json.dumps(once(options.folder, options.once)))
         return
-    found = json.loads(NUMBERS.read_text(encoding="utf-8")) if NUMBERS.exists() else {}
-    for samples in map(int, options.samples.split(",")):
+    FOLDER.mkdir(exist_ok=True)
+    numbers = FOLDER / "results.json"
+    found = json.loads(numbers.read_text(encoding="utf-8")) if numbers.exists() else {"runs": {}}
+    for samples in [int(part) for part in options.samples.split(",") if part]:
         folder = options.folder / str(samples)
         if not folder.exists():
             make(folder, samples)
-        entry = found.setdefault(str(samples), {})
+        entry = found["runs"].setdefault(str(samples), {})
         for mode in options.modes.split(","):
             done = subprocess.run(
                 [sys.executable, __file__, str(folder), "--once", mode], capture_output=True, text=True, check=False,
@@ -144,7 +171,7 @@ def main() -> None:
             first = entry.get("chunks", run)
             run["apart"] = float(np.max(np.abs(np.subtract(run["values"], first["values"])) / np.array(first["std"])))
             print(samples, mode, {k: v for k, v in run.items() if k not in ("values", "std")}, flush=True)
-        write_numbers(found, NUMBERS, 12)
+        write_numbers(found, numbers, 12)
     if options.page:
         page(found)
 

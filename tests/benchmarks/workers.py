@@ -62,7 +62,13 @@ def main() -> None:
                 # Without what is done once, in this process: the bench, and effects left out of the model.
                 seconds[name].append(certified(20 + options.twins, place) - few[name])
     least = {name: min(each) for name, each in seconds.items()}
-    result = {"twins": options.twins, "cpus": os.cpu_count(), "seconds": least, "all": seconds, "two_over_one": least["1"] / least["2"]}
+    result = {
+        "twins": options.twins,
+        "cpus": os.cpu_count(),
+        "seconds": least,
+        "all": seconds,
+        "two_over_one": least["1"] / least["2"],
+    }
     print(json.dumps(result, indent=1))
     path = STUDIES / "long-recordings" / "results.json"
     numbers = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
