@@ -100,20 +100,20 @@ def once(folder: Path, mode: str) -> dict:
 PAGE = """\
 # Recordings in chunks, and workers
 
-A UR5 at 125 Hz, encoder counts of 2e-5 rad, wrench under the base, all of `identify` with its default method and a validation
-motion of 20,000 samples. The recording is a Parquet file (times and positions of eight bytes, readings of four; 4.6 GB of 1e8
-samples), made chunk by chunk; `chunked` is `true`, or `false` for "in memory". Seconds from the folder to the result, of a process
-of its own on {{ cpus }} cores that other work had a share of; so the processor's seconds, all processes together and with their
-start, stand beside them. Memory is the largest of any process, libraries included. `python tests/benchmarks/long_recording.py` and
-`python tests/benchmarks/workers.py` measured it; [how to](../../howto/large.md).
+A UR5 at 125 Hz, encoder counts of 2e-5 rad, wrench under the base, all of `identify` with its default method and a
+validation motion of 20,000 samples. The recording is a Parquet file (times and positions of eight bytes, readings of four;
+4.6 GB of 1e8 samples), made chunk by chunk; `chunked` is `true`, or `false` for "in memory". Seconds from the folder to the
+result, of a process of its own on {{ cpus }} cores that other work had a share of; so the processor's seconds, all processes
+together and with their start, stand beside them. Memory is the largest of any process, libraries included. `python
+tests/benchmarks/long_recording.py` and `python tests/benchmarks/workers.py` measured it; [how to](../../howto/large.md).
 
 {{ table }}
 
 The difference is the largest between parameters found in chunks and in another way, in standard deviations.
 
-**Two workers:** {{ workers.twins }} twins of a certificate (`accuracy`) took {{ one }} s on a Dask cluster of one local process and
-{{ two }} s on two, {{ ratio }} times as fast; {{ here }} s in one process without Dask, whose threads use all cores. The least of
-{{ repeats }} repeats in turns.
+**Two workers:** {{ workers.twins }} twins of a certificate (`accuracy`) took {{ one }} s on a Dask cluster of one local
+process and {{ two }} s on two, {{ ratio }} times as fast; {{ here }} s in one process without Dask, whose threads use all
+cores. The least of {{ repeats }} repeats in turns.
 """
 
 
