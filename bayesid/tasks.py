@@ -74,15 +74,8 @@ def cluster(workers: int | None = None, scheduler: str | None = None) -> Iterato
         warnings.filterwarnings("ignore", message="Sending large graph")
         # Ports and directories of others are none of the user's business here.
         warnings.filterwarnings("ignore", category=UserWarning, module="distributed")
-        stack.enter_context(_settings())
         if scheduler is None:
-            with _without_interrupts():
-                local = distributed.LocalCluster(
-                    n_workers=workers, threads_per_worker=1, processes=True, dashboard_address=None, memory_limit=0,
-                    silence_logs=logging.CRITICAL,
-                )  # fmt: skip
-            stack.enter_context(local)
-            scheduler = local.scheduler_address
+            scheduler = stack.enter_context(local_cluster(workers or 1))
         try:
             client = stack.enter_context(distributed.Client(scheduler, timeout=_PATIENCE, set_as_default=False))
         except (OSError, ValueError) as error:
@@ -95,6 +88,19 @@ def cluster(workers: int | None = None, scheduler: str | None = None) -> Iterato
             yield
         finally:
             _clients.remove(client)
+
+
+@contextlib.contextmanager
+def local_cluster(workers: int) -> Iterator[str]:
+    """The address of a Dask cluster of so many processes on this machine, which end with the context."""
+    with _settings():
+        with _without_interrupts():
+            local = _distributed().LocalCluster(
+                n_workers=workers, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0", memory_limit=0,
+                silence_logs=logging.CRITICAL,
+            )  # fmt: skip
+        with local:
+            yield local.scheduler_address
 
 
 @contextlib.contextmanager
@@ -119,6 +125,8 @@ def _settings() -> contextlib.AbstractContextManager:
             "distributed.worker.multiprocessing-method": "spawn",
             "distributed.worker.daemon": True,
             "distributed.comm.timeouts.connect": "5s",
+            # Without what Dask sets for memory: giving every array back to the system at once doubles the work.
+            "distributed.nanny.pre-spawn-environ": {"OMP_NUM_THREADS": 1, "OPENBLAS_NUM_THREADS": 1, "MKL_NUM_THREADS": 1},
         }
     )
 
@@ -184,7 +192,7 @@ def _on_workers(client: Any, function: Callable[[_A], _B], items: Iterable[_A]) 
                 result = waiting[0].result()
             except killed as error:
                 raise EstimationError(
-                    f"workers were lost {_LOST + 1} times with the same task ({error}); give each more "
+                    f"workers were lost again and again with the same task ({error}); give each more "
                     "memory, or use fewer on a machine"
                 ) from None
             waiting.popleft().release()

@@ -1,6 +1,5 @@
 """Tasks on other processes: the same results, in order, whatever happens to a worker."""
 
-import gc
 import os
 import signal
 import subprocess
@@ -22,28 +21,14 @@ from bayesid.tasks import cluster, fold, in_task, map_tasks
 from tests.robots import puma560, write
 from tests.simulated import fourier, recording
 
-distributed = pytest.importorskip("distributed")
-# Dask leaves sockets to the garbage collector.
-pytestmark = pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
-
-
-@pytest.fixture(autouse=True)
-def collected():
-    """Nothing of a cluster is left to later tests."""
-    yield
-    gc.collect()
+pytest.importorskip("distributed")
 
 
 @pytest.fixture(scope="module")
 def address():
     """A scheduler with two local workers that somebody else has started."""
-    with (
-        tasks._settings(),
-        distributed.LocalCluster(
-            n_workers=2, threads_per_worker=1, dashboard_address=None, memory_limit=0, silence_logs=50
-        ) as local,
-    ):
-        yield local.scheduler_address
+    with tasks.local_cluster(2) as address:
+        yield address
 
 
 @pytest.fixture(scope="module")

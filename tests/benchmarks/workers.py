@@ -21,6 +21,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 import bayesid
 from bayesid.recordings.experiment import Experiment, Motion, Sensor
 from bayesid.robot.robot import load_robot
+from bayesid.tasks import local_cluster
 from tests.robots import ur5, write
 from tests.simulated import fourier, recording
 from tests.studies.page import STUDIES, write_numbers
@@ -37,8 +38,6 @@ def arm(folder: Path) -> Experiment:
 
 def main() -> None:
     """Read the command line and measure."""
-    from distributed import LocalCluster
-
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--twins", type=int, default=100)
     parser.add_argument("--repeats", type=int, default=3)
@@ -54,8 +53,7 @@ def main() -> None:
 
         places: dict[str, str | None] = {"here": None}
         for count in (1, 2):
-            local = LocalCluster(n_workers=count, threads_per_worker=1, dashboard_address=None, memory_limit=0)
-            places[str(count)] = stack.enter_context(local).scheduler_address
+            places[str(count)] = stack.enter_context(local_cluster(count))
         few = {name: min(certified(20, place) for _ in range(2)) for name, place in places.items()}
         for _ in range(options.repeats):
             for name, place in places.items():
