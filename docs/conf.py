@@ -92,6 +92,8 @@ def setup(app) -> None:
 def _reference() -> str:
     """The page of the public names, what is called first: what ``bayesid`` exports stands there."""
     named = {name: getattr(bayesid, name) for name in sorted(bayesid.__all__)}
+    for module, holder in [(name, value) for name, value in named.items() if inspect.ismodule(value)]:
+        named |= {f"{module}.{name}": getattr(holder, name) for name in holder.__all__}
     lines = ["Python reference", "=" * 16, "", "Everything that ``bayesid`` exports.", ""]
     for title, belongs in (("Functions", inspect.isroutine), ("Classes", inspect.isclass)):
         lines += [title, "-" * len(title), "", ".. currentmodule:: bayesid", "", ".. autosummary::", "   :toctree: api", ""]
