@@ -22,6 +22,7 @@ from bayesid.cli.options import (
     output_folder,
     show_progress,
 )
+from bayesid.cli.terminal import say
 from bayesid.errors import EstimationError, InputError
 from bayesid.results.files import check_output, checkpoint_of
 from bayesid.workflows.accuracy import add_certificate, check_estimate
@@ -70,7 +71,7 @@ def accuracy(
     except KeyboardInterrupt:
         raise EstimationError(f"interrupted; add --resume to go on from {kept}" if kept.exists() else "interrupted") from None
     kept.unlink(missing_ok=True)
-    click.echo(str(result))
+    say(result)
     if written is not None:
-        click.echo(f"certificate: {written}" + ("" if changed else ", but not its report.html, which is not as it was written"))
-    click.echo(f"report: {report}")
+        say(f"certificate: {written}" + ("" if changed else ", but not its report.html, which is not as it was written"))
+    say(f"report: {report}")

@@ -20,6 +20,7 @@ from bayesid.cli.options import (
     output_folder,
     show_progress,
 )
+from bayesid.cli.terminal import say
 from bayesid.errors import InputError
 from bayesid.results.files import check_output
 
@@ -57,8 +58,8 @@ def bounds(experiment, filter_l, filter_d, model, effects_from, posterior, estim
         result = bayesid.bounds(loaded, run=run, method=chosen, low_pass=filters, progress=progress, **options)
         progress("report")
         report = result.write(folder)
-    click.echo(str(result))
-    click.echo(f"report: {report}")
+    say(result)
+    say(f"report: {report}")
 
 
 def _run(posterior: Path | None, estimate: Path | None, method: str | None, bounds: Path | None) -> Path | None:

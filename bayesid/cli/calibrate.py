@@ -8,6 +8,7 @@ import click
 
 import bayesid
 from bayesid.cli.options import EXPERIMENT, OUTPUTS, diagnosis_options, load, output_folder, show_progress
+from bayesid.cli.terminal import say
 from bayesid.results.files import check_output
 
 
@@ -29,7 +30,7 @@ def calibrate(experiment, reference, mass, mass_std, motions, effects, model, ef
         )
         progress("report")
         report = result.write(output_folder(out, loaded.name, "calibrate"))
-    click.echo(str(result))
+    say(result)
     if files := ", ".join(result.exports()):
-        click.echo(f"gravity compensation: {files} in {report.parent}")
-    click.echo(f"report: {report}")
+        say(f"gravity compensation: {files} in {report.parent}")
+    say(f"report: {report}")

@@ -9,6 +9,7 @@ import click
 
 import bayesid
 from bayesid.cli.options import EFFECTS_FROM, EXPERIMENT, OUT, OUTPUTS, UNUSED_SEED, load, output_folder, show_progress
+from bayesid.cli.terminal import say
 from bayesid.results.files import check_output
 
 
@@ -24,5 +25,5 @@ def check(experiment: Path, effects_from: tuple[Path, ...], out: Path | None) ->
     with show_progress() as progress:
         result = bayesid.check(load(experiment, None, effects_from), progress=progress)
         report = result.write(output_folder(out, result.name, "check"))
-    click.echo(str(result))
-    click.echo(f"report: {report}")
+    say(result)
+    say(f"report: {report}")

@@ -21,6 +21,7 @@ from bayesid.cli.options import (
     output_folder,
     show_progress,
 )
+from bayesid.cli.terminal import say
 from bayesid.results.files import check_output
 from bayesid.workflows.compare import DEFAULT_SET
 
@@ -48,5 +49,5 @@ def compare(experiment, filter_l, filter_d, model, effects_from, methods, bounds
         result = bayesid.compare(loaded, methods, low_pass=filters, progress=progress, **options)
         progress("report")
         report = result.write(output_folder(out, loaded.name, "compare"))
-    click.echo(str(result))
-    click.echo(f"report: {report}")
+    say(result)
+    say(f"report: {report}")

@@ -9,6 +9,7 @@ import click
 
 from bayesid import datasets as public
 from bayesid.cli.options import UNUSED_SEED
+from bayesid.cli.terminal import say
 from bayesid.errors import InputError
 
 
@@ -21,12 +22,12 @@ def datasets(name, out) -> None:
     if name is None:
         if out is not None:
             raise InputError(f"--out {out}: name the data set that is to be there")
-        click.echo("\n".join(str(public.about(each)) for each in public.names()))
+        say("\n".join(str(public.about(each)) for each in public.names()))
         return
     if out is not None and out.exists():
         raise InputError(f"{out}: is there already; name a folder that does not exist or remove it first")
     folder = public.fetch(name)
     if out is not None:
         folder = Path(shutil.copytree(folder, out))
-    click.echo(str(public.about(name)))
-    click.echo(f"experiment: {folder}")
+    say(public.about(name))
+    say(f"experiment: {folder}")

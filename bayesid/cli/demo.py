@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from bayesid.cli.options import OUT, SEED, output_folder, show_progress
+from bayesid.cli.terminal import say
 from bayesid.workflows.demo import NAME
 from bayesid.workflows.demo import demo as run_demo
 
@@ -18,6 +19,6 @@ def demo(out: Path | None, seed: int) -> None:
     """The main job on an embedded example: simulate a two-joint PUMA, identify it, compare with the truth."""
     with show_progress() as progress:
         result = run_demo(output_folder(out, NAME, "demo"), seed, progress)
-    click.echo(str(result))
-    click.echo(f"experiment: {result.report.parent / 'experiment'}")
-    click.echo(f"report: {result.report}")
+    say(result)
+    say(f"experiment: {result.report.parent / 'experiment'}")
+    say(f"report: {result.report}")

@@ -8,6 +8,7 @@ import click
 
 import bayesid
 from bayesid.cli.options import EXPERIMENT, OUTPUTS, diagnosis_options, load, output_folder, show_progress
+from bayesid.cli.terminal import say
 from bayesid.results.files import check_output
 
 
@@ -28,5 +29,5 @@ def diagnose(experiment, reference, channel, motions, effects, model, effects_fr
         )
         progress("report")
         report = result.write(output_folder(out, loaded.name, "diagnose"))
-    click.echo(str(result))
-    click.echo(f"report: {report}")
+    say(result)
+    say(f"report: {report}")

@@ -20,6 +20,7 @@ from bayesid.cli.options import (
     own_effects,
     show_progress,
 )
+from bayesid.cli.terminal import say
 from bayesid.design.excitation.options import ExcitationOptions
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import load_experiment, load_setup
@@ -114,6 +115,6 @@ def excite(
             result = bayesid.tell(setup, tell, chosen, seed=seed, progress=progress)
         progress("report")
         report = result.write(folder)
-    click.echo(str(result))
-    click.echo(f"trajectory: {folder / 'trajectory.csv'}")
-    click.echo(f"report: {report}")
+    say(result)
+    say(f"trajectory: {folder / 'trajectory.csv'}")
+    say(f"report: {report}")

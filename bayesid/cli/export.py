@@ -8,6 +8,7 @@ import click
 
 import bayesid
 from bayesid.cli.options import OUT, OUTPUTS, SEED, names, output_folder, show_progress
+from bayesid.cli.terminal import say
 from bayesid.results.files import check_output
 
 
@@ -29,5 +30,5 @@ def export(result, to, draws, out, seed) -> None:
         progress("reading")
         exported = bayesid.export(result, to, draws=draws, seed=seed, progress=progress)
         report = exported.write(output_folder(out, exported.name, "export"))
-    click.echo(str(exported))
-    click.echo(f"report: {report}")
+    say(exported)
+    say(f"report: {report}")

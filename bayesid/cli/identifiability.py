@@ -19,6 +19,7 @@ from bayesid.cli.options import (
     own_effects,
     show_progress,
 )
+from bayesid.cli.terminal import say
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import load_experiment, load_setup
 from bayesid.results.files import check_output
@@ -67,5 +68,5 @@ def identifiability(experiment, trajectory, model, effects_from, out, **options)
         result = bayesid.identifiability(loaded, trajectory or None, progress=progress, **options)
         progress("report")
         report = result.write(output_folder(out, loaded.name, "identifiability"))
-    click.echo(str(result))
-    click.echo(f"report: {report}")
+    say(result)
+    say(f"report: {report}")

@@ -20,6 +20,7 @@ from bayesid.cli.options import (
     output_folder,
     show_progress,
 )
+from bayesid.cli.terminal import say
 from bayesid.results.files import check_output
 
 
@@ -46,5 +47,5 @@ def identify(experiment, filter_l, filter_d, model, effects_from, method, bounds
         result = bayesid.identify(loaded, method=chosen, low_pass=filters, progress=progress, **options)
         progress("report")
         report = result.write(output_folder(out, loaded.name, "identify"))
-    click.echo(bayesid.summary(result))
-    click.echo(f"report: {report}")
+    say(bayesid.summary(result), result.warnings)
+    say(f"report: {report}")

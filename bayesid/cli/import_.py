@@ -9,6 +9,7 @@ import numpy as np
 
 import bayesid
 from bayesid.cli.options import UNUSED_SEED, names, show_progress
+from bayesid.cli.terminal import say
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Sensor
 
@@ -109,5 +110,5 @@ def import_(
             episodes=[int(e) for e in episodes or ()], name=out.absolute().name, **given, **options,
         )  # fmt: skip
         folder = imported.write(out)
-    click.echo(str(imported))
-    click.echo(f"experiment: {folder}")
+    say(imported)
+    say(f"experiment: {folder}")

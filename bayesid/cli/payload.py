@@ -8,6 +8,7 @@ import click
 
 import bayesid
 from bayesid.cli.options import CHANNEL, EXPERIMENT, OUTPUTS, diagnosis_options, load, output_folder, show_progress
+from bayesid.cli.terminal import say
 from bayesid.errors import InputError
 from bayesid.results.files import check_output
 
@@ -48,7 +49,7 @@ def payload(
         )  # fmt: skip
         progress("report")
         report = result.write(output_folder(out, loaded.name, "payload"))
-    click.echo(str(result))
+    say(result)
     if files := ", ".join(result.exports()):
-        click.echo(f"for controllers: {files} in {report.parent}")
-    click.echo(f"report: {report}")
+        say(f"for controllers: {files} in {report.parent}")
+    say(f"report: {report}")

@@ -18,6 +18,7 @@ from bayesid.cli.options import (
     output_folder,
     show_progress,
 )
+from bayesid.cli.terminal import say
 from bayesid.errors import EstimationError
 from bayesid.estimators.prior_check import conflicts
 from bayesid.results.files import check_output, checkpoint_of
@@ -55,7 +56,7 @@ def sample(experiment, filter_l, filter_d, model, effects_from, out, engine, lon
     except KeyboardInterrupt:
         raise EstimationError(f"interrupted; add --resume to go on from {kept}" if kept.exists() else "interrupted") from None
     kept.unlink(missing_ok=True)
-    click.echo(str(result))
+    say(result)
     for warning in [w for w in result.warnings if w not in conflicts(result.prior_check)]:  # those stand above
-        click.echo(f"  warning: {warning}")
-    click.echo(f"report: {report}")
+        say(f"  warning: {warning}")
+    say(f"report: {report}")

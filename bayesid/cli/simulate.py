@@ -9,6 +9,7 @@ import click
 
 import bayesid
 from bayesid.cli.options import EFFECTS_FROM, EXPERIMENT, OUT, OUTPUTS, SEED, names, output_folder, own_effects, show_progress
+from bayesid.cli.terminal import say
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import load_setup
 from bayesid.results.files import check_output
@@ -67,7 +68,7 @@ def simulate(
         folder = output_folder(out, simulation.name, "simulate")
         write_simulation(simulation, folder)
     for spec, given in simulation.truth.effects.items():
-        click.echo(f"  {spec}: " + ", ".join(f"{key} {value:.4g}" for key, value in given.items()))
+        say(f"  {spec}: " + ", ".join(f"{key} {value:.4g}" for key, value in given.items()))
     for motion in simulation.motions:
-        click.echo(f"  {motion.role} '{motion.name}': {len(motion.table)} samples" + (", static run" if motion.static else ""))
-    click.echo(f"experiment: {folder}")
+        say(f"  {motion.role} '{motion.name}': {len(motion.table)} samples" + (", static run" if motion.static else ""))
+    say(f"experiment: {folder}")

@@ -14,6 +14,7 @@ from importlib import import_module
 import click
 
 from bayesid.arguments import on_command_line
+from bayesid.cli.terminal import colours
 from bayesid.errors import BayesidError, InputError
 
 #: What each verb does; its command stands in the module of its name.
@@ -67,7 +68,8 @@ class _Telling:
         with contextlib.suppress(OSError):  # nobody reads
             if self.traceback:
                 click.echo(traceback.format_exc(), err=True)
-            click.echo("bayesid: " + _plain(message), err=True)
+            name = click.style("bayesid:", fg="red") if colours(sys.stderr) else "bayesid:"
+            click.echo(f"{name} {_plain(message)}", err=True)
         return status
 
 

@@ -20,6 +20,7 @@ from bayesid.cli.options import (
     output_folder,
     show_progress,
 )
+from bayesid.cli.terminal import say
 from bayesid.errors import EstimationError
 from bayesid.results.files import check_output
 
@@ -45,13 +46,13 @@ def watch(reference, recordings, channel, motions, effects, model, effects_from,
         result = bayesid.watch(
             known, series, channel, motions=motions, effects=effects, seed=seed, workers=workers,
             scheduler=scheduler, progress=progress,
-            tell=lambda recording: click.echo(str(recording)),
+            tell=lambda recording: say(recording),
         )  # fmt: skip
         progress("report")
         report = result.write(output_folder(out, known.name, "watch"))
     for sentence in result.sentences():
-        click.echo(f"  {sentence}.")
-    click.echo(f"report: {report}")
+        say(f"  {sentence}.")
+    say(f"report: {report}")
     done = len(result.recordings)
     if done < result.planned:
         raise EstimationError(f"interrupted after {done} of {result.planned} recordings; those are in the report")
