@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.stats import f as f_ratio
 
 from bayesid.diagnosis.data import WHITE, DiagnosisData
 from bayesid.diagnosis.encoders import Encoders, encoder_count, with_noise
@@ -21,6 +22,8 @@ from bayesid.signals.smoothing import smooth
 
 #: Poses for each column that is fitted to them, at least, before what is left is taken for noise.
 _POSES_A_COLUMN = 2
+#: A cable is the better word for a few poses where what it leaves is smaller than chance makes it this often.
+_CLEARLY = 0.99
 
 
 def at_instants(data: DiagnosisData, links: np.ndarray, terms: Sequence[Term], seed: int) -> DiagnosisData:
@@ -119,7 +122,8 @@ def _poses_with_noise(data: DiagnosisData, links: np.ndarray, terms: Sequence[Te
 def pose_noise(data: DiagnosisData) -> np.ndarray:
     """Noise of the wrench of poses (c,): the data sheet's, or what any bodies and any linear map of their wrench leave.
 
-    Of a sensor in the arm also what a cable leaves that pulls what it carries, where there are poses enough to tell.
+    Of a sensor in the arm also what a cable leaves that pulls what it carries, where there are poses enough to tell. A drift from
+    pose to pose is taken out where it leaves clearly less; so is, at few poses of such a sensor, one body with either of both.
     """
     stated = _stated_noise(data)
     if stated is not None:
@@ -128,18 +132,63 @@ def pose_noise(data: DiagnosisData) -> np.ndarray:
     q, read = (np.concatenate([getattr(s, name) for s in every]) for name in ("encoders", "readings"))
     rigid = dynamics_regressor(data.robot, data.channels, q, 0.0 * q, 0.0 * q)
     beside = np.column_stack([rigid @ data.robot.nominal.ravel(), np.ones(len(q))])
-    pulls = _pulls(data, every)
-    out = np.empty(read.shape[1])
+    elapsed = np.concatenate([s.scene.elapsed for s in every])
+    drift, pulls = elapsed - elapsed.mean(), _pulls(data, every)
+    plain, freedom, enough = _axis_noise(rigid, beside, pulls, read)
+    others = [_axis_noise(rigid, np.column_stack([beside, drift]), pulls, read)[:2]]
+    if not enough and pulls.shape[2]:
+        each = drift[:, None, None] * np.eye(3)
+        others += [_halves((rigid, each, read), (rigid, each, read)), _cable_noise(rigid, pulls, read)]
+    # By how much each is clearer than chance makes it.
+    clear = [np.mean((plain / out) ** 2) / f_ratio.ppf(_CLEARLY, freedom, left) for out, left in others]
+    return others[int(np.argmax(clear))][0] if max(clear) > 1.0 else plain
+
+
+def _axis_noise(rigid: np.ndarray, beside: np.ndarray, pulls: np.ndarray, read: np.ndarray) -> tuple[np.ndarray, int, bool]:
+    """What columns leave of each axis by itself (c,), the degrees of freedom, and whether there were poses enough for pulls."""
+    out, freedom, every = np.empty(read.shape[1]), 0, True
     for c in range(len(out)):
         fitted = np.column_stack([rigid[:, c], beside])
-        if len(q) >= _POSES_A_COLUMN * (np.linalg.matrix_rank(fitted) + pulls.shape[2]):
+        if enough := len(read) >= _POSES_A_COLUMN * (np.linalg.matrix_rank(fitted) + pulls.shape[2]):
             fitted = np.column_stack([fitted, pulls[:, c]])
-        length = np.maximum(np.linalg.norm(fitted, axis=0), 1e-300)
-        basis, power, _ = np.linalg.svd(fitted / length, full_matrices=False)
-        basis = basis[:, power > 1e-9 * power[0]]
-        left = read[:, c] - basis @ (basis.T @ read[:, c])
-        out[c] = np.sqrt(np.sum(left**2) / max(len(q) - basis.shape[1], 1))
-    return out
+        left, rank = _left(fitted, read[:, c])
+        out[c] = np.sqrt(np.sum(left**2) / max(len(read) - rank, 1))
+        freedom, every = freedom + max(len(read) - rank, 1), every and bool(enough)
+    return out, freedom, every
+
+
+def _left(matrix: np.ndarray, read: np.ndarray) -> tuple[np.ndarray, int]:
+    """What columns (N, p) leave of readings (N,), and their rank."""
+    length = np.maximum(np.linalg.norm(matrix, axis=0), 1e-300)
+    basis, power, _ = np.linalg.svd(matrix / length, full_matrices=False)
+    basis = basis[:, power > 1e-9 * power[0]]
+    return read - basis @ (basis.T @ read), basis.shape[1]
+
+
+def _halves(*each: tuple[np.ndarray, np.ndarray, np.ndarray]) -> tuple[np.ndarray, int]:
+    """What one body, an offset and other columns (N, 3, k) leave of forces, and of moments (6,), and the degrees of freedom."""
+    out, freedom = [], 0
+    for k, (rigid, more, read) in enumerate(each):
+        axes, count = slice(3 * k, 3 * k + 3), 3 * len(read)
+        matrix = np.concatenate([rigid[:, axes], np.tile(np.eye(3), (len(read), 1, 1)), more], axis=2).reshape(count, -1)
+        left, rank = _left(matrix, read[:, axes].ravel())
+        freedom += max(count - rank, 1)
+        out.append(np.sqrt(np.sum(left.reshape(-1, 3) ** 2, axis=0) * 3.0 / max(count - rank, 1)))
+    return np.concatenate(out), freedom
+
+
+def _cable_noise(rigid: np.ndarray, pulls: np.ndarray, read: np.ndarray) -> tuple[np.ndarray, int]:
+    """What one body, offsets and a cable without length leave (6,), and the degrees of freedom.
+
+    The forces tell the pull F, the moments then the point p that it acts on: they are linear in it, ``p x F``.
+    """
+    offset = np.tile(np.eye(3), (len(read), 1, 1))
+    force = np.concatenate([rigid[:, :3], offset, pulls[:, :3]], axis=2).reshape(3 * len(read), -1)
+    told = np.linalg.lstsq(force, read[:, :3].ravel(), rcond=1e-9)[0][-pulls.shape[2] :]
+    pull = pulls @ told  # (N, 6), at the link's origin
+    arm = np.cross(np.eye(3), pull[:, None, :3]).transpose(0, 2, 1)  # (N, 3, 3): moment of the pull a metre along each axis
+    less = read - np.concatenate([0.0 * pull[:, :3], pull[:, 3:]], axis=1)
+    return _halves((rigid, pulls[:, :3], read), (rigid, arm, less))
 
 
 def _pulls(data: DiagnosisData, segments: Sequence[Segment]) -> np.ndarray:

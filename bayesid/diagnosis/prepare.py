@@ -186,7 +186,7 @@ def _poses(experiment: Experiment, motion: Motion, channel: str, middle: np.ndar
     times, still = np.arange(len(table), dtype=float), np.zeros_like(table.positions)
     if len(table) <= settings.shortest_segment:
         return []
-    scene = MotionSegment(times, table.positions, still, still, True, np.inf, middle)
+    scene = MotionSegment(table.times, table.positions, still, still, True, np.inf, middle, in_turn=True)
     read = readings_of(experiment, table, channel)
     return [Segment(motion.name, motion.role, times, table.positions, read, scene, True, (), np.zeros(0), settings=settings)]
 

@@ -76,6 +76,8 @@ class MotionSegment:
         Time that a sample stands for [s]: friction that reverses in it is its mean there. Zero: its value at the sample.
     encoders
         Times (M,) [s] and joint positions (M, n) that were smoothed; None: only `positions` are known.
+    in_turn
+        Whether poses at rest were read one after another, so that time counts between them, unlike those of a static run.
     results, basis, joints
         Link states and readings made lately, what depends on times and encoders' readings alone, and what stays the same while a
         play, a compliance or a mount is varied.
@@ -91,6 +93,7 @@ class MotionSegment:
     clear: float | None = None
     cell: float = 0.0
     encoders: tuple[np.ndarray, np.ndarray] | None = None
+    in_turn: bool = False
     results: Results = field(default_factory=Results, init=False, repr=False)
     basis: Results = field(default_factory=partial(Results, _KEPT_OF_TIMES), init=False, repr=False)
     joints: Results = field(default_factory=partial(Results, _KEPT_OF_JOINTS), init=False, repr=False)
@@ -104,8 +107,8 @@ class MotionSegment:
 
     @property
     def elapsed(self) -> np.ndarray:
-        """Time that things change with (N,) [s]; zero at poses: their times only number them, and a sensor is re-zeroed."""
-        return np.zeros_like(self.times) if self.still else self.times
+        """Time that things change with (N,) [s]; zero in a static run, before which a sensor is re-zeroed."""
+        return np.zeros_like(self.times) if self.still and not self.in_turn else self.times
 
     @property
     def at_rest(self) -> MotionSegment:
@@ -113,7 +116,8 @@ class MotionSegment:
 
         def held() -> MotionSegment:
             zero = np.zeros_like(self.positions)
-            return replace(self, velocities=zero, accelerations=zero, still=True, middle=self.middle_positions, encoders=None)
+            still = replace(self, velocities=zero, accelerations=zero, still=True, in_turn=False, encoders=None)
+            return replace(still, middle=self.middle_positions)
 
         return self.basis.get("at rest", held)
 

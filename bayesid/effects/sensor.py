@@ -65,7 +65,7 @@ class SensorOffset(_OnTop):
 class SensorDrift(_OnTop):
     name = "sensor_drift"
     summary = "bias that grows with time"
-    equation = "$w + d\\,t$, with $t$ of the table; a static run is read after re-zeroing and has none"
+    equation = "$w + d\\,t$, with $t$ of the table, which may number poses; a static run is read after re-zeroing and has none"
     quantities = tuple(Parameter(n, f"{u}/s", typical=1e-3 * o) for n, u, o in zip(WRENCH_NAMES, _LOADS, _OFFSET, strict=True))
     confusable_with = ("tether",)
 

@@ -174,9 +174,10 @@ class Fitted:
 
     def linearised(self) -> Linearised[Fitted] | None:
         """Steps towards the estimate; None where it is at the point already."""
-        problem, estimate = self.problem, self.estimate
+        problem = self.problem
         here = problem.row_model.point
         assert here is not None
+        estimate = _within_bounds(problem, here, self.estimate)
         others, now = slice(problem.row_model.base.rank, None), here.values[here.free]
         step = np.where(estimate.undetermined[others], 0.0, estimate.solution[others] - now)
         std = estimate.full_std[others]
@@ -203,11 +204,42 @@ def settled(problem: Problem) -> Problem:
     return problem if problem.row_model.point is None else _found(problem, default_method(problem)).problem
 
 
+def _bounds(problem: Problem, here: Point) -> tuple[np.ndarray, np.ndarray]:
+    """Plausible ranges of the effects' parameters that are estimated."""
+    effects = problem.row_model.effects
+    low, high = ([v for e in effects for v in getattr(e, side)] for side in ("lower", "upper"))
+    return np.array(low)[here.free], np.array(high)[here.free]
+
+
+def _within_bounds(problem: Problem, here: Point, estimate: Estimate) -> Estimate:
+    """The estimate with parameters held at a bound where they stand at one and would go beyond.
+
+    What the others become is their mean given those held, ``x + C_xh C_hh^-1 (h - x_h)``: their own steps fit those that the held
+    ones would take, and lead nowhere without them.
+    """
+    if estimate.full_covariance is None:
+        return estimate
+    rank = problem.row_model.base.rank
+    (low, high), now = _bounds(problem, here), here.values[here.free]
+    solution, covariance = estimate.solution, estimate.full_covariance
+    held = np.zeros(len(solution), bool)
+    for _ in range(len(now)):
+        out = ((now <= low) & (solution[rank:] < low)) | ((now >= high) & (solution[rank:] > high))
+        out &= ~held[rank:] & ~estimate.undetermined[rank:]
+        if not out.any():
+            break
+        held[rank:] |= out
+        at = now - estimate.solution[rank:]
+        across = covariance[:, held] @ np.linalg.pinv(covariance[np.ix_(held, held)])
+        solution = estimate.solution + across @ at[held[rank:]]
+        solution[rank:][held[rank:]] = now[held[rank:]]
+    return replace(estimate, solution=solution) if held.any() else estimate
+
+
 def _stepped(problem: Problem, here: Point, estimate: Estimate, step: np.ndarray, share: float) -> Point:
     """The point a share of the way towards the estimate, within what is plausible."""
     row_model = problem.row_model
-    low = np.array([v for e in row_model.effects for v in e.lower])[here.free]
-    high = np.array([v for e in row_model.effects for v in e.upper])[here.free]
+    low, high = _bounds(problem, here)
     # A shape that cannot be negative shrinks by steps: none jumps to its limit, where nothing moves any more.
     shape = np.array([key in e.shape for e in row_model.effects for key in e.parameters])[here.free]
     now = here.values[here.free]

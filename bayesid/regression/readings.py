@@ -71,7 +71,19 @@ def motion_segments(
         known = rest.wrench  # equation 21: free of offset and gravity
         gravity = offset = False
     table, poses = motion.table, motion.kind == "poses"
-    whole = Segment(table.times, table.positions, readings, known, index, gravity, offset, poses, table.commanded, motion.period)
+    whole = Segment(
+        table.times,
+        table.positions,
+        readings,
+        known,
+        index,
+        gravity,
+        offset,
+        poses,
+        table.commanded,
+        motion.period,
+        in_turn=poses,
+    )
     out = [whole] if poses else [whole.part(p.start, p.stop) for p in table.segments()]
     if rest is not None and rest.wrench is not None and offset:
         out.append(

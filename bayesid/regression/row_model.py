@@ -84,7 +84,7 @@ class RowModel:
         times = segment.times[first:last]
         if segment.poses:
             still = np.zeros_like(segment.positions[first:last])
-            return MotionSegment(times, segment.positions[first:last], still, still, still=True)
+            return MotionSegment(times, segment.positions[first:last], still, still, still=True, in_turn=segment.in_turn)
         if segment.rates is not None:
             return MotionSegment(times, segment.positions[first:last], *segment.rates[:, first:last])
         return replace(self.smoothed(segment, times), encoders=(times, segment.positions[first:last]))

@@ -41,6 +41,8 @@ class Segment:
         Velocities and accelerations of a planned motion (2, N, n) [rad/s or m/s, and per second]; None: positions are smoothed.
     settling
         Time that what rings needs to forget how the robot was moving when the segment starts, unless it starts at rest [s].
+    in_turn
+        As in `bayesid.effects.MotionSegment`.
     """
 
     times: np.ndarray
@@ -55,6 +57,7 @@ class Segment:
     period: float | None = None
     rates: np.ndarray | None = None
     settling: float = 0.0
+    in_turn: bool = False
 
     @property
     def count(self) -> int:

@@ -155,6 +155,7 @@ def plant_readings(
             segment.still,
             _BANDWIDTH,
             middle,
+            in_turn=segment.in_turn,
         )
         with np.errstate(all="ignore"):  # what is not finite is told below
             out[first:last] = readings(robot, channels, piece, links, terms)[first - a : last - a]

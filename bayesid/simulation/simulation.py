@@ -290,7 +290,9 @@ class _Bench:
 
     def record(self, motion: Trajectory) -> Motion:
         poses = motion.kind == "poses"
-        moving = MotionSegment(motion.times, motion.positions, motion.velocities, motion.accelerations, still=poses)
+        moving = MotionSegment(
+            motion.times, motion.positions, motion.velocities, motion.accelerations, still=poses, in_turn=poses
+        )
         table = self._table(moving, motion.name)
         static = None
         if motion.static_positions is not None:

@@ -22,7 +22,8 @@ from math import inf
 import numpy as np
 
 from bayesid.arguments import argument
-from bayesid.design.payload.body import BodyKnowledge
+from bayesid.design.payload.body import BodyKnowledge, half_interval
+from bayesid.design.payload.likelihood import along_mass, has_valley
 from bayesid.diagnosis.changes.evidence import gain
 from bayesid.diagnosis.changes.findings import Comparison
 from bayesid.diagnosis.changes.hypotheses import Hypothesis
@@ -104,8 +105,12 @@ def from_sensor(problem: Problem, estimate: Estimate, body: int) -> BodyKnowledg
     matrix = base.matrix[:, 10 * body : 10 * body + 10][told]
     assert estimate.covariance is not None
     freedom = degrees_of_freedom(problem, estimate)
-    covariance = (1.0 + _WEIGHTS / freedom) * estimate.covariance[np.ix_(told, told)]
-    return BodyKnowledge.of(matrix, estimate.values[told], covariance, freedom)
+    weights = 1.0 + _WEIGHTS / freedom
+    if has_valley(problem):
+        own = base.matrix[:, 10 * body : 10 * body + 10]
+        values, covariance = along_mass(problem, estimate, np.linalg.pinv(own)[0], half_interval(freedom), weights)
+        return BodyKnowledge.of(own, values, covariance, freedom)
+    return BodyKnowledge.of(matrix, estimate.values[told], weights * estimate.covariance[np.ix_(told, told)], freedom)
 
 
 def from_nominal(problem: Problem, estimate: Estimate, body: int, rel_std: float) -> tuple[BodyKnowledge, float]:
