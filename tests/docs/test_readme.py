@@ -260,7 +260,8 @@ def test_mistakes_of_the_page_look_as_it_says(undrawn):
         return re.sub(r"[-−]?\d[\d.e+]*", "#", text).split()
 
     made = runpy.run_path(str(DOCS / "howto" / "what_goes_wrong.py"))["page"]()
-    assert words(made) == words(BY_NAME["docs/howto/what-goes-wrong.md"].read_text(encoding="utf-8"))
+    shown = BY_NAME["docs/howto/what-goes-wrong.md"].read_text(encoding="utf-8")
+    assert words(made) == words(shown), "run python docs/howto/what_goes_wrong.py"
 
 
 def test_constraints_are_pins_without_addresses():
