@@ -13,7 +13,6 @@ import argparse
 import json
 from collections import Counter
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
 
@@ -21,6 +20,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 from scipy.stats import binomtest
 from tqdm import tqdm
+
+from bayesid.tasks import cluster, map_tasks
 
 HERE = Path(__file__).parent
 CLAIMS = ("named", "named_in_part", "ambiguous")
@@ -214,15 +215,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("sets", type=Path, nargs="+", metavar="SET")
     parser.add_argument("--only-count", action="store_true", help="make no diagnoses, count those that are there")
-    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--jobs", type=int, help="processes; default: this one")
+    parser.add_argument("--scheduler", help="address of a Dask cluster that makes the diagnoses instead")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--before", type=Path, nargs="*", default=[], metavar="SET", help="the same with older diagnoses")
     parser.add_argument("--write", action="store_true", help="renew results.json, both pictures and README.md's table")
     options = parser.parse_args()
     folders = sorted(p.parent for chosen in options.sets for p in chosen.glob("*/experiment.toml"))
     if not options.only_count:
-        with ProcessPoolExecutor(options.jobs) as pool:
-            work = pool.map(partial(diagnose_one, seed=options.seed), folders)
+        with cluster(options.jobs, options.scheduler):
+            work = map_tasks(partial(diagnose_one, seed=options.seed), folders)
             list(tqdm(work, total=len(folders), unit="case", disable=None))
     pairs = [pair for chosen in options.sets for pair in read(chosen)]
     results = judge(pairs)

@@ -14,10 +14,8 @@ import hashlib
 import sys
 import tempfile
 import warnings
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import cache
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -46,6 +44,7 @@ from bayesid.regression.problem import prepare
 from bayesid.robot import examples
 from bayesid.robot.prior import Prior
 from bayesid.robot.robot import Robot, load_robot
+from bayesid.tasks import cluster, map_tasks
 from bayesid.validation.noise_floor import noise_floor
 from tests import robots
 from tests.simulated import fourier
@@ -337,10 +336,10 @@ def run_case(name: str, count: int, processes: int) -> dict[str, np.ndarray]:
     spans = [(a, min(a + CHUNK, count)) for a in range(0, count, CHUNK)]
     files = [folder / f"{name}-{a}-{b}.npz" for a, b in spans]
     waiting = [(span, file) for span, file in zip(spans, files, strict=True) if not file.exists()]
-    with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
-        jobs = [(pool.submit(chunk, name, *span), file) for span, file in waiting]
-        for job, file in jobs:
-            np.savez(file, **job.result())
+    with cluster(processes):
+        made = map_tasks(lambda span: chunk(name, *span), [span for span, _ in waiting])
+        for (_, file), part in zip(waiting, made, strict=True):
+            np.savez(file, **part)
             print(file.name, flush=True)
     parts = [dict(np.load(file)) for file in files]
     return {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}

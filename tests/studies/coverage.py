@@ -11,8 +11,6 @@ import hashlib
 import json
 import sys
 import tempfile
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +23,7 @@ from rich.progress import track
 from scipy.stats import binom, norm
 
 import bayesid
+from bayesid.tasks import cluster, map_tasks
 from tests.studies import coverage_case
 from tests.studies.coverage_case import ARMS, FITS, WHITE, bound, fit_all, setup
 
@@ -89,14 +88,10 @@ def run(name: str, count: int, seed: int, folder: Path | None = None, processes:
     todo = [first for first in range(0, count, CHUNK) if first not in parts]
     console = Console(stderr=True)
     show = {"description": name, "total": len(todo), "console": console, "disable": not console.is_terminal}
-    if processes == 1:
-        for first in track(todo, **show):
-            keep(first, _chunk(name, seed, first, min(first + CHUNK, count)))
-    elif todo:
-        with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
-            jobs = {pool.submit(_chunk, name, seed, f, min(f + CHUNK, count)): f for f in todo}
-            for job in track(as_completed(jobs), **show):
-                keep(jobs[job], job.result())
+    with cluster(processes):
+        made = map_tasks(lambda first: _chunk(name, seed, first, min(first + CHUNK, count)), todo)
+        for first, part in zip(todo, track(made, **show), strict=True):
+            keep(first, part)
     return tuple(np.concatenate(column) for column in zip(*(parts[k] for k in sorted(parts)), strict=True))
 
 

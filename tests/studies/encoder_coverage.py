@@ -11,10 +11,8 @@ from __future__ import annotations
 import json
 import sys
 import warnings
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import cache, partial
-from multiprocessing import get_context
 from typing import Any
 
 import numpy as np
@@ -28,6 +26,7 @@ from bayesid.posterior import PosteriorModel, choose_engine
 from bayesid.recordings.experiment import Experiment, Motion, Sensor, Table
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import prepare
+from bayesid.tasks import cluster, map_tasks
 from tests.studies.coverage import LEVEL, NAMES, band
 from tests.studies.coverage_case import ARMS, DURATION, NOISE, OFFSET, RATE, links_unlike, setup
 from tests.studies.page import parsed, write_numbers, write_page
@@ -205,10 +204,10 @@ def main(arguments: list[str]) -> None:
     # Cases that are done, of this seed and size: a run that was stopped goes on where it was.
     state = given.docs / f"encoder-coverage-{given.seed}-{given.count}.part"
     results = json.loads(state.read_text(encoding="utf-8")) if state.exists() else {}
-    with ProcessPoolExecutor(given.processes, mp_context=get_context("spawn")) as pool:
+    with cluster(given.processes):
         for name in (n for n in CASES if n not in results):
             count = round(SHARE[CASES[name][0]] * given.count)
-            found = list(pool.map(partial(one, name, given.seed), range(count), chunksize=2))
+            found = list(map_tasks(partial(one, name, given.seed), range(count)))
             results[name] = summarise(*(np.array(column) for column in zip(*found, strict=True)))
             print(title(name), {fit: round(f["mean"], 3) for fit, f in results[name]["fits"].items()}, flush=True)
             state.write_text(json.dumps(results), encoding="utf-8")

@@ -7,10 +7,8 @@ Robots, motions, truth and sensor noise are those of `coverage_case`; the encode
 from __future__ import annotations
 
 import sys
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +22,7 @@ from bayesid.recordings.experiment import Experiment, Motion, Sensor, Table
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import prepare
 from bayesid.regression.readings import make_channels
+from bayesid.tasks import cluster, map_tasks
 from tests.studies.coverage import LEVEL, NAMES, band
 from tests.studies.coverage_case import DURATION, FUNDAMENTAL, NOISE, OFFSET, RATE, Setup, setup
 from tests.studies.page import STUDIES, parsed, write_numbers, write_page
@@ -127,11 +126,8 @@ def study(count: int = COUNT, seed: int = SEED, processes: int = 2, cases: tuple
     """Run everything."""
     out = {}
     for name in cases:
-        if processes == 1:
-            results = [one(name, seed, k) for k in range(count)]
-        else:
-            with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
-                results = list(pool.map(partial(one, name, seed), range(count), chunksize=4))
+        with cluster(processes):
+            results = list(map_tasks(partial(one, name, seed), range(count)))
         summary = summarise(*(np.array(column) for column in zip(*results, strict=True)))
         out[name] = {"bandwidth": chosen(name, seed), **summary}
     return {"seed": seed, "encoder_std": STD, "cases": out}

@@ -29,8 +29,8 @@ import sys
 import time
 import warnings
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +38,7 @@ import numpy as np
 from tqdm import tqdm
 
 import bayesid
+from bayesid.tasks import cluster, map_tasks
 
 DATA = Path(os.environ.get("BAYESID_DATA", "../shared"))
 BLIND = Path(__file__).resolve().parents[2] / "case_studies" / "blind_naming"
@@ -270,8 +271,8 @@ def main() -> None:
         if not chosen:
             print(f"{part}: no recordings in {DATA}")
             continue
-        with ProcessPoolExecutor(options.jobs) as pool:
-            work = pool.map(asked, chosen, [options.kept] * len(chosen))
+        with cluster(options.jobs):
+            work = map_tasks(partial(asked, kept=options.kept), chosen)
             found = dict(zip((c.name for c in chosen), tqdm(work, total=len(chosen), desc=part, disable=None), strict=True))
         older = {} if options.against is None else read(options.against, part, chosen)
         print(f"\n{part}: {len(found)} cases")

@@ -8,10 +8,8 @@ from __future__ import annotations
 
 import sys
 import tempfile
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +26,7 @@ from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import prepare, relinearised
 from bayesid.robot.robot import load_robot
 from bayesid.simulation.trajectories import Trajectory
+from bayesid.tasks import cluster, map_tasks
 from tests.design.plant import readings, recorded
 from tests.studies.coverage import NAMES
 from tests.studies.coverage_case import ARMS, setup
@@ -86,8 +85,8 @@ def study(count: int = COUNT, seed: int = SEED, processes: int = 2) -> dict[str,
     """Run everything."""
     out = {}
     for name in ARMS:
-        with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
-            parts = list(pool.map(partial(_part, name, seed), range(-(-count // _CHUNK))))
+        with cluster(processes):
+            parts = list(map_tasks(partial(_part, name, seed), range(-(-count // _CHUNK))))
         errors, stated = (np.concatenate(column) for column in zip(*parts, strict=True))
         draws, parameters = errors.shape
         ratio = np.sqrt(np.mean(errors**2, axis=0))

@@ -8,9 +8,8 @@ Recordings are those of `coverage_case`; each is fitted as it is and with what `
 from __future__ import annotations
 
 import sys
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
-from multiprocessing import get_context
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +19,7 @@ from bayesid import estimators
 from bayesid.recordings.experiment import Experiment
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import prepare
+from bayesid.tasks import cluster, map_tasks
 from tests.studies.coverage import LEVEL, NAMES, band
 from tests.studies.coverage_case import ARMS, DURATION, PAPER, record, setup
 from tests.studies.page import STUDIES, parsed, write_numbers, write_page
@@ -103,11 +103,8 @@ def _many(name: str, seed: int, indices: range) -> list[tuple[np.ndarray, ...]]:
 def run(name: str, count: int, seed: int, processes: int = 2) -> tuple[np.ndarray, ...]:
     """`fit_all` of many recordings, stacked."""
     chunks = [range(k, min(k + 10, count)) for k in range(0, count, 10)]
-    if processes == 1:
-        parts = [_many(name, seed, c) for c in chunks]
-    else:
-        with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
-            parts = [job.result() for job in [pool.submit(_many, name, seed, c) for c in chunks]]
+    with cluster(processes):
+        parts = list(map_tasks(partial(_many, name, seed), chunks))
     return tuple(np.array(column) for column in zip(*(one for part in parts for one in part), strict=True))
 
 

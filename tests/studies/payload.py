@@ -11,9 +11,8 @@ from __future__ import annotations
 
 import sys
 import tempfile
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
-from multiprocessing import get_context
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +26,7 @@ from bayesid.dynamics.regressors import dynamics_regressor
 from bayesid.recordings.experiment import Experiment, Sensor
 from bayesid.robot import inertia
 from bayesid.simulation.trajectories import Trajectory
+from bayesid.tasks import cluster, map_tasks
 from tests import robots
 from tests.studies.page import STUDIES, parsed, write_numbers, write_page
 
@@ -174,10 +174,8 @@ def judge(index: int, seed: int) -> dict[str, Any]:
 
 def run(count: int, seed: int, processes: int) -> list[dict[str, Any]]:
     """`judge` of many recordings."""
-    if processes == 1:
-        return [judge(k, seed) for k in range(count)]
-    with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
-        return list(pool.map(judge, range(count), [seed] * count, chunksize=4))
+    with cluster(processes):
+        return list(map_tasks(partial(judge, seed=seed), range(count)))
 
 
 def summarise(found: list[dict[str, Any]]) -> dict[str, Any]:

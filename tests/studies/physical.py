@@ -12,9 +12,7 @@ from __future__ import annotations
 import argparse
 import sys
 import tempfile
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +29,7 @@ from bayesid.regression.problem import prepare
 from bayesid.robot.inertia import from_mass_com_inertia, is_physically_consistent
 from bayesid.robot.robot import load_robot
 from bayesid.simulation.simulation import perturbed_links
+from bayesid.tasks import cluster, map_tasks
 from tests.robots import ROBOTS, write
 from tests.simulated import Motion, experiment, fourier, recording
 from tests.studies import page
@@ -191,9 +190,9 @@ def main(arguments: list[str]) -> None:
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--docs", type=Path, default=ROOT / "docs" / "studies" / "physical", help="where the page is written")
     given = parser.parse_args(arguments)
-    with ProcessPoolExecutor(given.processes, mp_context=get_context("spawn")) as pool:
-        jobs = [pool.submit(study, *case, given.runs, given.seed + 10_000 * k) for k, case in enumerate(CASES)]
-        cases = [job.result() for job in jobs]
+    with cluster(given.processes):
+        seeds = [given.seed + 10_000 * k for k in range(len(CASES))]
+        cases = list(map_tasks(lambda job: study(*job[0], given.runs, job[1]), zip(CASES, seeds, strict=True)))
     given.docs.mkdir(parents=True, exist_ok=True)
     write_page({"seed": given.seed, "runs": given.runs, "cases": cases}, given.docs)
 

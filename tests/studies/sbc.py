@@ -15,10 +15,8 @@ import hashlib
 import json
 import sys
 import tempfile
-from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from functools import cache
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +36,7 @@ from bayesid.robot import inertia
 from bayesid.robot.prior import Prior
 from bayesid.robot.robot import load_robot
 from bayesid.signals.noise import NoiseModel
+from bayesid.tasks import cluster, map_tasks
 from tests import robots
 
 SEED = 20_260_301
@@ -234,14 +233,10 @@ def run(name: str, runs: int, seed: int, folder: Path | None = None, processes: 
 
     console = Console(stderr=True)
     show: dict[str, Any] = {"description": name, "total": len(todo), "console": console, "disable": not console.is_terminal}
-    if processes == 1:
-        for first in track(todo, **show):
-            keep(first, _chunk(name, seed, first, min(first + CHUNK, runs)))
-    elif todo:
-        with ProcessPoolExecutor(processes, mp_context=get_context("spawn")) as pool:
-            jobs = {pool.submit(_chunk, name, seed, f, min(f + CHUNK, runs)): f for f in todo}
-            for job in track(as_completed(jobs), **show):
-                keep(jobs[job], job.result())
+    with cluster(processes):
+        made = map_tasks(lambda first: _chunk(name, seed, first, min(first + CHUNK, runs)), todo)
+        for first, part in zip(todo, track(made, **show), strict=True):
+            keep(first, part)
     return np.concatenate([parts[k] for k in sorted(parts)])
 
 

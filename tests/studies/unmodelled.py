@@ -16,8 +16,7 @@ import os
 import sys
 import warnings
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from multiprocessing import get_context
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +25,7 @@ from rich.progress import track
 from scipy.stats import norm
 
 import bayesid
+from bayesid.tasks import cluster, map_tasks
 
 ROOT = Path(__file__).resolve().parents[2]
 # At the end: another revision of bayesid on the path stays before this one, in the processes started, too.
@@ -193,11 +193,11 @@ def main() -> None:
     store = options.store or options.work / "fits.json"
     made = json.loads(store.read_text(encoding="utf-8")) if store.exists() else {}
     todo = [a for a in answers[: options.count] if a["case"] not in made]
-    with ProcessPoolExecutor(options.processes, mp_context=get_context("spawn")) as pool:
-        jobs = {pool.submit(fitted, options.work, answer): answer["case"] for answer in todo}
-        for done, job in enumerate(track(as_completed(jobs), "fits", len(jobs)), 1):
-            made[jobs[job]] = job.result()
-            if done % 10 == 0 or done == len(jobs):
+    with cluster(options.processes):
+        fits = track(map_tasks(partial(fitted, options.work), todo), "fits", len(todo))
+        for done, (answer, found) in enumerate(zip(todo, fits, strict=True), 1):
+            made[answer["case"]] = found
+            if done % 10 == 0 or done == len(todo):
                 draft = store.with_suffix(".part")
                 draft.write_text(json.dumps(made), encoding="utf-8")
                 draft.replace(store)
