@@ -78,10 +78,10 @@ def laid_out(text: str, width: int, numbered: Sequence[str] | None = None, *, co
                 after = len(out) + len(new)
             else:
                 new = wrapped(line, width)
-                head = re.match(r"^[a-z ]+:(?= \S*[/\\]\S*$)", line)
+                head = re.match(r"^[a-z ]+:(?= \S+$)", line)
                 if colour and head:
                     new[0] = _coloured(new[0], head[0], "green")
-                elif colour and not out:
+                elif colour and not out and not line.startswith(" "):
                     new = [click.style(each, bold=True) for each in new]
             out += new
     if shortened:
@@ -96,7 +96,8 @@ def wrapped(line: str, width: int) -> list[str]:
     """A line of words in lines of a width, those that follow with a deeper indent."""
     indent = len(line) - len(line.lstrip())
     deeper = " " * (indent + 2)
-    held = line.strip().replace(" %", "\u00a0%").replace(" ± ", "\u00a0±\u00a0")  # a number stays with its sign
+    # A number stays with its unit or sign.
+    held = re.sub(r"(?<=\d) (?=[^\W\d]|%)", "\u00a0", line.strip()).replace(" ± ", "\u00a0±\u00a0")
     lines = textwrap.wrap(
         held, width, initial_indent=" " * indent, subsequent_indent=deeper, break_long_words=False, break_on_hyphens=False
     )

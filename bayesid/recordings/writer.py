@@ -33,9 +33,16 @@ def write_experiment(experiment: Experiment, folder: str | Path, extra: Mapping[
     Raises
     ------
     InputError
-        The folder has something in it, is a file, or cannot be written.
+        The folder has something in it, is a file, or cannot be written; or a motion is read in chunks, of which only an excerpt
+        is in memory.
     """
     folder = Path(folder)
+    for motion in experiment.motions:
+        if motion.stored is not None:
+            raise InputError(
+                f"motion '{motion.name}': {motion.table.source} is read in chunks and not written again; "
+                "copy the folder that it is in"
+            )
     try:
         if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
             raise InputError(f"{folder}: is there already; name a folder that does not exist or remove it first")

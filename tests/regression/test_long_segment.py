@@ -152,6 +152,8 @@ def test_what_cannot_be_read_in_chunks_is_refused(folder, small):
         with pytest.raises(InputError, match=said):
             load_experiment(folder)
     (folder / "experiment.toml").write_text(toml)
+    with pytest.raises(InputError, match="copy the folder"):
+        write_experiment(load(folder, "true"), folder / "again")
     for method in ("tls", "iv"):
         with pytest.raises(InputError, match="is read in chunks"):
             bayesid.identify(load(folder, "true"), "torque", method)
