@@ -178,7 +178,7 @@ def _without_shapes(mujoco: Any, spec: Any) -> Any:
     shaped = [body for body in spec.bodies if len(body.geoms)]
     if spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE:
         return None
-    if any(not body.explicitinertial for body in shaped if body is not spec.worldbody):
+    if any(not body.explicitinertial for body in shaped if body.name != "world"):
         return None
     parts = (spec.sensors, spec.pairs, spec.skins, spec.geoms, spec.meshes, spec.hfields, spec.materials, spec.textures)
     try:
@@ -224,7 +224,7 @@ def _as_urdf(mujoco: Any, model: Any, names: Sequence[str], name: str) -> ET.Ele
     links = [model.body(b).name or unique(f"body{b}") for b in range(model.nbody)]
     links[0] = "world"
     anchors = np.zeros((model.nbody, 3))  # of each link's frame in its body's
-    follows = _followed(mujoco, model, names)
+    follows, efforts = _followed(mujoco, model, names), _efforts(mujoco, model)
     ET.SubElement(root, "link", name="world")
     for b in range(1, model.nbody):
         up = int(model.body_parentid[b])
@@ -241,7 +241,7 @@ def _as_urdf(mujoco: Any, model: Any, names: Sequence[str], name: str) -> ET.Ele
             child = links[b] if j == moving[-1] else unique(f"{names[j]}_link")
             element = _joint(root, names[j], "prismatic" if slides else "continuous", parent, child, at, turn)
             ET.SubElement(element, "axis", xyz=_text(axis))
-            _limit(element, model, j, slides)
+            _limit(element, model, j, slides, efforts[j])
             if names[j] in follows:
                 ET.SubElement(element, "mimic", joint=follows[names[j]])
             if j != moving[-1]:
@@ -269,14 +269,24 @@ def _joint(root: ET.Element, name: str, kind: str, parent: str, child: str, at: 
     return element
 
 
-def _limit(joint: ET.Element, model: Any, j: int, slides: bool) -> None:
+def _limit(joint: ET.Element, model: Any, j: int, slides: bool, effort: float) -> None:
     """Limits; zeros where there are none, as URDF has it."""
     limited = bool(model.jnt_limited[j])
     lower, upper = model.jnt_range[j] if limited else (0.0, 0.0)
-    effort = np.abs(model.jnt_actfrcrange[j]).max() if model.jnt_actfrclimited[j] else 0.0
     if limited and not slides:
         joint.set("type", "revolute")
     ET.SubElement(joint, "limit", lower=_text(lower), upper=_text(upper), velocity="0", effort=_text(effort))
+
+
+def _efforts(mujoco: Any, model: Any) -> np.ndarray:
+    """Largest torque or force of each joint, of the joint's own range and of its motor's at its gear; 0 for none (n,)."""
+    out = np.where(model.jnt_actfrclimited, np.abs(model.jnt_actfrcrange).max(axis=1), 0.0)
+    for k in range(model.nu):
+        if model.actuator_forcelimited[k] and model.actuator_trntype[k] == mujoco.mjtTrn.mjTRN_JOINT:
+            joint = int(model.actuator_trnid[k, 0])
+            own = abs(float(model.actuator_gear[k, 0])) * float(np.abs(model.actuator_forcerange[k]).max())
+            out[joint] = min(own, out[joint] or own)
+    return out
 
 
 def _followed(mujoco: Any, model: Any, names: Sequence[str]) -> dict[str, str]:

@@ -134,6 +134,14 @@ def test_what_is_inside_joints_becomes_effects_of_the_model(tmp_path):
     assert values == {**stated, "rotor_inertia@joint1": {"inertia": 0.02}, "rotor_inertia@joint3": {"inertia": 0.02}}
 
 
+def test_motors_limit_efforts_by_their_gears(tmp_path):
+    more = '<motor joint="pan" gear="10" forcerange="-2 3"/><motor joint="body_joint3" forcerange="-40 40"/>'
+    text = ODD.replace("</mujoco>", f"<actuator>{more}</actuator></mujoco>").replace(
+        '<joint type="slide"', '<joint name="body_joint3" type="slide"'
+    )
+    np.testing.assert_allclose(load_robot(written(tmp_path, text)).effort_limit, [30.0, np.inf, np.inf, 9.0])
+
+
 def test_armature_and_damping_of_motors_count_with_their_gears(tmp_path):
     text = ODD.replace("</mujoco>", '<actuator><motor joint="pan" gear="10" armature="0.01" damping="0.02"/></actuator></mujoco>')
     path = written(tmp_path, text)
@@ -195,7 +203,7 @@ def test_an_experiment_folder_names_an_mjcf_or_leaves_its_friction_out(tmp_path)
 
 
 def test_a_file_without_its_meshes_is_read_where_they_only_draw(tmp_path):
-    mesh = '<asset><mesh name="m" file="there_is_none.stl"/></asset><worldbody>'
+    mesh = '<asset><mesh name="m" file="there_is_none.stl"/></asset><worldbody><geom type="plane" size="1 1 1"/>'
     inertial = '<inertial pos="0 0 0.1" mass="2" diaginertia="0.1 0.1 0.1"/>'
     body = '<body name="one"><joint name="a" axis="0 1 0"/>{}<geom type="mesh" mesh="m"/></body></worldbody></mujoco>'
     path = written(tmp_path, "<mujoco>" + mesh + body.format(inertial))
