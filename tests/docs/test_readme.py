@@ -187,6 +187,14 @@ def test_links_point_at_files(page):
             assert anchor in known, f"{page.name}: {target}"
 
 
+@pytest.mark.parametrize("folder", ["howto", "notebooks", "explanation", "reference", "studies"])
+def test_every_page_is_in_the_index_of_its_folder(folder):
+    """The site's order of pages follows from these links; a page without one would stop ``make docs``."""
+    index = DOCS / folder / "index.md"
+    linked = {(index.parent / target).resolve() for target in _LINK.findall(index.read_text(encoding="utf-8"))}
+    assert set(index.parent.rglob("*.md")) - {index} <= linked
+
+
 def test_every_cited_source_is_listed():
     """Keys that docstrings and pages cite stand in docs/reference/references.md."""
     text = (DOCS / "reference" / "references.md").read_text(encoding="utf-8")
