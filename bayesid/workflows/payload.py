@@ -369,7 +369,8 @@ def _next_sentence(more: NextPoses) -> str:
         return f"{len(more.positions)} more poses would bring ± {mass} kg and ± {centre} mm, not the {wanted} asked for."
     return (
         f"{len(more.positions)} more poses ({NEXT_POSES}) are expected to bring ± {mass} kg and ± {centre} mm. They keep to the "
-        "joints' limits; check them for collisions."
+        f"joints' limits{' and the robot off itself' if more.apart else ''}; check them for collisions with "
+        f"{'the tool, its cable and the surroundings' if more.apart else 'all else: the URDF has no collision geometry'}."
     )
 
 

@@ -35,8 +35,9 @@ SEED = 20_261_127
 COUNT = 500
 #: How many times as large a fault is as the smallest that could be told.
 TIMES = 3.0
+Faults = dict[str, tuple[dict[str, float], float]]
 #: Faults at a small size, and how many times that is the most that a fault may be: larger ones are seen by eye.
-FAULTS: dict[str, tuple[dict[str, float], float]] = {
+FAULTS: Faults = {
     "sensor_gain@{axis}": ({"gain": 0.01}, 30.0),
     "sensor_crosstalk@{axis}->{other}": ({"coefficient": 0.002}, 100.0),
     "sensor_rotation@sensor": ({"rx": 0.006, "ry": -0.005, "rz": 0.007}, 30.0),
@@ -64,8 +65,8 @@ class Case:
         Of the sensor (6,).
     kind
         ``poses`` or ``motion``.
-    fault, times
-        ``name@where``, empty without one, and its size in smallest visible ones.
+    fault, times, values
+        ``name@where``, empty without one, its size in smallest visible ones, and its parameters.
     """
 
     simulation: Experiment
@@ -74,10 +75,11 @@ class Case:
     kind: str
     fault: str
     times: float
+    values: dict[str, float]
 
 
-def draw(index: int, seed: int, folder: Path) -> Case:
-    """The recording of a number."""
+def draw(index: int, seed: int, folder: Path, faults: Faults = FAULTS) -> Case:
+    """The recording of a number, with one of some faults where the number is odd."""
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(index,)))
     robot = bayesid.load_robot(robots.write(folder, robots.wrist_sensor_arm()), sensor_joint="wrist_ft")
     body = _tool(rng)
@@ -96,11 +98,19 @@ def draw(index: int, seed: int, folder: Path) -> Case:
     effects: dict[str, dict[str, float]] = {"sensor_offset": dict(zip(WRENCH_NAMES, offset.tolist(), strict=True))}
     fault, times = "", 0.0
     if index % 2:
-        fault, values, times = _fault(rng, setup, links, path, recorder)
+        fault, values, times = _fault(rng, faults, setup, links, path, recorder)
         effects[fault] = values
     made = bayesid.simulate(setup, [path], effects=effects, links=links, recorder=recorder, seed=int(rng.integers(1 << 30)))
     assert made.sensor is not None  # what a data sheet says is not told
-    return Case(replace(made, sensor=replace(made.sensor, force_std=None, torque_std=None)), body, offset, kind, fault, times)
+    return Case(
+        replace(made, sensor=replace(made.sensor, force_std=None, torque_std=None)),
+        body,
+        offset,
+        kind,
+        fault,
+        times,
+        effects.get(fault, {}),
+    )
 
 
 def _tool(rng: np.random.Generator) -> np.ndarray:
@@ -114,12 +124,13 @@ def _tool(rng: np.random.Generator) -> np.ndarray:
     return inertia.from_mass_com_inertia(mass, centre, np.trace(second) * np.eye(3) - second)
 
 
-def _fault(rng, setup, links, path, recorder) -> tuple[str, dict[str, float], float]:
+def _fault(rng, faults, setup, links, path, recorder) -> tuple[str, dict[str, float], float]:
     """A fault with its values, and how many times as large as the smallest visible one it is."""
-    pattern = list(FAULTS)[int(rng.integers(len(FAULTS)))]
+    kinds = [f for f in faults if path.kind != "poses" or "delay" not in f]
+    pattern = kinds[int(rng.integers(len(kinds)))]
     axis, other = rng.choice(6, 2, replace=False)
     spec = pattern.format(axis=WRENCH_NAMES[axis], other=WRENCH_NAMES[other])
-    values, most = FAULTS[pattern]
+    values, most = faults[pattern]
     one = size_of(spec, values, setup, links, path, recorder)
     times = TIMES / max(one, 1e-9)
     scale = min(times, most)
@@ -252,7 +263,7 @@ With no fault hidden something is named in {{ pct(named_without) }} % of the rec
 {{ pct(g.plain_coverage_mean) }} % | {{ pct(g.shown) }} % |
 {% endfor %}
 
-A cable pulls much as weight does: with it in the model poses often leave the mass open, and then it is not shown.
+A cable pulls much as weight does: with it in the model the interval is that of the profile likelihood, as wide as poses leave it.
 Faults smaller than that size, {{ smaller }} here, count in the first table alone.
 """
 

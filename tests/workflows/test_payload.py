@@ -191,6 +191,29 @@ def test_poses_to_record_next_reach_what_is_asked(wrist, tmp_path):
         bayesid.payload(few, target=(0.0, 1.0), diagnosis=False)
 
 
+def test_poses_to_record_next_keep_the_robot_off_itself(tmp_path):
+    """A ball of 25 cm at the base and one of 10 cm in the hand: their distance by Pinocchio's kinematics."""
+    text = wrist_sensor_arm()
+    for link, radius in (("base_link", 0.25), ("sensor_plate", 0.1)):
+        ball = f'<collision><geometry><sphere radius="{radius}"/></geometry></collision>'
+        text = text.replace(f'<link name="{link}">', f'<link name="{link}">{ball}')
+    arm = experiment(bayesid.load_robot(write(tmp_path, text), sensor_joint="wrist_ft"), [], POSE)
+    few = bayesid.simulate(arm, poses(arm.robot, 12, seed=4), effects=OFFSET, recorder=NOISE, seed=4)
+    result = bayesid.payload(few, target=(1e-4, 1e-5), diagnosis=False)
+    assert result.more.apart and len(result.more.positions) == 100 and "the robot off itself" not in str(result)
+    model = pin.buildModelFromUrdf(str(arm.robot.urdf))
+    data = model.createData()
+
+    def apart(q: np.ndarray) -> float:
+        pin.framesForwardKinematics(model, data, q)
+        return float(np.linalg.norm(data.oMf[model.getFrameId("sensor_plate")].translation)) - 0.35
+
+    assert min(apart(q) for q in result.more.positions) >= 0.02 - 1e-9
+    assert min(apart(t) for t in np.random.default_rng(0).uniform(-3.0, 3.0, (200, arm.robot.n))) < 0.0
+    reached = bayesid.payload(few, target=(0.0025, 0.0002), diagnosis=False)
+    assert "and the robot off itself" in str(reached) and (np.abs(reached.more.positions) <= np.pi).all()
+
+
 def test_poses_that_never_turn_do_not_show_the_mass(wrist):
     q = np.zeros((12, wrist.robot.n)) + 0.2
     q[:, 0] = np.linspace(-1.0, 1.0, 12)  # about the vertical

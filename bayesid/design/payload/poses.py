@@ -6,6 +6,9 @@ With Sigma the covariance of all that was estimated and rows X of a pose in unit
 
 Poses are added one by one, each the one that makes the sum of the variances of mass and centre of mass, in units of the squares
 of what is wanted of them, smallest [Fedorov1972]_.
+
+Poses to choose from are within the joints' limits, and keep the robot's bodies apart where its URDF says what shape they have.
+The tool, its cable and the surroundings, which it does not hold, are not looked at.
 """
 
 from __future__ import annotations
@@ -15,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesid.arguments import argument
+from bayesid.design.excitation.collision import clearance
 from bayesid.design.payload.body import BodyKnowledge
 from bayesid.design.payload.knowledge import degrees_of_freedom
 from bayesid.errors import InputError
@@ -25,6 +29,8 @@ from bayesid.robot.limits import motion_limits
 
 #: Poses to choose from, and the most that are proposed.
 _CANDIDATES, _MOST = 200, 100
+#: Least distance of the robot's bodies [m], and how many positions are tried for each one that keeps it.
+_APART, _TRIED = 0.02, 10
 #: Variance of what is not determined yet, relative to the largest that is.
 _OPEN = 1e6
 
@@ -43,16 +49,19 @@ class NextPoses:
         Those expected once these poses are recorded, too.
     reached
         Whether these poses suffice.
+    apart
+        Whether the robot's own bodies were kept apart; not where its URDF has no shapes of bodies that could meet.
     """
 
     positions: np.ndarray
     wanted: tuple[float, float]
     expected: tuple[float, float]
     reached: bool
+    apart: bool
 
 
 def next_poses(problem: Problem, estimate: Estimate, body: int, wanted: tuple[float, float], seed: int = 0) -> NextPoses:
-    """Choose poses within the joints' limits; collisions are not looked for.
+    """Choose poses within the joints' limits in which the robot does not touch itself.
 
     Parameters
     ----------
@@ -68,7 +77,7 @@ def next_poses(problem: Problem, estimate: Estimate, body: int, wanted: tuple[fl
     Raises
     ------
     InputError
-        What is wanted is no accuracy.
+        What is wanted is no accuracy, or hardly any position keeps the robot's bodies apart.
     """
     if len(wanted) != 2 or not all(np.isfinite(w) and w > 0.0 for w in wanted):
         raise InputError(
@@ -78,7 +87,20 @@ def next_poses(problem: Problem, estimate: Estimate, body: int, wanted: tuple[fl
     lower, upper, _ = motion_limits(robot)
     # A full turn each way at most: what is beyond is the same pose again.
     lower, upper = np.maximum(lower, -np.pi), np.minimum(upper, np.pi)
-    q = np.random.default_rng(seed).uniform(lower, upper, (_CANDIDATES, robot.n))
+    rng, q = np.random.default_rng(seed), np.zeros((0, robot.n))
+    bodies, _ = clearance(robot, problem.experiment.locked, _APART, seed=seed)
+    for _ in range(_TRIED):
+        more = rng.uniform(lower, upper, (_CANDIDATES, robot.n))
+        if bodies is not None:
+            more = more[(bodies.distances(more) >= bodies.margins).all(axis=1)]
+        q = np.concatenate([q, more])[:_CANDIDATES]
+        if len(q) == _CANDIDATES:
+            break
+    if not len(q):
+        raise InputError(
+            f"{argument('target', list(wanted))}: no pose within the joints' limits keeps the robot's bodies {1e3 * _APART:.0f} "
+            "mm apart; is the collision geometry of the URDF right?"
+        )
     read = np.zeros((len(q), len(model.channels.names)))
     rows = model.samples(Segment(np.arange(float(len(q))), q, read, read[0], 0, poses=True), 0, len(q))[:, :, :-1]
     noise = estimate.noise.get("poses") or next(iter(estimate.noise.values()))
@@ -103,7 +125,7 @@ def next_poses(problem: Problem, estimate: Estimate, body: int, wanted: tuple[fl
         best = int(np.argmax(gain))
         covariance = covariance - along[best] @ np.linalg.solve(inner[best], along[best].T)
         taken.append(best)
-    return NextPoses(q[taken], wanted, now, _reached(now, wanted))
+    return NextPoses(q[taken], wanted, now, _reached(now, wanted), bodies is not None)
 
 
 def _reached(now: tuple[float, float], wanted: tuple[float, float]) -> bool:
