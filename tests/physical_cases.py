@@ -87,3 +87,14 @@ def random_case(
 
 
 __all__ = ["Arm", "arm", "flat_bodies", "random_case"]
+
+
+def possible_draw(prior, rng):
+    """Links from a prior, body by body until one can exist."""
+    links = prior.mean.copy()
+    for body in map(list, prior.bodies):
+        root = np.linalg.cholesky(np.linalg.inv(prior.precision[np.ix_(body, body)]))
+        links[body] = prior.mean[body] + root @ rng.normal(size=10)
+        while np.linalg.eigvalsh(inertia.pseudo_inertia(links[body]))[0] <= 0:
+            links[body] = prior.mean[body] + root @ rng.normal(size=10)
+    return links

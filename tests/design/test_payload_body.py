@@ -113,3 +113,17 @@ def test_models_that_cannot_be_told_apart_share_an_interval():
     one, other = (BodyKnowledge(BODY * f, np.diag(SIZES**2)).mass for f in (1.0, 1.1))
     both = one.joined((other,))
     assert both.value == one.value and (both.low, both.high) == (one.low, other.high) and both.shown
+
+
+def test_a_mass_about_zero_has_a_nearest_body_that_can_exist():
+    """As joint torques tell it of a light tool: -0.04 +- 0.11 kg, and a first moment that no such mass could have."""
+    mean = np.array([-0.041, -0.0026, 0.0046, 0.0123, 3.3e-4, 1e-4, -7e-4, 8e-5, -4e-4, -2.7e-4])
+    std = np.array([0.113, 6e-4, 6e-4, 1.5e-3, 1.2e-3, 5e-4, 1.2e-3, 7e-4, 6e-4, 8e-4])
+    found = BodyKnowledge(mean, np.diag(std**2)).possible.mean
+    assert np.linalg.eigvalsh(inertia.pseudo_inertia(found))[0] > -1e-6
+    # No farther than any body of a family that can exist: points of some mass where its first moment says.
+    away = np.sum(((found - mean) / std) ** 2)
+    for mass in np.linspace(0.02, 0.4, 40):
+        h = mean[1:4]
+        point = np.array([mass, *h, *((h @ h) * np.eye(3) - np.outer(h, h))[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]] / mass])
+        assert away <= np.sum(((point - mean) / std) ** 2) + 1e-6

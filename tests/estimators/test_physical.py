@@ -29,7 +29,7 @@ from bayesid.robot.prior import Prior
 from bayesid.robot.robot import load_robot
 from bayesid.simulation.simulation import perturbed_links
 from bayesid.workflows.identify import identify
-from tests.physical_cases import arm, random_case
+from tests.physical_cases import arm, possible_draw, random_case
 from tests.robots import ROBOTS, write
 from tests.simulated import Motion, experiment, fourier, recording
 from tests.studies import encoder_coverage
@@ -75,17 +75,6 @@ def simulated(folder, name="ur5", *, seed=0, rel=0.0, std=0.02, trust=None, reso
     table = recording(robot, None, fourier(robot, seed), torque_std=std, resolution=resolution, phi=truth, seed=seed)
     made = experiment(robot, [Motion("a", "identification", table)], inertia_rel_std=trust)
     return robot, truth, made
-
-
-def possible_draw(prior, rng):
-    """Links from a prior, body by body until one can exist."""
-    links = prior.mean.copy()
-    for body in map(list, prior.bodies):
-        root = np.linalg.cholesky(np.linalg.inv(prior.precision[np.ix_(body, body)]))
-        links[body] = prior.mean[body] + root @ rng.normal(size=10)
-        while np.linalg.eigvalsh(inertia.pseudo_inertia(links[body]))[0] <= 0:
-            links[body] = prior.mean[body] + root @ rng.normal(size=10)
-    return links
 
 
 @pytest.mark.parametrize("weights", ["channel", "noise"])

@@ -82,7 +82,7 @@ def draw(index: int, seed: int, folder: Path, faults: Faults = FAULTS) -> Case:
     """The recording of a number, with one of some faults where the number is odd."""
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(index,)))
     robot = bayesid.load_robot(robots.write(folder, robots.wrist_sensor_arm()), sensor_joint="wrist_ft")
-    body = _tool(rng)
+    body = tool(rng)
     links = robot.nominal.copy()
     links[6] = body
     force = 10.0 ** rng.uniform(np.log10(0.02), np.log10(0.3))
@@ -113,7 +113,7 @@ def draw(index: int, seed: int, folder: Path, faults: Faults = FAULTS) -> Case:
     )
 
 
-def _tool(rng: np.random.Generator) -> np.ndarray:
+def tool(rng: np.random.Generator) -> np.ndarray:
     """A body of 0.1 to 5 kg, larger the heavier it is, with a random inertia, its middle up to 0.2 m off."""
     mass = 10.0 ** rng.uniform(-1.0, np.log10(5.0))
     radius = 0.08 * mass ** (1.0 / 3.0) * rng.uniform(0.7, 1.4)

@@ -167,7 +167,7 @@ class BodyKnowledge:
             return self
         size = np.sqrt(np.diag(self.covariance))
         factor = np.linalg.cholesky(np.linalg.inv(self.covariance / np.outer(size, size))).T / size
-        around = np.maximum(self.mean, [1e-6, *(-inf,) * 9])
+        around = np.maximum(self.mean, [size[0], *(-inf,) * 9])  # constraints are scaled by a body that the data do not exclude
         problem = Conic(factor, self.mean, (tuple(range(10)),), inertia.solid(around)[None])
         return replace(self, mean=solve_conic(problem).x)
 
