@@ -1,0 +1,168 @@
+"""What a diagnosis finds where friction is left out of the model, beside friction models put in by hand.
+
+Run from the root of the repository, with the recordings where ``BAYESID_DATA`` says (default ``../shared``)::
+
+    python -m tests.studies.friction_left_out [--only NAME] [--disturbed 3] [--docs FOLDER]
+
+Joint torques of real robots, ``[model] effects`` emptied. The error is that of `bayesid.identify` with the effects that were
+found, or that were put in at all joints, on a motion that was not fitted (below 10 Hz, error norm over signal norm of all
+channels). With ``--disturbed N`` the readings and positions are changed in the ninth digit and diagnosed again, N times: which
+names stay? Writes docs/studies/friction-left-out.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import time
+import warnings
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+import bayesid
+from bayesid.recordings.experiment import Experiment
+from bayesid.validation.prediction import predict_elsewhere
+from tests.studies.page import STUDIES, plain, table, write_numbers, write_page
+
+DATA = Path(os.environ.get("BAYESID_DATA", "../shared")) / "data"
+#: Recordings with a motion to predict of their own, and recordings of one robot, each judged on the next.
+ALONE = ("kuka-lwr4", "tx40", "ur10")
+SERIES = ("ur10e/before", "ur10e/feb05-20s-12h", "ur10e/feb05-20s-8h", "ur10e/feb06-20s-10h", "ur10e/feb06-20s-5h")
+#: Friction models put in at all joints.
+BY_HAND = {
+    "viscous, Coulomb": ("viscous_friction", "coulomb_friction"),
+    "and an offset": ("viscous_friction", "coulomb_friction", "torque_offset"),
+    "viscous, Dahl, offset": ("viscous_friction", "dahl_friction", "torque_offset"),
+    "viscous, Stribeck, offset": ("viscous_friction", "stribeck_friction", "torque_offset"),
+}
+#: How much positions and readings are changed, relative to their largest.
+NINTH_DIGIT = 1e-9
+
+PAGE = """# Friction left out
+
+<!-- Written by tests/studies/friction_left_out.py. -->
+
+Joint torques of real robots, with friction left out of the model: what `bayesid diagnose` finds by itself, beside four friction
+models put in at all joints by hand. Error on a motion that was not fitted, by `identify` with those effects.
+
+{{ errors }}
+
+The diagnosed model predicts better than, or within 5 % of, the best of the four by hand in {{ good }} of {{ count }} recordings.
+{% if names %}
+
+## Are the names the same for data changed in the ninth digit?
+
+Positions and torques are changed at random by {{ digit }} of their largest, and diagnosed again. A name stays if it comes in
+every run; in brackets the share of the gap that opens again without it, of those that do not.
+
+{{ names }}
+{% endif %}
+"""
+
+
+def cases() -> Iterator[tuple[str, Experiment, Experiment | None]]:
+    """Name, recording without effects, and the recording that it is judged on, None for one of its own motions."""
+    for name in ALONE:
+        if (DATA / name).is_dir():
+            yield name, _bare(name), None
+    for name, judge in zip(SERIES, (*SERIES[1:], SERIES[0]), strict=True):
+        if (DATA / name).is_dir() and (DATA / judge).is_dir():
+            yield name, _bare(name), _bare(judge)
+
+
+def _bare(name: str) -> Experiment:
+    return replace(bayesid.load_experiment(DATA / name), effects=(), effect_values={})
+
+
+def error(experiment: Experiment, judge: Experiment | None) -> float:
+    """On motions that were not fitted, norms of error and signal of all of them together."""
+    found = bayesid.identify(experiment, channel="torque", progress=None)
+    judged = found.validation if judge is None else predict_elsewhere(found.problem, found.estimate, judge)
+    return float(np.mean([p.relative_error for p in judged]))
+
+
+def disturbed(experiment: Experiment, seed: int) -> Experiment:
+    """The recording changed in the ninth digit."""
+    rng = np.random.default_rng(seed)
+
+    def changed(values: np.ndarray) -> np.ndarray:
+        return values + NINTH_DIGIT * np.abs(values).max() * rng.normal(size=values.shape)
+
+    return replace(
+        experiment,
+        motions=tuple(
+            replace(m, table=replace(m.table, positions=changed(m.table.positions), torques=changed(m.table.torques)))
+            for m in experiment.motions
+        ),
+    )
+
+
+def judge(experiment: Experiment, other: Experiment | None, runs: int) -> dict[str, Any]:
+    """Errors of the bare model, of those by hand and of the diagnosed one; what is named, also of disturbed data."""
+    out: dict[str, Any] = {"bare": error(experiment, other)}
+    out["by_hand"] = {name: error(replace(experiment, effects=effects), other) for name, effects in BY_HAND.items()}
+    since = time.process_time()
+    found = bayesid.diagnose(experiment, channel="torque", progress=None)
+    out["seconds"] = time.process_time() - since
+    effects, values = found.model
+    out["verdict"], out["diagnosed"] = found.verdict, error(replace(experiment, effects=effects, effect_values=values), other)
+    shares = () if found.part is None else found.part.shares
+    named = [f.term.effect.spec for f in found.found]
+    out["named"] = {spec: shares[k].share if k < len(shares) else None for k, spec in enumerate(named)}
+    again = [bayesid.diagnose(disturbed(experiment, seed), channel="torque", progress=None) for seed in range(runs)]
+    out["again"] = [sorted(f.term.effect.spec for f in d.found) for d in again]
+    return out
+
+
+def write(found: dict[str, dict[str, Any]], folder: Path) -> None:
+    """The page and its numbers."""
+    folder.mkdir(parents=True, exist_ok=True)
+    found = write_numbers(found, folder / "results.json", 4)
+    good, errors, names = 0, [], []
+    for name, f in found.items():
+        best = min(f["by_hand"].values())
+        good += f["diagnosed"] <= 1.05 * best
+        cells = [f["bare"], *f["by_hand"].values(), f["diagnosed"]]
+        numbers = " | ".join(f"{100 * c:.1f} %" for c in cells)
+        errors.append(f"| {name} | {numbers} | {f['verdict'].replace('_', ' ')} | {len(f['named'])} | {f['seconds']:.0f} s |")
+        if f["again"]:
+            every = set(f["named"]).intersection(*f["again"])
+            lost = [
+                spec if share is None else f"{spec} ({100 * share:.1f} %)"
+                for spec, share in f["named"].items() if spec not in every
+            ]  # fmt: skip
+            new = sorted(set().union(*f["again"]) - set(f["named"]))
+            names.append(f"| {name} | {len(f['again'])} | {len(every)} of {len(f['named'])} | {_listed(lost)} | {_listed(new)} |")
+    head = f"recording | no friction | {' | '.join(BY_HAND)} | diagnosed | verdict | effects | processor time"
+    write_page(
+        PAGE, folder / "README.md", errors=table(head, errors), good=good, count=len(found), digit=NINTH_DIGIT,
+        names=table("recording | runs | names in all | not in all | only in others", names) if names else "",
+    )  # fmt: skip
+
+
+def _listed(specs: list[str]) -> str:
+    return ", ".join(specs) or "-"
+
+
+def main() -> None:
+    """Run from the command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--only", default="")
+    parser.add_argument("--disturbed", type=int, default=0)
+    parser.add_argument("--docs", type=Path, default=STUDIES / "friction-left-out")
+    given = parser.parse_args()
+    warnings.simplefilter("ignore")
+    chosen = [c for c in cases() if given.only in c[0]]
+    if not chosen:
+        parser.error(f"no recordings in {DATA}")
+    found = {name: plain(judge(experiment, other, given.disturbed)) for name, experiment, other in tqdm(chosen)}
+    write(found, given.docs)
+
+
+if __name__ == "__main__":
+    main()
