@@ -31,6 +31,8 @@ from bayesid.estimators.dispersion import STRETCHES, Rows, dispersions
 
 #: Curvature of directions that nothing determines, in units of a column's own.
 _FLAT = 1e-9
+#: Share of a column that must be left beside the others to count as a direction of its own.
+_SEEN = 1e-7
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,37 +82,39 @@ class HeldOutSums:
         return np.asarray(self.blocks.sum(axis=0))
 
     @cached_property
-    def _rest(self) -> list[np.ndarray]:
-        """Over everything but each group."""
-        return [self.whole - self.blocks[self.groups == g].sum(axis=0) for g in range(self.groups.max() + 1)]
+    def _rest(self) -> np.ndarray:
+        """Over everything but each group (g, p, p)."""
+        return np.stack([self.whole - self.blocks[self.groups == g].sum(axis=0) for g in range(self.groups.max() + 1)])
 
     def fitted(self, gram: np.ndarray, effects: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
-        """Combination of columns that a fit of these effects leaves (p,), and its amplitudes of all effects' columns (k,)."""
+        """Combination of columns that a fit of these effects leaves (p,), and its amplitudes of all effects' columns (k,).
+
+        Of several Gram matrices (g, p, p) at once: (g, p) and (g, k).
+        """
         own = np.flatnonzero(np.isin(self.owners, list(effects)))
         active = np.concatenate([np.arange(self.links), self.links + own])
-        out, amplitudes = np.zeros(len(gram)), np.zeros(len(self.owners))
-        out[-1] = 1.0
-        out[self.links + len(self.owners) + np.array([k for k in range(self.traces) if k not in effects], int)] = 1.0
-        square = gram[np.ix_(active, active)] / self.correlation
-        right = gram[active] @ out / self.correlation
-        square[: self.links, : self.links] += np.eye(self.links)
-        right[: self.links] -= self.start
-        scale = np.sqrt(np.maximum(np.diag(square), np.diag(self.whole)[active] / self.correlation))
+        left = np.zeros(gram.shape[:-1])
+        left[..., -1] = 1.0
+        left[..., self.links + len(self.owners) + np.array([k for k in range(self.traces) if k not in effects], int)] = 1.0
+        rows = gram[..., active, :] / self.correlation
+        square, right = rows[..., active], np.einsum("...ij,...j->...i", rows, left)
+        square[..., : self.links, : self.links] += np.eye(self.links)
+        right[..., : self.links] -= self.start
+        scale = np.sqrt(np.maximum(np.diagonal(square, axis1=-2, axis2=-1), np.diag(self.whole)[active] / self.correlation))
         scale = np.maximum(scale, 1e-150)
-        step = np.linalg.solve(square / np.outer(scale, scale) + _FLAT * np.eye(len(active)), right / scale) / scale
-        out[active] -= step
-        amplitudes[own] = step[self.links :]
-        return out, amplitudes
+        scaled = square / (scale[..., :, None] * scale[..., None, :]) + _FLAT * np.eye(len(active))
+        step = np.linalg.solve(scaled, (right / scale)[..., None])[..., 0] / scale
+        left[..., active] -= step
+        amplitudes = np.zeros((*gram.shape[:-2], len(self.owners)))
+        amplitudes[..., own] = step[..., self.links :]
+        return left, amplitudes
 
     def squares(self, effects: Sequence[int]) -> np.ndarray:
         """Squared prediction errors of every block with these effects, its group left out of the fit (b,)."""
-        out = np.empty(len(self.blocks))
-        for g, rest in enumerate(self._rest):
-            left, _ = self.fitted(rest, effects)
-            at = np.flatnonzero(left)  # most columns are of effects that are not in the model
-            mine = self.shown[np.ix_(self.groups == g, at, at)]
-            out[self.groups == g] = (mine @ left[at]) @ left[at]
-        return out
+        left, _ = self.fitted(self._rest, effects)
+        at = np.flatnonzero(left.any(axis=0))  # most columns are of effects that are not in the model
+        mine = left[self.groups][:, at]
+        return np.einsum("bi,bij,bj->b", mine, self.shown[:, at[:, None], at], mine, optimize=True)
 
     def cost(self, effects: Sequence[int]) -> float:
         """Twice the negative log density of all recordings and the links' prior at the fit of these effects."""
@@ -134,16 +138,24 @@ class HeldOutSums:
         columns = links + np.arange(len(self.owners))
         inside = np.linalg.solve(half, gram[np.ix_(active, columns)] / scale[:, None])
         target = gram[columns] @ left
-        out = np.empty(len(others))
+        size = np.diag(gram)[columns]
+        length = np.maximum(np.sqrt(size), 1e-150)
+        # Of one column each all at once; of more, along the directions that the rest leaves free.
+        free = (size - np.sum(inside**2, axis=0)) / length**2
+        each = np.where(free > _SEEN, 0.5 * (target / length) ** 2 / np.maximum(free, _SEEN), 0.0)
+        counts = np.bincount(self.owners, minlength=max(others, default=0) + 1)
+        first = np.searchsorted(self.owners, others)
+        out = np.array([each[f] if counts[k] == 1 else 0.0 for f, k in zip(first, others, strict=True)])
         for i, k in enumerate(others):
-            own = np.flatnonzero(self.owners == k)
-            length = np.maximum(np.sqrt(np.diag(gram)[columns[own]]), 1e-150)
-            free = (gram[np.ix_(columns[own], columns[own])] - inside[:, own].T @ inside[:, own]) / np.outer(length, length)
-            values, vectors = np.linalg.eigh(free)
-            seen = values > 1e-7
-            along = vectors[:, seen].T @ (target[own] / length)
-            out[i] = 0.5 * float(np.sum(along**2 / values[seen])) - self.price(k)
-        return out
+            if counts[k] < 2:
+                continue
+            own = np.arange(first[i], first[i] + counts[k])
+            square = gram[np.ix_(columns[own], columns[own])] - inside[:, own].T @ inside[:, own]
+            values, vectors = np.linalg.eigh(square / np.outer(length[own], length[own]))
+            seen = values > _SEEN
+            along = vectors[:, seen].T @ (target[own] / length[own])
+            out[i] = 0.5 * float(np.sum(along**2 / values[seen]))
+        return out - np.array([self.price(k) for k in others])
 
 
 def left_by(data: DiagnosisData, model: Fit) -> np.ndarray:
