@@ -55,7 +55,7 @@ def test_results_are_kept_by_what_they_hold(panda, tmp_path):
     segment, channels = moving(panda, 30), both(panda)
     first = Model.of(panda, channels, segment, panda.nominal, ()).true
     twin = load(tmp_path, "panda")
-    twin = replace(twin, urdf=panda.urdf)
+    twin = replace(twin, description=panda.description)
     assert Model.of(twin, both(twin), segment, twin.nominal, ()).true is first
     longer = replace(panda, translation=1.1 * panda.translation)
     assert not np.allclose(Model.of(longer, both(longer), segment, longer.nominal, ()).true, first)
