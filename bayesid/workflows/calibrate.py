@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from math import inf
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 
 from bayesid.arguments import argument
-from bayesid.design.payload.body import BodyKnowledge, Quantity
-from bayesid.design.payload.knowledge import from_sensor, weighed_alone
+from bayesid.design.payload.body import BodyKnowledge, Quantity, half_interval
+from bayesid.design.payload.knowledge import degrees_of_freedom, from_sensor, weighed_alone
 from bayesid.diagnosis.settings import Settings
 from bayesid.drawing import Figures, figures_of
 from bayesid.errors import InputError
@@ -154,12 +155,16 @@ def _write(text: str, path: Path) -> None:
 
 
 def _quantities(fit: Identification) -> dict[str, tuple[Quantity, ...]]:
-    """Every effect of the model on the wrench with its parameters."""
+    """Every effect of the model on the wrench with its parameters; of a few poses intervals are Student's, as the offset's."""
+    wider = half_interval(degrees_of_freedom(fit.problem, fit.estimate)) / half_interval(inf)
     out = {}
     for effect in fit.effects():
         spec = f"{effect['name']}@{effect['where']}"
         out[spec] = tuple(
-            Quantity(name, p["unit"], p["value"], p["std"], p["low"], p["high"], True)
+            Quantity(
+                name, p["unit"], p["value"], p["std"], p["value"] - wider * (p["value"] - p["low"]),
+                p["value"] + wider * (p["high"] - p["value"]), True,
+            )
             if p["std"] is not None and p["low"] is not None else Quantity.unknown(name, p["unit"])
             for name, p in effect["parameters"].items()
         )  # fmt: skip
