@@ -7,7 +7,6 @@ import importlib
 import itertools
 import logging
 import signal
-import sys
 import threading
 import warnings
 from collections import deque
@@ -224,9 +223,9 @@ def _task(function: Callable[[_A], _B], item: _A) -> _B:
 
     _inside.task = True
     try:
+        # First: numba's threads, when they start, set OpenMP's number to their own.
+        importlib.import_module("numba").set_num_threads(1)
         with threadpool_limits(1):
-            if "numba" in sys.modules:
-                sys.modules["numba"].set_num_threads(1)
             return function(item)
     finally:
         _inside.task = False

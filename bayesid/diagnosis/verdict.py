@@ -91,7 +91,9 @@ def evidence_of(search: Search, gap: Gap | None, stability: Sequence[Stability |
         unrelated=unrelated(search.projector.data, terms),
         dropped=bool(search.dropped),
         rivals=any(f.rivals for f in search.found),
-        momentary=any(x is not None and x.rests_on is not None and x.least < least for x in stability),
+        # Poses are few, and each was chosen for what it shows.
+        momentary=not all(s.apart for s in search.projector.data.segments)
+        and any(x is not None and x.rests_on is not None and x.least < least for x in stability),
         unconfirmable=all(t.effect.once or t.effect.changes_link for t in terms),
         **given,
     )

@@ -242,7 +242,7 @@ def test_a_rival_that_differs_from_zero_takes_the_place_of_an_effect_that_does_n
     ("case", "verdict", "effects"),
     [
         pytest.param("15", "unknown", set(), marks=pytest.mark.slow),
-        ("17", "named", {"base_compliance@base"}),
+        pytest.param("17", "named", {"base_compliance@base"}, marks=pytest.mark.slow),
         ("18", "named", {"rotor_inertia@joint2"}),
         pytest.param("19", "named", {"joint_flexibility@joint3"}, marks=pytest.mark.slow),
         ("20", "named", {"dahl_friction@joint2"}),

@@ -22,6 +22,7 @@ from bayesid.design.expected import expect
 from bayesid.design.reading_noise import white_noise
 from bayesid.design.sensor_sets import SENSOR_SETS, SensorSet
 from bayesid.recordings.experiment import Experiment, Sensor
+from bayesid.regression.motion_rows import MotionRows
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import prepare, relinearised
 from bayesid.robot.robot import load_robot
@@ -67,7 +68,8 @@ def monte_carlo(name: str, folder: str | Path, draws: int, seed: int = SEED) -> 
     errors, stated = [], []
     for _ in range(draws):  # the same as new recordings of the motion, made ready once
         noise = STD * rng.normal(size=exact.shape) - (0.0 if rest is None else STD * rng.normal(size=rest.shape))
-        read = replace(problem, segments={motion.name: [replace(segment, readings=exact + noise)]})
+        own = {motion.name: [replace(segment, readings=exact + noise)]}
+        read = replace(problem, segments=own, rows=MotionRows(problem.row_model, own))
         # Positions are exact here: no errors of theirs need be simulated.
         estimate = estimators.fit(replace(relinearised(read, None).regression, regressor_noise=None))
         errors.append(estimate.values - expected.base.matrix @ robot.nominal.ravel())
