@@ -20,7 +20,7 @@ _A = TypeVar("_A")
 _B = TypeVar("_B")
 
 #: Tasks that wait at a worker while it does one: it need not wait for the next, and results that come early are few.
-_AHEAD = 2
+_AHEAD = 4
 #: Times a task is given out again after the process that did it was lost.
 _LOST = 5
 #: How long a scheduler is waited for [s].
