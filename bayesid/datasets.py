@@ -304,12 +304,10 @@ def fetch(name: str, cache: str | Path | None = None) -> Path:
         There is no such data set, the package pooch is missing, a file cannot be had, or it is not the one that was published.
     """
     dataset = about(name)
-    if (
-        OWN_COPIES in os.environ
-        and (own := Path(os.environ[OWN_COPIES]) / dataset.folder)
-        and (own / "experiment.toml").is_file()
-    ):
-        return own
+    if OWN_COPIES in os.environ:
+        own = Path(os.environ[OWN_COPIES]) / dataset.folder
+        if (own / "experiment.toml").is_file():
+            return own
     if dataset.make is None:
         raise InputError(
             f"{name}: is not fetched; make an experiment folder of what is at {dataset.page}, and put it into "

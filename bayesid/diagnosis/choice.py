@@ -126,7 +126,7 @@ class Choice:
     def _containing(self) -> frozenset[Effect]:
         """Effects that contain others that may be kept instead; only `with_one_instead` weighs them against all of these."""
         others = {e for k, e in enumerate(self.effects) if k not in self.users}
-        return frozenset(own for own in {*self.effects} if any(own.comes_after(e) and own.excludes(e) for e in others))
+        return frozenset(own for own in self.effects if any(own.comes_after(e) and own.excludes(e) for e in others))
 
     def price_of(self, effects: Sequence[int]) -> float:
         """Log evidence that the parameters of effects cost."""

@@ -22,7 +22,7 @@ from bayesid.signals.smoothing import smooth
 
 #: Poses for each column that is fitted to them, at least, before what is left is taken for noise.
 _POSES_A_COLUMN = 2
-#: A cable is the better word for a few poses where what it leaves is smaller than chance makes it this often.
+#: A drift or a cable is taken out of poses where it leaves less than chance alone would this often.
 _CLEARLY = 0.99
 
 

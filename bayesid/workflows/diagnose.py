@@ -139,15 +139,15 @@ def diagnose(
         channel = channel or default_channel(experiment)
         terms, held = known_terms(experiment, channel, effects)
 
-        def decided(below: float = inf) -> _Decided:
+        def searched(below: float = inf) -> _Decided:
             data = prepare_data(experiment, channel, terms, motions, seed, held, settings, below)
             found = search(make_projector(data, data.terms), data.terms, seed, progress)
             progress("validation on unseen motions")
             return _decided(found, seed)
 
-        result = decided()
+        result = searched()
         if result.verdict == "unknown" and (below := holds_below(result.search)) < inf:
-            again = decided(below)
+            again = searched(below)
             result = result if again.verdict == "unknown" else again
         result = _with_next_motion(_concluded(result, seed, progress), seed, progress)
         result = _with_description(result, seed, progress)

@@ -130,17 +130,19 @@ class Held:
 
     def _inverse(self, at: np.ndarray) -> np.ndarray:
         """Inverse of the normal matrix at a point (p, p)."""
-        x = self.rows(at)[1]
-        size = np.maximum(np.linalg.norm(x, axis=0), 1e-300)
-        return np.linalg.pinv((x / size).T @ (x / size), rcond=1e-12) / np.outer(size, size)
+        return _normal_inverse(self.rows(at)[1])
 
     def covariance(self, at: np.ndarray) -> np.ndarray:
         """Of all parameters beside the mass, by white noise (p, p); those at their bounds are known."""
         inside = ((at > self.low + 1e-6) & (at < self.high - 1e-6))[self.kept]
         basis = self.basis[:, inside]
-        x = self.rows(at)[1] @ basis
-        size = np.maximum(np.linalg.norm(x, axis=0), 1e-300)
-        return basis @ (np.linalg.pinv((x / size).T @ (x / size), rcond=1e-12) / np.outer(size, size)) @ basis.T
+        return basis @ _normal_inverse(self.rows(at)[1] @ basis) @ basis.T
+
+
+def _normal_inverse(x: np.ndarray) -> np.ndarray:
+    """``(X'X)^+`` (p, p) of columns (n, p) of any units."""
+    size = np.maximum(np.linalg.norm(x, axis=0), 1e-300)
+    return np.linalg.pinv((x / size).T @ (x / size), rcond=1e-12) / np.outer(size, size)
 
 
 def has_valley(problem: Problem) -> bool:

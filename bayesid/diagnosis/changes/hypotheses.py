@@ -74,11 +74,6 @@ class Hypothesis:
         return f"{self.name}@{self.where}"
 
     @property
-    def is_friction(self) -> bool:
-        """Whether it is a change of what wanders from one recording to another."""
-        return all(e.wanders for e in self.effects)
-
-    @property
     def parameters(self) -> tuple[tuple[str, str], ...]:
         """Name and unit of each amplitude (k,)."""
         several = len(self.effects) > 1
