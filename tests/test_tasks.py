@@ -1,6 +1,7 @@
 """Tasks on other processes: the same results, in order, whatever happens to a worker."""
 
 import os
+import pickle
 import signal
 import subprocess
 import sys
@@ -11,7 +12,7 @@ import numpy as np
 import pytest
 
 import bayesid
-from bayesid import tasks
+from bayesid import effects, tasks
 from bayesid.errors import EstimationError, InputError
 from bayesid.recordings.experiment import Experiment, Motion, Sensor
 from bayesid.recordings.writer import write_experiment
@@ -74,6 +75,15 @@ def test_tasks_are_done_elsewhere_in_order_and_in_one_thread(address):
     assert os.getpid() not in {process for _, process, *_ in found}
     assert all(inside and set(threads) == {1} for *_, inside, threads in found)
     assert not tasks.on_cluster()
+
+
+def test_a_function_of_a_users_script_may_use_the_package(address):
+    # Sent by value, as those of ``__main__`` are, with the module that it refers to.
+    script: dict = {"bayesid": bayesid, "effects": effects}
+    exec("def both(k):\n    return k, bayesid.__version__, effects.Term.__name__", script)
+    with cluster(scheduler=address):
+        assert list(map_tasks(script["both"], range(3))) == [(k, bayesid.__version__, "Term") for k in range(3)]
+    assert pickle.loads(pickle.dumps(effects)) is effects
 
 
 def _fails_at(number: int, k: int) -> int:
