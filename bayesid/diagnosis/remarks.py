@@ -94,12 +94,8 @@ def _unknown(search: Search, gap: Gap | None, reason: Reason) -> list[str]:
     """Why nothing is named although something is missing."""
     tried = ", ".join(by_kind(f.term for f in search.found))
     if reason == "residual":
-        left = float(np.sqrt(search.best.chi2 / search.projector.rows))
-        elsewhere = "" if gap is None else f" and {gap.after:.3g} times on the unseen ones"
-        return [
-            f"Something is missing that no effect of the library explains: residuals stay at {left:.3g} times the noise on the "
-            f"fitted motions{elsewhere}" + (f", even with the best fit of {tried}." if tried else ".")
-        ]
+        even = f", even with the best fit of {tried}" if tried else ""
+        return [f"Something is missing that no effect of the library explains: residuals stay above the noise{even}."]
     if reason == "denied":
         return [f"{tried} fits the fitted motions, but predicts the unseen ones no better: not named."]
     if reason == "moment":
@@ -182,8 +178,8 @@ def _of_the_validation(search: Search, found: Sequence[Found], gap: Gap | None) 
     data, settings, out = search.projector.data, search.projector.data.settings, []
     if gap is not None and gap.floor > settings.vague_floor:
         out.append(
-            f"On the unseen motions a complete model would be off by {gap.floor:.3g} times the noise, for the fitted motions "
-            "leave its parameters that uncertain: they say little."
+            "The unseen motions say little: a complete model would be off there by far more than the noise, for the fitted "
+            "motions leave its parameters that uncertain."
         )
     if data.skipped:
         out.append(

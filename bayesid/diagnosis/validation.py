@@ -30,8 +30,6 @@ class Gap:
         over blocks of time. NaN where there was no gap: ``before`` is no more than the floor.
     difference
         Sum of squares of what the effects change on these motions, in units of the noise: how well they could confirm them.
-    by_channel
-        Before and after by channel (c, 2).
     motions
         The motions compared.
     """
@@ -42,7 +40,6 @@ class Gap:
     closed: float
     closed_low: float
     difference: float
-    by_channel: np.ndarray
     motions: tuple[str, ...]
 
     def to_dict(self) -> dict:
@@ -61,68 +58,6 @@ def residual_spectra(data: DiagnosisData, segments: Sequence[Segment], fit: Fit)
     rows = without_offset(data, segments, np.concatenate([w.ravel() for w in white]))
     parts = np.split(rows, np.cumsum([w.size for w in white])[:-1])
     return [part.reshape(w.shape) for part, w in zip(parts, white, strict=True)]
-
-
-@dataclass(frozen=True, eq=False)
-class MotionErrors:
-    """Errors of one motion's readings in their own units, at the frequencies that are compared.
-
-    Attributes
-    ----------
-    motion, fitted
-        Which, and whether it was fitted.
-    before, after
-        Root mean square of measured less predicted, with the user's model and with the effects named (c,); ``after`` is None
-        where none is.
-    signal
-        Root mean square of what was measured (c,).
-    """
-
-    motion: str
-    fitted: bool
-    before: np.ndarray
-    after: np.ndarray | None
-    signal: np.ndarray
-
-    def relative(self, error: np.ndarray) -> float:
-        """Error norm over signal norm of all channels together."""
-        return float(np.linalg.norm(error) / max(np.linalg.norm(self.signal), 1e-300))
-
-    def to_dict(self, names: Sequence[str], units: Sequence[str]) -> dict:
-        """An entry of ``errors`` in ``diagnosis.json``."""
-        after = self.after
-        return {
-            "motion": self.motion, "fitted": self.fitted, "relative_before": self.relative(self.before),
-            "relative_after": None if after is None else self.relative(after),
-            "channels": {
-                name: {
-                    "unit": unit, "before": float(self.before[c]), "after": None if after is None else float(after[c]),
-                    "signal": float(self.signal[c]),
-                }
-                for c, (name, unit) in enumerate(zip(names, units, strict=True))
-            },
-        }  # fmt: skip
-
-
-def motion_errors(data: DiagnosisData, base: Fit, best: Fit | None) -> tuple[MotionErrors, ...]:
-    """Errors of every motion without and with the effects named (``best``, None without any), unfitted motions first."""
-    out = []
-    for segments, fitted in ((data.unseen, False), (data.segments, True)):
-        models = [f for f in (base, best) if f is not None]
-        white = [residual_spectra(data, segments, f) if segments else [] for f in models]
-        for motion in dict.fromkeys(s.motion for s in segments):
-            mine = [k for k, s in enumerate(segments) if s.motion == motion and not s.still]
-            if not mine:
-                continue
-            weight = sum(np.sum(segments[k].weight(segments[k].times) ** 2, axis=0) for k in mine)
-
-            def size(parts: Sequence[np.ndarray], weight=weight) -> np.ndarray:
-                return np.sqrt(sum(np.sum(p**2, axis=0) for p in parts) / np.maximum(weight, 1e-300))
-
-            left = [size([np.linalg.solve(segments[k].whitener, w[k][:, :, None])[:, :, 0] for k in mine]) for w in white]
-            signal = size([segments[k].measured_readings for k in mine])
-            out.append(MotionErrors(motion, fitted, left[0], left[1] if best is not None else None, signal))
-    return tuple(out)
 
 
 def without_offset(data: DiagnosisData, segments: Sequence[Segment], rows: np.ndarray) -> np.ndarray:
@@ -159,15 +94,12 @@ def validate(
     energy = np.concatenate([_by_blocks(s, b, a) for s, b, a in zip(data.unseen, before, after, strict=True)])
     low = lower_end(energy, lambda x: _closed(x[:, 0] / x[:, 2], x[:, 1] / x[:, 2], floor2), data.settings, seed)
     room = whole[0] > floor2  # there is a gap to close
-    by_channel = np.stack(
-        [np.sqrt(sum(np.sum(w**2, axis=0) for w in part) / sum(len(w) for w in part)) for part in (before, after)], axis=1
-    )
     return Gap(
         before=np.sqrt(whole[0]), after=np.sqrt(whole[1]), floor=np.sqrt(floor2),
         closed=float(_closed(whole[0], whole[1], floor2)) if room else np.nan,
         closed_low=float(low) if room else np.nan,
         difference=float(sum(np.sum((b - a) ** 2) for b, a in zip(before, after, strict=True))),
-        by_channel=by_channel, motions=tuple(dict.fromkeys(s.motion for s in data.unseen)),
+        motions=tuple(dict.fromkeys(s.motion for s in data.unseen)),
     )  # fmt: skip
 
 

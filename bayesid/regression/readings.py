@@ -83,12 +83,16 @@ def motion_segments(
         table.commanded,
         motion.period,
         in_turn=poses,
+        events=not poses and motion.role != "validation",
     )
     out = [whole] if poses else [whole.part(p.start, p.stop) for p in table.segments()]
     if rest is not None and rest.wrench is not None and offset:
         out.append(
-            Segment(rest.times, rest.positions, rest.wrench, channels.static_wrench, index, poses=True, commanded=rest.commanded)
-        )
+            Segment(
+                rest.times, rest.positions, rest.wrench, channels.static_wrench, index, poses=True, commanded=rest.commanded,
+                events=False,
+            )
+        )  # fmt: skip
     return out
 
 

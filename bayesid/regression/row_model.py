@@ -155,11 +155,21 @@ class RowModel:
         assert self.point is not None
         scene, a, b = self._scene(segment, first, last)
         read = segment.readings[a:b] if segment.gravity else segment.measured(a, b)
-        rigid, others, target = linearised(
-            self.robot, self.channels, scene, self.effects, self.point, self.base.independent, read, gravity=segment.gravity
+        (effects, point), acts = self._acting(segment)
+        rigid, some, target = linearised(
+            self.robot, self.channels, scene, effects, point, self.base.independent, read, gravity=segment.gravity
         )
+        others = np.zeros((*some.shape[:2], self.extra_columns))
+        others[:, :, acts[self.free]] = some
         part = slice(first - a, last - a)
         return np.concatenate([rigid[part], others[part], target[part, :, None]], axis=2)
+
+    def _acting(self, segment: Segment) -> tuple[tuple[tuple[Effect, ...], Point], np.ndarray]:
+        """The effects that act in a segment, the point with their values alone, and which of all parameters are theirs."""
+        assert self.point is not None
+        effects = tuple(e for e in self.effects if segment.events or not e.once)
+        acts = np.repeat([e in effects for e in self.effects], [len(e.parameters) for e in self.effects]).astype(bool)
+        return (effects, replace(self.point, values=self.point.values[acts], free=self.point.free[acts])), acts
 
     def samples(self, segment: Segment, first: int, last: int) -> np.ndarray:
         """Unfiltered rows of samples: regressor, effects, measured (N, channels, p + 1)."""
@@ -199,8 +209,8 @@ class RowModel:
         if self.point is None:
             return self.predicted(segment, first, last, solution)
         scene, a, _ = self._scene(segment, first, last)
-        terms = self.point.terms(self.effects)
-        read = readings(self.robot, self.channels, scene, self.point.links, terms, gravity=segment.gravity)
+        (effects, point), _ = self._acting(segment)
+        read = readings(self.robot, self.channels, scene, point.links, point.terms(effects), gravity=segment.gravity)
         return read[first - a : last - a]
 
 

@@ -43,6 +43,8 @@ class Segment:
         Time that what rings needs to forget how the robot was moving when the segment starts, unless it starts at rest [s].
     in_turn
         As in `bayesid.effects.MotionSegment`.
+    events
+        Whether effects that happen once may have happened in it: not at rest, nor in a motion that is there to be predicted.
     """
 
     times: np.ndarray
@@ -58,6 +60,7 @@ class Segment:
     rates: np.ndarray | None = None
     settling: float = 0.0
     in_turn: bool = False
+    events: bool = True
 
     @property
     def count(self) -> int:

@@ -13,6 +13,7 @@ from bayesid.report.page import render
 from bayesid.results.inspection import Inspection, MotionSummary
 from bayesid.results.text import DASH, number, percent
 from bayesid.robot import inertia
+from bayesid.validation.own_fit import left_text
 
 _SHOWN_MOTIONS = 8
 _PLOTTED = 1500
@@ -55,6 +56,7 @@ def _content(check: Inspection) -> dict[str, Any]:
         ),
         "reach": [_reach(m, robot.lower, robot.upper) for m in check.motions],
         "bandwidth": _bandwidth(check),
+        "left": [f"{p.motion}{'' if p.fitted else ', not fitted'}: {left_text(p)}" for p in check.left],
         "noise": [
             {"name": m.motion.name, "cells": [number(m.noise.get(c, np.nan), 3) for c in channels]}
             for m in check.motions if m.noise

@@ -16,7 +16,7 @@ from bayesid.results.loaded import LoadedComparison
 from bayesid.results.text import DASH, chance, channel_text, number, percent
 from bayesid.validation.agreement import HausmanTest
 from bayesid.validation.headline import judged
-from bayesid.validation.prediction import BAND
+from bayesid.validation.prediction import BAND, Prediction
 
 _SHOWN_MOTIONS = 4
 #: Two residuals closer than this do not tell two estimators apart.
@@ -88,7 +88,7 @@ def _row(result: Comparison, entry: Entry) -> dict[str, Any]:
         "refused": entry.refusal,
         "baseline": any(entry is b for b in result.baselines),
         "motions": [
-            {"error": percent(p.relative_error), "white": number(p.whitened_rms, 3), "mood": judged(p).mood}
+            {"error": percent(p.relative_error), "white": number(p.times_noise, 3), "mood": judged(p).mood}
             for p in entry.proof[:TEXT_MOTIONS]
         ],
         "links_mood": "" if entry.impossible is None else "bad" if entry.impossible or entry.conflicting else "good",
@@ -123,10 +123,16 @@ def _lead(result: Comparison) -> str:
     best = min(scores, key=lambda n: scores[n])
     ties = [n for n in scores if n != best and scores[n] <= (1 + _TIE) * scores[best]]
     where = "motions that were not fitted" if done[0].validation else "the fitted motions (there is no other)"
-    text = f"On {where}, {best} leaves least: {number(scores[best], 3)} times the noise"
+    known = all(p.noise_known for p in done[0].proof)
+
+    def left(entry: Entry) -> str:
+        return number(_score(entry), 3) if known else percent(_error(entry))
+
+    least = next(e for e in done if e.name == best)
+    text = f"On {where}, {best} leaves least: {left(least)} {'times the noise' if known else 'of the signal'}"
     nominal = result.baselines[-1] if result.baselines else None
     if nominal is not None:
-        text += f", where {_baseline(nominal.name)} leaves {number(_score(nominal), 3)}"
+        text += f", where {_baseline(nominal.name)} leaves {left(nominal)}"
     text += "."
     errors = {e.name: _error(e) for e in done}
     closest = min(errors, key=lambda n: errors[n])
@@ -219,13 +225,17 @@ def _motion_errors(result: Comparison, index: int) -> dict[str, Any]:
     """Errors of one motion, channel by channel and estimator by estimator."""
     entries = [e for e in (*result.baselines, *result.entries) if e.estimate is not None]
     ps = [e.proof[index] for e in entries]
+
+    def white(p: Prediction, c: int) -> str:
+        return number(float(p.whitened_rms_by_channel[c]) if p.noise_known else None, 3)
+
     channels = [
         {"name": name, "unit": unit,
-         "cells": [{"rmse": number(p.rmse[c], 3), "nrmse": percent(p.nrmse[c]), "white": number(p.whitened_rms_by_channel[c], 3)}
+         "cells": [{"rmse": number(p.rmse[c], 3), "nrmse": percent(p.nrmse[c]), "white": white(p, c)}
                    for p in ps]}
         for c, (name, unit) in enumerate(zip(ps[0].channel_names, ps[0].channel_units, strict=True))
     ]  # fmt: skip
-    whole = [{"nrmse": percent(p.relative_error), "white": number(p.whitened_rms, 3), "mood": judged(p).mood} for p in ps]
+    whole = [{"nrmse": percent(p.relative_error), "white": number(p.times_noise, 3), "mood": judged(p).mood} for p in ps]
     return {"title": ps[0].motion, "names": [e.name for e in entries], "channels": channels, "whole": whole,
             "repeats": f"This motion repeats the fitted ‘{ps[0].repeats}’." if ps[0].repeats else ""}  # fmt: skip
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,6 @@ from bayesid.diagnosis.remarks import by_kind
 from bayesid.diagnosis.residual_floor import SOURCES
 from bayesid.diagnosis.rivals import Found
 from bayesid.diagnosis.separation import Visible
-from bayesid.diagnosis.validation import MotionErrors
 from bayesid.effects import Effect
 from bayesid.report.described import described_section
 from bayesid.report.diagnosis_figures import before_and_after, evidence, residual_maps, signals
@@ -29,6 +28,7 @@ from bayesid.results.diagnosis_text import (
     parameter_rows,
     part_sentence,
     share_range,
+    shown_errors,
     steady_sentence,
     validation_sentence,
     verdict_sentence,
@@ -36,6 +36,8 @@ from bayesid.results.diagnosis_text import (
 )
 from bayesid.results.findings import Findings
 from bayesid.results.text import DASH, chance, channel_text, number, percent
+from bayesid.validation.own_fit import MotionErrors
+from bayesid.validation.prediction import Prediction
 
 #: Bars in the picture of the evidence, lines in the table of parameters that moved.
 _BARS, _SHIFTS = 14, 12
@@ -92,7 +94,8 @@ def diagnosis_report(diagnosis: Findings) -> str:
         shifts=[_shift(s) for s in d.shifts[:_SHIFTS]],
         more_shifts=max(len(d.shifts) - _SHIFTS, 0),
         exact=data.prior is None,
-        bars=svg(before_and_after(channels, views.by_channel, _floor(d), changed), "bars"),
+        bars=svg(_bars(d), "bars") if d.errors else "",
+        noise_known=all(e.before.noise_known for e in d.errors),
         signals=svg(signals(curves, changed), "signals"),
         errors=[_errors(e) for e in d.errors],
         error_channels=[{"name": n, "unit": u} for n, u in zip(channels, data.channels.units, strict=True)],
@@ -157,22 +160,22 @@ def _maps(channels: Sequence[str], views: Views):
 def _cards(d: Findings, text: dict[str, Any], changed: bool) -> list[dict[str, str]]:
     words, mood = _VERDICTS[d.verdict]
     cards = [{"value": words, "mood": mood, "text": "the verdict"}]
-    where = "on motions that were not fitted"
-    if d.gap is not None:
-        before, after, floor = d.gap.before, d.gap.after, d.gap.floor
-    else:
-        before, after = (float(np.sqrt(f.chi2 / d.search.projector.rows)) for f in (d.search.base, d.search.best))
-        floor, where = None, "on the fitted motions; there are no others"
-    what = f"noise is left by the model as it was, {where}"
-    cards.append({"value": f"{number(before, 3)} ×", "mood": mood_of(before), "text": what})
-    if changed:
-        what = "with the effects named added" if d.part else "with the missing effect added" if d.found else "by the best attempt"
-        cards.append({"value": f"{number(after, 3)} ×", "mood": mood_of(after / (floor or 1.0)), "text": f"noise is left {what}"})
+    if d.errors:
+        e = max(shown_errors(d), key=lambda e: e.before.whitened_rms)
+        known = e.before.noise_known
+        unit, sides = "noise" if known else "of the signal", [(e.before, "by the model as it was")]
+        if e.after is not None:
+            sides.append((e.after, "with the effects named added" if d.part else "with the missing effect added"))
+        for p, what in sides:
+            value = f"{number(p.whitened_rms, 3)} ×" if known else percent(p.relative_error)
+            mood = mood_of(p.whitened_rms / p.expected_rms) if known else ""
+            cards.append({"value": value, "mood": mood, "text": f"{unit} is left {what}, on {e.motion}"})
+        if known and d.part is None:
+            text_ = "is what a complete model would leave"
+            cards.append({"value": f"{number(e.last.expected_rms, 3)} ×", "mood": "", "text": text_})
     if d.part is not None:
         text_ = "of the gap on recordings held out in turn stays unexplained"
         return [*cards, {"value": percent(d.part.remainder), "mood": "", "text": text_}]
-    if floor is not None:
-        cards.append({"value": f"{number(floor, 3)} ×", "mood": "", "text": "is the floor: what a complete model would leave"})
     if d.found and text["closed"]:
         least = f", at least {text['closed_low']} with 95 % confidence" if text["closed_low"] else ""
         cards.append({"value": text["closed"], "mood": "", "text": f"of the gap to the floor is closed{least}"})
@@ -191,27 +194,34 @@ def _place(w: Disagreement) -> dict[str, str]:
 
 
 def channels_figure(diagnosis: Findings, ax: Any = None) -> Figure:
-    """What is left of each channel in units of the noise, before and after."""
-    views = diagnosis_views(diagnosis)
-    return before_and_after(diagnosis.data.channels.names, views.by_channel, _floor(diagnosis), views.changed, ax)
+    """What is left of each channel, before and after: in units of the noise, or where that is not known in per cent."""
+    return _bars(diagnosis, ax)
 
 
-def _floor(d: Findings) -> float | None:
-    """What a complete model would leave; None where a part alone was named or nothing tells it."""
-    return None if d.gap is None or d.part is not None else d.gap.floor
+def _bars(d: Findings, ax: Any = None) -> Figure:
+    """Root mean squares over the motions that were not fitted, or over all where there are none."""
+    errors = shown_errors(d)
+    known, changed = all(e.before.noise_known for e in errors), any(e.after is not None for e in errors)
+
+    def sizes(side: Callable[[MotionErrors], Prediction]) -> np.ndarray:
+        each = [side(e).whitened_rms_by_channel if known else 100.0 * side(e).nrmse for e in errors]
+        return np.sqrt(np.mean(np.square(each), axis=0))
+
+    ratios = np.stack([sizes(lambda e: e.before), sizes(lambda e: e.last)], axis=1)
+    complete = max(e.last.expected_rms for e in errors) if known and d.part is None else None
+    return before_and_after(errors[0].before.channel_names, ratios, complete, changed, "× noise" if known else "% of signal", ax)
 
 
 def _errors(e: MotionErrors) -> dict[str, Any]:
     """Errors of a motion in units and per cent, before and after."""
-    sides = [("before" if e.after is not None else "error", e.before), *([("after", e.after)] if e.after is not None else [])]
+    sides = [("error", e.before)] if e.after is None else [("before", e.before), ("after", e.after)]
     return {
         "motion": e.motion, "fitted": e.fitted,
         "lines": [
-            {"name": name, "all": percent(e.relative(error)), "cells": [
-                f"{number(float(v), 3)} ({percent(float(v / s), 2) if s > 0 else DASH})"
-                for v, s in zip(error, e.signal, strict=True)
-            ]}
-            for name, error in sides
+            {"name": name, "noise": number(p.whitened_rms, 3) if p.noise_known else DASH, "all": percent(p.relative_error),
+             "cells": [f"{number(float(v), 3)} ({percent(float(share), 2)})" if share > 0 else number(float(v), 3)
+                       for v, share in zip(p.rmse, p.nrmse, strict=True)]}
+            for name, p in sides
         ],
     }  # fmt: skip
 
@@ -335,8 +345,8 @@ def _how(d: Findings) -> list[tuple[str, str]]:
         ("Links", links),
         ("Compared", f"{s.projector.rows} numbers: readings as amplitudes by frequency, up to {highest:.3g} Hz"),
         ("Tried", f"{len(s.proposals)} effects and places, the best of them by exact fits, alone and together"),
-        ("Left on fitted motions", f"{number(float(np.sqrt(s.base.chi2 / s.projector.rows)), 3)} times the noise before, "
-         f"{number(float(np.sqrt(s.best.chi2 / s.projector.rows)), 3)} after"),
+        ("Weighted residual of the search", f"{number(float(np.sqrt(s.base.chi2 / s.projector.rows)), 3)} before, "
+         f"{number(float(np.sqrt(s.best.chi2 / s.projector.rows)), 3)} after: channels and frequencies weighted by noise"),
         ("Run time", f"{number(d.seconds, 3)} s"),
         versions("numpy", "scipy", "pin"),
     ]  # fmt: skip

@@ -140,8 +140,10 @@ def evidence(names: Sequence[str], values: np.ndarray, kinds: Sequence[str], nee
 
 
 @styled
-def before_and_after(channels: Sequence[str], ratios: np.ndarray, floor: float | None, changed: bool, ax: Any = None) -> Figure:
-    """What is left of each channel in units of the noise, before, after, and what a complete model would leave.
+def before_and_after(
+    channels: Sequence[str], ratios: np.ndarray, floor: float | None, changed: bool, unit: str, ax: Any = None
+) -> Figure:
+    """What is left of each channel, before, after, and what a complete model would leave.
 
     Parameters
     ----------
@@ -153,11 +155,13 @@ def before_and_after(channels: Sequence[str], ratios: np.ndarray, floor: float |
         Of a complete model; None where it is not known.
     changed
         Whether there is an "after".
+    unit
+        Of the axis.
     """
     figure, axes = make_grid(1, 1, 1.25, left=0.65, top=0.4, ax=ax)
     ax = axes[0, 0]
     x, width = np.arange(len(channels)), 0.36
-    low = 0.5 * min(float(ratios.min()), 1.0)
+    low = 0.5 * max(min(float(ratios.min()), 1.0), 1e-6)
     bars = [(0, "before", BEFORE), (1, "after", AFTER)] if changed else [(0, "the model as it is", BEFORE)]
     for k, label, colour in bars:
         at = x + (k - 0.5) * width if changed else x
@@ -166,10 +170,11 @@ def before_and_after(channels: Sequence[str], ratios: np.ndarray, floor: float |
             # On white, for small bars end where the line is.
             ax.annotate(f"{v:.3g}", (a, v), (0, 2.5), textcoords="offset points", ha="center", fontsize=7.5, color=GREY,
                         bbox={"fc": "white", "ec": "none", "pad": 0.6}, zorder=5)  # fmt: skip
-    ax.axhline(floor or 1.0, color=NOISE, lw=1.4, label="a complete model" if floor else "noise")
+    if floor is not None:
+        ax.axhline(floor, color=NOISE, lw=1.4, label="a complete model")
     ax.set_yscale("log")
     ax.set_ylim(low, 1.8 * max(float(ratios.max()), 1.5))
-    ax.set_ylabel("× noise")
+    ax.set_ylabel(unit)
     ax.set_xticks(x, list(channels))
     ax.tick_params(axis="x", length=0)
     ax.grid(axis="x", visible=False)

@@ -95,8 +95,6 @@ class Views:
     ----------
     panels, signals, noise, visible
         See there.
-    by_channel
-        Whitened root mean squares before and after on the motions of the validation (c, 2).
     bands
         Their limits [Hz].
     changed
@@ -107,7 +105,6 @@ class Views:
     signals: tuple[Signal, ...]
     noise: tuple[Noise, ...]
     visible: tuple[Visible, ...]
-    by_channel: np.ndarray
     bands: tuple[tuple[float, float], ...]
     changed: bool
 
@@ -124,14 +121,11 @@ def diagnosis_views(diagnosis: Findings) -> Views:
         for segment, before, after in zip(segments, b, a, strict=True)
     ]  # fmt: skip
     judged = [p for p in pairs if p[2]] or pairs
-    energy = np.sum([np.sum(w**2, axis=0) for _, w, _ in judged], axis=0)
-    by_channel = np.sqrt(energy / sum(len(w) for _, w, _ in judged))
     return Views(
         panels=_panels(pairs, diagnosis.noise_level),
-        signals=_signals(diagnosis, judged, by_channel),
+        signals=_signals(diagnosis, judged),
         noise=_noise(diagnosis),
         visible=() if s.library is None else visible(s.library),
-        by_channel=by_channel,
         bands=BANDS,
         changed=s.best is not s.base and len(s.best.terms) > len(s.base.terms),
     )
@@ -167,11 +161,12 @@ def _panels(pairs: list[tuple[Segment, np.ndarray, bool]], level: float) -> tupl
     return tuple(out)
 
 
-def _signals(diagnosis: Findings, judged: list[tuple[Segment, np.ndarray, bool]], by_channel: np.ndarray) -> tuple[Signal, ...]:
+def _signals(diagnosis: Findings, judged: list[tuple[Segment, np.ndarray, bool]]) -> tuple[Signal, ...]:
     """The channels that disagreed most, on the recording on which they did."""
     channels = diagnosis.data.channels
     moving = [p for p in judged if not p[0].still] or judged
-    worst = np.argsort(-by_channel[:, 0])[:_CHANNELS]
+    energy = np.sum([np.sum(w[..., 0] ** 2, axis=0) for _, w, _ in judged], axis=0)
+    worst = np.argsort(-energy)[:_CHANNELS]
     # One recording for all of them: the one with the largest residual.
     s, w, _ = max(moving, key=lambda p: float(np.mean(p[1][..., 0] ** 2)))
     root = np.linalg.cholesky(s.covariance)

@@ -23,7 +23,6 @@ from bayesid.results.text import DASH, HALF, chance, channel_text, ends, number,
 from bayesid.robot import inertia
 from bayesid.robot.notation import notation
 from bayesid.validation.headline import judged, still_predictable, worse_than_nothing
-from bayesid.validation.noise_floor import RESIDUALS
 from bayesid.validation.prediction import BAND, TOLERATED, Prediction
 
 #: Figures of at most so many motions of each role are shown.
@@ -138,15 +137,16 @@ def _cards(result: Identification) -> list[dict[str, str]]:
     cards = [{"value": str(estimate.base.rank), "mood": "", "text": f"base parameters (rank), of {total} in the links"}]
     for p in _most_telling(result.validation)[:2]:
         mood = judged(p).mood
-        left = "what the fit left (sensor noise unknown)" if p.noise_source == RESIDUALS else "the sensor's noise"
         cards += [
             {
                 "value": percent(p.relative_error),
                 "mood": mood,
                 "text": f"error of the signal on ‘{p.motion}’, below {BAND:.2g} Hz",
             },
-            {"value": f"{number(p.whitened_rms, 3)} ×", "mood": mood, "text": f"{left}: the residual on ‘{p.motion}’"},
         ]
+        if p.noise_known:
+            text = f"the sensor's noise: the residual on ‘{p.motion}’"
+            cards.append({"value": f"{number(p.times_noise, 3)} ×", "mood": mood, "text": text})
     moved = result.urdf.moved
     if moved is not None and moved.distance is not None:
         cards.append(
@@ -233,7 +233,8 @@ def _motion(prediction: Prediction, role: str, index: int) -> dict[str, Any]:
 def _errors(p: Prediction, role: str) -> dict[str, Any]:
     channels = [
         {"name": name, "unit": unit, "rmse": number(a, 3), "nrmse": percent(b), "raw": number(c, 3), "nraw": percent(d),
-         "white": number(w, 3), "mood": "bad" if worse_than_nothing(b) else "" if p.noise_source == RESIDUALS else mood_of(w)}
+         "white": number(w if p.noise_known else None, 3),
+         "mood": "bad" if worse_than_nothing(b) else mood_of(w) if p.noise_known else ""}
         for name, unit, a, b, c, d, w in zip(
             p.channel_names, p.channel_units, p.rmse, p.nrmse, p.rmse_raw, p.nrmse_raw, p.whitened_rms_by_channel, strict=True
         )
@@ -243,7 +244,7 @@ def _errors(p: Prediction, role: str) -> dict[str, Any]:
         "channels": channels,
         "relative": percent(p.relative_error),
         "relative_raw": percent(p.relative_error_raw),
-        "white": number(p.whitened_rms, 3),
+        "white": number(p.times_noise, 3),
         "mood": judged(p).mood,
         "coverage": percent(p.coverage),
         "repeats": f"This motion repeats the fitted ‘{p.repeats}’." if p.repeats else "",

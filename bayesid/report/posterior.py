@@ -173,7 +173,7 @@ def _motion(prediction: Prediction, index: int) -> dict[str, Any]:
 
 def _error(p: Prediction, role: str) -> dict[str, str]:
     return {
-        "motion": p.motion, "role": role, "relative": percent(p.relative_error), "white": number(p.whitened_rms, 3),
+        "motion": p.motion, "role": role, "relative": percent(p.relative_error), "white": number(p.times_noise, 3),
         "mood": judged(p).mood, "coverage": percent(p.coverage),
     }  # fmt: skip
 

@@ -205,7 +205,7 @@ def comparison_text(result: Comparison, *, html: bool = False) -> str:
         row = overview(result, entry)
         cells = [row["name"]]
         for p in entry.proof[:TEXT_MOTIONS]:
-            cells += [percent(p.relative_error), number(p.whitened_rms, 3)]
+            cells += [percent(p.relative_error), number(p.times_noise, 3)]
         cells += [row["links"]] * known
         if result.reference:
             cells += [row["width"], row["rms"], row["largest"]]

@@ -15,7 +15,7 @@ from bayesid.estimators.parameters import with_ends
 from bayesid.recordings.experiment import Experiment
 from bayesid.recordings.schema import dump_model
 from bayesid.results.fitted_model import fitted_model
-from bayesid.results.text import HALF, number, percent, with_half
+from bayesid.results.text import HALF, percent, with_half
 
 #: The file that it is written into beside a diagnosis.
 DRAFT = "draft_effect.toml"
@@ -42,10 +42,8 @@ def shares(description: Description) -> str:
     if gap is None:
         share = percent(min(description.terms[0].share, 1.0))
         return f"{share} closed on the half of the recordings that the first term was not chosen on; no motion is unseen"
-    before, after, floor = (number(v, 3) for v in (gap.before, gap.after, gap.floor))
     closed, low = (percent(min(v, 1.0)) for v in (gap.closed, gap.closed_low))
-    where = ", ".join(gap.motions)
-    return f"from {before} to {after} times the noise on {where} (floor {floor}), {closed} closed, at least {low}"
+    return f"{closed} of the gap closed on {', '.join(gap.motions)}, at least {low}"
 
 
 def not_told_from(chosen: Chosen) -> list[str]:

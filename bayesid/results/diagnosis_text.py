@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from html import escape
 
 import numpy as np
@@ -11,11 +11,12 @@ from bayesid.diagnosis.data import Episode
 from bayesid.diagnosis.locate import Disagreement
 from bayesid.diagnosis.remarks import by_kind
 from bayesid.diagnosis.rivals import Found
-from bayesid.diagnosis.validation import MotionErrors
 from bayesid.effects import Effect
 from bayesid.results.described import described_lines
 from bayesid.results.findings import Findings
 from bayesid.results.text import DASH, HALF, channel_text, interval, number, percent, with_half
+from bayesid.validation.own_fit import MotionErrors
+from bayesid.validation.prediction import Prediction
 
 #: What stands for a value that the data leave open.
 NOT_DETERMINED = "not determined"
@@ -74,64 +75,89 @@ def part_sentence(diagnosis: Findings) -> str:
 def validation_sentence(diagnosis: Findings) -> str:
     """What unseen motions, or for want of any the fitted ones, say of it."""
     d, gap = diagnosis, diagnosis.gap
-    s = d.search
     if gap is None:
-        before, after = (number(float(np.sqrt(f.chi2 / s.projector.rows)), 3) for f in (s.base, s.best))
-        text = f"No motion that took no part in the fit was compared. On the fitted ones the residual is {before} times the noise"
-        if d.verdict == "named_in_part":
-            return f"{part_sentence(d)} {text} before and {after} times after."
-        return f"{text}." if d.verdict == "nothing_missing" or not s.found else f"{text} before and {after} times after."
-    motions = listed([f"‘{m}’" for m in gap.motions])
-    before, after, floor = (number(v, 3) for v in (gap.before, gap.after, gap.floor))
-    unseen = f"On {motions}, which took no part in any fit,"
+        text = "No motion that took no part in the fit was compared." + (
+            f" On the fitted ones {left_text(d)}." if d.errors else ""
+        )
+        return f"{part_sentence(d)} {text}" if d.verdict == "named_in_part" else text
+    unseen = f"On {listed([f'‘{m}’' for m in gap.motions])}, which took no part in any fit,"
+    text = f"{unseen} {left_text(d)}." if d.errors else ""
     if d.verdict == "named_in_part":
-        return f"{part_sentence(d)} {unseen} the residual goes from {before} to {after} times the noise of sensors and encoders."
+        return f"{part_sentence(d)} {text}".rstrip()
     if d.verdict == "nothing_missing":
-        text = f"{unseen} {before} times the noise is left; {floor} is what a complete model would leave."
         count = sum(not w.event for w in d.where)
         if count:
             places, them = ("one place stands", "it") if count == 1 else (f"{count} places stand", "them")
             text += f" In the fitted motions {places} out of the noise, but no effect of the library explains {them}."
-        return text
-    if d.verdict == "unknown":
-        tried = listed(by_kind(f.term for f in s.found))
-        fitted = number(float(np.sqrt(s.best.chi2 / s.projector.rows)), 3)
-        end = f"a complete model would leave {floor}. On the fitted motions {fitted} times the noise stays."
-        if not tried:
-            return f"{unseen} {before} times the noise is left; {end}"
-        return f"{unseen} the best attempt ({tried}) gets from {before} to {after} times the noise; {end}"
-    text = f"{unseen} the residual goes from {before} to {after} times the noise; a complete model would leave {floor}."
-    if gap.difference < d.data.settings.detected**2:
+    elif d.verdict == "unknown":
+        tried, closed = listed(by_kind(f.term for f in d.search.found)), known_share(gap.closed)
+        if tried:
+            text += f" The best attempt ({tried}) closes {closed or 'nothing'} of the gap."
+    elif gap.difference < d.data.settings.detected**2:
         what = "it" if len(d.found) == 1 else "them"
-        text = (
-            f"{unseen} {before} times the noise is left with and without {what} ({floor} by a complete model): the readings of "
-            f"these motions hardly depend on {what}, so they neither confirm nor deny {what}."
-        )
+        text += f" The readings of these motions hardly depend on {what}, so they neither confirm nor deny {what}."
+    elif closed := known_share(gap.closed):
+        least = known_share(gap.closed_low)
+        text += f" That closes {closed} of the gap" + (f", at least {least}." if least else ".")
     here = [f.term.motion for f in d.found if isinstance(f.term, Episode)]
     if here:
         text += f" A contact happens once, here in ‘{here[0]}’, so other motions cannot confirm it."
-    return text
+    return text.strip()
+
+
+def shown_errors(diagnosis: Findings) -> tuple[MotionErrors, ...]:
+    """Of the motions that were not fitted, or of all where there are none."""
+    return tuple(e for e in diagnosis.errors if not e.fitted) or diagnosis.errors
+
+
+def left_text(diagnosis: Findings) -> str:
+    """What is left of the motions: in units of the noise, or of the signal where no reading tells the noise."""
+    errors = shown_errors(diagnosis)
+    several = len(errors) > 1
+
+    def each(e: MotionErrors, value: Callable[[Prediction], str]) -> str:
+        where = f" on ‘{e.motion}’" if several else ""
+        return value(e.before) + where if e.after is None else f"from {value(e.before)} to {value(e.after)}{where}"
+
+    goes = any(e.after is not None for e in errors)
+    known = all(e.before.noise_known for e in errors)
+    size = _times if known else _share
+    sizes = listed([each(e, size) for e in errors])
+    if known:
+        complete = number(max(e.last.expected_rms for e in errors), 3)
+        text = f"the residual goes {sizes} times the noise" if goes else f"{sizes} times the noise is left"
+        return f"{text}; a complete model would leave {complete}"
+    text = f"the error goes {sizes} of the signal" if goes else f"the error is {sizes} of the signal"
+    return f"{text} (the sensor's own noise is not known)"
+
+
+def _times(p: Prediction) -> str:
+    return number(p.whitened_rms, 3)
+
+
+def _share(p: Prediction) -> str:
+    return percent(p.relative_error)
 
 
 def error_lines(diagnosis: Findings) -> list[str]:
-    """Errors without and with the effects named, in per cent and units: of the motions that were not fitted, or of all."""
-    names, units = diagnosis.data.channels.names, diagnosis.data.channels.units
-    shown = [e for e in diagnosis.errors if not e.fitted] or diagnosis.errors
-    return [error_line(e, names, units) for e in shown]
+    """Errors without and with the effects named, in times the noise, per cent and units: of the motions `shown_errors` names."""
+    return [error_line(e) for e in shown_errors(diagnosis)]
 
 
-def error_line(e: MotionErrors, names: Sequence[str], units: Sequence[str]) -> str:
+def error_line(e: MotionErrors) -> str:
     """One motion's errors: all channels together, then those that gain most, or of which most is left where nothing is named."""
-    after = e.before if e.after is None else e.after
+    before, after = e.before, e.last
 
-    def change(before: float, now: float, text: Callable[[float], str]) -> str:
-        return text(before) if e.after is None else f"{text(before)} -> {text(now)}"
+    def change(text: Callable[[Prediction], str]) -> str:
+        return text(before) if e.after is None else f"{text(before)} -> {text(after)}"
 
-    order = np.argsort(-e.before / np.maximum(e.signal if e.after is None else e.after, 1e-300))
-    worst = [k for k in order if e.before[k] > 0.0][:_CHANNELS_SAID]
-    parts = [f"{names[k]} {change(float(e.before[k]), float(after[k]), lambda v: number(v, 3))} {units[k]}" for k in worst]
-    whole = change(e.relative(e.before), e.relative(after), percent)
-    return f"error of {e.motion}{' (fitted)' if e.fitted else ''}: {whole} of the signal; {', '.join(parts)}"
+    order = np.argsort(-before.rmse / np.maximum(before.signal if e.after is None else after.rmse, 1e-300))
+    worst = [k for k in order if before.rmse[k] > 0.0][:_CHANNELS_SAID]
+    units = before.channel_units
+    parts = [f"{before.channel_names[k]} {change(lambda p, k=k: number(float(p.rmse[k]), 3))} {units[k]}" for k in worst]
+    noise = f"{change(_times)} x noise" if before.noise_known else "noise not known"
+    whole = change(_share)
+    return f"error of {e.motion}{' (fitted)' if e.fitted else ''}: {noise}, {whole} of the signal; {', '.join(parts)}"
 
 
 def notes(diagnosis: Findings) -> list[str]:
@@ -233,17 +259,13 @@ def summary(diagnosis: Findings) -> str:
     if d.part is not None:
         lines.append(f"  {part_sentence(d)}")
     if d.gap is None:
-        lines.append(f"  {validation_sentence(d)}")
-    else:
-        before, after, floor = (number(v, 3) for v in (d.gap.before, d.gap.after, d.gap.floor))
-        text = f"  gap on {', '.join(d.gap.motions)}: {before} -> {after} x noise"
-        text += "" if d.verdict == "named_in_part" else f" (floor {floor})"
-        closed, least = known_share(d.gap.closed), known_share(d.gap.closed_low)
-        if d.found and closed and d.part is None:
-            text += f", {closed} closed" + (f", at least {least}" if least else "")
-        if d.found and d.gap.difference < d.data.settings.detected**2:
-            text += "; these motions hardly depend on what is named, they neither confirm nor deny it"
-        lines.append(text)
+        lines.append("  No motion that took no part in the fit was compared.")
+    elif d.found and d.part is None:
+        motions, closed, least = ", ".join(d.gap.motions), known_share(d.gap.closed), known_share(d.gap.closed_low)
+        if d.gap.difference < d.data.settings.detected**2:
+            lines.append(f"  {motions} hardly depends on what is named, and neither confirms nor denies it")
+        elif closed:
+            lines.append(f"  gap on {motions}: {closed} closed" + (f", at least {least}" if least else ""))
     lines += [f"  {line}" for line in error_lines(d)]
     if d.verdict == "unknown" and d.search.found:
         lines.append(f"  best attempt: {', '.join(by_kind(f.term for f in d.search.found))}")

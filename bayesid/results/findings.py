@@ -15,7 +15,7 @@ from bayesid.diagnosis.in_part import InPart
 from bayesid.diagnosis.locate import Disagreement
 from bayesid.diagnosis.search import Found, Search
 from bayesid.diagnosis.stability import Stability
-from bayesid.diagnosis.validation import Gap, MotionErrors
+from bayesid.diagnosis.validation import Gap
 from bayesid.effects import Term
 from bayesid.effects.effect import Derived
 from bayesid.estimators.parameters import with_ends
@@ -23,6 +23,7 @@ from bayesid.recordings.schema import EffectParameters
 from bayesid.results.described import description_dict, terms_of
 from bayesid.results.fitted_model import fitted_model
 from bayesid.results.telling import NEXT_MOTION, telling_dict
+from bayesid.validation.own_fit import MotionErrors
 
 SCHEMA = 1
 
@@ -65,7 +66,7 @@ class Findings:
     remainder
         Where the model with the effects named in part and the data disagree.
     errors
-        Of every motion in the readings' own units, without and with the effects named; those that were not fitted first.
+        What `bayesid.identify` leaves of every motion without and with the effects named; those that were not fitted first.
     """
 
     data: DiagnosisData
@@ -135,7 +136,7 @@ class Findings:
             "remainder": self._remainder(),
             "where": [d.to_dict() for d in self.where],
             "gap": self._gap(),
-            "errors": [e.to_dict(self.data.channels.names, self.data.channels.units) for e in self.errors],
+            "errors": [e.to_dict() for e in self.errors],
             "description": None if self.description is None else description_dict(self.description, self.data.channels.names),
             "candidates": [
                 {

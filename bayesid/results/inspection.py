@@ -13,6 +13,8 @@ from bayesid.recordings.experiment import Experiment, Motion
 from bayesid.recordings.timing import TOLD, Timing
 from bayesid.results.files import Result
 from bayesid.validation.mistakes.mistake import Mistake
+from bayesid.validation.own_fit import left_dict, left_text
+from bayesid.validation.prediction import Prediction
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -115,6 +117,9 @@ class Inspection(Result):
         Signs, frames, orders and units that seem to be wrong, the most certain first; the warnings begin with them.
     warnings
         What looks doubtful, most important first.
+    left
+        What `identify` with its default estimator would leave of every motion; empty where it cannot be fitted, or is longer
+        than fits in memory.
     """
 
     verb = "check"
@@ -127,6 +132,7 @@ class Inspection(Result):
     position_std: np.ndarray
     mistakes: tuple[Mistake, ...]
     warnings: tuple[str, ...]
+    left: tuple[Prediction, ...] = ()
 
     def plot(self, motion: str | None = None, *, channels: Sequence[str] | str | None = None, ax: Any = None) -> Figure:
         """Draw the recording of a motion, the first by default; as `Experiment.plot`."""
@@ -162,6 +168,7 @@ class Inspection(Result):
             "bandwidth_hz": self.bandwidth,
             "bandwidth_reason": self.bandwidth_reason,
             "position_std": [_finite(v) for v in self.position_std],
+            "left": [left_dict(p) for p in self.left],
             "sensor_sets": [
                 {"readings": s.name, "rank": s.base.rank, "available": s.available, "base_parameters": list(s.base.names),
                  "invisible": list(s.base.invisible)}
@@ -190,6 +197,7 @@ class Inspection(Result):
             )
             if m.noise_at_rest:
                 lines.append("    noise at rest: " + ", ".join(f"{c} {s:.3g}" for c, s in m.noise_at_rest.items()))
+        lines += [f"  a fit would leave of {p.motion}: {left_text(p)}" for p in self.left]
         if self.bandwidth is not None:
             lines.append(f"  bandwidth of the motion {self.bandwidth:.3g} Hz ({self.bandwidth_reason})")
         if any("v" in m.columns for m in self.motions):

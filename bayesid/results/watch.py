@@ -12,13 +12,15 @@ from bayesid.results.changes import change_dict
 from bayesid.results.changes_text import value_text
 from bayesid.results.files import Result
 from bayesid.results.text import DASH, html_table, number, text_table
+from bayesid.validation.own_fit import left_dict
+from bayesid.validation.prediction import Prediction
 
 SCHEMA = 1
 _WORDS = {
     "named": "changed", "named_in_part": "changed, named in part", "ambiguous": "changed, ambiguous",
     "unknown": "changed, unknown", "nothing_missing": "nothing changed",
 }  # fmt: skip
-HEAD = ["recording", "verdict", "what changed", "residual over own fit"]
+HEAD = ["recording", "verdict", "what changed", "residual over own fit", "x noise"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,11 +35,20 @@ class Watched:
         What changed since the reference; None where it could not be compared.
     complaint
         Why it could not.
+    left
+        What the reference's fit leaves of its motions, as `bayesid.identify` fits and measures it.
     """
 
     name: str
     comparison: Comparison | None
     complaint: str = ""
+    left: tuple[Prediction, ...] = ()
+
+    @property
+    def times_noise(self) -> float:
+        """Root mean square over its motions of what the reference's fit leaves over the noise; nan where that is not known."""
+        known = [p.whitened_rms for p in self.left if p.noise_known]
+        return float(np.sqrt(np.mean(np.square(known)))) if known else float("nan")
 
     @property
     def verdict(self) -> str:
@@ -69,8 +80,9 @@ class Watched:
     def line(self) -> list[str]:
         """Cells of the table: name, verdict, what changed, the gap."""
         if self.comparison is None:
-            return [self.name, self.words, self.complaint, DASH]
-        return [self.name, self.words, "; ".join(map(_told, self.changes)) or DASH, number(self.gap, 3)]
+            return [self.name, self.words, self.complaint, DASH, DASH]
+        noise = number(self.times_noise, 3) if np.isfinite(self.times_noise) else DASH
+        return [self.name, self.words, "; ".join(map(_told, self.changes)) or DASH, number(self.gap, 3), noise]
 
     def __str__(self) -> str:
         """One line."""
@@ -87,7 +99,7 @@ class Watched:
         return {
             **out, "effects": [change_dict(x) for x in self.changes], "gap": self.gap,
             "gap_left": float(np.sqrt((p.after if self.changes else p.tolerance) / p.floor)),
-            "largest_log_evidence": self.evidence,
+            "largest_log_evidence": self.evidence, "left": [left_dict(x) for x in self.left],
         }  # fmt: skip
 
 

@@ -104,5 +104,5 @@ def still_predictable(prediction: Prediction) -> str:
 def over_noise(prediction: Prediction) -> str:
     """The residual over the noise, and which noise that is."""
     if prediction.noise_source == RESIDUALS:
-        return f"{prediction.whitened_rms:.3g} times what the fit left (the sensor's own noise is not known)"
+        return "not compared with the sensor's own noise, which is not known"
     return f"{prediction.whitened_rms:.3g} times the sensor's noise"

@@ -93,6 +93,8 @@ class Prediction:
         Residual and noise by frequency; None for poses and segments too short to tell frequencies apart.
     flexible
         What a flexible model would take from the error of a motion that was not fitted; None where nothing tells.
+    fitted
+        Whether the estimate was fitted to this motion.
     """
 
     motion: str
@@ -115,6 +117,22 @@ class Prediction:
     poses: bool = False
     spectrum: Spectrum | None = None
     flexible: FlexibleGap | None = None
+    fitted: bool = False
+
+    @property
+    def noise_known(self) -> bool:
+        """Whether anything but the fit's own residual tells the noise."""
+        return self.noise_source != RESIDUALS
+
+    @property
+    def times_noise(self) -> float:
+        """``whitened_rms``; nan where the noise is not known: what the fit itself leaves is no measure of the model."""
+        return self.whitened_rms if self.noise_known else float("nan")
+
+    @property
+    def signal(self) -> np.ndarray:
+        """Root mean square of what was measured, in the band (c,) [unit of the channel]; zero where nothing was."""
+        return _signal(self.rmse, self.nrmse)
 
     @property
     def relative_error(self) -> float:
@@ -174,9 +192,13 @@ class Prediction:
 
 def _together(rmse: np.ndarray, nrmse: np.ndarray) -> float:
     """Error norm over signal norm of all channels together, from those of each channel (c,)."""
+    return float(np.linalg.norm(rmse) / max(np.linalg.norm(_signal(rmse, nrmse)), 1e-300))
+
+
+def _signal(rmse: np.ndarray, nrmse: np.ndarray) -> np.ndarray:
+    """Root mean squares (c,) that errors are the shares of."""
     known = nrmse > 0
-    signal = np.where(known, rmse / np.where(known, nrmse, 1), 0)
-    return float(np.linalg.norm(rmse) / max(np.linalg.norm(signal), 1e-300))
+    return np.where(known, rmse / np.where(known, nrmse, 1), 0)
 
 
 def predict(problem: Problem, estimate: Estimate, motion: Motion, floor: NoiseFloor | None = None) -> Prediction:
@@ -232,6 +254,7 @@ def predict(problem: Problem, estimate: Estimate, motion: Motion, floor: NoiseFl
         repeats=repeated(problem.experiment, motion, problem.fitted),
         poses=all(r.poses for r in moving),
         spectrum=spectrum,
+        fitted=motion.name in problem.fitted,
     )
 
 
@@ -256,7 +279,7 @@ def predict_elsewhere(problem: Problem, estimate: Estimate, other: Experiment) -
 
     def one(motion: Motion) -> Prediction:
         repeats = repeated(problem.experiment, motion, problem.fitted)
-        return replace(predict(there, estimate, motion, floor), role="validation", repeats=repeats)
+        return replace(predict(there, estimate, motion, floor), role="validation", repeats=repeats, fitted=False)
 
     return tuple(in_order(one, motions))
 

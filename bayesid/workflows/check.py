@@ -1,4 +1,4 @@
-"""The verb ``check``: what an experiment folder contains and what its readings could show, before any estimate."""
+"""The verb ``check``: what an experiment folder contains, what its readings could show, and how much a fit would leave."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from bayesid.drawing import Figures, figures_of
 from bayesid.dynamics.base_parameters import structural_base
-from bayesid.errors import InputError
+from bayesid.errors import BayesidError, InputError
 from bayesid.recordings.experiment import Experiment, Motion, as_experiment
 from bayesid.recordings.table import GAP, WRENCH_COLUMNS, Table
 from bayesid.recordings.timing import Timing
@@ -21,6 +21,8 @@ from bayesid.results.files import Files, files_of
 from bayesid.results.inspection import Inspection, MotionSummary, SensorSet
 from bayesid.signals.smoothing import smooth
 from bayesid.validation.mistakes.search import find_mistakes
+from bayesid.validation.own_fit import fit_and_predict
+from bayesid.validation.prediction import Prediction
 from bayesid.workflows.progress import SHOWN, Progress, quiet, shows_progress
 
 _GROUPS = {"positions": "q", "velocities": "v", "commanded": "qr", "torques": "tau", "wrench": "wrench"}
@@ -51,6 +53,7 @@ def check(experiment: Experiment | str | Path, progress: Progress | None = SHOWN
     warnings: list[str] = []
     channel = default_channel(experiment)
     bandwidth, reason, position_std = None, "", np.full(experiment.robot.n, np.nan)
+    left: tuple[Prediction, ...] = ()
     try:
         experiment.library.parse(experiment.effects, experiment.robot.joint_names, [*WRENCH_COLUMNS, "tau1"])
     except InputError as error:
@@ -58,9 +61,12 @@ def check(experiment: Experiment | str | Path, progress: Progress | None = SHOWN
     try:
         with one_blas_thread():
             problem = prepare(experiment, FitOptions(channel))
-        bandwidth, reason, position_std = problem.smoother.bandwidth, problem.smoother.reason, problem.smoother.position_std
-    except InputError as error:
-        reason = str(error)
+            bandwidth, reason, position_std = problem.smoother.bandwidth, problem.smoother.reason, problem.smoother.position_std
+            if problem.regression.fits_in_memory:
+                progress("what a fit would leave")
+                left = fit_and_predict(problem)
+    except BayesidError as error:
+        reason = reason or str(error)
         warnings.append(f"identify will refuse this folder as it is: {error}")
     motions = tuple(_summary(m, bandwidth) for m in experiment.motions)
     progress("signs, frames and units")
@@ -75,6 +81,7 @@ def check(experiment: Experiment | str | Path, progress: Progress | None = SHOWN
         bandwidth_reason=reason,
         position_std=position_std,
         mistakes=mistakes,
+        left=left,
         warnings=experiment.told_with([*(m.text for m in mistakes), *warnings]),
     )
 

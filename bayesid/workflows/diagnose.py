@@ -23,7 +23,7 @@ from bayesid.diagnosis.search import Found, Search, certain, holds_below, search
 from bayesid.diagnosis.settings import DEFAULT, Settings
 from bayesid.diagnosis.shifts import base_shifts
 from bayesid.diagnosis.stability import Stability, stability
-from bayesid.diagnosis.validation import Gap, motion_errors, residual_spectra, validate
+from bayesid.diagnosis.validation import Gap, residual_spectra, validate
 from bayesid.diagnosis.verdict import Reason, Verdict, evidence_of, named_in_part, verdict
 from bayesid.drawing import Figures, figures_of
 from bayesid.errors import InputError
@@ -37,6 +37,7 @@ from bayesid.results.described import DRAFT, write_draft
 from bayesid.results.diagnosis import Diagnosis
 from bayesid.results.files import Files, files_of, strict
 from bayesid.results.telling import NEXT_MOTION, telling_sentence, write_motion
+from bayesid.validation.own_fit import motion_errors
 from bayesid.workflows.changes import changes
 from bayesid.workflows.progress import SHOWN, Progress, quiet, shows_progress
 
@@ -149,7 +150,8 @@ def diagnose(
         if result.verdict == "unknown" and (below := holds_below(result.search)) < inf:
             again = searched(below)
             result = result if again.verdict == "unknown" else again
-        result = _with_next_motion(_concluded(result, seed, progress), seed, progress)
+        result = _with_errors(_concluded(result, seed, progress), motions, progress)
+        result = _with_next_motion(result, seed, progress)
         result = _with_description(result, seed, progress)
     return replace(result, seconds=time.perf_counter() - since)
 
@@ -222,8 +224,15 @@ def _concluded(found: _Decided, seed: int, progress: Progress) -> Diagnosis:
         stability=parts if named else (),
         part=part,
         remainder=stays,
-        errors=motion_errors(s.projector.data, s.base, s.best if named else None),
     )
+
+
+def _with_errors(result: Diagnosis, motions: Sequence[str] | None, progress: Progress) -> Diagnosis:
+    """The diagnosis with what `bayesid.identify` leaves of every motion without and with the effects named."""
+    progress("errors without and with what is named" if result.found else "errors")
+    experiment, (effects, values) = result.data.experiment, result.model
+    after = replace(experiment, effects=effects, effect_values=values) if result.found else None
+    return replace(result, errors=motion_errors(experiment, after, FitOptions(result.data.channel, motions=motions)))
 
 
 def _places(s: Search, model: Fit) -> tuple[Disagreement, ...]:

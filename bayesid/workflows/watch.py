@@ -14,12 +14,16 @@ from bayesid.diagnosis.changes.reference import Reference, learn_reference
 from bayesid.diagnosis.settings import DEFAULT, Settings
 from bayesid.drawing import Figures, figures_of
 from bayesid.errors import BayesidError, InputError
+from bayesid.estimators import Estimate
+from bayesid.estimators.nonlinear import default_method, solve
 from bayesid.recordings.experiment import Experiment, as_experiment
 from bayesid.regression.options import FitOptions, some_options
 from bayesid.regression.parallel import one_blas_thread
+from bayesid.regression.problem import Problem, prepare
 from bayesid.results.files import Files, files_of, strict
 from bayesid.results.watch import Watch, Watched
 from bayesid.tasks import cluster, map_tasks
+from bayesid.validation.prediction import Prediction, predict_elsewhere
 from bayesid.workflows.progress import SHOWN, Progress, quiet, shows_progress
 
 
@@ -106,6 +110,14 @@ class _Learned:
     def __init__(self, before: Experiment, chosen: FitOptions):
         self._given = before, chosen
         self._found: dict[float | None, Reference] = {}
+        self._fit: tuple[Problem, Estimate] | None = None
+
+    def left(self, recording: Experiment) -> tuple[Prediction, ...]:
+        """What a fit of the reference alone leaves of a recording's motions."""
+        if self._fit is None:
+            problem = prepare(self._given[0], replace(self._given[1], motions=None))
+            self._fit = solve(problem, default_method(problem))
+        return predict_elsewhere(*self._fit, recording)
 
     def __call__(self, bandwidth: float | None = None) -> Reference:
         if bandwidth not in self._found:
@@ -124,9 +136,14 @@ def _compared(
     """A recording compared with the reference, or why it cannot be."""
     name, after = given
     try:
-        return Watched(name, compare_with_learned(learn, after, motions=motions, seed=seed, settings=settings))
+        compared = compare_with_learned(learn, after, motions=motions, seed=seed, settings=settings)
     except BayesidError as error:
         return Watched(name, None, str(error))
+    try:
+        left = learn.left(after)
+    except BayesidError:  # too short for rows of their own
+        left = ()
+    return Watched(name, compared, left=left)
 
 
 def _names(series: Sequence[Experiment]) -> list[str]:

@@ -1,0 +1,116 @@
+"""What a model leaves of every motion once its parameters are fitted: the same numbers in every verb.
+
+They are those of `bayesid.identify` with its default estimator: error in the common band, and residual over noise that does not
+depend on the model. Whoever compares two models compares these.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from bayesid.errors import InputError
+from bayesid.estimators.nonlinear import default_method, solve
+from bayesid.recordings.experiment import Experiment
+from bayesid.regression.options import FitOptions
+from bayesid.regression.parallel import in_order
+from bayesid.regression.problem import Problem, prepare
+from bayesid.validation.noise_floor import noise_floor
+from bayesid.validation.prediction import Prediction, predict
+
+
+@dataclass(frozen=True, eq=False)
+class MotionErrors:
+    """What is left of one motion by the user's model, and by that with the effects named.
+
+    Attributes
+    ----------
+    motion, fitted
+        Which, and whether it was fitted.
+    before, after
+        Predictions by the fits of both; ``after`` is None where no effect is named, or the model with it cannot be fitted.
+    """
+
+    motion: str
+    fitted: bool
+    before: Prediction
+    after: Prediction | None = None
+
+    @property
+    def last(self) -> Prediction:
+        """By the model as it is handed on."""
+        return self.before if self.after is None else self.after
+
+    def to_dict(self) -> dict:
+        """An entry of ``errors`` in ``diagnosis.json``."""
+        sides = {"before": self.before, "after": self.after}
+        known = self.before.noise_known
+        return {
+            "motion": self.motion, "fitted": self.fitted, "noise_source": self.before.noise_source,
+            **{f"relative_{k}": None if p is None else p.relative_error for k, p in sides.items()},
+            **{f"times_noise_{k}": p.times_noise if p is not None and known else None for k, p in sides.items()},
+            "complete_model": self.last.expected_rms if known else None,
+            "channels": {
+                name: {
+                    "unit": unit, "signal": float(self.before.signal[c]),
+                    **{k: None if p is None else float(p.rmse[c]) for k, p in sides.items()},
+                }
+                for c, (name, unit) in enumerate(zip(self.before.channel_names, self.before.channel_units, strict=True))
+            },
+        }  # fmt: skip
+
+
+def left_dict(prediction: Prediction) -> dict:
+    """An entry of ``left`` in ``check.json`` and ``watch.json``."""
+    p = prediction
+    return {
+        "motion": p.motion, "fitted": p.fitted, "relative_error": p.relative_error,
+        "times_noise": p.times_noise if p.noise_known else None, "noise_source": p.noise_source,
+    }  # fmt: skip
+
+
+def left_text(prediction: Prediction) -> str:
+    """``1.02 times the noise, 3.67 % of the signal``."""
+    noise = f"{prediction.times_noise:.3g} times the noise" if prediction.noise_known else "noise not known"
+    return f"{noise}, {100 * prediction.relative_error:.3g} % of the signal"
+
+
+def fit_and_predict(problem: Problem) -> tuple[Prediction, ...]:
+    """Fit a model and predict the motions that it was fitted to, and those of role ``validation``.
+
+    Raises
+    ------
+    InputError
+        Readings are not finite where the effects start.
+    """
+    problem, estimate = solve(problem, default_method(problem))
+    floor = noise_floor(problem)
+    motions = [
+        m for m in problem.experiment.motions
+        if m.name in problem.segments and (m.name in problem.fitted or m.role == "validation")
+    ]  # fmt: skip
+    return tuple(in_order(partial(predict, problem, estimate, floor=floor), motions))
+
+
+def motion_errors(before: Experiment, after: Experiment | None, options: FitOptions) -> tuple[MotionErrors, ...]:
+    """What two models leave of every motion, those that were not fitted first; none where the first cannot be fitted.
+
+    Parameters
+    ----------
+    before, after
+        The same recordings with the user's model and with another; None: there is no other.
+    options
+        Which readings and motions; the effects are those of the experiments.
+    """
+    try:
+        one = fit_and_predict(prepare(before, options))
+    except InputError:  # a diagnosis may compare what leaves no rows to fit
+        return ()
+    try:
+        other = {} if after is None else {p.motion: p for p in fit_and_predict(prepare(after, options))}
+    except (InputError, np.linalg.LinAlgError):
+        other = {}
+    found = [MotionErrors(p.motion, p.fitted, p, other.get(p.motion)) for p in one]
+    return tuple(sorted(found, key=lambda e: e.fitted))

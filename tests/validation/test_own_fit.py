@@ -1,0 +1,94 @@
+"""One number for what a model leaves of a motion, whichever verb says it."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import bayesid
+from bayesid.errors import BayesidError
+from bayesid.estimators.nonlinear import default_method
+from bayesid.regression.options import FitOptions
+from bayesid.validation.own_fit import left_text, motion_errors
+from tests.malformed import DATA
+from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
+
+REAL = sorted(path.parent for path in (DATA / "data").glob("**/experiment.toml"))
+NOISE = {"force_std": 0.05, "torque_std": 0.02, "resolution": 2e-5, "offset": 0.4}
+
+
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory):
+    return puma2(tmp_path_factory.mktemp("arm"))
+
+
+def simulated(robot, seed: int):
+    """A wrench or torques, a correct model or one that lacks a load of 5 % on the last link, one validation motion or two."""
+    heavier = robot.nominal.copy()
+    heavier[-1] *= 1.0 + 0.05 * (seed % 2)
+    sensor = Sensor() if seed % 3 else None
+    made = [
+        recording(robot, sensor, fourier(robot, 10 * seed + k, 8.0), seed=seed + k, phi=heavier.ravel(), **NOISE)
+        for k in range(3)
+    ]
+    roles = ("identification", "validation", "validation" if seed % 4 else "identification")
+    motions = [Motion(f"motion{k}", role, table) for k, (role, table) in enumerate(zip(roles, made, strict=True))]
+    return experiment(robot, motions, sensor)
+
+
+def agree(one, channel: str | None = None) -> None:
+    """The verbs that fit say the same of every motion."""
+    by_identify = bayesid.identify(one, channel, progress=None)
+    expected = {p.motion: p.whitened_rms for p in (*by_identify.fitted, *by_identify.validation)}
+    problem = by_identify.problem
+    compared = bayesid.compare(one, channel=channel, methods=[default_method(problem)], progress=None).entries[0]
+    told = {
+        "check": bayesid.check(one, progress=None).left if problem.channel == bayesid.check(one, progress=None).channel else (),
+        "compare": (*compared.fitted, *compared.validation),
+        "diagnose": [e.before for e in motion_errors(one, None, FitOptions(problem.channel))],
+    }
+    for verb, predictions in told.items():
+        assert {p.motion for p in predictions} in (set(expected), set()), verb
+        for p in predictions:
+            assert p.whitened_rms == pytest.approx(expected[p.motion], rel=1e-9), verb
+    try:
+        (watched,) = bayesid.watch(one, one, problem.channel, progress=None).recordings
+    except BayesidError:  # poses alone
+        return
+    for p in watched.left:
+        if p.motion in expected:
+            assert p.whitened_rms == pytest.approx(expected[p.motion], rel=1e-9), "watch"
+
+
+@pytest.mark.parametrize("seed", range(1, 11))
+def test_every_verb_says_the_same_of_simulated_recordings(robot, seed):
+    agree(simulated(robot, seed))
+
+
+@pytest.mark.skipif(not REAL, reason=f"no real recordings under {DATA / 'data'}; set BAYESID_DATA")
+@pytest.mark.parametrize("folder", REAL, ids=lambda path: path.name)
+def test_every_verb_says_the_same_of_real_recordings(folder: Path):
+    agree(bayesid.load_experiment(folder))
+
+
+def test_a_better_model_leaves_less_of_the_noise_and_not_because_noise_is_another(robot):
+    lacking = simulated(robot, 1)
+    effects = ("viscous_friction",)
+    plain, more = (bayesid.identify(replace(lacking, effects=e), progress=None) for e in ((), effects))
+    assert more.fitted[0].whitened_rms <= plain.fitted[0].whitened_rms * (1.0 + 1e-6)
+    assert plain.floor is not None and more.floor is not None
+    np.testing.assert_allclose(more.floor.sensor, plain.floor.sensor, rtol=1e-12)
+
+
+def test_what_nothing_tells_has_no_number(robot):
+    """Readings filtered before they were recorded: the fit's own residual is no measure of the model."""
+    from scipy.signal import butter, sosfiltfilt
+
+    one = simulated(robot, 1)
+    slow = butter(4, 8.0, fs=125.0, output="sos")
+    motions = tuple(replace(m, table=replace(m.table, wrench=sosfiltfilt(slow, m.table.wrench, axis=0))) for m in one.motions)
+    checked = bayesid.check(replace(one, motions=motions), progress=None)
+    assert checked.left and all(np.isnan(p.times_noise) for p in checked.left)
+    assert "noise not known" in left_text(checked.left[0]) and checked.to_dict()["left"][0]["times_noise"] is None
+    assert "noise not known" in str(checked)
