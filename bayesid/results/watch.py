@@ -100,6 +100,7 @@ class Watched:
             **out, "effects": [change_dict(x) for x in self.changes], "gap": self.gap,
             "gap_left": float(np.sqrt((p.after if self.changes else p.tolerance) / p.floor)),
             "largest_log_evidence": self.evidence, "left": [left_dict(x) for x in self.left],
+            "times_noise": self.times_noise if np.isfinite(self.times_noise) else None,
         }  # fmt: skip
 
 

@@ -367,7 +367,7 @@ def test_how_much_better_in_units_per_cent_and_noise_motion_by_motion(named):
         assert unseen[f"times_noise_{side}"] == pytest.approx(mine.whitened_rms, rel=1e-9)
         assert unseen[f"relative_{side}"] == pytest.approx(mine.relative_error, rel=1e-9)
         assert [c[side] for c in unseen["channels"].values()] == pytest.approx(mine.rmse, rel=1e-9)
-        assert fitted[f"times_noise_{side}"] == pytest.approx(result.predictions[0].whitened_rms, rel=1e-9)
+        assert fitted[f"times_noise_{side}"] == pytest.approx(result.fitted[0].whitened_rms, rel=1e-9)
     assert unseen["times_noise_after"] < 1.1 < unseen["times_noise_before"] and unseen["channels"]["mx"]["unit"] == "N m"
     assert f"{percent(unseen['relative_before'])} -> " in str(named) and "N m" in str(named)
     page = report.diagnosis_report(named)
