@@ -3,6 +3,10 @@
 Beside what the best attempt leaves, an effect of the search is kept, and another of the library added, only if it stands out of
 that and if recordings that are held out in turn are predicted better with it: the lower end of the share of the gap that is lost
 without it is above zero. What is left of the gap then is the remainder.
+
+How much of the gap effects close counts in the channels that they act in, where much stays elsewhere: that other joints do what
+no model has says nothing against an effect in this one. So effects are judged together with those that act in the same channels,
+by the errors of these channels alone on recordings held out in turn.
 """
 
 from __future__ import annotations
@@ -13,16 +17,94 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayesid.diagnosis.candidates import column_terms, everywhere, make_library, surroundings
-from bayesid.diagnosis.channel_groups import ChannelGroup, channel_groups
 from bayesid.diagnosis.choice import LEAST_GAP, Choice
 from bayesid.diagnosis.fit import begin, finish, fit, is_another
 from bayesid.diagnosis.held_out import held_out_sums, left_by, scaled
 from bayesid.diagnosis.projector import make_projector
 from bayesid.diagnosis.rivals import Found
+from bayesid.diagnosis.rows import residual_rows
 from bayesid.diagnosis.search import Search
 from bayesid.diagnosis.significance import differs_from_zero, distance
 from bayesid.diagnosis.white_noise import noise_share, with_white_noise
 from bayesid.effects import Effect, Linearisation, Term
+
+#: An effect acts in a channel if it changes it by more than this share, in mean squares, of what it changes most.
+_ACTS = 1e-2
+
+
+@dataclass(frozen=True)
+class ChannelGroup:
+    """Effects that act in the same channels.
+
+    Attributes
+    ----------
+    effects
+        ``name@place``.
+    channels
+        In which they act.
+    closed
+        Share of the gap in these channels that all effects found close.
+    """
+
+    effects: tuple[str, ...]
+    channels: tuple[str, ...]
+    closed: float
+
+
+def channel_groups(s: Search) -> tuple[ChannelGroup, ...]:
+    """The effects found by the channels that they act in, and what is closed there.
+
+    Parameters
+    ----------
+    s
+        With the effects found as those of its best model.
+    """
+    users, left = len(s.base.terms), (left_by(s.projector.data, s.base), left_by(s.projector.data, s.best))
+    data = scaled(s.projector.data, left[1])
+    weight, names = np.sqrt(left[1] / left[0]), np.array(data.channels.names)
+    out = []
+    for members, mask in _together(_acting(s, weight)):
+        if not mask.any():  # it changes nothing
+            out.append(ChannelGroup(tuple(s.found[n].term.effect.spec for n in members), (), 0.0))
+            continue
+        sums = held_out_sums(data, s.projector.root, s.best, [], weight * mask)
+        before = float(sums.squares(range(users)).sum())
+        after = float(sums.squares(range(len(s.best.terms))).sum())
+        rows = sum(float(x.shape[0] * (x.alive & mask).sum()) for x in (*data.segments, *data.unseen))
+        gap = max(before - noise_share(s.projector.data, left[0], mask) * rows, LEAST_GAP * before)
+        closed = (before - after) / gap if gap > 0.0 else 0.0
+        out.append(ChannelGroup(tuple(s.found[n].term.effect.spec for n in members), tuple(map(str, names[mask])), closed))
+    return tuple(out)
+
+
+def _acting(s: Search, weight: np.ndarray) -> np.ndarray:
+    """Which channels each effect found acts in (effects, c)."""
+    data, best, known = scaled(s.projector.data, left_by(s.projector.data, s.best)), s.best, len(s.base.terms)
+    out = []
+    now = residual_rows(data, data.segments, best.links, best.offset, best.terms)
+    for n in range(known, len(best.terms)):
+        rest = tuple(t for k, t in enumerate(best.terms) if k != n)
+        change = residual_rows(data, data.segments, best.links, best.offset, rest) - now
+        edges = np.cumsum([x.shape[0] * x.shape[1] for x in data.segments])[:-1]
+        parts = [part.reshape(x.shape) for part, x in zip(np.split(change, edges), data.segments, strict=True)]
+        energy = sum(np.sum((part * weight) ** 2, axis=0) for part in parts)
+        out.append(energy > _ACTS * np.max(energy))
+    return np.array(out)
+
+
+def _together(acting: np.ndarray) -> list[tuple[list[int], np.ndarray]]:
+    """Effects that share a channel, directly or by way of others, and the channels of each such group (c,)."""
+    groups: list[tuple[list[int], np.ndarray]] = []
+    for n, mask in enumerate(acting):
+        mine, rest = ([n], mask), []
+        for members, own in groups:
+            if (own & mine[1]).any():
+                mine = (members + mine[0], own | mine[1])
+            else:
+                rest.append((members, own))
+        groups = [*rest, mine]
+    return groups
+
 
 #: An effect at the values where its columns are taken, and how amplitudes become values.
 _Candidate = tuple[Term, Linearisation]

@@ -7,11 +7,155 @@ from collections.abc import Sequence
 import numpy as np
 
 from bayesid.dynamics.channels import Channels
-from bayesid.effects.derivatives import effect_derivatives, link_derivatives
+from bayesid.dynamics.kinematics import P, R, link_columns, project
+from bayesid.effects.bodies import body_of, split_matrix
 from bayesid.effects.effect import Effect, Term
+from bayesid.effects.families import (
+    BodyEffect,
+    FlexibleJointEffect,
+    GravityEffect,
+    JointGainEffect,
+    JointTorqueEffect,
+    LoadEffect,
+    MountEffect,
+    PlayEffect,
+    ReadingEffect,
+    RotorEffect,
+    SensorEffect,
+    differences,
+)
+from bayesid.effects.flexible import Motion
 from bayesid.effects.model import Model
+from bayesid.effects.play import LARGE
 from bayesid.effects.segment import MotionSegment
 from bayesid.robot.robot import Robot
+
+
+def tangent(model: Model, change: np.ndarray) -> np.ndarray:
+    """Change of the readings with a change of the true wrench and torques, (N, c, k)."""
+    drives = model.torque_chain
+    motors = drives.at_motors(change)
+    change = drives.late(model.segment, motors)
+    sensor = len(model.wrench) and model.of_family(SensorEffect)
+    loaded = [(e, v) for e, v in model.of_family(JointTorqueEffect) if e.uses_load and e.joint in model.joints]
+    on_top = model.of_family(ReadingEffect)
+    gains = model.of_family(JointGainEffect)
+    if not (sensor or loaded or on_top or gains):
+        return change
+    out = np.array(change)
+    if sensor:
+        out[:, model.wrench] = model.chain().linear(model.segment, change[:, model.wrench])
+    for effect, values in loaded:
+        k = model.joints[effect.joint]
+        share = effect.per_load(model.joint_motion(effect), values)
+        out[:, k] += share[:, None] * change[:, k]
+    for effect, values in on_top:
+        more = effect.tangent(model.readout, values, motors)
+        out = out if more is None else out + drives.late(model.segment, more)
+    return out * drives.gain[:, None] if gains else out
+
+
+def link_derivatives(model: Model) -> np.ndarray:
+    """Derivative of the readings with respect to the links' parameters at the links' motion, (N, c, 10 b)."""
+    robot, b = model.robot, len(model.robot.body_names)
+    out = link_columns(model.states, model.twists, model.row_of[:b], model.carries[:, :b], model.gravity)
+    for body in range(robot.n, b):
+        part = slice(10 * body, 10 * body + 10)
+        out[:, :, part] = out[:, :, part] @ split_matrix(robot, body)
+    return tangent(model, out)
+
+
+def effect_derivatives(model: Model, effect: Effect) -> np.ndarray:
+    """Derivative of the readings with respect to the parameters of one of the terms, (N, c, k).
+
+    What an effect changes at most is differentiated: its own torque, load or weight; the whole reading where nothing less
+    will do.
+    """
+    term = next(t for t in model.terms if t.effect == effect)
+    values = term.values
+    out = np.zeros((len(model.segment.times), len(model.channels), len(values)))
+    if not any(effect.acts_on(c) for c in model.channels.names):
+        return out
+    match effect:
+        case SensorEffect():
+            true = model.true[:, model.wrench]
+            out[:, model.wrench] = effect.columns(model.chain(without=effect), model.segment, true, values)
+        case JointGainEffect() | JointTorqueEffect() if effect.joint not in model.joints:
+            pass
+        case JointGainEffect():
+            k = model.joints[effect.joint]
+            share = differences(effect, values, lambda v: np.full(1, effect.gain(v)))
+            out[:, k] = model.ungained[:, k, None] * share
+        case JointTorqueEffect():
+            k, motion = model.joints[effect.joint], model.joint_motion(effect)
+            out[:, k] = differences(effect, values, lambda v: effect.torque(motion, v)) * model.torque_chain.gain[k]
+        case ReadingEffect():
+            added = differences(effect, values, lambda v: effect.added(model.readout, v))
+            out = model.torque_chain.late(model.segment, added) * model.torque_chain.gain[:, None]
+        case BodyEffect():
+            at = body_of(model.robot, effect.joint)
+            rows, carried = model.row_of[at : at + 1], model.carries[:, at : at + 1]
+            unit = link_columns(model.states, model.twists, rows, carried, model.gravity)
+            out = tangent(model, unit if effect.is_ten_parameters else unit @ differences(effect, values, effect.body))
+        case RotorEffect():
+            unit = model.rotor_reading(model.channels, model.carries, model.states, model.twists, effect)
+            share = differences(effect, values, lambda v: np.array(effect.inertia(v)))
+            out = tangent(model, unit[:, :, None] * share)
+        case LoadEffect():
+            out = tangent(model, _load_columns(model, effect, values))
+        case GravityEffect() if not any(model.of_family(f) for f in (PlayEffect, FlexibleJointEffect, MountEffect)):
+            out = tangent(model, differences(effect, values, lambda v: _weight(model, model.changed(Term(effect, v)).gravity)))
+        case PlayEffect() if _without_play(model, effect):
+            out = tangent(model, _play_columns(model, effect, values))
+        case _:
+            out = differences(effect, values, lambda v: model.changed(Term(effect, v)).readings)
+    return out
+
+
+def _load_columns(model: Model, effect: LoadEffect, values: tuple[float, ...]) -> np.ndarray:
+    """Derivative of what the channels read of loads from outside (N, c, k), from that of their wrenches."""
+    out = np.zeros((len(model.segment.times), len(model.channels), len(values)))
+    for body, wrench in effect.load_columns(model.robot, model.segment, model.states, values):
+        out -= np.matmul(model.twists, wrench) * model.carries[:, body, None]
+    return out
+
+
+def _without_play(model: Model, effect: PlayEffect) -> bool:
+    """Whether a joint's play is none as yet, and links are elsewhere where motors hold them."""
+    gives = [t for family in (PlayEffect, FlexibleJointEffect, MountEffect) for t in model.of_family(family)]
+    values = next(values for own, values in gives if own == effect)
+    return len(gives) == 1 and not effect.lean(np.array([-LARGE, LARGE]), values).any()
+
+
+def _play_columns(model: Model, effect: PlayEffect, values: tuple[float, ...]) -> np.ndarray:
+    """Derivative of what there is to read with respect to a play that is none as yet (N, c, k)."""
+    rigid = Model(model.robot, model.channels, model.segment, model.links, tuple(t for t in model.terms if t.effect != effect))
+    joint, out = effect.joint or 0, np.zeros((len(model.segment.times), len(model.channels), len(values)))
+    moves = rigid.little_play(joint, lambda torque: differences(effect, values, lambda v: effect.lean(torque, v)))
+    for k, move in enumerate(moves):
+        if any(part.any() for part in move):
+            step = effect.quantities[k].step
+            ahead, back = (rigid.true_of(_moved(rigid.held_by_motors, joint, move, h)) for h in (step, -step))
+            out[:, :, k] = (ahead - back) / (2.0 * step)
+    return out
+
+
+def _moved(motion: Motion, joint: int, change: Motion, by: float) -> Motion:
+    """A motion of all joints, (N, n) each, with so much of a change of one joint's, (N,) each."""
+    parts = [part.copy() for part in motion]
+    for part, own in zip(parts, change, strict=True):
+        part[:, joint] += by * own
+    return parts[0], parts[1], parts[2]
+
+
+def _weight(model: Model, gravity: np.ndarray) -> np.ndarray:
+    """What the channels read of the weight of all bodies (N, c) under a gravity (3,)."""
+    x = model.states[:, model.row_of]
+    rotation = x[:, :, R : R + 9].reshape(*x.shape[:2], 3, 3)
+    mass = model.bodies[:, 0]
+    first = mass[:, None] * x[:, :, P : P + 3] + np.einsum("nbij,bj->nbi", rotation, model.bodies[:, 1:4])
+    force = np.broadcast_to(-mass[:, None] * gravity, first.shape)
+    return project(model.twists, np.concatenate([force, -np.cross(first, gravity)], axis=2), model.carries)
 
 
 def readings(

@@ -1,15 +1,281 @@
-"""A recording examined: what cannot be right is refused, what is certain is found, what is doubtful told."""
+"""A recording examined: what cannot be right is an error, what is certain a finding, what is doubtful a warning.
+
+Every check returns its warnings, one line each, that say which file, column and time; errors are raised. Nothing is repaired but
+for angles that were counted in turns.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
-from bayesid.recordings import checks, motion_checks
+import numpy as np
+
+from bayesid.errors import InputError
+from bayesid.recordings import motion_checks
+from bayesid.recordings.complaints import listed
 from bayesid.recordings.finding import Finding
 from bayesid.recordings.held import held_columns, held_findings
 from bayesid.recordings.motion import Motion
-from bayesid.recordings.wraps import unwrapped
+from bayesid.recordings.motion_checks import MATCH, MIN_SAMPLES
+from bayesid.recordings.table import GAP, Table
 from bayesid.robot.robot import Robot
+
+FAR_OUTSIDE = 4.0 * np.pi  # beyond a limit by this much [rad or m]: another unit
+LARGE_ANGLE = 20.0  # no joint with limits turns this far [rad]
+_KINKS = 2  # so many turns at zero make a magnitude
+_REACH = 6  # samples on either side of a turn
+LIMIT_SLACK = 0.1  # [rad or m]
+
+
+def check_positions(table: Table, robot: Robot) -> list[str]:
+    """Compare positions with the URDF's limits; far beyond them the unit is wrong.
+
+    Raises
+    ------
+    InputError
+        A position is so far outside that it cannot be in rad (or m).
+    """
+    warnings = []
+    for j in range(robot.n):
+        q, lower, upper = table.positions[:, j], float(robot.lower[j]), float(robot.upper[j])
+        excess = np.maximum(lower - q, q - upper)
+        worst = int(np.argmax(excess))
+        limited = bool(np.isfinite([lower, upper]).any())
+        slides = bool(robot.prismatic[j])
+        far = excess[worst] > FAR_OUTSIDE
+        if limited and not slides and np.abs(q).max() > LARGE_ANGLE:
+            far, worst = True, int(np.argmax(np.abs(q)))
+        place = f"{table.source}: column q{j + 1}: {robot.joint_names[j]} is at {q[worst]:.6g} at {table.times[worst]:.6g} s"
+        allowed = f"{robot.urdf.name} allows {lower:.6g} to {upper:.6g} {'m' if slides else 'rad'}"
+        if far:
+            unit = "millimetres? write metres" if slides else "degrees? write radians"
+            motor = "; if it is the motor's position, divide by the gear ratio"
+            raise InputError(f"{place}, {allowed}; is it in {unit}, or correct the limits{motor}")
+        if excess[worst] > LIMIT_SLACK:
+            warnings.append(f"{place}, {allowed}; check the unit (rad or m), the joint order and the limits")
+    return warnings
+
+
+def check_channels(table: Table) -> list[str]:
+    """Look for sensor channels that do not work at all, in any kind of table.
+
+    Raises
+    ------
+    InputError
+        All six wrench channels, or all torques, are zero throughout; torques have lost their signs.
+    """
+    for array, names in ((table.wrench, "fx ... mz"), (table.torques, "tau1 ...")):
+        if array is not None and not np.nan_to_num(array).any():
+            raise InputError(f"{table.source}: columns {names}: 0 in every row; record them, or leave them out")
+    unsigned = _without_sign(table)
+    if unsigned:
+        raise InputError(
+            f"{table.source}: columns {', '.join(unsigned)}: never negative, as if they were magnitudes; a moving robot's "
+            "torques have both signs: export them with their signs"
+        )
+    dead = [(name, values[0]) for name, values in table.channels() if len(table) > 1 and np.ptp(values) == 0.0]
+    return [f"{table.source}: column {name}: {value:g} in every row; that channel looks dead, check it" for name, value in dead]
+
+
+def _without_sign(table: Table) -> list[str]:
+    """Torque columns that are magnitudes: none is ever negative.
+
+    Of three joints, one at least is not loaded by gravity to one side only, or has friction in both directions. One or two
+    may be; their torques are magnitudes where they turn back at zero, instead of going on with their slope: a minimum that
+    touches zero by chance is flat for many samples.
+    """
+    if table.torques is None or len(table) < 4 * _REACH or (table.torques < 0.0).any():
+        return []
+    if len(table.torque_joints) > 2:
+        return [f"tau{table.torque_joints[0] + 1}", "...", f"tau{table.torque_joints[-1] + 1}"]
+    found = []
+    for j in table.torque_joints:
+        values = table.torques[:, j]
+        noise = float(np.median(np.abs(np.diff(values, 3)))) / (0.6745 * np.sqrt(20.0))  # as of white noise
+        low = _REACH + np.flatnonzero(values[_REACH:-_REACH] < max(2.0 * noise, 0.01 * values.max()))
+        before, after = values[low - _REACH], values[low + _REACH]
+        # Down to zero and up again by as much within a few samples, far beyond the noise: a minimum is flatter than that.
+        steep = np.minimum(before, after) > np.maximum(8.0 * noise, 4.0 * values[low])
+        alike = np.maximum(before, after) < 2.0 * np.minimum(before, after)
+        bottom = np.median(values[low[:, None] + np.arange(-1, 2)], axis=1)
+        straight = bottom < 0.5 * np.minimum(values[low - _REACH // 2], values[low + _REACH // 2])
+        if np.count_nonzero(np.diff(low[steep & alike & straight], prepend=-np.inf) > _REACH) >= _KINKS:
+            found.append(f"tau{j + 1}")
+    return found
+
+
+def check_static(table: Table, static: Table, resolution: float | None) -> list[str]:
+    """Check a static table against its motion.
+
+    Raises
+    ------
+    InputError
+        It lacks a channel of the motion, has as many rows but other positions, or the motion's own readings.
+    """
+    for name in ("wrench", "torques"):
+        if getattr(table, name) is not None and getattr(static, name) is None:
+            columns = "fx ... mz" if name == "wrench" else "tau1 ..."
+            raise InputError(
+                f"{static.source}: columns {columns} are missing although {table.source} has them; "
+                "a static table needs the same columns"
+            )
+    if len(static) != len(table):
+        return []
+    allowed = max(MATCH, 10.0 * (resolution or 0.0))
+    difference = np.abs(static.positions - table.positions)
+    row, j = (int(k) for k in np.unravel_index(np.argmax(difference), difference.shape))
+    if difference[row, j] > allowed:
+        rows = int((difference > allowed).any(axis=1).sum())
+        raise InputError(
+            f"{static.source}: column q{j + 1}, sample {row + 1}: {static.positions[row, j]:.6g} but "
+            f"{table.positions[row, j]:.6g} in {table.source} ({rows} of {len(table)} differ by more than "
+            f"{allowed:g}); with as many rows as the motion it must hold the same positions row by row: "
+            "record it again, or give static poses with another number of rows"
+        )
+    for name in ("wrench", "torques"):
+        moving, still = getattr(table, name), getattr(static, name)
+        if moving is not None and np.array_equal(moving, still):
+            raise InputError(
+                f"holds the same {name} as {table.source}, in which the robot moves", file=static.source,
+                remedy="give readings of the robot at rest, or remove [[motion]] static",
+            )  # fmt: skip
+    return []
+
+
+def check_intervals(
+    table: Table, stated: str, period: float | None, parked: Sequence[tuple[float, float]], resolution: float | None
+) -> list[str]:
+    """Check the stated ``period`` and ``parked`` times against the recording.
+
+    Parameters
+    ----------
+    table
+        The recording.
+    stated
+        Where the two are, ``experiment.toml: [motion.0]``.
+    period, parked
+        As stated [s].
+    resolution
+        One encoder count [rad or m], where known.
+
+    Raises
+    ------
+    InputError
+        A time outside the recording, or backwards.
+    """
+    warnings: list[str] = []
+    first, last, slack = float(table.times[0]), float(table.times[-1]), 0.5 * table.step
+    for start, end in parked:
+        place = f"{stated} parked: [{start:g}, {end:g}]"
+        if not start < end:
+            raise InputError(f"{place} does not end after its start; write [start, end] in seconds")
+        if start < first - slack or end > last + slack:
+            raise InputError(
+                f"{place} is outside the recording ({table.source} is from {first:g} to {last:g} s); write times within it"
+            )
+        inside = (table.times >= start) & (table.times <= end)
+        if not inside.any():
+            raise InputError(f"{place} holds no sample of {table.source}; write a longer interval")
+        travel = np.ptp(table.positions[inside], axis=0)
+        j = int(np.argmax(travel))
+        if travel[j] > max(MATCH, 10.0 * (resolution or 0.0)):
+            warnings.append(f"{place}: q{j + 1} moves by {travel[j]:.3g} in that time; does it stand? correct the interval")
+    if period is None:
+        return warnings
+    place = f"{stated} period: {period:g} s"
+    if period > table.duration + 2.0 * slack:
+        raise InputError(
+            f"{place} is longer than the recording ({table.source} lasts {table.duration:g} s); correct or remove it"
+        )
+    if period < 4.0 * slack * (1.0 - 1e-9):  # a period of two steps may come out a rounding shorter
+        raise InputError(f"{place} is not even two samples ({table.step:g} s apart) of {table.source}; write seconds")
+    again = np.flatnonzero(table.times <= last - period)
+    # Medians: a robot that starts from rest repeats only later.
+    for j in range(table.positions.shape[1]):
+        q = table.positions[:, j]
+        later = np.interp(table.times[again] + period, table.times, q)
+        if len(again) > MIN_SAMPLES and np.median(np.abs(later - q[again])) > 0.1 * np.ptp(q) > MATCH:
+            return [*warnings, f"{place}: q{j + 1} of {table.source} does not repeat after it; check the period"]
+    return warnings
+
+
+TURN = 2.0 * np.pi
+#: A step from one sample to the next that is a whole number of turns up to this is a wrap, for no joint goes that far in one, and
+#: angles beyond a limit by less than this are near it [rad].
+_SLACK = 0.5
+_LIMIT_SLACK = 0.1  # as the limits are checked [rad]
+
+
+def unwrapped(table: Table, robot: Robot, kind: str) -> tuple[Table, str | None]:
+    """Undo wraps of turning joints, and take off the whole turn by which readings are outside the joint's limits.
+
+    Parameters
+    ----------
+    table
+        The recording.
+    robot
+        Says which joints turn, and their limits.
+    kind
+        ``trajectory``, or ``poses`` for rows that do not follow each other.
+
+    Returns
+    -------
+    table, told
+        The same table and None where there was nothing to undo.
+    """
+    positions, wrapped, shifted = np.array(table.positions), {}, []
+    for j in np.flatnonzero(~robot.prismatic).tolist():
+        q = table.positions[:, j]
+        if kind == "trajectory":
+            jumps = _wraps(table.times, q, table.step)
+            if jumps.any():
+                wrapped[j] = float(table.times[np.argmax(jumps != 0.0)])
+                q = q - TURN * np.append(0.0, np.cumsum(jumps))
+        whole = _turns_off(q, float(robot.lower[j]), float(robot.upper[j]), kind == "trajectory")
+        if np.any(whole):
+            shifted.append(j)
+        positions[:, j] = q - TURN * whole
+    if not wrapped and not shifted:
+        return table, None
+    commanded = table.commanded
+    if commanded is not None:
+        turns = np.round((positions - commanded) / TURN) * ~robot.prismatic
+        commanded = commanded + TURN * turns
+    joints = sorted({*wrapped, *shifted})
+    columns, names = listed([f"q{j + 1}" for j in joints]), listed([robot.joint_names[j] for j in joints])
+    place = f"{table.source}: column{'s' * (len(joints) > 1)} {columns}: {names}"
+    if wrapped:
+        first = min(wrapped.values())
+        told = f"{place}: angles wrap at a full turn, the first at {first:.6g} s; unwrapped"
+        told += f", {listed([f'q{j + 1}' for j in shifted])} by whole turns into the limits" if shifted else ""
+    else:
+        told = f"{place}: whole turns outside the limits of {robot.urdf.name}; taken off"
+    return replace(table, positions=positions, commanded=commanded), f"{told}: the same poses"
+
+
+def _wraps(times: np.ndarray, q: np.ndarray, step: float) -> np.ndarray:
+    """Turns in each step of an angle (N - 1,); zeros where it nowhere wraps within a sample."""
+    steps = np.diff(q)
+    turns = np.round(steps / TURN)
+    gap = np.diff(times) > GAP * step
+    within = (turns != 0.0) & (np.abs(steps - TURN * turns) < _SLACK) & ~gap
+    if not within.any():
+        return np.zeros(len(steps))
+    return np.where(within | gap, turns, 0.0)
+
+
+def _turns_off(q: np.ndarray, lower: float, upper: float, together: bool) -> np.ndarray | float:
+    """Turns to be taken off angles that are outside the limits and would be inside without: one number, or one an angle (N,)."""
+    if not np.isfinite([lower, upper]).all():
+        return 0.0
+    low, high = (q.min(), q.max()) if together else (q, q)
+
+    def excess(turns: float | np.ndarray) -> np.ndarray:
+        return np.maximum(high - TURN * turns - upper, lower - low + TURN * turns)
+
+    whole = np.where(high > upper, 1.0, -1.0)
+    return np.where((excess(0.0) > _LIMIT_SLACK) & (excess(whole) < _SLACK), whole, 0.0)
 
 
 def _in_chunks(motion: Motion) -> Finding:
@@ -58,13 +324,13 @@ def examine(motion: Motion, robot: Robot, resolution: float | None, place: str) 
     findings += [Finding(text) for text in certain if text]
     if motion.stored is not None:
         findings.append(_in_chunks(motion))
-    doubts += checks.check_positions(table, robot) + checks.check_channels(table)
+    doubts += check_positions(table, robot) + check_channels(table)
     if motion.kind == "trajectory":
         held = held_columns(table)
         findings += held_findings(table, held)
         doubts += motion_checks.check_trajectory(table, robot, resolution, [h.column for h in held])
-    doubts += checks.check_intervals(table, place, motion.period, motion.parked, resolution)
+    doubts += check_intervals(table, place, motion.period, motion.parked, resolution)
     if static is not None:
-        doubts += checks.check_static(table, static, resolution)
-        doubts += checks.check_positions(static, robot) + checks.check_channels(static)
+        doubts += check_static(table, static, resolution)
+        doubts += check_positions(static, robot) + check_channels(static)
     return replace(motion, table=table, static=static, examined=True), findings, doubts

@@ -12,9 +12,9 @@ from bayesid.design.accuracy.sensor_file import KINDS
 from bayesid.report.accuracy_figures import SHOWN_EFFECTS, susceptibility_figure, sweeps_figure
 from bayesid.report.certificate import certificate_section
 from bayesid.report.page import render, run_times, svg, versions
-from bayesid.results.accuracy import Accuracy
-from bayesid.results.accuracy_text import (
+from bayesid.results.accuracy import (
     NO_BIAS,
+    Accuracy,
     change,
     coverage_text,
     effect_cells,

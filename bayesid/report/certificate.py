@@ -12,7 +12,7 @@ from bayesid.design.accuracy.certificate import Certificate
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.report.accuracy_figures import certificate_figure
 from bayesid.report.page import render, svg
-from bayesid.results.accuracy_text import coverage_text
+from bayesid.results.accuracy import coverage_text
 from bayesid.results.text import number, percent
 
 #: Where the section stands in a page.

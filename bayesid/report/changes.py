@@ -11,7 +11,7 @@ from bayesid.diagnosis.changes.hidden import Hidden
 from bayesid.diagnosis.changes.scales import FRICTION_SHARE, GAIN_SHARE
 from bayesid.report.gap_figures import evidence_bars, waterfall
 from bayesid.report.page import render, versions
-from bayesid.results.changes_text import (
+from bayesid.results.changes import (
     gap_sentence,
     next_experiment,
     notes,

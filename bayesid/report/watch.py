@@ -2,19 +2,92 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from markupsafe import Markup
 
 from bayesid.diagnosis.changes.scales import FRICTION_SHARE, GAIN_SHARE
+from bayesid.report.charts import CYCLE, WIDTH, Panel, chart, text_width, write
 from bayesid.report.page import render, versions
-from bayesid.report.watch_figures import course, sizes
 from bayesid.results.text import HALF, channel_text, number, percent
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from bayesid.results.watch import Watch
+
+
+_CHANGED, _SAME, _DARK, _LINE = "#c2410c", "#0f766e", "#334155", "#94a3b8"
+_HEIGHT, _TOP, _BOTTOM = 150.0, 26.0, 46.0
+
+
+def course(values: Sequence[float], changed: Sequence[bool], title: str, needed: float | None = None) -> Markup:
+    """A number of every recording in turn: red dots where something changed.
+
+    Parameters
+    ----------
+    values
+        One a recording; nan where it was not compared.
+    changed
+        Whether something changed.
+    title
+        Of the picture.
+    needed
+        A line at this value, or none.
+    """
+    y = np.array(values, float)
+    top = 1.1 * max(float(np.nanmax(y)), needed or 0.0, 1.0)
+    panel = _panel(len(y), (0.0, top))
+    x = np.arange(1.0, len(y) + 1.0)
+    parts = [panel.frame(title, "recording", whole=True), panel.curve(x, y, _LINE)]
+    hit = np.array(changed, bool)
+    parts += [_dots(panel, x[m], y[m], colour) for m, colour in ((hit, _CHANGED), (~hit, _SAME))]
+    if needed is not None:
+        parts.append(panel.curve(np.array([panel.x[0], panel.x[1]]), np.array([needed, needed]), _DARK))
+        parts.append(write(panel.left + panel.width, float(panel.down(np.array(needed))) - 4.0, "asked for", 8.5, _DARK, "end"))
+    return chart(_TOP + _HEIGHT + _BOTTOM, parts)
+
+
+def sizes(series: Sequence[tuple[str, np.ndarray, np.ndarray]], count: int, title: str) -> Markup:
+    """Sizes of the changes named, with 95 % intervals, recording by recording.
+
+    Parameters
+    ----------
+    series
+        Name of each change, and its value and half its interval in every recording (count,), nan where it is not named.
+    count
+        Recordings.
+    title
+        Of the picture.
+    """
+    ends = np.concatenate([v + s * np.nan_to_num(h) for _, v, h in series for s in (-1.0, 1.0)])
+    low, high = min(0.0, float(np.nanmin(ends))), max(0.0, float(np.nanmax(ends)))
+    room = 0.08 * (high - low or 1.0)
+    panel = _panel(count, (low - room * (low < 0.0), high + room))
+    parts, at = [panel.frame(title, "recording", whole=True)], panel.left
+    x = np.arange(1.0, count + 1.0)
+    for k, (name, value, half) in enumerate(series):
+        colour = CYCLE[k % len(CYCLE)]
+        for place, v, h in zip(x, value, half, strict=True):
+            if np.isfinite(v) and np.isfinite(h):
+                parts.append(panel.curve(np.array([place, place]), np.array([v - h, v + h]), colour))
+        parts.append(_dots(panel, x, value, colour))
+        parts.append(write(at, _TOP + _HEIGHT + _BOTTOM + 6.0, f"● {name}", 9.0, colour))
+        at += text_width(name) + 28.0
+    return chart(_TOP + _HEIGHT + _BOTTOM + 16.0, parts)
+
+
+def _panel(count: int, y: tuple[float, float]) -> Panel:
+    return Panel(56.0, _TOP, WIDTH - 76.0, _HEIGHT, (0.5, count + 0.5), y)
+
+
+def _dots(panel: Panel, x: np.ndarray, y: np.ndarray, colour: str) -> str:
+    seen = np.isfinite(y)
+    places = zip(panel.across(x[seen]).tolist(), panel.down(y[seen]).tolist(), strict=True)
+    return "".join(f'<circle cx="{a:.1f}" cy="{b:.1f}" r="3" fill="{colour}"/>' for a, b in places)
+
 
 _MOODS = {"nothing_missing": "good", "unknown": "bad", "not_compared": "bad"}
 

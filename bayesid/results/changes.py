@@ -3,17 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from html import escape
 from typing import Any
 
 import numpy as np
 
-from bayesid.diagnosis.changes.findings import Change, Comparison
+from bayesid.arguments import argument, call
+from bayesid.diagnosis.changes.findings import Change, Comparison, Value
+from bayesid.diagnosis.changes.hypotheses import EVERYWHERE, Hypothesis
 from bayesid.diagnosis.changes.proof import Place
 from bayesid.estimators.parameters import with_ends
 from bayesid.recordings.experiment import Experiment
 from bayesid.recordings.schema import EffectParameters
-from bayesid.results.changes_text import next_experiment, notebook, summary, verdict_sentence
 from bayesid.results.files import Result
+from bayesid.results.text import DASH, HALF, channel_text, html_table, interval, number, percent, with_half
+
+#: Kinds of changes whose smallest visible size is told where nothing changed.
+_TOLD = ("payload", "coulomb_friction", "viscous_friction", "torque_gain", "sensor_offset", "sensor_gain")
+
 
 SCHEMA = 1
 
@@ -150,3 +157,145 @@ def change_dict(x: Change) -> dict[str, Any]:
 
 def _finite(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
+
+
+def worded(change: Hypothesis, comparison: Comparison) -> str:
+    """``payload at joint6 (wrist_3_joint)``; the place is left out where there is only one."""
+    effect = change.effects[0]
+    if change.where == EVERYWHERE:
+        return f"{change.name} at every joint"
+    if effect.at in ("sensor", "base", "robot"):
+        return change.name
+    own = "" if effect.joint is None else comparison.reference.robot.joint_names[effect.joint]
+    return f"{change.name} at {change.where}" + ("" if own in ("", change.where) else f" ({own})")
+
+
+def verdict_sentence(comparison: Comparison) -> str:
+    """The verdict in plain words."""
+    c = comparison
+    since = f"since ‘{c.reference.problem.experiment.name}’"
+    if c.verdict == "nothing_missing":
+        return f"Nothing has changed {since} that this recording could show: friction and gains are within what they wander."
+    if c.verdict == "unknown":
+        return f"Something has changed {since}, and no effect of the library is confirmed to explain any of it."
+    names = []
+    for x in c.changes:
+        rivals = [worded(h, c) for h, _ in x.found.rivals]
+        names.append(f"{'either ' * bool(rivals)}{worded(x.change, c)}" + (f" or {' or '.join(rivals)}" if rivals else ""))
+    end = ", and more stays open" if c.verdict == "named_in_part" else ""
+    return f"Changed {since}: {'; '.join(names)}{end}."
+
+
+def value_text(v: Value) -> tuple[str, str, str, str, str]:
+    """Name, change, half the 95 % interval, the interval and the unit of a parameter."""
+    half = HALF * v.std
+    text, spread = with_half(v.value, half)
+    return v.name, text, spread, interval(v.value, half), "" if v.unit == "1" else v.unit
+
+
+def shares_sentence(x: Change, comparison: Comparison) -> str:
+    """How much of the gap a change closes."""
+    if not np.isfinite(x.share):
+        return ""
+    return (
+        f"{worded(x.change, comparison)} alone closes {percent(x.share)} of the gap on stretches held out in turn, at least "
+        f"{percent(x.share_low)} with 95 % confidence"
+    )
+
+
+def gap_sentence(comparison: Comparison) -> str:
+    """The gap on held-out stretches."""
+    p = comparison.proof
+    before, floor = number(float(np.sqrt(p.reference)), 3), number(float(np.sqrt(p.floor)), 3)
+    after = number(float(np.sqrt(p.after if comparison.changes else p.tolerance)), 3)
+    what = "with the changes" if comparison.changes else "with friction and gains within what they wander"
+    return (
+        f"on stretches held out in turn the reference leaves {before} times what the recording's own fit leaves, "
+        f"{after} {what}; the floor is {floor}"
+    )
+
+
+def hidden_sentences(comparison: Comparison) -> list[str]:
+    """How large a change could hide, a sentence for each kind."""
+    out = []
+    for name in _TOLD:
+        mine = [h for h in comparison.hidden if h.change.name == name and h.change.where != EVERYWHERE and np.isfinite(h.value)]
+        if mine:
+            _, unit = mine[0].change.parameters[0]
+            sizes = ", ".join(f"{h.change.where} {number(h.value, 2)}" for h in mine)
+            out.append(f"{name} up to{'' if unit == '1' else f' ({unit})'}: {sizes}")
+    return out
+
+
+def notes(comparison: Comparison) -> list[str]:
+    """What the reader should know beside the verdict."""
+    c = comparison
+    out = []
+    for x in c.changes:
+        if x.change.name == "payload" and x.values[0].value < 0.0:
+            out.append(f"A negative mass at {x.change.where}: something was taken away since the reference.")
+    if c.described_by is not None:
+        out.append(f"What stays goes with {c.described_by}.")
+    return out
+
+
+def next_experiment(comparison: Comparison) -> str:
+    """What to record next, in a sentence or two; nothing where nothing is open."""
+    c = comparison
+    if pairs := [(x.change, [h for h, _ in x.found.rivals]) for x in c.changes if x.found.rivals]:
+        names = "; ".join(f"{a.spec} from {', '.join(h.spec for h in rivals)}" for a, rivals in pairs)
+        text = f"To tell {names}: record the same motion at half and at full speed, and with other joints moving."
+        # What the reference's model has, and what all joints share, is not for `excite --tell`.
+        plain = [h.spec for a, rivals in pairs[:1] for h in (a, *rivals) if not h.known and h.where != EVERYWHERE]
+        planned = f" {call('excite')} with {argument('tell', plain)} plans the motion that does it best."
+        return text + (planned if len(plain) > 1 else "")
+    if c.verdict not in ("named_in_part", "unknown"):
+        return ""
+    return (
+        "Record one joint at a time, slowly and fast, forth and back, as now and if possible in the known state again: what "
+        "stays with position is a cable or a spring, what changes sign with velocity is friction, what grows with "
+        "acceleration is inertia or a payload."
+    )
+
+
+def runners_up(comparison: Comparison) -> list[str]:
+    """What would do next best in each change's place, where nothing does as well."""
+    leads = [(x.change.spec, x.found.lead) for x in comparison.changes if x.found.lead is not None and not x.found.rivals]
+    return [f"Next best in place of {spec}: {h.spec}, {number(lack, 3)} behind in log evidence." for spec, (h, lack) in leads]
+
+
+def summary(comparison: Comparison) -> str:
+    """A few lines for the terminal."""
+    c = comparison
+    problem = c.recording.problem
+    lines = [
+        f"{problem.experiment.name} since {c.reference.problem.experiment.name}: {c.verdict.replace('_', ' ')} "
+        f"({channel_text(problem.channel)} of {', '.join(problem.fitted)})",
+        f"  {verdict_sentence(c)}",
+    ]
+    for x in c.changes:
+        for v in (*x.values, *x.derived):
+            name, text, half, _, unit = value_text(v)
+            before = f" (reference {number(v.before)})" if x.change.known else ""
+            lines.append(f"    {x.change.spec}: {name} {text}{'' if half == DASH else f' ± {half}'} {unit}".rstrip() + before)
+        if sentence := shares_sentence(x, c):
+            lines.append(f"    {sentence}")
+    lines.append(f"  {gap_sentence(c)}")
+    if not c.changes:
+        lines += [f"  could hide: {text}" for text in hidden_sentences(c)]
+    lines += [f"  note: {text}" for text in (*notes(c), *runners_up(c))]
+    lines += [f"  next: {text}" for text in [next_experiment(c)] if text]
+    return "\n".join(lines)
+
+
+def notebook(comparison: Comparison) -> str:
+    """The same as HTML for a notebook."""
+    c = comparison
+    out = [f"<p><b>{escape(verdict_sentence(c))}</b> {escape(gap_sentence(c)).capitalize()}.</p>"]
+    if c.changes:
+        rows = [[x.change.spec, *value_text(v)] for x in c.changes for v in (*x.values, *x.derived)]
+        out.append(html_table(["change", "parameter", "value", "± 95 %", "interval", "unit"], rows))
+    sentences = [*(s for x in c.changes if (s := shares_sentence(x, c))), *notes(c), *runners_up(c)]
+    sentences += [f"Could hide: {s}" for s in hidden_sentences(c)] if not c.changes else []
+    sentences += [s for s in [next_experiment(c)] if s]
+    return "".join([*out, *(f"<p>{escape(s)}</p>" for s in sentences)])

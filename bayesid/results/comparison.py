@@ -15,8 +15,7 @@ from bayesid.estimators.parameters import joined
 from bayesid.estimators.weights import Weights
 from bayesid.regression.problem import Problem
 from bayesid.regression.regression import Regression
-from bayesid.results.entries import HasEntries
-from bayesid.results.entry import Entry
+from bayesid.results.entry import Entry, HasEntries
 from bayesid.results.files import Result
 from bayesid.results.text import DASH, chance, channel_text, html_table, number, percent, text_table, with_interval
 from bayesid.validation.agreement import Gap, HausmanTest

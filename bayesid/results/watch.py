@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from bayesid.diagnosis.changes.findings import Change, Comparison
-from bayesid.results.changes import change_dict
-from bayesid.results.changes_text import value_text
+from bayesid.results.changes import change_dict, value_text
 from bayesid.results.files import Result
 from bayesid.results.text import DASH, html_table, number, text_table
 from bayesid.validation.own_fit import left_dict

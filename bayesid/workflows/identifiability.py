@@ -104,8 +104,7 @@ def identifiability(
 
 @figures_of.register
 def _(result: Identifiability) -> Figures:
-    from bayesid.report.identifiability import expected_figure
-    from bayesid.report.identifiability_figures import classes
+    from bayesid.report.identifiability import classes, expected_figure
 
     return {"classes": partial(classes, result.sensor_sets, result.main), "expected": partial(expected_figure, result.main)}
 

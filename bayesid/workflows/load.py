@@ -30,7 +30,7 @@ def _(result: LoadedComparison) -> Figures:
 
 @figures_of.register
 def _(result: LoadedPosterior) -> Figures:
-    from bayesid.report.posterior_figures import marginals
+    from bayesid.report.posterior import marginals
 
     draws = result.base_draws.reshape(-1, result.base_draws.shape[-1])
     names = result.base.short_names if "base_map" in result.document else list(result.names)

@@ -182,8 +182,7 @@ def sample(
 
 @figures_of.register
 def _(result: ExperimentPosterior) -> Figures:
-    from bayesid.report.posterior import marginals_figure
-    from bayesid.report.posterior_figures import predictive
+    from bayesid.report.posterior import marginals_figure, predictive
     from bayesid.report.prediction_figures import measured_against_predicted, residuals
 
     return {
@@ -194,8 +193,7 @@ def _(result: ExperimentPosterior) -> Figures:
 
 @figures_of.register
 def _(result: Posterior) -> Figures:
-    from bayesid.report.posterior import marginals_figure
-    from bayesid.report.posterior_figures import predictive
+    from bayesid.report.posterior import marginals_figure, predictive
 
     return {"marginals": partial(marginals_figure, result), "predictive": predictive}
 

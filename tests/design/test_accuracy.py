@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from bayesid.design.accuracy.bench import Bench, make_bench
-from bayesid.design.accuracy.differences import differenced
-from bayesid.design.accuracy.fits import Learned, combinations, errors_of, fit_twin, learn, run_twin
+from bayesid.design.accuracy.fits import Learned, combinations, differenced, errors_of, fit_twin, learn, run_twin
 from bayesid.design.accuracy.susceptibility import missing_effects, susceptibility
 from bayesid.design.accuracy.sweeps import sweep
 from bayesid.design.accuracy.twins import Setting, own_setting, twin

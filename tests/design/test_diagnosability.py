@@ -9,7 +9,7 @@ import pytest
 import bayesid
 from bayesid.design.excitation import optimise
 from bayesid.design.excitation.diagnosability import diagnosability
-from bayesid.design.excitation.fit import random_feasible
+from bayesid.design.excitation.optimise import random_feasible
 from bayesid.design.excitation.options import ExcitationOptions
 from bayesid.design.excitation.plan import make_task
 from tests.design.test_excitation import QUICK, experiment_of

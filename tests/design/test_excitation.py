@@ -12,11 +12,9 @@ import pytest
 import bayesid
 from bayesid.design.excitation.collision import clearance
 from bayesid.design.excitation.criteria import Criterion
-from bayesid.design.excitation.fit import random_feasible, scaled_to_fit
-from bayesid.design.excitation.mount import mount_response
+from bayesid.design.excitation.optimise import random_feasible, restored, scaled_to_fit
 from bayesid.design.excitation.options import ExcitationOptions
-from bayesid.design.excitation.plan import make_task
-from bayesid.design.excitation.restore import restored
+from bayesid.design.excitation.plan import make_task, mount_response
 from bayesid.design.excitation.series import Coordinates, fitted_series
 from bayesid.recordings.experiment import Experiment, Sensor
 from bayesid.robot.robot import load_robot

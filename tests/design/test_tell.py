@@ -11,9 +11,8 @@ import pytest
 from bayesid.cli import main
 from bayesid.design.excitation.options import ExcitationOptions
 from bayesid.design.excitation.plan import make_task
-from bayesid.design.tell.choose import tell, tell_effects, tell_search, unrecorded
+from bayesid.design.tell.choose import checked, tell, tell_effects, tell_search, unrecorded
 from bayesid.design.tell.evidence import Rows
-from bayesid.design.tell.exact import checked
 from bayesid.design.tell.motions import Planned, paces, pool, prolonged, varied, within_limits
 from bayesid.design.tell.planned_rows import Bench, contest, contest_on
 from bayesid.design.tell.rivals import Case, from_effects, from_search, parse_effects, supposed

@@ -23,7 +23,7 @@ from bayesid.effects.friction import CoulombFriction
 from bayesid.recordings.experiment import Motion, Sensor
 from bayesid.recordings.table import Table
 from bayesid.report.changes import changes_report
-from bayesid.results.changes_text import next_experiment
+from bayesid.results.changes import next_experiment
 from bayesid.robot.robot import load_robot
 from tests.robots import puma560, write
 from tests.simulated import experiment, fourier, puma2, recording

@@ -11,8 +11,7 @@ from bayesid.cli import main
 from bayesid.diagnosis.description.candidates import Candidate, candidates
 from bayesid.diagnosis.description.choose import adapted, closed
 from bayesid.diagnosis.description.columns import halves, ranges_of
-from bayesid.diagnosis.description.describe import describe
-from bayesid.diagnosis.description.meaning import may_be
+from bayesid.diagnosis.description.describe import describe, may_be
 from bayesid.diagnosis.description.shapes import Factor, Shape, single
 from bayesid.diagnosis.fit import fit
 from bayesid.diagnosis.prepare import prepare_data

@@ -13,11 +13,10 @@ from scipy.signal import butter, sosfilt
 from bayesid import diagnose
 from bayesid.diagnosis import in_part
 from bayesid.diagnosis.candidates import make_library
-from bayesid.diagnosis.channel_groups import ChannelGroup, _together
 from bayesid.diagnosis.choice import Choice
 from bayesid.diagnosis.fit import fit
 from bayesid.diagnosis.held_out import HeldOutSums, held_out_sums, left_by, scaled
-from bayesid.diagnosis.in_part import InPart, _exact
+from bayesid.diagnosis.in_part import ChannelGroup, InPart, _exact, _together
 from bayesid.diagnosis.prepare import known_terms, prepare_data
 from bayesid.diagnosis.projector import make_projector
 from bayesid.diagnosis.remarks import remarks

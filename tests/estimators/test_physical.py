@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_limits
 
 from bayesid.errors import BayesidWarning, InputError
 from bayesid.estimators import Bounds, Physical, fit, load_bounds
-from bayesid.estimators.conic.collision import collision_boxes
+from bayesid.estimators.conic.bounds import collision_boxes
 from bayesid.estimators.conic.entropic import solve_entropic
 from bayesid.estimators.conic.problem import _RIGHT, _UP, MARGIN, Conic, solution_at
 from bayesid.estimators.conic.solver import _inward, solve_conic

@@ -15,7 +15,7 @@ from bayesid.estimators.weights import learn_weights
 from bayesid.posterior import DofPrior, Posterior, PosteriorModel, ScalePrior, choose_engine, coordinates
 from bayesid.posterior.density import _density
 from bayesid.posterior.diagnostics import Convergence
-from bayesid.posterior.pointwise import log_likelihood_terms
+from bayesid.posterior.predictive import log_likelihood_terms
 from bayesid.posterior.run import Chains
 from bayesid.regression.regression import Regression
 from bayesid.robot import inertia

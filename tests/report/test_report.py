@@ -7,8 +7,7 @@ import pytest
 import bayesid
 from bayesid.recordings.table import Table
 from bayesid.report.check import check_report
-from bayesid.report.details import described
-from bayesid.report.identification import identification_report
+from bayesid.report.identification import described, identification_report
 from bayesid.report.page import shorten
 from bayesid.results.text import number, percent, with_half
 from bayesid.robot.robot import load_robot

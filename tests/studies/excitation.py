@@ -33,7 +33,7 @@ import pinocchio as pin
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import bayesid
-from bayesid.design.excitation.fit import random_feasible
+from bayesid.design.excitation.optimise import random_feasible
 from bayesid.design.excitation.options import ExcitationOptions
 from bayesid.design.excitation.plan import make_task
 from bayesid.dynamics.base_parameters import structural_base

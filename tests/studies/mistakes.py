@@ -27,7 +27,7 @@ from scipy.spatial.transform import Rotation
 from bayesid.dynamics.channels import torque_channels
 from bayesid.dynamics.regressors import Kernel
 from bayesid.errors import InputError
-from bayesid.recordings import checks, motion_checks
+from bayesid.recordings import examination, motion_checks
 from bayesid.recordings.experiment import Experiment, load_experiment
 from bayesid.recordings.table import Table
 from bayesid.validation.mistakes.candidates import base_axes
@@ -265,8 +265,8 @@ def said(experiment: Experiment) -> tuple[str, list[tuple[str, str]], str]:
         for motion in experiment.motions:
             for part in (motion.table, motion.static):
                 if part is not None:
-                    checks.check_positions(part, experiment.robot)
-                    checks.check_channels(part)
+                    examination.check_positions(part, experiment.robot)
+                    examination.check_channels(part)
             if motion.kind == "trajectory":
                 motion_checks.check_trajectory(motion.table, experiment.robot, experiment.position_resolution)
     except InputError as error:

@@ -24,8 +24,7 @@ import numpy as np
 import bayesid
 from bayesid.design.excitation.options import ExcitationOptions
 from bayesid.design.excitation.plan import make_task
-from bayesid.design.tell.choose import HOPELESS
-from bayesid.design.tell.exact import checked
+from bayesid.design.tell.choose import HOPELESS, checked
 from bayesid.design.tell.motions import pool
 from bayesid.design.tell.planned_rows import NAME, Bench, contest
 from bayesid.design.tell.rivals import from_search

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 import bayesid
 from bayesid.dynamics.channels import torque_channels
-from bayesid.recordings.checks import check_channels
+from bayesid.recordings.examination import check_channels
 from bayesid.recordings.experiment import Experiment
 from bayesid.recordings.table import Table
 from bayesid.regression.readings import make_channels

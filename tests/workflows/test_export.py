@@ -26,8 +26,7 @@ from bayesid.dynamics.channels import torque_channels
 from bayesid.dynamics.regressors import dynamics_regressor
 from bayesid.effects import EffectLibrary, JointMotion
 from bayesid.effects.segment import direction
-from bayesid.results.export.inverse_dynamics import cpp_header, inverse_dynamics, numpy_module
-from bayesid.results.export.laws import LAWS, JointLaw
+from bayesid.results.export.inverse_dynamics import LAWS, JointLaw, cpp_header, inverse_dynamics, numpy_module
 from bayesid.results.export.mjcf import mjcf
 from bayesid.results.export.sdf import sdf
 from bayesid.robot.examples import PAPER_LOCKED

@@ -40,7 +40,7 @@ class Setting:
     length
         Share of each motion that is recorded, from its start.
     velocity
-        One of `bayesid.design.accuracy.differences.VELOCITIES`.
+        One of `bayesid.design.accuracy.fits.VELOCITIES`.
     offset
         A key of `OFFSETS`, or empty for the user's own treatment.
     options

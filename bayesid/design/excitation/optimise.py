@@ -7,8 +7,16 @@ minimising
 
 over x with L-BFGS and raising ``l_i <- max(0, l_i + r g_i)`` in turn ([Nocedal2006]_, chapter 17). Both f and the sum have
 analytic gradients that cost a few regressors, whatever the number of limits. What still exceeds a limit is taken
-back (`bayesid.design.excitation.restore`); every round's motion is then scaled to fit all limits on fine samples, and the best of
-those is kept: whatever the optimiser does, what comes out is feasible.
+back; every round's motion is then scaled to fit all limits on fine samples, and the best of those is kept: whatever the
+optimiser does, what comes out is feasible.
+
+A motion that exceeds limits a little is moved to the nearest one that keeps them. With the Jacobian J of the ratios g along the
+optimiser's numbers x, each step is the smallest one that meets all limits to first order, less a margin,
+
+    min |d|^2   subject to   sign(g) (g + J d) <= 1 - margin  where |g| is near one:
+
+a least distance problem, which non-negative least squares solves ([Lawson1974]_, chapter 23). Positions, velocities and
+accelerations are linear in x, so that only torques, wrenches and distances need more than one step.
 """
 
 from __future__ import annotations
@@ -19,16 +27,151 @@ from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
-from scipy.optimize import minimize
+from scipy.optimize import minimize, nnls
 
 from bayesid.design.excitation.criteria import Criterion
-from bayesid.design.excitation.fit import random_feasible, scaled_to_fit
 from bayesid.design.excitation.information import Information
-from bayesid.design.excitation.limits import Limits
+from bayesid.design.excitation.limits import Limits, Motion
 from bayesid.design.excitation.quantities import Quantity
-from bayesid.design.excitation.restore import restored
 from bayesid.design.excitation.series import Coordinates, FourierSeries
 from bayesid.tasks import map_tasks, on_cluster
+
+#: What is left of every limit for what lies between samples of torques, wrenches and distances.
+GUARD = 1e-3
+_HALVINGS, _COARSE = 14, 250
+#: Smallest step by which a motion that fits coarse samples is made to fit fine ones.
+_SHRINK = 0.002
+#: A motion that must shrink to less than this share of what its joints could do goes round something: another is better.
+_SMALLEST = 0.02
+
+
+def scaled_to_fit(series: FourierSeries, limits: Limits, samples: int, largest: float = np.inf) -> FourierSeries | None:
+    """The motion with its amplitudes as large as all limits allow; None where even a small motion about its centre breaks one.
+
+    Amplitudes are first scaled to the joints' own limits, exactly; then, where loads or distances do not fit, all by one
+    factor, found by halving on coarse samples and made smaller until it fits the fine ones.
+
+    Parameters
+    ----------
+    series
+        Any motion.
+    limits
+        To keep.
+    samples
+        Even samples of a period that loads and distances are tested on.
+    largest
+        Factor that the amplitudes are raised by at most.
+    """
+    room = limits.kinematic_room(series, max(samples, 20 * series.harmonics))
+    factor = min(float(room.min(initial=np.inf)) * (1.0 - 1e-9), largest)
+
+    def excess(share: float, at: int) -> float:
+        found = limits.worst_loads(series.scaled(share * factor), at)
+        return max((float(worst.max(initial=0.0)) for worst in found.values()), default=0.0) - (1.0 - GUARD)
+
+    coarse = min(samples, max(_COARSE, 20 * series.harmonics))
+    share = 1.0
+    if excess(1.0, coarse) > 0.0:
+        if excess(_SMALLEST, coarse) > 0.0:
+            return None
+        low, high = 0.0, 1.0
+        for _ in range(_HALVINGS):
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if excess(middle, coarse) <= 0.0 else (low, middle)
+        share = low
+    while share >= _SMALLEST:
+        over = excess(share, samples)
+        if over <= 0.0:
+            return series.scaled(share * factor)
+        share *= 1.0 - max(2.0 * over, _SHRINK)
+    return None
+
+
+def random_series(coordinates: Coordinates, limits: Limits, rng: np.random.Generator) -> FourierSeries:
+    """A random motion: every joint takes a random share of what its own limits allow, about a random place in its range."""
+    x = rng.normal(size=coordinates.count)
+    series = coordinates.series(x)
+    m = limits.moving
+    place = rng.uniform(-0.7, 0.7, len(m))
+    series.centre[m] = limits.middle[m] + place * limits.reach[m]
+    share = np.zeros(len(series.centre))
+    share[m] = limits.kinematic_room(series, 20 * series.harmonics) * rng.uniform(0.5, 1.0, len(m))
+    return series.scaled(share)
+
+
+def random_feasible(
+    coordinates: Coordinates, limits: Limits, rng: np.random.Generator, samples: int, tries: int = 50
+) -> FourierSeries | None:
+    """A random motion within all limits, scaled as large as they allow; None where none was found in so many tries."""
+    for _ in range(tries):
+        found = scaled_to_fit(random_series(coordinates, limits, rng), limits, samples)
+        if found is not None:
+            return found
+    return None
+
+
+#: Samples below this share of a limit do not count in a step; a step's length at most, so that what is left out stays within.
+_NEAR, _LONGEST, _STEPS = 0.9, 0.5, 8
+
+
+def restored(limits: Limits, coordinates: Coordinates, x: np.ndarray, margin: float) -> np.ndarray | None:
+    """Numbers near x whose motion keeps all limits at the samples, less half a margin; None where none was found.
+
+    Parameters
+    ----------
+    limits
+        To keep.
+    coordinates
+        Of the numbers x.
+    x
+        Where to start from.
+    margin
+        Share of every limit that is kept free.
+    """
+    for _ in range(_STEPS):
+        motion = coordinates.motion(x)
+        ratios = limits.ratios(motion)
+        if max(float(np.abs(part).max(initial=0.0)) for part in ratios) <= 1.0 - 0.5 * margin:
+            return x
+        rows, room = _active(limits, coordinates, motion, ratios, margin)
+        step = _least_distance(-rows, -room)
+        if step is None:
+            return None
+        x = x + step * min(1.0, _LONGEST / max(float(np.linalg.norm(step)), 1e-300))
+    return None
+
+
+def _active(
+    limits: Limits, coordinates: Coordinates, motion: Motion, ratios: list[np.ndarray], margin: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Rows of the Jacobian (k, count) of ratios near their limits, signed so that they must not grow, and the room left (k,)."""
+    rows, room = [], []
+    for p, part in enumerate(ratios):
+        for c in range(part.shape[1]):
+            near = np.flatnonzero(np.abs(part[:, c]) > _NEAR)
+            if not len(near):
+                continue
+            weights = [np.zeros_like(other) for other in ratios]
+            weights[p][:, c] = np.sign(part[:, c])
+            rows.append(coordinates.jacobian(*limits.gradient(motion, weights), near))
+            room.append(1.0 - margin - np.abs(part[near, c]))
+    return np.concatenate(rows), np.concatenate(room)
+
+
+def _least_distance(matrix: np.ndarray, least: np.ndarray) -> np.ndarray | None:
+    """The smallest d with ``matrix d >= least``; None where there is none."""
+    stacked = np.vstack([matrix.T, least])
+    target = np.zeros(len(stacked))
+    target[-1] = 1.0
+    try:
+        dual, _ = nnls(stacked, target, maxiter=20 * len(stacked))
+    except RuntimeError:  # no solution in so many steps
+        return None
+    rest = stacked @ dual - target
+    if abs(rest[-1]) < 1e-10:
+        return None
+    return -rest[:-1] / rest[-1]
+
 
 _ROUNDS, _ITERATIONS, _STEEPNESS, _STEEPER, _FASTER = 12, 100, 10.0, 3.0, 0.3
 #: Share of the time that random motions may take.

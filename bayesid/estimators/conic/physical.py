@@ -14,6 +14,7 @@ can be tested. Directions that the data do not see follow the nominal model.
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -26,7 +27,6 @@ from bayesid.estimators.conic.bounds import Bounds
 from bayesid.estimators.conic.certificate import Certificate, PhysicsTest, explain
 from bayesid.estimators.conic.data import LinkData, compressed
 from bayesid.estimators.conic.entropic import solve_entropic
-from bayesid.estimators.conic.possible_range import possible_range
 from bayesid.estimators.conic.prior_strength import LinkPrior, link_prior
 from bayesid.estimators.conic.problem import Conic, Linear, Solution
 from bayesid.estimators.conic.region import closest_within, conic, misfit
@@ -39,6 +39,67 @@ from bayesid.estimators.weights import learn_weights
 from bayesid.regression.linalg import UNSEEN, determined_inverse, pseudo_inverse, undetermined
 from bayesid.regression.regression import Regression
 from bayesid.robot.prior import Prior
+
+_TOLERANCE = 1e-9
+
+
+def possible_range(base: np.ndarray, bodies: Sequence[Sequence[int]], bounds: Sequence[Linear], effects: int) -> np.ndarray:
+    """Smallest and largest value that base parameters and effects of a possible robot can have (2, r + e).
+
+    A combination ``k' phi`` is the sum of ``tr(A_i P_i)`` over bodies with pseudo-inertias ``P_i >= 0``. These are free of each
+    other and of any size, so it is at least 0 exactly when every ``A_i >= 0``, at most 0 when every ``A_i <= 0``, and
+    otherwise any number. Bounds of one parameter narrow that. An interval for a true value that is possible covers it no
+    less often without what lies outside.
+
+    Parameters
+    ----------
+    base
+        K (r, P).
+    bodies
+        Ten columns of each body.
+    bounds
+        Over link parameters and effects (P + e).
+    effects
+        Their number e.
+    """
+    rank, size = base.shape
+    through = np.zeros((rank + effects, size + effects))
+    through[:rank, :size] = base
+    through[rank:, size:] = np.eye(effects)
+    out = np.tile([[-np.inf], [np.inf]], rank + effects)
+    others = np.setdiff1d(np.arange(size), np.concatenate([list(b) for b in bodies]) if bodies else [])
+    for k, row in enumerate(base):
+        if np.any(row[others]):
+            continue
+        values = np.linalg.eigvalsh(np.array([_form(row[list(b)]) for b in bodies]))
+        slack = _TOLERANCE * np.abs(values).max()
+        if values.min() >= -slack:
+            out[0, k] = 0.0
+        elif values.max() <= slack:
+            out[1, k] = 0.0
+    length = np.linalg.norm(through, axis=1)
+    for group in bounds:
+        for row, low in zip(group.matrix, group.low, strict=True):
+            along = through @ row
+            for k in np.flatnonzero(np.abs(along) >= (1.0 - _TOLERANCE) * length * np.linalg.norm(row)):
+                limit = low * length[k] ** 2 / along[k]
+                side = 0 if along[k] > 0 else 1
+                out[side, k] = max(out[0, k], limit) if side == 0 else min(out[1, k], limit)
+    return out
+
+
+def _form(coefficients: np.ndarray) -> np.ndarray:
+    """A with ``tr(A P)`` the sum of a body's ten parameters times these coefficients."""
+    m, hx, hy, hz, xx, xy, yy, xz, yz, zz = coefficients
+    return np.array(
+        [
+            [yy + zz, -0.5 * xy, -0.5 * xz, 0.5 * hx],
+            [-0.5 * xy, xx + zz, -0.5 * yz, 0.5 * hy],
+            [-0.5 * xz, -0.5 * yz, xx + yy, 0.5 * hz],
+            [0.5 * hx, 0.5 * hy, 0.5 * hz, m],
+        ]
+    )
+
 
 #: Up to this prior relative standard deviation intervals of data and nominal model together cover as often as they say in
 #: simulation (docs/studies/physical).

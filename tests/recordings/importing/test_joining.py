@@ -10,7 +10,7 @@ import pytest
 import bayesid
 from bayesid.errors import InputError
 from bayesid.recordings.importing.clock import Clock
-from bayesid.recordings.importing.joining import join
+from bayesid.recordings.importing.recording import join
 from bayesid.recordings.importing.signals import Signal
 from tests.recordings.importing.logs import JOINTS, Known, make_known
 
