@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesid.arguments import call
-from bayesid.design.identifiability import Plan, SetReport, report_of, richest_base, unseen
+from bayesid.design.identifiability import PlannedMotions, SetReport, report_of, richest_base, unseen
 from bayesid.design.reading_noise import ReadingNoise
 from bayesid.design.visibility import WEAK
 from bayesid.dynamics.base_parameters import BaseParameters
@@ -47,7 +47,7 @@ class Advice:
 
 
 def advise(
-    plan: Plan, reports: Sequence[SetReport], main: SetReport, noise: ReadingNoise, sheet: ReadingNoise | None = None
+    plan: PlannedMotions, reports: Sequence[SetReport], main: SetReport, noise: ReadingNoise, sheet: ReadingNoise | None = None
 ) -> tuple[Advice, ...]:
     """What would make a difference for the readings that an estimate would use, most important first.
 
@@ -84,7 +84,7 @@ def brief(label: str) -> str:
     return label if len(label) <= _LONG else "".join(terms[:2]) + " + …"
 
 
-def _motion(plan: Plan, main: SetReport) -> list[Advice]:
+def _motion(plan: PlannedMotions, main: SetReport) -> list[Advice]:
     """What other motions would show."""
     title, most = main.sensor_set.title, main.rank_of_any_motion or 0
     found = main.shown.without_effects  # what effects take is told apart
@@ -167,7 +167,7 @@ def _sensors(reports: Sequence[SetReport], main: SetReport) -> list[Advice]:
     return out
 
 
-def _sizes(plan: Plan, main: SetReport, noise: ReadingNoise) -> list[Advice]:
+def _sizes(plan: PlannedMotions, main: SetReport, noise: ReadingNoise) -> list[Advice]:
     """What is known too little, and what a random motion would make of it."""
     out = []
     weak = [b.label for b in main.base_parameters if b.kind == WEAK]
@@ -180,7 +180,7 @@ def _sizes(plan: Plan, main: SetReport, noise: ReadingNoise) -> list[Advice]:
     robot = plan.experiment.robot
     length = float(np.clip(whole, 1.0, _LONGEST))
     motion = fourier_trajectory(robot, duration=length, rate=_RATE, share=_SHARE, fundamental=max(0.1, 1.0 / length))
-    other = report_of(Plan.of(plan.experiment, [motion]), main.sensor_set, noise)
+    other = report_of(PlannedMotions.of(plan.experiment, [motion]), main.sensor_set, noise)
     theirs = {b.name: b.std * np.sqrt(length / whole) for b in other.base_parameters}
     ratios = {b.label: b.std / theirs[b.name] for b in main.base_parameters if b.name in theirs}
     if not ratios:
@@ -199,7 +199,7 @@ def _sizes(plan: Plan, main: SetReport, noise: ReadingNoise) -> list[Advice]:
     return out
 
 
-def _noise(plan: Plan, main: SetReport, sheet: ReadingNoise) -> list[Advice]:
+def _noise(plan: PlannedMotions, main: SetReport, sheet: ReadingNoise) -> list[Advice]:
     """What a model that leaves nothing but the sensor's noise would know."""
     best = report_of(plan, main.sensor_set, sheet)
     pairs = zip(main.base_parameters, best.base_parameters, strict=True) if best.rank == main.rank else ()
@@ -214,7 +214,7 @@ def _noise(plan: Plan, main: SetReport, sheet: ReadingNoise) -> list[Advice]:
     return [Advice("noise", text, best.well_known - main.well_known)]
 
 
-def _prior(plan: Plan, main: SetReport) -> list[Advice]:
+def _prior(plan: PlannedMotions, main: SetReport) -> list[Advice]:
     """What the nominal model would decide."""
     driven = [b.label for b in main.prior_driven]
     if not driven:

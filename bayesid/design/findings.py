@@ -11,7 +11,7 @@ from bayesid.design.separability import Separation
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Findings:
+class IdentifiabilityFindings:
     """What motions can and cannot determine, for each sensor set.
 
     Attributes

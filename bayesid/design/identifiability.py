@@ -120,7 +120,7 @@ class SetReport:
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
+class PlannedMotions:
     """Motions that are asked about.
 
     Attributes
@@ -138,7 +138,7 @@ class Plan:
     still: np.ndarray
 
     @classmethod
-    def of(cls, experiment: Experiment, motions: Sequence[Motion | Trajectory]) -> Plan:
+    def of(cls, experiment: Experiment, motions: Sequence[Motion | Trajectory]) -> PlannedMotions:
         """Motions with joints that are held by a controller taken for still."""
         positions = np.concatenate([m.positions if isinstance(m, Trajectory) else m.table.positions for m in motions])
         still = np.where(np.ptp(positions, axis=0) <= STILL, np.median(positions, axis=0), np.nan)
@@ -162,7 +162,7 @@ def _held(motion: Motion | Trajectory) -> Motion | Trajectory:
     return replace(motion, table=replace(motion.table, positions=quiet))
 
 
-def report_of(plan: Plan, sensor_set: SensorSet, noise: ReadingNoise, *, bandwidth: float | None = None) -> SetReport:
+def report_of(plan: PlannedMotions, sensor_set: SensorSet, noise: ReadingNoise, *, bandwidth: float | None = None) -> SetReport:
     """What the motions of a plan show to a sensor set.
 
     Parameters
@@ -254,7 +254,7 @@ def unseen(wider: BaseParameters, found: BaseParameters) -> tuple[str, ...]:
     return tuple(label for label, g in zip(wider.labels, gone, strict=True) if g)
 
 
-def is_recorded(plan: Plan, sensor_set: SensorSet) -> bool:
+def is_recorded(plan: PlannedMotions, sensor_set: SensorSet) -> bool:
     """Whether the motions have the readings of a sensor set, static runs included."""
     recorded = [m for m in plan.motions if isinstance(m, Motion) and has_readings(m.table, sensor_set.channel)]
     if len(recorded) < len(plan.motions) or sensor_set.offset == "known" and sensor_set.channel != "torque":
@@ -264,7 +264,7 @@ def is_recorded(plan: Plan, sensor_set: SensorSet) -> bool:
     return True
 
 
-def with_differences(plan: Plan, reports: Sequence[SetReport]) -> tuple[SetReport, ...]:
+def with_differences(plan: PlannedMotions, reports: Sequence[SetReport]) -> tuple[SetReport, ...]:
     """Reports in which every link parameter knows the joints and sensor sets that would show more of it."""
     robot, out = plan.experiment.robot, []
     held = np.flatnonzero(np.isfinite(plan.still)).tolist()

@@ -20,7 +20,7 @@ from scipy.special import ndtr
 
 from bayesid.arguments import argument
 from bayesid.design.expected import rows_of
-from bayesid.design.identifiability import Plan
+from bayesid.design.identifiability import PlannedMotions
 from bayesid.design.reading_noise import ReadingNoise
 from bayesid.design.sensor_sets import SensorSet
 from bayesid.diagnosis.settings import Settings
@@ -68,7 +68,7 @@ class Separation:
 
 
 def separations(
-    plan: Plan, sensor_set: SensorSet, noise: ReadingNoise, effects: Sequence[Effect], *, bandwidth: float | None = None
+    plan: PlannedMotions, sensor_set: SensorSet, noise: ReadingNoise, effects: Sequence[Effect], *, bandwidth: float | None = None
 ) -> tuple[Separation, ...]:
     """Every effect as the true one against every other, as far as both act on the readings.
 
@@ -105,7 +105,7 @@ def separations(
     return tuple(out)
 
 
-def pair_of(plan: Plan, specs: Sequence[str]) -> tuple[Effect, ...]:
+def pair_of(plan: PlannedMotions, specs: Sequence[str]) -> tuple[Effect, ...]:
     """Effects to be told apart from their names.
 
     Parameters
@@ -147,7 +147,7 @@ def pair_of(plan: Plan, specs: Sequence[str]) -> tuple[Effect, ...]:
 
 
 def _factor(
-    plan: Plan, sensor_set: SensorSet, noise: ReadingNoise, effects: Sequence[Effect], bandwidth: float | None
+    plan: PlannedMotions, sensor_set: SensorSet, noise: ReadingNoise, effects: Sequence[Effect], bandwidth: float | None
 ) -> tuple[np.ndarray, tuple[str, ...]]:
     """Factor of whitened rows of the model with these effects, a prior of the links under it, and names of its columns."""
     experiment = plan.experiment

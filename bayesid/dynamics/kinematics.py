@@ -84,7 +84,7 @@ def _states(q, v, a, order, parent, turn, translation, axis, slides, root, out):
 
 
 @lru_cache(maxsize=16)
-def _tables(holder: _Holder):
+def _tables(holder: _RobotKey):
     robot = holder.robot
     along = robot.axis[:, :, None] * robot.axis[:, None, :]
     crossed = np.cross(robot.axis[:, None], np.eye(3)).swapaxes(1, 2)
@@ -99,7 +99,7 @@ def _tables(holder: _Holder):
     )  # fmt: skip
 
 
-class _Holder:
+class _RobotKey:
     """A robot as the key of its tables: equal for robots that hold the same."""
 
     def __init__(self, robot: Robot):
@@ -109,7 +109,7 @@ class _Holder:
         return hash(self.robot.fingerprint)
 
     def __eq__(self, other):
-        return isinstance(other, _Holder) and self.robot.fingerprint == other.robot.fingerprint
+        return isinstance(other, _RobotKey) and self.robot.fingerprint == other.robot.fingerprint
 
 
 def link_states(
@@ -129,7 +129,7 @@ def link_states(
     q, v, a = (kernel_input(x) for x in (positions, velocities, accelerations))
     out = np.empty((len(q), robot.n + 1, WIDTH))
     held = kernel_input(np.zeros((0, 18)) if root is None else root)
-    _states(q, v, a, *_tables(_Holder(robot)), held, out)
+    _states(q, v, a, *_tables(_RobotKey(robot)), held, out)
     return out
 
 
@@ -278,7 +278,7 @@ def readings_of_bodies(
     out = np.empty((len(q), len(channels)))
     rows = np.where(channels.joint < 0, robot.n, channels.joint)
     fixed = kernel_input(root_twists(channels))
-    _torques(q, v, a, *_tables(_Holder(robot)), row_of, kernel_input(links), kernel_input(gravity), rows, fixed, carries, out)
+    _torques(q, v, a, *_tables(_RobotKey(robot)), row_of, kernel_input(links), kernel_input(gravity), rows, fixed, carries, out)
     return out
 
 

@@ -158,7 +158,7 @@ class InstrumentalVariables:
 
 
 @dataclass(frozen=True)
-class _Sums:
+class _InstrumentSums:
     """Sums of products of weighted rows in the coordinates of `Start`, and of residuals of least squares.
 
     ``crossed`` and ``right`` are the estimate's equations; ``x_x``, ``z_z``, ``z_x``, ``x_r``, ``z_r`` those of the pairs in
@@ -190,7 +190,7 @@ class _Sums:
         return statistic, start.root @ roots[1] @ directions[p - 1]
 
 
-def _sums(start: Start, pairs: Iterator[Pair]) -> _Sums:
+def _sums(start: Start, pairs: Iterator[Pair]) -> _InstrumentSums:
     p = len(start.solution)
     crossed, x_x, z_z, z_x = np.zeros((4, p, p))
     right, x_r, z_r = np.zeros((3, p))
@@ -206,7 +206,7 @@ def _sums(start: Start, pairs: Iterator[Pair]) -> _Sums:
         x_r += x.T @ own
         z_r += toward
         rows += len(own)
-    return _Sums(crossed, right, x_x, z_z, z_x, x_r, z_r, rows)
+    return _InstrumentSums(crossed, right, x_x, z_z, z_x, x_r, z_r, rows)
 
 
 def _spreads(start: Start, noise: dict[str, NoiseModel], pairs: Iterator[Pair]) -> tuple[np.ndarray, np.ndarray]:
@@ -224,7 +224,7 @@ def _pinv(matrix: np.ndarray) -> np.ndarray:
     return np.linalg.pinv(matrix, rcond=1e-10)
 
 
-def _hausman(sums: _Sums, spreads: np.ndarray, ordinary: np.ndarray) -> dict[str, Any]:
+def _hausman(sums: _InstrumentSums, spreads: np.ndarray, ordinary: np.ndarray) -> dict[str, Any]:
     """Durbin-Wu-Hausman test of the pairs in one order: of both, first-order differences would cancel."""
     with_instruments, plain = _pinv(sums.z_x), _pinv(sums.x_x)
     difference = with_instruments @ sums.z_r - plain @ sums.x_r

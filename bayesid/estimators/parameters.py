@@ -65,7 +65,7 @@ def with_ends(value: float, std: float, unit: str) -> dict[str, Any]:
 
 
 @dataclass(frozen=True)
-class Parameter:
+class EstimatedParameter:
     """One parameter with its interval.
 
     Attributes
@@ -123,7 +123,7 @@ class Parameters:
         """Return the number of parameters."""
         return len(self.names)
 
-    def __getitem__(self, name: str) -> Parameter:
+    def __getitem__(self, name: str) -> EstimatedParameter:
         """The parameter of a name or a label.
 
         Raises
@@ -135,7 +135,7 @@ class Parameters:
             if name in known:
                 k = list(known).index(name)
                 value, std, low, high = (float(x[k]) for x in (self.values, self.std, self.low, self.high))
-                return Parameter(self.names[k], self.labels[k], value, std, low, high, self.units[k], self.classes[k])
+                return EstimatedParameter(self.names[k], self.labels[k], value, std, low, high, self.units[k], self.classes[k])
         raise KeyError(f"no parameter is called {name!r}; there are {'; '.join(self.labels)}")
 
     def to_dataframe(self) -> DataFrame:
@@ -203,7 +203,7 @@ class HasParameters:
         """
         raise NotImplementedError
 
-    def __getitem__(self, name: str) -> Parameter:
+    def __getitem__(self, name: str) -> EstimatedParameter:
         """A base or effect parameter with its 95 % interval, by its name or label: ``result["m2 r2x"]``.
 
         Raises

@@ -40,7 +40,7 @@ _WORDS = {"m": "mass", "mcx": "first moment along x", "mcy": "first moment along
 
 
 @dataclass(frozen=True)
-class Disagreement:
+class PriorDisagreement:
     """One base parameter as the prior and as the data have it, each with its standard deviation.
 
     Attributes
@@ -95,7 +95,7 @@ class PriorCheck:
     distance: float
     base_parameters: int
     probability: float
-    largest: Disagreement
+    largest: PriorDisagreement
     rel_std: float | None = None
     stated: bool = True
     widening: float = 1.0
@@ -202,7 +202,7 @@ def compared(
         distance=squared**0.5,
         base_parameters=len(k),
         probability=probability,
-        largest=Disagreement(
+        largest=PriorDisagreement(
             _words(base, at), base.units[at], float(prior[worst]), float(standard_deviations(spread)[worst]),
             float(values[at]), float(standard_deviations(covariance)[at]),
         ),

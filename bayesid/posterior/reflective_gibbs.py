@@ -104,8 +104,8 @@ class ReflectiveGibbs:
         return self.model.entries @ q.centre, outward, np.linalg.inv(outward)
 
     @cached_property
-    def _rows(self) -> _Rows:
-        return _Rows(self.model)
+    def _rows(self) -> _WhitenedRows:
+        return _WhitenedRows(self.model)
 
     @cached_property
     def _fixed(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -194,7 +194,7 @@ def slice_step(density: Callable[[float], float], now: float, rng: np.random.Gen
         low, high = (new, high) if new < now else (low, new)
 
 
-class _Rows:
+class _WhitenedRows:
     """Whitened rows in well-conditioned columns, for Student's weights."""
 
     def __init__(self, model: PosteriorModel):

@@ -22,7 +22,7 @@ _DUE = 0.25  # of the time between changes; at least a row
 
 
 @dataclass(frozen=True)
-class Held:
+class HeldColumn:
     """A column that is new in some rows only.
 
     Attributes
@@ -37,12 +37,12 @@ class Held:
     rows: float
 
 
-def held_columns(table: Table) -> list[Held]:
+def held_columns(table: Table) -> list[HeldColumn]:
     """Columns of which samples are held for several rows each while they change by far more than a count."""
-    return [Held(name, rows) for name, values in _columns(table) if (rows := rows_held(values[:_JUDGED])) is not None]
+    return [HeldColumn(name, rows) for name, values in _columns(table) if (rows := rows_held(values[:_JUDGED])) is not None]
 
 
-def held_findings(table: Table, held: list[Held]) -> list[Finding]:
+def held_findings(table: Table, held: list[HeldColumn]) -> list[Finding]:
     """What is told of held columns: a line for those that are held alike."""
     out, rate = [], 1.0 / table.step
     left = list(held)

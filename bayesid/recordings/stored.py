@@ -37,7 +37,7 @@ Arrays = dict[str, np.ndarray]
 
 
 @dataclass(frozen=True)
-class Part:
+class FilePart:
     """Where a part of the file is: the number of its row group, or the place and length of its lines [bytes]."""
 
     at: int
@@ -102,7 +102,7 @@ class StoredTable:
     """
 
     layout: _Layout
-    parts: tuple[Part, ...]
+    parts: tuple[FilePart, ...]
     starts: np.ndarray
     begins: np.ndarray
     dropped: Mapping[int, np.ndarray]
@@ -213,7 +213,7 @@ def stored_table(path: Path, source: str, joints: int, wrench: bool, chunked: bo
                 f"a row group of {max(sizes):,} rows is too large to be read at once", file=source, value=max(sizes),
                 remedy="write the table with row_group_size=250000",
             )  # fmt: skip
-        parts = [Part(k) for k, size in enumerate(sizes) if size]
+        parts = [FilePart(k) for k, size in enumerate(sizes) if size]
     else:
         count_lines(path, source, len(header))
         parts = list(_runs_of_lines(path))
@@ -235,7 +235,7 @@ class _Scan:
     last: np.ndarray
 
 
-def _scanned(layout: _Layout, parts: list[Part], joints: int) -> StoredTable:
+def _scanned(layout: _Layout, parts: list[FilePart], joints: int) -> StoredTable:
     """The table, once every part has been checked."""
     step = usual_step(_numbers(layout, parts[0])[:, 0])
     scans = list(map_tasks(functools.partial(_scan, layout, step), parts))
@@ -281,7 +281,7 @@ def _scanned(layout: _Layout, parts: list[Part], joints: int) -> StoredTable:
     )
 
 
-def _scan(layout: _Layout, step: float, part: Part, before: float = -np.inf) -> _Scan:
+def _scan(layout: _Layout, step: float, part: FilePart, before: float = -np.inf) -> _Scan:
     """What is found in a part that follows a sample at a time ``before`` [s]."""
     numbers, columns = _numbers(layout, part), layout.columns
     limit = np.full(numbers.shape[1], LARGEST)
@@ -327,7 +327,7 @@ def _refuse_wrap(layout: _Layout, positions: np.ndarray, since: float) -> None:
         )  # fmt: skip
 
 
-def _runs_of_lines(path: Path) -> Iterator[Part]:
+def _runs_of_lines(path: Path) -> Iterator[FilePart]:
     """Runs of whole lines of a CSV file, below its header."""
     with path.open("rb") as handle:
         while not (line := handle.readline()).strip(b"\xef\xbb\xbf \t\r\n"):
@@ -340,20 +340,20 @@ def _runs_of_lines(path: Path) -> Iterator[Part]:
                     remedy="write it without, or as Parquet",
                 )  # fmt: skip
             if block.strip():
-                yield Part(handle.tell() - len(block), len(block))
+                yield FilePart(handle.tell() - len(block), len(block))
 
 
 _reading = threading.Lock()
 
 
-def _numbers(layout: _Layout, part: Part) -> np.ndarray:
+def _numbers(layout: _Layout, part: FilePart) -> np.ndarray:
     """All rows of a part (rows, columns), to be read only."""
     with _reading:  # threads want the same part, most often
         return _read_part(layout, part)
 
 
 @functools.lru_cache(maxsize=_KEPT)
-def _read_part(layout: _Layout, part: Part) -> np.ndarray:
+def _read_part(layout: _Layout, part: FilePart) -> np.ndarray:
     try:
         numbers = (_row_group if layout.header is None else _lines)(layout, part)
     except OSError as error:
@@ -365,7 +365,7 @@ def _read_part(layout: _Layout, part: Part) -> np.ndarray:
     return numbers
 
 
-def _row_group(layout: _Layout, part: Part) -> np.ndarray:
+def _row_group(layout: _Layout, part: FilePart) -> np.ndarray:
     file = open_parquet(layout.path, layout.source)
     columns = layout.columns
     table = file.read_row_group(part.at, columns=columns, use_threads=False)
@@ -379,7 +379,7 @@ def _row_group(layout: _Layout, part: Part) -> np.ndarray:
     return out
 
 
-def _lines(layout: _Layout, part: Part) -> np.ndarray:
+def _lines(layout: _Layout, part: FilePart) -> np.ndarray:
     import pandas as pd
 
     assert layout.header is not None

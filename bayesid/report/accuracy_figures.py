@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
-from bayesid.design.accuracy.certificate import Certificate
+from bayesid.design.accuracy.certificate import CoverageCertificate
 from bayesid.design.accuracy.sweeps import Level, Sweep, Sweeps
 from bayesid.estimators.estimator import LEVEL
 from bayesid.report.figures import GREY, NOISE, PREDICTED, Drawing, add_legend, make_grid, plain_log, styled
@@ -173,7 +173,7 @@ def susceptibility_figure(effects: Sequence[str], parameters: Sequence[str], sig
 
 
 @styled
-def certificate_figure(certificate: Certificate, parameters: Sequence[str], ax: Any = None) -> Figure:
+def certificate_figure(certificate: CoverageCertificate, parameters: Sequence[str], ax: Any = None) -> Figure:
     """Coverage of each base parameter, by their names (r,), with its 95 % interval, beside the band of exact intervals."""
     figure, ax, _ = _over_parameters(parameters, 2.2, 0.7, 0.2, ax)
     x = np.arange(len(parameters))

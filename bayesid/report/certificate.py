@@ -8,7 +8,7 @@ from typing import Any
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from bayesid.design.accuracy.certificate import Certificate
+from bayesid.design.accuracy.certificate import CoverageCertificate
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.report.accuracy_figures import certificate_figure
 from bayesid.report.page import render, svg
@@ -19,7 +19,7 @@ from bayesid.results.text import number, percent
 _BEGIN, _END = "<!-- certificate -->", "<!-- end of certificate -->"
 
 
-def certificate_section(certificate: Certificate | None, base: BaseParameters) -> Markup:
+def certificate_section(certificate: CoverageCertificate | None, base: BaseParameters) -> Markup:
     """Coverage of every base parameter, with a figure; the empty place for it without a certificate."""
     text = ""
     if certificate is not None:
@@ -31,18 +31,18 @@ def certificate_section(certificate: Certificate | None, base: BaseParameters) -
     return Markup(f"{_BEGIN}\n{text}\n{_END}")
 
 
-def with_certificate(page: str, certificate: Certificate, base: BaseParameters) -> str:
+def with_certificate(page: str, certificate: CoverageCertificate, base: BaseParameters) -> str:
     """A page that was written before, with the section in its place; the same where there is no place for it."""
     section = str(certificate_section(certificate, base))
     return re.sub(f"{_BEGIN}.*?{_END}", lambda _: section, page, count=1, flags=re.DOTALL)
 
 
-def coverage_figure(certificate: Certificate, base: BaseParameters, ax: Any = None) -> Figure:
+def coverage_figure(certificate: CoverageCertificate, base: BaseParameters, ax: Any = None) -> Figure:
     """Coverage of every base parameter."""
     return certificate_figure(certificate, base.short_names, ax)
 
 
-def _rows(certificate: Certificate, base: BaseParameters) -> list[dict[str, Any]]:
+def _rows(certificate: CoverageCertificate, base: BaseParameters) -> list[dict[str, Any]]:
     low, high = certificate.intervals
     return [
         {

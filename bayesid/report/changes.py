@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayesid.diagnosis.changes.findings import Comparison
-from bayesid.diagnosis.changes.hidden import Hidden
+from bayesid.diagnosis.changes.findings import ReferenceComparison
+from bayesid.diagnosis.changes.hidden import HiddenChange
 from bayesid.diagnosis.changes.scales import FRICTION_SHARE, GAIN_SHARE
 from bayesid.report.gap_figures import evidence_bars, waterfall
 from bayesid.report.page import render, versions
@@ -74,7 +74,7 @@ def evidence_figure(result: Changes, ax: Any = None) -> Figure:
     return evidence([spec for _, spec in shown], np.array([e for e, _ in shown]), kinds, c.settings.accept, ax)
 
 
-def _steps(c: Comparison) -> list[tuple[str, float]]:
+def _steps(c: ReferenceComparison) -> list[tuple[str, float]]:
     """Names and mean squares of the waterfall."""
     p = c.proof
     steps = [("the reference as it is", p.reference)]
@@ -82,7 +82,7 @@ def _steps(c: Comparison) -> list[tuple[str, float]]:
     return [*steps, ("all else within its tolerance", p.after)]
 
 
-def _cards(c: Comparison) -> list[dict[str, str]]:
+def _cards(c: ReferenceComparison) -> list[dict[str, str]]:
     p = c.proof
     words, mood = _VERDICTS[c.verdict]
     cards = [{"value": words, "mood": mood, "text": f"since {c.reference.problem.experiment.name}"}]
@@ -94,7 +94,7 @@ def _cards(c: Comparison) -> list[dict[str, str]]:
     return cards
 
 
-def _channels(c: Comparison) -> list[dict[str, Any]]:
+def _channels(c: ReferenceComparison) -> list[dict[str, Any]]:
     channels, scale = c.recording.problem.row_model.channels, c.recording.scale / np.sqrt(c.recording.samples)
     cells = [[number(float(v), 3) for v in row] for row in c.proof.by_channel]
     return [
@@ -111,9 +111,9 @@ def _place(result: Changes, place) -> dict[str, str]:
     }  # fmt: skip
 
 
-def _hidden(c: Comparison) -> list[dict[str, str]]:
+def _hidden(c: ReferenceComparison) -> list[dict[str, str]]:
     """Smallest changes that would have been named, a line for each kind."""
-    kinds: dict[str, list[Hidden]] = {}
+    kinds: dict[str, list[HiddenChange]] = {}
     for h in c.hidden:
         kinds.setdefault(h.change.name, []).append(h)
     return [

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from bayesid.diagnosis.data import DiagnosisData
-from bayesid.diagnosis.description.columns import Part, parts_of
+from bayesid.diagnosis.description.columns import SegmentPart, parts_of
 from bayesid.diagnosis.description.describe import Description
 from bayesid.report.figures import MEASURED, PREDICTED, add_legend, make_grid, styled
 from bayesid.report.page import svg
@@ -84,7 +84,7 @@ def _picture(data: DiagnosisData, d: Description):
     return described(panels)
 
 
-def _said(part: Part, courses: np.ndarray, channels: tuple[int, ...]) -> np.ndarray:
+def _said(part: SegmentPart, courses: np.ndarray, channels: tuple[int, ...]) -> np.ndarray:
     """Courses (M, k) of some channels as readings, band-limited and faded at both ends as these are compared (N, k)."""
     segment = part.segment
     made = [segment.spectrum(courses[:, k, None], np.array([c]))[:, 0] for k, c in enumerate(channels)]

@@ -49,7 +49,7 @@ _CUTS = (1.0, 3.0, 10.0)
 
 
 @dataclass(frozen=True, eq=False)
-class Panel:
+class ResidualPanel:
     """Residuals of one recording in units of the noise, before and after.
 
     Attributes
@@ -70,7 +70,7 @@ class Panel:
 
 
 @dataclass(frozen=True, eq=False)
-class Signal:
+class SignalView:
     """What was measured in one channel, and measured less predicted before and after.
 
     Attributes
@@ -130,8 +130,8 @@ class Views:
         Whether a model other than the user's was fitted, so that there is an "after".
     """
 
-    panels: tuple[Panel, ...]
-    signals: tuple[Signal, ...]
+    panels: tuple[ResidualPanel, ...]
+    signals: tuple[SignalView, ...]
     noise: tuple[Noise, ...]
     visible: tuple[Visible, ...]
     bands: tuple[tuple[float, float], ...]
@@ -160,7 +160,7 @@ def diagnosis_views(diagnosis: Findings) -> Views:
     )
 
 
-def _panels(pairs: list[tuple[Segment, np.ndarray, bool]], level: float) -> tuple[Panel, ...]:
+def _panels(pairs: list[tuple[Segment, np.ndarray, bool]], level: float) -> tuple[ResidualPanel, ...]:
     """Moving recordings first, fitted ones before unseen ones; then the runs at rest."""
     looked = {unseen: places_looked_at([s for s, _, u in pairs if u == unseen]) for unseen in (False, True)}
     groups: dict[tuple[str, bool], list[tuple[Segment, np.ndarray, bool]]] = {}
@@ -186,11 +186,11 @@ def _panels(pairs: list[tuple[Segment, np.ndarray, bool]], level: float) -> tupl
         squares = np.stack([np.stack([by_band(s, w[..., k]) for k in (0, 1)], axis=-1) ** 2 for s, w, _ in group])
         bands = np.sqrt(np.average(squares, axis=0, weights=counts))
         title = f"{motion}, the run at rest" if still else motion
-        out.append(Panel(title, group[0][2], tuple(pieces), bands))
+        out.append(ResidualPanel(title, group[0][2], tuple(pieces), bands))
     return tuple(out)
 
 
-def _signals(diagnosis: Findings, judged: list[tuple[Segment, np.ndarray, bool]]) -> tuple[Signal, ...]:
+def _signals(diagnosis: Findings, judged: list[tuple[Segment, np.ndarray, bool]]) -> tuple[SignalView, ...]:
     """The channels that disagreed most, on the recording on which they did."""
     channels = diagnosis.data.channels
     moving = [p for p in judged if not p[0].still] or judged
@@ -209,7 +209,7 @@ def _signals(diagnosis: Findings, judged: list[tuple[Segment, np.ndarray, bool]]
         kept = np.where(inside[below][:, None], np.column_stack([s.measured_readings[:, c], left[:, c]]), 0.0)
         course = s.samples(kept)
         noise = float(np.sqrt(np.sum(variance[inside[below]]) / len(s.times)))
-        out.append(Signal(channels.names[c], channels.units[c], s.motion, s.times, course[:, 0], course[:, 1:], noise, below))
+        out.append(SignalView(channels.names[c], channels.units[c], s.motion, s.times, course[:, 0], course[:, 1:], noise, below))
     return tuple(out)
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bayesid.design.accuracy.bench import Bench
-from bayesid.design.accuracy.certificate import Certificate
+from bayesid.design.accuracy.certificate import CoverageCertificate
 from bayesid.design.accuracy.sensor_choice import Outlook, SensorChoice
 from bayesid.design.accuracy.susceptibility import Susceptibility
 from bayesid.design.accuracy.sweeps import Level, Sweep, Sweeps
@@ -61,7 +61,7 @@ class Accuracy(Result):
     std: np.ndarray
     sweeps: Sweeps | None
     susceptibility: tuple[Susceptibility, ...]
-    certificate: Certificate | None
+    certificate: CoverageCertificate | None
     sensors: SensorChoice | None
     warnings: tuple[str, ...]
     seconds: dict[str, float]
@@ -304,7 +304,7 @@ def _range_used(outlook: Outlook) -> str:
     return percent(outlook.load, 2) + (" (too much)" if outlook.load > 1.0 else "")
 
 
-def coverage_text(c: Certificate | None) -> str:
+def coverage_text(c: CoverageCertificate | None) -> str:
     """One sentence on a certificate; empty without."""
     if c is None:
         return ""

@@ -17,7 +17,7 @@ _SKEW = 0.05
 
 
 @dataclass(frozen=True)
-class FoundEffect:
+class EffectBeside:
     """Something beside the payload that the readings show.
 
     Attributes

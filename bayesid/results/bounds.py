@@ -20,7 +20,7 @@ from bayesid.design.bounds.workspace import Workspace, mass_eigenvalues
 from bayesid.drawing import figures_of
 from bayesid.errors import InputError
 from bayesid.estimators.estimator import LEVEL
-from bayesid.estimators.parameters import Parameter
+from bayesid.estimators.parameters import EstimatedParameter
 from bayesid.results.files import Result
 from bayesid.results.text import html_table, number, percent, text_table
 
@@ -328,7 +328,7 @@ class ControllerBounds(Result):
         """
         return self.region.table().to_dataframe()
 
-    def __getitem__(self, name: str) -> Parameter:
+    def __getitem__(self, name: str) -> EstimatedParameter:
         """One parameter of the joint torques, by its name or label, with the box's ends.
 
         Raises

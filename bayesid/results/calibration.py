@@ -28,7 +28,7 @@ KINDS = {
 
 
 @dataclass(frozen=True)
-class Hidden:
+class HiddenEffect:
     """How large an effect of a kind may be without standing out.
 
     Attributes
@@ -85,7 +85,7 @@ class Calibration(Result):
     sensor: str
     found: Mapping[str, tuple[Quantity, ...]]
     ambiguous: Mapping[str, tuple[str, ...]]
-    hidden: tuple[Hidden, ...]
+    hidden: tuple[HiddenEffect, ...]
     mass: Quantity | None
     centre: tuple[Quantity, ...]
     common_gain: Quantity | None

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from bayesid.arguments import argument, call
-from bayesid.diagnosis.changes.findings import Change, Comparison, Value
+from bayesid.diagnosis.changes.findings import NamedChange, ReferenceComparison, Value
 from bayesid.diagnosis.changes.hypotheses import EVERYWHERE, Hypothesis
 from bayesid.diagnosis.changes.proof import Place
 from bayesid.estimators.parameters import with_ends
@@ -38,7 +38,7 @@ class Changes(Result):
     """
 
     verb = "changes"
-    comparison: Comparison
+    comparison: ReferenceComparison
     seconds: float = 0.0
 
     @property
@@ -142,7 +142,7 @@ class Changes(Result):
         }  # fmt: skip
 
 
-def change_dict(x: Change) -> dict[str, Any]:
+def change_dict(x: NamedChange) -> dict[str, Any]:
     """An entry of ``effects`` in ``diagnosis.json``."""
     lead = x.found.lead
     return {
@@ -159,7 +159,7 @@ def _finite(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def worded(change: Hypothesis, comparison: Comparison) -> str:
+def worded(change: Hypothesis, comparison: ReferenceComparison) -> str:
     """``payload at joint6 (wrist_3_joint)``; the place is left out where there is only one."""
     effect = change.effects[0]
     if change.where == EVERYWHERE:
@@ -170,7 +170,7 @@ def worded(change: Hypothesis, comparison: Comparison) -> str:
     return f"{change.name} at {change.where}" + ("" if own in ("", change.where) else f" ({own})")
 
 
-def verdict_sentence(comparison: Comparison) -> str:
+def verdict_sentence(comparison: ReferenceComparison) -> str:
     """The verdict in plain words."""
     c = comparison
     since = f"since ‘{c.reference.problem.experiment.name}’"
@@ -193,7 +193,7 @@ def value_text(v: Value) -> tuple[str, str, str, str, str]:
     return v.name, text, spread, interval(v.value, half), "" if v.unit == "1" else v.unit
 
 
-def shares_sentence(x: Change, comparison: Comparison) -> str:
+def shares_sentence(x: NamedChange, comparison: ReferenceComparison) -> str:
     """How much of the gap a change closes."""
     if not np.isfinite(x.share):
         return ""
@@ -203,7 +203,7 @@ def shares_sentence(x: Change, comparison: Comparison) -> str:
     )
 
 
-def gap_sentence(comparison: Comparison) -> str:
+def gap_sentence(comparison: ReferenceComparison) -> str:
     """The gap on held-out stretches."""
     p = comparison.proof
     before, floor = number(float(np.sqrt(p.reference)), 3), number(float(np.sqrt(p.floor)), 3)
@@ -215,7 +215,7 @@ def gap_sentence(comparison: Comparison) -> str:
     )
 
 
-def hidden_sentences(comparison: Comparison) -> list[str]:
+def hidden_sentences(comparison: ReferenceComparison) -> list[str]:
     """How large a change could hide, a sentence for each kind."""
     out = []
     for name in _TOLD:
@@ -227,7 +227,7 @@ def hidden_sentences(comparison: Comparison) -> list[str]:
     return out
 
 
-def notes(comparison: Comparison) -> list[str]:
+def notes(comparison: ReferenceComparison) -> list[str]:
     """What the reader should know beside the verdict."""
     c = comparison
     out = []
@@ -239,7 +239,7 @@ def notes(comparison: Comparison) -> list[str]:
     return out
 
 
-def next_experiment(comparison: Comparison) -> str:
+def next_experiment(comparison: ReferenceComparison) -> str:
     """What to record next, in a sentence or two; nothing where nothing is open."""
     c = comparison
     if pairs := [(x.change, [h for h, _ in x.found.rivals]) for x in c.changes if x.found.rivals]:
@@ -258,13 +258,13 @@ def next_experiment(comparison: Comparison) -> str:
     )
 
 
-def runners_up(comparison: Comparison) -> list[str]:
+def runners_up(comparison: ReferenceComparison) -> list[str]:
     """What would do next best in each change's place, where nothing does as well."""
     leads = [(x.change.spec, x.found.lead) for x in comparison.changes if x.found.lead is not None and not x.found.rivals]
     return [f"Next best in place of {spec}: {h.spec}, {number(lack, 3)} behind in log evidence." for spec, (h, lack) in leads]
 
 
-def summary(comparison: Comparison) -> str:
+def summary(comparison: ReferenceComparison) -> str:
     """A few lines for the terminal."""
     c = comparison
     problem = c.recording.problem
@@ -288,7 +288,7 @@ def summary(comparison: Comparison) -> str:
     return "\n".join(lines)
 
 
-def notebook(comparison: Comparison) -> str:
+def notebook(comparison: ReferenceComparison) -> str:
     """The same as HTML for a notebook."""
     c = comparison
     out = [f"<p><b>{escape(verdict_sentence(c))}</b> {escape(gap_sentence(c)).capitalize()}.</p>"]

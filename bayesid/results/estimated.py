@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-class _Holder(Protocol):
+class _WithEstimate(Protocol):
     @property
     def estimate(self) -> Estimate: ...
 
@@ -24,37 +24,37 @@ class HasEstimate(HasParameters):
     """Base parameters of the estimate in ``estimate``, with their intervals."""
 
     @property
-    def names(self: _Holder) -> tuple[str, ...]:
+    def names(self: _WithEstimate) -> tuple[str, ...]:
         """Names of the base parameters (r,)."""
         return self.estimate.names
 
     @property
-    def values(self: _Holder) -> np.ndarray:
+    def values(self: _WithEstimate) -> np.ndarray:
         """Base parameters (r,)."""
         return self.estimate.values
 
     @property
-    def std(self: _Holder) -> np.ndarray:
+    def std(self: _WithEstimate) -> np.ndarray:
         """Their standard deviations (r,)."""
         return self.estimate.std
 
     @property
-    def low(self: _Holder) -> np.ndarray:
+    def low(self: _WithEstimate) -> np.ndarray:
         """Lower ends of their 95 % intervals (r,)."""
         return self.estimate.low
 
     @property
-    def high(self: _Holder) -> np.ndarray:
+    def high(self: _WithEstimate) -> np.ndarray:
         """Upper ends of their 95 % intervals (r,)."""
         return self.estimate.high
 
     @property
-    def covariance(self: _Holder) -> np.ndarray | None:
+    def covariance(self: _WithEstimate) -> np.ndarray | None:
         """Their covariance (r, r)."""
         return self.estimate.covariance
 
     @property
-    def base(self: _Holder) -> BaseParameters:
+    def base(self: _WithEstimate) -> BaseParameters:
         """What they are combinations of."""
         return self.estimate.base
 

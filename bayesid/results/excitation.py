@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from bayesid.design.excitation.blocks import Block
+from bayesid.design.excitation.blocks import ScriptedBlock
 from bayesid.design.excitation.diagnosability import Diagnosability
 from bayesid.design.excitation.series import FourierSeries
 from bayesid.design.excitation.stops import StopAndGo
@@ -29,7 +29,7 @@ def duration_text(seconds: float) -> str:
     return f"{number(seconds, 3)} s" if seconds < 120.0 else f"{number(seconds / 60.0, 3)} min"
 
 
-def _block_text(block: Block) -> str:
+def _block_text(block: ScriptedBlock) -> str:
     poses = block.trajectory.kind == "poses"
     return f"{block.trajectory.name} ({f'{len(block.trajectory.times)} poses' if poses else duration_text(block.seconds)})"
 
@@ -132,7 +132,7 @@ class Excitation(Result):
     options: Mapping[str, Any]
     series: FourierSeries
     trajectory: Trajectory
-    blocks: tuple[Block, ...]
+    blocks: tuple[ScriptedBlock, ...]
     static_run: StopAndGo | None
     limits: tuple[LimitUse, ...]
     loads: Mapping[str, tuple[tuple[str, ...], np.ndarray]]

@@ -8,7 +8,7 @@ from html import escape
 from typing import TYPE_CHECKING, Any
 
 from bayesid.design.advice import brief
-from bayesid.design.findings import Findings
+from bayesid.design.findings import IdentifiabilityFindings
 from bayesid.design.identifiability import EffectExpectation, SetReport
 from bayesid.design.visibility import LETTERS, WEAK, WORDS, LinkExpectation, by_body
 from bayesid.drawing import figures_of
@@ -35,7 +35,7 @@ SCHEMA = 1
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Identifiability(Findings, Result):
+class Identifiability(IdentifiabilityFindings, Result):
     """What motions can and cannot determine, for each sensor set."""
 
     verb = "identifiability"
@@ -122,7 +122,7 @@ def _link(link: LinkExpectation, report: SetReport) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def lead(result: Findings) -> str:
+def lead(result: IdentifiabilityFindings) -> str:
     """What was asked, and the answer for the readings that would be used, in two sentences."""
     main, total = result.main, len(result.main.parameters)
     who = {
@@ -146,7 +146,7 @@ def counts(report: SetReport) -> list[tuple[str, int]]:
     return [(kind, found[kind]) for kind in WORDS if found[kind]]
 
 
-def table(result: Findings) -> list[list[str]]:
+def table(result: IdentifiabilityFindings) -> list[list[str]]:
     """A row for each sensor set."""
     return [
         [
@@ -202,7 +202,7 @@ def effect_lines(report: SetReport) -> list[tuple[str, str]]:
     return lines
 
 
-def told(result: Findings) -> list[list[str]]:
+def told(result: IdentifiabilityFindings) -> list[list[str]]:
     """How well effects are told apart: a row for each sensor set, true effect and other one; squared standard deviations."""
     rows = []
     for report in result.sensor_sets:
@@ -216,7 +216,7 @@ def told(result: Findings) -> list[list[str]]:
     return rows
 
 
-def side_by_side(result: Findings) -> list[str]:
+def side_by_side(result: IdentifiabilityFindings) -> list[str]:
     """A letter for every link parameter: bodies downwards, sensor sets across."""
     bodies, across = by_body([p.name for p in result.main.parameters])
     used = {p.kind for r in result.sensor_sets for p in r.parameters}
@@ -229,7 +229,7 @@ def side_by_side(result: Findings) -> list[str]:
     return [f"Side by side ({' '.join(across)}): {key}", *(f"  {line}" for line in text_table(head, rows)), ""]
 
 
-def as_text(result: Findings) -> str:
+def as_text(result: IdentifiabilityFindings) -> str:
     """A few dozen lines for a terminal."""
     main = result.main
     motions = ", ".join(n + (f" ({number(d, 3)} s)" if d else "") for n, d in result.motions.items())
@@ -253,7 +253,7 @@ def as_text(result: Findings) -> str:
     return "\n".join(lines)
 
 
-def as_html(result: Findings) -> str:
+def as_html(result: IdentifiabilityFindings) -> str:
     """Tables for a notebook: sensor sets, then the class of every link parameter for each of them."""
     head = ["parameter", *(r.sensor_set.title for r in result.sensor_sets)]
     rows = [

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayesid.design.accuracy.certificate import Certificate
+from bayesid.design.accuracy.certificate import CoverageCertificate
 from bayesid.effects import Term
 from bayesid.errors import InputError
 from bayesid.estimators import Estimate
@@ -92,7 +92,7 @@ class Identification(PlotsPredictions, HasEstimate, Result):
     seconds: dict[str, float]
     prior_check: PriorCheck | None = None
     unconstrained_urdf: bool = False
-    certificate: Certificate | None = None
+    certificate: CoverageCertificate | None = None
     floor: NoiseFloor | None = None
     unusable: tuple[str, ...] = ()
 
@@ -250,7 +250,7 @@ class Identification(PlotsPredictions, HasEstimate, Result):
             **({} if self.certificate is None else {"certificate": self.certificate.to_dict()}),
         }
 
-    def certified(self, certificate: Certificate) -> Identification:
+    def certified(self, certificate: CoverageCertificate) -> Identification:
         """The same with coverage that `bayesid.accuracy` found, to be written into ``estimate.json`` and the report.
 
         Raises

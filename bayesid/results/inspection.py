@@ -77,7 +77,7 @@ class MotionSummary:
 
 
 @dataclass(frozen=True)
-class SensorSet:
+class InspectedReadings:
     """A set of readings and what it can show at all.
 
     Attributes
@@ -125,7 +125,7 @@ class Inspection(Result):
     verb = "check"
     experiment: Experiment
     motions: tuple[MotionSummary, ...]
-    sensor_sets: tuple[SensorSet, ...]
+    sensor_sets: tuple[InspectedReadings, ...]
     channel: str
     bandwidth: float | None
     bandwidth_reason: str

@@ -11,7 +11,7 @@ import numpy as np
 from bayesid.design.payload.body import BodyKnowledge, Quantity, about_centre
 from bayesid.design.payload.poses import NextPoses
 from bayesid.errors import InputError
-from bayesid.results.beside import FoundEffect, cells
+from bayesid.results.beside import EffectBeside, cells
 from bayesid.results.controllers import FORMATS, Load
 from bayesid.results.files import Result
 from bayesid.results.text import channel_text, html_table, number, text_table
@@ -98,7 +98,7 @@ class PayloadEstimate(Result):
     extent: float
     extent_assumed: bool
     plain: tuple[Quantity, ...]
-    effects: tuple[FoundEffect, ...]
+    effects: tuple[EffectBeside, ...]
     verdict: str | None
     offset: tuple[Quantity, ...]
     sensor_frame: str | None

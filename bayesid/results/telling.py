@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from bayesid.design.tell.choose import Pair, Telling
+from bayesid.design.tell.choose import RivalPair, Telling
 from bayesid.results.text import number, percent
 from bayesid.simulation.trajectory_file import write_trajectory
 
@@ -37,7 +37,7 @@ def listed_names(names: tuple[str, ...]) -> str:
     return f"{comma.join(names[:-1])} and {names[-1]}"
 
 
-def listed_pairs(pairs: tuple[Pair, ...]) -> str:
+def listed_pairs(pairs: tuple[RivalPair, ...]) -> str:
     """``a from b``, where a is the true one; a few of them."""
     shown = "; ".join(f"{p.true} from {p.other}" for p in pairs[:_NAMED])
     return shown + (f" and {len(pairs) - _NAMED} more" if len(pairs) > _NAMED else "")
@@ -48,7 +48,7 @@ def chance(probability: float) -> str:
     return "over 99 %" if probability > 0.99 else "under 1 %" if probability < 0.01 else percent(round(probability, 2))
 
 
-def pair_dict(pair: Pair) -> dict[str, Any]:
+def pair_dict(pair: RivalPair) -> dict[str, Any]:
     """For the JSON file."""
     p = pair
     return {

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from bayesid.diagnosis.changes.findings import Change, Comparison
+from bayesid.diagnosis.changes.findings import NamedChange, ReferenceComparison
 from bayesid.results.changes import change_dict, value_text
 from bayesid.results.files import Result
 from bayesid.results.text import DASH, html_table, number, text_table
@@ -39,7 +39,7 @@ class Watched:
     """
 
     name: str
-    comparison: Comparison | None
+    comparison: ReferenceComparison | None
     complaint: str = ""
     left: tuple[Prediction, ...] = ()
 
@@ -55,7 +55,7 @@ class Watched:
         return "not_compared" if self.comparison is None else self.comparison.verdict
 
     @property
-    def changes(self) -> tuple[Change, ...]:
+    def changes(self) -> tuple[NamedChange, ...]:
         """Those that are named."""
         return () if self.comparison is None else self.comparison.changes
 
@@ -180,7 +180,7 @@ class Watch(Result):
         }  # fmt: skip
 
 
-def _told(x: Change) -> str:
+def _told(x: NamedChange) -> str:
     """``payload@joint6 m 2.78 ± 0.22 kg``."""
     name, text, half, _, unit = value_text(x.values[0])
     return f"{x.change.spec} {name} {text}{'' if half == DASH else f' ± {half}'} {unit}".rstrip()

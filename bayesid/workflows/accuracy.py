@@ -11,9 +11,9 @@ import numpy as np
 
 from bayesid.arguments import argument, call
 from bayesid.design.accuracy.bench import Bench, make_bench
-from bayesid.design.accuracy.certificate import Certificate, certify, check_certifiable
+from bayesid.design.accuracy.certificate import CoverageCertificate, certify, check_certifiable
 from bayesid.design.accuracy.sensor_choice import choose_sensor
-from bayesid.design.accuracy.sensor_file import Candidate, read_sensors
+from bayesid.design.accuracy.sensor_file import CandidateSensor, read_sensors
 from bayesid.design.accuracy.susceptibility import susceptibility
 from bayesid.design.accuracy.sweeps import Sweeps, sweep
 from bayesid.drawing import Figures, figures_of
@@ -46,7 +46,7 @@ def accuracy(
     *,
     runs: int = 20,
     certificate: int = 0,
-    sensors: str | Path | Sequence[Candidate] | None = None,
+    sensors: str | Path | Sequence[CandidateSensor] | None = None,
     nominal: bool = False,
     options: FitOptions | None = None,
     low_pass: LowPass | None = None,
@@ -224,7 +224,7 @@ def _bench(
     return make_bench(problem.experiment, estimator(method or estimate.method), own, problem, estimate, nominal=nominal)
 
 
-def _warnings(bench: Bench, varied: Sweeps | None, found: Certificate | None) -> tuple[str, ...]:
+def _warnings(bench: Bench, varied: Sweeps | None, found: CoverageCertificate | None) -> tuple[str, ...]:
     """What the user should know, most important first."""
     out = []
     if found is not None and not found.holds:

@@ -19,7 +19,7 @@ from bayesid.drawing import Figures, figures_of
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, as_experiment
 from bayesid.regression.options import FitOptions, some_options
-from bayesid.results.calibration import KINDS, Calibration, Hidden
+from bayesid.results.calibration import KINDS, Calibration, HiddenEffect
 from bayesid.results.controllers import Load
 from bayesid.results.diagnosis import Diagnosis
 from bayesid.results.files import Files, files_of, strict
@@ -173,10 +173,10 @@ def _quantities(fit: Identification) -> dict[str, tuple[Quantity, ...]]:
     return out
 
 
-def _hidden(found: Diagnosis, fit: Identification, alone: bool) -> tuple[Hidden, ...]:
+def _hidden(found: Diagnosis, fit: Identification, alone: bool) -> tuple[HiddenEffect, ...]:
     """Kinds that the model does not have, where they would stand out least."""
     there = {name.partition("@")[0] for name in _quantities(fit)}
-    out: dict[str, Hidden] = {}
+    out: dict[str, HiddenEffect] = {}
     for p in found.search.proposals:
         effect = p.term.effect
         if effect.name not in KINDS or effect.name in there or p.minimum is None or not np.isfinite(p.minimum):
@@ -185,7 +185,7 @@ def _hidden(found: Diagnosis, fit: Identification, alone: bool) -> tuple[Hidden,
             continue
         if effect.name not in out or p.minimum > out[effect.name].size:
             unit, name = effect.units[0], effect.parameters[0]
-            out[effect.name] = Hidden(effect.name, effect.spec, name, float(p.minimum), unit)
+            out[effect.name] = HiddenEffect(effect.name, effect.spec, name, float(p.minimum), unit)
     return tuple(out[k] for k in KINDS if k in out)
 
 

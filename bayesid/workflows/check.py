@@ -18,7 +18,7 @@ from bayesid.regression.parallel import one_blas_thread
 from bayesid.regression.problem import prepare
 from bayesid.regression.readings import default_channel, make_channels
 from bayesid.results.files import Files, files_of
-from bayesid.results.inspection import Inspection, MotionSummary, SensorSet
+from bayesid.results.inspection import InspectedReadings, Inspection, MotionSummary
 from bayesid.signals.smoothing import smooth
 from bayesid.validation.mistakes.search import find_mistakes
 from bayesid.validation.own_fit import fit_and_predict
@@ -178,7 +178,7 @@ def _speed(table: Table, bandwidth: float) -> np.ndarray:
     return np.quantile(np.concatenate(speeds), 0.999, axis=0) if speeds else np.full(table.positions.shape[1], np.nan)
 
 
-def _sensor_sets(experiment: Experiment) -> tuple[SensorSet, ...]:
+def _sensor_sets(experiment: Experiment) -> tuple[InspectedReadings, ...]:
     fitted = experiment.identification
     wrench = experiment.sensor is not None and all(m.table.wrench is not None for m in fitted)
     torque = all(m.table.torques is not None for m in fitted)
@@ -204,4 +204,6 @@ def _sensor_sets(experiment: Experiment) -> tuple[SensorSet, ...]:
     if experiment.sensor is not None:
         both = make_channels(experiment, "both")
         sets.append(("wrench and torques, with an unknown sensor offset", both, wrench and torque, dict(offset=True)))
-    return tuple(SensorSet(name, structural_base(experiment.robot, c, **options), here) for name, c, here, options in sets)
+    return tuple(
+        InspectedReadings(name, structural_base(experiment.robot, c, **options), here) for name, c, here, options in sets
+    )

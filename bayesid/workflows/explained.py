@@ -14,7 +14,7 @@ from bayesid.effects import Effect, Term
 from bayesid.errors import BayesidError
 from bayesid.recordings.experiment import WRENCH_COLUMNS, Experiment
 from bayesid.regression.options import FitOptions
-from bayesid.results.beside import FoundEffect
+from bayesid.results.beside import EffectBeside
 from bayesid.results.diagnosis import Diagnosis
 from bayesid.results.fitted_model import fitted_model
 from bayesid.results.identification import Identification
@@ -49,7 +49,7 @@ class Explained:
     first: Identification
     best: Identification
     rivals: tuple[Identification, ...] = ()
-    effects: tuple[FoundEffect, ...] = ()
+    effects: tuple[EffectBeside, ...] = ()
     diagnosis: Diagnosis | None = None
     warnings: tuple[str, ...] = ()
 
@@ -139,7 +139,7 @@ def _refit(found: Diagnosis, options: FitOptions, terms: Sequence[Term]) -> Iden
         return None
 
 
-def _effect(term: Term, std: np.ndarray, rivals: Sequence[Term]) -> FoundEffect:
+def _effect(term: Term, std: np.ndarray, rivals: Sequence[Term]) -> EffectBeside:
     e = term.effect
     values = {n: (v, float(s), u) for n, v, s, u in zip(e.parameters, term.values, std, e.units, strict=True)}
-    return FoundEffect(e.name, e.where, values, tuple(t.effect.spec for t in rivals))
+    return EffectBeside(e.name, e.where, values, tuple(t.effect.spec for t in rivals))

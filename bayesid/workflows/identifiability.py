@@ -12,7 +12,7 @@ import numpy as np
 from bayesid.arguments import argument, names
 from bayesid.design.advice import advise, duration
 from bayesid.design.expected import Expected, expected_factors
-from bayesid.design.identifiability import Plan, SetReport, report_of, set_report, with_differences
+from bayesid.design.identifiability import PlannedMotions, SetReport, report_of, set_report, with_differences
 from bayesid.design.reading_noise import ReadingNoise, recorded_noise, white_noise
 from bayesid.design.sensor_sets import SENSOR_SETS, SensorSet
 from bayesid.design.separability import pair_of, separations
@@ -199,7 +199,7 @@ def _of_motions(
         sensor = Sensor()
         if any(s.channel != "torque" for s in sets):
             warnings.append("There is no [sensor]: what a wrench would show is told for one under the base, in the base frame.")
-    plan = Plan.of(replace(experiment, sensor=sensor), motions)
+    plan = PlannedMotions.of(replace(experiment, sensor=sensor), motions)
     rivals = None if tell is None else pair_of(plan, tell)
     reports = []
     for s in sets:

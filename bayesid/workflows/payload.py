@@ -29,7 +29,7 @@ from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, as_experiment
 from bayesid.regression.options import FitOptions, some_options
 from bayesid.regression.readings import default_channel
-from bayesid.results.beside import FoundEffect
+from bayesid.results.beside import EffectBeside
 from bayesid.results.files import Files, files_of, strict
 from bayesid.results.payload import NEXT_POSES, PayloadEstimate
 from bayesid.results.text import number, percent, with_half
@@ -73,7 +73,7 @@ class _Found:
     known: BodyKnowledge
     plain: BodyKnowledge
     rivals: tuple[BodyKnowledge, ...] = ()
-    effects: tuple[FoundEffect, ...] = ()
+    effects: tuple[EffectBeside, ...] = ()
     verdict: str | None = None
     offset: tuple[Quantity, ...] = ()
     evidence: float | None = None
@@ -314,7 +314,7 @@ def _since(asked: _Asked, before: Experiment, joint: str | None) -> _Found:
     here = f"joint{at + 1}"
     named = any(c.change.name == "payload" and c.change.where == here for c in found.changes)
     others = tuple(
-        FoundEffect(
+        EffectBeside(
             c.change.name, c.change.where, {v.name: (v.value, v.std, v.unit) for v in c.values},
             tuple(f"{h.name}@{h.where}" for h, _ in c.found.rivals),
         )
@@ -379,7 +379,7 @@ def _offset_sentence(offset: Sequence[Quantity]) -> str:
     return f"Sensor offset: {', '.join(told[:3])} N; {', '.join(told[3:])} N m."
 
 
-def _beside(effects: Sequence[FoundEffect], plain: BodyKnowledge) -> list[str]:
+def _beside(effects: Sequence[EffectBeside], plain: BodyKnowledge) -> list[str]:
     """What else is in the readings and in the model, and what the values would be without it."""
     effects = [e for e in effects if e.in_model]
     if not effects:

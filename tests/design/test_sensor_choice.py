@@ -11,7 +11,7 @@ import pytest
 
 from bayesid.design.accuracy.fits import fit_twin
 from bayesid.design.accuracy.sensor_choice import Outlook, choose_sensor
-from bayesid.design.accuracy.sensor_file import Candidate, read_sensors
+from bayesid.design.accuracy.sensor_file import CandidateSensor, read_sensors
 from bayesid.design.accuracy.twins import own_setting, twin
 from bayesid.effects import Term
 from bayesid.errors import InputError
@@ -25,7 +25,7 @@ CELLS = f"[[{A}, {A}, -0.1], [{A}, -{A}, -0.1], [-{A}, {A}, -0.1], [-{A}, -{A}, 
 PLATFORM = '[[sensor]]\nname = "p"\nkind = "base"\ntranslation = [0.0, 0.0, -0.1]\nnoise = [0.5, 0.05]\n'
 
 
-def listed(folder: Path, text: str) -> tuple[Candidate, ...]:
+def listed(folder: Path, text: str) -> tuple[CandidateSensor, ...]:
     path = folder / "sensors.toml"
     path.write_text(text, encoding="utf-8")
     return read_sensors(path, bench("ur5").experiment.robot)

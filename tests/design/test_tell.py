@@ -12,9 +12,9 @@ from bayesid.cli import main
 from bayesid.design.excitation.options import ExcitationOptions
 from bayesid.design.excitation.plan import make_task
 from bayesid.design.tell.choose import checked, tell, tell_effects, tell_search, unrecorded
-from bayesid.design.tell.evidence import Rows
+from bayesid.design.tell.evidence import PredictedRows
 from bayesid.design.tell.motions import Planned, paces, pool, prolonged, varied, within_limits
-from bayesid.design.tell.planned_rows import Bench, contest, contest_on
+from bayesid.design.tell.planned_rows import SeenInstruments, contest, contest_on
 from bayesid.design.tell.rivals import Case, from_effects, from_search, parse_effects, supposed
 from bayesid.diagnosis.fit import fit
 from bayesid.diagnosis.prepare import prepare_data
@@ -69,7 +69,7 @@ def case(diagnosis):
 
 @pytest.fixture(scope="module")
 def bench(case):
-    return Bench.of(case.rivals[0].fit)
+    return SeenInstruments.of(case.rivals[0].fit)
 
 
 @pytest.fixture(scope="module")
@@ -133,7 +133,7 @@ def test_settled_knowledge_leaves_the_textbook_law(case, bench, planned):
 def test_rows_are_reduced_without_loss():
     rng = np.random.default_rng(2)
     own, means = [rng.normal(size=(50, k)) for k in (4, 5)], rng.normal(size=(2, 50))
-    rows = Rows.of(own, list(means), 50)
+    rows = PredictedRows.of(own, list(means), 50)
     for whole, j in zip(own, rows.columns, strict=True):
         assert np.allclose(j.T @ j, whole.T @ whole)
         assert np.allclose(j.T @ rows.readings[1], whole.T @ (means[1] - means[0]))
@@ -278,9 +278,9 @@ def test_predicted_evidence_against_exact_fits_of_simulated_recordings(robot):
     (case,) = from_effects(data, parse_effects(data, ["sensor_crosstalk@fz->my", "base_tilt"]))
     limits = make_task(recorded, ExcitationOptions())[0].limits
     planned = next(iter(pool(limits, 8.0, 1, seed=4)))
-    c = contest(case, Bench.of(case.rivals[0].fit), planned)
+    c = contest(case, SeenInstruments.of(case.rivals[0].fit), planned)
     first = case.rivals[0].fit
-    empty = Bench.of(first).segment(planned, first)
+    empty = SeenInstruments.of(first).segment(planned, first)
     times, scene = empty.times, empty.scene
     at_samples = MotionSegment(
         times, *planned.at(times), still=False, bandwidth=scene.bandwidth, middle=scene.middle, clear=scene.clear

@@ -13,7 +13,7 @@ from scipy.stats import multivariate_normal
 import bayesid
 from bayesid.cli import main
 from bayesid.diagnosis.changes.evidence import Marginal, Reduced, gain
-from bayesid.diagnosis.changes.findings import Comparison
+from bayesid.diagnosis.changes.findings import ReferenceComparison
 from bayesid.diagnosis.changes.hypotheses import Hypothesis, StandingAmplitudes
 from bayesid.diagnosis.changes.posterior import amplitudes
 from bayesid.diagnosis.changes.reference import learn_reference
@@ -196,7 +196,7 @@ def test_what_to_record_next():
 
     def found(verdict, *pairs):
         changes = [SimpleNamespace(change=a, found=SimpleNamespace(rivals=[(h, 1.0) for h in b])) for a, b in pairs]
-        return next_experiment(cast(Comparison, SimpleNamespace(verdict=verdict, changes=changes)))
+        return next_experiment(cast(ReferenceComparison, SimpleNamespace(verdict=verdict, changes=changes)))
 
     load, hose = change("payload", "joint2"), change("tether", "joint1")
     assert 'bayesid.excite with tell=["payload@joint2", "tether@joint1"] plans' in found("ambiguous", (load, [hose]))

@@ -8,11 +8,11 @@ import pytest
 
 import bayesid
 from bayesid.cli import main
-from bayesid.diagnosis.description.candidates import Candidate, candidates
+from bayesid.diagnosis.description.candidates import CandidateTerm, candidates
 from bayesid.diagnosis.description.choose import adapted, closed
 from bayesid.diagnosis.description.columns import halves, ranges_of
 from bayesid.diagnosis.description.describe import describe, may_be
-from bayesid.diagnosis.description.shapes import Factor, Shape, single
+from bayesid.diagnosis.description.shapes import Shape, ShapeFactor, single
 from bayesid.diagnosis.fit import fit
 from bayesid.diagnosis.prepare import prepare_data
 from bayesid.diagnosis.projector import make_projector
@@ -147,9 +147,9 @@ def test_gains_are_those_of_least_squares(robot):
 def test_numbers_are_adapted(robot):
     """A rate that lies between those tried is found to a hundredth."""
     base = fitted(made(robot, lambda q, v: 0.8 * np.sin(5.3 * q[:, 1] + 0.4)))
-    waves = tuple((Factor(f"{w}({{n}} * {{x}})", "q2", "ripple", number=5.0, step=0.4),) for w in ("sin", "cos"))
+    waves = tuple((ShapeFactor(f"{w}({{n}} * {{x}})", "q2", "ripple", number=5.0, step=0.4),) for w in ("sin", "cos"))
     first, second = halves(base)
-    best, _ = adapted(first, Candidate(Shape(waves), (1,)))
+    best, _ = adapted(first, CandidateTerm(Shape(waves), (1,)))
     assert best.shape.numbers[0][1] == pytest.approx(5.3, rel=0.01)
     left = second.columns(best)
     after = second.residual - left @ np.linalg.lstsq(left, second.residual)[0]
@@ -159,14 +159,14 @@ def test_numbers_are_adapted(robot):
 
 def test_what_a_form_may_be():
     names = ("tau1", "tau2")
-    own = Factor("{x}", "v2", "speed", 1)
-    warm = single(Factor("exp(-{x} / {n})", "t", "time", number=20.0), Factor("{x}", "dir2", "direction"))
-    assert "friction" in may_be(Candidate(single(own), (1,)), names)[0]
-    rubs = single(Factor("sin({n} * {x})", "q2", "ripple", number=2.0), Factor("{x}", "dir2", "direction"))
-    assert may_be(Candidate(rubs, (1,)), names)[0].startswith("friction that varies over a turn")
-    assert "another joint" in may_be(Candidate(single(own), (0,)), names)[0]
-    assert "warms up" in may_be(Candidate(warm, (1,)), names)[0]
-    assert may_be(Candidate(single(Factor("abs({x})", "fx", "load", 1)), (0,)), ("fx",))[0].startswith("a sensor")
+    own = ShapeFactor("{x}", "v2", "speed", 1)
+    warm = single(ShapeFactor("exp(-{x} / {n})", "t", "time", number=20.0), ShapeFactor("{x}", "dir2", "direction"))
+    assert "friction" in may_be(CandidateTerm(single(own), (1,)), names)[0]
+    rubs = single(ShapeFactor("sin({n} * {x})", "q2", "ripple", number=2.0), ShapeFactor("{x}", "dir2", "direction"))
+    assert may_be(CandidateTerm(rubs, (1,)), names)[0].startswith("friction that varies over a turn")
+    assert "another joint" in may_be(CandidateTerm(single(own), (0,)), names)[0]
+    assert "warms up" in may_be(CandidateTerm(warm, (1,)), names)[0]
+    assert may_be(CandidateTerm(single(ShapeFactor("abs({x})", "fx", "load", 1)), (0,)), ("fx",))[0].startswith("a sensor")
 
 
 @pytest.mark.parametrize(

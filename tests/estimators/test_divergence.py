@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import bayesid
-from bayesid.estimators.robust.divergence import Directions, Fitted, reasons
+from bayesid.estimators.robust.divergence import Directions, ResidualSizes, reasons
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import prepare
 from bayesid.regression.regression import Regression
@@ -61,13 +61,13 @@ def test_rank_is_that_of_all_rows_and_lost_information_has_a_direction():
 def test_each_sign_of_divergence_is_named():
     rng = np.random.default_rng(0)
     regression = Regression.from_arrays(rng.normal(size=(50, 2, 3)), rng.normal(size=(50, 2)), parameter_names=["a", "b", "c"])
-    fine, values, direction = Fitted(1.0, 0.1), np.ones(3), np.array([0.0, 1.0, 0.0])
+    fine, values, direction = ResidualSizes(1.0, 0.1), np.ones(3), np.array([0.0, 1.0, 0.0])
     assert reasons(regression, 0.5, direction, 1.0, fine, fine, values, values) == ()
     (lost,) = reasons(regression, 1e-6, direction, 1.0, fine, fine, values, values)
     assert lost.endswith("information on b")
-    (large,) = reasons(regression, 0.5, direction, 1.0, Fitted(1.0, 800.0), fine, values, values)
+    (large,) = reasons(regression, 0.5, direction, 1.0, ResidualSizes(1.0, 800.0), fine, values, values)
     assert "8e+04 % of the signal" in large
-    assert len(reasons(regression, 0.5, direction, 1e-6, Fitted(9.0, 0.1), fine, values, values)) == 2
+    assert len(reasons(regression, 0.5, direction, 1e-6, ResidualSizes(9.0, 0.1), fine, values, values)) == 2
     known = replace(regression, knowledge=replace(regression.knowledge, nominal_links=np.ones(3)))
     known.__dict__["nominal_scale"] = np.ones(3)
     (far,) = reasons(known, 0.5, direction, 1.0, fine, fine, np.array([1.0, -274_727.0, 1.0]), values)

@@ -26,7 +26,7 @@ from bayesid.design.excitation.options import ExcitationOptions
 from bayesid.design.excitation.plan import make_task
 from bayesid.design.tell.choose import HOPELESS, checked
 from bayesid.design.tell.motions import pool
-from bayesid.design.tell.planned_rows import NAME, Bench, contest
+from bayesid.design.tell.planned_rows import NAME, SeenInstruments, contest
 from bayesid.design.tell.rivals import from_search
 from bayesid.diagnosis.verdict import evidence_of, verdict
 from bayesid.errors import InputError
@@ -167,7 +167,7 @@ def after(
         "hopeless": any(p.probability < HOPELESS for p in told.pairs if spec in (p.true, p.other)),
         "proposed": again(setup, robot, spec, size, number, told.trajectory) | {"predicted": told.probability},
     }  # fmt: skip
-    bench, target = Bench.of(case.rivals[0].fit), float(rng.uniform(0.05, 0.95))
+    bench, target = SeenInstruments.of(case.rivals[0].fit), float(rng.uniform(0.05, 0.95))
     length = float(rng.choice([2.5, 4.0, 8.0]))
     limits = make_task(diagnosis.data.experiment, ExcitationOptions())[0].limits
     worse = [(contest(case, bench, m).decided(case.weights)[0], m) for m in pool(limits, length, 16, int(rng.integers(2**31)))]

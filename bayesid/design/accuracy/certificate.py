@@ -35,7 +35,7 @@ _SEEDS = 7_000_003
 
 
 @dataclass(frozen=True)
-class Certificate:
+class CoverageCertificate:
     """Coverage found on twins.
 
     Attributes
@@ -123,7 +123,7 @@ def check_certifiable(bench: Bench, count: int) -> None:
 
 def certify(
     bench: Bench, count: int, seed: int, tell: Callable[[str], object], kept: Path | None = None, resume: bool = False
-) -> Certificate:
+) -> CoverageCertificate:
     """Simulate twins, fit each, and count which intervals hold the truth.
 
     Parameters
@@ -176,7 +176,7 @@ def certify(
     return _counted(bench, np.array(done), seed)
 
 
-def _counted(bench: Bench, found: np.ndarray, seed: int) -> Certificate:
+def _counted(bench: Bench, found: np.ndarray, seed: int) -> CoverageCertificate:
     """The certificate of errors, standard deviations and hits of every twin (twins, 3, r)."""
     usable = np.isfinite(found[:, 0]).all(axis=1)
     fine = found[usable]
@@ -191,7 +191,7 @@ def _counted(bench: Bench, found: np.ndarray, seed: int) -> Certificate:
     mean = z.sum(axis=0) / np.maximum(counted, 1)
     spread = np.sqrt(np.where(known, (z - mean) ** 2, 0.0).sum(axis=0) / np.maximum(counted - 1, 1))
     shares = np.where(known, inside, 0.0).sum(axis=1) / np.maximum(known.sum(axis=1), 1)
-    return Certificate(
+    return CoverageCertificate(
         bench.problem.row_model.base.names, np.where(known, inside, 0.0).sum(axis=0), counted, len(fine),
         int((~usable).sum()), mean, spread, float(shares.mean()), float(shares.std(ddof=1) / np.sqrt(len(shares))),
         bench.method.name, seed,

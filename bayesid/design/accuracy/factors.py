@@ -46,7 +46,7 @@ class Trial:
 
 
 @dataclass(frozen=True)
-class Factor:
+class SweptFactor:
     """A property of the experiment or of its evaluation, with the levels that it is tried at.
 
     Attributes
@@ -70,7 +70,7 @@ def has_formula(bench: Bench) -> bool:
     return isinstance(bench.method, LeastSquares)
 
 
-def all_factors(bench: Bench) -> tuple[Factor, ...]:
+def all_factors(bench: Bench) -> tuple[SweptFactor, ...]:
     """Every factor that such an experiment has."""
     factors = [
         _noise(bench), _resolution(bench), _encoder(bench), _rate(bench), _length(bench), _filter(bench), _bandwidth(bench),
@@ -84,20 +84,20 @@ def _if_complete(bench: Bench, advice: str) -> str:
     return "" if bench.estimate.details.model_complete is False else advice
 
 
-def _noise(bench: Bench) -> Factor:
+def _noise(bench: Bench) -> SweptFactor:
     own, formula = own_setting(bench), has_formula(bench)
     half = _if_complete(bench, "half the sensor noise")
     trials = tuple(
         Trial(f"× {k:g}", k, None if formula else replace(own, noise=k), (k, 1.0), half if k == 0.5 else "")
         for k in (0.25, 0.5, 2.0, 4.0)
     )
-    return Factor("sensor_noise", "Noise of the readings", _sizes(bench, 1.0), trials)
+    return SweptFactor("sensor_noise", "Noise of the readings", _sizes(bench, 1.0), trials)
 
 
-def _resolution(bench: Bench) -> Factor:
+def _resolution(bench: Bench) -> SweptFactor:
     own = own_setting(bench)
     trials = [Trial(f"{k:g} noise std", k, replace(own, step=k)) for k in (1.0, 3.0, 10.0)]
-    return Factor("sensor_resolution", "Resolution of the readings", "as fine as the noise, or finer", tuple(trials))
+    return SweptFactor("sensor_resolution", "Resolution of the readings", "as fine as the noise, or finer", tuple(trials))
 
 
 def _sizes(bench: Bench, scale: float) -> str:
@@ -108,9 +108,9 @@ def _sizes(bench: Bench, scale: float) -> str:
     return ", ".join(f"{sum(values) / len(values):.2g} {unit}" for unit, values in by_unit.items())
 
 
-def _encoder(bench: Bench) -> Factor:
+def _encoder(bench: Bench) -> SweptFactor:
     if not bench.resolution and not bench.position_std.any():
-        return Factor("encoder", "Encoder errors", "none", ())
+        return SweptFactor("encoder", "Encoder errors", "none", ())
     own, count = own_setting(bench), bench.resolution
     what = f"counts of {count:.2g}" if count else f"random errors of {max(bench.position_std):.2g}"
     trials = tuple(
@@ -122,10 +122,10 @@ def _encoder(bench: Bench) -> Factor:
         )
         for k in (0.0, 0.25, 4.0, 16.0)
     )
-    return Factor("encoder", "Encoder errors", what, trials)
+    return SweptFactor("encoder", "Encoder errors", what, trials)
 
 
-def _rate(bench: Bench) -> Factor:
+def _rate(bench: Bench) -> SweptFactor:
     own = own_setting(bench)
     rate = min(1.0 / usual_step(m.motion.table.times) for m in bench.motions if m.pieces)
     slowest = max(_SLOWEST_RATE, _RATE_PER_BANDWIDTH * bench.problem.smoother.bandwidth)
@@ -137,10 +137,10 @@ def _rate(bench: Bench) -> Factor:
         for k in levels
         if rate * k >= slowest
     )
-    return Factor("sampling_rate", "Sampling rate", f"{rate:.3g} Hz", trials)
+    return SweptFactor("sampling_rate", "Sampling rate", f"{rate:.3g} Hz", trials)
 
 
-def _length(bench: Bench) -> Factor:
+def _length(bench: Bench) -> SweptFactor:
     own = own_setting(bench)
     whole = sum(m.motion.table.duration for m in bench.motions)
     shorter = [Trial(f"first {whole * k:.3g} s", k, replace(own, length=k)) for k in (0.25, 0.5)]
@@ -154,14 +154,14 @@ def _length(bench: Bench) -> Factor:
         )
         for k in (2.0, 4.0)
     ]
-    return Factor("record_length", "Record length", f"{whole:.3g} s", (*shorter, *longer))
+    return SweptFactor("record_length", "Record length", f"{whole:.3g} s", (*shorter, *longer))
 
 
 def _filter_text(low_pass: LowPass | None) -> str:
     return "no filter" if low_pass is None else f"l = {low_pass.l:g}, d = {low_pass.d:g} rad/s"
 
 
-def _filter(bench: Bench) -> Factor:
+def _filter(bench: Bench) -> SweptFactor:
     own, used = own_setting(bench), bench.options.low_pass
     trials = tuple(
         Trial(
@@ -173,10 +173,10 @@ def _filter(bench: Bench) -> Factor:
         for tried in (None, *FILTERS)
         if tried != used
     )
-    return Factor("filter", "Low-pass filters", _filter_text(used), trials)
+    return SweptFactor("filter", "Low-pass filters", _filter_text(used), trials)
 
 
-def _bandwidth(bench: Bench) -> Factor:
+def _bandwidth(bench: Bench) -> SweptFactor:
     own, found = own_setting(bench), bench.problem.smoother.bandwidth
     how = "" if bench.options.bandwidth is not None else " (automatic)"
     trials = tuple(
@@ -188,10 +188,10 @@ def _bandwidth(bench: Bench) -> Factor:
         )
         for k in (0.5, 0.71, 1.4, 2.0)
     )
-    return Factor("bandwidth", "Bandwidth of the smoothed motion", f"{found:.3g} Hz{how}", trials)
+    return SweptFactor("bandwidth", "Bandwidth of the smoothed motion", f"{found:.3g} Hz{how}", trials)
 
 
-def _velocity(bench: Bench) -> Factor:
+def _velocity(bench: Bench) -> SweptFactor:
     own = own_setting(bench)
     used = bench.options.low_pass or FILTERS[0]
     filtered = replace(own, options=replace(own.options, low_pass=used))
@@ -199,13 +199,13 @@ def _velocity(bench: Bench) -> Factor:
     trials = [] if bench.options.low_pass else [Trial(f"smoothed positions, {text}", None, filtered)]
     trials += [Trial(f"{words}, {text}", None, replace(filtered, velocity=kind)) for kind, words in _VELOCITIES.items()]
     used_words = f"smoothed positions, {_filter_text(bench.options.low_pass)}"
-    return Factor("velocity", "Derivation of velocities", used_words, tuple(trials))
+    return SweptFactor("velocity", "Derivation of velocities", used_words, tuple(trials))
 
 
-def _offset(bench: Bench) -> Factor:
+def _offset(bench: Bench) -> SweptFactor:
     title = "Sensor offset and static run"
     if bench.problem.channel != "wrench":
-        return Factor("offset", title, "", ())
+        return SweptFactor("offset", title, "", ())
     own = own_setting(bench)
     treated = {"motion": "subtracted", "joint": "joint", "none": "fitted"}[bench.problem.static]
     trials = tuple(
@@ -213,4 +213,4 @@ def _offset(bench: Bench) -> Factor:
         for key, words in OFFSETS.items()
         if key != treated
     )
-    return Factor("offset", title, OFFSETS[treated], trials)
+    return SweptFactor("offset", title, OFFSETS[treated], trials)

@@ -17,7 +17,7 @@ import numpy as np
 import pinocchio as pin
 
 from bayesid.design.accuracy.bench import Bench
-from bayesid.design.accuracy.sensor_file import Candidate
+from bayesid.design.accuracy.sensor_file import CandidateSensor
 from bayesid.design.expected import Expected, rows_of
 from bayesid.design.sensor_sets import SENSOR_SETS
 from bayesid.design.visibility import Shown, shown
@@ -63,7 +63,7 @@ class Outlook:
         Largest magnitude of every reading in these motions, weight included (m,).
     """
 
-    candidate: Candidate
+    candidate: CandidateSensor
     determined: Shown
     names: tuple[str, ...]
     link_std: np.ndarray
@@ -130,7 +130,9 @@ class SensorChoice:
     assumed: bool
 
 
-def choose_sensor(bench: Bench, candidates: Sequence[Candidate], tell: Callable[[str], object] = lambda _: None) -> SensorChoice:
+def choose_sensor(
+    bench: Bench, candidates: Sequence[CandidateSensor], tell: Callable[[str], object] = lambda _: None
+) -> SensorChoice:
     """What each candidate would tell of the fitted motions.
 
     Parameters
@@ -156,7 +158,7 @@ def choose_sensor(bench: Bench, candidates: Sequence[Candidate], tell: Callable[
     return SensorChoice(tuple(outlooks), trust, not stated)
 
 
-def _equipped(bench: Bench, candidate: Candidate) -> tuple[Experiment, np.ndarray]:
+def _equipped(bench: Bench, candidate: CandidateSensor) -> tuple[Experiment, np.ndarray]:
     """The experiment with the candidate in place, and its true links (b, 10)."""
     own, robot = bench.experiment, bench.experiment.robot
     if candidate.kind == "torque":
@@ -172,7 +174,7 @@ def _equipped(bench: Bench, candidate: Candidate) -> tuple[Experiment, np.ndarra
     return replace(own, robot=robot, sensor=sensor), links
 
 
-def _outlook(bench: Bench, candidate: Candidate, trust: float) -> Outlook:
+def _outlook(bench: Bench, candidate: CandidateSensor, trust: float) -> Outlook:
     experiment, links = _equipped(bench, candidate)
     sensor_set = SENSOR_SETS["torque" if candidate.kind == "torque" else "wrench-offset"]
     motions = [replace(m.motion, static=None) for m in bench.motions]
@@ -201,12 +203,12 @@ def _outlook(bench: Bench, candidate: Candidate, trust: float) -> Outlook:
     )  # fmt: skip
 
 
-def candidate_map(candidate: Candidate, channels: int) -> np.ndarray:
+def candidate_map(candidate: CandidateSensor, channels: int) -> np.ndarray:
     """From the channels of its kind to the candidate's readings (m, c)."""
     return np.eye(channels)[list(candidate.drives)] if candidate.kind == "torque" else candidate.reading_map
 
 
-def _weighting(bench: Bench, candidate: Candidate, channels: int) -> np.ndarray:
+def _weighting(bench: Bench, candidate: CandidateSensor, channels: int) -> np.ndarray:
     """From the channels to white readings of unit variance at the recording's rate (m, c)."""
     rate = 1.0 / min(usual_step(m.motion.table.times) for m in bench.motions if m.pieces)
     # Faster samples are averaged over the time of one sample of the recording.

@@ -49,7 +49,7 @@ class _File(Section):
 
 
 @dataclass(frozen=True, eq=False)
-class Candidate:
+class CandidateSensor:
     """A sensor that might be bought.
 
     Attributes
@@ -95,7 +95,7 @@ class Candidate:
         return np.eye(len(self.readings))
 
 
-def read_sensors(path: str | Path, robot: Robot) -> tuple[Candidate, ...]:
+def read_sensors(path: str | Path, robot: Robot) -> tuple[CandidateSensor, ...]:
     """Read a list of candidate sensors.
 
     Parameters
@@ -120,7 +120,7 @@ def read_sensors(path: str | Path, robot: Robot) -> tuple[Candidate, ...]:
     return tuple(_candidate(s, path.name, robot) for s in file.sensor)
 
 
-def _candidate(given: _Listed, source: str, robot: Robot) -> Candidate:
+def _candidate(given: _Listed, source: str, robot: Robot) -> CandidateSensor:
     place = f'{source}: sensor "{given.name}"'
     allowed = {
         "base": ("translation", "rpy"), "wrist": ("joint", "translation", "rpy"), "plate": ("cells", "axes"),
@@ -151,7 +151,7 @@ def _candidate(given: _Listed, source: str, robot: Robot) -> Candidate:
     kinds = 2 if given.kind in ("base", "wrist") else 1
     noise = _each(given.noise, "noise", len(readings), kinds, place)
     steps = _each(given.resolution, "resolution", len(readings), kinds, place, 0.0)
-    return Candidate(
+    return CandidateSensor(
         given.name, given.kind, readings, units, np.sqrt(noise**2 + steps**2 / 12.0),
         _each(given.range, "range", len(readings), kinds, place, np.inf), given.rate, given.joint, rotation, translation,
         load_map, drives,

@@ -20,7 +20,7 @@ from itertools import product
 import numpy as np
 
 from bayesid.design.accuracy.bench import Bench
-from bayesid.design.accuracy.factors import Factor, Trial, all_factors, has_formula
+from bayesid.design.accuracy.factors import SweptFactor, Trial, all_factors, has_formula
 from bayesid.design.accuracy.fits import Errors, Learned, errors_of, fit_twin, learn, prediction_error, run_twin
 from bayesid.design.accuracy.twins import Setting, own_setting, twin
 from bayesid.errors import BayesidError
@@ -271,7 +271,7 @@ def linear_errors(bench: Bench, quiet: Errors, seed: int) -> LinearErrors:
 
 
 def _sweep(
-    bench: Bench, factor: Factor, own: Level, errors: Errors, found: dict[str, Errors | str], linear: LinearErrors | None
+    bench: Bench, factor: SweptFactor, own: Level, errors: Errors, found: dict[str, Errors | str], linear: LinearErrors | None
 ) -> Sweep:
     levels = []
     for trial in factor.trials:

@@ -30,7 +30,7 @@ _CANDIDATES = 400
 
 
 @dataclass(frozen=True, eq=False)
-class Block:
+class ScriptedBlock:
     """A scripted block.
 
     Attributes
@@ -51,7 +51,7 @@ class Block:
         return 0.0 if self.trajectory.kind == "poses" else float(self.trajectory.times[-1])
 
 
-def scripted_blocks(plan: Plan, kinds: Sequence[str]) -> tuple[tuple[Block, ...], tuple[str, ...]]:
+def scripted_blocks(plan: Plan, kinds: Sequence[str]) -> tuple[tuple[ScriptedBlock, ...], tuple[str, ...]]:
     """Motions of the blocks asked for, and notes of what was left out.
 
     Parameters
@@ -65,7 +65,7 @@ def scripted_blocks(plan: Plan, kinds: Sequence[str]) -> tuple[tuple[Block, ...]
     for kind in BLOCKS if "all" in kinds else dict.fromkeys(kinds):
         for motion in _MAKERS[kind](plan):
             if _fits(plan, motion):
-                out.append(Block(kind, BLOCKS[kind], motion))
+                out.append(ScriptedBlock(kind, BLOCKS[kind], motion))
             else:
                 notes.append(f"Block {motion.name} is left out: at rest or slower, the robot's weight alone breaks a limit.")
     return tuple(out), tuple(notes)

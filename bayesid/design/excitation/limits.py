@@ -22,7 +22,7 @@ _BLOCK = 4096
 
 
 @dataclass(frozen=True, eq=False)
-class Load:
+class LoadLimit:
     """Readings that must not become too large.
 
     Attributes
@@ -81,7 +81,7 @@ class Limits:
     upper: np.ndarray
     speed: np.ndarray
     acceleration: np.ndarray
-    loads: tuple[Load, ...] = ()
+    loads: tuple[LoadLimit, ...] = ()
     clearance: Clearance | None = None
     moving: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
 

@@ -32,7 +32,7 @@ from scipy.optimize import minimize, nnls
 from bayesid.design.excitation.criteria import Criterion
 from bayesid.design.excitation.information import Information
 from bayesid.design.excitation.limits import Limits, Motion
-from bayesid.design.excitation.quantities import Quantity
+from bayesid.design.excitation.quantities import JudgedQuantity
 from bayesid.design.excitation.series import Coordinates, FourierSeries
 from bayesid.tasks import map_tasks, on_cluster
 
@@ -212,7 +212,7 @@ class Task:
     recorded: float
     fine: int
     rank: int
-    quantities: tuple[Quantity, ...] = ()
+    quantities: tuple[JudgedQuantity, ...] = ()
 
     @property
     def step(self) -> float:
@@ -234,7 +234,7 @@ class Task:
 
 
 @dataclass
-class Search:
+class TrajectorySearch:
     """The best motion so far, and how it came about; kept while the search runs, so that it can be stopped at any time.
 
     Attributes
@@ -274,7 +274,7 @@ class Search:
             self.finalists.append(self._local)
         self._local = None
 
-    def join(self, start: Search) -> None:
+    def join(self, start: TrajectorySearch) -> None:
         """Take what a start has found elsewhere."""
         self.finalists += start.finalists
         for value, series in start.finalists:
@@ -296,7 +296,7 @@ def search(
     seconds: float = 90.0,
     seed: int = 0,
     tell: Callable[[str], None] = lambda _: None,
-) -> Search:
+) -> TrajectorySearch:
     """Find the best motion.
 
     Parameters
@@ -319,7 +319,7 @@ def search(
     search
         Its ``best`` is None where no feasible motion was found; an interrupt (Ctrl-C) ends the search, not the program.
     """
-    found, rng = Search(), np.random.default_rng(seed)
+    found, rng = TrajectorySearch(), np.random.default_rng(seed)
     pool: list[tuple[float, FourierSeries]] = []
     try:
         if warm is not None:
@@ -360,15 +360,15 @@ def search(
     return found
 
 
-def _improved(task: Task, seconds: float, start: FourierSeries) -> Search:
+def _improved(task: Task, seconds: float, start: FourierSeries) -> TrajectorySearch:
     """What one start finds on its own."""
-    found = Search()
+    found = TrajectorySearch()
     improve(task, start, found, seconds, lambda _: None)
     found.close()
     return found
 
 
-def improve(task: Task, start: FourierSeries, found: Search, seconds: float, tell: Callable[[str], None]) -> None:
+def improve(task: Task, start: FourierSeries, found: TrajectorySearch, seconds: float, tell: Callable[[str], None]) -> None:
     """Improve a motion, and offer what fits of every round."""
     x = task.coordinates.numbers(start)
     multipliers: list[np.ndarray] | None = None
@@ -399,7 +399,7 @@ def improve(task: Task, start: FourierSeries, found: Search, seconds: float, tel
         before, gap_before = done.fun, gap
 
 
-def _offer_within(task: Task, x: np.ndarray, found: Search) -> None:
+def _offer_within(task: Task, x: np.ndarray, found: TrajectorySearch) -> None:
     """Offer a motion near to one that exceeds limits a little."""
     for margin in _MARGINS:
         inside = restored(task.limits, task.dense, x, margin)

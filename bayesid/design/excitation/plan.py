@@ -15,8 +15,8 @@ from bayesid.arguments import argument
 from bayesid.design.excitation.collision import clearance
 from bayesid.design.excitation.diagnosability import Diagnosability, diagnosability
 from bayesid.design.excitation.information import Information
-from bayesid.design.excitation.limits import Limits, Load
-from bayesid.design.excitation.optimise import Search, Task, search
+from bayesid.design.excitation.limits import Limits, LoadLimit
+from bayesid.design.excitation.optimise import Task, TrajectorySearch, search
 from bayesid.design.excitation.options import BELOW_RESONANCE, ExcitationOptions, largest_accelerations, sensor_ranges
 from bayesid.design.excitation.quantities import criterion_of, parse_quantity
 from bayesid.design.excitation.series import Coordinates, FourierSeries, fitted_series
@@ -91,7 +91,7 @@ class Plan:
     experiment: Experiment
     options: ExcitationOptions
     task: Task
-    search: Search
+    search: TrajectorySearch
     series: FourierSeries
     trajectory: Trajectory
     worst: dict[str, np.ndarray]
@@ -222,7 +222,7 @@ def make_plan(
 
 
 def _chosen(
-    experiment: Experiment, task: Task, options: ExcitationOptions, found: Search, notes: tuple[str, ...],
+    experiment: Experiment, task: Task, options: ExcitationOptions, found: TrajectorySearch, notes: tuple[str, ...],
     tell: Callable[[str], None],
 ) -> tuple[FourierSeries, Diagnosability | None, tuple[str, ...]]:  # fmt: skip
     """The best motion: of those that the starts ended with, by the criterion and the diagnosability together."""
@@ -268,7 +268,7 @@ def _moving(experiment: Experiment, options: ExcitationOptions) -> np.ndarray:
     return np.array(sorted({known[name] for name in options.joints}))
 
 
-def _loads(experiment: Experiment, options: ExcitationOptions) -> tuple[tuple[Load, ...], list[str]]:
+def _loads(experiment: Experiment, options: ExcitationOptions) -> tuple[tuple[LoadLimit, ...], list[str]]:
     """Torque and sensor limits, with nominal links."""
     robot, loads, notes = experiment.robot, [], []
     ranges = sensor_ranges(options.sensor_range)
@@ -282,12 +282,12 @@ def _loads(experiment: Experiment, options: ExcitationOptions) -> tuple[tuple[Lo
         return (), ["The URDF states no masses: neither joint torques nor the sensor's load are limited."]
     if np.isfinite(robot.effort_limit).any():
         channels, most = torque_channels(robot), options.torque_share * robot.effort_limit
-        loads.append(Load("torque", channels, most, robot.nominal, Kernel.of(robot, channels)))
+        loads.append(LoadLimit("torque", channels, most, robot.nominal, Kernel.of(robot, channels)))
     else:
         notes.append("The URDF states no effort limits: joint torques are not limited.")
     if np.isfinite(ranges).any():
         channels, most = make_channels(experiment, "wrench"), options.sensor_share * ranges
-        loads.append(Load("wrench", channels, most, robot.nominal, Kernel.of(robot, channels)))
+        loads.append(LoadLimit("wrench", channels, most, robot.nominal, Kernel.of(robot, channels)))
     elif experiment.sensor is not None:
         notes.append(f"No {argument('sensor_range')} is given: what the sensor reads is not limited.")
     return tuple(loads), notes

@@ -32,7 +32,7 @@ _STATES = 200
 
 
 @dataclass(frozen=True, eq=False)
-class Quantity:
+class JudgedQuantity:
     """A quantity that a motion is judged by.
 
     Attributes
@@ -60,7 +60,7 @@ class Quantity:
         return float(np.sqrt(np.sum(self.scaled * np.linalg.solve(matrix, self.scaled))))
 
 
-def parse_quantity(text: str, experiment: Experiment, information: Information) -> Quantity:
+def parse_quantity(text: str, experiment: Experiment, information: Information) -> JudgedQuantity:
     """The quantity that a text names.
 
     Raises
@@ -83,10 +83,10 @@ def parse_quantity(text: str, experiment: Experiment, information: Information) 
         )
     functions = np.zeros((base.rank, 1))
     functions[kept.index(text)] = 1.0
-    return Quantity(text, base.units[kept.index(text)], information, functions)
+    return JudgedQuantity(text, base.units[kept.index(text)], information, functions)
 
 
-def criterion_of(name: str, quantities: Sequence[Quantity], information: Information) -> tuple[Criterion, Information]:
+def criterion_of(name: str, quantities: Sequence[JudgedQuantity], information: Information) -> tuple[Criterion, Information]:
     """What is to be made small, and the information that it is a function of.
 
     Parameters
@@ -118,7 +118,7 @@ def criterion_of(name: str, quantities: Sequence[Quantity], information: Informa
     return Criterion(name, np.hstack([q.scaled / np.linalg.norm(q.scaled) for q in quantities])), first
 
 
-def _torque(text: str, file: str, experiment: Experiment, information: Information) -> Quantity:
+def _torque(text: str, file: str, experiment: Experiment, information: Information) -> JudgedQuantity:
     robot, base = experiment.robot, information.base
     motion = read_trajectory(Path(file), robot)
     channels = torque_channels(robot)
@@ -134,10 +134,10 @@ def _torque(text: str, file: str, experiment: Experiment, information: Informati
         )
     # The factor of F'F has the same sum of variances as the many rows F.
     factor = np.linalg.qr(functions, mode="r") / np.sqrt(len(functions))
-    return Quantity(text, "N m", information, factor.T)
+    return JudgedQuantity(text, "N m", information, factor.T)
 
 
-def _payload(text: str, where: str, experiment: Experiment, information: Information) -> Quantity:
+def _payload(text: str, where: str, experiment: Experiment, information: Information) -> JudgedQuantity:
     robot = experiment.robot
     names = {name: k for k, name in enumerate(robot.joint_names)} | {f"joint{k + 1}": k for k in range(robot.n)}
     if where not in names:
@@ -166,4 +166,4 @@ def _payload(text: str, where: str, experiment: Experiment, information: Informa
     spread = base.matrix * typical_sizes(robot)[own]
     kernel = Kernel.of(robot, channels, own[base.independent])
     own_information = replace(information, base=base, scale=np.linalg.cholesky(spread @ spread.T), kernel=kernel)
-    return Quantity(text, "kg", own_information, functions[:, None])
+    return JudgedQuantity(text, "kg", own_information, functions[:, None])

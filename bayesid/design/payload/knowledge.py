@@ -25,7 +25,7 @@ from bayesid.arguments import argument
 from bayesid.design.payload.body import BodyKnowledge, half_interval
 from bayesid.design.payload.likelihood import along_mass, has_valley
 from bayesid.diagnosis.changes.evidence import gain
-from bayesid.diagnosis.changes.findings import Comparison
+from bayesid.diagnosis.changes.findings import ReferenceComparison
 from bayesid.diagnosis.changes.hypotheses import Hypothesis
 from bayesid.diagnosis.changes.posterior import amplitudes
 from bayesid.diagnosis.changes.scales import SIZES, WANDER_FACTORS
@@ -137,7 +137,7 @@ def from_nominal(problem: Problem, estimate: Estimate, body: int, rel_std: float
     return known, float(1.0 - min(exact.covariance[0, 0] / known.covariance[0, 0], 1.0))
 
 
-def from_reference(comparison: Comparison, joint: int) -> tuple[BodyKnowledge, float]:
+def from_reference(comparison: ReferenceComparison, joint: int) -> tuple[BodyKnowledge, float]:
     """What changed on a link since a reference, and the log evidence that something did.
 
     Where the comparison names no payload there, one is taken into the model all the same: then the interval says how large a

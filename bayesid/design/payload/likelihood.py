@@ -41,7 +41,7 @@ _CROSSINGS, _NEAR = 12, 0.02
 
 
 @dataclass(frozen=True, eq=False)
-class Profile:
+class ProfilePoint:
     """A point of the profile: the mass, what is least with it held, and where."""
 
     mass: float
@@ -50,7 +50,7 @@ class Profile:
 
 
 @dataclass(eq=False)
-class Held:
+class HeldCombination:
     """Sums of squares with a combination of the base parameters held.
 
     Attributes
@@ -98,7 +98,7 @@ class Held:
         self._last = at.copy(), np.concatenate(left), np.concatenate(slopes)
         return self._last[1:]
 
-    def least(self, mass: float, start: np.ndarray) -> Profile:
+    def least(self, mass: float, start: np.ndarray) -> ProfilePoint:
         """The least sum of squares with the mass held, from a start or from where its tangent leads, whichever is lower."""
         along = self._inverse(start) @ self.slope
         ahead = start + along * (mass - self.slope @ start) / (self.slope @ along)
@@ -106,7 +106,7 @@ class Held:
         heights = [np.sum(self.rows(self.basis @ x[self.kept] + self.offset * mass)[0] ** 2) for x in tried]
         return self._least(tried[int(np.argmin(heights))], self.basis, self.offset * mass)
 
-    def _least(self, start: np.ndarray, basis: np.ndarray, offset: np.ndarray) -> Profile:
+    def _least(self, start: np.ndarray, basis: np.ndarray, offset: np.ndarray) -> ProfilePoint:
         kept = np.ones(len(start), bool) if basis.shape[1] == len(start) else self.kept
         low, high = self.low[kept], self.high[kept]
         room = 1e-9 * np.minimum(1.0, np.where(np.isfinite(high - low), high - low, 1.0))
@@ -116,9 +116,9 @@ class Held:
             bounds=(low, high), x_scale="jac", ftol=1e-6, xtol=1e-9, gtol=1e-9, max_nfev=60,
         )  # fmt: skip
         at = basis @ found.x + offset
-        return Profile(float(self.slope @ at), 2.0 * float(found.cost), at)
+        return ProfilePoint(float(self.slope @ at), 2.0 * float(found.cost), at)
 
-    def free(self) -> Profile:
+    def free(self) -> ProfilePoint:
         """The least sum of squares with nothing held, in the valley of the fit."""
         found = self._least(self.start, np.eye(len(self.start)), np.zeros(len(self.start)))
         mass = max(float(self.slope @ found.at), 0.0)
@@ -175,7 +175,7 @@ def along_mass(
         (r,), (r, r): the mass's interval by them is where the readings do not contradict it.
     """
     rank = len(slope)
-    held = Held(problem, estimate, np.concatenate([slope, np.zeros(len(estimate.solution) - rank)]))
+    held = HeldCombination(problem, estimate, np.concatenate([slope, np.zeros(len(estimate.solution) - rank)]))
     known = [held.free()]
     for _ in range(_ROUNDS):  # from the lowest point so far, until none is lower
         first = min(known, key=_height)
@@ -199,11 +199,11 @@ def along_mass(
     return best.at[:rank] + along * (middle - best.mass), covariance
 
 
-def _height(p: Profile) -> float:
+def _height(p: ProfilePoint) -> float:
     return p.chi2
 
 
-def _outwards(held: Held, first: Profile, way: float, half: float) -> list[Profile]:
+def _outwards(held: HeldCombination, first: ProfilePoint, way: float, half: float) -> list[ProfilePoint]:
     """Points of the profile one way from the first, until the sum of squares is well above the level."""
     known, now, size = [first], first, max(abs(first.mass), 0.01)
     step = float(np.clip(0.5 * np.sqrt(held.variance(first.at)), _FIRST[0] * size, _FIRST[1] * size))
@@ -219,12 +219,12 @@ def _outwards(held: Held, first: Profile, way: float, half: float) -> list[Profi
     return known[1:]
 
 
-def _crossing(held: Held, inner: Profile, outer: Profile | None, least: float, level: float) -> Profile:
+def _crossing(held: HeldCombination, inner: ProfilePoint, outer: ProfilePoint | None, least: float, level: float) -> ProfilePoint:
     """Where the profile crosses the level between a point below it and one above; the inner one where there is none above."""
     if outer is None:
         return inner
 
-    def height(p: Profile) -> float:  # linear in the mass where the profile is a parabola
+    def height(p: ProfilePoint) -> float:  # linear in the mass where the profile is a parabola
         return float(np.sqrt(max(p.chi2 - least, 0.0)) - np.sqrt(level))
 
     below, above = height(inner), height(outer)

@@ -20,7 +20,7 @@ from bayesid.design.excitation.options import ExcitationOptions
 from bayesid.design.excitation.plan import make_task
 from bayesid.design.tell.evidence import Contest, Rival
 from bayesid.design.tell.motions import Planned, pool, prolonged, varied, within_limits
-from bayesid.design.tell.planned_rows import NAME, Bench, contest
+from bayesid.design.tell.planned_rows import NAME, SeenInstruments, contest
 from bayesid.design.tell.predicted import predicted
 from bayesid.design.tell.rivals import Case, from_effects, from_search, parse_effects, supposed, unknown
 from bayesid.diagnosis.candidates import make_library
@@ -37,7 +37,7 @@ _PROBABLE = 0.05
 _RACE, _KEPT, _STEPS = 3, 2, 9
 
 
-def checked(contest: Contest, case: Case, bench: Bench, motion: Planned) -> Contest:
+def checked(contest: Contest, case: Case, bench: SeenInstruments, motion: Planned) -> Contest:
     """A contest with the distances between predictions that exact fits leave.
 
     Parameters
@@ -95,7 +95,7 @@ _FIRST, _LAST = 0.4, 0.05
 
 
 @dataclass(frozen=True)
-class Pair:
+class RivalPair:
     """How likely a motion tells one rival from another.
 
     Attributes
@@ -153,12 +153,12 @@ class Telling:
     label: str
     probability: float
     wrong: float
-    pairs: tuple[Pair, ...]
+    pairs: tuple[RivalPair, ...]
     tried: int
     notes: tuple[str, ...]
 
     @property
-    def hopeless(self) -> tuple[Pair, ...]:
+    def hopeless(self) -> tuple[RivalPair, ...]:
         """Pairs that not even this motion tells apart."""
         return tuple(p for p in self.pairs if p.probability < HOPELESS)
 
@@ -242,7 +242,7 @@ def tell(
     effort, options, seed
         As in `tell_search`.
     """
-    benches = [Bench.of(case.rivals[0].fit) for case in cases]
+    benches = [SeenInstruments.of(case.rivals[0].fit) for case in cases]
     recorded = float(benches[0].like.times[-1] - benches[0].like.times[0])
     asked = options or ExcitationOptions(duration=float(np.clip(recorded, _SHORTEST, _LONGEST)))
     task, notes = make_task(benches[0].data.experiment, asked, seed)
@@ -316,7 +316,7 @@ def _told(
     )  # fmt: skip
 
 
-def _pairs(cases: Sequence[Case], contests: Sequence[Contest], seed: int) -> tuple[Pair, ...]:
+def _pairs(cases: Sequence[Case], contests: Sequence[Contest], seed: int) -> tuple[RivalPair, ...]:
     """Each rival that may be true against each other."""
     out = []
     for c, case in zip(contests, cases, strict=True):
@@ -326,5 +326,5 @@ def _pairs(cases: Sequence[Case], contests: Sequence[Contest], seed: int) -> tup
             for j in range(len(c.rivals)):
                 if i != j:
                     figures = (float(x) for x in (c.noncentrality[i, j], mean[i, j], std[i, j], chances[j]))
-                    out.append(Pair(c.rivals[i].name, c.rivals[j].name, *figures))
+                    out.append(RivalPair(c.rivals[i].name, c.rivals[j].name, *figures))
     return tuple(out)

@@ -79,7 +79,7 @@ class Rival:
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
+class PredictedRows:
     """What rivals predict of a motion, in units of the dispersed noise and reduced to a few rows.
 
     Attributes
@@ -97,7 +97,7 @@ class Rows:
     count: int
 
     @classmethod
-    def of(cls, columns: Sequence[np.ndarray], readings: Sequence[np.ndarray], count: int) -> Rows:
+    def of(cls, columns: Sequence[np.ndarray], readings: Sequence[np.ndarray], count: int) -> PredictedRows:
         """Reduce each rival's columns (N, s + k_i) and predicted readings (N,)."""
         away = np.column_stack([m - readings[0] for m in readings])
         r = np.asarray(np.linalg.qr(np.hstack([*columns, away]), mode="r"))
@@ -124,7 +124,7 @@ class Contest:
     """
 
     rivals: tuple[Rival, ...]
-    rows: Rows
+    rows: PredictedRows
     needed: float
     shares: np.ndarray | None = None
     lost: np.ndarray | None = None

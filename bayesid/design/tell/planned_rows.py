@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayesid.design.tell.evidence import Contest, Rows
+from bayesid.design.tell.evidence import Contest, PredictedRows
 from bayesid.design.tell.motions import Planned
 from bayesid.design.tell.rivals import Case, columns
 from bayesid.diagnosis.data import DiagnosisData
@@ -22,7 +22,7 @@ NAME = "next"
 
 
 @dataclass(frozen=True, eq=False)
-class Bench:
+class SeenInstruments:
     """Instruments as the recordings show them.
 
     Attributes
@@ -40,7 +40,7 @@ class Bench:
     noise: np.ndarray
 
     @classmethod
-    def of(cls, fitted: Fit) -> Bench:
+    def of(cls, fitted: Fit) -> SeenInstruments:
         """The instruments of the recordings that a model was fitted to."""
         data = fitted.projector.data
         like = max((s for s in data.segments if not s.still), key=lambda s: len(s.times))
@@ -78,7 +78,7 @@ class Bench:
         )
 
 
-def contest(case: Case, bench: Bench, motion: Planned) -> Contest:
+def contest(case: Case, bench: SeenInstruments, motion: Planned) -> Contest:
     """What a motion would do to the evidence between the rivals of a case."""
     return contest_on(case, [bench.segment(motion, case.rivals[0].fit)])
 
@@ -95,5 +95,5 @@ def contest_on(case: Case, segments: Sequence[Segment]) -> Contest:
         with np.errstate(all="ignore"):
             exact = [s.spectrum(data.predict(s, f.links, f.terms)) + s.measured_ones * f.offset for s in segments]
         predicted.append(scale * np.concatenate([s.whiten(e).ravel() for s, e in zip(segments, exact, strict=True)]))
-    rows = Rows.of(derivatives, predicted, sum(s.count for s in segments))
+    rows = PredictedRows.of(derivatives, predicted, sum(s.count for s in segments))
     return Contest(case.rivals, rows, data.settings.rival)

@@ -9,11 +9,11 @@ from typing import Literal
 
 import numpy as np
 
-from bayesid.diagnosis.changes.hidden import Hidden, smallest
+from bayesid.diagnosis.changes.hidden import HiddenChange, smallest
 from bayesid.diagnosis.changes.hypotheses import Hypothesis
 from bayesid.diagnosis.changes.posterior import Amplitudes, amplitudes
 from bayesid.diagnosis.changes.proof import Place, Proof, prove
-from bayesid.diagnosis.changes.recording import Recording, chosen_bandwidth, read_recording
+from bayesid.diagnosis.changes.recording import LaterRecording, chosen_bandwidth, read_recording
 from bayesid.diagnosis.changes.reference import Reference, learn_reference
 from bayesid.diagnosis.changes.scales import DISPERSIONS
 from bayesid.diagnosis.changes.selection import Accepted, Scores, Selection, select
@@ -88,7 +88,7 @@ class Value:
 
 
 @dataclass(frozen=True, eq=False)
-class Change:
+class NamedChange:
     """A change that is named.
 
     Attributes
@@ -122,7 +122,7 @@ class Change:
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class ReferenceComparison:
     """What a comparison with a reference found.
 
     Attributes
@@ -144,12 +144,12 @@ class Comparison:
     """
 
     reference: Reference
-    recording: Recording
+    recording: LaterRecording
     selection: Selection
     proof: Proof
     verdict: Verdict
-    changes: tuple[Change, ...]
-    hidden: tuple[Hidden, ...]
+    changes: tuple[NamedChange, ...]
+    hidden: tuple[HiddenChange, ...]
     terms: tuple[Term, ...]
     settings: Settings = DEFAULT
 
@@ -187,7 +187,7 @@ def compare_with_reference(
     motions: Sequence[str] | None = None,
     seed: int = 0,
     settings: Settings = DEFAULT,
-) -> Comparison:
+) -> ReferenceComparison:
     """Find what changed between two recordings of a robot.
 
     Parameters
@@ -219,7 +219,7 @@ def compare_with_learned(
     motions: Sequence[str] | None = None,
     seed: int = 0,
     settings: Settings = DEFAULT,
-) -> Comparison:
+) -> ReferenceComparison:
     """The same for a reference that several recordings are compared with.
 
     Parameters
@@ -245,11 +245,11 @@ def compare_with_learned(
     named = proven(selection, proof, settings)
     fitted = amplitudes(selection.marginal())
     changes = tuple(
-        Change(a, _values(reference, a.change, fitted, own), share, low, _derived(a.change, fitted, own))
+        NamedChange(a, _values(reference, a.change, fitted, own), share, low, _derived(a.change, fitted, own))
         for a, own, share, low in zip(selection.accepted, selection.directions, proof.shares, proof.shares_low, strict=True)
         if a in named
     )
-    return Comparison(
+    return ReferenceComparison(
         reference, recording, selection, proof, decided, changes, smallest(selection, settings),
         (*_known_terms(reference, fitted), *_new_terms(changes)), settings,
     )  # fmt: skip
@@ -297,7 +297,7 @@ def _known_terms(reference: Reference, fitted: Amplitudes) -> tuple[Term, ...]:
     return tuple(out)
 
 
-def _new_terms(changes: Sequence[Change]) -> tuple[Term, ...]:
+def _new_terms(changes: Sequence[NamedChange]) -> tuple[Term, ...]:
     """Effects that came, one at every joint where all share a change."""
     out = []
     for c in changes:

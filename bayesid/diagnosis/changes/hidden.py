@@ -17,7 +17,7 @@ _PRECISION = 1.02
 
 
 @dataclass(frozen=True)
-class Hidden:
+class HiddenChange:
     """The smallest change of a kind that would have been named.
 
     Attributes
@@ -32,17 +32,17 @@ class Hidden:
     value: float
 
 
-def smallest(selection: Selection, settings: Settings) -> tuple[Hidden, ...]:
+def smallest(selection: Selection, settings: Settings) -> tuple[HiddenChange, ...]:
     """For every change that was not found, how large it had to be; one for each kind and place.
 
     A change of amplitudes x adds ``1/2 x'Z'V^-1 Z x`` to the density's exponent, less what the size of its prior costs.
     """
     marginal = selection.marginal()
-    best: dict[str, Hidden] = {}
+    best: dict[str, HiddenChange] = {}
     for change in selection.every:
         if change.spec in {a.change.spec for a in selection.accepted}:
             continue
-        found = Hidden(change, _smallest(marginal, change, settings.accept))
+        found = HiddenChange(change, _smallest(marginal, change, settings.accept))
         if change.spec not in best or found.value < best[change.spec].value:
             best[change.spec] = found
     return tuple(best.values())

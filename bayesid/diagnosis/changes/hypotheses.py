@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayesid.diagnosis.changes.proposals import Proposal, sizes_of
+from bayesid.diagnosis.changes.proposals import ChangeProposal, sizes_of
 from bayesid.diagnosis.changes.reference import Reference
 from bayesid.diagnosis.changes.scales import FRICTION_SHARE, LASTING, SIZES, body_sizes
 from bayesid.effects import Effect, JointGainEffect
@@ -65,7 +65,7 @@ class Hypothesis:
     columns: np.ndarray
     sizes: np.ndarray
     standing: StandingAmplitudes | None = None
-    proposal: Proposal | None = None
+    proposal: ChangeProposal | None = None
     known: bool = False
 
     @property
@@ -144,7 +144,7 @@ def _first(reference: Reference) -> int:
     return len(reference.solution) + len(reference.problem.row_model.base.parameter_names)
 
 
-def _placed(reference: Reference) -> Iterator[tuple[Proposal, np.ndarray]]:
+def _placed(reference: Reference) -> Iterator[tuple[ChangeProposal, np.ndarray]]:
     """Proposals and their columns."""
     start = _first(reference)
     for proposal in reference.proposals:

@@ -13,7 +13,7 @@ import numpy as np
 
 from bayesid.diagnosis.bootstrap import lower_end
 from bayesid.diagnosis.changes.posterior import amplitudes
-from bayesid.diagnosis.changes.recording import Recording
+from bayesid.diagnosis.changes.recording import LaterRecording
 from bayesid.diagnosis.changes.selection import Selection
 from bayesid.diagnosis.settings import Settings
 from bayesid.estimators.dispersion import STRETCHES
@@ -92,7 +92,7 @@ class Proof:
         return max(1.0 - self.closed, 0.0) if np.isfinite(self.closed) else 0.0
 
 
-def prove(selection: Selection, recording: Recording, settings: Settings, seed: int) -> Proof:
+def prove(selection: Selection, recording: LaterRecording, settings: Settings, seed: int) -> Proof:
     """Leave stretches out in turn.
 
     Parameters
@@ -127,7 +127,7 @@ def prove(selection: Selection, recording: Recording, settings: Settings, seed: 
     )  # fmt: skip
 
 
-def _residuals(selection: Selection, recording: Recording) -> np.ndarray:
+def _residuals(selection: Selection, recording: LaterRecording) -> np.ndarray:
     """Of held-out rows (N, m + 4): reference, with each change more, after, tolerance alone; and those of the own fit."""
     groups = _groups(recording)
     rows, left = recording.rows, recording.left
@@ -156,7 +156,7 @@ def _shares(means: np.ndarray) -> np.ndarray:
     return np.concatenate([closed, means[..., :-4] - means[..., 1:-3]], axis=-1) / gap
 
 
-def _groups(recording: Recording) -> np.ndarray:
+def _groups(recording: LaterRecording) -> np.ndarray:
     """Which rows are left out together (N,)."""
     motions = list(dict.fromkeys(recording.motions.tolist()))
     if len(motions) >= _ENOUGH_MOTIONS:
@@ -164,7 +164,7 @@ def _groups(recording: Recording) -> np.ndarray:
     return np.arange(len(recording.left)) * STRETCHES // len(recording.left)
 
 
-def _blocks(recording: Recording, settings: Settings) -> list[np.ndarray]:
+def _blocks(recording: LaterRecording, settings: Settings) -> list[np.ndarray]:
     """Rows of every block of time."""
     out = []
     for motion in dict.fromkeys(recording.motions.tolist()):
@@ -175,7 +175,7 @@ def _blocks(recording: Recording, settings: Settings) -> list[np.ndarray]:
     return out
 
 
-def _places(recording: Recording, squares: np.ndarray, blocks: list[np.ndarray], settings: Settings) -> tuple[Place, ...]:
+def _places(recording: LaterRecording, squares: np.ndarray, blocks: list[np.ndarray], settings: Settings) -> tuple[Place, ...]:
     """The worst blocks and channels, worst first."""
     found = []
     for part in blocks:

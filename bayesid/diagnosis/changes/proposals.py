@@ -19,7 +19,7 @@ from bayesid.robot.robot import Robot
 
 
 @dataclass(frozen=True, eq=False)
-class Proposal:
+class ChangeProposal:
     """An effect that may have come, with its derivatives at some values as columns.
 
     Attributes
@@ -50,7 +50,7 @@ class ProposalRows(RowModel):
         These effects.
     """
 
-    proposals: tuple[Proposal, ...] = ()
+    proposals: tuple[ChangeProposal, ...] = ()
 
     @property
     def extra_columns(self) -> int:
@@ -84,7 +84,7 @@ class ProposalRows(RowModel):
         return np.concatenate([*(x[part] for x in parts), own[2][part, :, None]], axis=2)
 
 
-def with_proposals(model: RowModel, point: Point, proposals: tuple[Proposal, ...]) -> ProposalRows:
+def with_proposals(model: RowModel, point: Point, proposals: tuple[ChangeProposal, ...]) -> ProposalRows:
     """A row model about a point, with the columns of proposals."""
     given: dict[str, Any] = {f.name: getattr(model, f.name) for f in fields(RowModel)}
     return ProposalRows(**{**given, "point": point}, proposals=proposals)
@@ -100,7 +100,7 @@ def _scenes(model: RowModel, segments: Sequence[Segment]) -> list[MotionSegment]
     return out
 
 
-def make_proposals(problem: Problem, links: np.ndarray) -> tuple[Proposal, ...]:
+def make_proposals(problem: Problem, links: np.ndarray) -> tuple[ChangeProposal, ...]:
     """Every effect that may have come, gone or changed and that a model does not have; bodies are combinations of its columns.
 
     Parameters
@@ -128,7 +128,7 @@ def make_proposals(problem: Problem, links: np.ndarray) -> tuple[Proposal, ...]:
             for about in effect.linearisations(around):
                 active = sizes_of(effect, about, robot) > 0.0
                 if active.any():
-                    out.append(Proposal(effect, about, active))
+                    out.append(ChangeProposal(effect, about, active))
     return tuple(out)
 
 

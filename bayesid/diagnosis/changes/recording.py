@@ -24,7 +24,7 @@ _SAME = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
-class Recording:
+class LaterRecording:
     """The later recording's rows about the reference, each channel in units of what the recording's own fit leaves of it.
 
     Attributes
@@ -62,7 +62,7 @@ class Recording:
     correlation: float
 
 
-def read_recording(reference: Reference, experiment: Experiment, motions: Sequence[str] | None) -> Recording:
+def read_recording(reference: Reference, experiment: Experiment, motions: Sequence[str] | None) -> LaterRecording:
     """Prepare, weight and lay out the later recording.
 
     Rows are weighted by channel and not whitened: what a real joint does beyond any model is no stationary noise, and a fit that
@@ -100,7 +100,7 @@ def read_recording(reference: Reference, experiment: Experiment, motions: Sequen
     flat = (rows / scale[:, None]).reshape(-1, rows.shape[2])
     x, z, y = flat[:, :p], flat[:, p:-1], flat[:, -1]
     grams = [part.T @ part for part in np.array_split(np.column_stack([x, y]), STRETCHES)]
-    return Recording(
+    return LaterRecording(
         problem, np.hstack([x, x @ _body_columns(problem), z, z - x @ reference.standing.carried]), y - x @ reference.solution,
         np.repeat(np.concatenate([block.times for block in blocks]), count),
         np.repeat(np.concatenate([np.full(len(block.rows), block.motion) for block in blocks]), count),

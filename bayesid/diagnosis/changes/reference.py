@@ -20,7 +20,7 @@ from functools import cached_property
 
 import numpy as np
 
-from bayesid.diagnosis.changes.proposals import Proposal, make_proposals, with_proposals
+from bayesid.diagnosis.changes.proposals import ChangeProposal, make_proposals, with_proposals
 from bayesid.diagnosis.changes.scales import wander
 from bayesid.dynamics.nearest_links import nearest_links
 from bayesid.effects import Effect, Point, middle_of
@@ -64,7 +64,7 @@ class Standing:
     target: np.ndarray
 
     @classmethod
-    def of(cls, problem: Problem, point: Point, solution: np.ndarray, proposals: tuple[Proposal, ...]) -> Standing:
+    def of(cls, problem: Problem, point: Point, solution: np.ndarray, proposals: tuple[ChangeProposal, ...]) -> Standing:
         """Ask the reference.
 
         Parameters
@@ -172,7 +172,7 @@ class Reference:
         return Point(links.reshape(-1, 10), self.solution[:rank], values, model.free, absorbed_offset(model.base, links), middle)
 
     @cached_property
-    def proposals(self) -> tuple[Proposal, ...]:
+    def proposals(self) -> tuple[ChangeProposal, ...]:
         """Effects that the model does not have."""
         return make_proposals(self.problem, self.point.links.ravel())
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from bayesid.diagnosis.changes.evidence import Marginal, Reduced, best_size, gain
 from bayesid.diagnosis.changes.hypotheses import Hypothesis, gain_columns, hypotheses
-from bayesid.diagnosis.changes.recording import Recording
+from bayesid.diagnosis.changes.recording import LaterRecording
 from bayesid.diagnosis.changes.reference import Reference
 from bayesid.diagnosis.changes.scales import GAIN_SHARE, WANDER_FACTORS
 from bayesid.diagnosis.settings import Settings
@@ -105,7 +105,7 @@ class Selection:
         return tuple(sorted(found, key=lambda x: -x[1]))
 
 
-def select(reference: Reference, recording: Recording, settings: Settings) -> Selection:
+def select(reference: Reference, recording: LaterRecording, settings: Settings) -> Selection:
     """Add changes as long as the data demand them.
 
     Parameters
@@ -148,7 +148,7 @@ def _judged(s: Selection, one: Accepted, settings: Settings) -> Accepted:
     )
 
 
-def _tolerance(reference: Reference, recording: Recording, factor: float) -> np.ndarray:
+def _tolerance(reference: Reference, recording: LaterRecording, factor: float) -> np.ndarray:
     """Root of the reference's covariance and of what differs from one recording to another, as combinations of columns (q, k)."""
     p, q = len(reference.solution), recording.rows.shape[1]
     friction, gains = factor * reference.wanders(friction=True), reference.wanders(friction=False)

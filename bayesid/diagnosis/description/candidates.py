@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from itertools import combinations
 
 from bayesid.diagnosis.description.shapes import (
-    Factor,
     Ranges,
     Shape,
+    ShapeFactor,
     accelerations,
     loads,
     memories,
@@ -25,7 +25,7 @@ from bayesid.diagnosis.description.shapes import (
 
 
 @dataclass(frozen=True)
-class Candidate:
+class CandidateTerm:
     """A shape in some readings, with an amplitude in each.
 
     Attributes
@@ -55,7 +55,7 @@ class Candidate:
         return self.shape.length, self.size
 
 
-def candidates(names: Sequence[str], joints: Sequence[int], ranges: Ranges, band: float) -> list[Candidate]:
+def candidates(names: Sequence[str], joints: Sequence[int], ranges: Ranges, band: float) -> list[CandidateTerm]:
     """All candidates.
 
     Parameters
@@ -73,18 +73,20 @@ def candidates(names: Sequence[str], joints: Sequence[int], ranges: Ranges, band
     torques = tuple(k for k, name in enumerate(names) if name.startswith("tau"))
     steady, waves = [single(f) for f in (*times(ranges), *settling(ranges))], list(oscillations(ranges, band))
     # What shakes or warms a sensor shows in all of its axes, what does so to a drive in one torque.
-    found = [Candidate(shape, group) for group in [wrench] * bool(wrench) + [(k,) for k in torques] for shape in waves + steady]
-    found += [Candidate(shape, (k,)) for shape in steady for k in wrench]
+    found = [
+        CandidateTerm(shape, group) for group in [wrench] * bool(wrench) + [(k,) for k in torques] for shape in waves + steady
+    ]
+    found += [CandidateTerm(shape, (k,)) for shape in steady for k in wrench]
     for k in torques:
         joint = int(names[k][3:]) - 1
         if joint in joints:
-            found += [Candidate(shape, (k,)) for shape in _inside(joint, joints, names, ranges)]
+            found += [CandidateTerm(shape, (k,)) for shape in _inside(joint, joints, names, ranges)]
     if wrench:
         outside = list(_outside(joints, ranges))
-        found += [Candidate(shape, wrench) for shape in outside]
+        found += [CandidateTerm(shape, wrench) for shape in outside]
         for k in wrench:
             read = _read(names[k], [names[i] for i in wrench], joints, ranges)
-            found += [Candidate(shape, (k,)) for shape in (*outside, *read)]
+            found += [CandidateTerm(shape, (k,)) for shape in (*outside, *read)]
     unique = {(c.shape.texts, c.channels): c for c in found}
     return list(unique.values())
 
@@ -94,8 +96,8 @@ def _inside(joint: int, joints: Sequence[int], names: Sequence[str], ranges: Ran
     q, v, a, tau = (f"{x}{joint + 1}" for x in ("q", "v", "a", "tau"))
     place, speed, rate, load = positions(q), speeds(v, ranges), accelerations(a), loads(tau, ranges)
     waves, drag = list(ripples(q, ranges)), memories(q, ranges)
-    sense = Factor("{x}", f"dir{joint + 1}", "direction")
-    linear = Factor("{x}", tau, "load", 1)
+    sense = ShapeFactor("{x}", f"dir{joint + 1}", "direction")
+    linear = ShapeFactor("{x}", tau, "load", 1)
     courses = times(ranges)
     own = [*place, *speed, *rate, *load, *drag, *memories(tau, ranges)]
     yield from (single(f) for f in own)
@@ -106,7 +108,7 @@ def _inside(joint: int, joints: Sequence[int], names: Sequence[str], ranges: Ran
     yield from _products([linear, *load[:4]], [*few, *place])
     yield from _products(courses, [*few, *place, *drag, linear, load[0]])
     # What fades with speed, as Stribeck's friction does.
-    fading = [Factor("exp(-({x} / {n})**2)", v, "speed", number=w, step=0.5 * w) for w in _widths(v, ranges)]
+    fading = [ShapeFactor("exp(-({x} / {n})**2)", v, "speed", number=w, step=0.5 * w) for w in _widths(v, ranges)]
     yield from _products([sense], fading)
     yield from (single(x, f, sense) for x in (*place, *courses, load[0]) for f in (*fading, *place, load[0]) if x != f)
     yield from (single(x, drag_, load[0]) for x in courses for drag_ in drag)
@@ -116,7 +118,7 @@ def _inside(joint: int, joints: Sequence[int], names: Sequence[str], ranges: Ran
         q2, v2, a2, tau2 = (f"{x}{other + 1}" for x in ("q", "v", "a", "tau"))
         theirs = [*positions(q2), *speeds(v2, ranges), *accelerations(a2)]
         if tau2 in names:
-            theirs += [Factor("{x}", tau2, "load", 1), *loads(tau2, ranges)[:4]]
+            theirs += [ShapeFactor("{x}", tau2, "load", 1), *loads(tau2, ranges)[:4]]
         yield from (single(f) for f in (*theirs, *memories(q2, ranges)[::2]))
         yield from _products([*place, *few, rate[0], linear, load[0]], [f for f in theirs if f.number is None])
     others = [j for j in joints if j != joint]
@@ -129,37 +131,41 @@ def _outside(joints: Sequence[int], ranges: Ranges) -> Iterator[Shape]:
         q, v, a = (f"{x}{j + 1}" for x in ("q", "v", "a"))
         yield from (single(f) for f in (*positions(q), *speeds(v, ranges), *accelerations(a), *memories(q, ranges)[::2]))
         yield from (w for k, w in enumerate(ripples(q, ranges, 12.0)) if k % 2 == 0)
-        few = [Factor("{x}", v, "speed", 1), Factor("{x}", f"dir{j + 1}", "direction"), Factor("{x} * abs({x})", v, "speed", 2)]
+        few = [
+            ShapeFactor("{x}", v, "speed", 1),
+            ShapeFactor("{x}", f"dir{j + 1}", "direction"),
+            ShapeFactor("{x} * abs({x})", v, "speed", 2),
+        ]
         yield from _products(positions(q), few)
     yield from _pairs(joints, ranges)
 
 
 def _read(own: str, wrench: Sequence[str], joints: Sequence[int], ranges: Ranges) -> Iterator[Shape]:
     """Shapes of the true readings for one axis of a wrench."""
-    linear = Factor("{x}", own, "load", 1)
+    linear = ShapeFactor("{x}", own, "load", 1)
     yield from (single(f) for f in (*loads(own, ranges), *memories(own, ranges)))
     states = [f for j in joints for f in (*positions(f"q{j + 1}"), *speeds(f"v{j + 1}", ranges)[:2])]
-    yield from _products([linear, Factor("abs({x})", own, "load", 1)], [*states, *times(ranges)])
+    yield from _products([linear, ShapeFactor("abs({x})", own, "load", 1)], [*states, *times(ranges)])
     for other in wrench:
         if other != own:
-            theirs = [Factor("{x}", other, "load", 1), *loads(other, ranges)]
+            theirs = [ShapeFactor("{x}", other, "load", 1), *loads(other, ranges)]
             yield from (single(f) for f in theirs[1:])
-            yield from _products([linear, Factor("abs({x})", own, "load", 1)], theirs[:2])
+            yield from _products([linear, ShapeFactor("abs({x})", own, "load", 1)], theirs[:2])
             yield from (single(f) for f in memories(other, ranges)[::2])
-    yield from (single(Factor("{x}", x, "load", 1), Factor("{x}", y, "load", 1)) for x, y in combinations(wrench, 2))
+    yield from (single(ShapeFactor("{x}", x, "load", 1), ShapeFactor("{x}", y, "load", 1)) for x, y in combinations(wrench, 2))
 
 
 def _pairs(joints: Sequence[int], ranges: Ranges) -> Iterator[Shape]:
     """Products of two joints' states."""
     for i, k in combinations(joints, 2):
         mine, theirs = (
-            [*positions(f"q{j + 1}"), Factor("{x}", f"v{j + 1}", "speed", 1), Factor("{x}", f"dir{j + 1}", "direction")]
+            [*positions(f"q{j + 1}"), ShapeFactor("{x}", f"v{j + 1}", "speed", 1), ShapeFactor("{x}", f"dir{j + 1}", "direction")]
             for j in (i, k)
         )
         yield from _products(mine, theirs)
 
 
-def _products(left: Iterable[Factor], right: Iterable[Factor]) -> Iterator[Shape]:
+def _products(left: Iterable[ShapeFactor], right: Iterable[ShapeFactor]) -> Iterator[Shape]:
     second = list(right)
     return (single(x, y) for x in left for y in second)
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from bayesid.diagnosis.bootstrap import lower_end
 from bayesid.diagnosis.candidates import Library
-from bayesid.diagnosis.description.candidates import Candidate
+from bayesid.diagnosis.description.candidates import CandidateTerm
 from bayesid.diagnosis.description.columns import Half
 from bayesid.diagnosis.settings import Settings
 from bayesid.effects import Effect
@@ -41,16 +41,16 @@ class Chosen:
         The same for effects of the library.
     """
 
-    candidate: Candidate
+    candidate: CandidateTerm
     evidence: float
     share: float
     share_low: float
-    alike: tuple[tuple[Candidate, float], ...] = ()
+    alike: tuple[tuple[CandidateTerm, float], ...] = ()
     library: tuple[tuple[Effect, float], ...] = ()
 
 
 def choose(
-    first: Half, second: Half, candidates: Sequence[Candidate], settings: Settings, library: Library | None, seed: int,
+    first: Half, second: Half, candidates: Sequence[CandidateTerm], settings: Settings, library: Library | None, seed: int,
     least: float,
 ) -> tuple[Chosen, ...]:  # fmt: skip
     """Terms one after the other, as long as the second half confirms each.
@@ -131,7 +131,7 @@ class _State:
         """With one more term's columns."""
         return _State(self.first, self.second, np.hstack([self.here, here]), np.hstack([self.there, there]))
 
-    def tried(self, candidate: Candidate) -> _State:
+    def tried(self, candidate: CandidateTerm) -> _State:
         """With a candidate as it is."""
         return self.with_columns(self.first.columns(candidate), self.second.columns(candidate))
 
@@ -141,7 +141,7 @@ class _State:
         return 0.5 * (theirs - mine) / max(mine / self.second.count, 1.0)
 
 
-def _various(pool: Sequence[Candidate], order: np.ndarray, count: int) -> list[int]:
+def _various(pool: Sequence[CandidateTerm], order: np.ndarray, count: int) -> list[int]:
     """The best candidates of different forms, a few of each set of variables in the same readings: several ideas."""
     forms: set[tuple] = set()
     ideas: Counter = Counter()
@@ -170,7 +170,7 @@ def _library_lacks(state: _State, after: _State, library: Library | None) -> lis
     return list(best.values())
 
 
-def _same(one: Candidate, other: Candidate) -> bool:
+def _same(one: CandidateTerm, other: CandidateTerm) -> bool:
     """Whether two candidates differ in their numbers only."""
     forms = [[[(f.form, f.variable) for f in p] for p in c.shape.products] for c in (one, other)]
     return one.channels == other.channels and forms[0] == forms[1]
@@ -188,14 +188,14 @@ def _evidence(half: Half, gain: np.ndarray, free: np.ndarray, tried: np.ndarray)
     return likelihood - 0.5 * free * np.log(n) - np.log(tried)
 
 
-def adapted(half: Half, candidate: Candidate) -> tuple[Candidate, float]:
+def adapted(half: Half, candidate: CandidateTerm) -> tuple[CandidateTerm, float]:
     """A candidate with the numbers that explain most of a half, and how much that is."""
     best = (candidate, half.explained(candidate))
     for index in range(len(candidate.shape.numbers)):
         step = candidate.shape.numbers[index][2]
         for _ in range(_HALVINGS):
             value = best[0].shape.numbers[index][1]
-            trials = [Candidate(best[0].shape.moved(index, value + s * step), candidate.channels) for s in (-1.0, 1.0)]
+            trials = [CandidateTerm(best[0].shape.moved(index, value + s * step), candidate.channels) for s in (-1.0, 1.0)]
             # A width or a rate stays positive; a threshold has any sign.
             trials = [t for t in trials if t.shape.numbers[index][1] * value > 0.0]
             better = max([best, *((t, half.explained(t)) for t in trials)], key=lambda x: x[1])

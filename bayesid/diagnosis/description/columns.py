@@ -14,7 +14,7 @@ import numpy as np
 from scipy.fft import dct, idct
 
 from bayesid.diagnosis.data import DiagnosisData, active_terms
-from bayesid.diagnosis.description.candidates import Candidate
+from bayesid.diagnosis.description.candidates import CandidateTerm
 from bayesid.diagnosis.description.shapes import Range, Shape
 from bayesid.diagnosis.fit import Fit
 from bayesid.diagnosis.projector import UNKNOWN_OFFSET
@@ -31,7 +31,7 @@ _LEFT = 0.02
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class SegmentPart:
     """Some of a segment's samples.
 
     Attributes
@@ -122,7 +122,7 @@ class Half:
     """
 
     segments: tuple[Segment, ...]
-    parts: tuple[Part, ...]
+    parts: tuple[SegmentPart, ...]
     basis: np.ndarray
     residual: np.ndarray
 
@@ -136,7 +136,7 @@ class Half:
         """Number of those whose channels say anything."""
         return sum(len(p.rows) * int(p.segment.alive.sum()) for p in self.parts)
 
-    def columns(self, candidate: Candidate) -> np.ndarray:
+    def columns(self, candidate: CandidateTerm) -> np.ndarray:
         """What is left of a candidate's columns (rows + m, amplitudes): by channel, and in it by product."""
         made = [
             np.hstack([part.columns(values, c) for c in candidate.channels])
@@ -158,7 +158,7 @@ class Half:
         columns = np.vstack([*mine, stacked[edges[-1] :]])
         return columns - self.basis @ (self.basis.T @ columns)
 
-    def explained(self, candidate: Candidate) -> float:
+    def explained(self, candidate: CandidateTerm) -> float:
         """What a candidate would explain of the residual's sum of squares."""
         left = self.columns(candidate)
         taken = np.sum((self.basis[: self.rows].T @ left[: self.rows]) ** 2, axis=0)
@@ -179,7 +179,7 @@ class Half:
         q = orthonormal(left)
         return Half(self.segments, self.parts, np.hstack([self.basis, q]), self.residual - q @ (q.T @ self.residual))
 
-    def gains(self, candidates: Sequence[Candidate]) -> np.ndarray:
+    def gains(self, candidates: Sequence[CandidateTerm]) -> np.ndarray:
         """What each candidate would explain of the residual's sum of squares; 0 for what nothing tells apart from links.
 
         A column of channel c is ``B_c y`` with the coefficients y of its course and B_c the whitener of c, in time, of this half.
@@ -235,7 +235,7 @@ def _explained(gram: np.ndarray, pull: np.ndarray, taken: np.ndarray) -> np.ndar
     return np.where(alive, np.sum(along**2 / np.maximum(energy, _LEFT**2), axis=1), 0.0)
 
 
-def ranges_of(parts: Sequence[Part]):
+def ranges_of(parts: Sequence[SegmentPart]):
     """Where variables go in moving recordings."""
     moving = [p for p in parts if not p.segment.still]
     known: dict[str, Range] = {}
@@ -249,10 +249,10 @@ def ranges_of(parts: Sequence[Part]):
     return of
 
 
-def parts_of(data: DiagnosisData, segments: Sequence[Segment], fit: Fit) -> tuple[Part, ...]:
+def parts_of(data: DiagnosisData, segments: Sequence[Segment], fit: Fit) -> tuple[SegmentPart, ...]:
     """Whole segments with their variables, true readings as a model has them."""
     models = (Model.of(data.robot, data.channels, s.scene, fit.links, active_terms(s, fit.terms)) for s in segments)
-    return tuple(Part(s, variables(m.readout), np.arange(s.shape[0])) for s, m in zip(segments, models, strict=True))
+    return tuple(SegmentPart(s, variables(m.readout), np.arange(s.shape[0])) for s, m in zip(segments, models, strict=True))
 
 
 def halves(fit: Fit) -> tuple[Half, Half]:
@@ -282,7 +282,7 @@ def halves(fit: Fit) -> tuple[Half, Half]:
         for part, first, last in zip(whole, edges[:-1], edges[1:], strict=True):
             s = part.segment
             # Courses are those of the whole segment: both halves share what is made of them.
-            chosen = Part(s, part.variables, np.flatnonzero(_in_second(s, motions) == second), part.kept)
+            chosen = SegmentPart(s, part.variables, np.flatnonzero(_in_second(s, motions) == second), part.kept)
             if len(chosen.rows):
                 mine.append(chosen)
                 stacked.append(chosen.taken(rows[first:last].reshape(*s.shape, -1)))

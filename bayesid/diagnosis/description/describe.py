@@ -10,7 +10,7 @@ import numpy as np
 
 from bayesid.diagnosis.candidates import Library
 from bayesid.diagnosis.data import DiagnosisData
-from bayesid.diagnosis.description.candidates import Candidate, candidates
+from bayesid.diagnosis.description.candidates import CandidateTerm, candidates
 from bayesid.diagnosis.description.choose import Chosen, choose
 from bayesid.diagnosis.description.columns import halves, parts_of, ranges_of
 from bayesid.diagnosis.description.draft import draft_effect, draft_table
@@ -60,7 +60,7 @@ _RULES: tuple[tuple[Callable[[Reading], bool], str], ...] = (
 _MOST = 2
 
 
-def may_be(candidate: Candidate, names: Sequence[str]) -> tuple[str, ...]:
+def may_be(candidate: CandidateTerm, names: Sequence[str]) -> tuple[str, ...]:
     """Physical causes that have such a form, at most two.
 
     Parameters
@@ -161,7 +161,7 @@ def _left(description: Description) -> float:
     return d.fit.chi2 / d.fit.projector.rows if d.gap is None else float(d.gap.after) ** 2
 
 
-def _beside(base: Fit, start: Fit, pool: Sequence[Candidate], library: Library | None, seed: int) -> Description | None:
+def _beside(base: Fit, start: Fit, pool: Sequence[CandidateTerm], library: Library | None, seed: int) -> Description | None:
     """A draft beside one model."""
     data: DiagnosisData = start.projector.data
     settings = data.settings

@@ -6,14 +6,14 @@ from collections.abc import Sequence
 from typing import Any
 
 from bayesid.diagnosis.data import DiagnosisData
-from bayesid.diagnosis.description.candidates import Candidate
+from bayesid.diagnosis.description.candidates import CandidateTerm
 from bayesid.diagnosis.description.shapes import Shape
 from bayesid.effects import Effect
 
 NAME = "draft"
 
 
-def draft_table(candidates: Sequence[Candidate], names: Sequence[str]) -> dict[str, Any]:
+def draft_table(candidates: Sequence[CandidateTerm], names: Sequence[str]) -> dict[str, Any]:
     """Formulas by reading and the amplitudes to be estimated, ``c1`` ..., in the order of `amplitudes`.
 
     Parameters

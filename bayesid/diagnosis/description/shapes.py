@@ -19,7 +19,7 @@ _UNITS = {"q": "rad", "v": "rad/s", "a": "rad/s^2", "tau": "N m", "f": "N", "m":
 
 
 @dataclass(frozen=True)
-class Factor:
+class ShapeFactor:
     """One function of one variable.
 
     Attributes
@@ -70,7 +70,7 @@ class Shape:
         The factors of each.
     """
 
-    products: tuple[tuple[Factor, ...], ...]
+    products: tuple[tuple[ShapeFactor, ...], ...]
 
     @cached_property
     def texts(self) -> tuple[str, ...]:
@@ -129,63 +129,66 @@ class Range:
 Ranges = Callable[[str], Range]
 
 
-def single(*factors: Factor) -> Shape:
+def single(*factors: ShapeFactor) -> Shape:
     """A shape of one product."""
     return Shape((factors,))
 
 
-def positions(q: str) -> list[Factor]:
+def positions(q: str) -> list[ShapeFactor]:
     """Smooth functions of a joint's position."""
     return [
-        Factor("{x}", q, "position", 1), Factor("{x}**2", q, "position", 2),
-        Factor("sin({x})", q, "position"), Factor("cos({x})", q, "position"),
+        ShapeFactor("{x}", q, "position", 1), ShapeFactor("{x}**2", q, "position", 2),
+        ShapeFactor("sin({x})", q, "position"), ShapeFactor("cos({x})", q, "position"),
     ]  # fmt: skip
 
 
-def speeds(v: str, ranges: Ranges) -> list[Factor]:
+def speeds(v: str, ranges: Ranges) -> list[ShapeFactor]:
     """Functions of a joint's speed."""
     widths = [share * ranges(v).size for share in (0.03, 0.1, 0.3)]
     return [
-        Factor("{x}", v, "speed", 1), Factor("abs({x})", v, "speed", 1), Factor("{x}**2", v, "speed", 2),
-        Factor("{x} * abs({x})", v, "speed", 2), Factor("{x}**3", v, "speed", 3), Factor("{x}", f"dir{v[1:]}", "direction"),
-        *(Factor("tanh({x} / {n})", v, "speed", number=w, step=0.5 * w) for w in widths),
+        ShapeFactor("{x}", v, "speed", 1), ShapeFactor("abs({x})", v, "speed", 1), ShapeFactor("{x}**2", v, "speed", 2),
+        ShapeFactor("{x} * abs({x})", v, "speed", 2), ShapeFactor("{x}**3", v, "speed", 3), ShapeFactor("{x}", f"dir{v[1:]}", "direction"),
+        *(ShapeFactor("tanh({x} / {n})", v, "speed", number=w, step=0.5 * w) for w in widths),
     ]  # fmt: skip
 
 
-def accelerations(a: str) -> list[Factor]:
+def accelerations(a: str) -> list[ShapeFactor]:
     """Functions of a joint's acceleration."""
-    return [Factor("{x}", a, "acceleration", 1), Factor("abs({x})", a, "acceleration", 1)]
+    return [ShapeFactor("{x}", a, "acceleration", 1), ShapeFactor("abs({x})", a, "acceleration", 1)]
 
 
-def loads(x: str, ranges: Ranges) -> list[Factor]:
+def loads(x: str, ranges: Ranges) -> list[ShapeFactor]:
     """Functions of a true reading: curved, saturating, beyond a threshold on either side."""
     r = ranges(x)
     widths = [share * r.size for share in (0.15, 0.5)]
     high, low = ([r.low + share * r.span for share in shares] for shares in ((0.6, 0.75, 0.88), (0.4, 0.25, 0.12)))
     return [
-        Factor("abs({x})", x, "load", 1), Factor("{x}**2", x, "load", 2), Factor("{x} * abs({x})", x, "load", 2),
-        Factor("{x}**3", x, "load", 3), *(Factor("tanh({x} / {n})", x, "load", number=w, step=0.5 * w) for w in widths),
-        *(Factor("max({x} - {n}, 0)", x, "limit", 1, n, 0.08 * r.span) for n in high),
-        *(Factor("min({x} - {n}, 0)", x, "limit", 1, n, 0.08 * r.span) for n in low),
+        ShapeFactor("abs({x})", x, "load", 1), ShapeFactor("{x}**2", x, "load", 2), ShapeFactor("{x} * abs({x})", x, "load", 2),
+        ShapeFactor("{x}**3", x, "load", 3), *(ShapeFactor("tanh({x} / {n})", x, "load", number=w, step=0.5 * w) for w in widths),
+        *(ShapeFactor("max({x} - {n}, 0)", x, "limit", 1, n, 0.08 * r.span) for n in high),
+        *(ShapeFactor("min({x} - {n}, 0)", x, "limit", 1, n, 0.08 * r.span) for n in low),
     ]  # fmt: skip
 
 
-def memories(x: str, ranges: Ranges) -> list[Factor]:
+def memories(x: str, ranges: Ranges) -> list[ShapeFactor]:
     """Bristles that a position or a load drags along."""
     widths = [share * ranges(x).std for share in (0.01, 0.03, 0.06, 0.12, 0.25, 0.5, 1.0)]
-    return [Factor("hysteresis({x}, {n})", x, "memory", number=w, step=0.4 * w) for w in widths]
+    return [ShapeFactor("hysteresis({x}, {n})", x, "memory", number=w, step=0.4 * w) for w in widths]
 
 
-def times(ranges: Ranges) -> list[Factor]:
+def times(ranges: Ranges) -> list[ShapeFactor]:
     """Courses that grow or fade through a recording, for what they multiply."""
     constants = [share * ranges("t").span for share in (0.1, 0.3, 1.0)]
-    return [Factor("{x}", "t", "time", 1), *(Factor("exp(-{x} / {n})", "t", "time", number=c, step=0.4 * c) for c in constants)]
+    return [
+        ShapeFactor("{x}", "t", "time", 1),
+        *(ShapeFactor("exp(-{x} / {n})", "t", "time", number=c, step=0.4 * c) for c in constants),
+    ]
 
 
-def settling(ranges: Ranges) -> list[Factor]:
+def settling(ranges: Ranges) -> list[ShapeFactor]:
     """Courses that settle at a value."""
     constants = [share * ranges("t").span for share in (0.03, 0.1, 0.3, 1.0)]
-    return [Factor("(1 - exp(-{x} / {n}))", "t", "time", number=c, step=0.4 * c) for c in constants]
+    return [ShapeFactor("(1 - exp(-{x} / {n}))", "t", "time", number=c, step=0.4 * c) for c in constants]
 
 
 def ripples(q: str, ranges: Ranges, most: float = 30.0) -> Iterator[Shape]:
@@ -203,9 +206,9 @@ def oscillations(ranges: Ranges, band: float) -> Iterator[Shape]:
 
 
 def _waves(x: str, kind: Kind, rate: float, step: float) -> Shape:
-    return Shape(tuple((Factor(f"{wave}({{n}} * {{x}})", x, kind, number=rate, step=step),) for wave in ("sin", "cos")))
+    return Shape(tuple((ShapeFactor(f"{wave}({{n}} * {{x}})", x, kind, number=rate, step=step),) for wave in ("sin", "cos")))
 
 
-def times_each(shape: Shape, factor: Factor) -> Shape:
+def times_each(shape: Shape, factor: ShapeFactor) -> Shape:
     """A shape times one more factor."""
     return Shape(tuple((*product, factor) for product in shape.products))

@@ -104,14 +104,14 @@ def informative(
 
 
 @dataclass(frozen=True)
-class Fitted:
+class ResidualSizes:
     """Sizes of a fit's residuals: of the typical segment (squared, in units of the noise), and of all rows over the signal."""
 
     typical: float
     relative: float
 
     @classmethod
-    def of(cls, residual: Residuals, q: np.ndarray, n: np.ndarray, blocks: Iterable[Block]) -> Fitted:
+    def of(cls, residual: Residuals, q: np.ndarray, n: np.ndarray, blocks: Iterable[Block]) -> ResidualSizes:
         """From residuals and lengths of all segments."""
         signal = sum((np.sum(b.target**2, axis=0) for b in blocks), np.zeros(residual.values.shape[1]))
         used = signal > 0
@@ -124,8 +124,8 @@ def reasons(
     share: float,
     direction: np.ndarray,
     scale: float,
-    robust: Fitted,
-    plain: Fitted,
+    robust: ResidualSizes,
+    plain: ResidualSizes,
     values: np.ndarray,
     least_squares: np.ndarray,
 ) -> tuple[str, ...]:

@@ -26,7 +26,7 @@ from bayesid.estimators.encoder_errors import encoder_growth
 from bayesid.estimators.estimator import Estimate
 from bayesid.estimators.factor import Factor, gram_rows, reduce_rows, whitened
 from bayesid.estimators.least_squares import completeness, make_estimate, nominal_start, target_from_nominal
-from bayesid.estimators.robust.divergence import Directions, Fitted, informative, reasons
+from bayesid.estimators.robust.divergence import Directions, ResidualSizes, informative, reasons
 from bayesid.estimators.robust.losses import WHOLE, Loss
 from bayesid.estimators.robust.segments import (
     Residuals,
@@ -186,7 +186,7 @@ class RobustFit:
         fits = []
         for own in (residual, residuals(plain.blocks(), ordinary)):
             q_all, n_all = lengths(own, metric, every, correction)
-            fits.append(Fitted.of(own, q_all, n_all, plain.blocks()))
+            fits.append(ResidualSizes.of(own, q_all, n_all, plain.blocks()))
         share, direction = directions.least(factor)
         divergence = reasons(regression, share, direction, float(np.sqrt(variance)), fits[0], fits[1], values, ordinary)
         return cls(

@@ -18,7 +18,7 @@ _DATES = (3e8, 1e10)  # seconds since 1970, of computers' dates
 
 
 @dataclass(frozen=True, eq=False)
-class Clock:
+class RowTimes:
     """Times of a stream's rows.
 
     Attributes
@@ -48,14 +48,14 @@ class Clock:
     column: str = ""
     told: tuple[str, ...] = ()
 
-    def since(self, start: int) -> Clock:
+    def since(self, start: int) -> RowTimes:
         """The same with times since another instant [ns since 1970]."""
         if self.start is None or self.start == start:
             return self
         return replace(self, times=self.times + (self.start - start) / 1e9, start=start)
 
 
-def topic_clock(stream: Stream, wanted: str | None, source: str) -> Clock:
+def topic_clock(stream: Stream, wanted: str | None, source: str) -> RowTimes:
     """The clock of a topic: stamps of headers, unless there are none that count, or log times are wanted.
 
     Raises
@@ -78,10 +78,10 @@ def topic_clock(stream: Stream, wanted: str | None, source: str) -> Clock:
     kind = "header" if header is not None and usable and wanted != "log" else "log"
     times = header if kind == "header" and header is not None else log
     text = "stamps of headers" if kind == "header" else "times of the log"
-    return Clock(kind, text, (times - times[0]) / 1e9, int(times[0]), late, told=tuple(told))
+    return RowTimes(kind, text, (times - times[0]) / 1e9, int(times[0]), late, told=tuple(told))
 
 
-def table_clock(stream: Stream, column: str, unit: str | None, source: str) -> Clock:
+def table_clock(stream: Stream, column: str, unit: str | None, source: str) -> RowTimes:
     """The clock of a table: numbers of a unit, counted from anywhere or since 1970, or dates as ISO 8601 texts.
 
     Raises
@@ -98,7 +98,7 @@ def table_clock(stream: Stream, column: str, unit: str | None, source: str) -> C
         missing, counts = np.isnat(ns), ns.astype(np.int64)
         start = int(counts[~missing][0]) if not missing.all() else 0
         times = np.where(missing, np.nan, (counts - start) / 1e9)
-        return Clock("column", f"{name} (dates)", times, start, column=column)
+        return RowTimes("column", f"{name} (dates)", times, start, column=column)
     finite = values[np.isfinite(values)] if values.dtype.kind == "f" else values
     if not len(finite):
         raise InputError(
@@ -110,10 +110,10 @@ def table_clock(stream: Stream, column: str, unit: str | None, source: str) -> C
     per = _PER_SECOND[unit]
     if not _DATES[0] < first / per < _DATES[1]:
         times = values / per if per > 1 else values.astype(np.float64)
-        return Clock("column", f"{name} in {_WORDS[unit]}", times, None, column=column)
+        return RowTimes("column", f"{name} in {_WORDS[unit]}", times, None, column=column)
     start = int(np.floor(first))  # of whole units, so that what is left is exact
     times = (values - start) / per
-    return Clock("column", f"{name} in {_WORDS[unit]} since 1970", times, start * (10**9 // per), column=column)
+    return RowTimes("column", f"{name} in {_WORDS[unit]} since 1970", times, start * (10**9 // per), column=column)
 
 
 def date(ns: int) -> str:

@@ -38,7 +38,7 @@ _SEPARATORS = " /._-:[]()"
 
 
 @dataclass(frozen=True)
-class Found:
+class FoundColumn:
     """A column that holds one of ours.
 
     Attributes
@@ -70,7 +70,7 @@ class Layout:
     """
 
     joints: tuple[str, ...]
-    found: tuple[Found, ...]
+    found: tuple[FoundColumn, ...]
 
     def left_over(self, streams: Iterable[Stream], clocks: Iterable[tuple[Stream, str]]) -> list[str]:
         """Full names of columns that are not used."""
@@ -135,7 +135,7 @@ def find_columns(
     return Layout(tuple(names[k] for k in place), tuple(found))
 
 
-def positions_of(streams: Sequence[Stream], stated: ColumnMap, joints: Sequence[str], source: str) -> dict[str, Found]:
+def positions_of(streams: Sequence[Stream], stated: ColumnMap, joints: Sequence[str], source: str) -> dict[str, FoundColumn]:
     """Columns of the positions of joints that are not used, where their names say so."""
     columns = _Finder(streams, stated, source).by_name("q", joints)
     return {joints[k]: _found(f"q{k + 1}", *place) for k, place in columns.items()}
@@ -348,9 +348,9 @@ class _Finder:
         )  # fmt: skip
 
 
-def _found(ours: str, stream: Stream, column: str) -> Found:
+def _found(ours: str, stream: Stream, column: str) -> FoundColumn:
     quantity = ours[0] if ours[0] in "fm" else ours.rstrip("0123456789")
-    return Found(ours, stream, column, _stated_unit(column, quantity))
+    return FoundColumn(ours, stream, column, _stated_unit(column, quantity))
 
 
 def _classified(name: str, joints: Sequence[str]) -> tuple[str, int]:

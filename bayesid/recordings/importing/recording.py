@@ -12,7 +12,7 @@ import numpy as np
 from bayesid.arguments import argument, call
 from bayesid.errors import InputError
 from bayesid.recordings.complaints import listed
-from bayesid.recordings.importing.clock import Clock, table_clock, topic_clock
+from bayesid.recordings.importing.clock import RowTimes, table_clock, topic_clock
 from bayesid.recordings.importing.column_map import ColumnMap
 from bayesid.recordings.importing.found_columns import Layout, find_columns, positions_of, time_column
 from bayesid.recordings.importing.reader import read_source
@@ -164,7 +164,7 @@ class Recording:
 
     source: Source
     layout: Layout
-    clocks: tuple[tuple[Stream, Clock], ...]
+    clocks: tuple[tuple[Stream, RowTimes], ...]
     signals: tuple[Signal, ...]
     joined: Joined
     done: tuple[str, ...]
@@ -244,7 +244,7 @@ def make_recording(
         )
     layout = find_columns(source.streams, stated, moving, joints, source.name, locked)
     used = {id(found.stream) for found in layout.found}
-    clocks: list[tuple[Stream, Clock]] = []
+    clocks: list[tuple[Stream, RowTimes]] = []
     for stream in source.streams:
         if id(stream) in used and stream.clocks:
             clocks.append((stream, topic_clock(stream, clock, source.name)))

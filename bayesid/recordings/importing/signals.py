@@ -12,9 +12,9 @@ from bayesid.arguments import argument
 from bayesid.errors import InputError
 from bayesid.recordings.complaints import cut, listed
 from bayesid.recordings.held import rows_held
-from bayesid.recordings.importing.clock import Clock
+from bayesid.recordings.importing.clock import RowTimes
 from bayesid.recordings.importing.column_map import ColumnMap
-from bayesid.recordings.importing.found_columns import Found, Layout
+from bayesid.recordings.importing.found_columns import FoundColumn, Layout
 from bayesid.recordings.importing.stream import Stream
 from bayesid.recordings.importing.units import UNITS, needs_constant
 from bayesid.recordings.table import GAP, WRENCH_COLUMNS, Table, check_increasing
@@ -62,7 +62,7 @@ class Signal:
     columns: tuple[str, ...]
     units: tuple[str, ...]
     topic: str
-    clock: Clock
+    clock: RowTimes
     rows: np.ndarray
     recorded: int
     held: float = 1.0
@@ -96,7 +96,7 @@ class Signal:
 
 
 def make_signals(
-    layout: Layout, clocks: Sequence[tuple[Stream, Clock]], stated: ColumnMap, source: str, held: bool = True
+    layout: Layout, clocks: Sequence[tuple[Stream, RowTimes]], stated: ColumnMap, source: str, held: bool = True
 ) -> tuple[list[Signal], list[str]]:
     """Convert what was found, a signal for the columns of a quantity in each stream.
 
@@ -123,7 +123,7 @@ def make_signals(
         A cell is no number, or torques are in a unit that says nothing without a constant.
     """
     told: list[str] = []
-    groups: dict[tuple[str, int], list[Found]] = {}
+    groups: dict[tuple[str, int], list[FoundColumn]] = {}
     for found in layout.found:
         quantity = "wrench" if found.ours in WRENCH_COLUMNS else found.ours.rstrip("0123456789")
         groups.setdefault((quantity, id(found.stream)), []).append(found)
@@ -161,15 +161,15 @@ def make_signals(
     return signals, list(dict.fromkeys(told))
 
 
-def resting(found: Found, stated: ColumnMap, joint: str, source: str) -> tuple[float, float] | None:
+def resting(found: FoundColumn, stated: ColumnMap, joint: str, source: str) -> tuple[float, float] | None:
     """Where a joint that is not used stands, and how far it moves [rad or m]; None where it has no position."""
     unit = ColumnMap(units={"q1": unit} if (unit := stated.units.get("q") or found.unit) else {}, file=stated.file)
-    values = _converted(Found("q1", found.stream, found.column), unit, [joint], source)[0]
+    values = _converted(FoundColumn("q1", found.stream, found.column), unit, [joint], source)[0]
     values = values[~np.isnan(values)]
     return (float(np.median(values)), float(np.ptp(values))) if len(values) else None
 
 
-def _converted(found: Found, stated: ColumnMap, joints: Sequence[str], source: str) -> tuple[np.ndarray, str]:
+def _converted(found: FoundColumn, stated: ColumnMap, joints: Sequence[str], source: str) -> tuple[np.ndarray, str]:
     """A column in SI units, and the unit that it was written in."""
     quantity = found.ours[0] if found.ours in WRENCH_COLUMNS else found.ours.rstrip("0123456789")
     raw = found.stream.columns[found.column]
@@ -210,7 +210,7 @@ def _is_number(cell: Any) -> bool:
     return True
 
 
-def _usable(clock: Clock, values: np.ndarray, what: str, source: str) -> tuple[np.ndarray, list[str]]:
+def _usable(clock: RowTimes, values: np.ndarray, what: str, source: str) -> tuple[np.ndarray, list[str]]:
     """Rows to be used (k,), in the order of time: those of a topic by its stamps, those of a table as they stand."""
     told = []
     rows = np.flatnonzero(~np.isnan(clock.times))

@@ -9,7 +9,7 @@ import pytest
 
 import bayesid
 from bayesid.errors import InputError
-from bayesid.recordings.importing.clock import Clock
+from bayesid.recordings.importing.clock import RowTimes
 from bayesid.recordings.importing.recording import join
 from bayesid.recordings.importing.signals import Signal
 from tests.recordings.importing.logs import JOINTS, Known, make_known
@@ -23,7 +23,7 @@ def signal(quantity: str, rate: float, start: float = 0.0, end: float = 10.0, ho
     times = times[(times < hole[0]) | (times >= hole[1])]
     ours = ("fx", "fy", "fz", "mx", "my", "mz") if quantity == "wrench" else (f"{quantity}1",)
     values = np.repeat(np.sin(W * times)[:, None], len(ours), axis=1)
-    clock, rows = Clock("header", "stamps", times, None), np.arange(len(times))
+    clock, rows = RowTimes("header", "stamps", times, None), np.arange(len(times))
     return Signal(quantity, ours, times, values, ours, ("",) * len(ours), f"/{quantity}", clock, rows, len(times))
 
 
