@@ -12,8 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from bayesid.robot.fingerprint import fingerprint
-from bayesid.robot.robot import Robot
+from bayesid.robot.robot import Robot, fingerprint
 
 WRENCH_NAMES = ("fx", "fy", "fz", "mx", "my", "mz")
 

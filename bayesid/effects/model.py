@@ -53,8 +53,7 @@ from bayesid.effects.mount import RigidMountLoad, mount_motion
 from bayesid.effects.play import Behind, Fitting, Recorded, leaning_poses
 from bayesid.effects.segment import MotionSegment
 from bayesid.effects.sensor_chain import SensorChain
-from bayesid.effects.torque_chain import TorqueChain
-from bayesid.effects.transmission import coupling_matrix
+from bayesid.effects.torque_chain import TorqueChain, coupling_matrix
 from bayesid.errors import InputError
 from bayesid.robot.robot import Robot
 

@@ -1,6 +1,9 @@
 """What is read of the torques that joints take: motors give them through their transmissions, at another time, times a gain.
 
 What comes on top inside a joint, friction and the like, is that of the motor at the time that is read (`bayesid.effects.model`).
+
+Coupled transmissions have motors at m = (1 + C) q of their gears' outputs and joints at q. Where no power is lost, ``tau' dq =
+tau_m' dm``, the motors give ``tau_m = (1 + C)'^-1 tau`` for the joints' torques.
 """
 
 from __future__ import annotations
@@ -11,10 +14,35 @@ from dataclasses import dataclass
 import numpy as np
 
 from bayesid.effects.effect import Term
-from bayesid.effects.families import JointDelayEffect, JointGainEffect, JointMotion
+from bayesid.effects.families import JointDelayEffect, JointGainEffect, JointMotion, TransmissionEffect
 from bayesid.effects.flexible import Motion
 from bayesid.effects.segment import MotionSegment
-from bayesid.effects.transmission import motor_torques
+from bayesid.robot.robot import Robot
+
+
+def coupling_matrix(robot: Robot, coupled: Sequence[tuple[TransmissionEffect, Sequence[float]]]) -> np.ndarray:
+    """From joint positions to the motors', 1 + C (n, n)."""
+    out = np.eye(robot.n)
+    for effect, values in coupled:
+        out[effect.joint, effect.driver] += effect.coupling(values)
+    return out
+
+
+def motor_torques(transmission: np.ndarray, order: Sequence[int], true: np.ndarray) -> np.ndarray:
+    """Readings, or changes of them, with what the motors give for the joints' torques.
+
+    Parameters
+    ----------
+    transmission
+        From the motors' positions to the joints', (1 + C)^-1 (n, n).
+    order
+        Channel of each joint's torque (n,).
+    true
+        With the joints' torques (N, c, ...).
+    """
+    out = np.array(true)
+    out[:, order] = np.einsum("kj,nk...->nj...", transmission, true[:, order])
+    return out
 
 
 @dataclass(frozen=True, eq=False)

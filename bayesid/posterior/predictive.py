@@ -1,9 +1,10 @@
 """What the posterior says of rows: replicated readings, and how likely the measured ones are.
 
-The log likelihood comes in independent terms, as leave-one-out cross-validation [Vehtari2017]_ needs it. Rows that scatter together count as one. Where the model is complete, whitened instants are independent and a term is one
-instant. Where it is not, the likelihood counts all rows as an estimate b with covariance V (`bayesid.posterior.likelihood`), and
-g instants for one, where ``g = trace(A^-1 M) / n`` is how much larger V is than rows on their own would make it: a term is that
-many neighbouring instants of one channel. With residuals r(beta) of the adjusted rows
+The log likelihood comes in independent terms, as leave-one-out cross-validation [Vehtari2017]_ needs it. Rows that scatter
+together count as one. Where the model is complete, whitened instants are independent and a term is one instant. Where it is
+not, the likelihood counts all rows as an estimate b with covariance V (`bayesid.posterior.likelihood`), and g instants for one,
+where ``g = trace(A^-1 M) / n`` is how much larger V is than rows on their own would make it: a term is that many neighbouring
+instants of one channel. With residuals r(beta) of the adjusted rows
 
     term = -(|r(beta)|^2 - |r(b)|^2) / (2 s^2) - |r(b)|^2 / 2 - n log(s) / terms,
 

@@ -5,8 +5,26 @@ from __future__ import annotations
 import difflib
 import json
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 
 from pydantic_core import ErrorDetails
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something in the data that is certain: it is told first.
+
+    Attributes
+    ----------
+    text
+        One line: which file and column, what it is, what was done or what to do about it.
+    silences
+        Channels, ``wrench`` or ``torque``, whose bad fit it explains: no mistake is guessed from their readings.
+    """
+
+    text: str
+    silences: tuple[str, ...] = ()
+
 
 _LISTED = 12  # known words that a suggestion lists
 

@@ -15,9 +15,8 @@ from bayesid.arguments import call
 from bayesid.drawing import Plots
 from bayesid.effects.library import EffectLibrary
 from bayesid.errors import InputError
-from bayesid.recordings.complaints import listed, suggest
+from bayesid.recordings.complaints import Finding, listed, suggest
 from bayesid.recordings.examination import examine
-from bayesid.recordings.finding import Finding
 from bayesid.recordings.importing.column_map import ColumnMap, column_map
 from bayesid.recordings.importing.kinds import kind_of
 from bayesid.recordings.importing.recording import read_stated

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayesid.recordings.complaints import listed
-from bayesid.recordings.finding import Finding
+from bayesid.recordings.complaints import Finding, listed
 from bayesid.recordings.table import Table
 
 _JUDGED = 200_000  # rows of a long recording that are looked at

@@ -6,10 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayesid.diagnosis.changes.findings import ReferenceComparison
-from bayesid.diagnosis.changes.hidden import HiddenChange
+from bayesid.diagnosis.changes.findings import HiddenChange, ReferenceComparison
 from bayesid.diagnosis.changes.scales import FRICTION_SHARE, GAIN_SHARE
-from bayesid.report.gap_figures import evidence_bars, waterfall
+from bayesid.report.diagnosis_figures import evidence_bars, waterfall
 from bayesid.report.page import render, versions
 from bayesid.results.changes import (
     gap_sentence,

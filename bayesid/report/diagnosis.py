@@ -20,11 +20,10 @@ from bayesid.diagnosis.spectra import Segment, sensor_noise
 from bayesid.diagnosis.validation import residual_spectra
 from bayesid.effects import Effect
 from bayesid.report.described import described_section
-from bayesid.report.diagnosis_figures import before_and_after, evidence, residual_maps, signals
-from bayesid.report.gap_figures import waterfall
+from bayesid.report.diagnosis_figures import before_and_after, evidence, residual_maps, signals, waterfall
+from bayesid.report.excitation import motion_plot, pair_rows
 from bayesid.report.identification import mood_of
 from bayesid.report.page import render, svg, versions
-from bayesid.report.told import motion_plot, pair_rows
 from bayesid.results.diagnosis_text import (
     known_share,
     notes,

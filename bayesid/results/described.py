@@ -9,8 +9,7 @@ from typing import Any
 import tomli_w
 
 from bayesid.diagnosis.description.choose import Chosen
-from bayesid.diagnosis.description.describe import Description
-from bayesid.diagnosis.description.draft import unit_of
+from bayesid.diagnosis.description.describe import Description, unit_of
 from bayesid.estimators.parameters import with_ends
 from bayesid.recordings.experiment import Experiment
 from bayesid.recordings.schema import dump_model

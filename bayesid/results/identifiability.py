@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
 from html import escape
 from typing import TYPE_CHECKING, Any
 
-from bayesid.design.advice import brief
-from bayesid.design.findings import IdentifiabilityFindings
+from bayesid.design.advice import Advice, brief
 from bayesid.design.identifiability import EffectExpectation, SetReport
+from bayesid.design.separability import Separation
 from bayesid.design.visibility import LETTERS, WEAK, WORDS, LinkExpectation, by_body
 from bayesid.drawing import figures_of
 from bayesid.posterior.result import PRIOR_DRIVEN
@@ -26,19 +27,49 @@ _NAMED = 12
 #: Larger shares of a usual size are no size that an effect has.
 _HUGE = 1e3
 _HEAD = ["readings", "rank", "of any motion", "better than size", "condition", "noise from"]
-
-
 TOLD_HEAD = ["readings", "true", "other", "seen alone", "left", "probability", "told from"]
-
-
 SCHEMA = 1
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Identifiability(IdentifiabilityFindings, Result):
-    """What motions can and cannot determine, for each sensor set."""
+class Identifiability(Result):
+    """What motions can and cannot determine, for each sensor set.
+
+    Attributes
+    ----------
+    name
+        Of the experiment, robot or regression.
+    source
+        ``recorded``, ``planned``, or ``regression`` for rows of one's own.
+    motions
+        Their names and what they last [s]; 0 for poses.
+    still
+        Names of joints that stand still in all of them.
+    sensor_sets
+        One report each, in the order of `bayesid.design.sensor_sets.SENSOR_SETS`.
+    main
+        The one whose readings an estimate would use by default.
+    advice
+        What would make a difference, most important first.
+    separations
+        How well effects are told apart, by the name of the sensor set; empty where nobody asked.
+    warnings
+        What the user should know, most important first.
+    seconds
+        Run time by stage.
+    """
 
     verb = "identifiability"
+    name: str
+    source: str
+    motions: Mapping[str, float]
+    still: tuple[str, ...]
+    sensor_sets: tuple[SetReport, ...]
+    main: SetReport
+    advice: tuple[Advice, ...] = ()
+    separations: Mapping[str, tuple[Separation, ...]] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+    seconds: dict[str, float] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         return f"<Identifiability of {self.name}: rank {self.main.rank} from {self.main.sensor_set.title}>"
@@ -122,7 +153,7 @@ def _link(link: LinkExpectation, report: SetReport) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def lead(result: IdentifiabilityFindings) -> str:
+def lead(result: Identifiability) -> str:
     """What was asked, and the answer for the readings that would be used, in two sentences."""
     main, total = result.main, len(result.main.parameters)
     who = {
@@ -146,7 +177,7 @@ def counts(report: SetReport) -> list[tuple[str, int]]:
     return [(kind, found[kind]) for kind in WORDS if found[kind]]
 
 
-def table(result: IdentifiabilityFindings) -> list[list[str]]:
+def table(result: Identifiability) -> list[list[str]]:
     """A row for each sensor set."""
     return [
         [
@@ -202,7 +233,7 @@ def effect_lines(report: SetReport) -> list[tuple[str, str]]:
     return lines
 
 
-def told(result: IdentifiabilityFindings) -> list[list[str]]:
+def told(result: Identifiability) -> list[list[str]]:
     """How well effects are told apart: a row for each sensor set, true effect and other one; squared standard deviations."""
     rows = []
     for report in result.sensor_sets:
@@ -216,7 +247,7 @@ def told(result: IdentifiabilityFindings) -> list[list[str]]:
     return rows
 
 
-def side_by_side(result: IdentifiabilityFindings) -> list[str]:
+def side_by_side(result: Identifiability) -> list[str]:
     """A letter for every link parameter: bodies downwards, sensor sets across."""
     bodies, across = by_body([p.name for p in result.main.parameters])
     used = {p.kind for r in result.sensor_sets for p in r.parameters}
@@ -229,7 +260,7 @@ def side_by_side(result: IdentifiabilityFindings) -> list[str]:
     return [f"Side by side ({' '.join(across)}): {key}", *(f"  {line}" for line in text_table(head, rows)), ""]
 
 
-def as_text(result: IdentifiabilityFindings) -> str:
+def as_text(result: Identifiability) -> str:
     """A few dozen lines for a terminal."""
     main = result.main
     motions = ", ".join(n + (f" ({number(d, 3)} s)" if d else "") for n, d in result.motions.items())
@@ -253,7 +284,7 @@ def as_text(result: IdentifiabilityFindings) -> str:
     return "\n".join(lines)
 
 
-def as_html(result: IdentifiabilityFindings) -> str:
+def as_html(result: Identifiability) -> str:
     """Tables for a notebook: sensor sets, then the class of every link parameter for each of them."""
     head = ["parameter", *(r.sensor_set.title for r in result.sensor_sets)]
     rows = [

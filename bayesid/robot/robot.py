@@ -7,9 +7,10 @@ the link it is in; the far part becomes a body of its own, after all joints' bod
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from difflib import get_close_matches
 from functools import cached_property
+from hashlib import blake2b
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +19,20 @@ import pinocchio as pin
 
 from bayesid.errors import InputError
 from bayesid.robot import inertia
-from bayesid.robot.fingerprint import fingerprint
 from bayesid.robot.urdf_file import UrdfFile, read_urdf
+
+
+def fingerprint(holder: Any) -> bytes:
+    """Digest (16 bytes) of all fields of a dataclass instance: the same for equal arrays and texts, wherever they are kept."""
+    digest = blake2b(digest_size=16)
+    for item in fields(holder):
+        value = getattr(holder, item.name)
+        if isinstance(value, np.ndarray):
+            digest.update(repr((item.name, value.dtype.str, value.shape)).encode())
+            digest.update(np.ascontiguousarray(value).tobytes())
+        else:
+            digest.update(repr((item.name, value)).encode())
+    return digest.digest()
 
 
 @dataclass(frozen=True)

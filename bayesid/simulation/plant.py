@@ -9,7 +9,7 @@ import numpy as np
 
 from bayesid.dynamics.channels import WRENCH_NAMES, Channels
 from bayesid.effects import Effect, EffectLibrary, EncoderEffect, MotionSegment, Term, TransmissionEffect, reach_of, readings
-from bayesid.effects.transmission import coupling_matrix
+from bayesid.effects.torque_chain import coupling_matrix
 from bayesid.errors import InputError
 from bayesid.robot.robot import Robot
 

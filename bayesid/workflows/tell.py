@@ -109,15 +109,15 @@ def _data(experiment: Experiment, channel: str, motions: Sequence[str] | None, s
 @figures_of.register
 def _(result: DistinguishingMotion) -> Figures:
     from bayesid.report.curve_figures import panels_figure
-    from bayesid.report.told import panels_of
+    from bayesid.report.excitation import telling_panels
 
-    return {"motion": partial(panels_figure, result.telling.trajectory.times, panels_of(result.telling))}
+    return {"motion": partial(panels_figure, result.telling.trajectory.times, telling_panels(result.telling))}
 
 
 @files_of.register
 def _(result: DistinguishingMotion) -> Files:
     """``excitation.json``, ``trajectory.csv`` and the report."""
-    from bayesid.report.told import told_report
+    from bayesid.report.excitation import told_report
 
     others = {TRAJECTORY: lambda path: write_motion(result.telling, path)}
     return Files({"excitation.json": strict(result.to_dict())}, others, told_report(result))

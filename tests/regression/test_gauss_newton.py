@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.optimize import least_squares
 
-from bayesid.regression.gauss_newton import Linearised, StepControl, minimise
+from bayesid.estimators.nonlinear import Linearised, StepControl, minimise
 
 SHARES = StepControl(30, 40, 1.0, lambda c: 0.5 * c, lambda _: 1.0, lambda cost: 1e-9 * cost)
 DAMPED = StepControl(200, 30, 1e-3, lambda c: max(10.0 * c, 1e-4), lambda c: 0.1 * c, lambda _: 0.0, 1e-20)

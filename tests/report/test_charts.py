@@ -9,7 +9,7 @@ from matplotlib.textpath import TextPath
 
 from bayesid.report.charts import Panel, tick_labels
 from bayesid.report.charts import ticks as find_ticks
-from bayesid.report.check_figures import joint_ranges, recording
+from bayesid.report.check import joint_ranges, recording
 
 NAMES = ["q1 shoulder_pan", "q2 b", "q3 c"]
 LIMITS = np.array([-3.0, -np.inf, -1.0]), np.array([3.0, np.inf, 1.0])

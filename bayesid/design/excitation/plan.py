@@ -1,7 +1,8 @@
 """From an experiment and options to an exciting trajectory.
 
-A mount that gives changes the readings of a planned motion: the joints' own frequencies stay below a fifth of the resonance f_n,
-but products of joint motions in the wrench reach higher. A mount with little damping d enlarges a component at f by ``H = 1 / (1 - (f / f_n)^2 + 2 i d f / f_n)``.
+A mount that gives changes the readings of a planned motion: the joints' own frequencies stay below a fifth of the resonance
+f_n, but products of joint motions in the wrench reach higher. A mount with little damping d enlarges a component at f by
+``H = 1 / (1 - (f / f_n)^2 + 2 i d f / f_n)``.
 """
 
 from __future__ import annotations

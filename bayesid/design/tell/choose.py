@@ -21,8 +21,7 @@ from bayesid.design.excitation.plan import make_task
 from bayesid.design.tell.evidence import Contest, Rival
 from bayesid.design.tell.motions import Planned, pool, prolonged, varied, within_limits
 from bayesid.design.tell.planned_rows import NAME, SeenInstruments, contest
-from bayesid.design.tell.predicted import predicted
-from bayesid.design.tell.rivals import Case, from_effects, from_search, parse_effects, supposed, unknown
+from bayesid.design.tell.rivals import Case, from_effects, from_search, parse_effects, predicted, supposed, unknown
 from bayesid.diagnosis.candidates import make_library
 from bayesid.diagnosis.data import DiagnosisData
 from bayesid.diagnosis.fit import advance, begin, fit

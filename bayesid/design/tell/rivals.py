@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
 
 import numpy as np
 
 from bayesid.arguments import argument
 from bayesid.design.tell.evidence import Rival
-from bayesid.design.tell.predicted import predicted
 from bayesid.diagnosis.candidates import Library, make_library
 from bayesid.diagnosis.data import DiagnosisData
 from bayesid.diagnosis.fit import Fit, fit
@@ -19,6 +19,42 @@ from bayesid.diagnosis.search import Search
 from bayesid.diagnosis.spectra import Segment
 from bayesid.effects import Effect, Term
 from bayesid.errors import InputError
+
+
+@dataclass(frozen=True, eq=False)
+class PredictedSegment(Segment):
+    """A segment whose readings are given by their coefficients, without noise.
+
+    Attributes
+    ----------
+    coefficients
+        Of the readings (K, c).
+    """
+
+    coefficients: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
+
+    @cached_property
+    def measured_readings(self) -> np.ndarray:
+        """Coefficients of the readings (K, c)."""
+        return self.coefficients
+
+
+def predicted(data: DiagnosisData, segment: Segment, links: np.ndarray, offset: np.ndarray, terms: Sequence[Term]) -> Segment:
+    """The segment with the readings that a model predicts in place of its own.
+
+    Parameters
+    ----------
+    data
+        The robot and what is compared.
+    segment
+        Any.
+    links, offset, terms
+        The model.
+    """
+    read = segment.spectrum(data.predict(segment, links, terms)) + segment.measured_ones * offset
+    given = {item.name: getattr(segment, item.name) for item in fields(Segment) if item.init}
+    return PredictedSegment(**given, coefficients=read)
+
 
 #: Of parameters that recordings say nothing of, prior standard deviations in sizes of the parameter: so wide that it says little.
 _WIDE = 10.0

@@ -147,7 +147,8 @@ def speeds(v: str, ranges: Ranges) -> list[ShapeFactor]:
     widths = [share * ranges(v).size for share in (0.03, 0.1, 0.3)]
     return [
         ShapeFactor("{x}", v, "speed", 1), ShapeFactor("abs({x})", v, "speed", 1), ShapeFactor("{x}**2", v, "speed", 2),
-        ShapeFactor("{x} * abs({x})", v, "speed", 2), ShapeFactor("{x}**3", v, "speed", 3), ShapeFactor("{x}", f"dir{v[1:]}", "direction"),
+        ShapeFactor("{x} * abs({x})", v, "speed", 2), ShapeFactor("{x}**3", v, "speed", 3),
+        ShapeFactor("{x}", f"dir{v[1:]}", "direction"),
         *(ShapeFactor("tanh({x} / {n})", v, "speed", number=w, step=0.5 * w) for w in widths),
     ]  # fmt: skip
 

@@ -5,7 +5,8 @@ inside the joints. Bodies are given by the base parameters alone: links that hav
 move as the robot does. The torques' standard deviation is ``sqrt(y' C y)`` with C the covariance of base and effect parameters
 and y the row of the regressor, which the same recursion gives, column by column.
 
-The laws of what acts inside a joint are text that is C++ and Python alike. Each says what the class of the same name in `bayesid.effects` computes; a test compares the two.
+The laws of what acts inside a joint are text that is C++ and Python alike. Each says what the class of the same name in
+`bayesid.effects` computes; a test compares the two.
 """
 
 from __future__ import annotations

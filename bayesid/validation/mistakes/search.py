@@ -112,7 +112,7 @@ def find_mistakes(experiment: Experiment, unknown: Container[tuple[str, str]] = 
     readings of which one has the wrong sign. Every candidate is undone in turn and the best such robot is fitted to a few
     hundred low-passed samples; one is named where the data become far more probable by it, and are explained by it. Where they
     only become more probable, ``not_explained`` says so, without a remedy. Nothing is guessed where a finding about the recording
-    explains its readings (`bayesid.recordings.finding`), nor what is less probable than that they are late against the motion
+    explains its readings (`bayesid.recordings.complaints`), nor what is less probable than that they are late against the motion
     (`bayesid.validation.mistakes.delay`).
 
     Parameters
