@@ -7,21 +7,8 @@ from pathlib import Path
 import click
 
 import bayesid
+from bayesid.cli import options as shared
 from bayesid.cli.known_bounds import bounded
-from bayesid.cli.options import (
-    BOUNDS,
-    EXPERIMENT,
-    OUT,
-    OUTPUTS,
-    SEED,
-    STATIC,
-    load,
-    low_pass,
-    model_options,
-    on_workers,
-    output_folder,
-    show_progress,
-)
 from bayesid.cli.terminal import say
 from bayesid.errors import EstimationError, InputError
 from bayesid.results.files import check_output, checkpoint_of
@@ -29,11 +16,11 @@ from bayesid.workflows.accuracy import add_certificate, check_estimate
 
 
 @click.command()
-@EXPERIMENT
-@model_options
+@shared.EXPERIMENT
+@shared.model_options
 @click.option("--method", default=bayesid.DEFAULT_METHOD, show_default=True, help=", ".join(bayesid.METHODS))
-@BOUNDS
-@STATIC
+@shared.BOUNDS
+@shared.STATIC
 @click.option("--runs", type=int, default=20, show_default=True, help="Simulated recordings of every level; 0: vary nothing.")
 @click.option("--nominal", is_flag=True, help="Take the nominal links for the true ones, not the estimated.")
 @click.option("--certificate", is_flag=True, help="Count how often the intervals hold the truth, on simulated twins.")
@@ -43,24 +30,24 @@ from bayesid.workflows.accuracy import add_certificate, check_estimate
 )
 @click.option("--sensors", type=click.Path(path_type=Path), help="A sensors.toml of candidates to compare before buying one.")
 @click.option("--resume", is_flag=True, help="Go on with the twins of an interrupted run of the same --out.")
-@on_workers
-@OUT
-@SEED
+@shared.on_workers
+@shared.OUT
+@shared.SEED
 def accuracy(
     experiment, filter_l, filter_d, model, effects_from, method, bounds, certificate, twins, estimate, out, resume, **options
 ) -> None:
     """What the errors depend on, what effects left out of the model do, and whether the intervals hold the truth."""
-    check_output(out or OUTPUTS, "accuracy")
+    check_output(out or shared.OUTPUTS, "accuracy")
     if (resume or estimate) and not certificate:
         raise InputError(f"--{'resume' if resume else 'estimate'} is for --certificate; add that, or leave it out")
-    filters, chosen = low_pass(filter_l, filter_d), bayesid.estimator(method)
-    loaded = load(experiment, model, effects_from)
+    filters, chosen = shared.low_pass(filter_l, filter_d), bayesid.estimator(method)
+    loaded = shared.load(experiment, model, effects_from)
     chosen = bounded(chosen, bounds, loaded)
     written = None if estimate is None else check_estimate(estimate, loaded, chosen)
-    folder = output_folder(out, loaded.name, "accuracy")
+    folder = shared.output_folder(out, loaded.name, "accuracy")
     kept = checkpoint_of(folder)
     try:
-        with show_progress() as progress:
+        with shared.show_progress() as progress:
             result = bayesid.accuracy(
                 loaded, method=chosen, low_pass=filters, certificate=twins if certificate else 0, kept=kept, resume=resume,
                 progress=progress, **options,

@@ -7,19 +7,8 @@ from pathlib import Path
 import click
 
 import bayesid
+from bayesid.cli import options as shared
 from bayesid.cli.known_bounds import bounded
-from bayesid.cli.options import (
-    BOUNDS,
-    EXPERIMENT,
-    OUT,
-    OUTPUTS,
-    SEED,
-    load,
-    low_pass,
-    model_options,
-    output_folder,
-    show_progress,
-)
 from bayesid.cli.terminal import say
 from bayesid.errors import InputError
 from bayesid.results.files import check_output
@@ -28,12 +17,12 @@ _RUN = click.Path(path_type=Path)
 
 
 @click.command()
-@EXPERIMENT
-@model_options
+@shared.EXPERIMENT
+@shared.model_options
 @click.option("--posterior", type=_RUN, help="Folder that bayesid sample wrote; default: sample now.")
 @click.option("--estimate", type=_RUN, help="Folder that bayesid identify wrote.")
 @click.option("--method", help="Identify with this estimator and do not sample.")
-@BOUNDS
+@shared.BOUNDS
 @click.option("--static", type=click.Choice(["motion", "joint"]), help="Subtract a stop-and-go run (default), or fit it along.")
 @click.option("--trajectory", type=_RUN, help="A planned motion, a table with t, q1 ...: its readings get bands.")
 @click.option("--urdfs", type=click.IntRange(min=0), default=0, show_default=True, help="How many sampled URDFs to write.")
@@ -41,20 +30,20 @@ _RUN = click.Path(path_type=Path)
 @click.option(
     "--configurations", type=click.IntRange(min=1), default=512, show_default=True, help="Joint positions of the workspace."
 )
-@OUT
-@SEED
+@shared.OUT
+@shared.SEED
 def bounds(experiment, filter_l, filter_d, model, effects_from, posterior, estimate, method, bounds, out, **options) -> None:
     """What a controller may rely on: bounds of parameters, mass matrix, gravity and torques."""
-    check_output(out or OUTPUTS, "bounds")
-    filters = low_pass(filter_l, filter_d)
+    check_output(out or shared.OUTPUTS, "bounds")
+    filters = shared.low_pass(filter_l, filter_d)
     run = _run(posterior, estimate, method, bounds)
     chosen = None if method is None else bayesid.estimator(method)
-    with show_progress() as progress:
+    with shared.show_progress() as progress:
         progress("reading")
-        loaded = load(experiment, model, effects_from)
+        loaded = shared.load(experiment, model, effects_from)
         if bounds is not None:
             chosen = bounded(chosen, bounds, loaded)
-        folder = output_folder(out, loaded.name, "bounds")
+        folder = shared.output_folder(out, loaded.name, "bounds")
         result = bayesid.bounds(loaded, run=run, method=chosen, low_pass=filters, progress=progress, **options)
         progress("report")
         report = result.write(folder)

@@ -5,49 +5,35 @@ from __future__ import annotations
 import click
 
 import bayesid
+from bayesid.cli import options as shared
 from bayesid.cli.known_bounds import all_bounded
-from bayesid.cli.options import (
-    BOUNDS,
-    EXPERIMENT,
-    OUT,
-    OUTPUTS,
-    STATIC,
-    UNUSED_SEED,
-    load,
-    low_pass,
-    model_options,
-    names,
-    on_workers,
-    output_folder,
-    show_progress,
-)
 from bayesid.cli.terminal import say
 from bayesid.results.files import check_output
 from bayesid.workflows.compare import DEFAULT_SET
 
 
 @click.command()
-@EXPERIMENT
-@model_options
-@click.option("--methods", callback=names, help="Estimators, separated by commas; default: one of each kind.")
-@BOUNDS
-@STATIC
-@on_workers
-@OUT
-@UNUSED_SEED
+@shared.EXPERIMENT
+@shared.model_options
+@click.option("--methods", callback=shared.names, help="Estimators, separated by commas; default: one of each kind.")
+@shared.BOUNDS
+@shared.STATIC
+@shared.on_workers
+@shared.OUT
+@shared.UNUSED_SEED
 def compare(experiment, filter_l, filter_d, model, effects_from, methods, bounds, out, **options) -> None:
     """Several estimators on the same data, side by side, and the nominal model beside them."""
-    check_output(out or OUTPUTS, "compare")
-    filters = low_pass(filter_l, filter_d)
+    check_output(out or shared.OUTPUTS, "compare")
+    filters = shared.low_pass(filter_l, filter_d)
     for method in methods or ():
         bayesid.estimator(method)
-    with show_progress() as progress:
+    with shared.show_progress() as progress:
         progress("reading")
-        loaded = load(experiment, model, effects_from)
+        loaded = shared.load(experiment, model, effects_from)
         if bounds is not None:
             methods = all_bounded(methods or DEFAULT_SET, bounds, loaded)
         result = bayesid.compare(loaded, methods, low_pass=filters, progress=progress, **options)
         progress("report")
-        report = result.write(output_folder(out, loaded.name, "compare"))
+        report = result.write(shared.output_folder(out, loaded.name, "compare"))
     say(result)
     say(f"report: {report}")

@@ -7,19 +7,7 @@ from dataclasses import fields
 import click
 
 import bayesid
-from bayesid.cli.options import (
-    EFFECTS_FROM,
-    EXPERIMENT,
-    MODEL,
-    OUT,
-    OUTPUTS,
-    SEED,
-    names,
-    on_workers,
-    output_folder,
-    own_effects,
-    show_progress,
-)
+from bayesid.cli import options as shared
 from bayesid.cli.terminal import say
 from bayesid.design.excitation.options import ExcitationOptions
 from bayesid.errors import InputError
@@ -43,17 +31,21 @@ def _number(option: str, text: str, **more):
 
 
 _OPTIONS = [
-    click.option("--tell", callback=names, help="Effects to be told apart, by commas: the motion that does that best instead."),
+    click.option(
+        "--tell", callback=shared.names, help="Effects to be told apart, by commas: the motion that does that best instead."
+    ),
     click.option("--channel", type=click.Choice(["wrench", "torque", "both"]), help="Readings; default: wrench with a [sensor]."),
     click.option("--static", is_flag=True, help="A stop-and-go run will be subtracted, as in the paper."),
     click.option("--criterion", default="d", show_default=True, help="d, a, e, condition or quantity."),
-    click.option("--quantity", "quantities", callback=names, help="What counts: payload@JOINT, torque@FILE.csv, joint2.mcx ..."),
+    click.option(
+        "--quantity", "quantities", callback=shared.names, help="What counts: payload@JOINT, torque@FILE.csv, joint2.mcx ..."
+    ),
     click.option("--kind", default="fourier", show_default=True, help="fourier; liu1998: one pass and a stop-and-go run."),
     _number("--duration", "Length of the motion [s]."),
     click.option("--period", type=float, help="After which it repeats [s]; default: half the length."),
     _number("--harmonics", "Multiples of the fundamental frequency."),
     _number("--rate", "Samples a second."),
-    click.option("--joints", callback=names, help="Joints that move, by commas; default: all."),
+    click.option("--joints", callback=shared.names, help="Joints that move, by commas; default: all."),
     _number("--share", "How much of the joints' limits is used at most."),
     _number("--torque-share", "How much of the effort limits is used at most."),
     click.option("--acceleration", callback=_numbers, help="Largest joint accelerations [rad/s^2 or m/s^2], one or one a joint."),
@@ -64,7 +56,7 @@ _OPTIONS = [
     _number("--margin", "Least distance of bodies [m]."),
     click.option("--ground", type=float, help="Height of a ground that is kept clear [m], in the base frame."),
     click.option("--diagnosability", type=float, help="Weight of which effects could be told apart; 0: only the table."),
-    click.option("--blocks", callback=names, help="Scripted blocks: parked,poses,reversed,ladder, or all."),
+    click.option("--blocks", callback=shared.names, help="Scripted blocks: parked,poses,reversed,ladder, or all."),
     click.option("--stops", type=int, help="Stops of a static run; default: every sample, with --static."),
     _number("--settle", "How long the robot waits at a stop before it is read [s]."),
     _number("--read", "How long it is read at a stop [s]."),
@@ -82,25 +74,25 @@ def _options(command):
 
 
 @click.command()
-@EXPERIMENT
+@shared.EXPERIMENT
 @_options
-@MODEL
-@EFFECTS_FROM
-@on_workers
-@OUT
-@SEED
+@shared.MODEL
+@shared.EFFECTS_FROM
+@shared.on_workers
+@shared.OUT
+@shared.SEED
 def excite(
     experiment, model, effects_from, out, joints, blocks, quantities, tell, warm_start, seed, workers, scheduler, **options
 ) -> None:
     """An exciting trajectory within limits: trajectory.csv; needs experiment.toml and the URDF only."""
-    check_output(out or OUTPUTS, "excite")
-    library = own_effects(effects_from)
+    check_output(out or shared.OUTPUTS, "excite")
+    library = shared.own_effects(effects_from)
     # What recordings tell already counts where effects are to be told apart.
     setup = load_setup(experiment, library) if tell is None else load_experiment(experiment, library, planned=True)
     setup = setup if model is None else setup.with_model(model)
-    folder = output_folder(out, setup.name, "excite")
+    folder = shared.output_folder(out, setup.name, "excite")
     chosen = ExcitationOptions(joints=joints, blocks=blocks or (), quantities=quantities or (), **options)
-    with show_progress() as progress:
+    with shared.show_progress() as progress:
         if tell is None:
             result = bayesid.excite(
                 setup, chosen, warm_start=warm_start, seed=seed, workers=workers, scheduler=scheduler, progress=progress

@@ -5,19 +5,7 @@ from __future__ import annotations
 import click
 
 import bayesid
-from bayesid.cli.options import (
-    EXPERIMENT,
-    OUT,
-    OUTPUTS,
-    SEED,
-    STATIC,
-    load,
-    low_pass,
-    model_options,
-    on_workers,
-    output_folder,
-    show_progress,
-)
+from bayesid.cli import options as shared
 from bayesid.cli.terminal import say
 from bayesid.errors import EstimationError
 from bayesid.estimators.prior_check import conflicts
@@ -25,8 +13,8 @@ from bayesid.results.files import check_output, checkpoint_of
 
 
 @click.command()
-@EXPERIMENT
-@model_options
+@shared.EXPERIMENT
+@shared.model_options
 @click.option("--draws", type=int, default=2000, show_default=True, help="Draws in all.")
 @click.option("--chains", type=int, default=4, show_default=True, help="Independent chains.")
 @click.option("--prior", help="nominal or flat; default: nominal where the experiment has an inertia_rel_std above 0.")
@@ -36,19 +24,19 @@ from bayesid.results.files import check_output, checkpoint_of
 @click.option("--longest", type=int, default=32, show_default=True, help="Times the usual length before giving up.")
 @click.option("--keep-going", is_flag=True, help="Write draws that have not converged, with a warning.")
 @click.option("--resume", is_flag=True, help="Go on with a run of the same --out that was interrupted.")
-@STATIC
-@on_workers
-@OUT
-@SEED
+@shared.STATIC
+@shared.on_workers
+@shared.OUT
+@shared.SEED
 def sample(experiment, filter_l, filter_d, model, effects_from, out, engine, longest, resume, **options) -> None:
     """Draws from the posterior, with convergence checks and held-out validation."""
-    check_output(out or OUTPUTS, "sample")
-    filters = low_pass(filter_l, filter_d)
-    loaded = load(experiment, model, effects_from)
-    folder = output_folder(out, loaded.name, "sample")
+    check_output(out or shared.OUTPUTS, "sample")
+    filters = shared.low_pass(filter_l, filter_d)
+    loaded = shared.load(experiment, model, effects_from)
+    folder = shared.output_folder(out, loaded.name, "sample")
     kept = checkpoint_of(folder)
     try:
-        with show_progress() as progress:
+        with shared.show_progress() as progress:
             sampler = bayesid.Sampler(engine=engine, longest=longest, checkpoint=kept, resume=resume)
             result = bayesid.sample(loaded, low_pass=filters, sampler=sampler, progress=progress, **options)
             progress("report")
