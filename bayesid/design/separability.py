@@ -18,14 +18,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import ndtr
 
-from bayesid.arguments import argument
 from bayesid.design.expected import rows_of
 from bayesid.design.identifiability import PlannedMotions
 from bayesid.design.reading_noise import ReadingNoise
 from bayesid.design.sensor_sets import SensorSet
 from bayesid.diagnosis.settings import Settings
 from bayesid.effects import Effect
-from bayesid.errors import InputError
 from bayesid.estimators.factor import reduce_whitened
 from bayesid.regression.linalg import pseudo_inverse
 from bayesid.regression.readings import make_channels
@@ -106,44 +104,10 @@ def separations(
 
 
 def pair_of(plan: PlannedMotions, specs: Sequence[str]) -> tuple[Effect, ...]:
-    """Effects to be told apart from their names.
-
-    Parameters
-    ----------
-    plan
-        The robot and the effects that there are.
-    specs
-        ``name@where``, or ``name`` where there is one place.
-
-    Raises
-    ------
-    InputError
-        Fewer than two, an unknown name or place, several places, or an effect that is in the model already.
-    """
-    experiment = plan.experiment
-    every = make_channels(experiment, "both").names
-    model = experiment.library.parse(experiment.effects, experiment.robot.joint_names, every, experiment.gear_ratio)
-    out: list[Effect] = []
-    for spec in specs:
-        try:
-            found = experiment.library.parse([spec], experiment.robot.joint_names, every, experiment.gear_ratio)
-        except InputError as error:
-            raise InputError(f"{argument('tell')}: {error}") from None
-        effect = next(iter(found))
-        if len(found) > 1:
-            raise InputError(f"{argument('tell', spec)}: could be at {len(found)} places; name one, as in {effect.spec}")
-        if effect.spec in [e.spec for e in model]:
-            raise InputError(
-                f"{argument('tell', spec)}: is in the model already; take it out of [model] effects to tell it from others"
-            )
-        if effect not in out:
-            out.append(effect)
-    if len(out) < 2:
-        raise InputError(
-            f"{argument('tell', specs)}: give at least two different effects, as in "
-            f"{argument('tell', ('sensor_delay', 'base_tilt'))}"
-        )
-    return tuple(out)
+    """Effects to be told apart from their names, as in `bayesid.effects.EffectLibrary.parse_rivals`."""
+    e, every = plan.experiment, make_channels(plan.experiment, "both").names
+    known = [x.spec for x in e.library.parse(e.effects, e.robot.joint_names, every, e.gear_ratio)]
+    return e.library.parse_rivals(specs, known, e.robot.joint_names, every, e.gear_ratio, "both")
 
 
 def _factor(

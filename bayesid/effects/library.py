@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from functools import cached_property, lru_cache
@@ -17,6 +17,7 @@ from importlib.metadata import entry_points
 from importlib.util import spec_from_file_location
 from typing import TYPE_CHECKING, Any
 
+from bayesid.arguments import argument
 from bayesid.dynamics.channels import WRENCH_NAMES
 from bayesid.errors import InputError
 
@@ -231,6 +232,55 @@ class EffectLibrary:
             seen = {e.spec for e in self.places(name, joint_names, channels, gear_ratio)}
             effects |= {e.spec: e for e in found if e.spec in seen and e.spec not in effects}
         return tuple(effects.values())
+
+    def parse_rivals(
+        self, specs: Sequence[str], known: Collection[str], joint_names: Sequence[str], channels: Sequence[str],
+        gear_ratio: Mapping[str, float], channel: str,
+    ) -> tuple[Effect, ...]:  # fmt: skip
+        """Effects to be told apart from their specifications, as in `parse`.
+
+        Parameters
+        ----------
+        specs
+            ``name@where``, or ``name`` alone where there is one place; at least two.
+        known
+            Specifications of the model's effects.
+        joint_names, channels, gear_ratio
+            As in `parse`.
+        channel
+            What the channels in use are called together, for messages.
+
+        Raises
+        ------
+        InputError
+            Fewer than two, an unknown name or place, several places, or an effect that is in the model or acts on no reading.
+        """
+        rivals: dict[str, Effect] = {}
+        for spec in specs:
+            try:
+                found = self.parse([spec], joint_names, channels, gear_ratio)
+            except InputError as error:
+                raise InputError(f"{argument('tell')}: {error}") from None
+            if not found:
+                raise InputError(
+                    f"{argument('tell', spec)}: acts on no reading of {argument('channel', channel)}; name another or choose "
+                    "its channel"
+                )
+            if len(found) > 1:
+                places = ", ".join([e.spec for e in found][:3])
+                raise InputError(f"{argument('tell', spec)}: could be at {len(found)} places; name one, as in {places}")
+            effect = next(iter(found))
+            if effect.spec in known:
+                raise InputError(
+                    f"{argument('tell', spec)}: is in the model already; take it out of [model] effects to tell it from others"
+                )
+            rivals.setdefault(effect.spec, effect)
+        if len(rivals) < 2:
+            raise InputError(
+                f"{argument('tell', specs)}: give at least two different effects, as in "
+                f"{argument('tell', ('sensor_delay', 'base_tilt'))}"
+            )
+        return tuple(rivals.values())
 
 
 @lru_cache(maxsize=1)

@@ -114,8 +114,55 @@ class Loaded(Plots):
         return f"<pre>{escape(str(self))}</pre>"
 
 
+class _Predicted(Loaded):
+    """With errors of predictions."""
+
+    @property
+    def fitted(self) -> tuple[Prediction, ...]:
+        """Errors of the fitted motions."""
+        return _predictions(self.document["fit"])
+
+    @property
+    def validation(self) -> tuple[Prediction, ...]:
+        """Errors of the motions that were not fitted."""
+        return _predictions(self.document["validation"])
+
+
+class _Listed(Loaded):
+    """With parameters (r,): the base parameters, or those of the joint torques that bounds are of."""
+
+    @property
+    def _entries(self) -> Sequence[Mapping[str, Any]]:
+        return self.document["base_parameters"]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters (r,)."""
+        return tuple(p["name"] for p in self._entries)
+
+    @property
+    def values(self) -> np.ndarray:
+        """Posterior means of the parameters, or the centre of their bounds (r,)."""
+        return _numbers(self._entries, "value")
+
+    @property
+    def std(self) -> np.ndarray:
+        """Standard deviations of the parameters (r,); nan where there is none."""
+        return _numbers(self._entries, "std")
+
+    @property
+    def low(self) -> np.ndarray:
+        """Lower ends of the central 95 % intervals (r,); of bounds, those of the box that holds all parameters at once."""
+        return _numbers(self._entries, "low")
+
+    @property
+    def high(self) -> np.ndarray:
+        """Upper ends, as `low`."""
+        return _numbers(self._entries, "high")
+
+
 @dataclass(frozen=True, eq=False, repr=False)
-class LoadedIdentification(HasEstimate, Loaded):
+class LoadedIdentification(HasEstimate, _Predicted):
     """What `bayesid.identify` found, read back: names, values, intervals, errors of predictions, links."""
 
     @property
@@ -127,16 +174,6 @@ class LoadedIdentification(HasEstimate, Loaded):
     def link_parameters(self) -> np.ndarray:
         """Ten parameters a body (10 b), those of ``identified.urdf``."""
         return np.array(self.document["link_parameters"])
-
-    @property
-    def fitted(self) -> tuple[Prediction, ...]:
-        """Errors of the fitted motions."""
-        return _predictions(self.document["fit"])
-
-    @property
-    def validation(self) -> tuple[Prediction, ...]:
-        """Errors of the motions that were not fitted."""
-        return _predictions(self.document["validation"])
 
     def parameters(self, level: float = LEVEL) -> Parameters:
         """Base parameters, then effect parameters, with central intervals of a probability.
@@ -217,7 +254,7 @@ class LoadedComparison(HasEntries, Loaded):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class LoadedPosterior(HasParameters, Loaded):
+class LoadedPosterior(HasParameters, _Listed, _Predicted):
     """What `bayesid.sample` found, read back: draws of ``posterior.nc``, summaries of ``posterior.json``."""
 
     def to_arviz(self) -> Any:
@@ -256,31 +293,6 @@ class LoadedPosterior(HasParameters, Loaded):
         return np.asarray(self._group[name].values, float)
 
     @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the base parameters (r,)."""
-        return tuple(p["name"] for p in self.document["base_parameters"])
-
-    @property
-    def values(self) -> np.ndarray:
-        """Posterior means of the base parameters (r,)."""
-        return self._column("value")
-
-    @property
-    def std(self) -> np.ndarray:
-        """Posterior standard deviations of the base parameters (r,)."""
-        return self._column("std")
-
-    @property
-    def low(self) -> np.ndarray:
-        """Lower ends of the central 95 % intervals of the base parameters (r,)."""
-        return self._column("low")
-
-    @property
-    def high(self) -> np.ndarray:
-        """Upper ends of the central 95 % intervals of the base parameters (r,)."""
-        return self._column("high")
-
-    @property
     def covariance(self) -> np.ndarray:
         """Posterior covariance of the base parameters (r, r)."""
         return np.array(self.document["covariance"])
@@ -289,16 +301,6 @@ class LoadedPosterior(HasParameters, Loaded):
     def base(self) -> BaseParameters:
         """What the base parameters are combinations of."""
         return _base(self.document)
-
-    @property
-    def fitted(self) -> tuple[Prediction, ...]:
-        """Errors of the fitted motions."""
-        return _predictions(self.document["fit"])
-
-    @property
-    def validation(self) -> tuple[Prediction, ...]:
-        """Errors of the motions that were not fitted."""
-        return _predictions(self.document["validation"])
 
     def parameters(self, level: float = LEVEL) -> Parameters:
         """Base parameters, then effect parameters, with central intervals of a probability, from the draws.
@@ -314,42 +316,14 @@ class LoadedPosterior(HasParameters, Loaded):
         low, high = np.quantile(np.concatenate([self.base_draws, self.effect_draws], axis=-1), tails(level), axis=(0, 1))
         return Parameters(found.names, found.labels, found.values, found.std, low, high, found.units, found.classes)
 
-    def _column(self, key: str) -> np.ndarray:
-        return np.array([p[key] for p in self.document["base_parameters"]], float)
-
     def plot_marginals(self, *, ax: Any = None) -> Figure:
         """Draw the posterior of every base parameter; the prior is not in the file."""
         return figures_of(self)["marginals"](ax=ax)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class LoadedBounds(Loaded):
+class LoadedBounds(_Listed):
     """What `bayesid.bounds` found, read back: sets of the parameters of the joint torques, bounds of the workspace."""
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the parameters of the joint torques (k,)."""
-        return tuple(p["name"] for p in self._torques["parameters"])
-
-    @property
-    def values(self) -> np.ndarray:
-        """Their centre (k,)."""
-        return self._column("value")
-
-    @property
-    def std(self) -> np.ndarray:
-        """Their standard deviations (k,); nan where there is none."""
-        return self._column("std")
-
-    @property
-    def low(self) -> np.ndarray:
-        """Lower ends of the box that holds them all at once (k,)."""
-        return self._column("low")
-
-    @property
-    def high(self) -> np.ndarray:
-        """Upper ends of the box that holds them all at once (k,)."""
-        return self._column("high")
 
     @property
     def covariance(self) -> np.ndarray:
@@ -368,11 +342,12 @@ class LoadedBounds(Loaded):
         return DataFrame(self._torques["parameters"])
 
     @property
+    def _entries(self) -> Sequence[Mapping[str, Any]]:
+        return self._torques["parameters"]
+
+    @property
     def _torques(self) -> Mapping[str, Any]:
         return self.document["joint_torques"]
-
-    def _column(self, key: str) -> np.ndarray:
-        return np.array([p[key] for p in self._torques["parameters"]], float)
 
 
 _CLASSES: dict[str, type[Loaded]] = {

@@ -8,7 +8,6 @@ from functools import cached_property
 
 import numpy as np
 
-from bayesid.arguments import argument
 from bayesid.design.tell.evidence import Rival
 from bayesid.diagnosis.candidates import Library, make_library
 from bayesid.diagnosis.data import DiagnosisData
@@ -18,7 +17,6 @@ from bayesid.diagnosis.rows import model_rows
 from bayesid.diagnosis.search import Search
 from bayesid.diagnosis.spectra import Segment
 from bayesid.effects import Effect, Term
-from bayesid.errors import InputError
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,45 +150,9 @@ def _weights(rivals: Sequence[Rival]) -> np.ndarray:
 
 
 def parse_effects(data: DiagnosisData, specs: Sequence[str]) -> tuple[Effect, ...]:
-    """Effects to be told apart from their names.
-
-    Parameters
-    ----------
-    data
-        The robot, its channels and the user's model.
-    specs
-        ``name@where``, or ``name`` alone where there is one place; at least two.
-
-    Raises
-    ------
-    InputError
-        Fewer than two, an unknown name or place, several places, or an effect that is in the model or acts on no reading.
-    """
-    experiment = data.experiment
-    out: list[Effect] = []
-    for spec in specs:
-        found = experiment.library.parse([spec], experiment.robot.joint_names, data.channels.names, experiment.gear_ratio)
-        if not found:
-            raise InputError(
-                f"{argument('tell', spec)}: acts on no reading of {argument('channel', data.channel)}; name another or choose "
-                "its channel"
-            )
-        if len(found) > 1:
-            places = ", ".join([e.spec for e in found][:3])
-            raise InputError(f"{argument('tell', spec)}: could be at {len(found)} places; name one, as in {places}")
-        effect = next(iter(found))
-        if any(t.effect == effect for t in data.terms):
-            raise InputError(
-                f"{argument('tell', spec)}: is in the model already; take it out of [model] effects to tell it from others"
-            )
-        if effect not in out:
-            out.append(effect)
-    if len(out) < 2:
-        raise InputError(
-            f"{argument('tell', specs)}: give at least two different effects, as in "
-            f"{argument('tell', ('sensor_delay', 'base_tilt'))}"
-        )
-    return tuple(out)
+    """Effects to be told apart from their names, as in `bayesid.effects.EffectLibrary.parse_rivals`."""
+    e, known = data.experiment, [t.effect.spec for t in data.terms]
+    return e.library.parse_rivals(specs, known, e.robot.joint_names, data.channels.names, e.gear_ratio, data.channel)
 
 
 def from_effects(data: DiagnosisData, effects: Sequence[Effect]) -> tuple[Case, ...]:
