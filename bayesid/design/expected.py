@@ -31,8 +31,6 @@ from bayesid.regression.structure import model_structure
 from bayesid.signals.noise import NoiseModel
 from bayesid.simulation.trajectories import Trajectory
 
-_PANEL = 2048  # samples predicted at once
-
 
 @dataclass(frozen=True, repr=False, eq=False)
 class Expected:
@@ -103,27 +101,6 @@ class Expected:
         effects = self.factor[:, self.base.rank :]
         there = np.linalg.norm(effects, axis=0) > 1e-13 * np.linalg.norm(self.factor, axis=0).max(initial=0.0)
         return orthonormal(effects[:, there if estimated is None else there & estimated])
-
-    def prediction_std(self, trajectory: Trajectory) -> np.ndarray:
-        """Standard deviation of what would be predicted for another motion (N, c), from the parameters' alone.
-
-        Parameters
-        ----------
-        trajectory
-            Its states; directions that these motions do not determine count as known, see ``hidden``.
-        """
-        assert self.row_model is not None
-        gravity = any(s.gravity for s in self.segments)
-        segment = planned_segment(trajectory, len(self.row_model.channels), 0, gravity=gravity, offset=self._offset)
-        parts = []
-        for a in range(0, len(trajectory.times), _PANEL):
-            rows = self.row_model.samples(segment, a, min(a + _PANEL, len(trajectory.times)))
-            parts.append(np.linalg.norm(rows[:, :, :-1] @ self.inverse, axis=2))
-        return np.concatenate(parts)
-
-    @property
-    def _offset(self) -> bool:
-        return any(s.offset for s in self.segments)
 
 
 def expect(

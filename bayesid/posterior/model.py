@@ -7,7 +7,7 @@ parameters are ``b = K phi`` throughout.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -90,10 +90,6 @@ class PosteriorModel:
         )  # fmt: skip
         model.require_proper()
         return model
-
-    def with_likelihood(self, likelihood: Likelihood) -> PosteriorModel:
-        """The same model of other data."""
-        return replace(self, likelihood=likelihood)
 
     def require_proper(self) -> None:
         """Refuse a posterior that is flat in some direction for ever.

@@ -27,6 +27,8 @@ DEGREE = 5
 _ORDER = DEGREE + 1
 #: Knots that a piece is widened by on each side: 0.43**28 < 1e-10, of ends that are loose.
 OVERLAP = 28
+#: Bandwidths searched [Hz]; also kept below a fifth of the sampling rate.
+_SEARCHED = 1.0, 20.0
 
 
 def _basis_polynomials() -> np.ndarray:
@@ -139,8 +141,6 @@ def choose_smoother(
     pieces: Sequence[Piece],
     resolution: float | None = None,
     noise: float | None = None,
-    lowest: float = 1.0,
-    highest: float = 20.0,
     each: Callable[[Callable, Iterable], Iterable] = map,
 ) -> Smoother:
     """Choose the bandwidth from the data by generalised cross-validation [Craven1979]_.
@@ -151,8 +151,6 @@ def choose_smoother(
         Gap-free segments (times (N,), positions (N, n)); long recordings may be sampled.
     resolution, noise
         Encoder count and random noise, if known [rad or m]: the error is then not taken smaller.
-    lowest, highest
-        Range searched [Hz]; also kept below a fifth of the sampling rate.
     each
         Calls a function with every item of a sequence, in order: ``map``, or one that uses more cores.
 
@@ -162,7 +160,7 @@ def choose_smoother(
     that is a little too stiff to one that is too loose only in position; accelerations weigh the bias more, so
     the smallest bandwidth within 2 % of the best score is widened by a quarter.
     """
-    (chosen,) = choose_smoothers(pieces, [range(len(pieces))], resolution, noise, lowest, highest, each)
+    (chosen,) = choose_smoothers(pieces, [range(len(pieces))], resolution, noise, each)
     return chosen
 
 
@@ -171,8 +169,6 @@ def choose_smoothers(
     groups: Sequence[Sequence[int]],
     resolution: float | None = None,
     noise: float | None = None,
-    lowest: float = 1.0,
-    highest: float = 20.0,
     each: Callable[[Callable, Iterable], Iterable] = map,
 ) -> list[Smoother]:
     """`choose_smoother` for groups of pieces; a piece of several groups is fitted once.
@@ -183,10 +179,10 @@ def choose_smoothers(
         Gap-free segments (times (N,), positions (N, n)).
     groups
         Indices of each group's pieces.
-    resolution, noise, lowest, highest, each
+    resolution, noise, each
         As for one group.
     """
-    tried = [_candidates([pieces[k][0] for k in group], lowest, highest) for group in groups]
+    tried = [_candidates([pieces[k][0] for k in group]) for group in groups]
     centred = [(kernel_input(times), kernel_input(positions - positions.mean(axis=0))) for times, positions in pieces]
     wanted: dict[float, dict[int, None]] = {}
     for group, bandwidths in zip(groups, tried, strict=True):
@@ -200,11 +196,11 @@ def choose_smoothers(
     ]
 
 
-def _candidates(times: Sequence[np.ndarray], lowest: float, highest: float) -> list[float]:
+def _candidates(times: Sequence[np.ndarray]) -> list[float]:
     """Bandwidths to try [Hz]."""
     rate = float(np.median([1.0 / np.median(np.diff(t)) for t in times]))
-    highest = min(highest, 0.2 * rate)
-    lowest = min(max(lowest, 2.0 / max(sum(t[-1] - t[0] for t in times), 1e-9)), highest)
+    highest = min(_SEARCHED[1], 0.2 * rate)
+    lowest = min(max(_SEARCHED[0], 2.0 / max(sum(t[-1] - t[0] for t in times), 1e-9)), highest)
     return np.geomspace(lowest, highest, 16).tolist()
 
 

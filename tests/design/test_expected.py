@@ -13,7 +13,6 @@ from bayesid.recordings.experiment import Motion
 from bayesid.recordings.table import Table
 from bayesid.regression.rows import make_blocks
 from bayesid.signals.noise import NoiseModel
-from bayesid.simulation.trajectories import Trajectory
 from tests.design.plant import readings, recorded
 from tests.studies.coverage_case import ARMS
 from tests.studies.expected import GIVEN, STD, monte_carlo, planned
@@ -88,18 +87,6 @@ def test_a_recordings_own_noise_gives_what_identify_states(tmp_path):
     white = {g: NoiseModel.stated(m.std) for g, m in noise.of(sensor_set).items()}
     plain, _ = expected_factors(lambda: make_blocks(expected.row_model, expected.segments), white)
     assert np.median(expected.std / np.sqrt(np.diag(np.linalg.inv(plain.T @ plain)))) > 1.2  # colour matters here
-
-
-def test_predictions_scatter_as_expected(tmp_path):
-    bare, motion, sensor_set = planned("puma", tmp_path)
-    expected = expect(bare, sensor_set, white_noise(bare.robot, GIVEN), [motion])
-    times = np.arange(60) / 30.0
-    q = 0.7 * np.sin(3.0 * times)[:, None] * [1.0, -0.6]
-    other = Trajectory("other", "validation", times, q, np.gradient(q, times, axis=0), -9.0 * q)
-    states, kept = (q, other.velocities, other.accelerations), expected.base.independent
-    x = dynamics_regressor(bare.robot, expected.row_model.channels, *states, kept, gravity=False)
-    draws = np.random.default_rng(0).multivariate_normal(np.zeros(12), expected.covariance, 4000)
-    np.testing.assert_allclose(expected.prediction_std(other), np.std(x @ draws.T, axis=2), rtol=0.08, atol=1e-9)
 
 
 def test_effects_in_the_model_count_and_poses_alone_have_their_own_structure(tmp_path):

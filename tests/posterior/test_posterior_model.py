@@ -215,7 +215,7 @@ def test_what_a_flat_prior_leaves_open_is_refused():
     factors = lost.likelihood.factors.copy()
     factors[:, :, lost.base.rank] = 0.0
     with pytest.raises(InputError, match="say nothing about e0"):
-        lost.with_likelihood(replace(lost.likelihood, factors=factors)).require_proper()
+        replace(lost, likelihood=replace(lost.likelihood, factors=factors)).require_proper()
     blind = replace(lost, prior=None, effect_std=np.ones(1), likelihood=replace(lost.likelihood, factors=0 * factors))
     with pytest.raises(InputError, match="say nothing about"):
         blind.require_proper()

@@ -39,6 +39,8 @@ from bayesid.tasks import map_tasks, on_cluster
 #: What is left of every limit for what lies between samples of torques, wrenches and distances.
 GUARD = 1e-3
 _HALVINGS, _COARSE = 14, 250
+#: Motions drawn until one is within the limits.
+_TRIES = 50
 #: Smallest step by which a motion that fits coarse samples is made to fit fine ones.
 _SHRINK = 0.002
 #: A motion that must shrink to less than this share of what its joints could do goes round something: another is better.
@@ -99,11 +101,9 @@ def random_series(coordinates: Coordinates, limits: Limits, rng: np.random.Gener
     return series.scaled(share)
 
 
-def random_feasible(
-    coordinates: Coordinates, limits: Limits, rng: np.random.Generator, samples: int, tries: int = 50
-) -> FourierSeries | None:
+def random_feasible(coordinates: Coordinates, limits: Limits, rng: np.random.Generator, samples: int) -> FourierSeries | None:
     """A random motion within all limits, scaled as large as they allow; None where none was found in so many tries."""
-    for _ in range(tries):
+    for _ in range(_TRIES):
         found = scaled_to_fit(random_series(coordinates, limits, rng), limits, samples)
         if found is not None:
             return found

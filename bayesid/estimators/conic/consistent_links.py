@@ -94,9 +94,7 @@ class ConsistentLinks:
     conflicts: tuple[tuple[str, float], ...]
 
 
-def consistent_links(
-    regression: Regression, estimate: Estimate, nominal: np.ndarray, *, scaled: bool = False, confidence: float = LEVEL
-) -> ConsistentLinks:
+def consistent_links(regression: Regression, estimate: Estimate, nominal: np.ndarray, *, scaled: bool = False) -> ConsistentLinks:
     """Possible links nearest to nominal ones within the uncertainty of an estimate.
 
     Parameters
@@ -107,8 +105,6 @@ def consistent_links(
         Ten parameters a body (b, 10); a body without mass counts as a ball of 1 g and 1 cm.
     scaled
         Whether ``nominal`` is a guess of shapes, whose density the estimate is asked for.
-    confidence
-        Of the base parameters' ellipsoid.
 
     Raises
     ------
@@ -119,7 +115,7 @@ def consistent_links(
     bodies = regression.knowledge.bodies
     names = tuple(base.parameter_names[body[0]].rsplit(".", 1)[0] for body in bodies)
     kept, root = _inverse_root(regression, estimate)
-    radius = float(chi2.ppf(confidence, max(len(kept), 1)))
+    radius = float(chi2.ppf(LEVEL, max(len(kept), 1)))
     spread = np.zeros((len(kept), len(estimate.solution)))
     spread[:, kept] = root
     change = _prediction_root(regression, estimate)
