@@ -34,10 +34,10 @@ def say(result: object, numbered: Sequence[str] | None = None) -> None:
     if not sys.stdout.isatty():
         click.echo(text)
         return
-    told = getattr(result, "warnings", None) if numbered is None else numbered
+    listed = getattr(result, "warnings", None) if numbered is None else numbered
     width = min(shutil.get_terminal_size().columns, _WIDEST)
     colour = colours(sys.stdout)
-    click.echo(laid_out(text, width, told, colour=colour), color=colour)
+    click.echo(laid_out(text, width, listed, colour=colour), color=colour)
 
 
 def colours(stream: TextIO) -> bool:

@@ -107,8 +107,8 @@ def run(arguments: Sequence[str]) -> int:
     except click.exceptions.Exit as done:  # --help, --version
         return done.exit_code
     except MemoryError as error:
-        told = f" ({error})" if str(error) else ""
-        return telling.fail(f"out of memory{told}; fit fewer motions (--motions), or record at a lower rate", 1)
+        detail = f" ({error})" if str(error) else ""
+        return telling.fail(f"out of memory{detail}; fit fewer motions (--motions), or record at a lower rate", 1)
     except Exception as error:  # whatever else there is, a user gets one line
         return telling.fail(_fault(error), 1)
     return 0

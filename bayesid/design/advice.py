@@ -150,13 +150,13 @@ def _effects(reports: Sequence[SetReport], main: SetReport) -> list[Advice]:
 def _sensors(reports: Sequence[SetReport], main: SetReport) -> list[Advice]:
     """What other sensors would show with the richest motion, each gain once."""
     own = main.richest
-    out, told = [], {0}
+    out, gains = [], {0}
     for r in reports:
         if own is None or r.richest is None:
             continue
         gain = int(np.linalg.matrix_rank(np.vstack([own.matrix, r.richest.matrix]), tol=1e-6)) - own.rank
-        if gain not in told:
-            told.add(gain)
+        if gain not in gains:
+            gains.add(gain)
             there = "" if r.recorded else ", if read,"
             text = f"{_sentence(r.sensor_set.title)}{there} would show {gain} more: {listed(unseen(r.richest, own))}."
             out.append(Advice("sensor", text, gain))

@@ -20,7 +20,7 @@ from bayesid.effects import Term
 from bayesid.estimators.prior_check import CONFLICT
 
 #: Share of a direction's prior variance that the data must explain for it to count.
-_TOLD = 0.01
+_CLEAR = 0.01
 
 
 def by_kind(terms: Iterable[Term]) -> list[str]:
@@ -157,17 +157,17 @@ def _of_the_links(search: Search) -> list[str]:
         return []
     half = np.linalg.inv(search.projector.r)
     scatter, axes = np.linalg.eigh(np.eye(count) - (half @ half.T)[:count, :count])
-    told = scatter > _TOLD
-    distance = np.sum((axes[:, told].T @ search.best.coordinates[:count]) ** 2 / scatter[told])
-    chance = chi2.sf(distance, told.sum())
-    if not told.any() or chance > CONFLICT:
+    clear = scatter > _CLEAR
+    distance = np.sum((axes[:, clear].T @ search.best.coordinates[:count]) ** 2 / scatter[clear])
+    chance = chi2.sf(distance, clear.sum())
+    if not clear.any() or chance > CONFLICT:
         return []
     away = search.best.links - data.prior.mean
     masses = away[::10] / np.sqrt(np.diag(data.prior.covariance)[::10])
     k = int(np.argmax(np.abs(masses)))
     return [
         f"The links lie further from the nominal ones than inertia_rel_std = {data.experiment.inertia_rel_std:g} allows: squared "
-        f"distance {distance:.3g} where about {told.sum()} is expected (probability {chance:.1g}). Of the masses it is most in "
+        f"distance {distance:.3g} where about {clear.sum()} is expected (probability {chance:.1g}). Of the masses it is most in "
         f"that of {data.robot.body_names[k]}, {search.best.links[10 * k]:.3g} kg, nominally {data.prior.mean[10 * k]:.3g}. A "
         "body that hangs there, a wrong URDF or too much trust: too little to name one of them, for a link has ten numbers."
     ]

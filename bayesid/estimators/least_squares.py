@@ -75,8 +75,8 @@ class LeastSquares:
         middle = covariance_middle(regression, weights, scale, factor)
         covariance = bread if middle is None else bread @ middle @ bread
         estimate = make_estimate(self.name, regression, weights, factor, solution, covariance, hidden)
-        told = () if kind == self.weights else (CHANNEL_INSTEAD.format(self.name),)
-        return replace(estimate, details=LeastSquaresDetails(**completeness(weights), weights=kind, warnings=told))
+        warnings = () if kind == self.weights else (CHANNEL_INSTEAD.format(self.name),)
+        return replace(estimate, details=LeastSquaresDetails(**completeness(weights), weights=kind, warnings=warnings))
 
 
 @dataclass(frozen=True, kw_only=True)

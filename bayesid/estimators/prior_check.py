@@ -189,8 +189,8 @@ def compared(
     size = or_one(standard_deviations(total))
     z = difference / size
     spreads, directions = np.linalg.eigh(total / np.outer(size, size))
-    told = spreads > 1e-12 * spreads[-1]  # in other directions, neither says anything
-    white = (directions[:, told] / np.sqrt(spreads[told])).T
+    informed = spreads > 1e-12 * spreads[-1]  # in other directions, neither says anything
+    white = (directions[:, informed] / np.sqrt(spreads[informed])).T
     squared = float(np.sum((white @ z) ** 2))
     probability = float(chi2.sf(squared, len(white)))
     widening = 1.0

@@ -356,8 +356,8 @@ class Posterior(Plots, HasParameters):
 
     def _repr_html_(self) -> str:
         """The same as an HTML table for notebooks."""
-        told = "".join(f"<p>{escape(text)}</p>" for text in conflicts(self.prior_check))
-        return told + self.parameters().to_html("posterior")
+        warned = "".join(f"<p>{escape(text)}</p>" for text in conflicts(self.prior_check))
+        return warned + self.parameters().to_html("posterior")
 
 
 def _summaries(names, draws: np.ndarray, share: np.ndarray | None = None) -> list[dict[str, Any]]:

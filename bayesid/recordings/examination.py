@@ -220,7 +220,7 @@ def unwrapped(table: Table, robot: Robot, kind: str) -> tuple[Table, str | None]
 
     Returns
     -------
-    table, told
+    table, notes
         The same table and None where there was nothing to undo.
     """
     positions, wrapped, shifted = np.array(table.positions), {}, []
@@ -246,11 +246,11 @@ def unwrapped(table: Table, robot: Robot, kind: str) -> tuple[Table, str | None]
     place = f"{table.source}: column{'s' * (len(joints) > 1)} {columns}: {names}"
     if wrapped:
         first = min(wrapped.values())
-        told = f"{place}: angles wrap at a full turn, the first at {first:.6g} s; unwrapped"
-        told += f", {listed([f'q{j + 1}' for j in shifted])} by whole turns into the limits" if shifted else ""
+        notes = f"{place}: angles wrap at a full turn, the first at {first:.6g} s; unwrapped"
+        notes += f", {listed([f'q{j + 1}' for j in shifted])} by whole turns into the limits" if shifted else ""
     else:
-        told = f"{place}: whole turns outside the limits of {robot.urdf.name}; taken off"
-    return replace(table, positions=positions, commanded=commanded), f"{told}: the same poses"
+        notes = f"{place}: whole turns outside the limits of {robot.urdf.name}; taken off"
+    return replace(table, positions=positions, commanded=commanded), f"{notes}: the same poses"
 
 
 def _wraps(times: np.ndarray, q: np.ndarray, step: float) -> np.ndarray:
@@ -314,12 +314,12 @@ def examine(motion: Motion, robot: Robot, resolution: float | None, place: str) 
         What is recorded cannot be right.
     """
     findings, doubts = [], []
-    table, told = unwrapped(motion.table, robot, motion.kind)
+    table, notes = unwrapped(motion.table, robot, motion.kind)
     static, moved = motion.static, None
     if static is not None:
         # Row by row the motion's own positions, each turned as there; else poses that do not follow each other.
         static, moved = unwrapped(static, robot, motion.kind if motion.stop_and_go else "poses")
-    certain = [*motion.table.told, told, *(motion.static.told if motion.static else ()), moved]
+    certain = [*motion.table.notes, notes, *(motion.static.notes if motion.static else ()), moved]
     findings += [Finding(text) for text in certain if text]
     if motion.stored is not None:
         findings.append(_in_chunks(motion))

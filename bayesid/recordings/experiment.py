@@ -321,10 +321,10 @@ class Experiment(Plots):
             for m in self.motions
         )  # fmt: skip
 
-    def told_with(self, told: Iterable[str]) -> tuple[str, ...]:
+    def with_findings(self, notes: Iterable[str]) -> tuple[str, ...]:
         """What is certain about the recordings, then what a verb has to say, then what is doubtful about the recordings."""
         certain = [finding.text for finding in self.findings]
-        return tuple([*certain, *told, *(text for text in self.warnings if text not in certain)])
+        return tuple([*certain, *notes, *(text for text in self.warnings if text not in certain)])
 
     @property
     def identification(self) -> tuple[Motion, ...]:
@@ -497,7 +497,7 @@ def _read_motion(
     has_sensor = setup.sensor is not None
     stored = _stored(folder, section, setup, stated)
     table, warnings = (
-        (stored.excerpt(), [*stored.told]) if stored else _read_table(folder, section.table, section.kind, setup, stated)
+        (stored.excerpt(), [*stored.notes]) if stored else _read_table(folder, section.table, section.kind, setup, stated)
     )
     if not (planned and table.wrench is None and table.torques is None):
         warnings += _check_present(table, has_sensor, arrays=False)

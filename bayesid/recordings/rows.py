@@ -26,7 +26,7 @@ def usable_rows(
 
     Returns
     -------
-    dropped, told
+    dropped, notes
         Indices of the rows to be left out (k,), ascending, and a line for each of the two reasons that there is.
 
     Raises
@@ -47,19 +47,19 @@ def usable_rows(
             empty |= without
     filled = np.flatnonzero(~empty)
     repeats = filled[1:][np.diff(times[filled]) == 0.0]
-    told = []
+    notes = []
     if len(repeats):
         before = float(times[repeats[0]])
         fault, remedy = f"time is repeated, {before:g} after {before:g}", "write times with more digits, or remove those rows"
         _refuse_most(fault, repeats, len(filled), source, "t", place(int(repeats[0])), remedy)
-        told.append(_told("column t", repeats, "at the time of the row before", source, place, times))
+        notes.append(_note("column t", repeats, "at the time of the row before", source, place, times))
     missing = np.flatnonzero(empty)
     if len(missing):
         names = listed(holes)
         remedy = "if topics of different rates were joined, interpolate them at the times of one; else leave the column out"
         _refuse_most("no reading", missing, len(times), source, names, place(int(missing[0])), remedy)
-        told.append(_told(f"column{'s' * (len(holes) > 1)} {names}", missing, "without a reading", source, place, times))
-    return np.union1d(missing, repeats), tuple(told)
+        notes.append(_note(f"column{'s' * (len(holes) > 1)} {names}", missing, "without a reading", source, place, times))
+    return np.union1d(missing, repeats), tuple(notes)
 
 
 def holes_left(dropped: np.ndarray, kept: int) -> np.ndarray:
@@ -68,7 +68,7 @@ def holes_left(dropped: np.ndarray, kept: int) -> np.ndarray:
     return np.diff(rows) > 1
 
 
-def _told(what: str, rows: np.ndarray, fault: str, source: str, place: Callable[[int], str], times: np.ndarray) -> str:
+def _note(what: str, rows: np.ndarray, fault: str, source: str, place: Callable[[int], str], times: np.ndarray) -> str:
     first = int(rows[0])
     at = f", {times[first]:.6g} s" if np.isfinite(times[first]) else ""
     where = f"{'the first: ' if len(rows) > 1 else ''}{place(first)}{at}"

@@ -97,7 +97,7 @@ class StoredTable:
         Time of the last sample [s].
     joints
         How many joints there are.
-    told
+    notes
         What is to be said of the rows that are left out.
     """
 
@@ -110,7 +110,7 @@ class StoredTable:
     step: float
     end: float
     joints: int
-    told: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         """Return the number of samples."""
@@ -270,14 +270,14 @@ def _scanned(layout: _Layout, parts: list[FilePart], joints: int) -> StoredTable
             f"{lost} of {rows} rows have no reading or the time of the row before", file=layout.source, value=lost,
             remedy="if topics of different rates were joined, interpolate them at the times of one; else leave the column out",
         )  # fmt: skip
-    told = ()
+    notes = ()
     if lost:
-        told = (
+        notes = (
             f"{layout.source}: {lost} rows without a reading or with the time of the row before left out, nothing is filled in; "
             "check the logger",
         )
     return StoredTable(
-        layout, tuple(kept), np.array(starts), np.array(begins), dropped, tuple(gaps), step, last.end, joints, told
+        layout, tuple(kept), np.array(starts), np.array(begins), dropped, tuple(gaps), step, last.end, joints, notes
     )
 
 

@@ -39,7 +39,7 @@ class Table:
         Force, then moment about the sensor origin, sensor frame (N, 6) [N, N m], or None.
     source
         The file's name, for messages.
-    dropped, told
+    dropped, notes
         Rows of the recording that were left out on reading, for they had no reading or the time of the row before (k,), and
         what is to be said of that, one line each.
 
@@ -55,7 +55,7 @@ class Table:
     wrench: np.ndarray | None = None
     source: str = "table"
     dropped: np.ndarray = field(default_factory=lambda: np.zeros(0, int), repr=False)
-    told: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Make every array a read-only float64 view, check that they fit together, and leave out rows without a reading."""
@@ -87,11 +87,11 @@ class Table:
             arrays[name] = array
         if "torques" in arrays and np.isnan(arrays["torques"]).all():
             del arrays["torques"]  # of no joint at all
-        dropped, told = usable_rows(arrays["times"], _columns(arrays), self.source, lambda row: f"row {row}")
+        dropped, notes = usable_rows(arrays["times"], _columns(arrays), self.source, lambda row: f"row {row}")
         if len(dropped):
             arrays = {name: np.delete(array, dropped, axis=0) for name, array in arrays.items()}
             object.__setattr__(self, "dropped", dropped)
-            object.__setattr__(self, "told", (*self.told, *told))
+            object.__setattr__(self, "notes", (*self.notes, *notes))
         for name in shapes:
             array = arrays.get(name)
             if array is not None:

@@ -171,7 +171,7 @@ def _assemble(
     times = arrays["t"][:, 0]
     columns = {name: arrays[group][:, k] for group, names in groups.items() for k, name in enumerate(names) if group != "t"}
     columns = {name: values for name, values in columns.items() if name[:3] != "tau" or not np.isnan(values).all()}
-    dropped, told = usable_rows(times, columns, source, place)
+    dropped, notes = usable_rows(times, columns, source, place)
     if len(dropped):
         rows = np.delete(np.arange(len(times)), dropped)
         arrays = {group: np.delete(array, dropped, axis=0) for group, array in arrays.items()}
@@ -191,7 +191,7 @@ def _assemble(
         every = np.full((len(times), joints), np.nan)
         every[:, [int(name[3:]) - 1 for name in groups["torques"]]] = arrays["torques"]
         arrays["torques"] = every
-    return Table(times=times, source=source, dropped=dropped, told=told, **arrays)
+    return Table(times=times, source=source, dropped=dropped, notes=notes, **arrays)
 
 
 def read_header(path: Path, source: str) -> list[str]:

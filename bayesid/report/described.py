@@ -13,7 +13,7 @@ from bayesid.diagnosis.description.columns import SegmentPart, parts_of
 from bayesid.diagnosis.description.describe import Description
 from bayesid.report.figures import MEASURED, PREDICTED, add_legend, make_grid, styled
 from bayesid.report.page import svg
-from bayesid.results.described import not_told_from, shares, terms_of, use_line
+from bayesid.results.described import not_distinguished, shares, terms_of, use_line
 from bayesid.results.text import percent
 
 #: Points drawn of a recording.
@@ -51,7 +51,7 @@ def described_section(data: DiagnosisData, description: Description) -> dict[str
         {
             "formula": ", ".join(c.candidate.shape.texts),
             "share": percent(min(c.share, 1.0)), "low": percent(min(c.share_low, 1.0)),
-            "causes": list(causes), "others": (others := not_told_from(c))[:_LISTED], "more": max(len(others) - _LISTED, 0),
+            "causes": list(causes), "others": (others := not_distinguished(c))[:_LISTED], "more": max(len(others) - _LISTED, 0),
         }
         for c, causes in zip(d.terms, d.causes, strict=True)
     ]  # fmt: skip

@@ -484,12 +484,12 @@ def _seen(views: Views) -> list[dict[str, str]]:
     rows = []
     for (name, unit), members in groups.items():
         best, worst = (pick(members, key=lambda v: np.inf if v.seen is None else v.seen) for pick in (min, max))
-        told = [v.named for v in members if v.named is not None]
+        ends = [v.named for v in members if v.named is not None]
         sizes = [v.usual for v in members]
         rows.append({
             "name": name, "summary": best.effect.summary, "parameter": best.effect.parameters[best.parameter], "unit": unit,
             "best": _at(best.seen, best, members), "worst": _at(worst.seen, worst, members) if len(members) > 1 else "",
-            "named": "never" if not told else _span(min(told), max(told)) + ("" if len(told) == len(members) else ", or never"),
+            "named": "never" if not ends else _span(min(ends), max(ends)) + ("" if len(ends) == len(members) else ", or never"),
             "usual": _span(min(sizes), max(sizes)),
         })  # fmt: skip
     return rows

@@ -113,7 +113,7 @@ def motion_plot(telling: Telling) -> Markup:
     return motion(telling.trajectory.times, telling_panels(telling))
 
 
-def told_report(result: DistinguishingMotion) -> str:
+def distinguishing_report(result: DistinguishingMotion) -> str:
     """The report of ``excite --tell``: an HTML page with all figures inside."""
     t = result.telling
     return render(

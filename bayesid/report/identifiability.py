@@ -15,16 +15,16 @@ from bayesid.design.visibility import ALONE, COMBINATION, EFFECT, LETTERS, NEVER
 from bayesid.report.figures import CLASSES, GREY, add_legend, make_grid, plain_log, styled
 from bayesid.report.page import render, run_times, svg, versions
 from bayesid.results.identifiability import (
-    TOLD_HEAD,
+    PAIR_HEAD,
     Identifiability,
     counts,
     effect_lines,
     lead,
     own_std,
+    pair_rows,
     share,
     sources,
     spread,
-    told,
 )
 from bayesid.results.text import DASH, number, percent
 
@@ -153,8 +153,8 @@ def identifiability_report(result: Identifiability) -> str:
         prior=any(b.prior_share is not None for b in main.base_parameters),
         unexcited=main.unexcited,
         effects=[{"name": n, "text": t} for n, t in effect_lines(main)],
-        told=told(result) if result.separations else [],
-        told_head=TOLD_HEAD,
+        pair_rows=pair_rows(result) if result.separations else [],
+        pair_head=PAIR_HEAD,
         how=_how(result),
     )
 

@@ -45,10 +45,10 @@ def _card(name: str, q: Quantity, scale: float, unit: str) -> dict[str, str]:
 def payload_figure(result: PayloadEstimate, ax: Any = None) -> Figure:
     """Mass [kg] and centre of mass [mm] with their 95 % intervals, a panel each, beside those without the effects found."""
     figure, axes = make_grid(1, 4, 1.5, gap=0.55, ax=ax)
-    told = [(result.quantities[:4], CLASSES["alone"], "told", 0.0)]
+    series = [(result.quantities[:4], CLASSES["alone"], "told", 0.0)]
     if any(e.in_model for e in result.effects):
-        told.append((result.plain, GREY, "without the effects found", 1.0))
-    for quantities, colour, label, x in told:
+        series.append((result.plain, GREY, "without the effects found", 1.0))
+    for quantities, colour, label, x in series:
         for panel, q, scale in zip(axes[0], quantities, (1.0, 1e3, 1e3, 1e3), strict=True):
             value, low, high = (scale * getattr(q, k) if q.shown else np.nan for k in ("value", "low", "high"))
             ends = [[max(value - low, 0.0)], [max(high - value, 0.0)]]

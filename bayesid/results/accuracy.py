@@ -292,7 +292,7 @@ def sensor_rows(sensors: SensorChoice) -> list[list[str]]:
     bodies = list(dict.fromkeys(body for o in outlooks for body in o.left))
     return [
         ["combinations determined", *(str(o.determined.base.rank) for o in outlooks)],
-        ["better than beforehand", *(str(o.told) for o in outlooks)],
+        ["better than beforehand", *(str(o.better_than_prior) for o in outlooks)],
         *([f"left of {b}", *(percent(o.left[b], 2) if b in o.left else DASH for o in outlooks)] for b in bodies),
         ["range used", *(_range_used(o) for o in outlooks)],
     ]

@@ -397,10 +397,10 @@ class ControllerBounds(Result):
 
     def _repr_html_(self) -> str:
         """The same for notebooks."""
-        told = "".join(f"<p>{escape(w)}</p>" for w in self.warnings)
+        warned = "".join(f"<p>{escape(w)}</p>" for w in self.warnings)
         plain = [[name, text] for name, text in facts(self.region, self.effort_ratio, self.workspace, self.remainder)]
         tables = [html_table([self._title(), ""], plain), html_table(*joints(self.workspace, self.inside))]
-        return told + "".join([*tables, html_table(*trajectories(self._torques()))])
+        return warned + "".join([*tables, html_table(*trajectories(self._torques()))])
 
     @property
     def headline(self) -> str:

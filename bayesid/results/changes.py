@@ -19,7 +19,7 @@ from bayesid.results.files import Result
 from bayesid.results.text import DASH, HALF, channel_text, html_table, interval, number, percent, with_half
 
 #: Kinds of changes whose smallest visible size is told where nothing changed.
-_TOLD = ("payload", "coulomb_friction", "viscous_friction", "torque_gain", "sensor_offset", "sensor_gain")
+_LISTED = ("payload", "coulomb_friction", "viscous_friction", "torque_gain", "sensor_offset", "sensor_gain")
 
 
 SCHEMA = 1
@@ -218,7 +218,7 @@ def gap_sentence(comparison: ReferenceComparison) -> str:
 def hidden_sentences(comparison: ReferenceComparison) -> list[str]:
     """How large a change could hide, a sentence for each kind."""
     out = []
-    for name in _TOLD:
+    for name in _LISTED:
         mine = [h for h in comparison.hidden if h.change.name == name and h.change.where != EVERYWHERE and np.isfinite(h.value)]
         if mine:
             _, unit = mine[0].change.parameters[0]

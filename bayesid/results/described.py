@@ -45,7 +45,7 @@ def shares(description: Description) -> str:
     return f"{closed} of the gap closed on {', '.join(gap.motions)}, at least {low}"
 
 
-def not_told_from(chosen: Chosen) -> list[str]:
+def not_distinguished(chosen: Chosen) -> list[str]:
     """Effects of the library and other formulas that do as well on the other half."""
     effects = [effect.spec for effect, _ in chosen.library]
     return [*effects, *(" and ".join(c.shape.texts) for c, _ in chosen.alike)]
@@ -66,7 +66,7 @@ def described_lines(description: Description, names: tuple[str, ...]) -> list[st
     for chosen, causes in zip(d.terms, d.causes, strict=True):
         text = chosen.candidate.shape.texts[0]
         lines.append(f"  {text} may be: {'; or '.join(causes)}")
-        if others := not_told_from(chosen):
+        if others := not_distinguished(chosen):
             more = f" and {len(others) - _LISTED} more" if len(others) > _LISTED else ""
             lines.append(f"  {text} cannot be told from: {', '.join(others[:_LISTED])}{more}")
     lines.append(f"  use it: {use_line(d)}")
@@ -97,7 +97,7 @@ def description_dict(description: Description, names: tuple[str, ...]) -> dict[s
             {
                 "formulas": list(c.candidate.shape.texts), "readings": [names[k] for k in c.candidate.channels],
                 "log_evidence": c.evidence, "closed_on_the_other_half": c.share, "closed_low": c.share_low,
-                "may_be": list(causes), "not_told_from": not_told_from(c),
+                "may_be": list(causes), "not_told_from": not_distinguished(c),
             }
             for c, causes in zip(d.terms, d.causes, strict=True)
         ],

@@ -55,8 +55,8 @@ class Exported(Result):
         lines += [f"  {form}: {text}" for form, text in self.about.items()]
         for form, values in self.left_out.items():
             count = Counter(name.partition("@")[0] for name in values)
-            told = ", ".join(f"{name} ({number})" for name, number in count.items())
-            lines += [f"  not in {form}: {told}; values in export.json"] if told else []
+            left_out = ", ".join(f"{name} ({number})" for name, number in count.items())
+            lines += [f"  not in {form}: {left_out}; values in export.json"] if left_out else []
         return "\n".join([*lines, *(f"  warning: {text}" for text in self.warnings)])
 
     def to_dict(self) -> dict[str, Any]:

@@ -27,7 +27,7 @@ _NAMED = 12
 #: Larger shares of a usual size are no size that an effect has.
 _HUGE = 1e3
 _HEAD = ["readings", "rank", "of any motion", "better than size", "condition", "noise from"]
-TOLD_HEAD = ["readings", "true", "other", "seen alone", "left", "probability", "told from"]
+PAIR_HEAD = ["readings", "true", "other", "seen alone", "left", "probability", "told from"]
 SCHEMA = 1
 
 
@@ -233,7 +233,7 @@ def effect_lines(report: SetReport) -> list[tuple[str, str]]:
     return lines
 
 
-def told(result: Identifiability) -> list[list[str]]:
+def pair_rows(result: Identifiability) -> list[list[str]]:
     """How well effects are told apart: a row for each sensor set, true effect and other one; squared standard deviations."""
     rows = []
     for report in result.sensor_sets:
@@ -279,7 +279,7 @@ def as_text(result: Identifiability) -> str:
     lines += [f"  - {a.text}" for a in result.advice]
     if result.separations:
         lines.append("Telling effects apart, each at its usual size; told from: share of that size that is enough:")
-        lines += [f"  {line}" for line in text_table(TOLD_HEAD, told(result))]
+        lines += [f"  {line}" for line in text_table(PAIR_HEAD, pair_rows(result))]
     lines += [f"  warning: {w}" for w in result.warnings]
     return "\n".join(lines)
 

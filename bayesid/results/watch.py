@@ -81,13 +81,13 @@ class Watched:
         if self.comparison is None:
             return [self.name, self.words, self.complaint, DASH, DASH]
         noise = number(self.times_noise, 3) if np.isfinite(self.times_noise) else DASH
-        return [self.name, self.words, "; ".join(map(_told, self.changes)) or DASH, number(self.gap, 3), noise]
+        return [self.name, self.words, "; ".join(map(_change_text, self.changes)) or DASH, number(self.gap, 3), noise]
 
     def __str__(self) -> str:
         """One line."""
-        told = self.complaint or "; ".join(map(_told, self.changes))
+        said = self.complaint or "; ".join(map(_change_text, self.changes))
         gap = "" if self.comparison is None else f" (residual {number(self.gap, 3)} times that of its own fit)"
-        return f"{self.name}: {self.words}{f': {told}' if told else ''}{gap}"
+        return f"{self.name}: {self.words}{f': {said}' if said else ''}{gap}"
 
     def to_dict(self) -> dict[str, Any]:
         """An entry of ``watch.json``."""
@@ -180,7 +180,7 @@ class Watch(Result):
         }  # fmt: skip
 
 
-def _told(x: NamedChange) -> str:
+def _change_text(x: NamedChange) -> str:
     """``payload@joint6 m 2.78 ± 0.22 kg``."""
     name, text, half, _, unit = value_text(x.values[0])
     return f"{x.change.spec} {name} {text}{'' if half == DASH else f' ± {half}'} {unit}".rstrip()

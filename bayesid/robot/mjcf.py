@@ -37,7 +37,7 @@ class MjcfRobot:
     inside
         What each joint has inside, by joint and kind: ``damping`` [N m s/rad], ``frictionloss`` [N m], ``armature`` [kg m^2],
         ``stiffness`` [N m/rad] and ``springref`` [rad], or those of a slide; kinds that are zero are left out.
-    told
+    notes
         What of the file the robot does not have, one line each.
     model
         MuJoCo's own.
@@ -45,7 +45,7 @@ class MjcfRobot:
 
     root: ET.Element
     inside: dict[str, dict[str, float]]
-    told: tuple[str, ...]
+    notes: tuple[str, ...]
     model: Any
 
     def check(self, urdf: str, source: str) -> None:
@@ -102,7 +102,7 @@ def read_mjcf(path: Path) -> MjcfRobot:
     _check_tree(mujoco, model, path.name)
     names = [model.joint(j).name or f"{model.body(model.jnt_bodyid[j]).name or 'body'}_joint{j}" for j in range(model.njnt)]
     root = _as_urdf(mujoco, model, names, str(spec.modelname))
-    return MjcfRobot(root, _inside(mujoco, model, names), tuple(_told(mujoco, model, names, path.name)), model)
+    return MjcfRobot(root, _inside(mujoco, model, names), tuple(_notes(mujoco, model, names, path.name)), model)
 
 
 def compare(
@@ -318,7 +318,7 @@ def _inside(mujoco: Any, model: Any, names: Sequence[str]) -> dict[str, dict[str
     return out
 
 
-def _told(mujoco: Any, model: Any, names: Sequence[str], source: str) -> list[str]:
+def _notes(mujoco: Any, model: Any, names: Sequence[str], source: str) -> list[str]:
     """What is lost, one line each."""
     out = []
     if not np.allclose(model.opt.gravity, _EARTH, atol=1e-3):

@@ -202,7 +202,7 @@ def read_urdf(given: str | Path, folder: Path | None = None) -> UrdfFile:
     root = parse_xml(data, path.name)
     if root.tag == "mujoco":
         robot = read_mjcf(path)
-        file = _checked(ET.tostring(robot.root), path, robot.told, robot.inside)
+        file = _checked(ET.tostring(robot.root), path, robot.notes, robot.inside)
         robot.check(file.for_pinocchio(), path.name)
         return file
     if source.arguments or any(_is_macro(element) for element in root.iter()):
@@ -210,7 +210,7 @@ def read_urdf(given: str | Path, folder: Path | None = None) -> UrdfFile:
     return _checked(data, path)
 
 
-def _checked(data: bytes, path: Path, told: tuple[str, ...] = (), inside: dict | None = None) -> UrdfFile:
+def _checked(data: bytes, path: Path, notes: tuple[str, ...] = (), inside: dict | None = None) -> UrdfFile:
     source = path.name
     root = parse_xml(data, source)
     _check_namespaces(root, source)
@@ -222,7 +222,7 @@ def _checked(data: bytes, path: Path, told: tuple[str, ...] = (), inside: dict |
         _check_numbers(element, known[str(element.get("name"))], source)
     root_link = _check_tree(links, known, source)
     bodies = {name: _body(element, source) for name, element in links.items()}
-    return UrdfFile(path, data, known, (*told, *_doubts(bodies, root_link, source)), inside or {})
+    return UrdfFile(path, data, known, (*notes, *_doubts(bodies, root_link, source)), inside or {})
 
 
 def _plain(element: ET.Element) -> dict[str, str]:

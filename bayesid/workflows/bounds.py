@@ -224,7 +224,7 @@ def bounds(
     planned = _planned(trajectory, source.robot if isinstance(source, Experiment) else source.problem.experiment.robot)
     if run is not None and isinstance(source, Experiment):
         with one_blas_thread():
-            known, told = known_from_run(source, Path(run), chosen, prior_std, DRAWS, seed)
+            known, warned = known_from_run(source, Path(run), chosen, prior_std, DRAWS, seed)
     else:
         if isinstance(source, Experiment):
             clock("posterior or estimate")
@@ -232,9 +232,9 @@ def bounds(
         clock("links that can exist")
         with one_blas_thread():
             known = _known(source, prior_std, seed)
-        told = source.warnings
+        warned = source.warnings
     with one_blas_thread():
-        return _bounded(known, told, planned, urdfs, configurations, seed, clock)
+        return _bounded(known, warned, planned, urdfs, configurations, seed, clock)
 
 
 def _fitted(
@@ -275,7 +275,7 @@ def _known(source: ExperimentPosterior | Identification, prior_std: float | None
 
 
 def _bounded(
-    known: Known, told: Sequence[str], planned: Trajectory | None, urdfs: int, configurations: int, seed: int, clock: Clock
+    known: Known, warned: Sequence[str], planned: Trajectory | None, urdfs: int, configurations: int, seed: int, clock: Clock
 ) -> ControllerBounds:
     problem, experiment = known.problem, known.problem.experiment
     if urdfs > len(known.links.links):
@@ -317,7 +317,7 @@ def _bounded(
         seconds=clock.stop(), seed=seed,
     )  # fmt: skip
     dropped = left_out_effects(known, torque)
-    return replace(result, assumptions=assumptions(result, dropped), warnings=(*warnings(result, dropped), *told))
+    return replace(result, assumptions=assumptions(result, dropped), warnings=(*warnings(result, dropped), *warned))
 
 
 def _effort(model: ReadingModel, seed: int) -> float:

@@ -82,7 +82,7 @@ def check(experiment: Experiment | str | Path, progress: Progress | None = SHOWN
         position_std=position_std,
         mistakes=mistakes,
         left=left,
-        warnings=experiment.told_with([*(m.text for m in mistakes), *warnings]),
+        warnings=experiment.with_findings([*(m.text for m in mistakes), *warnings]),
     )
 
 

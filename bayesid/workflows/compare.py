@@ -277,4 +277,4 @@ def _warnings(
             "something is missing in the model or in the noise, and intervals do not cover it. "
             f"`{call('diagnose')}` looks for it."
         )
-    return tuple(out) if problem is None else problem.experiment.told_with(out)
+    return tuple(out) if problem is None else problem.experiment.with_findings(out)

@@ -89,11 +89,11 @@ def explain(
         found = diagnose(experiment, options=options, seed=seed, settings=settings, progress=None)
     except BayesidError as error:
         return Explained(first, first, warnings=(f"The readings were not searched for anything else: {error}",))
-    told: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
     if found.verdict in ("unknown", "named_in_part"):
         still = all(s.still for s in found.data.segments)
         advice = _POSES if still else found.next_experiment
-        told = (f"Something in the readings stays unexplained: the intervals do not count it. {advice}",)
+        notes = (f"Something in the readings stays unexplained: the intervals do not count it. {advice}",)
 
     def known(effect: Effect) -> bool:  # or estimated anyway
         return part_of_it(effect) or not {effect.spec, effect.name}.isdisjoint(first.problem.effects)
@@ -104,20 +104,20 @@ def explain(
         replace(_effect(f.term, f.std, [t for t, _ in f.rivals]), in_model=not not_modelled(f.term.effect)) for f in beside
     )
     if not terms:
-        return Explained(first, first, (), effects, found, told)
+        return Explained(first, first, (), effects, found, notes)
     clock("fit with it")
     best = _refit(found, options, terms)
     if best is None:
         names = ", ".join(e.spec for e in effects)
-        told = (*told, f"The readings also hold {names}. A fit with it does not converge: the values are without it.")
-        return Explained(first, first, (), tuple(replace(e, in_model=False) for e in effects), found, told)
+        notes = (*notes, f"The readings also hold {names}. A fit with it does not converge: the values are without it.")
+        return Explained(first, first, (), tuple(replace(e, in_model=False) for e in effects), found, notes)
     rivals = []
     for f in beside:
         for rival, _ in f.rivals if f.term in terms else ():
             if not not_modelled(rival.effect):
                 others = [rival if t is f.term else t for t in terms]
                 rivals.append(_refit(found, options, [t for t in others if not known(t.effect)]))
-    return Explained(first, best, tuple(r for r in rivals if r is not None), effects, found, told)
+    return Explained(first, best, tuple(r for r in rivals if r is not None), effects, found, notes)
 
 
 def offset_of(fit: Identification) -> tuple[Quantity, ...]:

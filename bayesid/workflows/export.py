@@ -91,8 +91,8 @@ def export(
         raise InputError(f"{argument('draws', draws)}: is for {argument('to', 'mjcf')} or urdf; the others hold the uncertainty")
     clock = Clock(progress)
     clock("reading")
-    found, told = _found(result)
-    made = _Making(warnings=list(told))
+    found, notes = _found(result)
+    made = _Making(warnings=list(notes))
     for form in dict.fromkeys(forms):
         clock(form)
         FORMS[form](found, made)
@@ -116,11 +116,11 @@ def _found(result: Any) -> tuple[IdentifiedRobot, tuple[str, ...]]:
     if isinstance(result, (str, Path)):
         result = load(result)
     if isinstance(result, Identification):
-        return _of_identification(result), _told(result.urdf.usable)
+        return _of_identification(result), _usable_only(result.urdf.usable)
     if isinstance(result, ExperimentPosterior):
         return _of_posterior(result), ()
     if isinstance(result, LoadedIdentification):
-        return _of_file(result), _told(result.document["identified_urdf"]["usable"])
+        return _of_file(result), _usable_only(result.document["identified_urdf"]["usable"])
     if isinstance(result, LoadedPosterior):
         return _of_draws(result), ()
     raise InputError(
@@ -129,7 +129,7 @@ def _found(result: Any) -> tuple[IdentifiedRobot, tuple[str, ...]]:
     )
 
 
-def _told(usable: bool) -> tuple[str, ...]:
+def _usable_only(usable: bool) -> tuple[str, ...]:
     """That links are no robot that one would build."""
     text = "The links of identified.urdf are no usable result, as the warnings of identify say: do not simulate with them."
     return () if usable else (text,)

@@ -283,4 +283,4 @@ def _warnings(
             "above all the total mass, cannot be identified. Where a scale says the mass, state it "
             f"({argument('bounds', 'FILE')})."
         )
-    return problem.experiment.told_with(out)
+    return problem.experiment.with_findings(out)

@@ -252,7 +252,7 @@ def _weighed(asked: _Asked, body: int) -> _Found:
         body, known, plain, tuple(others), found.effects, found.verdict, offset, more=more,
         sentences=(*sentences, *_beside(found.effects, plain), _COMMON_GAIN),
         warnings=(
-            *impossible_signs(last.estimate, last.problem), *_told(found, plain, known), *contradictions(found.first.agreements)
+            *impossible_signs(last.estimate, last.problem), *_notes(found, plain, known), *contradictions(found.first.agreements)
         ),
     )  # fmt: skip
 
@@ -273,7 +273,7 @@ def _beside_nominal(asked: _Asked, joint: str | None, trust: float) -> _Found:
     return _Found(
         body, known, plain, tuple(others), found.effects, found.verdict, share=share,
         sentences=(says, *_beside(found.effects, plain)),
-        warnings=(*_told(found, plain, known), *contradictions(found.first.agreements)),
+        warnings=(*_notes(found, plain, known), *contradictions(found.first.agreements)),
     )  # fmt: skip
 
 
@@ -290,7 +290,7 @@ def _explained(asked: _Asked, experiment: Experiment, body: int) -> Explained:
     )  # fmt: skip
 
 
-def _told(found: Explained, plain: BodyKnowledge, known: BodyKnowledge) -> list[str]:
+def _notes(found: Explained, plain: BodyKnowledge, known: BodyKnowledge) -> list[str]:
     """What to know of the effects beside the payload."""
     out = list(found.warnings)
     if shifted := [e.spec for e in found.effects if e.name in _ORIGIN]:

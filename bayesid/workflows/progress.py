@@ -83,11 +83,11 @@ class _Display:
         lasting = "ipykernel" in sys.modules or sys.stderr is None or not sys.stderr.isatty()
         self.bar = _tqdm()(desc=self.verb, bar_format="{desc} [{elapsed}]", leave=lasting)
         self.bar.start_t = self.since
-        live, told = "ipykernel" in sys.modules or not lasting, None
+        live, shown = "ipykernel" in sys.modules or not lasting, None
         while True:
-            if live or self.stage != told:
-                told = self.stage
-                self.bar.set_description_str(f"{self.verb}: {told}")
+            if live or self.stage != shown:
+                shown = self.stage
+                self.bar.set_description_str(f"{self.verb}: {shown}")
             if self.done.wait(_REFRESHED):
                 return
 

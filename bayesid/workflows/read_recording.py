@@ -142,17 +142,17 @@ def read_recording(
         (make_recording(one, stated, moving, joints, clock, locked=locked or {}), files) for one, files in [*given, *held_out]
     ]
     joints = _shared_joints([recording for recording, _ in made])
-    told: list[str] = []
-    placed, place_told = _sensor(sensor, [recording for recording, _ in made], file)
-    told += place_told
-    stand, stand_told = _locked([joint for joint in moving if joint not in joints], dict(locked or {}), made)
-    told += stand_told
+    notes: list[str] = []
+    placed, place_notes = _sensor(sensor, [recording for recording, _ in made], file)
+    notes += place_notes
+    stand, stand_notes = _locked([joint for joint in moving if joint not in joints], dict(locked or {}), made)
+    notes += stand_notes
     robot = load_robot(file, list(joints), stand, gravity, None if placed is None else placed.joint)
     doubts = robot_doubts(robot, stand, "")
     effects, values = with_stated_effects(robot)
     if effects:
         kinds = dict.fromkeys(effect.partition("@")[0] for effect in effects)
-        told.append(f"{file.path.name} states {listed(kinds)}: effects of the model, its numbers their starting values")
+        notes.append(f"{file.path.name} states {listed(kinds)}: effects of the model, its numbers their starting values")
     names = _names([recording.source.name for recording, _ in made])
     motions = [
         Motion(label, "identification" if k < len(given) else "validation", recording.table(label))
@@ -161,7 +161,7 @@ def read_recording(
     if hold_out is not None:
         motions = [part for motion in motions for part in _halves(motion, hold_out)]
     if not any(motion.role == "validation" for motion in motions):
-        told.append(
+        notes.append(
             f"no recording for validation: name one ({argument('validation')}), or hold out the end of this one "
             f"({argument('hold_out', 0.3)}), to test the estimate"
         )
@@ -178,7 +178,7 @@ def read_recording(
         ImportedRecording(label, files, recording, _delays(experiment, label, recording))
         for label, (recording, files) in zip(names, made, strict=True)
     )
-    return Imported(experiment, recordings, tuple(told))
+    return Imported(experiment, recordings, tuple(notes))
 
 
 def _stated(mapping: str | Path | ColumnMap | None, beside: Mapping[str, Mapping[str, Any] | None]) -> ColumnMap:
@@ -193,7 +193,7 @@ def _halves(motion: Motion, share: float) -> list[Motion]:
         return [motion]
     table = motion.table
     cut = int(np.searchsorted(table.times, table.times[0] + (1.0 - share) * table.duration))
-    end = replace(table[cut:], source=f"{motion.name}-end", told=())
+    end = replace(table[cut:], source=f"{motion.name}-end", notes=())
     return [replace(motion, table=table[:cut]), Motion(f"{motion.name}-end", "validation", end)]
 
 
@@ -201,7 +201,7 @@ def _locked(
     joints: Sequence[str], given: dict[str, float], made: Sequence[tuple[Recording, tuple[str, ...]]]
 ) -> tuple[dict[str, float], list[str]]:
     """Where joints stand that are not used: as stated, else as recorded, else at zero; and what is to be said of it."""
-    told, without, stand = [], [], {}
+    notes, without, stand = [], [], {}
     for joint in joints:
         if joint in given:
             continue
@@ -211,16 +211,16 @@ def _locked(
             without.append(joint)
         elif max(span for _, span in at) > _STANDS:
             far = max(span for _, span in at)
-            told.append(
+            notes.append(
                 f"{joint} is not used but moves by {far:.3g}: it is locked in the middle, at {stand[joint]:.4g}; use it "
                 f"({argument('joints')}), if its motion counts"
             )
         else:
-            told.append(f"{joint} is not used and stands: locked at {stand[joint]:.4g}")
+            notes.append(f"{joint} is not used and stands: locked at {stand[joint]:.4g}")
     if without:
         they = "it stands" if len(without) == 1 else "they stand"
-        told.append(f"no positions of {listed(without)}: locked at 0; say where {they} ({argument('locked')})")
-    return stand | given, told
+        notes.append(f"no positions of {listed(without)}: locked at 0; say where {they} ({argument('locked')})")
+    return stand | given, notes
 
 
 def _moving(file: UrdfFile) -> list[str]:

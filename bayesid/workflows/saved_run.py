@@ -97,9 +97,9 @@ def _known(
             f"{file}: its parameters are not those of this experiment and model; give the {argument('effects')} and "
             f"{argument('static')} of that run, or run it again"
         )
-    told = tuple(document["warnings"])
+    warned = tuple(document["warnings"])
     if posterior:
-        return _posterior(problem, file, document, prior_std, count, seed), told
+        return _posterior(problem, file, document, prior_std, count, seed), warned
     effect_values = {
         f"{e['name']}@{e['where']}.{key}": (entry["value"], entry["std"])
         for e in document["effects"] for key, entry in e["parameters"].items()
@@ -120,7 +120,7 @@ def _known(
         dynamics=JointDynamics(saved["dynamics"], tuple(saved["negative_friction"]), beside), trust=prior_std,
         conflict=bool((document["prior_against_data"] or {}).get("conflict")), dispersion=dispersion, floor=noise_floor(problem),
         count=count, seed=seed,
-    ), told  # fmt: skip
+    ), warned  # fmt: skip
 
 
 def _problem(experiment: Experiment, document: dict[str, Any], options: FitOptions) -> Problem:

@@ -117,7 +117,7 @@ def _(result: DistinguishingMotion) -> Figures:
 @files_of.register
 def _(result: DistinguishingMotion) -> Files:
     """``excitation.json``, ``trajectory.csv`` and the report."""
-    from bayesid.report.excitation import told_report
+    from bayesid.report.excitation import distinguishing_report
 
     others = {TRAJECTORY: lambda path: write_motion(result.telling, path)}
-    return Files({"excitation.json": strict(result.to_dict())}, others, told_report(result))
+    return Files({"excitation.json": strict(result.to_dict())}, others, distinguishing_report(result))

@@ -33,7 +33,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def table_arrays(table: Table) -> dict[str, np.ndarray]:
-    values = {f.name: getattr(table, f.name) for f in fields(table) if f.name not in ("source", "dropped", "told")}
+    values = {f.name: getattr(table, f.name) for f in fields(table) if f.name not in ("source", "dropped", "notes")}
     return {name: value for name, value in values.items() if value is not None}
 
 

@@ -77,7 +77,7 @@ class Outlook:
         return float(np.max(self.peak / self.candidate.limit, initial=0.0))
 
     @property
-    def told(self) -> int:
+    def better_than_prior(self) -> int:
         """How many of the combinations it determines better than they are known beforehand, each parameter by itself."""
         prior = np.sqrt(self.determined.base.matrix**2 @ self.prior_std**2)
         return int(np.sum(self.determined.std < prior))
@@ -86,7 +86,7 @@ class Outlook:
         """An entry of ``sensors`` in ``accuracy.json``."""
         c, base = self.candidate, self.determined.base
         return {
-            "name": c.name, "kind": c.kind, "rank": base.rank, "better_than_prior": self.told,
+            "name": c.name, "kind": c.kind, "rank": base.rank, "better_than_prior": self.better_than_prior,
             "base_parameters": [
                 {"name": n, "label": label, "unit": u, "std": s}
                 for n, label, u, s in zip(base.names, base.labels, base.units, self.determined.std, strict=True)

@@ -143,7 +143,7 @@ def make_task(experiment: Experiment, options: ExcitationOptions, seed: int = 0)
             notes.append(f"The URDF states no {name} limit of {', '.join(unlimited)}: those of a small arm are taken.")
     if options.acceleration is None:
         notes.append(f"Acceleration limits are assumed: full speed in 0.25 s; {argument('acceleration')} gives others.")
-    bodies, told = clearance(robot, experiment.locked, options.margin, options.ground, seed) if options.collisions else (None, ())
+    bodies, said = clearance(robot, experiment.locked, options.margin, options.ground, seed) if options.collisions else (None, ())
     loads, more = _loads(experiment, options)
     limits = Limits(
         middle - half, middle + half, options.share * fastest,
@@ -164,7 +164,7 @@ def make_task(experiment: Experiment, options: ExcitationOptions, seed: int = 0)
     )
     fine = int(np.ceil(FINER * options.rate * period))
     task = Task(information, criterion, limits, coordinates, dense, options.rate * options.duration, fine, rank, asked)
-    return task, tuple([*notes, *more, *told])
+    return task, tuple([*notes, *more, *said])
 
 
 def make_plan(
@@ -239,8 +239,8 @@ def _chosen(
     k = int(np.argmin(totals))
     if k:
         worse, better = finalists[k][0] - found.value, shown[0].value - shown[k].value
-        told = f"Of {len(finalists)} motions not the best by the criterion was taken ({worse:.2g} less), but for diagnosability"
-        notes = (*notes, f"{told} ({better:.2g} better).")
+        why = f"Of {len(finalists)} motions not the best by the criterion was taken ({worse:.2g} less), but for diagnosability"
+        notes = (*notes, f"{why} ({better:.2g} better).")
     return finalists[k][1], shown[k], notes
 
 

@@ -243,10 +243,10 @@ class BodyKnowledge:
         values, slopes = about_centre(self.mean)
         stds = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", slopes, self.covariance, slopes), 0.0))
         low, high = values - self.half * stds, values + self.half * stds
-        told = {n: bool(lo > 0.0) for n, lo in zip(names, low, strict=True) if n in _MOMENTS}
+        visible = {n: bool(lo > 0.0) for n, lo in zip(names, low, strict=True) if n in _MOMENTS}
         out = []
         for n, value, std, lo, hi in zip(names, values, stds, low, high, strict=True):
-            shown = told[f"I{n[1]}{n[1]}"] and told[f"I{n[2]}{n[2]}"]
+            shown = visible[f"I{n[1]}{n[1]}"] and visible[f"I{n[2]}{n[2]}"]
             lo, hi = (max(lo, 0.0), max(hi, 0.0)) if n in _MOMENTS else (lo, hi)
             made = Quantity(n, "kg m^2", float(value), float(std), float(lo), float(hi), True)
             out.append(made if shown else Quantity.unknown(n, "kg m^2", float(lo), float(hi)))

@@ -101,8 +101,8 @@ def from_sensor(problem: Problem, estimate: Estimate, body: int) -> BodyKnowledg
         Of `weighed_alone`.
     """
     base = estimate.base
-    told = ~estimate.undetermined[: base.rank]
-    matrix = base.matrix[:, 10 * body : 10 * body + 10][told]
+    shown = ~estimate.undetermined[: base.rank]
+    matrix = base.matrix[:, 10 * body : 10 * body + 10][shown]
     assert estimate.covariance is not None
     freedom = degrees_of_freedom(problem, estimate)
     weights = 1.0 + _WEIGHTS / freedom
@@ -110,7 +110,7 @@ def from_sensor(problem: Problem, estimate: Estimate, body: int) -> BodyKnowledg
         own = base.matrix[:, 10 * body : 10 * body + 10]
         values, covariance = along_mass(problem, estimate, np.linalg.pinv(own)[0], half_interval(freedom), weights)
         return BodyKnowledge.of(own, values, covariance, freedom)
-    return BodyKnowledge.of(matrix, estimate.values[told], weights * estimate.covariance[np.ix_(told, told)], freedom)
+    return BodyKnowledge.of(matrix, estimate.values[shown], weights * estimate.covariance[np.ix_(shown, shown)], freedom)
 
 
 def from_nominal(problem: Problem, estimate: Estimate, body: int, rel_std: float) -> tuple[BodyKnowledge, float]:
@@ -126,12 +126,12 @@ def from_nominal(problem: Problem, estimate: Estimate, body: int, rel_std: float
         How far the nominal links are trusted; 0: they are exact.
     """
     base = estimate.base
-    told = ~estimate.undetermined[: base.rank]
-    matrix, nominal = base.matrix[told], problem.experiment.robot.nominal
+    shown = ~estimate.undetermined[: base.rank]
+    matrix, nominal = base.matrix[shown], problem.experiment.robot.nominal
     assert estimate.covariance is not None
-    noise = estimate.covariance[np.ix_(told, told)]
+    noise = estimate.covariance[np.ix_(shown, shown)]
     doubt = np.zeros_like(noise) if rel_std == 0 else matrix @ Prior.warped(nominal, rel_std).covariance @ matrix.T
-    own, values = matrix[:, 10 * body : 10 * body + 10], estimate.values[told] - matrix @ nominal.ravel()
+    own, values = matrix[:, 10 * body : 10 * body + 10], estimate.values[shown] - matrix @ nominal.ravel()
     known = BodyKnowledge.of(own, values, noise + doubt)
     exact = BodyKnowledge.of(own, values, noise)
     return known, float(1.0 - min(exact.covariance[0, 0] / known.covariance[0, 0], 1.0))

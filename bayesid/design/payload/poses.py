@@ -118,9 +118,9 @@ def next_poses(problem: Problem, estimate: Estimate, body: int, wanted: tuple[fl
 
     while not _reached(now := expected(), wanted) and len(taken) < _MOST:
         along = covariance @ rows.transpose(0, 2, 1)  # (C, p, 6)
-        told = along[:, :rank].transpose(0, 2, 1) @ slopes.T  # (C, 6, 4)
+        seen = along[:, :rank].transpose(0, 2, 1) @ slopes.T  # (C, 6, 4)
         inner = np.eye(rows.shape[1]) + rows @ along
-        gain = np.sum(told * np.linalg.solve(inner, told), axis=(1, 2))
+        gain = np.sum(seen * np.linalg.solve(inner, seen), axis=(1, 2))
         gain[taken] = -1.0
         best = int(np.argmax(gain))
         covariance = covariance - along[best] @ np.linalg.solve(inner[best], along[best].T)

@@ -258,17 +258,17 @@ def tell(
     if not scored:
         return None
     count, best = improved(scored[0], merit, lambda m, size, rng: varied(m, limits, size, rng), improvements, seed)
-    told = _told(cases, contests(best[1]), best[1], benches[0].rate, len(scored) + count, notes, seed)
+    chosen = _telling(cases, contests(best[1]), best[1], benches[0].rate, len(scored) + count, notes, seed)
     motions = [motion for _, motion in [best, *scored][:most]]
     if options is None and most and (longer := within_limits(prolonged(best[1]), limits)) is not None:
         motions.insert(1, longer)
     for k, motion in enumerate(motions):
         exact = [checked(c, case, b, motion) for c, case, b in zip(contests(motion), cases, benches, strict=True)]
-        found = _told(cases, exact, motion, benches[0].rate, len(scored) + count, notes, seed)
-        told = found if k == 0 or found.probability > told.probability else told
-        if told.probability > _ENOUGH:
+        found = _telling(cases, exact, motion, benches[0].rate, len(scored) + count, notes, seed)
+        chosen = found if k == 0 or found.probability > chosen.probability else chosen
+        if chosen.probability > _ENOUGH:
             break
-    return told
+    return chosen
 
 
 def improved(
@@ -297,7 +297,7 @@ def improved(
     return count, best
 
 
-def _told(
+def _telling(
     cases: Sequence[Case],
     contests: Sequence[Contest],
     motion: Planned,

@@ -96,8 +96,8 @@ def informative(
         shares, directions = np.linalg.eigh(left)
         if shares[0] >= SMALLEST_SHARE:
             break
-        told = np.einsum("i,kij,j->k", directions[:, 0], grams, directions[:, 0]) / power
-        best = int(np.argmax(np.where(restored, -np.inf, told)))
+        power_along = np.einsum("i,kij,j->k", directions[:, 0], grams, directions[:, 0]) / power
+        best = int(np.argmax(np.where(restored, -np.inf, power_along)))
         restored[best] = True
         left = left + grams[best]
     return accepted_rows | np.append(restored, False)[window]

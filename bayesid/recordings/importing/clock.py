@@ -36,7 +36,7 @@ class RowTimes:
         where there are not both.
     column
         The table's, where it is one.
-    told
+    notes
         What was noticed, one line each.
     """
 
@@ -46,7 +46,7 @@ class RowTimes:
     start: int | None
     late: tuple[float, float] | None = None
     column: str = ""
-    told: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
     def since(self, start: int) -> RowTimes:
         """The same with times since another instant [ns since 1970]."""
@@ -72,13 +72,13 @@ def topic_clock(stream: Stream, wanted: str | None, source: str) -> RowTimes:
     if header is not None and usable:
         low, middle, high = np.quantile((log - header) / 1e9, [0.16, 0.5, 0.84])
         late = float(middle), float(0.5 * (high - low))
-    told = []
+    notes = []
     if header is not None and not usable:
-        told.append(f"{stream.name}: stamps of headers are zero or stand still; times of the log are used")
+        notes.append(f"{stream.name}: stamps of headers are zero or stand still; times of the log are used")
     kind = "header" if header is not None and usable and wanted != "log" else "log"
     times = header if kind == "header" and header is not None else log
     text = "stamps of headers" if kind == "header" else "times of the log"
-    return RowTimes(kind, text, (times - times[0]) / 1e9, int(times[0]), late, told=tuple(told))
+    return RowTimes(kind, text, (times - times[0]) / 1e9, int(times[0]), late, notes=tuple(notes))
 
 
 def table_clock(stream: Stream, column: str, unit: str | None, source: str) -> RowTimes:

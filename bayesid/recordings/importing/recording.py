@@ -257,9 +257,9 @@ def make_recording(
     if starts:
         first = min(one.start + int(np.nanmin(one.times) * 1e9) for _, one in clocks if one.start is not None)
         clocks = [(stream, one.since(first)) for stream, one in clocks]
-    signals, told = make_signals(layout, clocks, stated, source.name, held=not poses)
+    signals, notes = make_signals(layout, clocks, stated, source.name, held=not poses)
     joined = join(signals, source.name)
-    done = [text for _, one in clocks for text in one.told] + told
+    done = [text for _, one in clocks for text in one.notes] + notes
     if len({one.kind for _, one in clocks}) > 1:
         kinds = ", ".join(f"{stream.name} by {one.text}" for stream, one in clocks)
         one_for_all = argument("clock", "log")
@@ -306,4 +306,4 @@ def read_stated(path: Path, name: str, stated: ColumnMap, joints: Sequence[str],
         raise InputError(f"{name}: holds {len(sources)} recordings; make an experiment of them with {call('import')}")
     recording = make_recording(Source(name, sources[0].streams, sources[0].unread), stated, joints, joints, poses=poses)
     table = recording.table(name, wrench)
-    return replace(table, told=(*(f"{name}: {text}" for text in recording.done), *table.told))
+    return replace(table, notes=(*(f"{name}: {text}" for text in recording.done), *table.notes))

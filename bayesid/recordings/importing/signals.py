@@ -115,14 +115,14 @@ def make_signals(
 
     Returns
     -------
-    signals, told
+    signals, notes
 
     Raises
     ------
     InputError
         A cell is no number, or torques are in a unit that says nothing without a constant.
     """
-    told: list[str] = []
+    notes: list[str] = []
     groups: dict[tuple[str, int], list[FoundColumn]] = {}
     for found in layout.found:
         quantity = "wrench" if found.ours in WRENCH_COLUMNS else found.ours.rstrip("0123456789")
@@ -142,23 +142,23 @@ def make_signals(
                     f"no position in any row of {without}", file=source, remedy=f"leave these joints out ({argument('joints')})"
                 )
             if quantity != "tau" or not there:
-                told.append(f"{NAMES[quantity]}: no reading in any row of {without}; not used")
+                notes.append(f"{NAMES[quantity]}: no reading in any row of {without}; not used")
                 continue
-            told.append(f"torques: no reading in any row of {without}")
+            notes.append(f"torques: no reading in any row of {without}")
             found, units, values = [found[k] for k in there], tuple(units[k] for k in there), values[:, there]
         rows, more = _usable(clock, values, stream.name or "table", source)
-        told += more
+        notes += more
         times = clock.times[rows]
         if shift := stated.shift.get(quantity, 0.0):
             times = times + shift
-            told.append(f"{NAMES[quantity]}: times shifted by {shift:g} s, as stated")
+            notes.append(f"{NAMES[quantity]}: times shifted by {shift:g} s, as stated")
         signal = Signal(
             quantity, tuple(f.ours for f in found), times, values[rows],
             tuple(stream.full_name(f.column) for f in found), units, stream.name, clock, rows,
             int(np.count_nonzero(~np.isnan(values).any(axis=1))),
         )  # fmt: skip
         signals.append(_without_held(signal) if held else signal)
-    return signals, list(dict.fromkeys(told))
+    return signals, list(dict.fromkeys(notes))
 
 
 def resting(found: FoundColumn, stated: ColumnMap, joint: str, source: str) -> tuple[float, float] | None:
@@ -212,18 +212,18 @@ def _is_number(cell: Any) -> bool:
 
 def _usable(clock: RowTimes, values: np.ndarray, what: str, source: str) -> tuple[np.ndarray, list[str]]:
     """Rows to be used (k,), in the order of time: those of a topic by its stamps, those of a table as they stand."""
-    told = []
+    notes = []
     rows = np.flatnonzero(~np.isnan(clock.times))
     none = np.any(np.isnan(values), axis=1)
     if clock.kind != "column" or none.mean() > _OWN_TIMES:
         if clock.kind != "column" and none.any():
-            told.append(f"{what}: {int(none.sum())} messages lack a number; left out")
+            notes.append(f"{what}: {int(none.sum())} messages lack a number; left out")
         rows = rows[~none[rows]]
     times = clock.times[rows]
     if clock.kind == "column":
         check_increasing(times, source, lambda row: f"row {rows[row]}")
     elif back := int((np.diff(times) < 0.0).sum()):
-        told.append(f"{what}: {back} messages came out of order; sorted by {clock.text}")
+        notes.append(f"{what}: {back} messages came out of order; sorted by {clock.text}")
         rows = rows[np.argsort(times, kind="stable")]
     again = np.append(False, np.diff(clock.times[rows]) == 0.0)[: len(rows)]
     if 2 * again.sum() > len(rows):
@@ -232,9 +232,9 @@ def _usable(clock: RowTimes, values: np.ndarray, what: str, source: str) -> tupl
             remedy="write times with more digits, or name another column or clock",
         )  # fmt: skip
     if again.any():
-        told.append(f"{what}: {int(again.sum())} rows have the time of the one before; left out")
+        notes.append(f"{what}: {int(again.sum())} rows have the time of the one before; left out")
         rows = rows[~again]
-    return rows, told
+    return rows, notes
 
 
 def _without_held(signal: Signal) -> Signal:

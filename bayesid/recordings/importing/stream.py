@@ -23,7 +23,7 @@ class Stream:
         got it); empty for a table, whose times are a column.
     frame
         The frame that its messages name; empty where there is none.
-    told
+    notes
         What was noticed on reading, one line each.
     """
 
@@ -31,7 +31,7 @@ class Stream:
     columns: Mapping[str, np.ndarray]
     clocks: Mapping[str, np.ndarray] = field(default_factory=dict)
     frame: str = ""
-    told: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         """Number of rows."""
