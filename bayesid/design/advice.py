@@ -219,9 +219,9 @@ def _prior(plan: PlannedMotions, main: SetReport) -> list[Advice]:
     driven = [b.label for b in main.prior_driven]
     if not driven:
         return []
-    trust = plan.experiment.inertia_rel_std or 0.0
+    rel_std = plan.experiment.inertia_rel_std or 0.0
     text = (
-        f"With the nominal links trusted to {100 * trust:.3g} %, the data would hardly narrow {len(driven)} of {main.rank}: "
+        f"With the nominal links trusted to {100 * rel_std:.3g} %, the data would hardly narrow {len(driven)} of {main.rank}: "
         f"{listed(driven)}."
     )
     return [Advice("prior", text, len(driven))]

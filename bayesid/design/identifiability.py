@@ -15,11 +15,11 @@ from bayesid.design.visibility import (
     LinkExpectation,
     Shown,
     base_expectations,
+    kinds_of,
     link_expectations,
     of_rank,
     shown,
     shows_more,
-    standing,
 )
 from bayesid.dynamics.base_parameters import BaseParameters, structural_base
 from bayesid.dynamics.channels import Channels
@@ -190,8 +190,8 @@ def report_of(plan: PlannedMotions, sensor_set: SensorSet, noise: ReadingNoise, 
     richest = richest_base(experiment.robot, channels, sensor_set)
     links = sure_links(experiment.robot)
     spread = Prior.nominal(links, 2.0**0.5).covariance
-    trust = experiment.inertia_rel_std
-    prior = Prior.nominal(links, trust).covariance if trust and states_masses(experiment.robot) else None
+    rel_std = experiment.inertia_rel_std
+    prior = Prior.nominal(links, rel_std).covariance if rel_std and states_masses(experiment.robot) else None
     report = set_report(sensor_set, expected, found, richest, spread, prior)
     used = {"wrench": ("wrench",), "torque": ("torque",), "both": ("wrench", "torque")}[sensor_set.channel]
     std = noise.of(sensor_set)["trajectory"].std.tolist()
@@ -274,7 +274,7 @@ def with_differences(plan: PlannedMotions, reports: Sequence[SetReport]) -> tupl
         moved = {}
         for j in held if report.rank_of_any_motion != report.rank else ():
             still = np.where(np.arange(robot.n) == j, np.nan, plan.still)
-            moved[robot.joint_names[j]] = standing(richest_base(robot, channels, report.sensor_set, held=still))
+            moved[robot.joint_names[j]] = kinds_of(richest_base(robot, channels, report.sensor_set, held=still))
         links = []
         for k, link in enumerate(report.parameters):
             own, best = of_rank(link.kind, link), link.of_any_motion

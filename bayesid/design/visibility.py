@@ -154,7 +154,7 @@ def _regrouped(expected: Expected, estimated: np.ndarray) -> BaseParameters:
     return base if found.rank == base.rank else found
 
 
-def standing(base: BaseParameters) -> list[str]:
+def kinds_of(base: BaseParameters) -> list[str]:
     """``alone``, ``combination`` or ``never_visible`` for every parameter behind (P,)."""
     entries = base.matrix != 0.0
     lonely = entries.sum(axis=1) == 1
@@ -212,8 +212,8 @@ def link_expectations(
     sizes
         Of the link parameters (P,), for how much each has of a combination; None: by the factors alone.
     """
-    kinds, best = standing(found.base), None if richest is None else standing(richest)
-    bare = standing(found.without_effects)
+    kinds, best = kinds_of(found.base), None if richest is None else kinds_of(richest)
+    bare = kinds_of(found.without_effects)
     scale = np.ones(len(kinds)) if sizes is None else sizes
     out = []
     for k, name in enumerate(found.base.parameter_names):

@@ -64,7 +64,7 @@ class Choice:
         low = lower_end(blocks, closed, self.settings, self.seed)
         return float(closed(blocks.sum(axis=0)[None])[0]), float(low)
 
-    def proof(self, worse: np.ndarray, better: np.ndarray, before: np.ndarray) -> float:
+    def share_low(self, worse: np.ndarray, better: np.ndarray, before: np.ndarray) -> float:
         """Lower end of that share; no more than what motions that were never fitted say of it."""
         _, low = self.share(worse, better, before)
         return min(low, float((worse - better)[self.sums.unseen].sum())) if self.sums.unseen.any() else low
@@ -78,7 +78,7 @@ class Choice:
         """Leave out the effect whose loss costs least on held-out recordings until all of them are proven."""
         while kept:
             now = self.squares(kept)
-            own = {k: self.proof(self.squares([x for x in kept if x != k]), now, before) for k in kept}
+            own = {k: self.share_low(self.squares([x for x in kept if x != k]), now, before) for k in kept}
             unproven = [k for k in kept if own[k] <= 0.0 or self.evidence(kept, k) < self.settings.accept]
             if not unproven:
                 break
@@ -100,7 +100,7 @@ class Choice:
             if gains[i] < self.settings.accept:
                 return None
             more = [*kept, open_[i]]
-            if possible(more, open_[i]) and self.proof(now, self.squares(more), before) > 0.0:
+            if possible(more, open_[i]) and self.share_low(now, self.squares(more), before) > 0.0:
                 return more
         return None
 
@@ -118,7 +118,7 @@ class Choice:
                 continue
             more = [*(x for x in kept if x not in out), k]
             gain = 0.5 * (cost - self.sums.cost([*self.users, *more])) - self.price_of([k]) + self.price_of(out)
-            if gain >= best[0] and possible(more, k) and self.proof(now, self.squares(more), before) > 0.0:
+            if gain >= best[0] and possible(more, k) and self.share_low(now, self.squares(more), before) > 0.0:
                 best = gain, more
         return best[1]
 
@@ -148,7 +148,7 @@ class Choice:
             more = [*kept, *members.values()]
             gain = 0.5 * (cost - self.sums.cost([*self.users, *more])) - self.price_of(list(members.values()))
             if gain >= best[0] and all(possible(more, k) for k in members.values()):
-                if self.proof(now, self.squares(more), before) > 0.0:
+                if self.share_low(now, self.squares(more), before) > 0.0:
                     best = gain, more
         return best[1]
 
@@ -182,7 +182,7 @@ class Choice:
         What another adds beside all those kept, too, is none of what it would do in one's place.
         """
         rest = [k for k in kept if k != index]
-        (own, *gains), open_ = self.standing(rest, index, others)
+        (own, *gains), open_ = self.evidence_beside(rest, index, others)
         beside = np.maximum(self.sums.evidence([*self.users, *kept], open_), 0.0)
         best: dict[str, tuple[int, float]] = {}
         for k, lack in sorted(zip(open_, own - (np.array(gains) - beside), strict=True), key=lambda x: x[1]):
@@ -208,12 +208,12 @@ class Choice:
             for other, lack in self.rivals(kept, k, plain, possible, 0.0):
                 if lack < -self.settings.rival or len(self.effects[other].parameters) <= size:
                     changed = [other if x == k else x for x in kept]
-                    if self.proof(without, self.squares(changed), before) > 0.0:
+                    if self.share_low(without, self.squares(changed), before) > 0.0:
                         kept = changed
                         break
         return kept
 
-    def standing(self, rest: Sequence[int], index: int, others: Sequence[int]) -> tuple[list[float], list[int]]:
+    def evidence_beside(self, rest: Sequence[int], index: int, others: Sequence[int]) -> tuple[list[float], list[int]]:
         """Log evidence of an effect beside the rest, then of each other that could stand in its place; and which those are."""
         open_ = [k for k in self.beside(rest, others) if k != index]
         return self.sums.evidence([*self.users, *rest], [index, *open_]).tolist(), open_

@@ -35,7 +35,7 @@ def local_energy(left: np.ndarray, step: float) -> np.ndarray:
     return uniform_filter1d(left**2, max(int(round(_STRETCH / step)), 1))
 
 
-def stretches_that_stand_out(energy: np.ndarray) -> list[tuple[int, int]]:
+def intervals_that_stand_out(energy: np.ndarray) -> list[tuple[int, int]]:
     """First sample of each, and the one after the last, by the mean square about each sample (M,)."""
     high = energy > _STANDS_OUT**2 * np.median(energy)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], high, [False]])))
@@ -49,7 +49,7 @@ def crossed_anew(
     splines: Splines,
     still: np.ndarray,
     step: float,
-    stretches: list[tuple[int, int]],
+    intervals: list[tuple[int, int]],
 ) -> np.ndarray:
     """On which side the link is in each stretch (M,), -1 elsewhere, with the crossings that leave least of the readings.
 
@@ -67,14 +67,14 @@ def crossed_anew(
         Where it is known, because nothing moves (M,).
     step
         Time between samples [s].
-    stretches
+    intervals
         First sample of each, and the one after the last.
     """
-    if not stretches:
+    if not intervals:
         return np.full(len(behind), -1)
     usual = np.median(local_energy(splines.remainder(encoders - behind), step))
     out, found, around = behind.copy(), np.full(len(behind), -1), int(round(_AROUND / step))
-    for a, b in stretches:
+    for a, b in intervals:
         if (b - a) * step > _LONGEST:
             continue
         near = slice(max(a - around, 0), min(b + around, len(encoders)))

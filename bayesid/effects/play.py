@@ -20,7 +20,7 @@ from functools import cached_property
 
 import numpy as np
 
-from bayesid.effects.crossings import crossed_anew, local_energy, stretches_that_stand_out
+from bayesid.effects.crossings import crossed_anew, intervals_that_stand_out, local_energy
 from bayesid.effects.families import PlayEffect
 from bayesid.effects.flexible import Motion
 from bayesid.effects.segment import REST_SPEED
@@ -286,7 +286,7 @@ class _JointFit:
         behind = self.slow
         for splines in self.splines[1:]:
             behind = self._level(splines, behind, *(_WELL if splines is finest else _ROUGHLY))
-        where = stretches_that_stand_out(local_energy(finest.remainder(self.encoders - behind), self.step))
+        where = intervals_that_stand_out(local_energy(finest.remainder(self.encoders - behind), self.step))
         side = crossed_anew(self.encoders, behind, self.sides, finest, self.still, self.step, where)
         tried = [np.where(side >= 0, self.sides[side], behind)]
         if np.any(side >= 0):  # around them the fit is another one then, but not always a better one

@@ -200,7 +200,7 @@ class Pilot:
         """Factor of whitened rows."""
         return self.factor_of([white for _, white in whitened(self.orthonormal, noise)])
 
-    def stretches(self, parts: Sequence[np.ndarray]) -> list[np.ndarray]:
+    def segments(self, parts: Sequence[np.ndarray]) -> list[np.ndarray]:
         """``[X y]'[X y]`` of stretches, equally long, of weighted rows of ``orthonormal`` (k, channels, p + 1)."""
         count, p = sum(map(len, parts)), parts[0].shape[2]
         if count <= 2 * STRETCHES:

@@ -218,9 +218,9 @@ def _surroundings(problem: Problem) -> Surroundings:
     row_model, experiment = problem.row_model, problem.experiment
     robot, sensor = row_model.robot, experiment.sensor
     segments = [s for name in problem.fitted for s in problem.segments[name]]
-    scenes = [row_model.state(s, 0, len(s.times)) for s in segments]
+    motions = [row_model.state(s, 0, len(s.times)) for s in segments]
     return surroundings_of(
-        robot, scenes, robot.nominal.ravel(), problem.channel, sensor is not None and sensor.joint is None,
+        robot, motions, robot.nominal.ravel(), problem.channel, sensor is not None and sensor.joint is None,
         static_run=problem.static != "none", links_known=experiment.inertia_rel_std is not None,
     )  # fmt: skip
 

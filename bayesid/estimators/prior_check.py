@@ -108,7 +108,7 @@ class PriorCheck:
     def text(self) -> str:
         """What is said where they do."""
         one, chance = self.largest, "below 1e-12" if self.probability < 1e-12 else f"{self.probability:.2g}"
-        trust = "" if self.rel_std is None else f" at a relative standard deviation of {self.rel_std:.3g}"
+        stated = "" if self.rel_std is None else f" at a relative standard deviation of {self.rel_std:.3g}"
         chosen = "" if self.stated else ", the one that suits the data best"
         less = f"inertia_rel_std, {argument('prior_std')}"
         wider = ""
@@ -120,7 +120,7 @@ class PriorCheck:
             f"what is missing in the model (`{call('diagnose')}`), or trust the links less ({less})."
         )
         return (
-            f"Prior and data contradict each other{trust}{chosen}: {one.label} is {one.prior:.3g} +- {one.prior_std:.2g} "
+            f"Prior and data contradict each other{stated}{chosen}: {one.label} is {one.prior:.3g} +- {one.prior_std:.2g} "
             f"{one.unit} by the prior and {one.data:.3g} +- {one.data_std:.2g} {one.unit} by the data, {one.prior_sigmas:.3g} "
             f"standard deviations of the prior apart ({one.sigmas:.3g} sigma with the data's own); over all "
             f"{self.base_parameters} base parameters {self.distance:.3g} sigma (chance {chance} if both are right). {remedy}"

@@ -134,7 +134,7 @@ def _learned(regression: Regression) -> Weights:
     agreement = _agreement(pilot.factor_of(white), pilot.weighted(scale), middle, plain - efficient)
     power = [sum(np.sum((b.residual(x) / scale) ** 2) for b in blocks) for x in (plain, efficient)]
     complete = bool(agreement > SMALLEST_AGREEMENT or power[1] <= LARGEST_LOSS * power[0])
-    (found,) = dispersions(Rows(pilot.stretches(white)), efficient)
+    (found,) = dispersions(Rows(pilot.segments(white)), efficient)
     if not complete:
         noise = first
         for _ in range(_PASSES):
@@ -146,9 +146,9 @@ def _learned(regression: Regression) -> Weights:
     rows = [b.rows / scale[:, None] for b in pilot.orthonormal]
     names = () if complete else regression.channel_names
     channels = [
-        Rows(pilot.stretches([r[:, c : c + 1] for r in rows]), _channel_middle(pilot, noise, scale, c)) for c in range(len(names))
+        Rows(pilot.segments([r[:, c : c + 1] for r in rows]), _channel_middle(pilot, noise, scale, c)) for c in range(len(names))
     ]
-    scatter, *parts = dispersions(Rows(pilot.stretches(rows), middle), plain, channels)
+    scatter, *parts = dispersions(Rows(pilot.segments(rows), middle), plain, channels)
     return Weights(noise, agreement, complete, plain, scatter, dict(zip(names, parts, strict=True)))
 
 
@@ -175,7 +175,7 @@ def _with_rung_errors(regression: Regression, law: RegressorNoise, pilot: Pilot,
         noise["trajectory"] = estimate_noise(together, known_poles=regression.known_poles)
         factor = pilot.whitened(noise)
         values, spread = solve(factor.matrix, factor.target), pseudo_inverse(factor.matrix)
-    (found,) = dispersions(Rows(pilot.stretches([rows for _, rows in whitened(pilot.orthonormal, noise)])), values)
+    (found,) = dispersions(Rows(pilot.segments([rows for _, rows in whitened(pilot.orthonormal, noise)])), values)
     return Weights(noise, 1.0, not found.beyond_chance(SMALLEST_STRETCHES), values, found, by_noise=True)
 
 

@@ -238,10 +238,10 @@ def check_keys(file: ExperimentFile) -> list[str]:
 def _sizes(file: ExperimentFile) -> list[str]:
     """Numbers that look like another unit."""
     out = []
-    trust = file.robot.inertia_rel_std
-    if trust is not None and trust > 1.0:
+    rel_std = file.robot.inertia_rel_std
+    if rel_std is not None and rel_std > 1.0:
         out.append(
-            f"experiment.toml: [robot] inertia_rel_std: {trust:g} says that nothing is known of the links; it is a share, "
+            f"experiment.toml: [robot] inertia_rel_std: {rel_std:g} says that nothing is known of the links; it is a share, "
             "0.1 for ten per cent: correct it, or leave it out"
         )
     if file.sensor is not None and max(map(abs, file.sensor.translation)) > 10.0:

@@ -85,10 +85,10 @@ def choose_bandwidth(rows: Callable[[float], Sequence[Block]], highest: float, a
     if len(bandwidths) < 2:
         return None
     tried = [tuple(rows(float(b))) for b in bandwidths]
-    edges = _stretches(tried[-1])
+    edges = _intervals(tried[-1])
     while len(tried) > 1 and min((len(_part(tried[-1], edge)) for edge in edges), default=0) < _SHORTEST:
         tried = tried[:-1]  # a short recording: slow rows are too few
-        edges = _stretches(tried[-1])
+        edges = _intervals(tried[-1])
     if len(tried) < 2 or len(edges) < _FOLDS:
         return None
     scale = np.ones(tried[0][0].rows.shape[1])
@@ -119,7 +119,7 @@ def choose_bandwidth(rows: Callable[[float], Sequence[Block]], highest: float, a
     return BandwidthChoice(bandwidths[: len(tried)], mean / mean[0], doubt / mean[0], np.array(estimates), chosen)
 
 
-def _stretches(blocks: Sequence[Block]) -> list[tuple[int, float, float]]:
+def _intervals(blocks: Sequence[Block]) -> list[tuple[int, float, float]]:
     """Motion, start and end [s] of stretches about equally long, within blocks that follow one another."""
     spans: list[list] = []
     for b in blocks:

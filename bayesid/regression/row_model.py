@@ -136,7 +136,7 @@ class RowModel:
             first = last
         return out
 
-    def _scene(self, segment: Segment, first: int, last: int) -> tuple[MotionSegment, int, int]:
+    def _states(self, segment: Segment, first: int, last: int) -> tuple[MotionSegment, int, int]:
         """The samples' motion and what the effects need of that around them: samples a ... b - 1, with a and b."""
         assert self.point is not None
         a, b = first, last
@@ -145,19 +145,19 @@ class RowModel:
             reach = self.point.reach(self.effects, self.bandwidth, float(np.median(np.diff(times[:1000]))))
             a = int(np.searchsorted(times, times[first] - reach))
             b = int(np.searchsorted(times, times[last - 1] + reach, side="right"))
-        scene = replace(
+        states = replace(
             self.state(segment, a, b), still=segment.poses, bandwidth=self.bandwidth, middle=self.point.middle, clear=self.clear
         )
-        return scene, a, b
+        return states, a, b
 
     def about_point(self, segment: Segment, first: int, last: int) -> np.ndarray:
         """Unfiltered rows of samples about the point: regressor, effects, shifted target (N, channels, p + 1)."""
         assert self.point is not None
-        scene, a, b = self._scene(segment, first, last)
+        states, a, b = self._states(segment, first, last)
         read = segment.readings[a:b] if segment.gravity else segment.measured(a, b)
         (effects, point), acts = self._acting(segment)
         rigid, some, target = linearised(
-            self.robot, self.channels, scene, effects, point, self.base.independent, read, gravity=segment.gravity
+            self.robot, self.channels, states, effects, point, self.base.independent, read, gravity=segment.gravity
         )
         others = np.zeros((*some.shape[:2], self.extra_columns))
         others[:, :, acts[self.free]] = some
@@ -208,9 +208,9 @@ class RowModel:
         """What the model makes of the samples' motion (N, channels), with these parameters or those of its point."""
         if self.point is None:
             return self.predicted(segment, first, last, solution)
-        scene, a, _ = self._scene(segment, first, last)
+        states, a, _ = self._states(segment, first, last)
         (effects, point), _ = self._acting(segment)
-        read = readings(self.robot, self.channels, scene, point.links, point.terms(effects), gravity=segment.gravity)
+        read = readings(self.robot, self.channels, states, point.links, point.terms(effects), gravity=segment.gravity)
         return read[first - a : last - a]
 
 

@@ -52,11 +52,11 @@ def changes_report(result: Changes) -> str:
              "before": [number(v.before) for v in x.values] if x.change.known else [], "share": shares_sentence(x, c)}
             for x in c.changes
         ],
-        waterfall=waterfall(_steps(c), c.proof.floor), stretches=c.proof.stretches,
+        waterfall=waterfall(_steps(c), c.errors.floor), segments=c.errors.segments,
         evidence=evidence_bars([s for s in scores if s[1] > 0][:_BARS] or scores[:1], c.settings.accept),
         needed=f"{c.settings.accept:g}",
-        tried=len(scores), channels=_channels(c), places=[_place(result, p) for p in c.proof.places],
-        remainder=percent(c.proof.remainder), hidden=_hidden(c), gains=percent(GAIN_SHARE, 2),
+        tried=len(scores), channels=_channels(c), places=[_place(result, p) for p in c.errors.places],
+        remainder=percent(c.errors.remainder), hidden=_hidden(c), gains=percent(GAIN_SHARE, 2),
         friction=percent(FRICTION_SHARE, 2), how=_how(result),
     )  # fmt: skip
 
@@ -75,14 +75,14 @@ def evidence_figure(result: Changes, ax: Any = None) -> Figure:
 
 def _steps(c: ReferenceComparison) -> list[tuple[str, float]]:
     """Names and mean squares of the waterfall."""
-    p = c.proof
+    p = c.errors
     steps = [("the reference as it is", p.reference)]
     steps += [(a.change.spec, m) for a, m in zip(c.selection.accepted, p.changes, strict=True)]
     return [*steps, ("all else within its tolerance", p.after)]
 
 
 def _cards(c: ReferenceComparison) -> list[dict[str, str]]:
-    p = c.proof
+    p = c.errors
     words, mood = _VERDICTS[c.verdict]
     cards = [{"value": words, "mood": mood, "text": f"since {c.reference.problem.experiment.name}"}]
     for x in c.changes[:2]:
@@ -95,7 +95,7 @@ def _cards(c: ReferenceComparison) -> list[dict[str, str]]:
 
 def _channels(c: ReferenceComparison) -> list[dict[str, Any]]:
     channels, scale = c.recording.problem.row_model.channels, c.recording.scale / np.sqrt(c.recording.samples)
-    cells = [[number(float(v), 3) for v in row] for row in c.proof.by_channel]
+    cells = [[number(float(v), 3) for v in row] for row in c.errors.by_channel]
     return [
         {"name": name, "unit": unit, "own": number(float(scale[k]), 3), "cells": cells[k]}
         for k, (name, unit) in enumerate(zip(channels.names, channels.units, strict=True))

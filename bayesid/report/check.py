@@ -183,26 +183,26 @@ def _content(check: Inspection) -> dict[str, Any]:
 
 
 def _lead(check: Inspection) -> str:
-    fitted, proof = len(check.experiment.identification), len(check.experiment.validation)
+    fitted, unfitted = len(check.experiment.identification), len(check.experiment.validation)
     best = next((s for s in check.sensor_sets if s.available), None)
     reading = "sensor’s wrench" if check.channel == "wrench" else "joint torques"
     opening = "Something seems to be wrong with the data" if check.mistakes else "The folder reads well"
     text = (
         f"{opening}: {check.experiment.robot.n} moving joints, {fitted} motion{'s' if fitted != 1 else ''} to fit "
-        f"and {proof} to validate on. By default the {reading} will be fitted"
+        f"and {unfitted} to validate on. By default the {reading} will be fitted"
     )
     return text + (f", which can show at most {best.base.rank} base parameters." if best else ".")
 
 
 def _robot(check: Inspection) -> list[tuple[str, str]]:
     experiment, robot = check.experiment, check.experiment.robot
-    trust = experiment.inertia_rel_std
+    rel_std = experiment.inertia_rel_std
     rows = [
         ("Model", f"{robot.name} ({robot.urdf.name})"),
         ("Gravity", f"({', '.join(number(g, 5) for g in robot.gravity)}) m/s² in the base frame"),
         ("Prior relative standard deviation of the inertias",
-         "none stated: every rigid parameter is free" if trust is None else
-         "exact" if trust == 0 else f"{percent(trust, 2)} (1 sigma)"),
+         "none stated: every rigid parameter is free" if rel_std is None else
+         "exact" if rel_std == 0 else f"{percent(rel_std, 2)} (1 sigma)"),
     ]  # fmt: skip
     if experiment.locked:
         rows.append(("Locked joints", ", ".join(f"{n} at {number(v)}" for n, v in experiment.locked.items())))

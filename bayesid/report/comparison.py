@@ -82,7 +82,7 @@ def values_side_by_side(
 
 
 @styled
-def proof_side_by_side(
+def errors_side_by_side(
     estimators: Sequence[str],
     baselines: int,
     motions: Sequence[tuple[str, Sequence[str], *tuple[np.ndarray, ...]]],
@@ -155,7 +155,7 @@ def comparison_report(result: Comparison) -> str:
     """The report of ``compare``: an HTML page with all figures inside."""
     problem = result.problem
     done = [e for e in result.entries if e.estimate is not None]
-    motions = [_motion_errors(result, k) for k in range(len(done[0].proof))]
+    motions = [_motion_errors(result, k) for k in range(len(done[0].predictions))]
     return render(
         "comparison.html",
         name="Comparison of estimators" if problem is None else problem.experiment.name,
@@ -167,7 +167,7 @@ def comparison_report(result: Comparison) -> str:
         card_list=_cards(result),
         reference=result.reference,
         efficient=result.tests[0].efficient if result.tests else "",
-        shown=[p.motion for p in done[0].proof[:TEXT_MOTIONS]],
+        shown=[p.motion for p in done[0].predictions[:TEXT_MOTIONS]],
         validated=bool(done[0].validation),
         robot=problem is not None,
         links_known=any(e.impossible is not None for e in result.entries),
@@ -175,7 +175,7 @@ def comparison_report(result: Comparison) -> str:
         overview=[_row(result, e) for e in (*result.baselines, *result.entries)],
         refused=[{"name": e.name, "reason": e.refusal} for e in result.entries if e.estimate is None],
         descriptions=[(e.name, _describe(e)) for e in (*result.baselines, *result.entries)],
-        proof=svg(errors_figure(result), "proof") if motions else "",
+        predictions=svg(errors_figure(result), "predictions") if motions else "",
         values_figure=svg(values_figure(result, result.reference), "values") if result.reference else "",
         columns=[e.name for e in done],
         nominal=result.regression.nominal is not None,
@@ -205,7 +205,7 @@ def _row(result: Comparison, entry: Entry) -> dict[str, Any]:
         "baseline": any(entry is b for b in result.baselines),
         "motions": [
             {"error": percent(p.relative_error), "white": number(p.times_noise, 3), "mood": judged(p).mood}
-            for p in entry.proof[:TEXT_MOTIONS]
+            for p in entry.predictions[:TEXT_MOTIONS]
         ],
         "links_mood": "" if entry.impossible is None else "bad" if entry.impossible or entry.conflicting else "good",
         "test_mood": "bad" if test is not None and test.contradiction else "",
@@ -217,20 +217,20 @@ def _describe(entry: Entry) -> str:
 
 
 def _score(entry: Entry) -> float:
-    """Residual over all proof motions in units of the noise: root mean square."""
-    return float(np.sqrt(np.mean([p.whitened_rms**2 for p in entry.proof])))
+    """Residual over all motions that it is judged by in units of the noise: root mean square."""
+    return float(np.sqrt(np.mean([p.whitened_rms**2 for p in entry.predictions])))
 
 
 def _error(entry: Entry) -> float:
-    """Relative error over all proof motions: root mean square."""
-    return float(np.sqrt(np.mean([p.relative_error**2 for p in entry.proof])))
+    """Relative error over all motions that it is judged by: root mean square."""
+    return float(np.sqrt(np.mean([p.relative_error**2 for p in entry.predictions])))
 
 
 def _lead(result: Comparison) -> str:
     done = [e for e in result.entries if e.estimate is not None]
     refused = len(result.entries) - len(done)
     sorry = f" {refused} of {len(result.entries)} could not work with these data." if refused else ""
-    if not done[0].proof:
+    if not done[0].predictions:
         return (
             "The same rows, fitted by several estimators. A regression of one's own has no motion to validate on, so what can be "
             f"compared is values, intervals and how far they agree.{sorry}"
@@ -265,7 +265,7 @@ def _lead(result: Comparison) -> str:
 def _cards(result: Comparison) -> list[dict[str, str]]:
     done = [e for e in result.entries if e.estimate is not None]
     cards = []
-    if done[0].proof:
+    if done[0].predictions:
         best = min(done, key=_score)
         cards.append({"value": f"{number(_score(best), 3)} ×", "mood": mood_of(_score(best)),
                       "text": f"noise is left by the best prediction ({best.name}); 1 is perfect"})  # fmt: skip
@@ -296,14 +296,14 @@ def errors_figure(result: Comparison | LoadedComparison, ax: Any = None) -> Figu
     """What each estimator's predictions miss, motion by motion."""
     entries = [e for e in (*result.baselines, *result.entries) if not e.refusal]
     motions = []
-    for k in range(min(len(entries[0].proof), _SHOWN_MOTIONS)):
-        ps = [e.proof[k] for e in entries]
+    for k in range(min(len(entries[0].predictions), _SHOWN_MOTIONS)):
+        ps = [e.predictions[k] for e in entries]
         motions.append(
             (ps[0].motion, ps[0].channel_names,
              100 * np.array([p.nrmse for p in ps]), 100 * np.array([p.relative_error for p in ps]),
              np.array([p.whitened_rms_by_channel for p in ps]), np.array([p.whitened_rms for p in ps]))
         )  # fmt: skip
-    return proof_side_by_side([e.name for e in entries], len(result.baselines), motions, ax)
+    return errors_side_by_side([e.name for e in entries], len(result.baselines), motions, ax)
 
 
 def values_figure(result: Comparison | LoadedComparison, name: str, ax: Any = None) -> Figure:
@@ -340,7 +340,7 @@ def _test(test: HausmanTest) -> dict[str, str]:
 def _motion_errors(result: Comparison, index: int) -> dict[str, Any]:
     """Errors of one motion, channel by channel and estimator by estimator."""
     entries = [e for e in (*result.baselines, *result.entries) if e.estimate is not None]
-    ps = [e.proof[index] for e in entries]
+    ps = [e.predictions[index] for e in entries]
 
     def white(p: Prediction, c: int) -> str:
         return number(float(p.whitened_rms_by_channel[c]) if p.noise_known else None, 3)

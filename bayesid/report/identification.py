@@ -121,7 +121,7 @@ def _physics(value: Mapping[str, Any]) -> str:
     return f"{said}: data of a body that can exist lie so far from all of them with a chance of at most {p}"
 
 
-def _trust(value: Mapping[str, Any]) -> str:
+def _prior_strength(value: Mapping[str, Any]) -> str:
     std = value["rel_std"]
     size = "" if std is None else f", relative standard deviation of masses {number(std, 3)}"
     return f"metric {value['metric']}{size} ({value['rule']})"
@@ -136,7 +136,7 @@ _WRITERS: dict[str, Callable[[Any], str]] = {
     "physics": _physics,
     "rejected_share": percent,
     "rejected_windows": _windows,
-    "trust": _trust,
+    "trust": _prior_strength,
 }
 
 

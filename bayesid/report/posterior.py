@@ -337,7 +337,9 @@ def _how(result: ExperimentPosterior) -> list[tuple[str, str]]:
     prior = "flat on the base parameters, no bounds on the links"
     if model.prior is not None:
         prior = "about the nominal links"
-        prior += f", scaled, shifted and warped by {percent(result.trust, 3)} (one standard deviation)" if result.trust else ""
+        prior += (
+            f", scaled, shifted and warped by {percent(result.rel_std, 3)} (one standard deviation)" if result.rel_std else ""
+        )
         prior += "; only bodies that can exist" if model.physical else ""
     engine = {
         "hmc": "exact Hamiltonian trajectories that bounce off the walls, Gibbs steps for the noise",

@@ -180,7 +180,7 @@ class Accuracy(Result):
             ]  # fmt: skip
         if self.sensors is not None:
             document["sensors"] = [o.to_dict() for o in self.sensors.outlooks]
-            document["sensors_link_trust"] = {"relative_std": self.sensors.trust, "assumed": self.sensors.assumed}
+            document["sensors_link_trust"] = {"relative_std": self.sensors.rel_std, "assumed": self.sensors.assumed}
         if self.certificate is not None:
             document["certificate"] = self.certificate.to_dict()
         return strict(document)
@@ -283,7 +283,7 @@ def _short(label: str) -> str:
 def sensor_title(sensors: SensorChoice) -> str:
     """What the table of sensors shows."""
     how = "assumed" if sensors.assumed else "as stated"
-    return f"Candidate sensors: share of the links' prior uncertainty ({percent(sensors.trust, 2)}, {how}) that would be left"
+    return f"Candidate sensors: share of the links' prior uncertainty ({percent(sensors.rel_std, 2)}, {how}) that would be left"
 
 
 def sensor_rows(sensors: SensorChoice) -> list[list[str]]:

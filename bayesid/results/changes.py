@@ -10,8 +10,8 @@ import numpy as np
 
 from bayesid.arguments import argument, call
 from bayesid.diagnosis.changes.findings import NamedChange, ReferenceComparison, Value
+from bayesid.diagnosis.changes.held_out import Place
 from bayesid.diagnosis.changes.hypotheses import EVERYWHERE, Hypothesis
-from bayesid.diagnosis.changes.proof import Place
 from bayesid.estimators.parameters import with_ends
 from bayesid.recordings.experiment import Experiment
 from bayesid.recordings.schema import EffectParameters
@@ -95,7 +95,7 @@ class Changes(Result):
             "verdict": c.verdict,
             "summary": verdict_sentence(c),
             "effects": [change_dict(x) for x in c.changes],
-            "where": [self._place(p) for p in c.proof.places],
+            "where": [self._place(p) for p in c.errors.places],
             "gap": self._gap(),
             "remainder": self._remainder(),
             "candidates": [
@@ -115,12 +115,12 @@ class Changes(Result):
         }  # fmt: skip
 
     def _gap(self) -> dict[str, Any]:
-        p = self.comparison.proof
+        p = self.comparison.errors
         after = p.after if self.comparison.changes else p.tolerance
         steps = [{"name": a.change.spec, "after": float(np.sqrt(m))}
                  for a, m in zip(self.comparison.selection.accepted, p.changes, strict=True)]  # fmt: skip
         return {
-            "metric": f"rms on {p.stretches} stretches held out in turn, over what the recording's own fit leaves",
+            "metric": f"rms on {p.segments} stretches held out in turn, over what the recording's own fit leaves",
             "before": float(np.sqrt(p.reference)), "after": float(np.sqrt(after)), "floor": float(np.sqrt(p.floor)),
             "closed": _finite(p.closed), "closed_low": _finite(p.closed_low),
             "steps": steps, "tolerance_alone": float(np.sqrt(p.tolerance)),
@@ -128,8 +128,8 @@ class Changes(Result):
 
     def _remainder(self) -> dict[str, Any]:
         c = self.comparison
-        left = sorted(c.proof.places, key=lambda p: -p.after)
-        return {"share": c.proof.remainder, "where": [self._place(p) for p in left[:4]], "described_by": c.described_by}
+        left = sorted(c.errors.places, key=lambda p: -p.after)
+        return {"share": c.errors.remainder, "where": [self._place(p) for p in left[:4]], "described_by": c.described_by}
 
     def _place(self, place: Place) -> dict[str, Any]:
         problem = self.comparison.recording.problem
@@ -205,7 +205,7 @@ def shares_sentence(x: NamedChange, comparison: ReferenceComparison) -> str:
 
 def gap_sentence(comparison: ReferenceComparison) -> str:
     """The gap on held-out stretches."""
-    p = comparison.proof
+    p = comparison.errors
     before, floor = number(float(np.sqrt(p.reference)), 3), number(float(np.sqrt(p.floor)), 3)
     after = number(float(np.sqrt(p.after if comparison.changes else p.tolerance)), 3)
     what = "with the changes" if comparison.changes else "with friction and gains within what they wander"

@@ -160,7 +160,7 @@ class Comparison(HasEntries, Result):
             "methods": [
                 {**e.to_dict(), **({"same_as": list(same)} if (same := self.same_as(e.name)) else {})} for e in self.entries
             ],
-            "baselines": [{"name": e.name, "description": e.description, **e.proof_to_dict()} for e in self.baselines],
+            "baselines": [{"name": e.name, "description": e.description, **e.predictions_to_dict()} for e in self.baselines],
             "agreement": {
                 "reference": self.reference,
                 "unit": None if self.reference is None else f"standard deviations of {self.reference}",
@@ -190,7 +190,7 @@ def comparison_text(result: Comparison, *, html: bool = False) -> str:
         As two HTML tables instead of text.
     """
     done = [e for e in result.entries if e.estimate is not None]
-    motions = [p.motion for p in done[0].proof[:TEXT_MOTIONS]]
+    motions = [p.motion for p in done[0].predictions[:TEXT_MOTIONS]]
     head = ["estimator"]
     for motion in motions:
         head += [f"{motion}: error", "x noise"]
@@ -203,7 +203,7 @@ def comparison_text(result: Comparison, *, html: bool = False) -> str:
     for entry in (*result.baselines, *(e for e in result.entries if e.estimate is not None)):
         row = overview(result, entry)
         cells = [row["name"]]
-        for p in entry.proof[:TEXT_MOTIONS]:
+        for p in entry.predictions[:TEXT_MOTIONS]:
             cells += [percent(p.relative_error), number(p.times_noise, 3)]
         cells += [row["links"]] * known
         if result.reference:

@@ -69,7 +69,7 @@ class Entry:
         return self.urdf is not None and self.urdf.moved is not None and not self.urdf.moved.inside
 
     @property
-    def proof(self) -> tuple[Prediction, ...]:
+    def predictions(self) -> tuple[Prediction, ...]:
         """Predictions of validation motions, or of the fitted ones where there is no other."""
         return self.validation or self.fitted
 
@@ -80,19 +80,19 @@ class Entry:
         estimate = self.estimate
         document = {k: v for k, v in estimate.to_dict().items() if k not in ("base_map", "link_parameter_names", "rank")}
         effects = document.pop("effect_parameters")
-        proof = {
+        predictions = {
             "link_parameters": None if self.links is None else self.links.tolist(),
             "physically_consistent": self.physically_consistent,
             "impossible_bodies": None if self.impossible is None else list(self.impossible),
             "identified_urdf": None if self.urdf is None else self.urdf.to_dict(),
-            **self.proof_to_dict(),
+            **self.predictions_to_dict(),
         }
-        known = {k: v for k, v in proof.items() if v is not None}
+        known = {k: v for k, v in predictions.items() if v is not None}
         return strict({"name": self.name, "status": "fitted", **document, "effects": effects, **known})
 
-    def proof_to_dict(self) -> dict[str, Any]:
+    def predictions_to_dict(self) -> dict[str, Any]:
         """Predictions; empty where there is no motion."""
-        if not self.proof:
+        if not self.predictions:
             return {}
         return {"validation": [p.to_dict() for p in self.validation], "fit": [p.to_dict() for p in self.fitted]}
 

@@ -114,7 +114,7 @@ class Loaded(Plots):
         return f"<pre>{escape(str(self))}</pre>"
 
 
-class _Predicted(Loaded):
+class _WithPredictions(Loaded):
     """With errors of predictions."""
 
     @property
@@ -128,7 +128,7 @@ class _Predicted(Loaded):
         return _predictions(self.document["validation"])
 
 
-class _Listed(Loaded):
+class _WithParameters(Loaded):
     """With parameters (r,): the base parameters, or those of the joint torques that bounds are of."""
 
     @property
@@ -162,7 +162,7 @@ class _Listed(Loaded):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class LoadedIdentification(HasEstimate, _Predicted):
+class LoadedIdentification(HasEstimate, _WithPredictions):
     """What `bayesid.identify` found, read back: names, values, intervals, errors of predictions, links."""
 
     @property
@@ -254,7 +254,7 @@ class LoadedComparison(HasEntries, Loaded):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class LoadedPosterior(HasParameters, _Listed, _Predicted):
+class LoadedPosterior(HasParameters, _WithParameters, _WithPredictions):
     """What `bayesid.sample` found, read back: draws of ``posterior.nc``, summaries of ``posterior.json``."""
 
     def to_arviz(self) -> Any:
@@ -322,7 +322,7 @@ class LoadedPosterior(HasParameters, _Listed, _Predicted):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class LoadedBounds(_Listed):
+class LoadedBounds(_WithParameters):
     """What `bayesid.bounds` found, read back: sets of the parameters of the joint torques, bounds of the workspace."""
 
     @property

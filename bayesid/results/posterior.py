@@ -32,7 +32,7 @@ class ExperimentPosterior(PlotsPredictions, Posterior, Result):
         The experiment made ready.
     fitted, validation
         Predictions of the fitted motions and of the others by the posterior's mean and covariance.
-    trust
+    rel_std
         Relative standard deviation of the nominal bodies; None with a flat prior or one of the user's own.
     warnings
         What the user should know, most important first.
@@ -43,7 +43,7 @@ class ExperimentPosterior(PlotsPredictions, Posterior, Result):
     problem: Problem = field(kw_only=True)
     fitted: tuple[Prediction, ...] = ()
     validation: tuple[Prediction, ...] = ()
-    trust: float | None = None
+    rel_std: float | None = None
     warnings: tuple[str, ...] = ()
     seconds: dict[str, float] = field(default_factory=dict)
 
@@ -87,7 +87,7 @@ class ExperimentPosterior(PlotsPredictions, Posterior, Result):
             "robot": robot_section(self.problem.experiment),
             "effects": self.effects(),
             "filter": {"l": None if filters is None else filters.l, "d": None if filters is None else filters.d},
-            "inertia_rel_std": self.trust,
+            "inertia_rel_std": self.rel_std,
             **own,
             "fit": [p.to_dict() for p in self.fitted],
             "validation": [p.to_dict() for p in self.validation],

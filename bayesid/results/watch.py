@@ -62,8 +62,8 @@ class Watched:
     @property
     def gap(self) -> float:
         """What the reference leaves of the recording, in what the recording's own fit leaves; nan where not compared."""
-        proof = None if self.comparison is None else self.comparison.proof
-        return float("nan") if proof is None else float(np.sqrt(proof.reference / proof.floor))
+        errors = None if self.comparison is None else self.comparison.errors
+        return float("nan") if errors is None else float(np.sqrt(errors.reference / errors.floor))
 
     @property
     def evidence(self) -> float:
@@ -94,7 +94,7 @@ class Watched:
         out: dict[str, Any] = {"name": self.name, "verdict": self.verdict}
         if self.comparison is None:
             return {**out, "complaint": self.complaint}
-        p = self.comparison.proof
+        p = self.comparison.errors
         return {
             **out, "effects": [change_dict(x) for x in self.changes], "gap": self.gap,
             "gap_left": float(np.sqrt((p.after if self.changes else p.tolerance) / p.floor)),

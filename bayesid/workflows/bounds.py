@@ -70,7 +70,7 @@ def assumptions(result: ControllerBounds, dropped: Sequence[str]) -> tuple[str, 
     out.append(
         f"Mass matrix, Coriolis terms and gravity are bounded over {w.draws} robots that can exist, drawn within the "
         f"uncertainty, at {w.configurations} configurations. What the data do not determine is as uncertain as nominal links are "
-        f"with a relative standard deviation of {known.trust:.3g} of every mass, and bodies that can exist allow."
+        f"with a relative standard deviation of {known.rel_std:.3g} of every mass, and bodies that can exist allow."
     )
     unlimited = ~(np.isfinite(robot.lower) & np.isfinite(robot.upper))
     if unlimited.any():
@@ -254,7 +254,7 @@ def _known(source: ExperimentPosterior | Identification, prior_std: float | None
         return known_from(
             source.problem, source="estimate", method=e.method, mean=e.solution, covariance=e.full_covariance,
             undetermined=e.undetermined, centre=source.urdf.unconstrained, urdf=source.urdf.links, dynamics=source.urdf.dynamics,
-            trust=prior_std, conflict=source.prior_check is not None and source.prior_check.conflict, dispersion=dispersion,
+            rel_std=prior_std, conflict=source.prior_check is not None and source.prior_check.conflict, dispersion=dispersion,
             floor=source.floor, count=DRAWS, seed=seed,
         )  # fmt: skip
     model, columns = source.model, source.columns.reshape(-1, source.columns.shape[-1])
@@ -269,7 +269,7 @@ def _known(source: ExperimentPosterior | Identification, prior_std: float | None
         mean=columns.mean(axis=0), covariance=np.atleast_2d(np.cov(columns.T)), undetermined=nothing, dynamics=dynamics,
         urdf=None if robot is None else robot[0], draws=columns,
         link_draws=links.reshape(-1, links.shape[-1]) if kept and links is not None else None,
-        prior_draws=prior if kept else None, trust=prior_std or source.trust,
+        prior_draws=prior if kept else None, rel_std=prior_std or source.rel_std,
         dispersion=model.likelihood.dispersion, count=DRAWS, seed=seed,
     )  # fmt: skip
 

@@ -1,4 +1,4 @@
-"""Estimators side by side on the same rows: values, proof, physical consistency, agreement and time."""
+"""Estimators side by side on the same rows: values, predictions, physical consistency, agreement and time."""
 
 from __future__ import annotations
 

@@ -227,10 +227,10 @@ def _offset(problem: Problem, estimate: Estimate, links: np.ndarray) -> tuple[np
     if absorbed is not None:
         rows = absorbed[: len(at)]
         value -= rows @ links
-        trust = problem.experiment.inertia_rel_std
+        rel_std = problem.experiment.inertia_rel_std
         share = np.sqrt(np.sum((rows * links).reshape(len(rows), -1, 10).sum(axis=2) ** 2, axis=1))
         unknown = share > 1e-9
-        std = np.where(unknown, np.nan if trust is None else np.hypot(std, (trust or 0.0) * share), std)
+        std = np.where(unknown, np.nan if rel_std is None else np.hypot(std, (rel_std or 0.0) * share), std)
     return value, std
 
 

@@ -25,7 +25,7 @@ def _(result: LoadedComparison) -> Figures:
     from bayesid.report.comparison import errors_figure, values_figure
 
     values = {} if result.reference is None else {"values": partial(values_figure, result, result.reference)}
-    return {"errors": partial(errors_figure, result), **values} if result.entries[0].proof or result.baselines else values
+    return {"errors": partial(errors_figure, result), **values} if result.entries[0].predictions or result.baselines else values
 
 
 @figures_of.register

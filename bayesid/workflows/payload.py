@@ -171,15 +171,15 @@ def payload(
         source, detail = "sensor", str(sensor.joint)
         found = _weighed(asked, carried)
     else:
-        trust = experiment.inertia_rel_std
-        if trust is None:
+        rel_std = experiment.inertia_rel_std
+        if rel_std is None:
             raise InputError(
                 "a payload looks like a heavier last link: name a recording without it "
                 f"({argument('reference')}), or state in experiment.toml how far the URDF's inertias are trusted ([robot] "
                 "inertia_rel_std = 0.1)"
             )
-        source, detail = "nominal", percent(trust, 2)
-        found = _beside_nominal(asked, joint, trust)
+        source, detail = "nominal", percent(rel_std, 2)
+        found = _beside_nominal(asked, joint, rel_std)
     clock("result")
     told, name = in_frame(found.known, experiment, found.body, frame)
     known = told.possible
@@ -257,13 +257,13 @@ def _weighed(asked: _Asked, body: int) -> _Found:
     )  # fmt: skip
 
 
-def _beside_nominal(asked: _Asked, joint: str | None, trust: float) -> _Found:
+def _beside_nominal(asked: _Asked, joint: str | None, rel_std: float) -> _Found:
     """Beside a nominal model that is trusted so far."""
     body = body_of(asked.experiment.robot, carrying_joint(asked.experiment.robot, joint))
     found = _explained(asked, asked.experiment, body)
     fits = (found.first, found.best, *found.rivals)
-    plain, known, *others = (from_nominal(f.problem, f.estimate, body, trust)[0] for f in fits)
-    share = from_nominal(found.best.problem, found.best.estimate, body, trust)[1]
+    plain, known, *others = (from_nominal(f.problem, f.estimate, body, rel_std)[0] for f in fits)
+    share = from_nominal(found.best.problem, found.best.estimate, body, rel_std)[1]
     says = (
         f"The answer depends on the nominal model: {percent(share, 2)} of the mass's variance is its. A recording without the "
         f"payload ({argument('reference')}) does without it."

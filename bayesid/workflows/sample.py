@@ -155,10 +155,10 @@ def sample(
             problem = prepare(experiment, options)
             problem = settled(problem)
             regression = problem.regression
-        chosen, trust = _prior(regression, prior, prior_std)
+        chosen, rel_std = _prior(regression, prior, prior_std)
         clock("noise")
         model = PosteriorModel.of(regression, chosen, noise)
-        check = None if chosen is None else against_prior(regression, chosen, trust)
+        check = None if chosen is None else against_prior(regression, chosen, rel_std)
         if chosen is not None and check is not None:
             model = replace(model, prior=chosen.widened(check.widening))
         clock("sampling")
@@ -168,7 +168,7 @@ def sample(
             resume=sampler.resume, tell=clock.progress,
         )  # fmt: skip
         clock("prediction")
-        posterior = _with_predictions(model, result, seed, check, regression, problem, trust, clock)
+        posterior = _with_predictions(model, result, seed, check, regression, problem, rel_std, clock)
     if not result.diagnosis.passed and not keep_going:
         error = ConvergenceError(
             f"the chains did not converge in {sampler.longest} times the usual length: {result.diagnosis.complaint()}; "
@@ -233,12 +233,12 @@ def _prior(regression: Regression, prior: str | Prior | None, std: float | None)
         raise InputError(
             f"{argument('prior', 'nominal')}: the URDF states no masses; write them there, or take {argument('prior', 'flat')}"
         )
-    trust = std or stated
-    if not trust:
+    rel_std = std or stated
+    if not rel_std:
         raise InputError(
             f"{argument('prior', 'nominal')}: the experiment states no inertia_rel_std; add {argument('prior_std', 0.3)}"
         )
-    return Prior.warped(regression.knowledge.nominal_links, trust), trust
+    return Prior.warped(regression.knowledge.nominal_links, rel_std), rel_std
 
 
 def _with_predictions(
@@ -248,7 +248,7 @@ def _with_predictions(
     check: PriorCheck | None,
     regression: Regression,
     problem: Problem | None,
-    trust: float | None,
+    rel_std: float | None,
     clock: Clock,
 ) -> Posterior:
     posterior = Posterior(model, result, seed, prior_check=check)
@@ -267,7 +267,7 @@ def _with_predictions(
     validation = tuple(replace(predict(problem, estimate, m, floor), flexible=gaps.get(m.name)) for m in judges)
     clock.stop()
     return ExperimentPosterior(
-        model, result, seed, extra, check, problem=problem, fitted=fitted, validation=validation, trust=trust,
+        model, result, seed, extra, check, problem=problem, fitted=fitted, validation=validation, rel_std=rel_std,
         warnings=_warnings(posterior, problem, validation), seconds=clock.seconds,
     )  # fmt: skip
 

@@ -117,7 +117,7 @@ def _known(
         covariance=None if covariance is None else np.array(covariance, float),
         undetermined=undetermined, centre=nearest_links(experiment.robot, base, values, ~undetermined[: base.rank]),
         urdf=np.array(document["link_parameters"], float),
-        dynamics=JointDynamics(saved["dynamics"], tuple(saved["negative_friction"]), beside), trust=prior_std,
+        dynamics=JointDynamics(saved["dynamics"], tuple(saved["negative_friction"]), beside), rel_std=prior_std,
         conflict=bool((document["prior_against_data"] or {}).get("conflict")), dispersion=dispersion, floor=noise_floor(problem),
         count=count, seed=seed,
     ), warned  # fmt: skip
@@ -150,15 +150,15 @@ def _posterior(problem: Problem, file: Path, document: dict[str, Any], prior_std
         return np.asarray(group[name].values, float).reshape(-1, size)
 
     draws = np.concatenate([drawn("base", base.rank), drawn("effect", len(problem.regression.effect_names))], axis=1)
-    prior, links, trust = None, None, prior_std or document["inertia_rel_std"]
+    prior, links, rel_std = None, None, prior_std or document["inertia_rel_std"]
     nominal = problem.regression.knowledge.nominal_links
-    if "bodies that can exist only" in document["prior"] and trust and nominal is not None:
+    if "bodies that can exist only" in document["prior"] and rel_std and nominal is not None:
         links = drawn("link", len(base.parameter_names))
-        prior = prior_links(base, Prior.nominal(nominal, trust), PRIOR_DRAWS, seed)
+        prior = prior_links(base, Prior.nominal(nominal, rel_std), PRIOR_DRAWS, seed)
     nothing, mean = np.zeros(draws.shape[1], bool), draws.mean(axis=0)
     return known_from(
         problem, source="posterior", method=prior_text(document["noise"], document["prior"].startswith("flat")),
         mean=mean, covariance=np.atleast_2d(np.cov(draws.T)), undetermined=nothing, draws=draws, link_draws=links,
-        prior_draws=prior, dynamics=joint_dynamics(problem, mean[base.rank :], ~nothing[base.rank :]), trust=trust,
+        prior_draws=prior, dynamics=joint_dynamics(problem, mean[base.rank :], ~nothing[base.rank :]), rel_std=rel_std,
         dispersion=float(document["dispersion"]), count=count, seed=seed,
     )  # fmt: skip

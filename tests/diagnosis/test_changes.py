@@ -14,7 +14,7 @@ import bayesid
 from bayesid.cli import main
 from bayesid.diagnosis.changes.evidence import Marginal, Reduced, gain
 from bayesid.diagnosis.changes.findings import ReferenceComparison
-from bayesid.diagnosis.changes.hypotheses import Hypothesis, StandingAmplitudes
+from bayesid.diagnosis.changes.hypotheses import Hypothesis, SharedAmplitudes
 from bayesid.diagnosis.changes.posterior import amplitudes
 from bayesid.diagnosis.changes.reference import learn_reference
 from bayesid.diagnosis.changes.scales import DISPERSIONS, SIZES
@@ -48,7 +48,7 @@ def test_evidence_is_that_of_the_dense_gaussian(standing):
     always, mean = np.zeros((7, 0)), np.zeros(7)
     if standing:
         root, wander = np.array([[0.4, 0.0], [0.1, 0.2]]), np.array([0.1, 0.3])
-        both = StandingAmplitudes(np.array([5, 6]), np.array([0.3, -0.2]), root, wander)
+        both = SharedAmplitudes(np.array([5, 6]), np.array([0.3, -0.2]), root, wander)
         always = np.zeros((7, 4))
         always[[5, 6], 2:], always[3, 0], always[4, 1] = both.root, 0.1, 0.3
         mean[[5, 6]] = both.mean

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesid.effects.crossings import crossed_anew, local_energy, stretches_that_stand_out
+from bayesid.effects.crossings import crossed_anew, intervals_that_stand_out, local_energy
 from bayesid.signals.splines import Splines
 
 STEP, GAP, COUNT = 0.008, 4e-3, 1e-4
@@ -30,7 +30,7 @@ def test_a_stretch_that_chatters_is_crossed_as_it_was(crossings, sides):
     encoders, truth = recorded(crossings, sides)
     chattering = (T > 2.7) & (T < 3.6)
     start = np.where(chattering, GAP / 2 * np.sign(np.sin(40 * T)), truth)
-    where = stretches_that_stand_out(local_energy(SPLINES.remainder(encoders - start), STEP))
+    where = intervals_that_stand_out(local_energy(SPLINES.remainder(encoders - start), STEP))
     assert where and T[where[0][0]] < crossings[0] and T[where[-1][1]] > crossings[-1]
     got = crossed(encoders, start, SPLINES, np.zeros(len(T), bool), where)
     assert np.sum(np.abs(got - truth) > 0.01 * GAP) <= 2 * len(crossings)  # a sample each may belong to either side
@@ -39,7 +39,7 @@ def test_a_stretch_that_chatters_is_crossed_as_it_was(crossings, sides):
 
 def test_what_is_right_and_what_stands_still_is_left_alone():
     encoders, truth = recorded((3.0, 3.4), (-1, 0, 1))
-    assert not stretches_that_stand_out(local_energy(SPLINES.remainder(encoders - truth), STEP))
+    assert not intervals_that_stand_out(local_energy(SPLINES.remainder(encoders - truth), STEP))
     whole = [(0, len(T))]
     assert np.array_equal(crossed(encoders, truth, SPLINES, np.ones(len(T), bool), whole), truth)
     kept = crossed(encoders, truth, SPLINES, np.zeros(len(T), bool), [(340, 400)])

@@ -39,7 +39,7 @@ def posterior(recorded):
 
 
 def test_default_prior_is_the_experiments(recorded, posterior):
-    assert posterior.model.physical and posterior.trust == 0.2 and posterior.chains.engine == "hmc"
+    assert posterior.model.physical and posterior.rel_std == 0.2 and posterior.chains.engine == "hmc"
     assert posterior.diagnosis.passed and len(posterior.warnings) <= 1
     assert all(w.startswith("Driven by the prior") for w in posterior.warnings)
     truth = posterior.base.matrix @ recorded.robot.nominal.ravel()
@@ -50,7 +50,7 @@ def test_default_prior_is_the_experiments(recorded, posterior):
     assert unstated.model.prior is None and unstated.chains.engine == "emcee"
     assert any("flat" in w for w in unstated.warnings)
     stated = bayesid.sample(replace(recorded, inertia_rel_std=None), draws=400, prior_std=0.2)
-    assert stated.trust == 0.2
+    assert stated.rel_std == 0.2
 
 
 def test_flat_prior_gives_generalised_least_squares(recorded):

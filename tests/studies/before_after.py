@@ -37,7 +37,7 @@ def pair(before: str, after: str) -> dict:
     best = c.scores[0]
     out = {
         "before": before, "after": after, "verdict": found.verdict, "changes": [x.change.spec for x in c.changes],
-        "best": best[0].spec, "log_evidence": best[1], "gap": [c.proof.reference**0.5, c.proof.after**0.5],
+        "best": best[0].spec, "log_evidence": best[1], "gap": [c.errors.reference**0.5, c.errors.after**0.5],
         "seconds": time.process_time() - since,
     }  # fmt: skip
     for x in c.changes:

@@ -197,7 +197,7 @@ def known_of(name: str, index: int, rng: np.random.Generator) -> Known:
     return known_from(
         problem, source="posterior", method="nominal prior", mean=columns.mean(axis=0), covariance=np.cov(columns.T),
         undetermined=nothing, draws=columns, link_draws=linear[:, : model.link_count],
-        prior_draws=model.prior_draws(500, rng), trust=TRUST, count=2000, seed=seed,
+        prior_draws=model.prior_draws(500, rng), rel_std=TRUST, count=2000, seed=seed,
     )  # fmt: skip
 
 
@@ -416,7 +416,7 @@ def write(result: dict[str, Any], folder: Path = STUDIES / "controller-bounds") 
         for c in cases for shape, t in c["tracking"].items()
     ]  # fmt: skip
     write_page(
-        PAGE, folder / "README.md", held=table(head, rows), seed=SEED, trust=TRUST, duration=f"{DURATION:g}",
+        PAGE, folder / "README.md", held=table(head, rows), seed=SEED, rel_std=TRUST, duration=f"{DURATION:g}",
         rate=f"{RATE:g}", force=FORCE, encoder=ENCODER, gain=f"{GAIN:g}", rate_of=f"{LAMBDA:g}", rest=REST,
         time=TIME,
         tracked=table("robots | term | kept the bound | largest error over the bound | median", tracked),

@@ -204,7 +204,7 @@ def states_of(found):
 def test_links_that_contradict_the_data_count_for_nothing(arm):
     heavy = replace(arm[0].robot, nominal=3.0 * arm[0].robot.nominal)
     found = bayesid.bounds(bayesid.identify(replace(arm[0], robot=heavy, inertia_rel_std=0.02)), configurations=16)
-    assert found.known.trust == WIDE
+    assert found.known.rel_std == WIDE
     spread = (found.links @ found.torque_model.base.matrix.T).mean(axis=0)
     assert np.all(np.abs(spread - found.values) < found.region.std)
 

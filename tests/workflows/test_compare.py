@@ -150,7 +150,7 @@ def test_stated_values_of_effects_are_part_of_the_nominal_model(robot):
                      effect_values={"sensor_offset": dict.fromkeys(("fx", "fy", "fz", "mx", "my", "mz"), 3.0)})  # fmt: skip
     found = bayesid.compare(stated, ["wls"])
     assert found.baselines[0].fitted[0].whitened_rms == pytest.approx(1.0, abs=0.03)
-    assert not found.baselines[0].validation and found.entries[0].proof == found.entries[0].fitted
+    assert not found.baselines[0].validation and found.entries[0].predictions == found.entries[0].fitted
     assert any("No validation motion" in w for w in found.warnings)
     text = " ".join(read(comparison_report(found)).text.split())
     assert "There is no validation motion" in text and "fitted: no validation motion" in str(found)
@@ -270,9 +270,9 @@ def test_document_is_strict_and_complete(compared, tmp_path):
     assert set(document["runtime_s"].pop("methods")) == set(methods) and "seconds" not in json.dumps(document)
     assert methods["halved"]["details"] == {"share": 0.5, "lost": None, "at": [0, 1]}
     assert methods["halved"]["base_parameters"][0]["std"] is None and methods["halved"]["physically_consistent"] is False
-    proof = methods["wls"]["validation"][0]
-    assert proof["motion"] == "validation" and proof["whitened_rms"] > 0
-    assert set(proof["rmse"]) == set(proof["nrmse"]) == {"fx", "fy", "fz", "mx", "my", "mz"}
+    predictions = methods["wls"]["validation"][0]
+    assert predictions["motion"] == "validation" and predictions["whitened_rms"] > 0
+    assert set(predictions["rmse"]) == set(predictions["nrmse"]) == {"fx", "fy", "fz", "mx", "my", "mz"}
     assert [b["name"] for b in document["baselines"]] == ["nominal", "nominal + effects"]
     values = [p["value"] for p in methods["gls"]["base_parameters"]]
     np.testing.assert_allclose(values, compared["gls"].values)

@@ -38,7 +38,7 @@ from bayesid.robot.typical import states_masses, typical_links
 from bayesid.simulation.plant import plant_readings
 
 #: How far nominal links are trusted where the experiment does not say.
-USUAL_TRUST = 0.3
+USUAL_REL_STD = 0.3
 #: An effect that is seen only from so many times its usual size is not seen; rounding leaves as much.
 _ABSURD = 100.0
 
@@ -119,14 +119,14 @@ class SensorChoice:
     ----------
     outlooks
         One a candidate, in the order of the file.
-    trust
+    rel_std
         Relative standard deviation of the nominal links that intervals count with.
     assumed
         Whether the experiment did not state it.
     """
 
     outlooks: tuple[Outlook, ...]
-    trust: float
+    rel_std: float
     assumed: bool
 
 
@@ -150,12 +150,12 @@ def choose_sensor(
         A wrist sensor's joint does not exist.
     """
     stated = bench.experiment.inertia_rel_std
-    trust = stated or USUAL_TRUST
+    rel_std = stated or USUAL_REL_STD
     outlooks = []
     for candidate in candidates:
         tell(f"sensor {candidate.name}")
-        outlooks.append(_outlook(bench, candidate, trust))
-    return SensorChoice(tuple(outlooks), trust, not stated)
+        outlooks.append(_outlook(bench, candidate, rel_std))
+    return SensorChoice(tuple(outlooks), rel_std, not stated)
 
 
 def _equipped(bench: Bench, candidate: CandidateSensor) -> tuple[Experiment, np.ndarray]:
@@ -174,7 +174,7 @@ def _equipped(bench: Bench, candidate: CandidateSensor) -> tuple[Experiment, np.
     return replace(own, robot=robot, sensor=sensor), links
 
 
-def _outlook(bench: Bench, candidate: CandidateSensor, trust: float) -> Outlook:
+def _outlook(bench: Bench, candidate: CandidateSensor, rel_std: float) -> Outlook:
     experiment, links = _equipped(bench, candidate)
     sensor_set = SENSOR_SETS["torque" if candidate.kind == "torque" else "wrench-offset"]
     motions = [replace(m.motion, static=None) for m in bench.motions]
@@ -190,16 +190,16 @@ def _outlook(bench: Bench, candidate: CandidateSensor, trust: float) -> Outlook:
     )  # fmt: skip
     determined = shown(expected, [n for e in model.effects if e.estimated_without_static_run for n in e.column_names])
     nominal = experiment.robot.nominal if states_masses(experiment.robot) else typical_links(experiment.robot)
-    link_std, prior_std = _with_prior(determined, Prior.nominal(nominal, trust).covariance)
+    link_std, prior_std = _with_prior(determined, Prior.nominal(nominal, rel_std).covariance)
     terms = tuple(t for t in bench.terms if any(t.effect.acts_on(c) for c in model.channels.names))
-    scenes = [(s, _scene(model, s, bench)) for s in segments]
-    plain = [plant_readings(experiment.robot, model.channels, scene, links, terms) for _, scene in scenes]
+    motions = [(s, _motion(model, s, bench)) for s in segments]
+    plain = [plant_readings(experiment.robot, model.channels, states, links, terms) for _, states in motions]
     peak = np.max([np.abs(r @ candidate_map(candidate, r.shape[1]).T).max(axis=0) for r in plain], axis=0)
     if model.point is not None:  # columns are those of this very plant
         links, terms = model.point.links, model.point.terms(model.effects)
     return Outlook(
         candidate, determined, model.base.parameter_names, link_std, prior_std,
-        _effects(experiment, model, scenes, links, terms, weigh), peak,
+        _effects(experiment, model, motions, links, terms, weigh), peak,
     )  # fmt: skip
 
 
@@ -221,7 +221,7 @@ def _combined(weigh: np.ndarray, block: Block) -> np.ndarray:
     return np.einsum("mc,kcp->kmp", weigh, block.rows)
 
 
-def _scene(model: RowModel, segment: Segment, bench: Bench) -> MotionSegment:
+def _motion(model: RowModel, segment: Segment, bench: Bench) -> MotionSegment:
     state = model.state(segment, 0, len(segment.times))
     return replace(state, still=segment.poses, bandwidth=model.bandwidth, middle=bench.middle)
 
@@ -243,7 +243,7 @@ def _with_prior(found: Shown, prior: np.ndarray) -> tuple[np.ndarray, np.ndarray
 
 
 def _effects(
-    experiment: Experiment, model: RowModel, scenes: Sequence[tuple[Segment, MotionSegment]], links: np.ndarray,
+    experiment: Experiment, model: RowModel, motions: Sequence[tuple[Segment, MotionSegment]], links: np.ndarray,
     terms: tuple[Term, ...], weigh: np.ndarray,
 ) -> dict[str, float | None]:  # fmt: skip
     """Smallest share of each effect of usual size that would stand out by five standard deviations."""
@@ -259,10 +259,10 @@ def _effects(
         term = Term(effect, tuple(effect.typical(robot)))
         try:
             with np.errstate(all="ignore"):
-                made = [plant_readings(robot, model.channels, scene, links, (*terms, term)) for _, scene in scenes]
+                made = [plant_readings(robot, model.channels, states, links, (*terms, term)) for _, states in motions]
         except InputError:
             return 0.0
-        read = [replace(s, readings=r) for (s, _), r in zip(scenes, made, strict=True)]
+        read = [replace(s, readings=r) for (s, _), r in zip(motions, made, strict=True)]
         # The columns explain the plant itself: what they leave is the effect's.
         return float(abs(reduce_rows(make_blocks(model, read), lambda b: _combined(weigh, b)).r[-1, -1]))
 

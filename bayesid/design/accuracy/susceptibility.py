@@ -101,13 +101,13 @@ def susceptibility(
         Called with what is going on.
     """
     terms = missing_effects(bench) if terms is None else terms
-    scenes, weights = _scenes(bench), learn_weights(bench.problem.regression)
-    start = _fitted(bench, [_read(bench, segment, scene, ()) for segment, scene in scenes], weights)
+    motions, weights = _motions(bench), learn_weights(bench.problem.regression)
+    start = _fitted(bench, [_read(bench, segment, states, ()) for segment, states in motions], weights)
 
     def off(term: Term) -> np.ndarray | None:
         try:
             with np.errstate(all="ignore"):
-                read = [_read(bench, segment, scene, (term,)) for segment, scene in scenes]
+                read = [_read(bench, segment, states, (term,)) for segment, states in motions]
         except InputError:  # of this size there is no such effect, such as a joint too soft to carry its links
             return None
         return _fitted(bench, read, weights) - start
@@ -122,7 +122,7 @@ def susceptibility(
     return tuple(sorted(out, key=lambda s: -s.largest))
 
 
-def _scenes(bench: Bench) -> list[tuple[Segment, MotionSegment]]:
+def _motions(bench: Bench) -> list[tuple[Segment, MotionSegment]]:
     """The fitted segments with their smoothed motion."""
     problem = bench.problem
     row_model = problem.row_model
@@ -133,13 +133,13 @@ def _scenes(bench: Bench) -> list[tuple[Segment, MotionSegment]]:
     return out
 
 
-def _read(bench: Bench, segment: Segment, scene: MotionSegment, more: tuple[Term, ...]) -> tuple[str, Segment]:
+def _read(bench: Bench, segment: Segment, states: MotionSegment, more: tuple[Term, ...]) -> tuple[str, Segment]:
     """The segment with exact readings of the plant and further effects, and of its static run where that is subtracted."""
     robot, channels = bench.experiment.robot, bench.problem.row_model.channels
     terms = (*bench.terms, *more)
-    readings, known = plant_readings(robot, channels, scene, bench.links, terms), segment.known
+    readings, known = plant_readings(robot, channels, states, bench.links, terms), segment.known
     if not segment.gravity:
-        known = plant_readings(robot, channels, scene.at_rest, bench.links, terms)
+        known = plant_readings(robot, channels, states.at_rest, bench.links, terms)
     return bench.problem.regression.motion_names[segment.motion], replace(segment, readings=readings, known=known)
 
 

@@ -60,7 +60,7 @@ class Known:
         Factor that the covariance has for what the model lacks; 1: none.
     held_out_scale
         Share of that covariance which held-out motions leave; 1: all of it.
-    trust
+    rel_std
         Relative standard deviation of the prior on links; None: one of the user's own.
     """
 
@@ -78,7 +78,7 @@ class Known:
     dynamics: JointDynamics
     dispersion: float
     held_out_scale: float
-    trust: float | None
+    rel_std: float | None
 
     @property
     def base(self) -> BaseParameters:
@@ -183,7 +183,7 @@ def known_from(
     centre: np.ndarray | None = None,
     urdf: np.ndarray | None = None,
     dynamics: JointDynamics | None = None,
-    trust: float | None = None,
+    rel_std: float | None = None,
     conflict: bool = False,
     dispersion: float = 1.0,
     floor: NoiseFloor | None = None,
@@ -208,7 +208,7 @@ def known_from(
         Links that have the mean for base parameters, and those of ``identified.urdf`` (P,); default the mean of the draws.
     dynamics
         As in `Known`.
-    trust
+    rel_std
         Relative standard deviation of the nominal links; None: what the experiment says, else next to nothing is known.
     conflict
         Whether data and that trust contradict each other: then next to nothing is taken to be known, where none is given.
@@ -236,7 +236,7 @@ def known_from(
     if problem.row_model.point is not None:
         values[:] = problem.row_model.point.values
     values[problem.row_model.free] = mean[rank:]
-    trust = trust or (None if conflict else problem.experiment.inertia_rel_std) or WIDE
+    rel_std = rel_std or (None if conflict else problem.experiment.inertia_rel_std) or WIDE
     scale = 1.0
     if link_draws is None:
         # A posterior's draws hold the prior, too, and stay as they are.
@@ -247,7 +247,7 @@ def known_from(
         assert nominal is not None  # of an experiment there always are some
         links = consistent_draws(
             problem.row_model.base, mean, covariance, _drawn(problem, covariance), np.array(knowledge.effect_non_negative, bool),
-            Prior.warped(nominal, trust), count, seed,
+            Prior.warped(nominal, rel_std), count, seed,
         )  # fmt: skip
     else:
         assert draws is not None  # links are drawn with the parameters
@@ -257,7 +257,7 @@ def known_from(
     return Known(
         problem=problem, source=source, method=method, mean=mean, covariance=covariance, draws=draws, undetermined=undetermined,
         effect_values=values, links=links, centre=middle if centre is None else centre, urdf=middle if urdf is None else urdf,
-        dynamics=dynamics or JointDynamics({}), dispersion=dispersion, held_out_scale=scale, trust=trust,
+        dynamics=dynamics or JointDynamics({}), dispersion=dispersion, held_out_scale=scale, rel_std=rel_std,
     )  # fmt: skip
 
 

@@ -51,7 +51,7 @@ class Clearance:
     margins: np.ndarray
     scale: float
     notes: tuple[str, ...]
-    _scene: _Scene
+    _collisions: _Collisions
 
     def __repr__(self) -> str:
         return f"<Clearance: {len(self.names)} pairs of bodies, {self.margins.max():g} m>"
@@ -85,10 +85,10 @@ class Clearance:
 
     def _witnesses(self, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Distances (N, p), normals from the first to the second body (N, p, 3), nearest points (N, p, 2, 3)."""
-        return self._scene.kept.get(positions.tobytes(), lambda: self._scene.witnesses(positions))
+        return self._collisions.kept.get(positions.tobytes(), lambda: self._collisions.witnesses(positions))
 
 
-class _Scene:
+class _Collisions:
     """Pinocchio's geometry of a robot whose other joints are locked."""
 
     def __init__(self, model: Any, geometry: Any, robot: Robot, locked: Mapping[str, float]):
@@ -156,11 +156,11 @@ def clearance(
         return None, notes
     for a, b in chosen:
         geometry.addCollisionPair(pin.CollisionPair(a, b))
-    scene = _Scene(model, geometry, robot, locked)
+    collisions = _Collisions(model, geometry, robot, locked)
     rng = np.random.default_rng(seed)
     low = np.where(np.isfinite(robot.lower), robot.lower, -np.pi)
     high = np.where(np.isfinite(robot.upper), robot.upper, np.pi)
-    tried = scene.witnesses(rng.uniform(low, high, (_TRIED, robot.n)))[0]
+    tried = collisions.witnesses(rng.uniform(low, high, (_TRIED, robot.n)))[0]
     # Some shapes never are a margin apart: then they are to keep half of what they can.
     margins = np.where(np.mean(tried <= margin, axis=0) > _NEIGHBOURS, np.minimum(margin, 0.5 * tried.max(axis=0)), margin)
     for k in np.flatnonzero(np.mean(tried <= 0.0, axis=0) > _NEIGHBOURS)[::-1].tolist():
@@ -170,13 +170,13 @@ def clearance(
         notes = (*notes, f"{bodies[a][0]} and {bodies[b][0]} overlap nearly everywhere: this pair is not checked")
     if not chosen:
         return None, notes
-    scene = _Scene(model, geometry, robot, locked)
+    collisions = _Collisions(model, geometry, robot, locked)
     names = tuple(f"{bodies[a][0]} and {bodies[b][0]}" for a, b in chosen)
     carriers = np.maximum(np.array([(bodies[a][1], bodies[b][1]) for a, b in chosen]), -1)
     narrow = [f"{name} ({1000 * m:.1f} mm)" for name, m in zip(names, margins, strict=True) if m < margin]
     if narrow:
         notes = (*notes, f"Nearly everywhere nearer to each other than the margin, and kept apart by less: {', '.join(narrow)}.")
-    return Clearance(robot, names, carriers, margins, max(4.0 * margin, 0.05), notes, scene), notes
+    return Clearance(robot, names, carriers, margins, max(4.0 * margin, 0.05), notes, collisions), notes
 
 
 def _adjacent(robot: Robot, one: int, other: int) -> bool:

@@ -28,7 +28,7 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.special import logsumexp
 
-from bayesid.diagnosis.changes.hypotheses import Hypothesis, StandingAmplitudes
+from bayesid.diagnosis.changes.hypotheses import Hypothesis, SharedAmplitudes
 from bayesid.diagnosis.changes.scales import DISPERSIONS, SIZES
 from bayesid.estimators.factor import stack
 
@@ -114,7 +114,7 @@ class Marginal:
         """The dispersion that suits best without a further change."""
         return float(DISPERSIONS[int(np.argmax(self._parts[0]))])
 
-    def _standing(self, both: StandingAmplitudes) -> np.ndarray:
+    def _shared(self, both: SharedAmplitudes) -> np.ndarray:
         """Directions of unit variance of an effect that is in both recordings: it wanders, and is known so well (2 k, m)."""
         return np.asarray(block_diag(self.factor * np.diag(both.wander), both.root))
 
@@ -122,10 +122,10 @@ class Marginal:
         """Precision to which the data show amplitudes of a change (k, k), at the best dispersion."""
         gram = self._parts[2][int(np.argmax(self._parts[0]))]
         own = np.ix_(change.columns, change.columns)
-        if (both := change.standing) is None:
+        if (both := change.shared) is None:
             return gram[own]
         at = np.concatenate([change.columns, both.columns])
-        always = self._standing(both)
+        always = self._shared(both)
         seen = gram[np.ix_(change.columns, at)] @ always
         inner = np.eye(len(always.T)) + always.T @ gram[np.ix_(at, at)] @ always
         return gram[own] - seen @ np.linalg.solve(inner, seen.T)
@@ -137,9 +137,9 @@ class Marginal:
         """
         null, vectors, grams = self._parts
         columns, always = change.columns, np.zeros((len(change.columns), 0))
-        if (both := change.standing) is not None:
+        if (both := change.shared) is not None:
             columns = np.concatenate([columns, both.columns])
-            always = self._standing(both)
+            always = self._shared(both)
         gram, vector = grams[:, columns[:, None], columns], vectors[:, columns]
         if both is not None:
             mean = np.concatenate([np.zeros(len(change.columns)), both.mean])

@@ -10,9 +10,9 @@ from typing import Literal
 import numpy as np
 
 from bayesid.diagnosis.changes.evidence import Marginal
+from bayesid.diagnosis.changes.held_out import HeldOutErrors, Place, held_out_errors
 from bayesid.diagnosis.changes.hypotheses import Hypothesis
 from bayesid.diagnosis.changes.posterior import Amplitudes, amplitudes
-from bayesid.diagnosis.changes.proof import Place, Proof, prove
 from bayesid.diagnosis.changes.recording import LaterRecording, chosen_bandwidth, read_recording
 from bayesid.diagnosis.changes.reference import Reference, learn_reference
 from bayesid.diagnosis.changes.scales import DISPERSIONS, SIZES
@@ -83,28 +83,28 @@ def _smallest(marginal: Marginal, change: Hypothesis, needed: float) -> float:
 Verdict = Literal["named", "named_in_part", "ambiguous", "unknown", "nothing_missing"]
 
 
-def proven(selection: Selection, proof: Proof, settings: Settings) -> tuple[Accepted, ...]:
+def confirmed(selection: Selection, errors: HeldOutErrors, settings: Settings) -> tuple[Accepted, ...]:
     """Changes that differ from zero and close some of the gap on stretches that took no part, with 95 % confidence.
 
     None is, where the tolerance alone predicts those stretches better. It may predict them as well: what is improbable, that
     friction doubled from one day to the next, is the evidence's to say.
     """
-    if proof.after > proof.tolerance * (1.0 + settings.worse_share):
+    if errors.after > errors.tolerance * (1.0 + settings.worse_share):
         return ()
     fitted, out = amplitudes(selection.marginal()), []
-    for a, own, low in zip(selection.accepted, selection.directions, proof.shares_low, strict=True):
+    for a, own, low in zip(selection.accepted, selection.directions, errors.shares_low, strict=True):
         values, root = fitted.part(own)[a.change.columns], fitted.part_root(own)[a.change.columns]
         if low > 0.0 and outside(squared_distance(values, root @ root.T), len(values), settings):
             out.append(a)
     return tuple(out)
 
 
-def verdict(selection: Selection, proof: Proof, settings: Settings) -> Verdict:
+def verdict(selection: Selection, errors: HeldOutErrors, settings: Settings) -> Verdict:
     """The verdict.
 
     Parameters
     ----------
-    selection, proof
+    selection, errors
         Changes that the data demand, and how they do on held-out stretches.
     settings
         The thresholds.
@@ -114,13 +114,13 @@ def verdict(selection: Selection, proof: Proof, settings: Settings) -> Verdict:
     Without a change there is something unknown where the data demand one that held-out stretches deny, or where, with what
     wanders within its tolerance, they are predicted worse than any dispersion allows.
     """
-    named = proven(selection, proof, settings)
+    named = confirmed(selection, errors, settings)
     if not named:
-        unexplained = proof.tolerance > DISPERSIONS[-1] * proof.floor
+        unexplained = errors.tolerance > DISPERSIONS[-1] * errors.floor
         return "unknown" if selection.accepted or unexplained else "nothing_missing"
     if any(a.rivals for a in named):
         return "ambiguous"
-    open_ = np.isfinite(proof.closed) and proof.remainder > 1.0 - settings.closed
+    open_ = np.isfinite(errors.closed) and errors.remainder > 1.0 - settings.closed
     return "named_in_part" if open_ or len(named) < len(selection.accepted) else "named"
 
 
@@ -187,7 +187,7 @@ class ReferenceComparison:
     ----------
     reference, recording
         Before and after.
-    selection, proof
+    selection, errors
         Changes that the data demand, and how they do on held-out stretches.
     verdict
         As in ``diagnosis.json``.
@@ -204,7 +204,7 @@ class ReferenceComparison:
     reference: Reference
     recording: LaterRecording
     selection: Selection
-    proof: Proof
+    errors: HeldOutErrors
     verdict: Verdict
     changes: tuple[NamedChange, ...]
     hidden: tuple[HiddenChange, ...]
@@ -233,7 +233,7 @@ class ReferenceComparison:
     @property
     def places(self) -> tuple[Place, ...]:
         """Where recording and reference disagree most."""
-        return self.proof.places
+        return self.errors.places
 
 
 def compare_with_reference(
@@ -298,17 +298,17 @@ def compare_with_learned(
         reference = learn(lower)
     recording = read_recording(reference, after, motions)
     selection = select(reference, recording, settings)
-    proof = prove(selection, recording, settings, seed)
-    decided = verdict(selection, proof, settings)
-    named = proven(selection, proof, settings)
+    errors = held_out_errors(selection, recording, settings, seed)
+    decided = verdict(selection, errors, settings)
+    named = confirmed(selection, errors, settings)
     fitted = amplitudes(selection.marginal())
     changes = tuple(
         NamedChange(a, _values(reference, a.change, fitted, own), share, low, _derived(a.change, fitted, own))
-        for a, own, share, low in zip(selection.accepted, selection.directions, proof.shares, proof.shares_low, strict=True)
+        for a, own, share, low in zip(selection.accepted, selection.directions, errors.shares, errors.shares_low, strict=True)
         if a in named
     )
     return ReferenceComparison(
-        reference, recording, selection, proof, decided, changes, smallest(selection, settings),
+        reference, recording, selection, errors, decided, changes, smallest(selection, settings),
         (*_known_terms(reference, fitted), *_new_terms(changes)), settings,
     )  # fmt: skip
 

@@ -18,13 +18,13 @@ EVERYWHERE = "every joint"
 
 
 @dataclass(frozen=True, eq=False)
-class StandingAmplitudes:
+class SharedAmplitudes:
     """Amplitudes that are in both recordings.
 
     Attributes
     ----------
     columns
-        Columns of `Recording.rows` less what the reference's estimate takes of them (k,).
+        Columns of `LaterRecording.rows` less what the reference's estimate takes of them (k,).
     mean, root
         As the reference has them (k,), and a root of their covariance (k, k).
     wander
@@ -48,10 +48,10 @@ class Hypothesis:
     effects
         What changed: one effect, or one at every joint.
     columns
-        Columns of `Recording.rows` (k,).
+        Columns of `LaterRecording.rows` (k,).
     sizes
         Typical amplitudes (k,).
-    standing
+    shared
         What the reference says of the amplitudes of an effect that its model does not have; None: it has them.
     proposal
         How amplitudes become values, of an effect that the reference's model does not have.
@@ -64,7 +64,7 @@ class Hypothesis:
     effects: tuple[Effect, ...]
     columns: np.ndarray
     sizes: np.ndarray
-    standing: StandingAmplitudes | None = None
+    shared: SharedAmplitudes | None = None
     proposal: ChangeProposal | None = None
     known: bool = False
 
@@ -123,20 +123,20 @@ def _new(reference: Reference) -> Iterator[Hypothesis]:
     for proposal, columns in _placed(reference):
         effect = proposal.effect
         sizes = sizes_of(effect, proposal.about, reference.robot)[proposal.active]
-        both = _standing(reference, [effect], columns, sizes)
+        both = _shared(reference, [effect], columns, sizes)
         one = Hypothesis(effect.name, effect.where, (effect,), columns, sizes, both, proposal)
         yield one
         if isinstance(effect, JointGainEffect):
             gains.append(one)
     if len(gains) > 1:
         effects, columns, sizes = _together(gains)
-        yield Hypothesis(effects[0].name, EVERYWHERE, effects, columns, sizes, _standing(reference, effects, columns, sizes))
+        yield Hypothesis(effects[0].name, EVERYWHERE, effects, columns, sizes, _shared(reference, effects, columns, sizes))
 
 
-def _standing(reference: Reference, effects: Sequence[Effect], columns: np.ndarray, sizes: np.ndarray) -> StandingAmplitudes:
-    mean, root = reference.standing.amplitudes(columns - _first(reference), max(SIZES) * sizes)
+def _shared(reference: Reference, effects: Sequence[Effect], columns: np.ndarray, sizes: np.ndarray) -> SharedAmplitudes:
+    mean, root = reference.lacking.amplitudes(columns - _first(reference), max(SIZES) * sizes)
     share = FRICTION_SHARE if all(e.wanders for e in effects) else 0.0
-    return StandingAmplitudes(columns + reference.standing.carried.shape[1], mean, root, share * np.abs(mean))
+    return SharedAmplitudes(columns + reference.lacking.carried.shape[1], mean, root, share * np.abs(mean))
 
 
 def _first(reference: Reference) -> int:

@@ -68,14 +68,14 @@ class ProposalRows(RowModel):
             reach = max((t.effect.reach(t.values, self.bandwidth, step) for t in terms), default=0.0)
             a = int(np.searchsorted(times, times[first] - reach))
             b = int(np.searchsorted(times, times[last - 1] + reach, side="right"))
-        scene = replace(self.state(segment, a, b), still=segment.poses, bandwidth=self.bandwidth, middle=self.point.middle)
+        states = replace(self.state(segment, a, b), still=segment.poses, bandwidth=self.bandwidth, middle=self.point.middle)
         read = segment.readings[a:b] if segment.gravity else segment.measured(a, b)
         robot, channels, point = self.robot, self.channels, self.point
-        own = linearised(robot, channels, scene, self.effects, point, self.base.independent, read, gravity=segment.gravity)
+        own = linearised(robot, channels, states, self.effects, point, self.base.independent, read, gravity=segment.gravity)
         parts, terms = [*own[:2]], point.terms(self.effects)
         for p in self.proposals:
             found = columns(
-                robot, channels, scene, point.links, terms, p.effect, tuple(p.about.at), gravity=segment.gravity
+                robot, channels, states, point.links, terms, p.effect, tuple(p.about.at), gravity=segment.gravity
             )[:, :, p.active]  # fmt: skip
             if p.effect.removed_by_static_run and not segment.offset:
                 found = np.zeros_like(found)
@@ -90,7 +90,7 @@ def with_proposals(model: RowModel, point: Point, proposals: tuple[ChangeProposa
     return ProposalRows(**{**given, "point": point}, proposals=proposals)
 
 
-def _scenes(model: RowModel, segments: Sequence[Segment]) -> list[MotionSegment]:
+def _motions(model: RowModel, segments: Sequence[Segment]) -> list[MotionSegment]:
     """A few hundred samples of every motion, for what effects want to know of it."""
     out = []
     for s in segments:
@@ -112,9 +112,9 @@ def make_proposals(problem: Problem, links: np.ndarray) -> tuple[ChangeProposal,
     """
     model, experiment = problem.row_model, problem.experiment
     robot = experiment.robot
-    scenes = _scenes(model, [s for name in problem.fitted for s in problem.segments[name]])
+    motions = _motions(model, [s for name in problem.fitted for s in problem.segments[name]])
     around = surroundings_of(
-        robot, scenes, links, problem.channel, experiment.sensor is not None and experiment.sensor.joint is None,
+        robot, motions, links, problem.channel, experiment.sensor is not None and experiment.sensor.joint is None,
         static_run=problem.static != "none", links_known=True,
     )  # fmt: skip
     known = {e.spec for e in model.effects}

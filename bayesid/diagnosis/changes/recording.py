@@ -101,7 +101,7 @@ def read_recording(reference: Reference, experiment: Experiment, motions: Sequen
     x, z, y = flat[:, :p], flat[:, p:-1], flat[:, -1]
     grams = [part.T @ part for part in np.array_split(np.column_stack([x, y]), STRETCHES)]
     return LaterRecording(
-        problem, np.hstack([x, x @ _body_columns(problem), z, z - x @ reference.standing.carried]), y - x @ reference.solution,
+        problem, np.hstack([x, x @ _body_columns(problem), z, z - x @ reference.lacking.carried]), y - x @ reference.solution,
         np.repeat(np.concatenate([block.times for block in blocks]), count),
         np.repeat(np.concatenate([np.full(len(block.rows), block.motion) for block in blocks]), count),
         np.tile(np.arange(count), len(rows)), (own / scale).ravel(), scale,

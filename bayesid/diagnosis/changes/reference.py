@@ -45,7 +45,7 @@ _FAINT, _SINGULAR = 1e-4, 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Standing:
+class ReferenceAmplitudes:
     """What the reference says of effects that its model does not have.
 
     Attributes
@@ -64,7 +64,9 @@ class Standing:
     target: np.ndarray
 
     @classmethod
-    def of(cls, problem: Problem, point: Point, solution: np.ndarray, proposals: tuple[ChangeProposal, ...]) -> Standing:
+    def of(
+        cls, problem: Problem, point: Point, solution: np.ndarray, proposals: tuple[ChangeProposal, ...]
+    ) -> ReferenceAmplitudes:
         """Ask the reference.
 
         Parameters
@@ -177,9 +179,9 @@ class Reference:
         return make_proposals(self.problem, self.point.links.ravel())
 
     @cached_property
-    def standing(self) -> Standing:
+    def lacking(self) -> ReferenceAmplitudes:
         """What the reference says of these."""
-        return Standing.of(self.problem, self.point, self.solution, self.proposals)
+        return ReferenceAmplitudes.of(self.problem, self.point, self.solution, self.proposals)
 
     @cached_property
     def covariance(self) -> np.ndarray:

@@ -81,7 +81,7 @@ class Selection:
         mean = np.zeros(count)
         for a in self.accepted if accepted is None else accepted:
             parts.append(_at(count, a.change.columns, np.diag(a.size * a.change.sizes)))
-            if (both := a.change.standing) is not None:
+            if (both := a.change.shared) is not None:
                 parts.append(_at(count, a.change.columns, factor * np.diag(both.wander)))
                 parts.append(_at(count, both.columns, both.root))
                 mean[both.columns] = both.mean
@@ -94,7 +94,7 @@ class Selection:
         for a in self.accepted:
             count = len(a.change.columns)
             out.append(slice(start, start + count))
-            start += count if a.change.standing is None else 3 * count
+            start += count if a.change.shared is None else 3 * count
         return tuple(out)
 
     def ranked(self, accepted: Sequence[Accepted]) -> Scores:

@@ -45,7 +45,7 @@ class Place:
 
 
 @dataclass(frozen=True)
-class Proof:
+class HeldOutErrors:
     """Mean squares of residuals on stretches held out in turn; one is what the recording's own fit leaves.
 
     Attributes
@@ -69,7 +69,7 @@ class Proof:
         Root mean square by channel: reference, with the changes, after, floor (c, 4).
     places
         Channels and blocks of time where the reference's prediction is furthest off.
-    stretches
+    segments
         How many were left out in turn.
     """
 
@@ -84,7 +84,7 @@ class Proof:
     closed_low: float
     by_channel: np.ndarray
     places: tuple[Place, ...]
-    stretches: int
+    segments: int
 
     @property
     def remainder(self) -> float:
@@ -92,7 +92,7 @@ class Proof:
         return max(1.0 - self.closed, 0.0) if np.isfinite(self.closed) else 0.0
 
 
-def prove(selection: Selection, recording: LaterRecording, settings: Settings, seed: int) -> Proof:
+def held_out_errors(selection: Selection, recording: LaterRecording, settings: Settings, seed: int) -> HeldOutErrors:
     """Leave stretches out in turn.
 
     Parameters
@@ -115,7 +115,7 @@ def prove(selection: Selection, recording: LaterRecording, settings: Settings, s
     if means[0] <= settings.room_ratio**2 * floor:
         shares, low = np.full((2, len(shares)), np.nan)
     last = -4  # the reference with all changes and nothing else
-    return Proof(
+    return HeldOutErrors(
         reference=float(means[0]), changes=tuple(means[1:-3].tolist()), after=float(means[-3]), tolerance=float(means[-2]),
         floor=floor, shares=tuple(shares[1:].tolist()), shares_low=tuple(low[1:].tolist()), closed=float(shares[0]),
         closed_low=float(low[0]),
@@ -123,7 +123,7 @@ def prove(selection: Selection, recording: LaterRecording, settings: Settings, s
             [squares[recording.channel == c][:, [0, last, -3, -1]].mean(axis=0) for c in range(len(recording.scale))]
         ),
         places=_places(recording, squares, blocks, settings),
-        stretches=int(_groups(recording).max()) + 1,
+        segments=int(_groups(recording).max()) + 1,
     )  # fmt: skip
 
 
