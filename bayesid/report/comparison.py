@@ -239,7 +239,7 @@ def _lead(result: Comparison) -> str:
     best = min(scores, key=lambda n: scores[n])
     ties = [n for n in scores if n != best and scores[n] <= (1 + _TIE) * scores[best]]
     where = "motions that were not fitted" if done[0].validation else "the fitted motions (there is no other)"
-    known = all(p.noise_known for p in done[0].proof)
+    known = all(p.noise_known for p in done[0].predictions)
 
     def left(entry: Entry) -> str:
         return number(_score(entry), 3) if known else percent(_error(entry))
