@@ -22,7 +22,7 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from bayesid.dynamics.nearest_links import nearest_links
+from bayesid.dynamics.base_parameters import nearest_links
 from bayesid.effects import Effect, Point, Surroundings, moved
 from bayesid.effects.surroundings import surroundings_of
 from bayesid.errors import InputError

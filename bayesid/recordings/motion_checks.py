@@ -6,6 +6,7 @@ Every check returns its warnings, one line each, that say which file, column and
 from __future__ import annotations
 
 from collections.abc import Collection
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,8 +14,43 @@ from bayesid.errors import InputError
 from bayesid.recordings.complaints import listed
 from bayesid.recordings.rows import holes_left
 from bayesid.recordings.table import GAP, Table
-from bayesid.recordings.timing import TOLD, Timing
 from bayesid.robot.robot import Robot
+
+#: Jitter beyond this share of a step, or a drift of the step by it, is told.
+TOLD = 0.1
+
+
+@dataclass(frozen=True)
+class Timing:
+    """How even time stamps are.
+
+    Attributes
+    ----------
+    dropped
+        Samples missing in steps that are no gaps, by how many usual steps fit into them.
+    jitter
+        Error of a time stamp that would make steps scatter as they do, rms [s]: a stamp ends one step and starts the next.
+    first_step, last_step
+        Usual step in the first and the last quarter [s].
+    """
+
+    dropped: int
+    jitter: float
+    first_step: float
+    last_step: float
+
+    @classmethod
+    def of(cls, table: Table) -> Timing:
+        """The timing of a table of at least two rows."""
+        step = table.step
+        steps = np.diff(table.times)
+        steps = steps[steps <= GAP * step]
+        quarter = max(len(steps) // 4, 1)
+        count = np.maximum(np.round(steps / step), 1.0)
+        first, last = float(np.median(steps[:quarter])), float(np.median(steps[-quarter:]))
+        scatter = steps - count * np.linspace(first, last, len(steps))  # drift is no jitter
+        return cls(int((count - 1.0).sum()), float(np.sqrt(0.5 * np.mean(scatter**2))), first, last)
+
 
 MIN_SAMPLES = 20
 STEP_SLACK = 1.5  # a step this many times the median one has lost a sample

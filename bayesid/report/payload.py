@@ -1,4 +1,4 @@
-"""The report of ``payload``."""
+"""The reports of ``payload`` and ``calibrate``."""
 
 from __future__ import annotations
 
@@ -11,9 +11,22 @@ from matplotlib.figure import Figure
 from bayesid.design.payload.body import Quantity
 from bayesid.report.figures import CLASSES, GREY, add_legend, make_grid, styled
 from bayesid.report.page import render, run_times, svg, versions
+from bayesid.report.prediction_figures import measured_against_predicted
 from bayesid.results.beside import cells
+from bayesid.results.calibration import Calibration
 from bayesid.results.payload import SOURCES, PayloadEstimate
 from bayesid.results.text import channel_text, number
+
+
+def calibration_report(result: Calibration) -> str:
+    """The report of ``calibrate``: an HTML page with all figures inside."""
+    return render(
+        "calibration.html",
+        name=result.name, sensor=result.sensor, motions=", ".join(result.fit.problem.fitted), rows=result.rows(),
+        sentences=result.sentences, warnings_list=result.warnings, exports=list(result.exports().items()),
+        plot_svg=svg(measured_against_predicted(result.fit.fitted[0]), "readings"),
+        how=[("Diagnosis", result.verdict or "refused"), run_times(result.seconds), versions("numpy", "scipy", "pin")],
+    )  # fmt: skip
 
 
 def payload_report(result: PayloadEstimate) -> str:

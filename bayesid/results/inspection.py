@@ -10,7 +10,7 @@ import numpy as np
 
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.recordings.experiment import Experiment, Motion
-from bayesid.recordings.timing import TOLD, Timing
+from bayesid.recordings.motion_checks import TOLD, Timing
 from bayesid.results.files import Result
 from bayesid.validation.mistakes.mistake import Mistake
 from bayesid.validation.own_fit import left_dict, left_text

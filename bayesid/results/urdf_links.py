@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,7 +11,27 @@ import numpy as np
 from bayesid.arguments import call
 from bayesid.estimators.conic.consistent_links import ConsistentLinks
 from bayesid.estimators.estimator import LEVEL
+from bayesid.robot import inertia
 from bayesid.robot.urdf import JointDynamics
+
+#: A frame without mass in the URDF, that no motion weighs, is no body: all its ten parameters are below this [SI].
+_MASSLESS = 1e-9
+
+
+def impossible_bodies(links: np.ndarray, names: Sequence[str]) -> tuple[str, ...]:
+    """Names of the bodies that are not physically consistent.
+
+    Parameters
+    ----------
+    links
+        Inertial parameters (b, 10).
+    names
+        Of the bodies (b,).
+    """
+    massless = np.abs(links).max(axis=1) <= _MASSLESS
+    exists = inertia.is_physically_consistent(links)
+    return tuple(name for name, possible in zip(names, exists | massless, strict=True) if not possible)
+
 
 #: A robot's whole mass is stated right to this factor: data sheets are, and models by hand hardly worse.
 TOTAL_MASS = 1.5

@@ -144,7 +144,7 @@ def _(result: Calibration) -> Figures:
 @files_of.register
 def _(result: Calibration) -> Files:
     """``calibration.json``, gravity compensation for ROS, and the report."""
-    from bayesid.report.calibration import calibration_report
+    from bayesid.report.payload import calibration_report
 
     others = {name: partial(_write, text) for name, text in result.exports().items()}
     return Files({"calibration.json": strict(result.to_dict())}, others, calibration_report(result))

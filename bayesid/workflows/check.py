@@ -11,8 +11,8 @@ from bayesid.drawing import Figures, figures_of
 from bayesid.dynamics.base_parameters import structural_base
 from bayesid.errors import BayesidError, InputError
 from bayesid.recordings.experiment import Experiment, Motion, as_experiment
+from bayesid.recordings.motion_checks import Timing
 from bayesid.recordings.table import GAP, WRENCH_COLUMNS, Table
-from bayesid.recordings.timing import Timing
 from bayesid.regression.options import FitOptions
 from bayesid.regression.parallel import one_blas_thread
 from bayesid.regression.problem import prepare

@@ -12,7 +12,7 @@ import numpy as np
 
 from bayesid.arguments import argument, call
 from bayesid.drawing import Figures, figures_of
-from bayesid.dynamics.nearest_links import nearest_links
+from bayesid.dynamics.base_parameters import nearest_links
 from bayesid.errors import BayesidError, EstimationError, InputError
 from bayesid.estimators import DEFAULT_METHOD, METHODS, Estimator, estimator, fit
 from bayesid.estimators.least_squares import LeastSquaresDetails
@@ -23,10 +23,10 @@ from bayesid.regression.options import NOT_FOR_REGRESSIONS, FitOptions, fit_opti
 from bayesid.regression.parallel import one_blas_thread
 from bayesid.regression.problem import Problem, prepare
 from bayesid.regression.regression import Regression
-from bayesid.results.bodies import impossible_bodies
 from bayesid.results.comparison import Comparison
 from bayesid.results.entry import Entry, equal_estimates
 from bayesid.results.files import Files, files_of
+from bayesid.results.urdf_links import impossible_bodies
 from bayesid.signals.filters import LowPass
 from bayesid.tasks import cluster
 from bayesid.validation.agreement import HausmanTest, gaps, hausman

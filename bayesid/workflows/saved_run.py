@@ -11,7 +11,7 @@ import numpy as np
 from bayesid.arguments import argument
 from bayesid.design.bounds.consistent import PRIOR_DRAWS, prior_links
 from bayesid.design.bounds.knowledge import Known, known_from
-from bayesid.dynamics.nearest_links import nearest_links
+from bayesid.dynamics.base_parameters import nearest_links
 from bayesid.errors import InputError
 from bayesid.posterior.convert import load_arviz
 from bayesid.recordings.experiment import Experiment

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from bayesid.dynamics.nearest_links import nearest_links
+from bayesid.dynamics.base_parameters import nearest_links
 from bayesid.errors import BayesidError
 from bayesid.estimators import Estimate, Estimator
 from bayesid.estimators.conic.consistent_links import consistent_links

@@ -19,8 +19,8 @@ from present import figure, fill, plain, tables
 
 import bayesid
 from bayesid.estimators.conic.physical import Physical
-from bayesid.results.bodies import impossible_bodies
 from bayesid.results.entry import Entry
+from bayesid.results.urdf_links import impossible_bodies
 from bayesid.robot.prior import Prior
 from bayesid.robot.robot import Robot
 

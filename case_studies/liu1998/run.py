@@ -18,9 +18,8 @@ from present import figures, fill, plain, tables
 from scipy.interpolate import make_interp_spline
 
 import bayesid
-from bayesid.dynamics.base_parameters import structural_base
+from bayesid.dynamics.base_parameters import nearest_links, structural_base
 from bayesid.dynamics.channels import torque_channels
-from bayesid.dynamics.nearest_links import nearest_links
 from bayesid.dynamics.regressors import dynamics_regressor, momentum_regressors
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import prepare

@@ -22,7 +22,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from scipy.stats import binom
 
-from bayesid.dynamics.nearest_links import nearest_links
+from bayesid.dynamics.base_parameters import nearest_links
 from bayesid.estimators import Physical, fit
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import prepare

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from bayesid.arguments import argument
-from bayesid.dynamics.nearest_links import nearest_links
+from bayesid.dynamics.base_parameters import nearest_links
 from bayesid.effects import Term, middle_of
 from bayesid.errors import InputError
 from bayesid.estimators import Estimate, Estimator

@@ -23,7 +23,7 @@ from math import inf
 import numpy as np
 from scipy.optimize import least_squares
 
-from bayesid.dynamics.nearest_links import nearest_links
+from bayesid.dynamics.base_parameters import nearest_links
 from bayesid.effects import moved
 from bayesid.effects.families import LoadEffect
 from bayesid.estimators import Estimate

@@ -22,7 +22,7 @@ import numpy as np
 
 from bayesid.diagnosis.changes.proposals import ChangeProposal, make_proposals, with_proposals
 from bayesid.diagnosis.changes.scales import wander
-from bayesid.dynamics.nearest_links import nearest_links
+from bayesid.dynamics.base_parameters import nearest_links
 from bayesid.effects import Effect, Point, middle_of
 from bayesid.estimators import Estimate
 from bayesid.estimators.least_squares import weighted_factor

@@ -17,8 +17,8 @@ from bayesid.recordings.importing.column_map import ColumnMap
 from bayesid.recordings.importing.found_columns import FoundColumn, Layout
 from bayesid.recordings.importing.stream import Stream
 from bayesid.recordings.importing.units import UNITS, needs_constant
+from bayesid.recordings.motion_checks import Timing
 from bayesid.recordings.table import GAP, WRENCH_COLUMNS, Table, check_increasing
-from bayesid.recordings.timing import Timing
 from bayesid.recordings.toml_file import LARGEST
 
 #: In a table of several topics, a quantity without a reading in most rows has its own, slower times.
