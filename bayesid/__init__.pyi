@@ -35,7 +35,7 @@ from .results.inspection import Inspection
 from .results.loaded import NeedsRecording, load
 from .results.payload import PayloadEstimate
 from .results.posterior import ExperimentPosterior
-from .results.told import DistinguishingMotion
+from .results.distinguishing import DistinguishingMotion
 from .results.watch import Watch
 from .robot.prior import Prior
 from .robot.robot import Robot, load_robot

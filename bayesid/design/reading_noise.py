@@ -99,7 +99,7 @@ def recorded_noise(
     """Noise as a fit leaves it of the readings that there are; other channels keep theirs.
 
     That is what `identify` bases its intervals on: colour included, and whatever the model lacks, also by what the fit scatters
-    between stretches of a recording beyond noise.
+    between parts of a recording beyond noise.
 
     Parameters
     ----------

@@ -138,7 +138,7 @@ class Segment:
 
     @cached_property
     def _scene_weight(self) -> np.ndarray:
-        """Weight on the scene's grid (M, c)."""
+        """Weight on the segment's grid (M, c)."""
         return self.weight(self.scene.times)
 
     @cached_property
@@ -173,7 +173,7 @@ class Segment:
         return self.weight(self.times)
 
     def course(self, samples: np.ndarray) -> np.ndarray:
-        """Coefficients (K, ...) of courses in time (M, ...) on the scene's grid that belong to no channel."""
+        """Coefficients (K, ...) of courses in time (M, ...) on the segment's grid that belong to no channel."""
         edge = taper(self.scene.times, self.times, self.scene.bandwidth, self.settings)[:, None]
         flat = _transform(samples.reshape(len(samples), -1), edge, len(self.frequencies))
         return flat.reshape(-1, *samples.shape[1:]) * np.sqrt(len(self.times) / len(samples))

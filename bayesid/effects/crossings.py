@@ -1,7 +1,7 @@
-"""Where a link crosses the play of its gear, sought anew in stretches in which a fit of the encoders' readings went wrong.
+"""Where a link crosses the play of its gear, sought anew in intervals in which a fit of the encoders' readings went wrong.
 
 Such a fit has a minimum wherever a crossing is assumed at a wrong time, and one in which the link chatters between the teeth
-instead of resting on them. Then the readings are missed by far more than their errors, but in these stretches only. There, at
+instead of resting on them. Then the readings are missed by far more than their errors, but in these intervals only. There, at
 most two crossings at any times, from any side to any other, are tried, the rest of the motion as it was: with splines B that
 the link moves by, a change s of how far it is behind leaves ``|(1 - P)(r - s)|^2`` of the readings r, P projecting on B. The
 best is taken if it leaves less, and not much more than elsewhere: where there is next to no torque, the side is told by the
@@ -18,13 +18,13 @@ from bayesid.signals.splines import Splines
 
 #: Where the root mean square over so many seconds is so many times its median, a crossing may be at a wrong time.
 _STRETCH, _STANDS_OUT = 0.25, 2.0
-#: Two crossings cannot be all of a longer stretch [s].
+#: Two crossings cannot be all of a longer interval [s].
 _LONGEST = 3.0
 #: Crossings that are right leave no more than so many times the usual; one sample on the wrong side of a wide play makes ten.
 _EXPLAINED = 15.0
-#: Seconds around a stretch that are looked at with it, for splines reach beyond it.
+#: Seconds around an interval that are looked at with it, for splines reach beyond it.
 _AROUND = 1.0
-#: Times tried in a stretch, before every sample about the best of them is.
+#: Times tried in an interval, before every sample about the best of them is.
 _TRIED = 250
 
 
@@ -51,7 +51,7 @@ def crossed_anew(
     step: float,
     intervals: list[tuple[int, int]],
 ) -> np.ndarray:
-    """On which side the link is in each stretch (M,), -1 elsewhere, with the crossings that leave least of the readings.
+    """On which side the link is in each interval (M,), -1 elsewhere, with the crossings that leave least of the readings.
 
     Parameters
     ----------
@@ -106,9 +106,9 @@ def _least(until: np.ndarray, outside: np.ndarray, sides: np.ndarray) -> tuple[f
     Parameters
     ----------
     until
-        What the splines leave of a unit step that lasts from the stretch's start to each time, the last one its end (M, k).
+        What the splines leave of a unit step that lasts from the interval's start to each time, the last one its end (M, k).
     outside
-        What they leave of the readings if the link is not behind in the stretch (M,).
+        What they leave of the readings if the link is not behind in the interval (M,).
     sides
         How far it may be behind (k,).
     """
@@ -117,7 +117,7 @@ def _least(until: np.ndarray, outside: np.ndarray, sides: np.ndarray) -> tuple[f
     in_order = np.triu(np.ones(gram.shape, bool))
     found: tuple[float, tuple[int, ...], int, int] = (np.inf, (0, 0, 0), 0, 0)
     for which in product(range(len(sides)), repeat=3):
-        if which[0] == which[1] or which[1] == which[2]:  # as one crossing less, at the stretch's start or end
+        if which[0] == which[1] or which[1] == which[2]:  # as one crossing less, at the interval's start or end
             continue
         one, two, three = sides[list(which)]
         x, y = one - two, two - three  # ``x until_i + y until_j + three until_end``

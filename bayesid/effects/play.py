@@ -194,7 +194,7 @@ def leaning_poses(motor: Motion, play: Sequence[tuple[PlayEffect, Sequence[float
 
 
 def _rests(times: np.ndarray, encoders: np.ndarray) -> np.ndarray:
-    """Samples (M,) of stretches in which no encoder moves faster than a crawl."""
+    """Samples (M,) of intervals in which no encoder moves faster than a crawl."""
     from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
     size = 2 * int(0.5 * _REST / np.median(np.diff(times))) + 1

@@ -19,7 +19,7 @@ def against_prior(regression: Regression, prior: Prior, rel_std: float | None = 
 
 
 def against_nominal(regression: Regression, estimate: Estimate) -> PriorCheck | None:
-    """Check an estimate's data against its prior, or against nominal links whose trust is stated; None without either."""
+    """Check an estimate's data against its prior, or against nominal links with a stated deviation; None without either."""
     details, known = estimate.details, regression.knowledge
     if not known.states_masses:
         return None
@@ -36,7 +36,7 @@ def of_data(regression: Regression) -> Evidence:
     """Base parameters by the likelihood alone (r,), their covariance (r, r), and which the rows do not determine (r,).
 
     Weighted as `sdp` and the posterior do: by the noise where the model is complete, else by channel, and then with the
-    scatter between stretches of the recording in the covariance.
+    scatter between parts of the recording in the covariance.
     """
     learned = learn_weights(regression)
     factor, scale = weighted_factor(regression, learned, likelihood_weights(learned))

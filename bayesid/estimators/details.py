@@ -21,7 +21,7 @@ class Details:
     agreement_of_gls_and_wls
         Probability of a difference as large as theirs when the model is complete.
     dispersion
-        Factor that covariances have for model error: how much more the fit scatters between stretches of the recording
+        Factor that covariances have for model error: how much more the fit scatters between parts of the recording
         than noise explains; 1 where noise does.
     dispersion_by_channel
         That of each channel's readings, of which the former is the mean; None where the model is complete, or noise explains it.

@@ -1,8 +1,8 @@
-"""How far an estimate scatters between stretches of a recording, over what its noise model allows.
+"""How far an estimate scatters between parts of a recording, over what its noise model allows.
 
 What a model lacks (friction that wanders with load and temperature, gear errors) follows the motion. It does not average out as
-noise does, so intervals from the noise alone are too short. Stretches of the same recording that should agree show by how
-much: with the weighted rows X_k of stretch k, residuals r_k and ``A = sum_k X_k'X_k``, a stretch pulls the estimate by
+noise does, so intervals from the noise alone are too short. Parts of the same recording that should agree show by how
+much: with the weighted rows X_k of part k, residuals r_k and ``A = sum_k X_k'X_k``, a part pulls the estimate by
 
     A^-1/2 v_k,   v_k = (1 - H_k)^-1/2 A^-1/2 X_k' r_k,   H_k = A^-1/2 X_k'X_k A^-1/2,
 
@@ -12,7 +12,7 @@ rows [Bell2002]_. Its size relative to the covariance V that the noise alone wou
 
     dispersion = trace(W sum_k v_k v_k') / trace(W A^-1/2 M A^-1/2),   W = (A^-1/2 M A^-1/2)^-1,
 
-is one for noise, whatever its colour within a stretch, and larger where stretches disagree. The rows of one channel have a
+is one for noise, whatever its colour within a part, and larger where parts disagree. The rows of one channel have a
 dispersion of their own, with that channel's X_k and r_k in the pull and its X in M, but not in W: how far the friction of one
 joint wanders says little of how far to trust the others.
 """
@@ -27,11 +27,11 @@ from scipy.stats import chi2
 
 from bayesid.regression.linalg import or_one
 
-#: Stretches that a recording is cut into. Fewer leave few degrees of freedom; in more of them little moves.
+#: Parts that a recording is cut into. Fewer leave few degrees of freedom; in more of them little moves.
 STRETCHES = 8
 #: A dispersion above one counts where chance reaches it with a smaller probability than this.
 CHANCE = 0.05
-#: Largest share of a direction that one stretch may hold, before its correction is bounded.
+#: Largest share of a direction that one part may hold, before its correction is bounded.
 _LARGEST_SHARE = 0.95
 _SMALLEST = 1e-9
 
@@ -43,7 +43,7 @@ class Rows:
     Attributes
     ----------
     grams
-        ``[X_k y_k]'[X_k y_k]`` of each stretch (p + 1, p + 1).
+        ``[X_k y_k]'[X_k y_k]`` of each part (p + 1, p + 1).
     middle
         ``M = X' Sigma X`` (p, p); None: they are white, ``X'X``.
     """
@@ -54,7 +54,7 @@ class Rows:
 
 @dataclass(frozen=True)
 class Dispersion:
-    """Dispersion of an estimate between stretches, and what it rests on.
+    """Dispersion of an estimate between parts, and what it rests on.
 
     Attributes
     ----------
@@ -113,7 +113,7 @@ def dispersions(whole: Rows, solution: np.ndarray, channels: Sequence[Rows] = ()
         if size <= 0.0:
             out.append(Dispersion())
             continue
-        # Directions count by their share of the trace; those of one stretch are correlated, so that half of them count.
+        # Directions count by their share of the trace; those of one part are correlated, so that half of them count.
         degrees = max(int(size**2 / square * (len(part.grams) - 1) / 2), 1)
         out.append(Dispersion(float(sum(v @ weight @ v for v in pulls)) / size, degrees, size))
     return out

@@ -95,7 +95,7 @@ def sandwich_middle(regression: Regression, noise: dict[str, NoiseModel], scale:
 def may_matter(regression: Regression, weights: Weights) -> bool:
     """Whether anything is known of the regressor's errors, and the model lacks nothing.
 
-    What residuals of an incomplete model hold beside encoder errors is no sensor's noise, and the scatter between stretches
+    What residuals of an incomplete model hold beside encoder errors is no sensor's noise, and the scatter between parts
     counts it all. Nor need they be told apart where the noise holds what is simulated of them.
     """
     law = regression.regressor_noise

@@ -201,7 +201,7 @@ class Pilot:
         return self.factor_of([white for _, white in whitened(self.orthonormal, noise)])
 
     def segments(self, parts: Sequence[np.ndarray]) -> list[np.ndarray]:
-        """``[X y]'[X y]`` of stretches, equally long, of weighted rows of ``orthonormal`` (k, channels, p + 1)."""
+        """``[X y]'[X y]`` of equally long segments of weighted rows of ``orthonormal`` (k, channels, p + 1)."""
         count, p = sum(map(len, parts)), parts[0].shape[2]
         if count <= 2 * STRETCHES:
             return []

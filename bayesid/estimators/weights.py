@@ -1,6 +1,6 @@
 """The noise of the rows, and whether the model is complete enough to take residuals for it.
 
-Both are learned on a pilot: all rows of an ordinary recording, evenly spread stretches of a long one.
+Both are learned on a pilot: all rows of an ordinary recording, evenly spread parts of a long one.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ _DRAWS, _SEED = 16, 36
 #: residuals have more than the second times the power of the plain one's; either alone happens by chance.
 SMALLEST_AGREEMENT = 1e-4
 LARGEST_LOSS = 2.0
-#: An efficient fit whose stretches scatter more than noise explains, with a smaller probability than this, is not efficient.
-SMALLEST_STRETCHES = 1e-4
+#: An efficient fit whose parts scatter more than noise explains, with a smaller probability than this, is not efficient.
+SMALLEST_PARTS = 1e-4
 
 
 @dataclass(frozen=True)
@@ -46,12 +46,12 @@ class Weights:
         model is complete (a Hausman test [Hausman1978]_): when it is tiny, something is missing in the model.
     complete
         Whether residuals may be taken for noise alone: ``agreement`` allows it, and the efficient fit scatters between
-        stretches of the recording no more than noise explains. Where ``agreement`` does not, the noise is that of the
+        parts of the recording no more than noise explains. Where ``agreement`` does not, the noise is that of the
         channel-weighted residuals, model error included; else that of an efficient fit.
     solution
         Of the channel-weighted fit to the pilot (p,).
     scatter
-        Dispersion of the channel-weighted fit between stretches of the recording over what ``noise`` allows
+        Dispersion of the channel-weighted fit between parts of the recording over what ``noise`` allows
         (`bayesid.estimators.dispersion`).
     channels
         That of each channel, by name; none where the model is complete: how much they differ is mostly chance there.
@@ -74,7 +74,7 @@ class Weights:
 
     @property
     def widened(self) -> bool:
-        """Whether stretches scatter by more than chance."""
+        """Whether parts scatter by more than chance."""
         return bool(np.any(self.factors > 1.0))
 
     @property
@@ -89,7 +89,7 @@ class Weights:
         return dict(zip(self.channels, self.factors.tolist(), strict=True)) if self.widened and self.channels else None
 
     def dispersed(self, noise: dict[str, NoiseModel] | None = None) -> dict[str, NoiseModel]:
-        """Noise (default `noise`) as large as the scatter between stretches of the recording says."""
+        """Noise (default `noise`) as large as the scatter between parts of the recording says."""
         return {g: m.scaled(self.factors) for g, m in (self.noise if noise is None else noise).items()}
 
 
@@ -142,7 +142,7 @@ def _learned(regression: Regression) -> Weights:
             if _settled(before, noise):
                 break
         middle = _middle(pilot, noise, scale)
-    complete = complete and not found.beyond_chance(SMALLEST_STRETCHES)
+    complete = complete and not found.beyond_chance(SMALLEST_PARTS)
     rows = [b.rows / scale[:, None] for b in pilot.orthonormal]
     names = () if complete else regression.channel_names
     channels = [
@@ -176,7 +176,7 @@ def _with_rung_errors(regression: Regression, law: RegressorNoise, pilot: Pilot,
         factor = pilot.whitened(noise)
         values, spread = solve(factor.matrix, factor.target), pseudo_inverse(factor.matrix)
     (found,) = dispersions(Rows(pilot.segments([rows for _, rows in whitened(pilot.orthonormal, noise)])), values)
-    return Weights(noise, 1.0, not found.beyond_chance(SMALLEST_STRETCHES), values, found, by_noise=True)
+    return Weights(noise, 1.0, not found.beyond_chance(SMALLEST_PARTS), values, found, by_noise=True)
 
 
 def pilot_of(regression: Regression) -> Pilot:

@@ -18,7 +18,7 @@ its sandwich covariance V [Ribatet2012]_, which holds the colour that whitening 
 Where the model lacks something (`Weights.complete`), whitening would give most weight to what has little noise, and so would
 unknown scales: the channel that a flexible model fits best would gain weight until little else is fitted. Rows are then weighted
 as those of ``wls``, ``X_c / std_c``, and what they say is b and its covariance V, no more. V is itself an estimate, from how far
-eight stretches of the recording disagree, so that b is Student's t with seven degrees of freedom about the truth:
+eight parts of the recording disagree, so that b is Student's t with seven degrees of freedom about the truth:
 
     log p(b | beta, s) = -n log s - |S (beta - b)|^2 / (2 s^2),   S'S = V^-1,   s^2 ~ IG(7/2, 7/2),
 
@@ -70,7 +70,7 @@ class Likelihood:
     agreement
         The probability that this rests on.
     dispersion
-        Factor of the covariance for the scatter between stretches of the recording.
+        Factor of the covariance for the scatter between parts of the recording.
     estimate_only
         Whether the rows say an estimate and its covariance only: one factor, of these, and one scale.
     factor

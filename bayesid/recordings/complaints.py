@@ -12,7 +12,7 @@ from pydantic_core import ErrorDetails
 
 @dataclass(frozen=True)
 class Finding:
-    """Something in the data that is certain: it is told first.
+    """Something in the data that is certain: it comes first.
 
     Attributes
     ----------

@@ -42,7 +42,7 @@ def held_columns(table: Table) -> list[HeldColumn]:
 
 
 def held_findings(table: Table, held: list[HeldColumn]) -> list[Finding]:
-    """What is told of held columns: a line for those that are held alike."""
+    """What is said of held columns: a line for those that are held alike."""
     out, rate = [], 1.0 / table.step
     left = list(held)
     while left:

@@ -1,15 +1,15 @@
-"""Bandwidth of the joint motion by what it does to predictions: the error on stretches of the recording that were left out.
+"""Bandwidth of the joint motion by what it does to predictions: the error on parts of the recording that were left out.
 
 Cross-validation of the positions alone (`bayesid.signals.smoothing.choose_smoother`) asks which frequencies of the positions
 are not encoder noise. On a real arm that is not the question: positions that were resampled or filtered have no white noise,
 and joints vibrate at frequencies at which the readings do not follow a rigid model. So bandwidths from that choice downwards
-are tried. Each is fitted to three quarters of the stretches of the fitted motions and judged on the rest, always on residuals in
+are tried. Each is fitted to three quarters of the parts of the fitted motions and judged on the rest, always on residuals in
 the same band,
 
-    error(B) = mean over stretches of sum_c |residual_c|^2 / mean |residual_c at the first bandwidth|^2,
+    error(B) = mean over parts of sum_c |residual_c|^2 / mean |residual_c at the first bandwidth|^2,
 
 and the largest bandwidth is taken whose error is not larger than the smallest one by more than `WORTH` and by more than chance,
-twice the standard error of the differences stretch by stretch: where the model holds, lower ones predict no better, and a lower
+twice the standard error of the differences part by part: where the model holds, lower ones predict no better, and a lower
 bandwidth leaves readings unused. Where the positions' own choice is the end of the range searched it is no choice: their noise
 is not what the search takes it for, and biases accelerations the more the higher the bandwidth. The lowest is taken then
 whose error is hardly larger than the smallest (`HARDLY`).
@@ -34,8 +34,8 @@ WORTH = 0.05
 HARDLY = 0.02
 #: Band of the residuals that judge [Hz]; rows at every bandwidth hold it.
 BAND = 8.0
-_STRETCHES, _FOLDS = 8, 4
-_SHORTEST = 8  # rows of a stretch
+_PARTS, _FOLDS = 8, 4
+_SHORTEST = 8  # rows of a part
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class BandwidthChoice:
     bandwidths
         (b,) [Hz], falling.
     error
-        Residual power on stretches that were left out, relative to the first bandwidth (b,).
+        Residual power on parts that were left out, relative to the first bandwidth (b,).
     doubt
         Standard error of each one's difference to the best (b,).
     estimates
@@ -70,7 +70,7 @@ def candidates(highest: float) -> np.ndarray:
 
 
 def choose_bandwidth(rows: Callable[[float], Sequence[Block]], highest: float, at_end: bool = False) -> BandwidthChoice | None:
-    """Judge bandwidths by stretches that were left out; None where there is nothing to choose or too little to judge by.
+    """Judge bandwidths by parts that were left out; None where there is nothing to choose or too little to judge by.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ def choose_bandwidth(rows: Callable[[float], Sequence[Block]], highest: float, a
     powers, estimates = [], []
     for k, blocks in enumerate(tried):
         parts = [_part(blocks, edge) for edge in edges]
-        # Rows are reduced once, stretch by stretch and channel by channel: other weights and folds need the factors alone.
+        # Rows are reduced once, part by part and channel by channel: other weights and folds need the factors alone.
         reduced = [_by_channel(rows) for rows in (*parts, *(b.rows for b in blocks if b.group == "poses"))]
         if k == 0:
             for _ in range(2):
@@ -108,7 +108,7 @@ def choose_bandwidth(rows: Callable[[float], Sequence[Block]], highest: float, a
                 power[i] = _band_power(parts[i][:, :, -1] - parts[i][:, :, :-1] @ found, edges[i])
         powers.append(power)
         estimates.append(_solved(factors))
-    error = np.array([np.sum(power / powers[0].mean(axis=0), axis=1) for power in powers])  # (bandwidths, stretches)
+    error = np.array([np.sum(power / powers[0].mean(axis=0), axis=1) for power in powers])  # (bandwidths, parts)
     mean = error.mean(axis=1)
     best = int(np.argmin(mean))
     doubt = np.std(error - error[best], axis=1, ddof=1) / np.sqrt(error.shape[1])
@@ -120,7 +120,7 @@ def choose_bandwidth(rows: Callable[[float], Sequence[Block]], highest: float, a
 
 
 def _intervals(blocks: Sequence[Block]) -> list[tuple[int, float, float]]:
-    """Motion, start and end [s] of stretches about equally long, within blocks that follow one another."""
+    """Motion, start and end [s] of parts about equally long, within blocks that follow one another."""
     spans: list[list] = []
     for b in blocks:
         if b.group == "poses" or len(b.times) < 2:
@@ -132,14 +132,14 @@ def _intervals(blocks: Sequence[Block]) -> list[tuple[int, float, float]]:
     whole = sum(end - start for _, start, end in spans)
     out = []
     for motion, start, end in spans:
-        count = max(round(_STRETCHES * (end - start) / whole), 1)
+        count = max(round(_PARTS * (end - start) / whole), 1)
         cuts = np.linspace(start, end, count + 1)
         out += [(motion, float(a), float(b)) for a, b in zip(cuts[:-1], cuts[1:], strict=True)]
     return out
 
 
 def _part(blocks: Sequence[Block], edge: tuple[int, float, float]) -> np.ndarray:
-    """Rows of a stretch (k, channels, p + 1)."""
+    """Rows of a part (k, channels, p + 1)."""
     motion, start, end = edge
     own = [b for b in blocks if b.motion == motion and b.group != "poses"]
     return np.concatenate([b.rows[(b.times >= start) & (b.times < end)] for b in own] or [np.zeros((0, 1, 1))])

@@ -13,10 +13,10 @@ from bayesid.design.tell.choose import Telling
 from bayesid.report.charts import WIDTH, Panel, chart, key, key_width, limits, text_width, write
 from bayesid.report.check import recording
 from bayesid.report.page import render, run_times, versions
+from bayesid.results.distinguishing import TRAJECTORY, DistinguishingMotion
 from bayesid.results.excitation import Excitation, duration_text
 from bayesid.results.telling import chance, duration
 from bayesid.results.text import DASH, number, percent
-from bayesid.results.told import TRAJECTORY, DistinguishingMotion
 
 _PLOTTED = 1000
 _ROW, _BEST, _OTHER, _OVER = 15.0, "#1d4ed8", "#94a3b8", "#b91c1c"
@@ -117,7 +117,7 @@ def distinguishing_report(result: DistinguishingMotion) -> str:
     """The report of ``excite --tell``: an HTML page with all figures inside."""
     t = result.telling
     return render(
-        "told.html",
+        "distinguishing.html",
         name=result.name,
         lead=result.lead,
         file=TRAJECTORY,

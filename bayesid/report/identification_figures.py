@@ -102,7 +102,7 @@ def _how_sure(ax: Axes, width: np.ndarray, classes: Sequence[str]) -> None:
 
 @styled
 def bandwidth_sensitivity(choice: BandwidthChoice, std: np.ndarray) -> Figure:
-    """What the bandwidth does to predictions of stretches left out, and to the estimate.
+    """What the bandwidth does to predictions of parts left out, and to the estimate.
 
     Parameters
     ----------

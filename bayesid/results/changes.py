@@ -204,7 +204,7 @@ def shares_sentence(x: NamedChange, comparison: ReferenceComparison) -> str:
 
 
 def gap_sentence(comparison: ReferenceComparison) -> str:
-    """The gap on held-out stretches."""
+    """The gap on held-out parts."""
     p = comparison.errors
     before, floor = number(float(np.sqrt(p.reference)), 3), number(float(np.sqrt(p.floor)), 3)
     after = number(float(np.sqrt(p.after if comparison.changes else p.tolerance)), 3)

@@ -119,7 +119,7 @@ class PayloadEstimate(Result):
 
     @property
     def centre_of_mass(self) -> np.ndarray:
-        """In the frame told (3,) [m]; nan where it is not shown."""
+        """In the stated frame (3,) [m]; nan where it is not shown."""
         return np.array([q.value for q in self.centre])
 
     @property
@@ -167,7 +167,7 @@ class PayloadEstimate(Result):
 
     @property
     def load(self) -> Load:
-        """What controllers are told.
+        """What controllers take.
 
         Raises
         ------

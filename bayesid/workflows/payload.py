@@ -104,7 +104,7 @@ def payload(
     """Mass, centre of mass and inertia of what the last link carries, each with its interval and whether the readings show it.
 
     A force/torque sensor in the wrist weighs it alone: poses at rest suffice for mass and centre of mass. Joint torques, or a
-    sensor under the base, tell it from the arm by a recording without it, or by a nominal model whose trust is stated. A
+    sensor under the base, tell it from the arm by a recording without it, or by a nominal model of stated accuracy. A
     diagnosis says what else is in the readings, such as cross-talk, a tilted base or a cable, and takes it into the model.
 
     Parameters

@@ -211,7 +211,7 @@ def _(result: ExperimentPosterior) -> Files:
 
 
 def _prior(regression: Regression, prior: str | Prior | None, std: float | None) -> tuple[Prior | None, float | None]:
-    """The prior asked for, or the default one, and its trust."""
+    """The prior asked for, or the default one, and its relative standard deviation."""
     if isinstance(prior, Prior):
         return prior, None
     stated = regression.knowledge.inertia_rel_std

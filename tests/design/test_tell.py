@@ -23,8 +23,8 @@ from bayesid.dynamics.channels import torque_channels
 from bayesid.effects import MotionSegment, readings
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, Sensor
+from bayesid.results.distinguishing import DistinguishingMotion
 from bayesid.results.telling import telling_sentence
-from bayesid.results.told import DistinguishingMotion
 from bayesid.robot.limits import motion_limits
 from bayesid.simulation.simulation import Recorder, simulate, write_simulation
 from bayesid.simulation.trajectories import fourier_trajectory

@@ -144,7 +144,7 @@ def held_out_scale(
 ) -> float:
     """Share of a dispersed covariance that motions which were not fitted leave.
 
-    How far parameters scatter between stretches of one recording is known to a factor of two or so, and errors of a held-out
+    How far parameters scatter between parts of one recording is known to a factor of two or so, and errors of a held-out
     motion are those of the parameters and more. So these cannot be larger: the variance that the covariance predicts for the
     motion's rows is cut down to what is left of them, mean over channels, though not below that of noise alone.
 

@@ -84,9 +84,9 @@ Verdict = Literal["named", "named_in_part", "ambiguous", "unknown", "nothing_mis
 
 
 def confirmed(selection: Selection, errors: HeldOutErrors, settings: Settings) -> tuple[Accepted, ...]:
-    """Changes that differ from zero and close some of the gap on stretches that took no part, with 95 % confidence.
+    """Changes that differ from zero and close some of the gap on held-out parts, with 95 % confidence.
 
-    None is, where the tolerance alone predicts those stretches better. It may predict them as well: what is improbable, that
+    None is, where the tolerance alone predicts those parts better. It may predict them as well: what is improbable, that
     friction doubled from one day to the next, is the evidence's to say.
     """
     if errors.after > errors.tolerance * (1.0 + settings.worse_share):
@@ -105,13 +105,13 @@ def verdict(selection: Selection, errors: HeldOutErrors, settings: Settings) -> 
     Parameters
     ----------
     selection, errors
-        Changes that the data demand, and how they do on held-out stretches.
+        Changes that the data demand, and how they do on held-out parts.
     settings
         The thresholds.
 
     Notes
     -----
-    Without a change there is something unknown where the data demand one that held-out stretches deny, or where, with what
+    Without a change there is something unknown where the data demand one that held-out parts deny, or where, with what
     wanders within its tolerance, they are predicted worse than any dispersion allows.
     """
     named = confirmed(selection, errors, settings)
@@ -156,7 +156,7 @@ class NamedChange:
     values
         Its parameters.
     share, share_low
-        Of the gap between reference and recording that it closes on stretches that took no part; lower end of its one-sided 95 %
+        Of the gap between reference and recording that it closes on held-out parts; lower end of its one-sided 95 %
         interval.
     derived
         What follows from the parameters of an effect that came, see `bayesid.effects.effect.Effect.derived`.
@@ -188,7 +188,7 @@ class ReferenceComparison:
     reference, recording
         Before and after.
     selection, errors
-        Changes that the data demand, and how they do on held-out stretches.
+        Changes that the data demand, and how they do on held-out parts.
     verdict
         As in ``diagnosis.json``.
     changes

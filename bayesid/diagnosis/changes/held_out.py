@@ -1,6 +1,6 @@
-"""Proof on stretches that took no part: how much of the gap between reference and later recording each change closes.
+"""Validation on held-out parts: how much of the gap between reference and later recording each change closes.
 
-Every stretch is predicted from what the others say: from the reference alone; from the reference with one change after the other
+Every part is predicted from what the others say: from the reference alone; from the reference with one change after the other
 and nothing else; and with links, friction and gains fitted within their tolerance beside. What the recording's own fit of the
 same model leaves is the floor, and what the tolerance alone would do stands beside.
 """
@@ -18,7 +18,7 @@ from bayesid.diagnosis.changes.selection import Selection
 from bayesid.diagnosis.settings import Settings
 from bayesid.estimators.dispersion import STRETCHES
 
-#: From so many motions on each is left out as a whole; fewer are cut into stretches.
+#: From so many motions on each is left out as a whole; fewer are cut into parts.
 _ENOUGH_MOTIONS = 4
 
 
@@ -46,7 +46,7 @@ class Place:
 
 @dataclass(frozen=True)
 class HeldOutErrors:
-    """Mean squares of residuals on stretches held out in turn; one is what the recording's own fit leaves.
+    """Mean squares of residuals on parts held out in turn; one is what the recording's own fit leaves.
 
     Attributes
     ----------
@@ -93,7 +93,7 @@ class HeldOutErrors:
 
 
 def held_out_errors(selection: Selection, recording: LaterRecording, settings: Settings, seed: int) -> HeldOutErrors:
-    """Leave stretches out in turn.
+    """Leave parts out in turn.
 
     Parameters
     ----------

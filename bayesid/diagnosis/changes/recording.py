@@ -47,7 +47,7 @@ class LaterRecording:
     samples
         How many samples a row stands for.
     correlation
-        How many rows count as one: dispersion of the own fit between stretches of the recording.
+        How many rows count as one: dispersion of the own fit between parts of the recording.
     """
 
     problem: Problem
@@ -66,7 +66,7 @@ def read_recording(reference: Reference, experiment: Experiment, motions: Sequen
     """Prepare, weight and lay out the later recording.
 
     Rows are weighted by channel and not whitened: what a real joint does beyond any model is no stationary noise, and a fit that
-    gives much weight to frequencies with little noise is biased. How few of them are independent, stretches of the recording show
+    gives much weight to frequencies with little noise is biased. How few of them are independent, parts of the recording show
     (`bayesid.estimators.dispersion`).
 
     Parameters

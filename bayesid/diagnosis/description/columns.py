@@ -1,7 +1,7 @@
 """Whitened columns of shapes, and what links and effects found leave of them, in halves of the recordings.
 
 Whitened coefficients of a segment are taken back to as many samples in time as there are coefficients: still white, and now a
-half can be a stretch of time.
+half can be an interval of time.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class SegmentPart:
     segment
         Of the recording.
     variables
-        What formulas may name, on the segment's scene (M,).
+        What formulas may name, on the segment's grid (M,).
     rows
         Which of the segment's K white samples (k,).
     kept
@@ -52,7 +52,7 @@ class SegmentPart:
     kept: dict[tuple[tuple[str, ...], int], np.ndarray] = field(default_factory=dict, repr=False)
 
     def values(self, shapes: Sequence[Shape]) -> np.ndarray:
-        """The shapes' products on the scene (M, g); of such as have no finite value zero."""
+        """The shapes' products on the grid (M, g); of such as have no finite value zero."""
         factors: dict[str, np.ndarray] = {}  # a few hundred, in thousands of products
         out = np.empty((len(self.segment.scene.times), sum(len(s.products) for s in shapes)))
         for k, product in enumerate(p for s in shapes for p in s.products):
@@ -256,7 +256,7 @@ def parts_of(data: DiagnosisData, segments: Sequence[Segment], fit: Fit) -> tupl
 
 
 def halves(fit: Fit) -> tuple[Half, Half]:
-    """The fitted recordings in two: motions in turn, or stretches of time of a single one.
+    """The fitted recordings in two: motions in turn, or intervals of time of a single one.
 
     Parameters
     ----------

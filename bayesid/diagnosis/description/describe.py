@@ -163,7 +163,7 @@ def describe(base: Fit, starts: Sequence[Fit], library: Library | None, seed: in
     """The best draft beside one of several models; None where no other half, or no unseen motion, confirms one.
 
     Candidates (`bayesid.diagnosis.description.candidates`) are whitened like readings, what links and effects found explain is
-    projected out, and they are chosen greedily by log evidence on half of the motions (of a single motion: on stretches of time).
+    projected out, and they are chosen greedily by log evidence on half of the motions (of a single motion: on intervals of time).
     With amplitudes of that half each must close a part of what is left on the other half, and the whole draft, fitted exactly to
     all, a part of the gap on validation motions: lower ends of bootstrap intervals above nothing.
 
