@@ -26,6 +26,7 @@ from .results.calibration import Calibration
 from .results.changes import Changes
 from .results.comparison import Comparison
 from .results.diagnosis import Diagnosis
+from .results.distinguishing import DistinguishingMotion
 from .results.excitation import Excitation
 from .results.exported import Exported
 from .results.identifiability import Identifiability
@@ -35,7 +36,6 @@ from .results.inspection import Inspection
 from .results.loaded import NeedsRecording, load
 from .results.payload import PayloadEstimate
 from .results.posterior import ExperimentPosterior
-from .results.distinguishing import DistinguishingMotion
 from .results.watch import Watch
 from .robot.prior import Prior
 from .robot.robot import Robot, load_robot
