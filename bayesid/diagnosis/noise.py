@@ -11,13 +11,13 @@ from scipy.stats import f as f_ratio
 from bayesid.diagnosis.data import WHITE, DiagnosisData
 from bayesid.diagnosis.encoders import Encoders, encoder_count, with_noise
 from bayesid.diagnosis.noise_spectrum import measure
-from bayesid.diagnosis.repeats import find_rests
 from bayesid.diagnosis.spectra import Segment, low_passed, sensor_noise
 from bayesid.dynamics.regressors import dynamics_regressor
 from bayesid.effects import MotionSegment, Term, columns
 from bayesid.effects.loads import Tether
 from bayesid.recordings.table import usual_step
 from bayesid.regression.readings import has_readings, readings_of
+from bayesid.signals.repeats import find_rests
 from bayesid.signals.smoothing import smooth
 
 #: Poses for each column that is fitted to them, at least, before what is left is taken for noise.
@@ -218,7 +218,7 @@ def _rests(data: DiagnosisData, count: np.ndarray) -> list[tuple[np.ndarray, np.
             parts += [(table.times[p], table.positions[p], readings_of(data.experiment, table, data.channel)[p]) for p in pieces]
     out = []
     for times, encoders, read in parts:
-        for start, end in find_rests(times, encoders, count, data.settings):
+        for start, end in find_rests(times, encoders, count):
             inside = (times >= start) & (times <= end)
             out.append((times[inside], read[inside]))
     return out

@@ -21,9 +21,9 @@ from scipy.fft import dct, idct
 from scipy.interpolate import CubicSpline
 
 from bayesid.diagnosis.encoders import Encoders
-from bayesid.diagnosis.repeats import Repeat, find_repeats
 from bayesid.diagnosis.settings import Settings
 from bayesid.diagnosis.spectra import Segment, taper
+from bayesid.signals.repeats import RATE, Course, Repeat, find_repeats
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,6 +116,13 @@ class Spectrum:
         flat = self.correlation.reshape(len(knots), -1).T
         between = np.stack([np.interp(x, knots, column) for column in flat], axis=1).reshape(-1, *self.correlation.shape[1:])
         return out[:, :, None] * between * out[:, None, :]
+
+
+def course(segment: Segment) -> Course:
+    """Its positions on an even grid (M,), (M, n)."""
+    times = np.arange(segment.times[0], segment.times[-1], 1.0 / RATE)
+    inner = np.clip(times, segment.scene.times[0], segment.scene.times[-1])
+    return times, CubicSpline(segment.scene.times, segment.scene.positions)(inner)
 
 
 def repeat_pieces(
@@ -318,7 +325,7 @@ def measure(
         For what of the difference of repeats is their doing.
     """
     settings = segments[0].settings
-    repeats = find_repeats(segments, encoders.resolution)
+    repeats = find_repeats([course(s) for s in segments], encoders.resolution)
     roundings = encoders.roundings(segments, {i for r in repeats for i in (r.first, r.second)})
     channels = range(len(white))
     # A drive at rest holds with friction whatever it takes, and that may wander: no reason to distrust white noise.

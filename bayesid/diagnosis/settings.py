@@ -67,24 +67,6 @@ class Settings:
     #: looking at cases.
     coloured_ratio: float = 2.0
     colour_window: float = 1.0
-    #: A repeat or a rest lasts this long [s] and a period this long [s], to reach below `spectrum_reach`.
-    shortest_repeat: float = 3.0
-    shortest_period: float = 1.5
-    #: What may ring after a stop is left out [s]: half of `still_time`, by which a window that wide ends a rest early, once
-    #: more.
-    ringing: float = 0.25
-    #: Positions repeat if no joint is off by more than this share of its range, nor by more than so many times the median.
-    same_position: float = 0.005
-    settled_ratio: float = 4.0
-    #: What repeats must move one joint by this share of its range.
-    repeat_moves: float = 0.2
-    #: Normalised distance below which a lag is looked at closely, how many lags are, and the rate of comparison [Hz].
-    near_lag: float = 0.5
-    lags: int = 6
-    repeat_rate: float = 25.0
-    #: A joint stands still if its encoder stays within this [rad or m] for this long [s], or within a few counts.
-    still_travel: float = 5e-4
-    still_time: float = 0.5
     #: Mean square of residuals, with everything the library has, above which noise was measured wrongly. Set by looking at
     #: cases.
     hopeless: float = 200.0

@@ -1,9 +1,11 @@
 """The noise that no model can remove: the sensor's own, and what the encoders' errors make of a prediction.
 
-Neither depends on what the fit left over, so a model that lacks something cannot pass for noise. The sensor's noise is read
-off the readings above the band of the motion; where they were filtered before they were recorded it is that of a robot at
-rest (``parked``), else the data sheet's, else not known. Encoder errors are simulated: the smoothed motion once more with fresh
-encoder noise, and what channel-weighted least squares predicts for both.
+Neither depends on what the fit left over nor on its model, so what a model lacks cannot pass for noise, and two models of a
+recording are compared with the same. The sensor's noise is read off the readings above the band of the motion; where they were
+filtered before they were recorded it is what does not repeat where the motion does (``repeats``), else that of a robot at rest
+(``parked``), else the data sheet's, else not known. Encoder errors are simulated: the smoothed motion once more with fresh
+encoder noise, and what channel-weighted least squares predicts for both, of rigid bodies with what every drive has. A model that
+rings with encoder errors has its own, where those are larger: they are in its prediction however right it is.
 """
 
 from __future__ import annotations
@@ -13,40 +15,63 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.fft import dct
+from scipy.interpolate import CubicSpline
 from scipy.signal import detrend
+from scipy.signal.windows import tukey
 
+from bayesid.errors import InputError
 from bayesid.estimators.weights import learn_weights
 from bayesid.regression.encoder_noise import errors_of
-from bayesid.regression.problem import Problem
+from bayesid.regression.options import FitOptions
+from bayesid.regression.problem import Problem, prepare
 from bayesid.regression.segment import Segment
+from bayesid.signals.repeats import RATE, find_repeats, find_rests
 from bayesid.signals.white_noise import low_passed, steady_noise
 
 #: Where a floor comes from, for reports.
-READINGS, AT_REST, DATA_SHEET, RESIDUALS = "readings", "parked", "data sheet", "residuals"
+READINGS, REPEATS, AT_REST, DATA_SHEET, RESIDUALS = "readings", "repeats", "parked", "data sheet", "residuals"
 #: Samples that encoder errors are simulated on, in so many pieces, and how often.
 _SIMULATED_SAMPLES, _PIECES, _DRAWS = 4000, 4, 3
 _BINS = 24
+#: The effects of the model that noise is measured with.
+_DRIVES = ("viscous_friction", "coulomb_friction", "torque_offset")
+_USUAL = {"wrench": (), "torque": _DRIVES, "both": _DRIVES}
 #: A rest shorter than this shows no noise below the band [s].
 _SHORTEST_REST = 1.0
+#: Noise is needed up to here at least [Hz]: `bayesid.validation.flexible.BAND`.
+_LOWEST_TOP = 10.0
+#: Squares that noise is measured from by repeats, at least: a standard deviation to 6 %.
+_SQUARES = 120
+#: Share of repeats at both ends that a taper takes, and of their power that is left for the sensor beside the encoders.
+_TAPERED, _LEAST = 0.2, 0.05
 
 
 @dataclass(frozen=True)
 class NoiseFloor:
-    """Noise that is left to a perfect model, of rows straight from the smoothed trajectory, whatever filter was fitted with.
+    """Noise that is left to a perfect model, in the cosine transform of samples.
 
     Attributes
     ----------
     sensor
-        Standard deviation of one sample's noise (c,) [unit of the channel].
+        Standard deviation of one sample's noise (c,) [unit of the channel]. Of noise that is not white: of white noise with as
+        much power below 10 Hz, for filtered readings hold next to none at some frequencies, where no model need hold none.
     encoder
-        Power that encoder errors add to a row, by frequency from zero to half the row rate (bins, c).
+        Power that encoder errors add to a coefficient, by frequency from zero to ``top`` (bins, c).
     source
-        ``readings``, ``parked`` or ``data sheet``.
+        ``readings``, ``repeats``, ``parked`` or ``data sheet``.
+    top
+        Highest frequency [Hz]; above, it is as there.
     """
 
     sensor: np.ndarray
     encoder: np.ndarray
     source: str
+    top: float
+
+    @property
+    def power(self) -> np.ndarray:
+        """Of both, by frequency (bins, c)."""
+        return self.sensor**2 + self.encoder
 
     def below(self, band: float, step: float) -> np.ndarray:
         """Variance of this noise in rows below a frequency [Hz] (c,); rows have the energy of one sample.
@@ -59,45 +84,128 @@ class NoiseFloor:
             Distance of rows [s].
         """
         share = min(2.0 * step * band, 1.0)
-        counted = np.clip(share * _BINS - np.arange(_BINS), 0.0, 1.0) / _BINS
-        return share * self.sensor**2 + counted @ self.encoder
+        return share * self._at(np.linspace(0.0, share * 0.5 / step, 20 * _BINS)).mean(axis=0)
+
+    def _at(self, frequency: np.ndarray) -> np.ndarray:
+        """Power at frequencies (k,) [Hz] (k, c)."""
+        return self.power[np.minimum((frequency / self.top * _BINS).astype(int), _BINS - 1)]
 
     def ratio(self, residuals: Sequence[np.ndarray], step: float, band: float) -> np.ndarray:
-        """Root mean square of residual rows of stretches (k, c) in units of this noise, below a frequency (c,)."""
+        """Root mean square of residuals of evenly spaced samples (k, c) in units of this noise, below a frequency (c,).
+
+        Parameters
+        ----------
+        residuals
+            Measured less predicted, by gap-free segment.
+        step
+            Of the samples [s].
+        band
+            The frequency [Hz].
+        """
         energy, count = np.zeros(len(self.sensor)), 0
         for rows in residuals:
             z = np.asarray(dct(rows, axis=0, norm="ortho"))
-            frequency = np.arange(len(z)) / len(z)  # shares of half the row rate
+            frequency = np.arange(len(z)) / len(z) * 0.5 / step
             z = z[: max(int(min(2.0 * step * band, 1.0) * len(z)), 1)]
-            noise = self.sensor**2 + self.encoder[(frequency[: len(z)] * _BINS).astype(int)]
-            energy += np.sum(z**2 / noise, axis=0)
+            energy += np.sum(z**2 / self._at(frequency[: len(z)]), axis=0)
             count += len(z)
         return np.sqrt(energy / max(count, 1))
 
 
 def noise_floor(problem: Problem) -> NoiseFloor | None:
-    """The floor of an experiment's moving readings, the same for all estimates of them; None where nothing tells it."""
+    """The floor of an experiment's moving readings, the same for all models of them; None where nothing tells it."""
+    given, problem = problem, _with_usual_model(problem)
     moving = [s for segments in problem.segments.values() for s in segments if not s.poses]
     samples = [s.measured(0, len(s.times)) for s in moving if len(s.times) >= 32]
     if not samples:
         return None
-    sensor, source = steady_noise(samples), READINGS
+    top = max(_LOWEST_TOP, 0.5 / problem.row_model.step)
+    sensor, source, encoder = steady_noise(samples), READINGS, _encoder_power(problem, moving, top)
+    if any(e.settling > 0.0 or e.amplifies_encoder_errors for e in given.row_model.effects):
+        own = [s for segments in given.segments.values() for s in segments if not s.poses]
+        encoder = np.maximum(encoder, _encoder_power(given, own, top))
     if low_passed(samples):
-        quiet = _at_rest(problem)
-        stated = _data_sheet(problem)
-        if quiet is not None:
-            sensor, source = np.maximum(sensor, quiet), AT_REST
-        elif stated is not None:
-            sensor, source = np.maximum(sensor, stated), DATA_SHEET
-        else:
+        quieter = _by_repeats(problem, moving, encoder, top), _at_rest(problem, moving), _data_sheet(problem)
+        known = [(s, found) for s, found in zip((REPEATS, AT_REST, DATA_SHEET), quieter, strict=True) if found is not None]
+        if not known:
             return None
+        source, found = known[0]
+        sensor = np.maximum(sensor, found)
     # Noise-free simulations: a floor of exactly zero would divide by it.
     sensor = np.maximum(sensor, 1e-9 * max(float(np.max([np.abs(y).max() for y in samples])), 1e-300))
-    return NoiseFloor(sensor, _encoder_power(problem, moving), source)
+    return NoiseFloor(sensor, encoder, source, top)
 
 
-def _encoder_power(problem: Problem, moving: Sequence[Segment]) -> np.ndarray:
-    """What encoder errors add to rows, by frequency (bins, c)."""
+def _with_usual_model(problem: Problem) -> Problem:
+    """The same readings with the model that noise is measured with; of a recording that is read in chunks, of its excerpt."""
+    usual = _USUAL[problem.channel]
+    own, stored = (
+        {e.name for e in problem.row_model.effects} - {"sensor_offset"},
+        any(m.stored for m in problem.experiment.motions),
+    )
+    if own == set(usual) and problem.row_model.point is None and problem.row_model.filters is None and not stored:
+        return problem
+    motions = tuple(replace(m, stored=None) for m in problem.experiment.motions)
+    fitted = [m.name for m in motions if m.name in problem.fitted] or None
+    options = FitOptions(
+        problem.channel,
+        motions=fitted,
+        effects=usual,
+        static="joint" if problem.static == "joint" else "motion",
+    )
+    try:
+        return prepare(replace(problem.experiment, motions=motions), options)
+    except InputError:  # a joint without torques, a motion that is too short for it
+        return problem
+
+
+def _counts(problem: Problem) -> np.ndarray:
+    """One count of each encoder (n,) [rad or m], as stated, or as random as one is."""
+    stated = problem.experiment.position_resolution
+    random = np.sqrt(12.0) * np.nan_to_num(np.asarray(problem.smoother.position_std, float))
+    return np.full(problem.experiment.robot.n, stated) if stated else np.broadcast_to(random, problem.experiment.robot.n)
+
+
+def _by_repeats(problem: Problem, moving: Sequence[Segment], encoder: np.ndarray, top: float) -> np.ndarray | None:
+    """Noise below 10 Hz by what readings do not repeat where the motion does (c,); None without repeats.
+
+    With e = reading - prediction, ``e(t + P) - e(t)`` has twice the noise's power: what the model lacks follows the motion and
+    cancels. Encoder errors hardly repeat, so their share comes off.
+    """
+    row_model = replace(problem.row_model, filters=None)
+    margin, solution = row_model.margin, learn_weights(problem.regression).solution
+    used = [s for s in moving if np.ptp(s.inner(margin))]
+    spans = [s.times[slice(*s.inner(margin))] for s in used]
+    grids = [np.arange(t[0], t[-1], 1.0 / RATE) for t in spans]
+    courses = [(t, row_model.smoothed(s, t).positions) for s, t in zip(used, grids, strict=True) if len(t) > 1]
+    if len(courses) < len(used):
+        return None
+    left: dict[int, CubicSpline] = {}
+
+    def residual(k: int) -> CubicSpline:
+        if k not in left:
+            a, b = used[k].inner(margin)
+            left[k] = CubicSpline(spans[k], used[k].measured(a, b) - row_model.predicted(used[k], a, b, solution))
+        return left[k]
+
+    power, count = np.zeros(encoder.shape[1]), 0
+    for r in find_repeats(courses, _counts(problem)):
+        times = spans[r.first][(spans[r.first] >= r.start) & (spans[r.first] <= r.end)]
+        times = times[(times + r.lag >= spans[r.second][0]) & (times + r.lag <= spans[r.second][-1])]
+        weight = tukey(len(times), _TAPERED)[:, None]
+        difference = detrend(residual(r.second)(times + r.lag) - residual(r.first)(times), axis=0) * weight / np.sqrt(2.0)
+        z = np.asarray(dct(difference, axis=0, norm="ortho")) / np.sqrt(np.mean(weight**2))
+        step = (times[-1] - times[0]) / (len(times) - 1)
+        below = np.arange(len(z)) / len(z) * 0.5 / step < _LOWEST_TOP
+        power, count = power + np.sum(z[below] ** 2, axis=0), count + np.count_nonzero(below)
+    if count < _SQUARES:
+        return None
+    mean = power / count
+    return np.sqrt(np.maximum(mean - encoder[: int(_BINS * _LOWEST_TOP / top)].mean(axis=0), _LEAST * mean))
+
+
+def _encoder_power(problem: Problem, moving: Sequence[Segment], top: float) -> np.ndarray:
+    """What encoder errors add to rows, whose coefficients are those of samples, by frequency up to a highest [Hz] (bins, c)."""
     row_model = replace(problem.row_model, filters=None)
     power, count = np.zeros((_BINS, len(row_model.channels))), np.zeros(_BINS)
     pieces = []
@@ -114,20 +222,24 @@ def _encoder_power(problem: Problem, moving: Sequence[Segment]) -> np.ndarray:
     for errors in law.misread(_DRAWS, learn_weights(problem.regression).solution):
         for error in errors:
             z = np.asarray(dct(error, axis=0, norm="ortho"))
-            at = (np.arange(len(z)) / len(z) * _BINS).astype(int)
-            np.add.at(power, at, z**2)
-            np.add.at(count, at, 1.0)
+            at = (np.arange(len(z)) / len(z) * 0.5 / row_model.step / top * _BINS).astype(int)
+            inside = at < _BINS  # a model that rings has rows at a higher rate
+            np.add.at(power, at[inside], z[inside] ** 2)
+            np.add.at(count, at[inside], 1.0)
     return power / np.maximum(count, 1.0)[:, None]
 
 
-def _at_rest(problem: Problem) -> np.ndarray | None:
-    """Noise of the readings while the robot stands still, as the experiment says (c,)."""
+def _at_rest(problem: Problem, moving: Sequence[Segment]) -> np.ndarray | None:
+    """Noise of the readings while the robot stands still, as the experiment says or as the encoders do (c,)."""
+    stated = {m.name: m.parked for m in problem.experiment.motions}
     parts = []
-    for motion in problem.experiment.motions:
-        for start, end in motion.parked:
-            for s in problem.segments.get(motion.name, ()):
+    for name, segments in problem.segments.items():
+        for s in segments:
+            if not any(s is m for m in moving):
+                continue
+            for start, end in stated.get(name) or find_rests(s.times, s.positions, _counts(problem)):
                 inside = (s.times >= start) & (s.times <= end)
-                if not s.poses and inside.sum() > 16 and np.ptp(s.times[inside]) >= _SHORTEST_REST:
+                if inside.sum() > 16 and np.ptp(s.times[inside]) >= _SHORTEST_REST:
                     parts.append(detrend(s.readings[inside], axis=0))
     return np.sqrt(np.mean(np.concatenate(parts) ** 2, axis=0)) if parts else None
 

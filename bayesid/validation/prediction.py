@@ -18,7 +18,6 @@ from bayesid.regression.motion_rows import row_count
 from bayesid.regression.parallel import both, in_order
 from bayesid.regression.problem import Problem, elsewhere
 from bayesid.regression.row_cache import few_of
-from bayesid.regression.rows import make_blocks
 from bayesid.regression.segment import Segment
 from bayesid.signals.noise import NoiseModel
 from bayesid.validation.flexible import BAND, FlexibleGap
@@ -73,7 +72,7 @@ class Prediction:
     nrmse, nrmse_raw
         The same over the root mean square of what was measured (c,).
     whitened_rms
-        Of the rows' residual below 10 Hz in units of the noise floor, the sensor's own noise and what encoder errors make of a
+        Of the residual below 10 Hz in units of the noise floor, the sensor's own noise and what encoder errors make of a
         prediction; 1 is perfect.
     whitened_rms_by_channel
         (c,).
@@ -216,7 +215,7 @@ def predict(problem: Problem, estimate: Estimate, motion: Motion, floor: NoiseFl
     segments = problem.segments[motion.name]
     margin = problem.row_model.margin
     moving = [r for r in segments if not r.poses and np.ptp(r.inner(margin))] or [r for r in segments if r.poses]
-    error, raw, times, measured = [], [], [], []
+    error, raw, times, measured, residuals = [], [], [], [], []
     for segment in moving:
         a, b = segment.inner(0.0 if segment.poses else margin)  # where the smoothed trajectory is sound
         t, y = segment.times[a:b], segment.measured(a, b)
@@ -224,6 +223,7 @@ def predict(problem: Problem, estimate: Estimate, motion: Motion, floor: NoiseFl
         prediction, smooth_y = both(partial(_predicted, problem, estimate, segment, a, b), partial(slow, y))
         prediction -= y
         raw.append([_squares(prediction), _squares(y)])
+        residuals.append(prediction)
         error.append(slow(prediction))
         times.append(t)
         measured.append(smooth_y)
@@ -232,7 +232,9 @@ def predict(problem: Problem, estimate: Estimate, motion: Motion, floor: NoiseFl
     pick = slice(None, None, max(-(-len(y) // _PLOTTED), 1))
     if all(r.poses for r in moving):
         floor = None  # averaged one by one: nothing shows their noise
-    by_channel, expected, coverage, spectrum = _whitened(problem, estimate, motion.name, moving, floor)
+    by_channel, expected, coverage, spectrum = _whitened(problem, estimate, motion.name, moving)
+    if floor is not None:
+        by_channel = floor.ratio(residuals, float(np.median(np.diff(times[0]))), BAND)
     scale, rmse = (np.sqrt(_squares(values) / len(values)) for values in (y, all_error))
     return Prediction(
         motion=motion.name,
@@ -312,9 +314,9 @@ def _squares(values: np.ndarray) -> np.ndarray:
 
 
 def _whitened(
-    problem: Problem, estimate: Estimate, motion: str, segments: list[Segment], floor: NoiseFloor | None
+    problem: Problem, estimate: Estimate, motion: str, segments: list[Segment]
 ) -> tuple[np.ndarray, float, float, Spectrum | None]:
-    """Root mean square of residual rows over the noise (c,), what is expected, share inside 95 % intervals, spectrum."""
+    """Root mean square of residual rows over the fit's noise (c,), what is expected, share inside 95 % intervals, spectrum."""
     noise = dict(estimate.noise)
     for group in ("trajectory", "poses"):  # a kind of rows that was not fitted: the other's noise, uncoloured
         if group not in noise:
@@ -343,14 +345,7 @@ def _whitened(
         variance = variance.mean(axis=0)
     inside = float(np.mean(np.abs(residual) <= 1.959964 * np.sqrt(1.0 + variance)))
     raw = [block.rows for block in left]
-    if floor is None:
-        channels = np.sqrt(np.mean(residual**2, axis=0))
-    else:
-        unfiltered = raw
-        if problem.row_model.filters is not None:  # the floor is that of rows without them
-            plain = make_blocks(replace(problem.row_model, filters=None), segments)
-            unfiltered = [b.residual(estimate.solution) for b in plain]
-        channels = floor.ratio(unfiltered, problem.row_model.step, BAND)
+    channels = np.sqrt(np.mean(residual**2, axis=0))
     spectrum = None
     if group == "trajectory":
         rate = 1.0 / float(np.median(np.diff(next(r.times for r in segments if not r.poses))))

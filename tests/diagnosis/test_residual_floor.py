@@ -10,7 +10,7 @@ from scipy.signal import butter, freqz, lfilter
 
 from bayesid import diagnose
 from bayesid.diagnosis import noise as noise_of_segments
-from bayesid.diagnosis import noise_spectrum, repeats
+from bayesid.diagnosis import noise_spectrum
 from bayesid.diagnosis.noise import smoothed
 from bayesid.diagnosis.prepare import prepare_data
 from bayesid.diagnosis.settings import DEFAULT
@@ -18,6 +18,7 @@ from bayesid.diagnosis.spectra import sensor_noise, taper
 from bayesid.dynamics.channels import torque_channels, wrench_channels
 from bayesid.dynamics.regressors import dynamics_regressor
 from bayesid.recordings.table import Table
+from bayesid.signals import repeats
 from tests.simulated import Motion, Sensor, experiment, fourier, puma2
 
 RATE = 125.0
@@ -148,7 +149,7 @@ def test_two_recordings_of_one_motion_are_repeats(robot):
     found = made(setting(robot, first, FILTERED, second))
     assert found.floor_source == "repeats"
     moving = [*found.segments, *found.unseen]
-    pair = repeats.find_repeats(moving, np.full(2, 2e-5))
+    pair = repeats.find_repeats([noise_spectrum.course(s) for s in moving], np.full(2, 2e-5))
     assert [(p.first, p.second) for p in pair] == [(0, 1)]
     assert pair[0].lag == pytest.approx(-cut / RATE, abs=2e-4)
     where = np.array([0.5, 1.0, 2.0, 3.0])
@@ -166,7 +167,7 @@ def test_encoder_errors_that_do_not_repeat_are_not_taken_for_the_sensors(robot):
 
     table = replace(given.motions[0].table, positions=read(5))
     found = made(replace(given, motions=(replace(given.motions[0], table=table),), position_resolution=0.0, position_std=std))
-    s, pair = found.segments[0], repeats.find_repeats(found.segments, np.zeros(2))
+    s, pair = found.segments[0], repeats.find_repeats([noise_spectrum.course(s) for s in found.segments], np.zeros(2))
     pieces = noise_spectrum.repeat_pieces([s], pair, lambda x: found.predict(x, found.links, ()), {0: []})
     whole = noise_spectrum.measured_spectrum(pieces)
     assert whole is not None
@@ -250,7 +251,7 @@ def test_a_period_is_found_behind_a_slow_start_to_a_ten_thousandth(robot):
     table = given.motions[0].table
     swell = np.clip(table.times / 3.0, 0.0, 1.0)[:, None] ** 2
     given = replace(given, motions=(replace(given.motions[0], table=replace(table, positions=table.positions * swell)),))
-    found = repeats.find_repeats(made(given).segments, np.full(2, 2e-5))
+    found = repeats.find_repeats([noise_spectrum.course(s) for s in made(given).segments], np.full(2, 2e-5))
     assert len(found) == 1
     assert found[0].lag == pytest.approx(10.0 * stretch_by, abs=1e-3)
     assert found[0].start > 2.5
@@ -260,7 +261,7 @@ def test_rests_are_where_nothing_moves():
     """One joint still is not enough, and what rings after a stop is left out."""
     times = np.arange(0.0, 20.0, 0.01)
     q = np.stack([np.interp(times, [5.0, 12.0], [0.0, 1.0]), np.interp(times, [4.0, 5.0], [0.0, 0.5])], axis=1)
-    found = repeats.find_rests(times, q, np.zeros(2), DEFAULT)
+    found = repeats.find_rests(times, q, np.zeros(2))
     assert len(found) == 2
     np.testing.assert_allclose(found, [(0.25, 3.5), (12.5, 19.75)], atol=0.02)
 

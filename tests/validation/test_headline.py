@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy.signal import butter, sosfilt
 
 import bayesid
 from bayesid.regression.options import FitOptions
@@ -62,14 +63,30 @@ def test_a_model_that_lacks_something_cannot_call_it_noise(arm):
     assert any("is predicted with an error of" in w for w in proven.warnings)
 
 
-def test_readings_that_were_filtered_tell_no_floor(arm):
-    from scipy.signal import butter, sosfilt
+def filtered(arm, seconds: float):
+    """The first seconds of all recordings, their readings filtered before they were recorded."""
+    slow, motions = butter(2, 10.0, fs=125.0, output="sos"), []
+    for m in arm.motions:
+        wrench, count = sosfilt(slow, m.table.wrench, axis=0), int(125 * seconds)
+        table = dataclasses.replace(
+            m.table, times=m.table.times[:count], positions=m.table.positions[:count], wrench=wrench[:count],
+            torques=m.table.torques[:count],
+        )  # fmt: skip
+        motions.append(dataclasses.replace(m, table=table))
+    return dataclasses.replace(arm, motions=tuple(motions))
 
-    def filtered(table):
-        return dataclasses.replace(table, wrench=sosfilt(butter(2, 10.0, fs=125.0, output="sos"), table.wrench, axis=0))
 
-    motions = tuple(dataclasses.replace(m, table=filtered(m.table)) for m in arm.motions)
-    blind = dataclasses.replace(arm, motions=motions)
+def test_filtered_readings_tell_the_noise_where_the_motion_repeats(arm):
+    """White noise of power s^2 behind a Butterworth filter, |H|^2 = 1 / (1 + (f / f0)^4), below 10 Hz; a period of 10 s."""
+    floor = noise_floor(prepare(filtered(arm, 20.0), FitOptions()))
+    assert floor is not None and floor.source == "repeats"
+    below = np.linspace(0.0, 10.0, 1000)
+    share = np.sqrt(np.mean(1.0 / (1.0 + (below / 10.0) ** 4)))
+    np.testing.assert_allclose(floor.sensor, share * np.array([FORCE] * 3 + [TORQUE] * 3), rtol=0.15)
+
+
+def test_filtered_readings_of_a_motion_that_never_repeats_tell_no_floor(arm):
+    blind = filtered(arm, 9.0)
     assert noise_floor(prepare(blind, FitOptions())) is None
     prediction = bayesid.identify(blind).validation[0]
     assert prediction.noise_source == "residuals" and judged(prediction).mood != "good"
