@@ -109,7 +109,7 @@ class Segment:
 
     @cached_property
     def frequencies(self) -> np.ndarray:
-        """Of the coefficients (K,) [Hz]."""
+        """Frequencies of the coefficients (K,) [Hz]."""
         spacing = 0.5 / (len(self.times) * self.step)
         band = min(self.settings.band, 0.4 / self.step, 0.8 * self.scene.bandwidth)
         return spacing * np.arange(max(int(band / spacing), 1))

@@ -169,7 +169,7 @@ def _rest(a: np.ndarray) -> np.ndarray:
 
 
 def _pull(values: np.ndarray) -> np.ndarray:
-    """And back."""
+    """Stiffness k and k q0 of stiffness and rest position q0."""
     return np.array([values[0], values[0] * values[1]])
 
 

@@ -264,7 +264,7 @@ class JointTorqueEffect(InstrumentEffect):
 
     @abstractmethod
     def torque(self, motion: JointMotion, values: Sequence[float]) -> np.ndarray:
-        """What it adds (N,) [N m or N]."""
+        """Torque that the effect adds (N,) [N m or N]."""
 
     def per_load(self, motion: JointMotion, values: Sequence[float]) -> np.ndarray:
         """Derivative of `torque` with respect to the load (N,), for effects that use it."""

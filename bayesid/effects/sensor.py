@@ -28,7 +28,7 @@ class _OnTop(SensorEffect):
 
     @abstractmethod
     def course(self, segment: MotionSegment) -> np.ndarray:
-        """What one unit adds (N,)."""
+        """Reading that one unit of the parameter adds (N,)."""
 
     def columns(self, chain, segment, true, values):
         return self.course(segment)[:, None, None] * np.eye(6)

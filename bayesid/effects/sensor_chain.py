@@ -64,7 +64,7 @@ class SensorChain:
         return np.kron(np.eye(2), back) @ pose
 
     def late(self, segment: MotionSegment, values: np.ndarray) -> np.ndarray:
-        """What was so long ago (N, ...)."""
+        """Values (N, ...) of the time that the sensor reads, its delay ago."""
         return segment.late(values, self.delay)
 
     def sensed(self, segment: MotionSegment, wrench: np.ndarray) -> np.ndarray:

@@ -56,7 +56,7 @@ class _Gram:
 
 
 def _directly(root: np.ndarray, rows: RowCache, scale: Mapping[str, np.ndarray]) -> _Gram:
-    """Of weighted rows."""
+    """The Gram matrix of the weighted rows in the pilot's coordinates."""
     inverse = solve_triangular(root, np.eye(len(root)))
 
     def gram(block: Block) -> _Gram:

@@ -118,7 +118,7 @@ class Once(Generic[_A]):
         self._make, self._lock, self._made = make, threading.Lock(), []
 
     def __call__(self) -> _A:
-        """What was made."""
+        """What ``make`` gives, made at the first call only."""
         with self._lock:
             if not self._made:
                 self._made.append(self._make())

@@ -75,7 +75,7 @@ class SignalView:
     Attributes
     ----------
     channel, unit, motion
-        Which.
+        What is shown.
     times, measured, values
         (N,) [s], (N,) and (N, 2).
     noise
@@ -101,7 +101,7 @@ class Noise:
     Attributes
     ----------
     channel, unit
-        Which.
+        What is shown.
     sample
         Standard deviation of the sensor's noise in one sample.
     sensor, encoders
@@ -122,7 +122,7 @@ class Views:
     Attributes
     ----------
     panels, signals, noise, visible
-        See there.
+        What each picture shows, see their classes.
     bands
         Their limits [Hz].
     changed

@@ -269,7 +269,7 @@ def worst_places(found: Sequence[Susceptibility], each: int) -> list[Susceptibil
 
 
 def size_text(s: Susceptibility) -> str:
-    """Its first parameters with units."""
+    """The effect's first parameters with their units."""
     values = list(zip(s.effect.parameters, s.values, s.effect.units, strict=True))
     shown = [f"{p} {number(v, 2)}{'' if u == '1' else ' ' + u}" for p, v, u in values[:2]]
     return ", ".join(shown) + (" …" if len(values) > 2 else "")

@@ -162,7 +162,7 @@ class ControllerBounds(Result):
 
     @property
     def covariance(self) -> np.ndarray:
-        """Their covariance V (k, k)."""
+        """Covariance V of the parameters (k, k)."""
         return self.region.covariance
 
     @property

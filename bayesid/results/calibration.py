@@ -97,7 +97,7 @@ class Calibration(Result):
 
     @property
     def name(self) -> str:
-        """Of the experiment."""
+        """The experiment's name."""
         return self.fit.problem.experiment.name
 
     def compensate(self, positions: ArrayLike, wrench: ArrayLike, times: ArrayLike | None = None) -> np.ndarray:

@@ -35,27 +35,27 @@ class HasEstimate(HasParameters):
 
     @property
     def std(self: _WithEstimate) -> np.ndarray:
-        """Their standard deviations (r,)."""
+        """Standard deviations of the base parameters (r,)."""
         return self.estimate.std
 
     @property
     def low(self: _WithEstimate) -> np.ndarray:
-        """Lower ends of their 95 % intervals (r,)."""
+        """Lower ends of the base parameters' 95 % intervals (r,)."""
         return self.estimate.low
 
     @property
     def high(self: _WithEstimate) -> np.ndarray:
-        """Upper ends of their 95 % intervals (r,)."""
+        """Upper ends of the base parameters' 95 % intervals (r,)."""
         return self.estimate.high
 
     @property
     def covariance(self: _WithEstimate) -> np.ndarray | None:
-        """Their covariance (r, r)."""
+        """Covariance of the base parameters (r, r)."""
         return self.estimate.covariance
 
     @property
     def base(self: _WithEstimate) -> BaseParameters:
-        """What they are combinations of."""
+        """What the base parameters are combinations of."""
         return self.estimate.base
 
     def plot_intervals(self, *, ax: Any = None) -> Figure:

@@ -19,12 +19,12 @@ class HasPredictions(Protocol):
 
     @property
     def fitted(self) -> tuple[Prediction, ...]:
-        """Those of the fitted motions."""
+        """Predictions of the fitted motions."""
         ...
 
     @property
     def validation(self) -> tuple[Prediction, ...]:
-        """Those of the others."""
+        """Predictions of the motions that were not fitted."""
         ...
 
 

@@ -115,7 +115,7 @@ class Loaded(Plots):
 
 
 class _WithPredictions(Loaded):
-    """With errors of predictions."""
+    """A result read back that holds errors of predictions."""
 
     @property
     def fitted(self) -> tuple[Prediction, ...]:
@@ -129,7 +129,7 @@ class _WithPredictions(Loaded):
 
 
 class _WithParameters(Loaded):
-    """With parameters (r,): the base parameters, or those of the joint torques that bounds are of."""
+    """A result read back that lists parameters (r,): the base parameters, or those of the joint torques that bounds are of."""
 
     @property
     def _entries(self) -> Sequence[Mapping[str, Any]]:
@@ -327,7 +327,7 @@ class LoadedBounds(_WithParameters):
 
     @property
     def covariance(self) -> np.ndarray:
-        """Their covariance V (k, k)."""
+        """Covariance V of the parameters (k, k)."""
         return np.array(self._torques["covariance"], float)
 
     @property

@@ -73,7 +73,7 @@ class UrdfLinks:
 
     @property
     def mass(self) -> float:
-        """Of all links [kg]."""
+        """Mass of all links together [kg]."""
         return float(self.links[::10].sum())
 
     @property

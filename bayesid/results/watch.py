@@ -56,7 +56,7 @@ class Watched:
 
     @property
     def changes(self) -> tuple[NamedChange, ...]:
-        """Those that are named."""
+        """Changes that are named; none where the recording was refused."""
         return () if self.comparison is None else self.comparison.changes
 
     @property

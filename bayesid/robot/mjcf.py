@@ -319,7 +319,7 @@ def _inside(mujoco: Any, model: Any, names: Sequence[str]) -> dict[str, dict[str
 
 
 def _notes(mujoco: Any, model: Any, names: Sequence[str], source: str) -> list[str]:
-    """What is lost, one line each."""
+    """What of the model the robot here does not have, one line each."""
     out = []
     if not np.allclose(model.opt.gravity, _EARTH, atol=1e-3):
         out.append(

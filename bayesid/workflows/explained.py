@@ -55,7 +55,7 @@ class Explained:
 
     @property
     def verdict(self) -> str | None:
-        """Of the diagnosis."""
+        """The diagnosis' verdict; None without a diagnosis."""
         return None if self.diagnosis is None else self.diagnosis.verdict
 
 

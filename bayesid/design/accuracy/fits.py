@@ -115,7 +115,7 @@ class Errors:
         return self.columns[:, : self.rank]
 
     def part(self, rows: np.ndarray) -> Errors:
-        """Those of some runs."""
+        """The errors of some runs."""
         return Errors(self.columns[rows], self.prediction[rows], self.rank)
 
     @property

@@ -87,7 +87,7 @@ class Limits:
 
     @property
     def middle(self) -> np.ndarray:
-        """Of the joints' ranges (n,)."""
+        """The middle of each joint's range (n,)."""
         return 0.5 * (self.lower + self.upper)
 
     @property

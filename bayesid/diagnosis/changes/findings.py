@@ -170,7 +170,7 @@ class NamedChange:
 
     @property
     def change(self) -> Hypothesis:
-        """What changed."""
+        """The hypothesis that is named."""
         return self.found.change
 
     @property

@@ -180,7 +180,7 @@ class Reference:
 
     @cached_property
     def lacking(self) -> ReferenceAmplitudes:
-        """What the reference says of these."""
+        """What the reference says of effects that its model does not have."""
         return ReferenceAmplitudes.of(self.problem, self.point, self.solution, self.proposals)
 
     @cached_property

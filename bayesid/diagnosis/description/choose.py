@@ -128,11 +128,11 @@ class _State:
         return self.second.residual - self.there @ amplitudes
 
     def with_columns(self, here: np.ndarray, there: np.ndarray) -> _State:
-        """With one more term's columns."""
+        """The state with the columns of one term more."""
         return _State(self.first, self.second, np.hstack([self.here, here]), np.hstack([self.there, there]))
 
     def tried(self, candidate: CandidateTerm) -> _State:
-        """With a candidate as it is."""
+        """The state with a candidate, its shape as it is."""
         return self.with_columns(self.first.columns(candidate), self.second.columns(candidate))
 
     def lack(self, other: _State) -> float:

@@ -48,7 +48,7 @@ class Directions:
 
     @classmethod
     def of(cls, matrix: np.ndarray) -> Directions:
-        """Of an unweighted factor (k, p)."""
+        """The directions of an unweighted factor (k, p)."""
         length = column_lengths(matrix)
         _, s, vt = np.linalg.svd(matrix / length, full_matrices=False)
         keep = s > _DETERMINED * s[0]

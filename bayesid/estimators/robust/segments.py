@@ -102,7 +102,7 @@ class Metric:
 
     @classmethod
     def of(cls, noise: NoiseModel, lags: int) -> Metric:
-        """Of a stationary noise model."""
+        """The metric of a stationary noise model."""
         impulse = np.zeros(_IMPULSE if noise.order else 1)
         impulse[0] = 1.0
         response = np.array([lfilter([1.0], a, impulse) for a in noise.coefficients])
