@@ -46,7 +46,7 @@ def band_figure(band: Band, channels: Sequence[str] | str | None = None, ax: Any
         below.set_ylim(bottom=0.0)
         for panel in (ax, below):
             panel.yaxis.set_major_locator(MaxNLocator(3))
-        tidy_time(ax, band.times, False)
+        tidy_time(ax, False)
     for k in range(count, rows * columns):
         for ax in (axes[2 * (k // columns), k % columns], axes[2 * (k // columns) + 1, k % columns]):
             ax.set_visible(False)

@@ -78,7 +78,7 @@ def curves(
         panel.set_title(title)
         panel.yaxis.set_major_locator(MaxNLocator(4))
         panel.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), handlelength=1.0)
-        tidy_time(panel, x, poses)
+        tidy_time(panel, poses)
     axes[-1, 0].set_xlabel("pose" if poses else "time [s]")
     return figure
 

@@ -261,7 +261,7 @@ def diagnosis_report(diagnosis: Findings) -> str:
         verdict_text=_VERDICTS[d.verdict],
         text=text,
         known=[t.effect.spec for t in d.search.base.terms],
-        card_list=_cards(d, text, changed),
+        card_list=_cards(d, text),
         remarks=text["notes"],
         changed=changed,
         maps=svg(_maps(channels, views), "maps"),
@@ -344,7 +344,7 @@ def _maps(channels: Sequence[str], views: Views):
     return residual_maps(channels, panels, [f"{low:g}–{high:g}" for low, high in views.bands], views.changed)
 
 
-def _cards(d: Findings, text: dict[str, Any], changed: bool) -> list[dict[str, str]]:
+def _cards(d: Findings, text: dict[str, Any]) -> list[dict[str, str]]:
     words, mood = _VERDICTS[d.verdict]
     cards = [{"value": words, "mood": mood, "text": "the verdict"}]
     if d.errors:

@@ -190,7 +190,7 @@ def add_legend(axes: np.ndarray, handles: list, labels: list, lines: int = 1) ->
         axes.flat[0].legend(handles, labels, loc="best")
 
 
-def tidy_time(ax: Axes, x: np.ndarray, poses: bool) -> None:
+def tidy_time(ax: Axes, poses: bool) -> None:
     """Margins and ticks of an axis of times, or of numbered poses; limits that rounding errors do not fill."""
     ax.margins(x=0.01 if not poses else 0.03)
     if poses:

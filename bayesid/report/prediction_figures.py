@@ -47,7 +47,7 @@ def measured_against_predicted(prediction: Prediction, channels: Sequence[str] |
             ax.plot(x, predicted[:, k], color=PREDICTED, lw=0.9, label="predicted", rasterized=dense)
         ax.set_title(f"{prediction.channel_names[k]} [{prediction.channel_units[k]}]")
         ax.yaxis.set_major_locator(MaxNLocator(4))
-        tidy_time(ax, x, prediction.poses)
+        tidy_time(ax, prediction.poses)
     for ax in order[count:]:
         ax.set_visible(False)
     _label_lowest(axes, "pose" if prediction.poses else "time [s]")
@@ -79,7 +79,7 @@ def residuals(prediction: Prediction, channels: Sequence[str] | str | None = Non
         ax.axhline(0.0, color="#334155", lw=0.6)
         ax.set_title(f"{name} [{unit}]")
         ax.yaxis.set_major_locator(MaxNLocator(4, symmetric=True))
-        tidy_time(ax, x, prediction.poses)
+        tidy_time(ax, prediction.poses)
         if spectrum is not None:
             ax = row[1]
             ax.loglog(spectrum.frequencies, spectrum.residual[:, k], color=PREDICTED, lw=0.9)

@@ -87,7 +87,7 @@ def assumptions(result: ControllerBounds, dropped: Sequence[str]) -> tuple[str, 
     return tuple(out)
 
 
-def warnings(result: ControllerBounds, dropped: Sequence[str]) -> list[str]:
+def warnings(result: ControllerBounds) -> list[str]:
     """What the user should know, most important first."""
     known, w, out = result.known, result.workspace, []
     if known.links.complaint:
@@ -317,7 +317,7 @@ def _bounded(
         seconds=clock.stop(), seed=seed,
     )  # fmt: skip
     dropped = left_out_effects(known, torque)
-    return replace(result, assumptions=assumptions(result, dropped), warnings=(*warnings(result, dropped), *warned))
+    return replace(result, assumptions=assumptions(result, dropped), warnings=(*warnings(result), *warned))
 
 
 def _effort(model: ReadingModel, seed: int) -> float:

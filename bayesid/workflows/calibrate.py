@@ -128,7 +128,7 @@ def calibrate(
         hidden=() if found.diagnosis is None else _hidden(found.diagnosis, best, body is not None),
         mass=None if known is None else known.mass,
         centre=() if known is None else known.centre, common_gain=gain, load=_load(best, experiment, known),
-        verdict=found.verdict, sentences=tuple(_sentences(best, known, gain, mass, reference is not None)),
+        verdict=found.verdict, sentences=tuple(_sentences(known, gain, mass, reference is not None)),
         warnings=(*impossible_signs(best.estimate, best.problem), *found.warnings, *contradictions(found.first.agreements)),
         seconds=clock.stop(),
     )  # fmt: skip
@@ -204,9 +204,7 @@ def _load(fit: Identification, experiment: Experiment, known: BodyKnowledge | No
     )  # fmt: skip
 
 
-def _sentences(
-    fit: Identification, known: BodyKnowledge | None, gain: Quantity | None, mass: float | None, hung_on: bool
-) -> list[str]:
+def _sentences(known: BodyKnowledge | None, gain: Quantity | None, mass: float | None, hung_on: bool) -> list[str]:
     if known is None:
         return ["The sensor carries the whole arm: a gain that all its axes share cannot be told from heavier links."]
     if gain is not None:

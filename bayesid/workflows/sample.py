@@ -260,7 +260,7 @@ def _with_predictions(
     judges = [m for m in others if m.role == "validation"]
     blocks = _blocks(problem, [m.name for m in judges])
     extra = predictive_groups(posterior, regression.blocks(), regression.pilot(), blocks, regression.channel_names)
-    estimate = as_estimate(posterior, regression)
+    estimate = as_estimate(posterior)
     floor = noise_floor(problem)
     fitted = tuple(predict(problem, estimate, m, floor) for m in problem.experiment.motions if m.name in problem.fitted)
     gaps = flexible_gaps(problem, estimate.solution, [m.name for m in judges])
@@ -277,7 +277,7 @@ def _blocks(problem: Problem, names: Sequence[str]) -> Iterator[Block]:
         yield from make_blocks(problem.row_model, [r for r in problem.segments[name] if not r.poses] or problem.segments[name])
 
 
-def as_estimate(posterior: Posterior, regression: Regression) -> Estimate:
+def as_estimate(posterior: Posterior) -> Estimate:
     """The posterior's mean and covariance as an estimate, for predictions and comparisons."""
     model = posterior.model
     columns = posterior.columns.reshape(-1, posterior.columns.shape[-1])

@@ -179,7 +179,7 @@ def estimate(case: Case, motion: Motion, method: str, bandwidth: float) -> Estim
             keep_going=True,
             sampler=bayesid.Sampler(longest=8),
         )
-        return as_estimate(posterior, prepare(experiment, FitOptions(effects=case.effects, bandwidth=bandwidth)).regression)
+        return as_estimate(posterior)
     return estimators.fit(prepare(experiment, FitOptions(effects=case.effects, bandwidth=bandwidth)).regression, method)
 
 

@@ -64,7 +64,7 @@ def test_posterior_of_a_model_without_friction_is_the_estimate(shared):
     estimate = bayesid.fit(regression, "wls")
     options = dict(prior="flat", draws=1000, keep_going=True, sampler=bayesid.Sampler(longest=8))
     posterior = bayesid.sample(experiment, motions=["measurements_1"], **options)
-    found = as_estimate(posterior, regression)
+    found = as_estimate(posterior)
     assert np.sqrt(np.mean(((found.values - estimate.values) / estimate.std) ** 2)) < 0.1
     # Student's t with seven degrees of freedom has a standard deviation of sqrt(7/5) of its scale.
     assert np.all(np.abs(np.log(found.std / estimate.std / np.sqrt(7 / 5))) < 0.15)

@@ -168,7 +168,7 @@ def sweep(bench: Bench, runs: int, seed: int, tell: Callable[[str], object]) -> 
     errors = found[repr(own)]
     if isinstance(errors, str):
         raise BayesidError(f"a twin of these recordings cannot be fitted as they are: {errors}")
-    own_level = _level(bench, Trial("own", 1.0, own), errors, errors)
+    own_level = _level(Trial("own", 1.0, own), errors, errors)
     linear = None
     if formula:
         quiet = found[repr(settings[1])]
@@ -279,7 +279,7 @@ def _sweep(
             levels.append(_by_formula(trial, own, linear))
         else:
             result = found[repr(trial.setting)]
-            levels.append(_refused(trial, own, result) if isinstance(result, str) else _level(bench, trial, result, errors))
+            levels.append(_refused(trial, own, result) if isinstance(result, str) else _level(trial, result, errors))
     numbered = all(t.value is not None for t in factor.trials)
     here = replace(own, label=factor.own, value=1.0 if numbered else None)
     if factor.name == "sensor_resolution":
@@ -288,7 +288,7 @@ def _sweep(
     return Sweep(factor.name, factor.title, tuple(levels), next(i for i, v in enumerate(levels) if v is here))
 
 
-def _level(bench: Bench, trial: Trial, errors: Errors, own: Errors) -> Level:
+def _level(trial: Trial, errors: Errors, own: Errors) -> Level:
     """A level from simulated errors."""
     n = errors.runs
     lost = ~np.isfinite(errors.base).all(axis=0) & np.isfinite(own.base).all(axis=0)

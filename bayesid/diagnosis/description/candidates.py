@@ -122,7 +122,7 @@ def _inside(joint: int, joints: Sequence[int], names: Sequence[str], ranges: Ran
         yield from (single(f) for f in (*theirs, *memories(q2, ranges)[::2]))
         yield from _products([*place, *few, rate[0], linear, load[0]], [f for f in theirs if f.number is None])
     others = [j for j in joints if j != joint]
-    yield from _pairs(others, ranges)
+    yield from _pairs(others)
 
 
 def _outside(joints: Sequence[int], ranges: Ranges) -> Iterator[Shape]:
@@ -137,7 +137,7 @@ def _outside(joints: Sequence[int], ranges: Ranges) -> Iterator[Shape]:
             ShapeFactor("{x} * abs({x})", v, "speed", 2),
         ]
         yield from _products(positions(q), few)
-    yield from _pairs(joints, ranges)
+    yield from _pairs(joints)
 
 
 def _read(own: str, wrench: Sequence[str], joints: Sequence[int], ranges: Ranges) -> Iterator[Shape]:
@@ -155,7 +155,7 @@ def _read(own: str, wrench: Sequence[str], joints: Sequence[int], ranges: Ranges
     yield from (single(ShapeFactor("{x}", x, "load", 1), ShapeFactor("{x}", y, "load", 1)) for x, y in combinations(wrench, 2))
 
 
-def _pairs(joints: Sequence[int], ranges: Ranges) -> Iterator[Shape]:
+def _pairs(joints: Sequence[int]) -> Iterator[Shape]:
     """Products of two joints' states."""
     for i, k in combinations(joints, 2):
         mine, theirs = (
