@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from bayesid.effects.crossings import crossed_anew, intervals_that_stand_out, local_energy
+from bayesid.effects.play import crossed_anew, intervals_that_stand_out, local_energy
 from bayesid.signals.splines import Splines
 
 STEP, GAP, COUNT = 0.008, 4e-3, 1e-4
