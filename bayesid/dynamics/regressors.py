@@ -190,22 +190,6 @@ def dynamics_regressor(
     return Kernel.of(robot, channels, columns).dynamics(positions, velocities, accelerations, gravity=gravity, out=out)
 
 
-def momentum_regressors(
-    robot: Robot,
-    channels: Channels,
-    positions: np.ndarray,
-    velocities: np.ndarray,
-    columns: np.ndarray | None = None,
-    *,
-    gravity: bool = True,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Regressors P, Q with ``reading = d/dt(P phi) - Q phi``, each (samples, channels, columns).
-
-    Parameters are those of `dynamics_regressor`; no acceleration is needed.
-    """
-    return Kernel.of(robot, channels, columns).momentum(positions, velocities, gravity=gravity)
-
-
 def _c(array: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(array, dtype=float)
 

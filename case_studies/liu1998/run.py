@@ -20,7 +20,7 @@ from scipy.interpolate import make_interp_spline
 import bayesid
 from bayesid.dynamics.base_parameters import nearest_links, structural_base
 from bayesid.dynamics.channels import torque_channels
-from bayesid.dynamics.regressors import dynamics_regressor, momentum_regressors
+from bayesid.dynamics.regressors import Kernel, dynamics_regressor
 from bayesid.regression.options import FitOptions
 from bayesid.regression.problem import prepare
 from bayesid.regression.readings import make_channels
@@ -196,9 +196,9 @@ def paper_recipe(setting: Setting, experiment: bayesid.Simulation, velocity: str
         if velocity == "middle":
             q, wrench = 0.5 * (q[1:] + q[:-1]), 0.5 * (wrench[1:] + wrench[:-1])
         t, q, wrench = t[:-1], q[: len(v)], wrench[: len(v)]
-    momentum, rest = momentum_regressors(
-        setting.setup.robot, setting.channels, q, v, setting.wrench_base.independent, gravity=False
-    )  # fmt: skip
+    momentum, rest = Kernel.of(setting.setup.robot, setting.channels, setting.wrench_base.independent).momentum(
+        q, v, gravity=False
+    )
     count = len(t)
     x = low_pass(FILTERS, t, rest.reshape(count, -1), momentum.reshape(count, -1))[0].reshape(6 * count, -1)
     y = low_pass(FILTERS, t, -wrench)[0].ravel()

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from bayesid.dynamics.channels import torque_channels, wrench_channels
-from bayesid.dynamics.regressors import Kernel, dynamics_regressor, momentum_regressors
+from bayesid.dynamics.regressors import Kernel, dynamics_regressor
 from bayesid.robot.robot import load_robot
 from tests.robots import ROBOTS, write
 
@@ -157,12 +157,12 @@ def test_momentum_form_is_the_dynamics_form(path, sensor, gravity):
     h = 1e-3
 
     def momentum(channels, t):
-        return momentum_regressors(robot, channels, q + t * v + t * t / 2 * a, v + t * a, gravity=gravity)[0]
+        return Kernel.of(robot, channels).momentum(q + t * v + t * t / 2 * a, v + t * a, gravity=gravity)[0]
 
     for channels in channels_of(robot):
         # Central difference of fourth order; its error is near 1e-9.
         rate = 8 * (momentum(channels, h) - momentum(channels, -h)) - momentum(channels, 2 * h) + momentum(channels, -2 * h)
-        _, rest = momentum_regressors(robot, channels, q, v, gravity=gravity)
+        _, rest = Kernel.of(robot, channels).momentum(q, v, gravity=gravity)
         assert_equal(rate / (12 * h) - rest, dynamics_regressor(robot, channels, q, v, a, gravity=gravity), 1e-7)
 
 
@@ -172,13 +172,13 @@ def test_column_subsets_and_reused_output(path):
     rng = np.random.default_rng(5)
     for channels in channels_of(robot):
         full = dynamics_regressor(robot, channels, q, v, a)
-        full_momentum = momentum_regressors(robot, channels, q, v)
+        full_momentum = Kernel.of(robot, channels).momentum(q, v)
         everything = np.arange(full.shape[2])
         for columns in (everything[::3], rng.permutation(everything)[:13], np.array([7]), everything[:0]):
             out = np.full((*full.shape[:2], len(columns)), np.nan)
             assert dynamics_regressor(robot, channels, q, v, a, columns, out=out) is out
             np.testing.assert_array_equal(out, full[:, :, columns])
-            for part, whole in zip(momentum_regressors(robot, channels, q, v, columns), full_momentum, strict=True):
+            for part, whole in zip(Kernel.of(robot, channels, columns).momentum(q, v), full_momentum, strict=True):
                 np.testing.assert_array_equal(part, whole[:, :, columns])
 
 
@@ -213,7 +213,7 @@ def test_power_of_the_momentum_is_twice_the_kinetic_energy(name, tmp_path):
     @settings(max_examples=50, deadline=None, derandomize=True, database=None)
     @given(vectors, vectors)
     def holds(q, v):
-        momentum, _ = momentum_regressors(robot, channels, q[None], v[None])
+        momentum, _ = Kernel.of(robot, channels).momentum(q[None], v[None])
         # The generalised momentum M v is the torque of the acceleration v from rest, without gravity.
         expected, _ = rnea(model, robot.joint_names, q[None], np.zeros((1, robot.n)), v[None])
         np.testing.assert_allclose(momentum[0] @ robot.nominal.ravel(), expected[0], rtol=1e-10, atol=1e-11)
