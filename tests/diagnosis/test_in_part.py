@@ -347,5 +347,5 @@ def test_a_derivative_that_is_but_rounding_is_no_direction(effects, tmp_path):
 class _Told(Choice):
     """Held-out recordings are predicted better with whatever is added."""
 
-    def proof(self, worse, better, before):
+    def share_low(self, worse, better, before):
         return float((worse - better).sum())
