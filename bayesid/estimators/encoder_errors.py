@@ -56,7 +56,7 @@ class _Draws:
         errors = law.misread(min(most, law.draws or most), values)
         moving = sum(len(b.rows) for b in blocks if b.group != "poses")
         poses = sum(len(b.rows) for b in blocks if b.group == "poses")
-        more = (regression.row_count - poses) / max(moving, 1)
+        more = (regression.rows.count - poses) / max(moving, 1)
         return cls(blocks, errors, [1.0 if b.group == "poses" else more for b in blocks])
 
     def covariance(self, weighted: Weighted) -> np.ndarray:
@@ -130,12 +130,12 @@ def with_encoder_errors(
     def weighted(block: Block, rows: np.ndarray) -> np.ndarray:
         return weights.noise[block.group].whiten(rows) if scale is None else rows * scale[block.group].reshape(-1, 1)
 
-    few = regression.once("few_encoder_errors", lambda: _Draws.of(regression, law, weights.solution, _FEW))
+    few = regression.rows.derived("few_encoder_errors", lambda: _Draws.of(regression, law, weights.solution, _FEW))
     bread = inverse @ inverse.T
     own, added = (np.diag(bread @ m @ bread) for m in (middle, few.covariance(weighted)))
     if np.all(added <= _NEGLIGIBLE * own):
         return None
-    draws, sensor = regression.once("encoder_errors", lambda: _split(regression, weights, law))
+    draws, sensor = regression.rows.derived("encoder_errors", lambda: _split(regression, weights, law))
 
     def coloured(block: Block) -> np.ndarray:
         model, rows = weights.noise[block.group], weighted(block, block.matrix)
@@ -191,7 +191,7 @@ def sensor_alone(
             [b.target - b.matrix @ values for b in own],
             [[error for g, error in rows if g == group] for rows in drawn[:SPECTRA]],
             [regressor_times(b, taken) for b in own],
-            regression.known_poles if group == "trajectory" else None,
+            regression.rows.known_poles if group == "trajectory" else None,
             coloured=group != "poses",
         )
     return noise

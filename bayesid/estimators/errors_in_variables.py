@@ -223,7 +223,7 @@ def split_noise(
     p = len(solution)
     if law is None or not draws:
         return noise_of_fit(regression, start, solution), np.zeros((p, p))
-    sums, added, truth = [], [], list(law.simulated(None)) if regression.fits_in_memory else None
+    sums, added, truth = [], [], list(law.simulated(None)) if regression.rows.fits_in_memory else None
     for k, pairs in enumerate(draws):
         total, rows = np.zeros(p), []
         for block, pair in zip(law.simulated(None) if truth is None else truth, pairs, strict=True):

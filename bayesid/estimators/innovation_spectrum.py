@@ -59,7 +59,7 @@ class InnovationSpectrum:
 
 def innovation_spectra(regression: Regression, weights: Weights) -> dict[str, InnovationSpectrum]:
     """The spectrum of each group of rows, from a pilot of them whitened with the noise of the weights; found once."""
-    return regression.once("innovation_spectra", lambda: _found(regression, weights))
+    return regression.rows.derived("innovation_spectra", lambda: _found(regression, weights))
 
 
 def whitened_middle(regression: Regression, weights: Weights) -> np.ndarray:

@@ -103,7 +103,7 @@ class InstrumentalVariables:
         if given is None:
             raise InputError("method 'iv' needs instruments: give Regression.from_arrays(instruments=...), or choose wls")
         start = begin(regression)
-        pairs = list(given.pairs()) if regression.fits_in_memory else None
+        pairs = list(given.pairs()) if regression.rows.fits_in_memory else None
 
         def read() -> Iterator[Pair]:
             yield from given.pairs() if pairs is None else pairs

@@ -34,7 +34,7 @@ def reduce_in_coordinates(root: np.ndarray | None, rows: RowCache, scale: Mappin
         return block.rows * scale[block.group][:, None]
 
     if root is not None:
-        total = _of_channels(root, rows, scale) if rows.source.parts else _directly(root, rows, scale)
+        total = _of_channels(root, rows, scale) if rows.parts else _directly(root, rows, scale)
         try:
             r = cholesky(total.gram)
         except LinAlgError:  # columns that the pilot shows and the weights hide
@@ -101,7 +101,7 @@ def _together(first: dict[str, _Gram], second: dict[str, _Gram]) -> dict[str, _G
 
 def channel_grams(root: np.ndarray | None, rows: RowCache) -> np.ndarray:
     """Gram matrix of each channel's regressor and target over all rows (c, p + 1, p + 1)."""
-    if root is not None and rows.source.parts:
+    if root is not None and rows.parts:
         return root.T @ np.sum([each.gram for each in _channels(root, rows).values()], axis=0) @ root
     return rows.total(_channel_gram, np.add)
 

@@ -101,7 +101,7 @@ def learn_weights(regression: Regression) -> Weights:
     quiet, so on a model with something missing it goes astray: where the two fits differ by more than the noise
     explains, the residuals of the first one count. A regression's weights are learned once for all estimators.
     """
-    return regression.once("weights", lambda: _learned(regression))
+    return regression.rows.derived("weights", lambda: _learned(regression))
 
 
 def _learned(regression: Regression) -> Weights:
@@ -169,10 +169,10 @@ def _with_rung_errors(regression: Regression, law: RegressorNoise, pilot: Pilot,
         errors = [[e for b, e in zip(blocks, draw, strict=True) if b.group == "trajectory"] for draw in drawn]
         beside = sensor_noise(
             [b.residual(values) for b in own], errors, [] if spread is None else [regressor_times(b, spread) for b in own],
-            regression.known_poles,
+            regression.rows.known_poles,
         )  # fmt: skip
         together = [error + beside.drawn(len(error), rng) for draw in errors for error in draw]
-        noise["trajectory"] = estimate_noise(together, known_poles=regression.known_poles)
+        noise["trajectory"] = estimate_noise(together, known_poles=regression.rows.known_poles)
         factor = pilot.whitened(noise)
         values, spread = solve(factor.matrix, factor.target), pseudo_inverse(factor.matrix)
     (found,) = dispersions(Rows(pilot.segments([rows for _, rows in whitened(pilot.orthonormal, noise)])), values)
@@ -181,7 +181,7 @@ def _with_rung_errors(regression: Regression, law: RegressorNoise, pilot: Pilot,
 
 def pilot_of(regression: Regression) -> Pilot:
     """The pilot rows of a regression in coordinates of their own, found once."""
-    return regression.once("pilot", lambda: Pilot.of(regression.pilot()))
+    return regression.rows.derived("pilot", lambda: Pilot.of(regression.pilot()))
 
 
 def stated_noise(regression: Regression) -> dict[str, NoiseModel] | None:
@@ -189,7 +189,7 @@ def stated_noise(regression: Regression) -> dict[str, NoiseModel] | None:
     if regression.noise_std is None:
         return None
     groups = dict.fromkeys(block.group for block in regression.pilot())
-    poles = regression.known_poles
+    poles = regression.rows.known_poles
     return {g: NoiseModel.stated(regression.noise_std, poles if g == "trajectory" else None) for g in groups}
 
 
@@ -208,7 +208,7 @@ def noise_of_residuals(
         noise[group] = estimate_noise(
             [b.residual(values) for b in own],
             parameters=round(sum(len(b.rows) for b in own) / total * len(values)),
-            known_poles=regression.known_poles if group == "trajectory" else None,
+            known_poles=regression.rows.known_poles if group == "trajectory" else None,
             highest_order=0 if group == "poses" else 24,
             spread=None if root is None else [regressor_times(b, root) for b in own],
         )

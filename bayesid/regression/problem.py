@@ -29,7 +29,7 @@ from bayesid.regression.readings import (
     require_readings,
 )
 from bayesid.regression.regression import PriorKnowledge, Regression
-from bayesid.regression.row_cache import PILOT_ROWS, PILOT_SEGMENTS, RowCache, RowSource
+from bayesid.regression.row_cache import PILOT_ROWS, PILOT_SEGMENTS, RowCache
 from bayesid.regression.row_model import RowModel
 from bayesid.regression.rows import make_blocks
 from bayesid.regression.segment import Segment
@@ -329,14 +329,12 @@ def _regression(
         channel_units=row_model.channels.units,
         motion_names=names,
         rows=RowCache(
-            RowSource(
-                blocks=partial(rows.blocks, tuple(motions)),
-                count=row_count(row_model, fitted),
-                width=len(row_model.channels.names) * (base.rank + row_model.extra_columns + 1),
-                pilot=partial(_pilot, row_model, fitted),
-                known_poles=_known_poles(row_model, fitted),
-                parts=row_parts(row_model, fitted),
-            )
+            make=partial(rows.blocks, tuple(motions)),
+            count=row_count(row_model, fitted),
+            width=len(row_model.channels.names) * (base.rank + row_model.extra_columns + 1),
+            make_pilot=partial(_pilot, row_model, fitted),
+            known_poles=_known_poles(row_model, fitted),
+            parts=row_parts(row_model, fitted),
         ),
         knowledge=PriorKnowledge(
             nominal_links=robot.nominal.ravel(),

@@ -6,10 +6,9 @@ Rows are a stream of blocks that can be read as often as needed (`bayesid.regres
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from typing import Any
 
 import numpy as np
 
@@ -17,7 +16,7 @@ from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.errors import InputError
 from bayesid.regression import arrays
 from bayesid.regression.blocks import Block, Instruments, RegressorNoise
-from bayesid.regression.row_cache import RowCache, RowSource
+from bayesid.regression.row_cache import RowCache
 from bayesid.robot.prior import Prior
 from bayesid.signals.filters import LowPass
 
@@ -91,7 +90,7 @@ class Regression:
     def __repr__(self) -> str:
         return (
             f"<Regression: {self.base.rank} base and {len(self.effect_names)} effect parameters, {len(self.channel_names)} "
-            f"channels, {self.row_count} rows>"
+            f"channels, {self.rows.count} rows>"
         )
 
     @property
@@ -118,21 +117,6 @@ class Regression:
 
     # ---- rows ---------------------------------------------------------------------------------------------------
 
-    @property
-    def row_count(self) -> int:
-        """Number of rows in all blocks."""
-        return self.rows.source.count
-
-    @property
-    def fits_in_memory(self) -> bool:
-        """Whether the blocks are kept after the first reading."""
-        return self.rows.source.fits_in_memory
-
-    @property
-    def known_poles(self) -> np.ndarray | None:
-        """Poles of the low-pass filters that the rows went through from the zero state, at the rows' spacing."""
-        return self.rows.source.known_poles
-
     def blocks(self) -> Iterator[Block]:
         """Read all blocks, recording by recording, in time order."""
         return self.rows.blocks()
@@ -140,10 +124,6 @@ class Regression:
     def pilot(self) -> Sequence[Block]:
         """Enough blocks to learn the noise from: all of an ordinary recording, segments of a long one."""
         return self.rows.pilot()
-
-    def once(self, name: str, make: Callable[[], Any]) -> Any:
-        """What ``make`` gives, made at the first call only: estimators share what depends on the rows alone."""
-        return self.rows.derived(name, make)
 
     @classmethod
     def from_arrays(
@@ -227,10 +207,11 @@ class Regression:
         poles = None
         if low_pass is not None:
             poles = low_pass.poles(float(np.median(np.diff(clock[: len(blocks[0].times)]))))
-        source = RowSource(partial(arrays.as_given, blocks), samples, channels * (len(base.names) + 1), known_poles=poles)
         return cls(
             base, (), (), channel, ("",) * channels, tuple(str(k) for k in labels),
-            RowCache(source, blocks=blocks),
+            RowCache(
+                partial(arrays.as_given, blocks), samples, channels * (len(base.names) + 1), known_poles=poles, kept=tuple(blocks)
+            ),
             PriorKnowledge(bodies=tuple(tuple(b) for b in bodies)),
             instruments=None if beside is None else arrays.GivenInstruments(blocks, beside[:, :, kept], noise).instruments(),
             regressor_noise=noise,

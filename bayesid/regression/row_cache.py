@@ -27,82 +27,65 @@ PILOT_ROWS = 2048
 PILOT_SEGMENTS = 8
 
 
-@dataclass(frozen=True)
-class RowSource:
-    """How rows are made.
+@dataclass(eq=False, repr=False)
+class RowCache:
+    """Rows, made when they are read and kept while they fit, with what depends on them alone.
+
+    Several threads may read at once: the rows of the first to finish are kept.
 
     Attributes
     ----------
-    blocks
+    make
         Makes all blocks; called anew for every reading unless they were kept.
     count
         Number of rows in all blocks.
     width
         Numbers in a row: channels times (parameters + 1).
-    pilot
+    make_pilot
         Makes blocks of a few segments alone, where there are many more rows than `PILOT_ROWS`; None: picked from all blocks.
     known_poles
         Poles of the low-pass filters that the rows went through from the zero state, at the rows' spacing.
     parts
         Of recordings that are read in chunks: make some of the blocks each, anywhere; together, in order, all of them.
+    kept, kept_pilot
+        Blocks that are in memory, all of them and those of the pilot; None: not made yet, or too many.
     """
 
-    blocks: Callable[[], Iterable[Block]]
+    make: Callable[[], Iterable[Block]]
     count: int
     width: int
-    pilot: Callable[[], Iterable[Block]] | None = None
+    make_pilot: Callable[[], Iterable[Block]] | None = None
     known_poles: np.ndarray | None = None
     parts: Sequence[Callable[[], Iterable[Block]]] | None = None
+    kept: tuple[Block, ...] | None = None
+    kept_pilot: tuple[Block, ...] | None = None
+
+    def __post_init__(self) -> None:
+        """Begin with nothing derived."""
+        self._lock, self._derived, self._making = Lock(), dict[str, Any](), dict[str, RLock]()
+
+    def __reduce__(self):
+        """A copy reads its rows anew."""
+        return RowCache, (self.make, self.count, self.width, self.make_pilot, self.known_poles, self.parts)
 
     @property
     def fits_in_memory(self) -> bool:
         """Whether the blocks are few enough to be kept after the first reading."""
         return 8 * self.count * self.width <= CACHE_BYTES
 
-
-class RowCache:
-    """Rows read from a source, kept while they fit, with what depends on them alone.
-
-    Several threads may read at once: the rows of the first to finish are kept.
-
-    Parameters
-    ----------
-    source
-        How rows are made.
-    blocks, pilot
-        What is already made of it.
-    """
-
-    def __init__(self, source: RowSource, *, blocks: Sequence[Block] | None = None, pilot: Sequence[Block] | None = None) -> None:
-        self.source = source
-        self._lock = Lock()
-        self._blocks = None if blocks is None else tuple(blocks)
-        self._pilot = None if pilot is None else tuple(pilot)
-        self._derived: dict[str, Any] = {}
-        self._making: dict[str, RLock] = {}
-
-    def __reduce__(self):
-        """A copy reads its rows anew."""
-        return RowCache, (self.source,)
-
-    @property
-    def kept(self) -> bool:
-        """Whether all blocks are in memory."""
-        return self._blocks is not None
-
     def blocks(self) -> Iterator[Block]:
         """Read all blocks, recording by recording, in time order."""
-        if self._blocks is not None:
-            yield from self._blocks
+        if self.kept is not None:
+            yield from self.kept
             return
         made = []
-        for block in self.source.blocks():
-            if self.source.fits_in_memory:
+        for block in self.make():
+            if self.fits_in_memory:
                 made.append(block)
             yield block
-        if self.source.fits_in_memory:
+        if self.fits_in_memory:
             with self._lock:
-                self._blocks = self._blocks or tuple(made)
+                self.kept = self.kept or tuple(made)
 
     def total(self, each: Callable[[Block], _A], add: Callable[[_A, _A], _A]) -> _A:
         """Sum of what each block gives, from all cores; of recordings that are read in chunks, a task a chunk.
@@ -114,22 +97,22 @@ class RowCache:
         add
             Adds what two neighbours, or sums of neighbours, gave.
         """
-        if self.source.parts is None:
+        if self.parts is None:
             return reduce(add, in_order(each, self.blocks()))
-        return fold(map_tasks(partial(_part_total, each, add), self.source.parts), add)
+        return fold(map_tasks(partial(_part_total, each, add), self.parts), add)
 
     def pilot(self) -> Sequence[Block]:
         """Enough blocks to learn the noise from: all of an ordinary recording, segments of a long one."""
-        if self._pilot is None:
+        if self.kept_pilot is None:
             made = tuple(self._make_pilot())
             with self._lock:
-                self._pilot = self._pilot or made
-        return self._pilot
+                self.kept_pilot = self.kept_pilot or made
+        return self.kept_pilot
 
     def _make_pilot(self) -> Iterable[Block]:
-        if self.source.count <= 2 * PILOT_ROWS or self.source.fits_in_memory or self.source.pilot is None:
-            return few_of(self.blocks(), self.source.count)
-        return self.source.pilot()
+        if self.count <= 2 * PILOT_ROWS or self.fits_in_memory or self.make_pilot is None:
+            return few_of(self.blocks(), self.count)
+        return self.make_pilot()
 
     def derived(self, name: str, make: Callable[[], Any]) -> Any:
         """What ``make`` gives, made at the first call only: estimators share what depends on the rows alone.
@@ -144,8 +127,8 @@ class RowCache:
             return self._derived[name]
 
     def with_pilot(self, pilot: Sequence[Block]) -> RowCache:
-        """The same source with another pilot, of which nothing has been learned yet."""
-        return RowCache(self.source, pilot=pilot)
+        """The same rows with another pilot, of which nothing has been learned yet."""
+        return replace(self, kept=None, kept_pilot=tuple(pilot))
 
 
 def _part_total(each: Callable[[Block], _A], add: Callable[[_A, _A], _A], part: Callable[[], Iterable[Block]]) -> _A:

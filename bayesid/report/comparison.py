@@ -368,7 +368,7 @@ def _how(result: Comparison) -> list[tuple[str, str]]:
             ("Static readings", STATIC[problem.static]),
         ]  # fmt: skip
     how += [
-        ("Rows", f"{regression.row_count} of {len(regression.channel_names)} channels, the same for all estimators"),
+        ("Rows", f"{regression.rows.count} of {len(regression.channel_names)} channels, the same for all estimators"),
         ("Noise", "learned once; what is left is counted in it for all, so that no estimator is judged by a noise of its own"),
         run_times(result.seconds),
         versions("numpy", "scipy", "pin"),

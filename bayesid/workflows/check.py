@@ -62,7 +62,7 @@ def check(experiment: Experiment | str | Path, progress: Progress | None = SHOWN
         with one_blas_thread():
             problem = prepare(experiment, FitOptions(channel))
             bandwidth, reason, position_std = problem.smoother.bandwidth, problem.smoother.reason, problem.smoother.position_std
-            if problem.regression.fits_in_memory:
+            if problem.regression.rows.fits_in_memory:
                 progress("what a fit would leave")
                 left = fit_and_predict(problem)
     except BayesidError as error:

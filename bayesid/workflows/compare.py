@@ -98,7 +98,7 @@ def compare(
             problem = prepare(experiment, options)
             problem = settled(problem)
             regression = problem.regression
-        for _ in regression.blocks() if regression.fits_in_memory else ():
+        for _ in regression.blocks() if regression.rows.fits_in_memory else ():
             pass
         seconds["regressor"] = time.perf_counter() - started
         progress("noise")

@@ -184,7 +184,7 @@ def _(result: Identification) -> Files:
 
 def _solved(problem: Problem, method: Estimator, clock: Clock) -> tuple[Problem, Estimate]:
     """The problem at its solution, and the estimate."""
-    for _ in problem.regression.blocks() if problem.regression.fits_in_memory else ():
+    for _ in problem.regression.blocks() if problem.regression.rows.fits_in_memory else ():
         pass  # makes the rows, whose time is told apart
     clock("estimate")
     return solve(problem, method)
@@ -197,7 +197,7 @@ def _beside(problem: Problem, method: Estimator, unseen: list[str]) -> tuple[Alo
     if encoders is not None:  # the end of the fit will ask
         encoders.present()
     floor, flexible = noise_floor(problem), FlexibleModel.of(problem, unseen)
-    if problem.regression.fits_in_memory:  # the links will
+    if problem.regression.rows.fits_in_memory:  # the links will
         channel_grams(problem.regression)
     return alone, floor, flexible
 

@@ -192,7 +192,7 @@ def compare(regressions: dict, folder: Path, options: argparse.Namespace) -> dic
                  for k, v in runs.items() if v}  # fmt: skip
         entry["engine"] = runs["bayesid"][0]["engine"]
         entry |= {key: runs["nuts_factors"][0][key] for key in ("steps", "divergent", "acceptance")}
-        entry |= {"rows": regression.row_count, "target": target}
+        entry |= {"rows": regression.rows.count, "target": target}
         entry["means_apart_in_std"] = apart
         for key in [k for k in ("nuts", "nuts_factors") if runs[k]]:
             pairs = [a["rate"] / b["rate"] for a, b in zip(runs["bayesid"], runs[key], strict=True)]

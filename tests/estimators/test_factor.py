@@ -8,7 +8,7 @@ import pytest
 from bayesid.estimators.factor import Pilot, reduce_rows
 from bayesid.estimators.reduction import channel_grams, reduce_in_coordinates
 from bayesid.regression.blocks import Block
-from bayesid.regression.row_cache import RowCache, RowSource
+from bayesid.regression.row_cache import RowCache
 from bayesid.signals.noise import NoiseModel
 
 NOISE = NoiseModel(np.array([[1.0, -0.6], [1.0, 0.3]]), np.array([[1.0, 0.3], [0.3, 0.5]]))
@@ -59,7 +59,7 @@ def test_sums_of_squares_are_those_of_the_rows():
 def cached(blocks, chunked=False):
     """Blocks as the rows of a regression, of a recording that is in memory or read in chunks."""
     parts = tuple(partial(list, [block]) for block in blocks) if chunked else None
-    return RowCache(RowSource(lambda: blocks, sum(len(b.rows) for b in blocks), blocks[0].rows[0].size, parts=parts))
+    return RowCache(lambda: blocks, sum(len(b.rows) for b in blocks), blocks[0].rows[0].size, parts=parts)
 
 
 @pytest.mark.parametrize("chunked", [False, True])

@@ -8,19 +8,19 @@ import pytest
 
 from bayesid.regression import row_cache
 from bayesid.regression.blocks import Block
-from bayesid.regression.row_cache import RowCache, RowSource, few_of
+from bayesid.regression.row_cache import RowCache, few_of
 
 ROWS, COUNT = 50, 40
 
 
-def source(**options) -> RowSource:
+def rows() -> RowCache:
     """Forty blocks of fifty rows; every number in a block is the block's."""
 
     def blocks():
         for k in range(COUNT):
             yield Block(np.full((ROWS, 2, 4), float(k)), np.arange(ROWS) + 100.0 * k, 0, k == 0)
 
-    return RowSource(blocks, COUNT * ROWS, 8, **options)
+    return RowCache(blocks, COUNT * ROWS, 8)
 
 
 def order(blocks) -> list[int]:
@@ -37,7 +37,7 @@ def hasty():
 
 
 def test_threads_that_read_at_once_all_see_every_block_once(hasty):
-    threads, cache = 8, RowCache(source())
+    threads, cache = 8, rows()
     gate = Barrier(threads)
 
     def read(_):
@@ -52,23 +52,23 @@ def test_threads_that_read_at_once_all_see_every_block_once(hasty):
 
 
 def test_rows_are_kept_only_while_they_fit(monkeypatch):
-    cache = RowCache(source())
+    cache = rows()
     first = list(cache.blocks())
     assert all(a is b for a, b in zip(first, cache.blocks(), strict=True))
     monkeypatch.setattr(row_cache, "CACHE_BYTES", 0)
-    streamed = RowCache(source())
+    streamed = rows()
     first = list(streamed.blocks())
     assert not streamed.kept and not any(a is b for a, b in zip(first, streamed.blocks(), strict=True))
 
 
 def test_a_reading_given_up_half_way_keeps_nothing():
-    cache = RowCache(source())
+    cache = rows()
     next(cache.blocks())
     assert not cache.kept and order(cache.blocks()) == list(range(COUNT))
 
 
 def test_another_pilot_is_learned_from_anew():
-    cache = RowCache(source())
+    cache = rows()
     assert cache.derived("weights", lambda: "old") == "old"
     other = cache.with_pilot(list(cache.blocks())[3:5])
     assert order(other.pilot()) == [3, 4] and other.derived("weights", lambda: "new") == "new"
@@ -77,7 +77,7 @@ def test_another_pilot_is_learned_from_anew():
 
 
 def test_what_two_threads_want_is_made_once_and_the_second_waits():
-    cache, made = RowCache(source()), []
+    cache, made = rows(), []
     begun = Event()
 
     def make():
@@ -95,7 +95,7 @@ def test_what_two_threads_want_is_made_once_and_the_second_waits():
 
 
 def test_what_failed_to_be_made_is_made_at_the_next_call():
-    cache = RowCache(source())
+    cache = rows()
 
     def fails():
         raise ValueError("once")
@@ -106,7 +106,7 @@ def test_what_failed_to_be_made_is_made_at_the_next_call():
 
 
 def test_few_rows_are_all_taken_and_many_evenly_spread():
-    blocks = list(source().blocks())
+    blocks = list(rows().blocks())
     assert order(few_of(iter(blocks), COUNT * ROWS)) == list(range(COUNT))
     many = [Block(np.full((1000, 1, 2), float(k)), np.arange(1000.0), 0, False) for k in range(16)]
     taken = list(few_of(iter(many), 16_000))

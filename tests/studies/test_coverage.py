@@ -84,7 +84,7 @@ def test_white_noise_through_filters_and_thinning_is_whitened_by_the_known_poles
     filtered = low_pass(PAPER, times, np.random.default_rng(1).normal(size=(len(times), 400)))[0]
     rows, energy = np.zeros((int(times[-1] / step), 400)), np.zeros(int(times[-1] / step))
     project(times, filtered, 0.5 * step, step, 0, rows, energy)
-    polynomial = np.real(np.poly(problem.regression.known_poles))
+    polynomial = np.real(np.poly(problem.regression.rows.known_poles))
     white = lfilter(polynomial, [1.0], rows / np.sqrt(energy)[:, None], axis=0)[40:-10]
     # Each estimate from n samples has a standard error of 1 / sqrt(n).
     lagged = [np.mean(white[lag:] * white[:-lag]) / np.mean(white**2) for lag in range(1, 30)]

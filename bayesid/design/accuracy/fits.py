@@ -150,7 +150,7 @@ def fit_twin(bench: Bench, setting: Setting, recorded: Experiment, learned: Lear
     if learned is not None:
         if isinstance(bench.method, LeastSquares):  # whose estimate, unlike its covariance, needs no law of encoder errors
             problem = replace(problem, regression=replace(problem.regression, regressor_noise=None))
-        problem.regression.once("weights", lambda: learned.weights)
+        problem.regression.rows.derived("weights", lambda: learned.weights)
     return solve(problem, bench.method)
 
 

@@ -180,7 +180,7 @@ def _inverse_root(regression: Regression, estimate: Estimate) -> tuple[np.ndarra
 
 def channel_grams(regression: Regression) -> np.ndarray:
     """Gram matrix of each channel's regressor and target over all rows (c, p + 1, p + 1), made once for all estimates."""
-    return regression.once("channel_grams", lambda: reduction.channel_grams(pilot_of(regression).root, regression.rows))
+    return regression.rows.derived("channel_grams", lambda: reduction.channel_grams(pilot_of(regression).root, regression.rows))
 
 
 def _prediction_root(regression: Regression, estimate: Estimate) -> np.ndarray:

@@ -215,7 +215,7 @@ class RobustFit:
         inverse = pseudo_inverse(self.factor.matrix, UNSEEN)
         bread = inverse @ inverse.T / self._slope(inverse)
         covariance = bread @ middle @ bread
-        if self.regression.known_poles is None:  # what encoder errors make of rows is known as the filters leave it
+        if self.regression.rows.known_poles is None:  # what encoder errors make of rows is known as the filters leave it
             growth = np.sqrt(encoder_growth(self.clean, self.learned, scale, inverse))
             covariance *= np.outer(growth, growth)
         return covariance
@@ -298,7 +298,7 @@ class RobustFit:
 
 def _without_filters(regression: Regression) -> Regression:
     """The rows with the filters' known recursion undone: a tap that lasts for seconds behind 1 rad/s is short again."""
-    poles = regression.known_poles
+    poles = regression.rows.known_poles
     if poles is None:
         return regression
     channels = len(regression.channel_names)
@@ -313,18 +313,20 @@ def _without_filters(regression: Regression) -> Regression:
             yield replace(block, rows=rows, times=block.times[len(block.times) - len(rows) :])
 
     rows = regression.rows
-    source = replace(rows.source, blocks=lambda: undone(rows.blocks()), pilot=lambda: undone(rows.pilot()), known_poles=None)
+    plain = RowCache(
+        lambda: undone(rows.blocks()), rows.count, rows.width, make_pilot=lambda: undone(rows.pilot()), parts=rows.parts
+    )
     std = regression.noise_std  # of what went into the filters
     if std is not None:
         std = np.sqrt(np.diag(NoiseModel.stated(std, poles).innovation))
-    return replace(regression, rows=RowCache(source), noise_std=std)
+    return replace(regression, rows=plain, noise_std=std)
 
 
 def _with_filters(regression: Regression, noise: dict[str, NoiseModel]) -> dict[str, NoiseModel]:
     """The noise of the rows as they are."""
-    if regression.known_poles is None:
+    if regression.rows.known_poles is None:
         return noise
-    known = np.real(np.poly(regression.known_poles))
+    known = np.real(np.poly(regression.rows.known_poles))
     return {
         group: NoiseModel(np.array([np.convolve(known, a) for a in m.coefficients]), m.innovation, from_zero=True)
         if group == "trajectory" else m
