@@ -28,6 +28,8 @@ from bayesid.signals.white_noise import quiet_noise
 
 #: As many kinds of friction as there are, at each joint of a long arm.
 _KEPT = 200
+#: Time in which the weight falls to nothing before what is left out [s], about that of a contact's ramp.
+_FLANK = 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,6 +67,8 @@ class Segment:
         Whether a reading is the value at its time; otherwise it is the mean over one sample's time.
     settings
         The diagnosis' thresholds.
+    left_out
+        Start and end of a time that has no weight [s]: something else acted then.
     kept
         White columns that are always the same.
     """
@@ -80,6 +84,7 @@ class Segment:
     covariance: np.ndarray
     instant: bool = False
     settings: Settings = DEFAULT
+    left_out: tuple[float, float] | None = None
     kept: Results = field(default_factory=lambda: Results(_KEPT), init=False, repr=False)
 
     @property
@@ -179,8 +184,12 @@ class Segment:
         return flat.reshape(-1, *samples.shape[1:]) * np.sqrt(len(self.times) / len(samples))
 
     def weight(self, times: np.ndarray) -> np.ndarray:
-        """Weight of times in every channel (k, c): the taper at both ends, and for torques what `mobile` says."""
-        return taper(times, self.times, self.scene.bandwidth, self.settings)[:, None] * self.mobile(times)
+        """Weight of times in every channel (k, c): the taper at both ends, what `mobile` says, and what is left out."""
+        out = taper(times, self.times, self.scene.bandwidth, self.settings)[:, None] * self.mobile(times)
+        if self.left_out is not None:
+            start, end = self.left_out
+            out *= np.sin(0.5 * np.pi * np.clip(np.maximum(start - times, times - end) / _FLANK, 0.0, 1.0))[:, None] ** 2
+        return out
 
     def mobile(self, times: np.ndarray) -> np.ndarray:
         """How far a reading is determined (k, c): a joint at rest may stick, and its drive then holds anything."""

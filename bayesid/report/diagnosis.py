@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from bayesid.diagnosis.data import WHITE, Episode
 from bayesid.diagnosis.locate import BANDS, Disagreement, by_band, by_window, places_looked_at
 from bayesid.diagnosis.noise import pose_noise
+from bayesid.diagnosis.push import Push
 from bayesid.diagnosis.remarks import by_kind
 from bayesid.diagnosis.residual_floor import SOURCES
 from bayesid.diagnosis.rivals import Found
@@ -20,7 +21,7 @@ from bayesid.diagnosis.spectra import Segment, sensor_noise
 from bayesid.diagnosis.validation import residual_spectra
 from bayesid.effects import Effect
 from bayesid.report.described import described_section
-from bayesid.report.diagnosis_figures import before_and_after, evidence, residual_maps, signals, waterfall
+from bayesid.report.diagnosis_figures import before_and_after, evidence, push_course, residual_maps, signals, waterfall
 from bayesid.report.excitation import motion_plot, pair_rows
 from bayesid.report.identification import mood_of
 from bayesid.report.page import render, svg, versions
@@ -315,7 +316,8 @@ def _sentences(d: Findings) -> dict[str, Any]:
         "effects": [
             {"name": worded(f.term.effect, d), "spec": f.term.effect.spec, "summary": f.term.effect.summary,
              "motion": f.term.motion if isinstance(f.term, Episode) else "", "rows": parameter_rows(d, k),
-             "steady": steady_sentence(f, d), "share": "" if d.part is None else share_range(d, k)}
+             "steady": steady_sentence(f, d), "share": "" if d.part is None or d.shares(k) is None else share_range(d, k),
+             "course": _course(f)}
             for k, f in enumerate(d.found)
         ],
         "notes": notes(d),
@@ -327,12 +329,19 @@ def _sentences(d: Findings) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def _course(found: Found) -> str:
+    """The course of a push's force."""
+    term = found.term
+    return svg(push_course(term.times, term.force, term.force_std), "course") if isinstance(term, Push) else ""
+
+
 def _part(d: Findings) -> dict[str, Any] | None:
     """What effects named in part close on held-out recordings, and what stays."""
     if d.part is None:
         return None
     *courses, floor = d.part.courses
-    steps = [("the model as it was", courses[0]), *((f.term.effect.spec, c) for f, c in zip(d.found, courses[1:], strict=True))]
+    closed = zip(d.part.search.found, courses[1:], strict=True)
+    steps = [("the model as it was", courses[0]), *((f.term.effect.spec, c) for f, c in closed)]
     name = "noise" if floor else "noise, not known"
     return {"text": part_sentence(d), "waterfall": waterfall(steps, floor, name), "stays": percent(d.part.remainder)}
 

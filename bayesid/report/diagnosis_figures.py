@@ -287,4 +287,26 @@ def signals(rows: Sequence[tuple[str, np.ndarray, np.ndarray, np.ndarray, float]
     return figure
 
 
-__all__ = ["before_and_after", "evidence", "residual_maps", "signals"]
+@styled
+def push_course(times: np.ndarray, force: np.ndarray, std: np.ndarray) -> Figure:
+    """The force of a push over time, in base axes with its 95 % band.
+
+    Parameters
+    ----------
+    times, force, std
+        (m,) [s], (m, 3) [N] and its standard deviations (m, 3) [N].
+    """
+    figure, axes = make_grid(1, 1, 1.5, left=0.65)
+    ax = axes[0, 0]
+    for k, (axis, colour) in enumerate(zip(("fx", "fy", "fz"), (BEFORE, NOISE, AFTER), strict=True)):
+        ax.fill_between(times, force[:, k] - 1.96 * std[:, k], force[:, k] + 1.96 * std[:, k], color=colour, alpha=0.18, lw=0)
+        ax.plot(times, force[:, k], color=colour, lw=1.2, label=axis)
+    ax.axhline(0.0, color="#334155", lw=0.6)
+    ax.set_title("force in base axes [N]")
+    ax.set_xlabel("time [s]")
+    ax.margins(x=0.01)
+    add_legend(axes, *ax.get_legend_handles_labels())
+    return figure
+
+
+__all__ = ["before_and_after", "evidence", "push_course", "residual_maps", "signals"]

@@ -9,6 +9,7 @@ import numpy as np
 
 from bayesid.diagnosis.data import Episode
 from bayesid.diagnosis.locate import Disagreement
+from bayesid.diagnosis.push import Push
 from bayesid.diagnosis.remarks import by_kind
 from bayesid.diagnosis.rivals import Found
 from bayesid.effects import Effect
@@ -57,7 +58,10 @@ def part_sentence(diagnosis: Findings) -> str:
     d, part = diagnosis, diagnosis.part
     if part is None:
         return ""
-    closes = "it closes" if len(d.found) == 1 else "they close"
+    own = part.search.found
+    closes = f"{listed(by_kind(f.term for f in own))} {'closes' if len(own) == 1 else 'close'}"
+    if len(own) == len(d.found):  # a push is no part of other recordings
+        closes = "it closes" if len(own) == 1 else "they close"
     text = (
         f"With each of {part.stretches} parts of the recordings held out in turn, {closes} {percent(1.0 - part.remainder)} of "
         f"the gap and {percent(part.remainder)} stays"
@@ -99,9 +103,11 @@ def validation_sentence(diagnosis: Findings) -> str:
     elif closed := known_share(gap.closed):
         least = known_share(gap.closed_low)
         text += f" That closes {closed} of the gap" + (f", at least {least}." if least else ".")
-    here = [f.term.motion for f in d.found if isinstance(f.term, Episode)]
-    if here:
-        text += f" A contact happens once, here in ‘{here[0]}’, so other motions cannot confirm it."
+    here = [f.term for f in d.found if isinstance(f.term, Episode)]
+    if here and isinstance(here[0], Push):
+        text += f" A push is in ‘{here[0].motion}’ alone; the other motions are explained without it."
+    elif here:
+        text += f" A contact happens once, here in ‘{here[0].motion}’, so other motions cannot confirm it."
     return text.strip()
 
 
@@ -251,7 +257,8 @@ def summary(diagnosis: Findings) -> str:
         f"  {verdict_sentence(d)}",
     ]
     for k, f in enumerate(d.found):
-        share = f"; without it {share_range(d, k)} is open again" if d.part is not None else ""
+        known = d.part is not None and d.shares(k) is not None
+        share = f"; without it {share_range(d, k)} is open again" if known else ""
         for key, value, half, _, unit in parameter_rows(d, k):
             text = value if half == DASH else f"{value} ± {half} {unit}".rstrip()
             lines.append(f"    {f.term.effect.spec}: {key} {text}{share}")

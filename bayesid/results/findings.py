@@ -13,6 +13,7 @@ from bayesid.diagnosis.data import DiagnosisData
 from bayesid.diagnosis.description.describe import Description
 from bayesid.diagnosis.in_part import InPart
 from bayesid.diagnosis.locate import Disagreement
+from bayesid.diagnosis.push import Push
 from bayesid.diagnosis.search import Found, Search
 from bayesid.diagnosis.stability import Stability
 from bayesid.diagnosis.validation import Gap
@@ -172,6 +173,8 @@ class Findings:
 
     def shares(self, index: int) -> tuple[float, float] | None:
         """Share of the held-out gap that an effect closes and its lower end; None where that was not measured for it alone."""
+        if isinstance(self.found[index].term, Push):  # it is in no other motion
+            return None
         if self.part is not None:
             return self.part.shares[index].share, self.part.shares[index].share_low
         alone = len(self.found) == 1 and self.gap is not None and np.isfinite(self.gap.closed)
@@ -209,4 +212,5 @@ class Findings:
             "share_low": None if share is None else share[1], "parameters": parameters, "derived": derived,
             "ambiguous_with": rivals,
             "stability": next((x.to_dict() for x in self.stability if x and x.spec == effect.spec), None),
+            "course": found.term.to_dict() if isinstance(found.term, Push) else None,
         }  # fmt: skip

@@ -13,11 +13,12 @@ from typing import overload
 from bayesid.design.tell.choose import tell_search
 from bayesid.diagnosis.data import DiagnosisData
 from bayesid.diagnosis.description.describe import describe
-from bayesid.diagnosis.fit import Fit
+from bayesid.diagnosis.fit import Fit, fit
 from bayesid.diagnosis.in_part import proven_effects
 from bayesid.diagnosis.locate import Disagreement, locate
 from bayesid.diagnosis.prepare import known_terms, prepare_data
 from bayesid.diagnosis.projector import make_projector
+from bayesid.diagnosis.push import Push, find_push, less_push, measured_push, without_push
 from bayesid.diagnosis.remarks import next_experiment, remarks
 from bayesid.diagnosis.search import Found, Search, certain, holds_below, search
 from bayesid.diagnosis.settings import DEFAULT, Settings
@@ -140,17 +141,33 @@ def diagnose(
         channel = channel or default_channel(experiment)
         terms, held = known_terms(experiment, channel, effects)
 
-        def searched(below: float = inf) -> _Decided:
-            data = prepare_data(experiment, channel, terms, motions, seed, held, settings, below)
+        def prepared(below: float = inf) -> DiagnosisData:
+            return prepare_data(experiment, channel, terms, motions, seed, held, settings, below)
+
+        def searched(data: DiagnosisData) -> _Decided:
             found = search(make_projector(data, data.terms), data.terms, seed, progress)
             progress("validation on unseen motions")
             return _decided(found, seed)
 
-        result = searched()
-        if result.verdict == "unknown" and (below := holds_below(result.search)) < inf:
-            again = searched(below)
+        whole, push = prepared(), None
+        suspected = find_push(fit(make_projector(whole, whole.terms), whole.terms))
+        # More effects than are ever named at once would imitate a push for a long time.
+        few = replace(whole, settings=replace(settings, most_families=settings.likely_effects))
+        result = searched(few if suspected else whole)
+        # What pushed with a constant force may have wavered: so much that it is worth a course?
+        if suspected and (result.verdict == "unknown" or any(f.term.effect.once for f in result.sure.found)):
+            push = find_push(result.search.base, result.search.best)
+        if push is not None:
+            progress("without the time of a push")
+            result = searched(without_push(whole, push, seed))
+        elif suspected and result.verdict == "unknown":
+            result = searched(whole)
+        if push is None and result.verdict == "unknown" and (below := holds_below(result.search)) < inf:
+            again = searched(prepared(below))
             result = result if again.verdict == "unknown" else again
-        result = _with_errors(_concluded(result, seed, progress), motions, progress)
+        result = _with_errors(_concluded(result, seed, progress), push, motions, progress)
+        if push is not None:
+            result = _with_push(result, push, whole)
         result = _with_next_motion(result, seed, progress)
         result = _with_description(result, seed, progress)
     return replace(result, seconds=time.perf_counter() - since)
@@ -227,12 +244,23 @@ def _concluded(found: _Decided, seed: int, progress: Progress) -> Diagnosis:
     )
 
 
-def _with_errors(result: Diagnosis, motions: Sequence[str] | None, progress: Progress) -> Diagnosis:
-    """The diagnosis with what `bayesid.identify` leaves of every motion without and with the effects named."""
+def _with_errors(result: Diagnosis, push: Push | None, motions: Sequence[str] | None, progress: Progress) -> Diagnosis:
+    """The diagnosis with what `bayesid.identify` leaves of every motion without and with the effects named, less a push."""
     progress("errors without and with what is named" if result.found else "errors")
     experiment, (effects, values) = result.data.experiment, result.model
+    if push is not None:
+        experiment = less_push(experiment, push)
     after = replace(experiment, effects=effects, effect_values=values) if result.found else None
     return replace(result, errors=motion_errors(experiment, after, FitOptions(result.data.channel, motions=motions)))
+
+
+def _with_push(rest: Diagnosis, push: Push, data: DiagnosisData) -> Diagnosis:
+    """The diagnosis of what a push leaves, with the push: it is named whatever else is missing."""
+    s = rest.search if rest.found else replace(rest.search, best=rest.search.base, found=())
+    own = measured_push(push, data, s.best)
+    found = (*rest.found, Found(own, own.evidence, own.std))
+    decided = {"nothing_missing": "named", "unknown": "named_in_part"}.get(rest.verdict, rest.verdict)
+    return replace(rest, search=s, found=found, verdict=decided)
 
 
 def _places(s: Search, model: Fit) -> tuple[Disagreement, ...]:

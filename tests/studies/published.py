@@ -34,6 +34,16 @@ SHOWN = {
     "docs/studies/coverage/results.json": ("arms/*/fits/*/coverage", "arms/*/fits/*/rms_over_sensor_bound"),
     "docs/studies/diagnosis-speed/results.json": ("median_s", "largest_s"),
     "docs/studies/encoder-coverage/results.json": ("cases/*/fits/*/mean", "cases/*/fits/*/lowest", "cases/*/fits/*/error"),
+    "docs/studies/hand-on-tool/results.json": (
+        "named",
+        "timed",
+        "start/*",
+        "end/*",
+        "force/*",
+        "point/*",
+        "force_inside",
+        "point_inside",
+    ),
     "docs/studies/encoder-noise/results.json": (
         "cases/*/fits/*/bias",
         "cases/*/fits/*/rms_error",
