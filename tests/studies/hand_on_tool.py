@@ -169,7 +169,7 @@ def picture(shown: list[dict[str, Any]], path: Path) -> None:
     matplotlib.use("svg")
     import matplotlib.pyplot as plt
 
-    with plt.rc_context({**STYLE, "svg.hashsalt": "bayesid"}):
+    with plt.rc_context(STYLE | {"svg.hashsalt": "bayesid"}):  # pyright: ignore[reportArgumentType]
         figure, axes = plt.subplots(1, len(shown), figsize=(10.5, 2.6), layout="constrained")
         for ax, x in zip(axes, shown, strict=True):
             for k, (axis, colour) in enumerate(zip(("fx", "fy", "fz"), (BLUE, ORANGE, GREEN), strict=True)):
