@@ -82,8 +82,9 @@ def gap_of(d: bayesid.Diagnosis) -> dict[str, Any] | None:
     """Gap on the unseen motions, with every channel's."""
     if d.gap is None:
         return None
-    names = d.data.channels.names
-    return d.gap.to_dict() | {"channels": {n: list(map(float, row)) for n, row in zip(names, d.gap.by_channel, strict=True)}}
+    sides = [np.concatenate(residual_spectra(d.data, d.data.unseen, fit)) for fit in (d.search.base, d.search.best)]
+    sizes = np.sqrt([np.mean(side**2, axis=0) for side in sides]).T
+    return d.gap.to_dict() | {"channels": {n: list(map(float, row)) for n, row in zip(d.data.channels.names, sizes, strict=True)}}
 
 
 def outcome(d: bayesid.Diagnosis) -> dict[str, Any]:
