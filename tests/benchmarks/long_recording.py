@@ -103,14 +103,14 @@ PAGE = """\
 A UR5 at 125 Hz, encoder counts of 2e-5 rad, wrench under the base, all of `identify` with its default method and a
 validation motion of 20,000 samples. The recording is a Parquet file (times and positions of eight bytes, readings of four;
 4.6 GB of 1e8 samples), made chunk by chunk; `chunked` is `true`, or `false` for "in memory". Seconds from the folder to the
-result, of a process of its own on {{ cpus }} cores that other work had a share of; so the processor's seconds, all processes
+result, of a process of its own on {{ cpus }} cores; the processor's seconds, all processes
 together and with their start, stand beside them. Memory is the largest of any process, libraries included. `python
 tests/benchmarks/long_recording.py` and `python tests/benchmarks/workers.py` measured it; [how to](../../howto/large.md).
 
 {{ table }}
 
 The difference is the largest between parameters found in chunks and in another way, in standard deviations.
-Rows up to 1e7 samples are of the revision before two passes over the rows became one.
+The row of 1e8 samples was measured on a busy machine, at an earlier revision; the others on one that was idle.
 
 **Two workers:** {{ workers.runs }} tasks that only wait {{ workers.wait }} s each took {{ w_one }} s on a Dask cluster of one
 local process and {{ w_two }} s on two, {{ w_ratio }} times as fast: what sharing out costs. As many recordings of a PUMA 560

@@ -27,7 +27,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from bayesid.estimators import fit
 from bayesid.recordings.experiment import Experiment, Motion, Sensor
 from bayesid.regression.options import FitOptions
-from bayesid.regression.parallel import in_order
+from bayesid.regression.parallel import in_order, one_blas_thread
 from bayesid.regression.problem import prepare
 from bayesid.robot.robot import load_robot
 from bayesid.tasks import cluster, local_cluster, map_tasks
@@ -78,7 +78,7 @@ def main() -> None:
         places: dict[str, str | None] = {str(n): stack.enter_context(local_cluster(n)) for n in (1, 2)} | {"here": None}
         for repeat in range(options.repeats + 1):
             for name, place in places.items():
-                with cluster(scheduler=place):
+                with one_blas_thread(), cluster(scheduler=place):  # as every verb does
                     since = time.perf_counter()
                     count = options.runs if repeat else 8  # the first time, libraries are loaded
                     found = list(map_tasks(partial(fitted, experiment), range(count), locally=in_order))
