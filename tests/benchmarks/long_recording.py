@@ -110,7 +110,7 @@ tests/benchmarks/long_recording.py` and `python tests/benchmarks/workers.py` mea
 {{ table }}
 
 The difference is the largest between parameters found in chunks and in another way, in standard deviations.
-The row of 1e8 samples was measured on a busy machine, at an earlier revision; the others on one that was idle.
+The row of 1e8 samples was measured on a busy machine, the others on one that was idle.
 
 **Two workers:** {{ workers.runs }} tasks that only wait {{ workers.wait }} s each took {{ w_one }} s on a Dask cluster of one
 local process and {{ w_two }} s on two, {{ w_ratio }} times as fast: what sharing out costs. As many recordings of a PUMA 560
