@@ -277,13 +277,20 @@ def test_a_slow_encoder_is_not_a_wrong_velocity(folder: Path) -> None:
     assert load_experiment(folder).warnings == ()
 
 
+def has_velocities(table: Path) -> bool:
+    """Whether a file has columns v1 ... vn."""
+    with table.open(encoding="utf-8") as lines:
+        return "v1" in lines.readline().rstrip("\n").split(",")
+
+
+WITH_VELOCITIES = [path for path in FOLDERS if any(map(has_velocities, path.glob("*.csv")))]
+
+
 @pytest.mark.skipif(not FOLDERS, reason=f"no experiment folders under {DATA}; set BAYESID_DATA")
-@pytest.mark.parametrize("path", FOLDERS, ids=lambda path: path.name)
+@pytest.mark.parametrize("path", WITH_VELOCITIES, ids=lambda path: path.name)
 def test_velocities_in_degrees_are_found_in_recordings(path: Path, tmp_path: Path) -> None:
     experiment = load_experiment(path)
     trajectories = [m for m in experiment.motions if m.kind == "trajectory" and m.table.velocities is not None]
-    if not trajectories:
-        pytest.skip("this recording has no velocities")
     copied = tmp_path / "copy"
     write_experiment(experiment, copied)
     names = [f"v{j + 1}" for j in range(experiment.robot.n)]
