@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
@@ -190,9 +191,10 @@ class Parameters:
         return ["prior-driven" if kind == "prior" and sure else "" for kind, sure in zip(self.classes, known, strict=True)]
 
 
-class HasParameters:
+class HasParameters(ABC):
     """What results with parameters have in common; they give `parameters`."""
 
+    @abstractmethod
     def parameters(self, level: float = LEVEL) -> Parameters:
         """Base parameters, then effect parameters, with central intervals of a probability.
 
@@ -201,7 +203,6 @@ class HasParameters:
         InputError
             The level is no probability.
         """
-        raise NotImplementedError
 
     def __getitem__(self, name: str) -> EstimatedParameter:
         """A base or effect parameter with its 95 % interval, by its name or label: ``result["m2 r2x"]``.
