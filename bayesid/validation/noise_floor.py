@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.fft import dct
@@ -125,12 +126,14 @@ def noise_floor(problem: Problem) -> NoiseFloor | None:
         own = [s for segments in given.segments.values() for s in segments if not s.poses]
         encoder = np.maximum(encoder, _encoder_power(given, own, top))
     if low_passed(samples):
-        quieter = _by_repeats(problem, moving, encoder, top), _at_rest(problem, moving), _data_sheet(problem)
-        known = [(s, found) for s, found in zip((REPEATS, AT_REST, DATA_SHEET), quieter, strict=True) if found is not None]
-        if not known:
+        sources = {
+            REPEATS: partial(_by_repeats, problem, moving, encoder, top), AT_REST: partial(_at_rest, problem),
+            DATA_SHEET: partial(_data_sheet, problem),
+        }  # fmt: skip
+        known = next(((name, found) for name, measured in sources.items() if (found := measured()) is not None), None)
+        if known is None:
             return None
-        source, found = known[0]
-        sensor = np.maximum(sensor, found)
+        source, sensor = known[0], np.maximum(sensor, known[1])
     # Noise-free simulations: a floor of exactly zero would divide by it.
     sensor = np.maximum(sensor, 1e-9 * max(float(np.max([np.abs(y).max() for y in samples])), 1e-300))
     return NoiseFloor(sensor, encoder, source, top)
@@ -138,21 +141,15 @@ def noise_floor(problem: Problem) -> NoiseFloor | None:
 
 def _with_usual_model(problem: Problem) -> Problem:
     """The same readings with the model that noise is measured with; of a recording that is read in chunks, of its excerpt."""
-    usual = _USUAL[problem.channel]
-    own, stored = (
-        {e.name for e in problem.row_model.effects} - {"sensor_offset"},
-        any(m.stored for m in problem.experiment.motions),
-    )
-    if own == set(usual) and problem.row_model.point is None and problem.row_model.filters is None and not stored:
+    usual, model = _USUAL[problem.channel], problem.row_model
+    own = {e.name for e in model.effects} - {"sensor_offset"}
+    stored = any(m.stored for m in problem.experiment.motions)
+    if own == set(usual) and model.point is None and model.filters is None and not stored:
         return problem
     motions = tuple(replace(m, stored=None) for m in problem.experiment.motions)
     fitted = [m.name for m in motions if m.name in problem.fitted] or None
-    options = FitOptions(
-        problem.channel,
-        motions=fitted,
-        effects=usual,
-        static="joint" if problem.static == "joint" else "motion",
-    )
+    static = "joint" if problem.static == "joint" else "motion"
+    options = FitOptions(problem.channel, motions=fitted, effects=usual, static=static)
     try:
         return prepare(replace(problem.experiment, motions=motions), options)
     except InputError:  # a joint without torques, a motion that is too short for it
@@ -229,13 +226,13 @@ def _encoder_power(problem: Problem, moving: Sequence[Segment], top: float) -> n
     return power / np.maximum(count, 1.0)[:, None]
 
 
-def _at_rest(problem: Problem, moving: Sequence[Segment]) -> np.ndarray | None:
+def _at_rest(problem: Problem) -> np.ndarray | None:
     """Noise of the readings while the robot stands still, as the experiment says or as the encoders do (c,)."""
     stated = {m.name: m.parked for m in problem.experiment.motions}
     parts = []
     for name, segments in problem.segments.items():
         for s in segments:
-            if not any(s is m for m in moving):
+            if s.poses:
                 continue
             for start, end in stated.get(name) or find_rests(s.times, s.positions, _counts(problem)):
                 inside = (s.times >= start) & (s.times <= end)
