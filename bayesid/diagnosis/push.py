@@ -198,7 +198,7 @@ class _Window:
 
 
 def find_push(user: Fit, best: Fit | None = None) -> Push | None:
-    """The push that the data demand, if there is one and other motions are without it; of a wrench sensor's readings only.
+    """The push that readings of a wrench sensor demand, if there is one and other motions are without it.
 
     Parameters
     ----------
@@ -206,8 +206,6 @@ def find_push(user: Fit, best: Fit | None = None) -> Push | None:
         The user's model, and the best attempt at explaining what it leaves without a push, where there is one.
     """
     data = user.projector.data
-    if data.channel != "wrench":
-        return None
     moments = _moments(data, user)
     if moments is None or len({s.motion for s in moments.segments}) < 2 or (start := _scanned(moments)) is None:
         return None
@@ -520,5 +518,5 @@ def _solved(gram: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 def _root_mean_square(rows: np.ndarray) -> np.ndarray:
-    """Of each channel (c,), never nothing."""
+    """Root mean square of each channel's residuals (c,), above zero."""
     return np.maximum(np.sqrt(np.mean(rows**2, axis=0)), 1e-12)

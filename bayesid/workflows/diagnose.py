@@ -150,7 +150,7 @@ def diagnose(
             return _decided(found, seed)
 
         whole, push = prepared(), None
-        suspected = find_push(fit(make_projector(whole, whole.terms), whole.terms))
+        suspected = find_push(fit(make_projector(whole, whole.terms), whole.terms)) if channel == "wrench" else None
         # More effects than are ever named at once would imitate a push for a long time.
         few = replace(whole, settings=replace(settings, most_families=settings.likely_effects))
         result = searched(few if suspected else whole)
