@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-from bayesid.report.page import render, versions
+from bayesid.report.page import how, note, page, terms, versions, warnings
 from bayesid.results.exported import Exported
+from bayesid.results.section import Section, Table
 from bayesid.results.text import channel_text, number
 
 
 def export_report(result: Exported) -> str:
     """The report of ``export``: which files there are, and what they do not hold."""
     rows = [
-        (form, name, number(value, 4), unit)
+        [form, name, number(value, 4), unit]
         for form, values in result.left_out.items() for name, (value, unit) in values.items()
     ]  # fmt: skip
-    return render(
-        "export.html", name=result.name, method=result.method, channel=channel_text(result.channel),
-        about=list(result.about.items()), rows=rows, warnings_list=result.warnings, files=list(result.texts),
-        how=[versions("numpy", "pin")],
-    )  # fmt: skip
+    left_out = Table(["form", "parameter", "value", "unit"], rows, "k - n u", "narrow")
+    sections = [
+        Section("Files", [terms(list(result.about.items())), note(", ".join(result.texts))]),
+        *([Section("Identified, and not in these files", [left_out])] if rows else []),
+        how(versions("numpy", "pin")),
+    ]
+    kicker = f"Identified by {result.method}, from the {channel_text(result.channel)}"
+    return page(f"{result.name} for other tools", kicker, [warnings(result.warnings)], sections)

@@ -1,11 +1,11 @@
-"""What all reports share: templates, and numbers with sensible digits."""
+"""What all reports share: the page around the sections, its parts that no terminal shows, and numbers with sensible digits."""
 
 from __future__ import annotations
 
 import functools
 import platform
-import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from html import escape
 from importlib.metadata import version
 from typing import Any
 
@@ -13,10 +13,79 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
+from bayesid.results.section import Html, Part, Section, as_html, long, marked, powers
 from bayesid.results.text import number
 from bayesid.robot import inertia
 
-_LONGEST_LABEL = 90
+#: A page with so many sections begins with a list of them.
+_LISTED = 4
+
+
+def page(heading: str, kicker: str, opening: Sequence[Part], sections: Sequence[Section], title: str = "") -> str:
+    """A report: heading, the line below it, what comes before the first section, and the sections; ``title`` is the window's."""
+    return render(
+        "page.html", title=title or heading, heading=heading, kicker=kicker, opening=Markup(as_html(opening)),
+        listed=sections if len(sections) >= _LISTED else (),
+        sections=[(s.anchor, s.title, Markup(as_html(s.parts))) for s in sections],
+    )  # fmt: skip
+
+
+def warnings(items: Sequence[str], otherwise: str = "No warnings.", title: str = "") -> Html:
+    """A box with numbered warnings, or a sentence where there are none."""
+    if not items:
+        return Html(f'<p class="fine" id="warnings">{escape(otherwise)}</p>' if otherwise else "")
+    title = title or f"{len(items)} warning{'s' if len(items) > 1 else ''}, most important first"
+    listed = "".join(f"<li>{escape(item)}</li>" for item in items)
+    return Html(f'<section class="warnings" id="warnings">\n<h2>{escape(title)}</h2>\n<ol>{listed}</ol>\n</section>')
+
+
+def cards(items: Sequence[tuple[str, str, str]]) -> Html:
+    """Numbers in large type: each with what it is, and ``good``, ``fair``, ``bad`` or nothing for its colour."""
+    each = (
+        f'<div class="card"><b class="{mood}">{escape(value)}</b><span>{escape(text)}</span></div>' for value, text, mood in items
+    )
+    return Html(f'<div class="cards">{"".join(each)}</div>')
+
+
+def lead(text: str) -> Html:
+    """A paragraph in larger type."""
+    return Html(f'<p class="lead">{marked(text)}</p>')
+
+
+def note(text: str) -> Html:
+    """A paragraph in smaller type; nothing where there is no text."""
+    return Html(f'<p class="note">{marked(text)}</p>' if text else "")
+
+
+def below(title: str, *parts: Part) -> Html:
+    """A heading below that of the section, and what stands under it."""
+    return Html(f"<h3>{escape(title)}</h3>\n{as_html(parts)}")
+
+
+def figure(picture: str, caption: str) -> Html:
+    """A picture as SVG, or nothing where it is empty, with what it shows."""
+    return Html(f"<figure>{picture}<figcaption>{escape(caption)}</figcaption></figure>" if picture else "")
+
+
+def fold(summary: str, *parts: Part, opened: bool = False) -> Html:
+    """What opens when its summary is clicked."""
+    return Html(f"<details{' open' * opened}><summary>{escape(summary)}</summary>{as_html(parts)}</details>")
+
+
+def bullets(items: Sequence[str], style: str = "plain") -> Html:
+    """A list; nothing where it is empty."""
+    listed = "".join(f"<li>{marked(item)}</li>" for item in items)
+    return Html(f'<ul class="{style}">{listed}</ul>' if items else "")
+
+
+def terms(pairs: Sequence[tuple[str, str]]) -> Html:
+    """Names and what they stand for."""
+    return Html("<dl>" + "".join(f"<dt>{escape(k)}</dt><dd>{escape(v)}</dd>" for k, v in pairs) + "</dl>")
+
+
+def how(*pairs: tuple[str, str], after: str = "", title: str = "How") -> Section:
+    """The last section: how it was done."""
+    return Section(title, [terms(pairs), note(after)], "How")
 
 
 def render(template: str, **context: Any) -> str:
@@ -30,7 +99,7 @@ def _environment() -> Environment:
         loader=PackageLoader("bayesid.report", "templates"), autoescape=True, undefined=StrictUndefined,
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
-    environment.filters |= {"shorten": shorten, "unit": lambda text: text.replace("^2", "²").replace("^3", "³")}
+    environment.filters |= {"long": lambda text: Markup(long(text)), "unit": powers}
     return environment
 
 
@@ -49,17 +118,6 @@ def run_times(seconds: Mapping[str, float]) -> tuple[str, str]:
 def versions(*packages: str) -> tuple[str, str]:
     """The row that tells the versions of Python, this package and others."""
     return "Versions", ", ".join([f"Python {platform.python_version()}", *(f"{p} {version(p)}" for p in ("bayesid", *packages))])
-
-
-def shorten(text: str) -> tuple[str, int]:
-    """A sum's first terms and how many more there are."""
-    if len(text) <= _LONGEST_LABEL:
-        return text, 0
-    terms = re.split(r"(?= [+-] )", text)
-    kept = 1
-    while kept < len(terms) and len("".join(terms[: kept + 1])) <= _LONGEST_LABEL - 20:
-        kept += 1
-    return "".join(terms[:kept]), len(terms) - kept
 
 
 def physical(body: np.ndarray) -> np.ndarray:

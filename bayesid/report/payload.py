@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
+from html import escape
 from typing import Any
 
 import numpy as np
@@ -10,48 +12,73 @@ from matplotlib.figure import Figure
 
 from bayesid.design.payload.body import Quantity
 from bayesid.report.figures import CLASSES, GREY, add_legend, make_grid, styled
-from bayesid.report.page import render, run_times, svg, versions
+from bayesid.report.page import below, cards, figure, how, note, page, run_times, svg, versions, warnings
 from bayesid.report.prediction_figures import measured_against_predicted
 from bayesid.results.beside import cells
 from bayesid.results.calibration import Calibration
 from bayesid.results.payload import SOURCES, PayloadEstimate
+from bayesid.results.section import Html, Part, Section
 from bayesid.results.text import channel_text, number
 
 
 def calibration_report(result: Calibration) -> str:
     """The report of ``calibrate``: an HTML page with all figures inside."""
-    return render(
-        "calibration.html",
-        name=result.name, sensor=result.sensor, motions=", ".join(result.fit.problem.fitted), rows=result.rows(),
-        sentences=result.sentences, warnings_list=result.warnings, exports=list(result.exports().items()),
-        plot_svg=svg(measured_against_predicted(result.fit.fitted[0]), "readings"),
-        how=[("Diagnosis", result.verdict or "refused"), run_times(result.seconds), versions("numpy", "scipy", "pin")],
+    sections = [
+        Section("What it has", [
+            result.table,
+            note("Of what was not found stands the size that would stand out by five standard deviations, at the place where it "
+                 "would stand out least."),
+            figure(svg(measured_against_predicted(result.fit.fitted[0]), "readings"),
+                   "Readings, measured and by the model with all that was found."),
+        ]),
+        *_files("Gravity compensation", result.exports()),
+        how(("Diagnosis", result.verdict or "refused"), run_times(result.seconds), versions("numpy", "scipy", "pin")),
+    ]  # fmt: skip
+    motions = ", ".join(result.fit.problem.fitted)
+    return page(
+        f"Calibration of {result.name}", f"Force/torque sensor in {result.sensor}, from {motions}",
+        [warnings(result.warnings), *result.sentences], sections,
     )  # fmt: skip
 
 
 def payload_report(result: PayloadEstimate) -> str:
     """The report of ``payload``: an HTML page with all figures inside."""
-    cards = [_card("mass", result.mass, 1.0, "kg"), *(_card(f"centre of mass {q.name}", q, 1e3, "mm") for q in result.centre)]
-    return render(
-        "payload.html",
-        name=result.name, source=SOURCES[result.source].format(where=result.source_detail), channel=channel_text(result.channel),
-        frame=result.frame, carrier=result.carrier, card_list=cards, warnings_list=result.warnings, sentences=result.sentences,
-        rows=[(row, q.shown) for row, q in zip(result.rows(), result.quantities, strict=True)],
-        plot_svg=svg(payload_figure(result), "payload"), exports=list(result.exports().items()),
-        how=[("Diagnosis", result.verdict or "left out"),
-             ("Physically consistent", "yes" if result.physically_consistent else "no"),
-             ("Bound of an inertia that is not shown", f"{number(result.inertia_bound, 3)} kg m²"),
-             run_times(result.seconds), versions("numpy", "scipy", "pin")],
+    large = [_card("mass", result.mass, 1.0, "kg"), *(_card(f"centre of mass {q.name}", q, 1e3, "mm") for q in result.centre)]
+    sections = [
+        Section("Values", [
+            note(f"In the frame of **{result.frame}**; inertia about the centre of mass, in that frame's axes."),
+            result.table, figure(svg(payload_figure(result), "payload"), "With 95 % intervals."),
+        ]),
+        *_files(
+            "For controllers", result.exports(),
+            note("Units, frames and order are those of each maker's document. A wrist sensor does not weigh itself: add its own "
+                 "mass to what a controller is told, where it sits beyond the flange."),
+        ),
+        how(
+            ("Diagnosis", result.verdict or "left out"),
+            ("Physically consistent", "yes" if result.physically_consistent else "no"),
+            ("Bound of an inertia that is not shown", f"{number(result.inertia_bound, 3)} kg m²"),
+            run_times(result.seconds), versions("numpy", "scipy", "pin"),
+        ),
+    ]  # fmt: skip
+    source = SOURCES[result.source].format(where=result.source_detail)
+    return page(
+        f"Payload of {result.name}", f"{source}, from the {channel_text(result.channel)}, carried by {result.carrier}",
+        [cards(large), warnings(result.warnings), *result.sentences], sections,
     )  # fmt: skip
 
 
-def _card(name: str, q: Quantity, scale: float, unit: str) -> dict[str, str]:
+def _files(title: str, texts: Mapping[str, str], *before: Part) -> list[Section]:
+    """A section with the text of each file; none without files."""
+    return [Section(title, [*before, *(below(k, Html(f"<pre>{escape(v)}</pre>")) for k, v in texts.items())])] if texts else []
+
+
+def _card(name: str, q: Quantity, scale: float, unit: str) -> tuple[str, str, str]:
     """A quantity in another unit, in large type."""
     if not q.shown:
-        return {"value": "not shown", "mood": "bad", "text": name}
-    scaled = replace(q, **{k: scale * getattr(q, k) for k in ("value", "std", "low", "high")})
-    value, interval = cells(scaled)
-    return {"value": f"{value} {unit}", "mood": "good", "text": f"{name}, {interval} {unit}"}
+        return "not shown", name, "bad"
+    value, interval = cells(replace(q, **{k: scale * getattr(q, k) for k in ("value", "std", "low", "high")}))
+    return f"{value} {unit}", f"{name}, {interval} {unit}", "good"
 
 
 @styled

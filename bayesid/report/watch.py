@@ -10,7 +10,8 @@ from markupsafe import Markup
 
 from bayesid.diagnosis.changes.scales import FRICTION_SHARE, GAIN_SHARE
 from bayesid.report.charts import CYCLE, WIDTH, Panel, chart, text_width, write
-from bayesid.report.page import render, versions
+from bayesid.report.page import figure, how, lead, note, page, versions
+from bayesid.results.section import Section
 from bayesid.results.text import HALF, channel_text, number, percent
 
 if TYPE_CHECKING:
@@ -89,24 +90,36 @@ def _dots(panel: Panel, x: np.ndarray, y: np.ndarray, colour: str) -> str:
     return "".join(f'<circle cx="{a:.1f}" cy="{b:.1f}" r="3" fill="{colour}"/>' for a, b in places)
 
 
-_MOODS = {"nothing_missing": "good", "unknown": "bad", "not_compared": "bad"}
+_GAP = "What the reference leaves, in what the recording's own fit leaves"
 
 
 def watch_report(result: Watch) -> str:
     """The report of ``watch``: HTML with all figures inside."""
     entries = result.recordings
-    compared = [w.comparison for w in entries if w.comparison is not None]
+    channel = next(w.comparison.recording.problem.channel for w in entries if w.comparison is not None)
     changed = [bool(w.changes) or w.verdict == "unknown" for w in entries]
-    return render(
-        "watch.html",
-        reference=result.reference, channel=channel_text(compared[0].recording.problem.channel), sentences=result.sentences(),
-        rows=[(k, w.line, _MOODS.get(w.verdict, "fair")) for k, w in enumerate(entries, 1)],
-        gap=course([w.gap for w in entries], changed, "What the reference leaves, in what the recording's own fit leaves"),
-        evidence=course([w.evidence for w in entries], changed, "Largest log evidence of a change", result.accept),
-        sizes=_sizes(result), accept=number(result.accept, 3), gains=percent(GAIN_SHARE, 2), friction=percent(FRICTION_SHARE, 2),
-        how=[("Recordings", f"{len(entries)} of {result.planned}"), ("Run time", f"{number(result.seconds, 3)} s"),
-             versions("numpy", "scipy", "pin")],
-    )  # fmt: skip
+    gaps, evidence = [w.gap for w in entries], [w.evidence for w in entries]
+    sections = [
+        Section("Recordings", [
+            result.table,
+            note("“Residual over own fit”: what the reference leaves on segments held out in turn, in units of what the "
+                 "recording's own fit of the same model leaves; 1 is no difference at all. Friction of every joint may differ by "
+                 f"{percent(FRICTION_SHARE, 2)} and drive gains by {percent(GAIN_SHARE, 2)} before anything is named."),
+        ]),
+        Section("The course", [
+            figure(course(gaps, changed, _GAP), "Red: something changed. Friction that wanders with warmth raises it, too."),
+            figure(course(evidence, changed, "Largest log evidence of a change", result.accept),
+                   "A change is named from the line on. It is higher the more recordings there are, so that the series as a "
+                   "whole names falsely as rarely as one alone."),
+            *(figure(s, "With 95 % intervals; recordings without a dot show no such change.") for s in _sizes(result)),
+        ]),
+        how(("Recordings", f"{len(entries)} of {result.planned}"), ("Run time", f"{number(result.seconds, 3)} s"),
+            versions("numpy", "scipy", "pin"),
+            after=f"Everything about one recording: `bayesid diagnose RECORDING --reference {result.reference}`. "
+                  f"A change is named from a log evidence of {number(result.accept, 3)}."),
+    ]  # fmt: skip
+    kicker = f"What changed since the reference, and when: from the {channel_text(channel)}"
+    return page(f"Recordings since {result.reference}", kicker, [lead(f"**{s}.**") for s in result.sentences()], sections)
 
 
 def gap_figure(result: Watch, ax: Any = None) -> Figure:
@@ -115,8 +128,7 @@ def gap_figure(result: Watch, ax: Any = None) -> Figure:
 
     entries = result.recordings
     changed = np.array([bool(w.changes) or w.verdict == "unknown" for w in entries], bool)
-    title = "What the reference leaves, in what the recording's own fit leaves"
-    return course_figure([w.name for w in entries], np.array([w.gap for w in entries]), changed, title, ax)
+    return course_figure([w.name for w in entries], np.array([w.gap for w in entries]), changed, _GAP, ax)
 
 
 def _sizes(result: Watch) -> list:

@@ -15,10 +15,10 @@ from bayesid.results.beside import cells
 from bayesid.results.controllers import FORMATS, Load
 from bayesid.results.files import Result
 from bayesid.results.identification import Identification
-from bayesid.results.text import html_table, number, text_table
+from bayesid.results.section import Table
+from bayesid.results.text import number
 
 SCHEMA = 1
-HEAD = ["", "value", "95 % interval", "unit", ""]
 #: Kinds of effects that a calibration tells of, and what they are.
 KINDS = {
     "sensor_offset": "offset", "sensor_drift": "drift", "sensor_gain": "gain of an axis", "sensor_crosstalk": "cross-talk",
@@ -138,8 +138,9 @@ class Calibration(Result):
     def __repr__(self) -> str:
         return f"<Calibration of {self.name}: {', '.join(self.found) or 'nothing found'}>"
 
-    def rows(self) -> list[list[str]]:
-        """Cells of the table: name, value, interval, unit, remark."""
+    @property
+    def table(self) -> Table:
+        """What was found and what was not, with intervals, and what explains the readings as well."""
         out = []
         for spec, quantities in self.found.items():
             rivals = self.ambiguous.get(spec, ())
@@ -152,17 +153,11 @@ class Calibration(Result):
                          ("common gain of the forces", self.common_gain)):  # fmt: skip
             if q is not None:
                 out.append([label, *cells(q), q.unit, "" if q.shown else "not shown"])
-        return out
+        return Table(["", "value", "95 % interval", "unit", ""], out, "k n n - w", "narrow")
 
-    def __str__(self) -> str:
-        """The table, then what it says."""
-        lines = [f"{self.name}: force/torque sensor in {self.sensor}", *text_table(HEAD, self.rows())]
-        lines += [f"  {s}" for s in self.sentences]
-        return "\n".join([*lines, *(f"  warning: {w}" for w in self.warnings)])
-
-    def _repr_html_(self) -> str:
-        """The same for notebooks."""
-        return html_table(HEAD, self.rows()) + "".join(f"<p>{s}</p>" for s in (*self.sentences, *self.warnings))
+    def _parts(self) -> list[str | Table]:
+        lead = f"{self.name}: force/torque sensor in {self.sensor}"
+        return [lead, self.table, *self.sentences, *(f"warning: {w}" for w in self.warnings)]
 
     def to_dict(self) -> dict[str, Any]:
         """``calibration.json``."""

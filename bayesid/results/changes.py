@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from html import escape
 from typing import Any
 
 import numpy as np
@@ -16,7 +15,8 @@ from bayesid.estimators.parameters import with_ends
 from bayesid.recordings.experiment import Experiment
 from bayesid.recordings.schema import EffectParameters
 from bayesid.results.files import Result
-from bayesid.results.text import DASH, HALF, channel_text, html_table, interval, number, percent, with_half
+from bayesid.results.section import Table, as_html
+from bayesid.results.text import DASH, HALF, channel_text, interval, number, percent, with_half
 
 #: Kinds of changes whose smallest visible size is told where nothing changed.
 _LISTED = ("payload", "coulomb_friction", "viscous_friction", "torque_gain", "sensor_offset", "sensor_gain")
@@ -75,13 +75,35 @@ class Changes(Result):
         named = f": {', '.join(x.change.spec for x in c.changes)}" if c.changes else ""
         return f"<Changes of {self.experiment.name} since {c.reference.problem.experiment.name}: {self.verdict}{named}>"
 
-    def __str__(self) -> str:
-        """A few lines: the verdict, values, the gap, what could hide."""
-        return summary(self.comparison)
+    @property
+    def table(self) -> Table:
+        """Every parameter of every change, with its interval."""
+        rows = [[x.change.spec, *value_text(v)] for x in self.comparison.changes for v in (*x.values, *x.derived)]
+        return Table(["change", "parameter", "value", "± 95 %", "interval", "unit"], rows, "k k nb n n u")
+
+    def _parts(self) -> list[str | Table]:
+        c = self.comparison
+        problem = c.recording.problem
+        since, channel = c.reference.problem.experiment.name, channel_text(problem.channel)
+        lines = [
+            f"{problem.experiment.name} since {since}: {c.verdict.replace('_', ' ')} ({channel} of {', '.join(problem.fitted)})",
+            verdict_sentence(c),
+        ]
+        for x in c.changes:
+            for v in (*x.values, *x.derived):
+                name, text, half, _, unit = value_text(v)
+                before = f" (reference {number(v.before)})" if x.change.known else ""
+                lines.append(f"  {x.change.spec}: {name} {text}{'' if half == DASH else f' ± {half}'} {unit}".rstrip() + before)
+            if sentence := shares_sentence(x, c):
+                lines.append(f"  {sentence}")
+        return [*lines, gap_sentence(c), *_open(c)]
 
     def _repr_html_(self) -> str:
-        """The same for notebooks."""
-        return notebook(self.comparison)
+        """The same for notebooks, values as a table."""
+        c = self.comparison
+        shares = [s for x in c.changes if (s := shares_sentence(x, c))]
+        table = [self.table] if c.changes else []
+        return as_html([f"**{verdict_sentence(c)}**", f"{gap_sentence(c)}.", *table, *shares, *_open(c)])
 
     def to_dict(self) -> dict[str, Any]:
         """``diagnosis.json``."""
@@ -264,38 +286,8 @@ def runners_up(comparison: ReferenceComparison) -> list[str]:
     return [f"Next best in place of {spec}: {h.spec}, {number(lack, 3)} behind in log evidence." for spec, (h, lack) in leads]
 
 
-def summary(comparison: ReferenceComparison) -> str:
-    """A few lines for the terminal."""
-    c = comparison
-    problem = c.recording.problem
-    lines = [
-        f"{problem.experiment.name} since {c.reference.problem.experiment.name}: {c.verdict.replace('_', ' ')} "
-        f"({channel_text(problem.channel)} of {', '.join(problem.fitted)})",
-        f"  {verdict_sentence(c)}",
-    ]
-    for x in c.changes:
-        for v in (*x.values, *x.derived):
-            name, text, half, _, unit = value_text(v)
-            before = f" (reference {number(v.before)})" if x.change.known else ""
-            lines.append(f"    {x.change.spec}: {name} {text}{'' if half == DASH else f' ± {half}'} {unit}".rstrip() + before)
-        if sentence := shares_sentence(x, c):
-            lines.append(f"    {sentence}")
-    lines.append(f"  {gap_sentence(c)}")
-    if not c.changes:
-        lines += [f"  could hide: {text}" for text in hidden_sentences(c)]
-    lines += [f"  note: {text}" for text in (*notes(c), *runners_up(c))]
-    lines += [f"  next: {text}" for text in [next_experiment(c)] if text]
-    return "\n".join(lines)
-
-
-def notebook(comparison: ReferenceComparison) -> str:
-    """The same as HTML for a notebook."""
-    c = comparison
-    out = [f"<p><b>{escape(verdict_sentence(c))}</b> {escape(gap_sentence(c)).capitalize()}.</p>"]
-    if c.changes:
-        rows = [[x.change.spec, *value_text(v)] for x in c.changes for v in (*x.values, *x.derived)]
-        out.append(html_table(["change", "parameter", "value", "± 95 %", "interval", "unit"], rows))
-    sentences = [*(s for x in c.changes if (s := shares_sentence(x, c))), *notes(c), *runners_up(c)]
-    sentences += [f"Could hide: {s}" for s in hidden_sentences(c)] if not c.changes else []
-    sentences += [s for s in [next_experiment(c)] if s]
-    return "".join([*out, *(f"<p>{escape(s)}</p>" for s in sentences)])
+def _open(c: ReferenceComparison) -> list[str]:
+    """What could hide, what the reader should know, and what to record next."""
+    hidden = [] if c.changes else [f"could hide: {text}" for text in hidden_sentences(c)]
+    following = [f"next: {text}" for text in [next_experiment(c)] if text]
+    return [*hidden, *(f"note: {text}" for text in (*notes(c), *runners_up(c))), *following]

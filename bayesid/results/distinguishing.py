@@ -7,8 +7,8 @@ from typing import Any
 
 from bayesid.design.tell.choose import Telling
 from bayesid.results.files import Result
-from bayesid.results.telling import chance, duration, listed_names, listed_pairs, telling_dict
-from bayesid.results.text import number, text_table
+from bayesid.results.section import Table
+from bayesid.results.telling import chance, duration, listed_names, listed_pairs, pair_table, telling_dict
 
 SCHEMA = 1
 #: The motion's file.
@@ -58,14 +58,8 @@ class DistinguishingMotion(Result):
             )
         return text
 
-    def __str__(self) -> str:
-        """A few lines: what it tells, and every pair."""
-        rows = [
-            [p.true, p.other, number(p.noncentrality, 3), f"{number(p.gain, 3)} ± {number(p.std, 2)}", chance(p.probability)]
-            for p in self.telling.pairs
-        ]
-        head = ["if true", "rules out", "noncentrality", "log evidence", "probability"]
-        return "\n".join([f"{self.name}: {self.lead}", *(f"  {line}" for line in text_table(head, rows))])
+    def _parts(self) -> list[str | Table]:
+        return [f"{self.name}: {self.lead}", pair_table(self.telling)]
 
     def to_dict(self) -> dict[str, Any]:
         """``excitation.json``."""

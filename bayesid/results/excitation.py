@@ -14,7 +14,8 @@ from bayesid.design.excitation.series import FourierSeries
 from bayesid.design.excitation.stops import StopAndGo
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.results.files import Result, strict
-from bayesid.results.text import number, percent, text_table
+from bayesid.results.section import Table
+from bayesid.results.text import number, percent
 from bayesid.simulation.trajectories import Trajectory
 
 SCHEMA = 1
@@ -225,35 +226,34 @@ class Excitation(Result):
         state = "within all limits" if self.within_limits else "outside its limits"
         return f"<Excitation {self.name}: {len(self.joint_names)} joints, {self.trajectory.times[-1]:g} s, {state}>"
 
-    def __str__(self) -> str:
-        lines = [
+    def _parts(self) -> list[str | Table]:
+        lines: list[str | Table] = [
             f"{self.name}: exciting trajectory of {self.trajectory.times[-1]:g} s for {self.readings}",
-            f"  {self.criterion_text}",
+            f"{self.criterion_text}",
         ]
         if len(self.random):
             lines.append(
-                f"  standard deviations about {number(self.gain, 2)} times smaller than with the best of {len(self.random)} "
+                f"standard deviations about {number(self.gain, 2)} times smaller than with the best of {len(self.random)} "
                 "random motions within the same limits"
                 if self.criterion != "condition" else
-                f"  condition number {number(self.gain, 2)} times smaller than with the best of {len(self.random)} random motions"
+                f"condition number {number(self.gain, 2)} times smaller than with the best of {len(self.random)} random motions"
             )  # fmt: skip
         rank, condition = f"{self.base.rank} of {self.possible}", number(self.condition_number, 3)
-        lines.append(f"  {rank} base parameters determined, condition number {condition}")
+        lines.append(f"{rank} base parameters determined, condition number {condition}")
         rows = []
         for kind in self.kinds:
             use = self.nearest(kind)
             rows.append([_KINDS[kind], use.where, f"{number(use.reached, 3)} {use.unit}", f"{number(use.limit, 3)} {use.unit}",
                          percent(use.ratio) if kind != "collision" else "kept" if use.kept else "broken"])  # fmt: skip
-        lines += text_table(["nearest to its limit", "where", "reached", "allowed", "share"], rows)
-        lines += [f"  expected standard deviation of {name}: {number(std, 3)} {unit}" for name, unit, std in self.quantities]
+        lines.append(Table(["nearest to its limit", "where", "reached", "allowed", "share"], rows))
+        lines += [f"expected standard deviation of {name}: {number(std, 3)} {unit}" for name, unit, std in self.quantities]
         if self.diagnosability is not None:
             seen = sum(e.smallest <= e.usual for e in self.diagnosability.effects)
-            lines.append(f"  effects that would be seen at their usual size: {seen} of {len(self.diagnosability.effects)}")
+            lines.append(f"effects that would be seen at their usual size: {seen} of {len(self.diagnosability.effects)}")
         if self.blocks:
-            lines.append("  blocks: " + ", ".join(_block_text(b) for b in self.blocks))
+            lines.append("blocks: " + ", ".join(_block_text(b) for b in self.blocks))
         if self.static_run is not None:
-            lines.append(f"  static run: {len(self.static_run.rows)} stops, {duration_text(self.static_run.seconds)}")
+            lines.append(f"static run: {len(self.static_run.rows)} stops, {duration_text(self.static_run.seconds)}")
         if self.interrupted:
-            lines.append("  interrupted: this is the best motion so far")
-        lines += [f"  note: {note}" for note in self.notes]
-        return "\n".join(lines)
+            lines.append("interrupted: this is the best motion so far")
+        return [*lines, *(f"note: {note}" for note in self.notes)]

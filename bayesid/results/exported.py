@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from bayesid.results.files import Result
+from bayesid.results.section import Table
 
 SCHEMA = 1
 
@@ -49,15 +50,14 @@ class Exported(Result):
     def __repr__(self) -> str:
         return f"<Exported {self.name}: {', '.join(self.to)}>"
 
-    def __str__(self) -> str:
-        """Which files, and what they do not hold."""
+    def _parts(self) -> list[str | Table]:
         lines = [f"{self.name}, {self.method} from the {self.channel}:"]
-        lines += [f"  {form}: {text}" for form, text in self.about.items()]
+        lines += [f"{form}: {text}" for form, text in self.about.items()]
         for form, values in self.left_out.items():
             count = Counter(name.partition("@")[0] for name in values)
             left_out = ", ".join(f"{name} ({number})" for name, number in count.items())
-            lines += [f"  not in {form}: {left_out}; values in export.json"] if left_out else []
-        return "\n".join([*lines, *(f"  warning: {text}" for text in self.warnings)])
+            lines += [f"not in {form}: {left_out}; values in export.json"] if left_out else []
+        return [*lines, *(f"warning: {text}" for text in self.warnings)]
 
     def to_dict(self) -> dict[str, Any]:
         """``export.json``."""

@@ -6,8 +6,7 @@ import hashlib
 import json
 import os
 import tempfile
-from collections.abc import Callable, Iterable, Mapping
-from html import escape
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,6 +17,7 @@ from bayesid.drawing import Plots, registered_by_verb
 from bayesid.errors import InputError
 from bayesid.recordings.complaints import cut
 from bayesid.recordings.whole import whole_folder
+from bayesid.results.section import Table, as_html, as_text
 
 REPORT = "report.html"
 #: Keys of a written document that are not of the result's `to_dict`: what it is, how it prints, and the other files' hashes.
@@ -104,9 +104,18 @@ class Result(Plots):
         """Write the verb's files and ``report.html``, all or none; returns the report's path."""
         return write_results(folder, *files_of(self), {"result": type(self).__name__, "printed": str(self).splitlines()})
 
+    def _parts(self) -> Sequence[str | Table]:
+        """What a terminal and a notebook show: a headline, then paragraphs and tables."""
+        raise NotImplementedError
+
+    def __str__(self) -> str:
+        """What was found, for a terminal."""
+        headline, *rest = self._parts()
+        return "\n".join([str(headline), *as_text(rest)])
+
     def _repr_html_(self) -> str:
-        """The text of ``str()`` for notebooks."""
-        return f"<pre>{escape(str(self))}</pre>"
+        """The same for notebooks."""
+        return as_html(self._parts())
 
 
 def check_output(folder: str | Path, verb: str = "") -> Path:

@@ -12,6 +12,7 @@ from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.recordings.experiment import Experiment, Motion
 from bayesid.recordings.motion_checks import TOLD, Timing
 from bayesid.results.files import Result
+from bayesid.results.section import Table
 from bayesid.validation.mistakes.mistake import Mistake
 from bayesid.validation.own_fit import left_dict, left_text
 from bayesid.validation.prediction import Prediction
@@ -180,30 +181,29 @@ class Inspection(Result):
         found = f"{len(self.mistakes)} mistakes, {len(self.warnings)} warnings"
         return f"<Inspection of {self.name}: {len(self.motions)} motions, {found}>"
 
-    def __str__(self) -> str:
-        """A few lines for the terminal, warnings first."""
+    def _parts(self) -> list[str | Table]:
         robot = self.experiment.robot
-        lines = [f"{self.name}: {robot.n} joints, {len(robot.body_names)} bodies, {len(self.motions)} motions"]
-        lines += [f"  warning: {w}" for w in self.warnings]
+        lines: list[str | Table] = [f"{self.name}: {robot.n} joints, {len(robot.body_names)} bodies, {len(self.motions)} motions"]
+        lines += [f"warning: {w}" for w in self.warnings]
         for m in self.motions:
             rate = "" if np.isnan(m.rate) else f", {m.motion.table.duration:.4g} s at {m.rate:.4g} Hz"
             what = "poses" if m.motion.kind == "poses" else "samples"
             lines.append(
-                f"  {m.motion.role} '{m.motion.name}': {len(m.motion.table)} {what}{rate}, "
+                f"{m.motion.role} '{m.motion.name}': {len(m.motion.table)} {what}{rate}, "
                 f"columns {' '.join(m.columns)}, static {m.static}"
                 + (f", {len(m.gaps)} gaps" if m.gaps else "")
                 + (f", {m.timing.dropped} samples dropped" if m.timing and m.timing.dropped else "")
                 + (f", stamps jitter by {m.timing.jitter:.2g} s rms" if m.timing and m.timing.jitter > TOLD / m.rate else "")
             )
             if m.noise_at_rest:
-                lines.append("    noise at rest: " + ", ".join(f"{c} {s:.3g}" for c, s in m.noise_at_rest.items()))
-        lines += [f"  a fit would leave of {p.motion}: {left_text(p)}" for p in self.left]
+                lines.append("  noise at rest: " + ", ".join(f"{c} {s:.3g}" for c, s in m.noise_at_rest.items()))
+        lines += [f"a fit would leave of {p.motion}: {left_text(p)}" for p in self.left]
         if self.bandwidth is not None:
-            lines.append(f"  bandwidth of the motion {self.bandwidth:.3g} Hz ({self.bandwidth_reason})")
+            lines.append(f"bandwidth of the motion {self.bandwidth:.3g} Hz ({self.bandwidth_reason})")
         if any("v" in m.columns for m in self.motions):
-            lines.append("  velocities are those of the smoothed positions; columns v are only compared with them")
-        lines += [f"  rank {s.base.rank} from {s.name}{'' if s.available else ' (not recorded)'}" for s in self.sensor_sets]
-        return "\n".join(lines)
+            lines.append("velocities are those of the smoothed positions; columns v are only compared with them")
+        lines += [f"rank {s.base.rank} from {s.name}{'' if s.available else ' (not recorded)'}" for s in self.sensor_sets]
+        return lines
 
 
 def _finite(value: float) -> float | None:

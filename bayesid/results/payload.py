@@ -14,7 +14,8 @@ from bayesid.errors import InputError
 from bayesid.results.beside import EffectBeside, cells
 from bayesid.results.controllers import FORMATS, Load
 from bayesid.results.files import Result
-from bayesid.results.text import channel_text, html_table, number, text_table
+from bayesid.results.section import Table, powers
+from bayesid.results.text import channel_text, number
 from bayesid.robot import inertia
 from bayesid.robot.inertia import PARAMETERS, inertia_matrix
 
@@ -24,7 +25,6 @@ if TYPE_CHECKING:
 SCHEMA = 1
 #: The table of poses to record next.
 NEXT_POSES = "next_poses.csv"
-HEAD = ["", "value", "95 % interval", "unit", ""]
 #: Where the payload is known from, in words.
 SOURCES = {
     "sensor": "weighed by the sensor in {where}",
@@ -210,25 +210,20 @@ class PayloadEstimate(Result):
     def __repr__(self) -> str:
         return f"<PayloadEstimate of {self.name}: {number(self.mass.value)} kg in the frame of {self.frame}>"
 
-    def rows(self) -> list[list[str]]:
-        """Cells of the table: name, value, interval, unit, whether it is shown."""
-        out = []
-        for q in self.quantities:
-            name = _NAMES.get(q.name, f"inertia {q.name}")
-            out.append([name, *cells(q), q.unit.replace("^2", "²"), "" if q.shown else "not shown"])
-        return out
+    @property
+    def table(self) -> Table:
+        """Every quantity with its interval, and whether it is shown."""
+        rows = [
+            [_NAMES.get(q.name, f"inertia {q.name}"), *cells(q), powers(q.unit), "" if q.shown else "not shown"]
+            for q in self.quantities
+        ]
+        dim = {k: "dim" for k, q in enumerate(self.quantities) if not q.shown}
+        return Table(["", "value", "95 % interval", "unit", ""], rows, "k n n - -", "narrow", dim)
 
-    def __str__(self) -> str:
-        """The table, then what it says."""
+    def _parts(self) -> list[str | Table]:
         lead = f"{self.name}: payload {SOURCES[self.source].format(where=self.source_detail)} ({channel_text(self.channel)})"
-        lines = [lead, f"  in the frame of {self.frame}, inertia about the centre of mass", *text_table(HEAD, self.rows())]
-        lines += [f"  {s}" for s in self.sentences]
-        lines += [f"  warning: {w}" for w in self.warnings]
-        return "\n".join(lines)
-
-    def _repr_html_(self) -> str:
-        """The same for notebooks."""
-        return html_table(HEAD, self.rows()) + "".join(f"<p>{s}</p>" for s in (*self.sentences, *self.warnings))
+        frame = f"in the frame of {self.frame}, inertia about the centre of mass"
+        return [lead, frame, self.table, *self.sentences, *(f"warning: {w}" for w in self.warnings)]
 
     def to_dict(self) -> dict[str, Any]:
         """``payload.json``."""

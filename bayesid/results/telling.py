@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from bayesid.design.tell.choose import RivalPair, Telling
+from bayesid.results.section import Table
 from bayesid.results.text import number, percent
 from bayesid.simulation.trajectory_file import write_trajectory
 
@@ -46,6 +47,15 @@ def listed_pairs(pairs: tuple[RivalPair, ...]) -> str:
 def chance(probability: float) -> str:
     """A probability from draws as per cent, never quite certain."""
     return "over 99 %" if probability > 0.99 else "under 1 %" if probability < 0.01 else percent(round(probability, 2))
+
+
+def pair_table(telling: Telling) -> Table:
+    """Each rival as the true one, and each other that it rules out."""
+    rows = [
+        [p.true, p.other, number(p.noncentrality, 3), f"{number(p.gain, 3)} ± {number(p.std, 2)}", chance(p.probability)]
+        for p in telling.pairs
+    ]
+    return Table(["if true", "rules out", "noncentrality", "log evidence", "probability"], rows, "k k n n nb")
 
 
 def pair_dict(pair: RivalPair) -> dict[str, Any]:

@@ -10,7 +10,8 @@ import numpy as np
 from bayesid.diagnosis.changes.findings import NamedChange, ReferenceComparison
 from bayesid.results.changes import change_dict, value_text
 from bayesid.results.files import Result
-from bayesid.results.text import DASH, html_table, number, text_table
+from bayesid.results.section import Cell, Table
+from bayesid.results.text import DASH, number
 from bayesid.validation.own_fit import left_dict
 from bayesid.validation.prediction import Prediction
 
@@ -19,7 +20,7 @@ _WORDS = {
     "named": "changed", "named_in_part": "changed, named in part", "ambiguous": "changed, ambiguous",
     "unknown": "changed, unknown", "nothing_missing": "nothing changed",
 }  # fmt: skip
-HEAD = ["recording", "verdict", "what changed", "residual over own fit", "x noise"]
+_MOODS = {"nothing_missing": "good", "unknown": "bad", "not_compared": "bad"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,12 +77,13 @@ class Watched:
         return _WORDS.get(self.verdict, "not compared")
 
     @property
-    def line(self) -> list[str]:
-        """Cells of the table: name, verdict, what changed, the gap."""
+    def line(self) -> list[Cell]:
+        """Cells of the table: name, verdict, what changed, the gap, and what is left over the noise."""
+        verdict = self.words, _MOODS.get(self.verdict, "fair")
         if self.comparison is None:
-            return [self.name, self.words, self.complaint, DASH, DASH]
+            return [self.name, verdict, self.complaint, DASH, DASH]
         noise = number(self.times_noise, 3) if np.isfinite(self.times_noise) else DASH
-        return [self.name, self.words, "; ".join(map(_change_text, self.changes)) or DASH, number(self.gap, 3), noise]
+        return [self.name, verdict, "; ".join(map(_change_text, self.changes)) or DASH, number(self.gap, 3), noise]
 
     def __str__(self) -> str:
         """One line."""
@@ -158,16 +160,16 @@ class Watch(Result):
             out.append(f"Interrupted: {len(names)} of {self.planned} recordings were compared")
         return out
 
-    def __str__(self) -> str:
-        """One line a recording, then when each change came."""
-        lines = text_table(HEAD, [w.line for w in self.recordings])
-        count = len(self.recordings)
-        head = f"{count} recordings since {self.reference}; a change is named from a log evidence of {self.accept:.3g}"
-        return "\n".join([head, *lines, *(f"  {s}." for s in self.sentences())])
+    @property
+    def table(self) -> Table:
+        """A line for each recording."""
+        head = ["recording", "verdict", "what changed", "residual over own fit", "x noise"]
+        return Table(head, [w.line for w in self.recordings], "k - w n n")
 
-    def _repr_html_(self) -> str:
-        """The same for notebooks."""
-        return html_table(HEAD, [w.line for w in self.recordings]) + "".join(f"<p>{s}.</p>" for s in self.sentences())
+    def _parts(self) -> list[str | Table]:
+        head = f"{len(self.recordings)} recordings since {self.reference}"
+        head += f"; a change is named from a log evidence of {self.accept:.3g}"
+        return [head, self.table, *(f"{s}." for s in self.sentences())]
 
     def to_dict(self) -> dict[str, Any]:
         """``watch.json``."""

@@ -1,4 +1,5 @@
 import json
+import re
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -8,7 +9,7 @@ import bayesid
 from bayesid.recordings.table import Table
 from bayesid.report.check import check_report
 from bayesid.report.identification import described, identification_report
-from bayesid.report.page import shorten
+from bayesid.results.section import long
 from bayesid.results.text import number, percent, with_half
 from bayesid.robot.robot import load_robot
 from bayesid.workflows.check import check, noise_at_rest, sample_noise
@@ -202,7 +203,7 @@ def test_check_says_what_is_in_the_folder(puma, tmp_path):
         "Recordings",
     ):
         assert heading in text
-    assert "<pre>" in found._repr_html_()
+    assert "<p>test: 2 joints, 2 bodies, 2 motions</p>" in found._repr_html_()
 
 
 def test_check_puts_warnings_first_and_names_what_identify_will_refuse(puma):
@@ -282,10 +283,12 @@ def test_values_go_to_the_second_digit_of_their_interval(value, half, texts):
 
 
 def test_long_sums_are_shortened_between_terms():
-    long = " + ".join(f"0.1234 m{k} r{k}x" for k in range(20))
-    head, more = shorten(long)
-    assert long.startswith(head) and len(head) < 90 and long[len(head) :].count(" + ") == more
-    assert shorten("m1 + m2") == ("m1 + m2", 0)
+    text = " + ".join(f"0.1234 m{k} r{k}x" for k in range(20))
+    head, more = re.fullmatch(
+        r"<details><summary>(.*) … <small>\((\d+) more terms\)</small></summary>.*</details>", long(text)
+    ).groups()
+    assert text.startswith(head) and len(head) < 90 and text[len(head) :].count(" + ") == int(more)
+    assert long("m1 + m2") == "m1 + m2"
     assert percent(0.12345) == "12.3 %" and percent(np.nan) == "–"
 
 

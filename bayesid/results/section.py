@@ -1,0 +1,162 @@
+"""What results and reports say, once for the terminal, a notebook and a page: paragraphs, tables, and sections of them.
+
+A paragraph is plain text in which ``**bold**`` and ```code``` are marked; it is escaped where it becomes HTML. Nothing is
+marked in the cells of tables.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from html import escape
+from typing import TypeAlias
+
+_LONGEST_LABEL = 90
+#: What a letter of `Table.columns` stands for in the style sheet.
+_STYLES = {"n": "n", "k": "k", "w": "w", "b": "sure", "d": "dim", "u": "k"}
+#: Text, or text and the style of this cell alone, such as ``good`` or ``bad``.
+Cell: TypeAlias = str | tuple[str, str]
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table.
+
+    Attributes
+    ----------
+    head
+        Titles of the columns.
+    rows
+        Cells, as many a row as there are titles.
+    columns
+        Letters for each column, separated by blanks: ``n`` a number, to the right; ``k`` never broken into lines; ``w`` wide
+        text or a long sum, folded after its first terms; ``u`` a unit; ``b`` bold; ``d`` dim; ``-`` none of these. The first
+        is ``k`` and all others ``n`` by default.
+    style
+        ``narrow``, as wide as its text; ``tight``, in small type; or neither.
+    marks
+        Style of single rows by their index: ``rule``, a line above; ``dim``.
+    """
+
+    head: Sequence[str]
+    rows: Sequence[Sequence[Cell]]
+    columns: str = ""
+    style: str = ""
+    marks: Mapping[int, str] = field(default_factory=dict)
+
+    def text(self) -> list[str]:
+        """Lines for a terminal, the first column to the left, the others to the right."""
+        rows = [[cell if isinstance(cell, str) else cell[0] for cell in row] for row in self.rows]
+        cells = [list(self.head), *([_cut(row[0]), *row[1:]] for row in rows)]
+        first, *others = (max(map(len, column)) for column in zip(*cells, strict=True))
+        lines = [[row[0].ljust(first), *(c.rjust(w) for c, w in zip(row[1:], others, strict=True))] for row in cells]
+        return [f"  {'  '.join(line)}".rstrip() for line in lines]
+
+    def html(self) -> str:
+        """The table for a page or a notebook."""
+        letters = self.columns.split() or ["k", *["n"] * (len(self.head) - 1)]
+        styles = [[_STYLES[k] for k in letter if k in _STYLES] for letter in letters]
+        head = "".join(_element("th", "n" if "n" in s else "", escape(title)) for s, title in zip(styles, self.head, strict=True))
+        lines = [f"<tr>{head}</tr>"]
+        for k, row in enumerate(self.rows):
+            cells = []
+            for letter, style, cell in zip(letters, styles, row, strict=True):
+                text, own = (cell, "") if isinstance(cell, str) else cell
+                shown = long(text) if "w" in letter else escape(powers(text) if "u" in letter else text)
+                cells.append(_element("td", " ".join(filter(None, [*style, own])), shown))
+            lines.append(_element("tr", self.marks.get(k, ""), "".join(cells)))
+        return f'<div class="scroll">{_element("table", self.style, chr(10).join(lines))}</div>'
+
+
+@dataclass(frozen=True)
+class Html:
+    """A figure, a list and what else only a page can show; a terminal leaves it out."""
+
+    content: str
+
+
+Part: TypeAlias = str | Table | Html
+
+
+@dataclass(frozen=True)
+class Section:
+    """Paragraphs, tables and figures under a title.
+
+    Attributes
+    ----------
+    title
+        The heading.
+    parts
+        What stands under it; empty paragraphs are left out.
+    name
+        A word or two for the list of sections; the title by default.
+    """
+
+    title: str
+    parts: Sequence[Part]
+    name: str = ""
+
+    @property
+    def anchor(self) -> str:
+        """What a link to it is called."""
+        return re.sub(r"\W+", "-", (self.name or self.title).lower()).strip("-")
+
+
+def as_text(parts: Iterable[Part]) -> list[str]:
+    """Lines for a terminal: paragraphs set in by two blanks, tables as they are."""
+    lines = []
+    for part in parts:
+        if isinstance(part, Table):
+            lines += part.text()
+        elif isinstance(part, str) and part:
+            lines.append(f"  {_BOLD.sub(lambda m: m[1], part)}")
+    return lines
+
+
+def as_html(parts: Iterable[Part]) -> str:
+    """The same as HTML."""
+    out = []
+    for part in parts:
+        if isinstance(part, str):
+            out.append(f"<p>{marked(part)}</p>" if part else "")
+        else:
+            out.append(part.content if isinstance(part, Html) else part.html())
+    return "\n".join(filter(None, out))
+
+
+#: A product such as a**2 * b**2 is not marked: marks stand at the ends of words.
+_BOLD = re.compile(r"(?<![\w*)])\*\*(?=\S)(.+?)(?<=\S)\*\*(?![\w(])")
+
+
+def marked(text: str) -> str:
+    """Text as HTML, what is marked as bold or as code."""
+    bold = _BOLD.sub(lambda m: f"<b>{m[1]}</b>", escape(text))
+    return re.sub("`([^`]+)`", r"<code>\1</code>", bold)
+
+
+def long(text: str) -> str:
+    """A sum as HTML, folded after its first terms where it is long."""
+    if len(text) <= _LONGEST_LABEL:
+        return escape(text)
+    terms = re.split(r"(?= [+-] )", text)
+    kept = 1
+    while kept < len(terms) and len("".join(terms[: kept + 1])) <= _LONGEST_LABEL - 20:
+        kept += 1
+    if kept == len(terms):
+        return escape(text)
+    first, more = escape("".join(terms[:kept])), len(terms) - kept
+    return f"<details><summary>{first} … <small>({more} more terms)</small></summary>{escape(text)}</details>"
+
+
+def powers(text: str) -> str:
+    """A unit with its powers raised."""
+    return text.replace("^2", "²").replace("^3", "³")
+
+
+def _element(tag: str, style: str, content: str) -> str:
+    return f'<{tag} class="{style}">{content}</{tag}>' if style else f"<{tag}>{content}</{tag}>"
+
+
+def _cut(text: str, width: int = 44) -> str:
+    return text if len(text) <= width else text[: width - 2] + " …"
