@@ -1,4 +1,4 @@
-"""The report of ``accuracy``: turns an `Accuracy` into what its template shows."""
+"""The report of ``accuracy``."""
 
 from __future__ import annotations
 
@@ -11,18 +11,20 @@ from bayesid.design.accuracy.sensor_choice import SensorChoice
 from bayesid.design.accuracy.sensor_file import KINDS
 from bayesid.report.accuracy_figures import SHOWN_EFFECTS, susceptibility_figure, sweeps_figure
 from bayesid.report.certificate import certificate_section
-from bayesid.report.page import render, run_times, svg, versions
+from bayesid.report.page import cards, figure, fold, how, lead, note, page, run_times, svg, terms, versions, warnings
 from bayesid.results.accuracy import (
     NO_BIAS,
     Accuracy,
     change,
     coverage_text,
-    effect_cells,
-    level_cells,
-    sensor_rows,
+    effects_table,
+    improvements_table,
     sensor_title,
+    sensors_table,
+    sweeps_table,
     worst_places,
 )
+from bayesid.results.section import Part, Section, Table
 from bayesid.results.text import DASH, HALF, channel_text, number, percent
 from bayesid.robot import inertia
 from bayesid.robot.notation import notation
@@ -33,40 +35,51 @@ _MAPPED_PLACES = 4
 
 def accuracy_report(result: Accuracy) -> str:
     """The report of ``accuracy``: an HTML page with all figures inside."""
-    bench, sweeps = result.bench, result.sweeps
+    bench, sweeps, base = result.bench, result.sweeps, result.bench.problem.row_model.base
     biased = [s for s in result.susceptibility if s.largest >= NO_BIAS]
-    certificate = result.certificate
-    base = bench.problem.row_model.base
-    return render(
-        "accuracy.html",
-        name=bench.experiment.name,
-        kicker=f"Accuracy of {bench.rank} base parameters by {bench.method.name}, from the "
-        f"{channel_text(bench.problem.channel)} of {', '.join(bench.problem.fitted)}",
-        warning_list=result.warnings,
-        lead=_lead(result),
-        card_list=_cards(result),
-        improvements=_improvements(result),
-        sweeps="" if sweeps is None else svg(sweeps_figure(sweeps), "sweeps"),
-        factors=[] if sweeps is None else [
-            {"title": s.title, "rows": [{"cells": level_cells(v, k == s.own), "own": k == s.own, "reason": v.reason,
-                                         "source": v.source} for k, v in enumerate(s.levels)]}
-            for s in sweeps.sweeps
-        ],
-        runs=0 if sweeps is None else sweeps.runs,
-        predicted=", ".join(bench.predicted_motions),
-        map="" if not biased else svg(bias_map(result), "susceptibility"),
-        map_size=min(len(worst_places(biased, _MAPPED_PLACES)), SHOWN_EFFECTS),
-        worst=[effect_cells(s, base.labels) for s in worst_places(result.susceptibility, 1)],
-        effects=[effect_cells(s, base.labels) for s in result.susceptibility],
-        unbiased=len(result.susceptibility) - len(biased),
-        certificate=certificate_section(certificate, base),
-        certified=certificate is not None,
-        sensors=None if result.sensors is None else _sensors(result.sensors),
-        parameters=_parameters(result),
-        simulated=sweeps is not None,
-        formula=sweeps is not None and sweeps.formula is not None,
-        how=_how(result),
-    )  # fmt: skip
+    sections: list[Part] = []
+    if result.improvements:
+        best = "The best step of each factor that lowers the error beyond chance, what lowers it most first."
+        sections.append(Section("What would buy most", [best, improvements_table(result)]))
+    if sweeps is not None:
+        sections.append(Section("One factor at a time", [
+            "Everything else stays as it is. Error: root mean square of estimate less truth, bias included. Predictions: of "
+            f"{', '.join(bench.predicted_motions)}, error over signal, noise of the readings not counted.",
+            figure(svg(sweeps_figure(sweeps), "sweeps"),
+                   "Median over the base parameters, relative to your own setting (green line); bars: 95 % intervals from "
+                   f"{sweeps.runs} simulated recordings of each level, which all levels share. Circles around dots: by formula."),
+            sweeps_table(sweeps),
+            note("Lost: combinations of parameters that such readings do not determine; the median is over the others. Length: "
+                 "recording the first part, or the whole motion several times with fresh noise. Faster sampling: noise taken "
+                 "as independent from sample to sample."),
+        ]))  # fmt: skip
+    mapped = min(len(worst_places(biased, _MAPPED_PLACES)), SHOWN_EFFECTS)
+    unbiased = f", {len(result.susceptibility) - len(biased)} of them without any bias"
+    sections.append(Section("Effects left out of the model", [
+        "What the estimate would be off by if the robot or sensor had an effect that the model lacks, at a usual size, "
+        "everything else being right (bias susceptibility). A payload or another body that belongs to a link is no error of "
+        "the link that carries it: there the change says what the estimate then holds.",
+        figure(svg(bias_map(result), "susceptibility") if biased else "",
+               f"The {mapped} places that bias most, at most four of a kind, by base parameter; white: less than a tenth of a "
+               "standard deviation."),
+        "Each kind of effect at its worst place:", effects_table(worst_places(result.susceptibility, 1), base.labels),
+        fold(f"All {len(result.susceptibility)} places{unbiased * (len(biased) < len(result.susceptibility))}",
+             effects_table(result.susceptibility, base.labels)),
+    ], "Effects left out"))  # fmt: skip
+    sections += certificate_section(result.certificate, base)
+    if result.sensors is not None:
+        sections.append(_sensors(result.sensors))
+    parameters = [_parameters(result), note("± : standard errors of the simulation.")]
+    sections += [
+        Section("Every base parameter", parameters, "Parameters"),
+        how(*_how(result), after="SI units, force before moment.", title="How this was done"),
+    ]
+    kicker = f"Accuracy of {bench.rank} base parameters by {bench.method.name}, from the "
+    kicker += f"{channel_text(bench.problem.channel)} of {', '.join(bench.problem.fitted)}"
+    fine = "No warnings: formula and simulation agree, and the model is complete as far as its residuals tell."
+    name = bench.experiment.name
+    return page(name, kicker, [warnings(result.warnings, fine), lead(_lead(result)), cards(_cards(result))], sections,
+                f"{name}: accuracy")  # fmt: skip
 
 
 def bias_map(result: Accuracy, ax: Any = None) -> Figure:
@@ -97,90 +110,79 @@ def _lead(result: Accuracy) -> str:
     return f"{text} {coverage_text(result.certificate)}".strip()
 
 
-def _cards(result: Accuracy) -> list[dict[str, str]]:
-    cards = []
+def _cards(result: Accuracy) -> list[tuple[str, str, str]]:
+    large = []
     if result.sweeps is not None:
-        own = result.sweeps.own
-        predicted = ", ".join(result.bench.predicted_motions)
-        cards.append({"value": percent(own.prediction, 2), "mood": "",
-                      "text": f"of the signal of {predicted}: by so much predictions are wrong"})  # fmt: skip
+        own, predicted = result.sweeps.own, ", ".join(result.bench.predicted_motions)
+        large.append((percent(own.prediction, 2), f"of the signal of {predicted}: by so much predictions are wrong", ""))
         largest = float(np.nanmax(np.abs(own.bias) / np.maximum(own.std, 1e-300)))
-        good = largest < 0.5 + 3.0 / np.sqrt(result.sweeps.runs)
-        cards.append({"value": f"{number(largest, 2)} σ", "mood": "good" if good else "fair",
-                      "text": "largest bias by smoothing and encoders alone"})  # fmt: skip
-    for _, v in result.improvements[:2]:
-        cards.append({"value": change(v.ratio), "mood": "", "text": f"of the median error by {v.improvement}"})
-    if result.certificate is not None:
-        c = result.certificate
-        cards.append({"value": percent(c.overall), "mood": "good" if c.holds else "bad",
-                      "text": f"of 95 % intervals held the truth on {c.twins} twins"})  # fmt: skip
-    return cards
+        mood = "good" if largest < 0.5 + 3.0 / np.sqrt(result.sweeps.runs) else "fair"
+        large.append((f"{number(largest, 2)} σ", "largest bias by smoothing and encoders alone", mood))
+    large += [(change(v.ratio), f"of the median error by {v.improvement}", "") for _, v in result.improvements[:2]]
+    if (c := result.certificate) is not None:
+        mood = "good" if c.holds else "bad"
+        large.append((percent(c.overall), f"of 95 % intervals held the truth on {c.twins} twins", mood))
+    return large
 
 
-def _improvements(result: Accuracy) -> list[list[str]]:
-    if result.sweeps is None:
-        return []
-    rows = []
-    for _, v in result.improvements:
-        sure = DASH if v.source == "formula" else f"{change(v.ratio_low)} … {change(v.ratio_high)}"
-        rows.append([v.improvement, change(v.ratio), sure, change(v.prediction_ratio), v.source])
-    return rows
-
-
-def _parameters(result: Accuracy) -> list[dict[str, Any]]:
+def _parameters(result: Accuracy) -> Table:
     base, bench, sweeps = result.bench.problem.row_model.base, result.bench, result.sweeps
+    head, columns = ["#", "base parameter", "value", "std printed"], "nd w n n"
+    if sweeps is not None:
+        formula = sweeps.formula is not None
+        head += ["std simulated", *["by formula"] * formula, "bias", "rms error"]
+        columns += " n" + " n" * formula + " n nb"
     rows = []
     for k, (label, unit) in enumerate(zip(base.labels, base.units, strict=True)):
-        value, std = number(bench.truth[k]), number(bench.estimate.std[k], 3)
-        row = {"index": k + 1, "label": label, "unit": unit, "value": value, "std": std}
+        row = [str(k + 1), label, number(bench.truth[k]), number(bench.estimate.std[k], 3)]
         if sweeps is not None:
             own = sweeps.own
-            row |= {
-                "bias": f"{number(own.bias[k], 2)} ± {number(own.bias_error[k], 2)}", "sim": f"{number(own.std[k], 3)} ± "
-                f"{number(own.std_error[k], 2)}", "rms": number(own.rms[k], 3),
-                "formula": DASH if sweeps.formula is None else number(sweeps.formula[k], 3),
-            }  # fmt: skip
-        worst = max(result.susceptibility, key=lambda s: np.nan_to_num(abs(s.sigmas[k])), default=None)
-        row["worst"] = DASH
+            row.append(f"{number(own.std[k], 3)} ± {number(own.std_error[k], 2)}")
+            row += [] if sweeps.formula is None else [number(sweeps.formula[k], 3)]
+            row += [f"{number(own.bias[k], 2)} ± {number(own.bias_error[k], 2)}", number(own.rms[k], 3)]
+        worst, most = max(result.susceptibility, key=lambda s: np.nan_to_num(abs(s.sigmas[k])), default=None), DASH
         if worst is not None and np.isfinite(worst.sigmas[k]) and abs(worst.sigmas[k]) >= NO_BIAS:
-            row["worst"] = f"{worst.effect.spec} ({number(abs(worst.sigmas[k]), 2)} σ)"
-        rows.append(row)
-    return rows
+            most = f"{worst.effect.spec} ({number(abs(worst.sigmas[k]), 2)} σ)"
+        rows.append([*row, unit, most])
+    return Table([*head, "unit", "most harmful effect"], rows, f"{columns} ku -", "tight")
 
 
-def _sensors(choice: SensorChoice) -> dict[str, Any]:
+def _sensors(choice: SensorChoice) -> Section:
     """Candidates side by side: what they leave, their ranges, link parameters and effects."""
     outlooks = choice.outlooks
+    candidates = [o.candidate.name for o in outlooks]
+    ranges = [
+        (f"{o.candidate.name} ({KINDS[o.candidate.kind]})", ", ".join(
+            f"{n} {number(p, 3)} {u}" + (f" of {number(r, 3)}" if np.isfinite(r) else "")
+            for n, p, u, r in zip(o.candidate.readings, o.peak, o.candidate.units, o.candidate.limit, strict=True)))
+        for o in outlooks
+    ]  # fmt: skip
     names = list(dict.fromkeys(n for o in outlooks for n in o.names))
     by_name = [dict(zip(o.names, o.link_std, strict=True)) for o in outlooks]
     before = {n: s for o in outlooks for n, s in zip(o.names, o.prior_std, strict=True)}
     units: dict[str, str] = dict(zip(inertia.PARAMETERS, inertia.UNITS, strict=True))
+    links = [
+        [label, f"± {number(HALF * before[n], 2)}", *(f"± {number(HALF * v[n], 2)}" if n in v else DASH for v in by_name),
+         units.get(n.rpartition(".")[2], "")]
+        for n, label in zip(names, notation(names), strict=True)
+    ]  # fmt: skip
     specs = list(dict.fromkeys(spec for o in outlooks for spec in o.effects))
-    shown = [s for s in specs if any(o.effects.get(s) is not None for o in outlooks)]
-    return {
-        "title": sensor_title(choice),
-        "names": [o.candidate.name for o in outlooks],
-        "kinds": [KINDS[o.candidate.kind] for o in outlooks],
-        "rows": sensor_rows(choice),
-        "exceeded": [o.load > 1.0 for o in outlooks],
-        "ranges": [
-            {"name": o.candidate.name, "cells": [
-                f"{n} {number(p, 3)} {u}" + (f" of {number(r, 3)}" if np.isfinite(r) else "")
-                for n, p, u, r in zip(o.candidate.readings, o.peak, o.candidate.units, o.candidate.limit, strict=True)
-            ]}
-            for o in outlooks
-        ],
-        "links": [
-            {"name": label, "unit": units.get(n.rpartition(".")[2], ""), "before": number(HALF * before[n], 2),
-             "cells": [number(HALF * values[n], 2) if n in values else DASH for values in by_name]}
-            for n, label in zip(names, notation(names), strict=True)
-        ],
-        "effects": [
-            {"name": s, "cells": [DASH if o.effects.get(s) is None else percent(o.effects[s] or 0.0, 2) for o in outlooks]}
-            for s in shown
-        ],
-        "unseen": len(specs) - len(shown),
-    }  # fmt: skip
+    seen = [s for s in specs if any(o.effects.get(s) is not None for o in outlooks)]
+    effects = [[s, *(DASH if o.effects.get(s) is None else percent(o.effects[s] or 0.0, 2) for o in outlooks)] for s in seen]
+    numbers = " n" * len(outlooks)
+    return Section("Candidate sensors", [
+        "What each sensor would tell of the fitted motions, its offset fitted along, before it is bought. Left of a body: the "
+        "share of the prior uncertainty of its ten parameters; 100 % is what is known without the sensor. Better than "
+        "beforehand: combinations of link parameters with a smaller error than what is known of them anyway.",
+        sensors_table(choice), note(f"{sensor_title(choice)}."),
+        fold("Largest readings and ranges", terms(ranges)),
+        fold("Expected 95 % intervals of every link parameter",
+             Table(["link parameter", "without", *candidates, "unit"], links, f"k nd{numbers} ku", "tight")),
+        fold("Smallest effects that would be seen",
+             note("In per cent of an effect of usual size, with what the links could explain of it taken away; a dash: not "
+                  f"seen at any plausible size. {len(specs) - len(seen)} effects are seen by none."),
+             Table(["effect", *candidates], effects, f"k{numbers}", "tight")),
+    ], "Sensors")  # fmt: skip
 
 
 def _how(result: Accuracy) -> list[tuple[str, str]]:

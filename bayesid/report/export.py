@@ -14,7 +14,7 @@ def export_report(result: Exported) -> str:
         [form, name, number(value, 4), unit]
         for form, values in result.left_out.items() for name, (value, unit) in values.items()
     ]  # fmt: skip
-    left_out = Table(["form", "parameter", "value", "unit"], rows, "k - n u", "narrow")
+    left_out = Table(["form", "parameter", "value", "unit"], rows, "k - n ku", "narrow")
     sections = [
         Section("Files", [terms(list(result.about.items())), note(", ".join(result.texts))]),
         *([Section("Identified, and not in these files", [left_out])] if rows else []),

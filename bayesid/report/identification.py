@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from bayesid.dynamics.base_parameters import BaseParameters
@@ -18,6 +19,7 @@ from bayesid.report.page import physical, render, run_times, svg, versions
 from bayesid.report.prediction_figures import measured_against_predicted, residuals
 from bayesid.results.identification import Identification
 from bayesid.results.loaded import LoadedIdentification
+from bayesid.results.section import as_html
 from bayesid.results.text import DASH, HALF, chance, channel_text, ends, number, percent, with_interval
 from bayesid.robot import inertia
 from bayesid.robot.notation import notation
@@ -106,8 +108,8 @@ def _hausman(value: Mapping[str, Any]) -> str:
 def _certificate(value: Mapping[str, Any]) -> str:
     edge, bounds = _listed(value["on_boundary"]), _listed(value["active_bounds"])
     return (
-        f"{'proved' if value['certified'] else 'not proved'}: relative gap {number(value['relative_gap'], 2)}, primal violation "
-        f"{number(value['primal_violation'], 2)}, dual residual {number(value['dual_residual'], 2)}; at most "
+        f"{'proved' if value['certified'] else 'not proved'}: relative gap {number(value['relative_gap'], 2)}, primal "
+        f"violation {number(value['primal_violation'], 2)}, dual residual {number(value['dual_residual'], 2)}; at most "
         f"{number(value['largest_error_std'], 2)} standard deviations from the optimum. "
         f"Bodies on the edge of what can exist: {edge}. Bounds reached: {bounds}"
     )
@@ -191,7 +193,7 @@ def identification_report(result: Identification) -> str:
         links_unconstrained=result.unconstrained_urdf,
         agreements=[{**a.to_dict(), "rms": number(a.rms, 3), "probability": chance(a.probability)} for a in result.agreements],
         static=_both_ways(result),
-        certificate=certificate_section(result.certificate, estimate.base),
+        certificate=Markup(as_html(certificate_section(result.certificate, estimate.base))),
         how=_how(result),
     )
 

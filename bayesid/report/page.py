@@ -21,12 +21,12 @@ from bayesid.robot import inertia
 _LISTED = 4
 
 
-def page(heading: str, kicker: str, opening: Sequence[Part], sections: Sequence[Section], title: str = "") -> str:
+def page(heading: str, kicker: str, opening: Sequence[Part], sections: Sequence[Part], title: str = "") -> str:
     """A report: heading, the line below it, what comes before the first section, and the sections; ``title`` is the window's."""
+    listed = [part for part in sections if isinstance(part, Section)]
     return render(
         "page.html", title=title or heading, heading=heading, kicker=kicker, opening=Markup(as_html(opening)),
-        listed=sections if len(sections) >= _LISTED else (),
-        sections=[(s.anchor, s.title, Markup(as_html(s.parts))) for s in sections],
+        listed=listed if len(listed) >= _LISTED else (), body=Markup(as_html(sections)),
     )  # fmt: skip
 
 

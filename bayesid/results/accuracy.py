@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,7 +16,8 @@ from bayesid.design.accuracy.sweeps import Level, Sweep, Sweeps
 from bayesid.drawing import figures_of
 from bayesid.errors import InputError
 from bayesid.results.files import Result, strict
-from bayesid.results.text import DASH, channel_text, html_table, number, percent, text_table
+from bayesid.results.section import Cell, Html, Part, Section, Table
+from bayesid.results.text import DASH, channel_text, number, percent
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -72,13 +72,25 @@ class Accuracy(Result):
         parts += [f"{self.certificate.twins} twins"] if self.certificate is not None else []
         return f"<Accuracy of {self.bench.experiment.name}: {', '.join(parts)}>"
 
-    def __str__(self) -> str:
-        """What buys most, what effects left out would do, and coverage."""
-        return accuracy_text(self)
-
-    def _repr_html_(self) -> str:
-        """The same tables for notebooks."""
-        return accuracy_text(self, html=True)
+    def _parts(self) -> list[Part]:
+        bench, sweeps, labels = self.bench, self.sweeps, self.labels
+        headline = (
+            f"{bench.experiment.name}: accuracy of {bench.rank} base parameters by {bench.method.name} from the "
+            f"{channel_text(bench.problem.channel)} of {', '.join(bench.problem.fitted)}"
+        )
+        parts: list[Part] = [headline]
+        if self.improvements:
+            parts.append(Section("What would buy most", [improvements_table(self)]))
+        if sweeps is not None:  # too long for a terminal
+            title = f"One factor at a time, {sweeps.runs} twins a level"
+            parts.append(Section(title, [Html(sweeps_table(sweeps).html())]))
+        if self.susceptibility:
+            worst = worst_places(self.susceptibility, 1)[:_SHOWN_EFFECTS]
+            title = "Bias by effects left out of the model, each at its worst place"
+            parts.append(Section(title, [effects_table(worst, labels)]))
+        if self.sensors is not None:
+            parts.append(Section(sensor_title(self.sensors), [sensors_table(self.sensors)]))
+        return [*parts, coverage_text(self.certificate), *(f"warning: {w}" for w in self.warnings)]
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -196,38 +208,36 @@ def _level(level: Level) -> dict[str, Any]:
     return {**out, "reason": level.reason} if level.reason else out
 
 
-def accuracy_text(result: Accuracy, *, html: bool = False) -> str:
-    """Improvements, sweeps, susceptibility and coverage, as text or as HTML tables."""
-    bench, sweeps, susceptibility, sensors = result.bench, result.sweeps, result.susceptibility, result.sensors
-    labels = bench.problem.row_model.base.labels
-    title = (
-        f"{bench.experiment.name}: accuracy of {bench.rank} base parameters by {bench.method.name} from the "
-        f"{channel_text(bench.problem.channel)} of {', '.join(bench.problem.fitted)}"
-    )
-    parts: list[tuple[str, list[str], list[list[str]]]] = []
-    if sweeps is not None:
-        rows = [[v.improvement, change(v.ratio), change(v.prediction_ratio), v.source]
-                for _, v in sweeps.improvements()]  # fmt: skip
-        if rows:
-            parts.append(("What would buy most", ["change", "median error", "prediction", "by"], rows))
-    if sweeps is not None and html:  # too long for a terminal
-        rows = [[s.title if k == 0 else "", *level_cells(v, k == s.own)] for s in sweeps.sweeps for k, v in enumerate(s.levels)]
-        head = ["factor", "level", "median error", "95 %", "prediction", "lost"]
-        parts.append((f"One factor at a time, {sweeps.runs} twins a level", head, rows))
-    if susceptibility:
-        rows = [effect_cells(s, labels) for s in worst_places(susceptibility, 1)[:_SHOWN_EFFECTS]]
-        head = ["effect left out", "size", "largest bias", "of", "prediction"]
-        parts.append(("Bias by effects left out of the model, each at its worst place", head, rows))
-    if sensors is not None:
-        parts.append((sensor_title(sensors), ["", *(o.candidate.name for o in sensors.outlooks)], sensor_rows(sensors)))
-    notes = [coverage_text(result.certificate), *(f"warning: {w}" for w in result.warnings)]
-    if html:
-        tables = "".join(f"<p><b>{escape(name)}</b></p>{html_table(head, rows)}" for name, head, rows in parts)
-        return f"<p>{escape(title)}</p>{tables}{''.join(f'<p>{escape(n)}</p>' for n in notes if n)}"
-    lines = [title]
-    for name, head, rows in parts:
-        lines += ["", name, *text_table(head, rows)]
-    return "\n".join([*lines, "", *(f"  {n}" for n in notes if n)]).rstrip()
+def improvements_table(result: Accuracy) -> Table:
+    """The best step of each factor that lowers the error."""
+    rows = [
+        [v.improvement, (change(v.ratio), "good"), _sure(v) or DASH, change(v.prediction_ratio), v.source]
+        for _, v in result.improvements
+    ]
+    return Table(["change", "median error", "95 %", "prediction", "by"], rows, "w nb n n -")
+
+
+def sweeps_table(sweeps: Sweeps) -> Table:
+    """Every level of every factor: median error, its interval, error of predictions, parameters lost."""
+    rows: list[list[Cell]] = []
+    marks = {}
+    for s in sweeps.sweeps:
+        marks[len(rows)] = "rule"
+        for k, v in enumerate(s.levels):
+            title, label = s.title if k == 0 else "", f"{v.label}: {v.reason}" if v.reason else v.label
+            lost = f"{v.lost} of {len(v.std)}" if v.lost else ""
+            if v.source == "refused":
+                rows.append([title, label, "cannot be fitted", "", "", ""])
+            elif k == s.own:
+                rows.append([title, (f"{v.label} (yours)", "sure"), "", "", percent(v.prediction), ""])
+            else:
+                rows.append([title, label, change(v.ratio), _sure(v) or "formula", percent(v.prediction), lost])
+    return Table(["factor", "level", "median error", "95 %", "prediction", "lost"], rows, "b - n n n n", marks=marks)
+
+
+def _sure(level: Level) -> str:
+    """The interval of a simulated level's change; nothing where it is by formula."""
+    return "" if level.source == "formula" else f"{change(level.ratio_low)} … {change(level.ratio_high)}"
 
 
 def change(ratio: float) -> str:
@@ -239,22 +249,14 @@ def change(ratio: float) -> str:
     return f"{100 * (ratio - 1):+.0f} %".replace("-", "−") if abs(ratio - 1) >= 0.005 else "0 %"
 
 
-def level_cells(level: Level, own: bool) -> list[str]:
-    """Label, change of the median error, its interval, prediction error, parameters lost."""
-    if level.source == "refused":
-        return [level.label, "cannot be fitted", "", "", ""]
-    if own:
-        return [f"{level.label} (yours)", "", "", percent(level.prediction), ""]
-    sure = "formula" if level.source == "formula" else f"{change(level.ratio_low)} … {change(level.ratio_high)}"
-    lost = f"{level.lost} of {len(level.std)}" if level.lost else ""
-    return [level.label, change(level.ratio), sure, percent(level.prediction), lost]
-
-
-def effect_cells(s: Susceptibility, labels: tuple[str, ...]) -> list[str]:
-    """Effect and place, size, largest bias in standard deviations, of which parameter, error of predictions."""
-    none = s.largest < NO_BIAS
-    bias, of = ("none", "") if none else (f"{number(s.largest, 2)} σ", _short(labels[s.most_biased]))
-    return [s.effect.spec, size_text(s), bias, of, percent(s.prediction, 2) if s.prediction > 1e-12 else "0 %"]
+def effects_table(found: Sequence[Susceptibility], labels: tuple[str, ...]) -> Table:
+    """Effects and places, their sizes, the largest bias in standard deviations, of which parameter, error of predictions."""
+    rows = []
+    for s in found:
+        none = s.largest < NO_BIAS
+        bias, of = ("none", "") if none else (f"{number(s.largest, 2)} σ", _short(labels[s.most_biased]))
+        rows.append([s.effect.spec, size_text(s), bias, of, percent(s.prediction, 2) if s.prediction > 1e-12 else "0 %"])
+    return Table(["effect left out", "size", "largest bias", "of", "prediction"], rows, "k u nb - n")
 
 
 def worst_places(found: Sequence[Susceptibility], each: int) -> list[Susceptibility]:
@@ -286,16 +288,17 @@ def sensor_title(sensors: SensorChoice) -> str:
     return f"Candidate sensors: share of the links' prior uncertainty ({percent(sensors.rel_std, 2)}, {how}) that would be left"
 
 
-def sensor_rows(sensors: SensorChoice) -> list[list[str]]:
-    """A line for each thing that candidates are compared by, a cell for each candidate behind its name."""
+def sensors_table(sensors: SensorChoice) -> Table:
+    """A line for each thing that candidates are compared by, a cell for each candidate."""
     outlooks = sensors.outlooks
     bodies = list(dict.fromkeys(body for o in outlooks for body in o.left))
-    return [
+    rows = [
         ["combinations determined", *(str(o.determined.base.rank) for o in outlooks)],
         ["better than beforehand", *(str(o.better_than_prior) for o in outlooks)],
         *([f"left of {b}", *(percent(o.left[b], 2) if b in o.left else DASH for o in outlooks)] for b in bodies),
-        ["range used", *(_range_used(o) for o in outlooks)],
+        ["range used", *((_range_used(o), "sure bad" if o.load > 1.0 else "") for o in outlooks)],
     ]
+    return Table(["", *(o.candidate.name for o in outlooks)], rows, marks={len(rows) - 1: "rule"})
 
 
 def _range_used(outlook: Outlook) -> str:

@@ -79,7 +79,7 @@ class Changes(Result):
     def table(self) -> Table:
         """Every parameter of every change, with its interval."""
         rows = [[x.change.spec, *value_text(v)] for x in self.comparison.changes for v in (*x.values, *x.derived)]
-        return Table(["change", "parameter", "value", "± 95 %", "interval", "unit"], rows, "k k nb n n u")
+        return Table(["change", "parameter", "value", "± 95 %", "interval", "unit"], rows, "k k nb n n ku")
 
     def _parts(self) -> list[str | Table]:
         c = self.comparison

@@ -17,7 +17,7 @@ from bayesid.drawing import Plots, registered_by_verb
 from bayesid.errors import InputError
 from bayesid.recordings.complaints import cut
 from bayesid.recordings.whole import whole_folder
-from bayesid.results.section import Table, as_html, as_text
+from bayesid.results.section import Part, as_html, as_text
 
 REPORT = "report.html"
 #: Keys of a written document that are not of the result's `to_dict`: what it is, how it prints, and the other files' hashes.
@@ -104,7 +104,7 @@ class Result(Plots):
         """Write the verb's files and ``report.html``, all or none; returns the report's path."""
         return write_results(folder, *files_of(self), {"result": type(self).__name__, "printed": str(self).splitlines()})
 
-    def _parts(self) -> Sequence[str | Table]:
+    def _parts(self) -> Sequence[Part]:
         """What a terminal and a notebook show: a headline, then paragraphs and tables."""
         raise NotImplementedError
 

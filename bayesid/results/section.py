@@ -14,7 +14,7 @@ from typing import TypeAlias
 
 _LONGEST_LABEL = 90
 #: What a letter of `Table.columns` stands for in the style sheet.
-_STYLES = {"n": "n", "k": "k", "w": "w", "b": "sure", "d": "dim", "u": "k"}
+_STYLES = {"n": "n", "k": "k", "w": "w", "b": "sure", "d": "dim"}
 #: Text, or text and the style of this cell alone, such as ``good`` or ``bad``.
 Cell: TypeAlias = str | tuple[str, str]
 
@@ -31,8 +31,8 @@ class Table:
         Cells, as many a row as there are titles.
     columns
         Letters for each column, separated by blanks: ``n`` a number, to the right; ``k`` never broken into lines; ``w`` wide
-        text or a long sum, folded after its first terms; ``u`` a unit; ``b`` bold; ``d`` dim; ``-`` none of these. The first
-        is ``k`` and all others ``n`` by default.
+        text or a long sum, folded after its first terms; ``u`` powers of units raised; ``b`` bold; ``d`` dim; ``-`` none of
+        these. The first is ``k`` and all others ``n`` by default.
     style
         ``narrow``, as wide as its text; ``tight``, in small type; or neither.
     marks
@@ -76,7 +76,7 @@ class Html:
     content: str
 
 
-Part: TypeAlias = str | Table | Html
+Part: TypeAlias = "str | Table | Html | Section"
 
 
 @dataclass(frozen=True)
@@ -104,13 +104,18 @@ class Section:
 
 
 def as_text(parts: Iterable[Part]) -> list[str]:
-    """Lines for a terminal: paragraphs set in by two blanks, tables as they are."""
-    lines = []
+    """Lines for a terminal: paragraphs set in by two blanks, sections with a blank line before and after."""
+    lines, section = [], False
     for part in parts:
-        if isinstance(part, Table):
+        if isinstance(part, Section):
+            if shown := as_text(part.parts):
+                lines += ["", part.title, *shown]
+        elif isinstance(part, Table):
             lines += part.text()
         elif isinstance(part, str) and part:
+            lines += [""] * section
             lines.append(f"  {_BOLD.sub(lambda m: m[1], part)}")
+        section = isinstance(part, Section) or (section and not part)
     return lines
 
 
@@ -118,7 +123,9 @@ def as_html(parts: Iterable[Part]) -> str:
     """The same as HTML."""
     out = []
     for part in parts:
-        if isinstance(part, str):
+        if isinstance(part, Section):
+            out.append(f'\n<h2 id="{part.anchor}">{escape(part.title)}</h2>\n{as_html(part.parts)}')
+        elif isinstance(part, str):
             out.append(f"<p>{marked(part)}</p>" if part else "")
         else:
             out.append(part.content if isinstance(part, Html) else part.html())
