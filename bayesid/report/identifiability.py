@@ -1,8 +1,9 @@
-"""The report of ``identifiability``: turns its result into what its template shows."""
+"""The report of ``identifiability``."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from html import escape
 from typing import Any
 
 import numpy as np
@@ -11,21 +12,21 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from bayesid.design.identifiability import SetReport
-from bayesid.design.visibility import ALONE, COMBINATION, EFFECT, LETTERS, NEVER, UNEXCITED, WEAK, WORDS, LinkExpectation, by_body
+from bayesid.design.visibility import ALONE, COMBINATION, EFFECT, LETTERS, NEVER, UNEXCITED, WEAK, WORDS, by_body
 from bayesid.report.figures import CLASSES, GREY, add_legend, make_grid, plain_log, styled
-from bayesid.report.page import render, run_times, svg, versions
+from bayesid.report.page import below, bullets, cards, figure, how, lead, note, page, run_times, svg, terms, versions, warnings
 from bayesid.results.identifiability import (
-    PAIR_HEAD,
     Identifiability,
+    answer,
     counts,
     effect_lines,
-    lead,
     own_std,
-    pair_rows,
+    pair_table,
+    sets_table,
     share,
-    sources,
     spread,
 )
+from bayesid.results.section import Html, Part, Section, Table, tag
 from bayesid.results.text import DASH, number, percent
 
 #: Colour of every class, and of its letter, which tells it in print and to the colour-blind.
@@ -131,32 +132,51 @@ _SOURCES = {
 
 def identifiability_report(result: Identifiability) -> str:
     """The report of ``identifiability``: an HTML page with all figures inside."""
-    main = result.main
-    return render(
-        "identifiability.html",
-        name=result.name,
-        kicker=_kicker(result),
-        warning_list=result.warnings,
-        lead=lead(result),
-        card_list=_cards(main),
-        advice=[a.text for a in result.advice],
-        sets=[_set(r, r is main) for r in result.sensor_sets],
-        classes=svg(classes(result.sensor_sets, main), "classes"),
-        many=len(result.sensor_sets) > 1,
-        words=[{"kind": k, "text": WORDS[k], "count": n} for k, n in counts(main)],
-        title=main.sensor_set.title,
-        parameters=[_link(p, k, result) for k, p in enumerate(main.parameters)],
-        spread=spread(main),
-        expected=svg(expected_figure(main), "expected") if main.base_parameters else "",
-        bases=[_base(k, main) for k in range(main.rank)],
-        sized=any(b.size for b in main.base_parameters),
-        prior=any(b.prior_share is not None for b in main.base_parameters),
-        unexcited=main.unexcited,
-        effects=[{"name": n, "text": t} for n, t in effect_lines(main)],
-        pair_rows=pair_rows(result) if result.separations else [],
-        pair_head=PAIR_HEAD,
-        how=_how(result),
-    )
+    main, many = result.main, len(result.sensor_sets) > 1
+    title = main.sensor_set.title
+    sections: list[Part] = []
+    if result.advice:
+        sections.append(Section("What would make a difference", [bullets([a.text for a in result.advice])]))
+    each = ", for each sensor set; rank in the title. ● marks the readings that would be used." if many else "."
+    sections.append(Section("Sensors side by side" if many else "What these rows show", [
+        "Rank is the number of combinations of link parameters (masses, first moments, inertias) that these motions determine "
+        "at all; no motion determines more than the next column says. Better than size: of how many the expected error is "
+        "smaller than the body itself. Then how many parameters are in each class, as below. * these readings would be used.",
+        sets_table(result, counted=True),
+        figure(svg(classes(result.sensor_sets, main), "classes"), f"Every link parameter by what these motions show of it{each}"),
+    ]))  # fmt: skip
+    if result.separations:
+        sections.append(Section("Telling effects apart", [
+            "One effect at its usual size is the truth, the other is fitted in its stead, links and all else in the model "
+            "with it. Seen alone: by how many squared standard deviations the readings then differ from a model without "
+            "left: from the best fit of the other. The probability is that the evidence rules the other out; told from: the "
+            "share of the usual size from which it does so with 95 % probability.",
+            pair_table(result),
+        ]))  # fmt: skip
+    drawn = svg(expected_figure(main), "expected") if main.base_parameters else ""
+    effects, unexcited = effect_lines(main), bullets(main.unexcited, sums=True)
+    prior = any(b.prior_share is not None for b in main.base_parameters)
+    sections += [
+        Section(f"Expected errors: {title}", [
+            spread(main),
+            figure(drawn, "Expected standard deviation of every combination, by the first parameter of each; the table has "
+                          "them in full."),
+            _combinations(main, prior),
+            note("Of prior std: standard deviation once the data and the nominal links, as far as they are trusted, are put "
+                 "together, over that of the nominal links alone; near 100 % the prior decides, not the data." if prior else ""),
+            *([below("Effects in the model", terms(effects))] if effects else []),
+            *([below("Combinations that another motion would show", unexcited)] if main.unexcited else []),
+        ], "Expected errors"),
+        Section(f"Every link parameter: {title}", [
+            Html("<p>" + "; ".join(f"{tag(k.replace('_', ' '))} {n} {escape(WORDS[k])}" for k, n in counts(main)) + ". The "
+                 "standard deviation is that of the parameter itself where it is identified alone, else of the combination "
+                 "that it has most of.</p>"),
+            _links(result),
+        ], "Every link parameter"),
+        how(*_how(result), after="All numbers, the expected covariance of each sensor set too, are in `identifiability.json`."),
+    ]  # fmt: skip
+    opening = [warnings(result.warnings), lead(answer(result)), cards(_cards(main))]
+    return page(result.name, _kicker(result), opening, sections, f"{result.name}: identifiability")
 
 
 def expected_figure(report: SetReport, ax: Any = None) -> Figure:
@@ -170,53 +190,45 @@ def _kicker(result: Identifiability) -> str:
     return f"What can be determined from the {what} motion{'s' if len(result.motions) > 1 else ''} {names}, before estimating"
 
 
-def _cards(main: SetReport) -> list[dict[str, str]]:
+def _cards(main: SetReport) -> list[tuple[str, str, str]]:
     most = main.rank_of_any_motion
     rank = f"{main.rank}" if most is None else f"{main.rank} of {most}"
     mood = "good" if most in (None, main.rank) else "fair"
-    cards = [{"value": rank, "mood": mood, "text": "combinations determined, of those that any motion can show"}]
+    large = [(rank, "combinations determined, of those that any motion can show", mood)]
     if any(b.size for b in main.base_parameters):
-        weak = main.rank - main.well_known
-        cards.append({"value": str(main.well_known), "mood": "fair" if weak else "good",
-                      "text": "of them expected to be known better than by the size of a body"})  # fmt: skip
+        mood = "fair" if main.rank > main.well_known else "good"
+        large.append((str(main.well_known), "of them expected to be known better than by the size of a body", mood))
     alone = sum(p.kind == "alone" for p in main.parameters)
-    cards.append({"value": f"{alone} of {len(main.parameters)}", "mood": "", "text": "link parameters identified alone"})
-    cards.append({"value": number(main.condition_number, 3), "mood": "", "text": "condition number, columns at unit length"})
-    return cards
+    large.append((f"{alone} of {len(main.parameters)}", "link parameters identified alone", ""))
+    return [*large, (number(main.condition_number, 3), "condition number, columns at unit length", "")]
 
 
-def _set(report: SetReport, main: bool) -> dict[str, Any]:
-    found = dict(counts(report))
-    return {
-        "title": report.sensor_set.title, "main": main, "rank": str(report.rank),
-        "most": DASH if report.rank_of_any_motion is None else str(report.rank_of_any_motion),
-        "known": str(report.well_known) if any(b.size for b in report.base_parameters) else DASH,
-        "condition": number(report.condition_number, 3), "counts": [found.get(k, 0) for k in WORDS], "noise": sources(report),
-    }  # fmt: skip
+def _combinations(main: SetReport, prior: bool) -> Table:
+    sized = any(b.size for b in main.base_parameters)
+    rows = []
+    for k, b in enumerate(main.base_parameters):
+        size = [number(b.size, 3), share(b.std / b.size) if b.size else DASH] if sized else []
+        before = [DASH if b.prior_share is None else percent(b.prior_share, 2)] if prior else []
+        rows.append([str(k + 1), b.label, number(b.std, 3), b.unit, *size, *before, b.kind])
+    head = ["#", "combination", "expected ± std", "unit", *["size", "of size"] * sized, *["of prior std"] * prior, "class"]
+    return Table(head, rows, f"nd w nb ku{' n n' * sized}{' n' * prior} t")
 
 
-def _link(link: LinkExpectation, index: int, result: Identifiability) -> dict[str, Any]:
-    main = result.main
-    inside = [main.base_parameters[k] for k in link.combinations]
-    better = [f"move {j}" for j in link.joints]
-    # Sets come in the order of what they ask for: the first that shows more is enough.
-    better += [r.sensor_set.title for r in result.sensor_sets if r.sensor_set.name in link.sensor_sets][:1]
-    return {
-        "name": link.name, "kind": link.kind, "text": WORDS[link.kind],
-        "std": number(own_std(link, main), 3) if inside else DASH, "unit": inside[0].unit if inside else "",
-        "combination": inside[0].label if inside and inside[0].label != link.name else "",
-        "more": len(inside) - 1, "better": ", ".join(better) or DASH,
-        "others": [{"kind": r.parameters[index].kind} for r in result.sensor_sets if r is not main],
-    }  # fmt: skip
-
-
-def _base(index: int, main: SetReport) -> dict[str, Any]:
-    b = main.base_parameters[index]
-    return {
-        "index": index + 1, "label": b.label, "unit": b.unit, "std": number(b.std, 3), "size": number(b.size, 3),
-        "relative": share(b.std / b.size) if b.size else DASH, "kind": b.kind,
-        "prior": DASH if b.prior_share is None else percent(b.prior_share, 2),
-    }  # fmt: skip
+def _links(result: Identifiability) -> Table:
+    main, rows, marks = result.main, [], {}
+    for link in main.parameters:
+        inside = [main.base_parameters[k] for k in link.combinations]
+        better = [f"move {j}" for j in link.joints]
+        # Sets come in the order of what they ask for: the first that shows more is enough.
+        better += [r.sensor_set.title for r in result.sensor_sets if r.sensor_set.name in link.sensor_sets][:1]
+        combination = inside[0].label if inside and inside[0].label != link.name else ""
+        more = f" (and {len(inside) - 1} more)" if len(inside) > 1 else ""
+        std, unit = (number(own_std(link, main), 3), inside[0].unit) if inside else (DASH, "")
+        if link.kind == NEVER:
+            marks[len(rows)] = "dim"
+        rows.append([link.name, link.kind.replace("_", " "), std, unit, combination + more, ", ".join(better) or DASH])
+    head = ["parameter", "class", "± std", "unit", "in which combination", "shown better by"]
+    return Table(head, rows, "k kt n ku w -", "tight", marks)
 
 
 def _how(result: Identifiability) -> list[tuple[str, str]]:

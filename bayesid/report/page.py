@@ -72,10 +72,10 @@ def fold(summary: str, *parts: Part, opened: bool = False) -> Html:
     return Html(f"<details{' open' * opened}><summary>{escape(summary)}</summary>{as_html(parts)}</details>")
 
 
-def bullets(items: Sequence[str], style: str = "plain") -> Html:
-    """A list; nothing where it is empty."""
-    listed = "".join(f"<li>{marked(item)}</li>" for item in items)
-    return Html(f'<ul class="{style}">{listed}</ul>' if items else "")
+def bullets(items: Sequence[str], *, sums: bool = False) -> Html:
+    """A list, of long ``sums`` or of sentences; nothing where it is empty."""
+    listed = "".join(f"<li>{long(item) if sums else marked(item)}</li>" for item in items)
+    return Html(f'<ul class="plain">{listed}</ul>' if items else "")
 
 
 def terms(pairs: Sequence[tuple[str, str]]) -> Html:

@@ -5,18 +5,18 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from html import escape
 from typing import TYPE_CHECKING, Any
 
 from bayesid.design.advice import Advice, brief
 from bayesid.design.identifiability import EffectExpectation, SetReport
 from bayesid.design.separability import Separation
-from bayesid.design.visibility import LETTERS, WEAK, WORDS, LinkExpectation, by_body
+from bayesid.design.visibility import LETTERS, WORDS, LinkExpectation, by_body
 from bayesid.drawing import figures_of
 from bayesid.posterior.result import PRIOR_DRIVEN
 from bayesid.results.files import Result, strict
+from bayesid.results.section import Cell, Part, Section, Table
 from bayesid.results.telling import chance
-from bayesid.results.text import DASH, html_table, number, percent, text_table
+from bayesid.results.text import DASH, number, percent
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 _NAMED = 12
 #: Larger shares of a usual size are no size that an effect has.
 _HUGE = 1e3
-_HEAD = ["readings", "rank", "of any motion", "better than size", "condition", "noise from"]
-PAIR_HEAD = ["readings", "true", "other", "seen alone", "left", "probability", "told from"]
 SCHEMA = 1
 
 
@@ -74,11 +72,26 @@ class Identifiability(Result):
     def __repr__(self) -> str:
         return f"<Identifiability of {self.name}: rank {self.main.rank} from {self.main.sensor_set.title}>"
 
-    def __str__(self) -> str:
-        return as_text(self)
-
-    def _repr_html_(self) -> str:
-        return as_html(self)
+    def _parts(self) -> list[Part]:
+        main = self.main
+        motions = ", ".join(n + (f" ({number(d, 3)} s)" if d else "") for n, d in self.motions.items())
+        classes = []
+        for kind, count in counts(main):
+            names = [p.name for p in main.parameters if p.kind == kind]
+            more = f" and {count - _NAMED} more" if count > _NAMED else ""
+            classes.append(f"{count} {WORDS[kind]}: {', '.join(names[:_NAMED])}{more}")
+        if len(self.sensor_sets) > 1:
+            classes += side_by_side(self)
+        expected = [spread(main), *(f"effect {name}: {text}" for name, text in effect_lines(main))]
+        parts: list[Part] = [
+            f"{self.name}: what {motions} can determine", answer(self), sets_table(self), "* these readings would be used",
+            Section(f"Link parameters, by {main.sensor_set.title}", classes), Section("Expected errors", expected),
+            Section("What would make a difference", [f"- {a.text}" for a in self.advice]),
+        ]  # fmt: skip
+        if self.separations:
+            explained = "each at its usual size; told from: share of that size that is enough"
+            parts.append(Section("Telling effects apart", [explained, pair_table(self)]))
+        return [*parts, *(f"warning: {w}" for w in self.warnings)]
 
     def __getitem__(self, name: str) -> SetReport:
         """The report of a sensor set, ``torque`` for example."""
@@ -153,7 +166,7 @@ def _link(link: LinkExpectation, report: SetReport) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def lead(result: Identifiability) -> str:
+def answer(result: Identifiability) -> str:
     """What was asked, and the answer for the readings that would be used, in two sentences."""
     main, total = result.main, len(result.main.parameters)
     who = {
@@ -177,19 +190,19 @@ def counts(report: SetReport) -> list[tuple[str, int]]:
     return [(kind, found[kind]) for kind in WORDS if found[kind]]
 
 
-def table(result: Identifiability) -> list[list[str]]:
-    """A row for each sensor set."""
-    return [
-        [
-            r.sensor_set.title + (" *" if r is result.main else ""),
-            str(r.rank),
-            DASH if r.rank_of_any_motion is None else str(r.rank_of_any_motion),
-            DASH if all(b.size is None for b in r.base_parameters) else str(r.well_known),
-            number(r.condition_number, 3),
-            sources(r),
-        ]
-        for r in result.sensor_sets
-    ]  # fmt: skip
+def sets_table(result: Identifiability, *, counted: bool = False) -> Table:
+    """A row for each sensor set; ``counted``: with how many parameters are in each class."""
+    rows: list[list[Cell]] = []
+    for r in result.sensor_sets:
+        found, own = dict(counts(r)), r is result.main
+        most = DASH if r.rank_of_any_motion is None else str(r.rank_of_any_motion)
+        known = DASH if all(b.size is None for b in r.base_parameters) else str(r.well_known)
+        kinds = [(str(found.get(k, 0)), "" if k in found else "dim") for k in WORDS] if counted else []
+        title = r.sensor_set.title + " *" * own, "sure" * own
+        rows.append([title, str(r.rank), most, known, number(r.condition_number, 3), *kinds, sources(r)])
+    names = [k.replace("_", " ") for k in WORDS] if counted else []
+    head = ["readings", "rank", "of any motion", "better than size", "condition", *names, "noise from"]
+    return Table(head, rows, f"- nb n n n{' n' * len(names)} -", "tight")
 
 
 def sources(report: SetReport) -> str:
@@ -233,7 +246,7 @@ def effect_lines(report: SetReport) -> list[tuple[str, str]]:
     return lines
 
 
-def pair_rows(result: Identifiability) -> list[list[str]]:
+def pair_table(result: Identifiability) -> Table:
     """How well effects are told apart: a row for each sensor set, true effect and other one; squared standard deviations."""
     rows = []
     for report in result.sensor_sets:
@@ -244,10 +257,11 @@ def pair_rows(result: Identifiability) -> list[list[str]]:
             rows.append([*names, number(p.seen, 3), number(p.noncentrality, 3), chance(p.probability), least])
         if not pairs:
             rows.append([report.sensor_set.title, "not both seen", "", DASH, DASH, DASH, DASH])
-    return rows
+    head = ["readings", "true", "other", "seen alone", "left", "probability", "told from"]
+    return Table(head, rows, "- - - n n n n", "tight")
 
 
-def side_by_side(result: Identifiability) -> list[str]:
+def side_by_side(result: Identifiability) -> list[Part]:
     """A letter for every link parameter: bodies downwards, sensor sets across."""
     bodies, across = by_body([p.name for p in result.main.parameters])
     used = {p.kind for r in result.sensor_sets for p in r.parameters}
@@ -256,46 +270,5 @@ def side_by_side(result: Identifiability) -> list[str]:
     for k, body in enumerate(bodies):
         part = slice(k * len(across), (k + 1) * len(across))
         rows.append([body, *("".join(LETTERS[p.kind] for p in r.parameters[part]) for r in result.sensor_sets)])
-    head = ["", *(r.sensor_set.name for r in result.sensor_sets)]
-    return [f"Side by side ({' '.join(across)}): {key}", *(f"  {line}" for line in text_table(head, rows)), ""]
-
-
-def as_text(result: Identifiability) -> str:
-    """A few dozen lines for a terminal."""
-    main = result.main
-    motions = ", ".join(n + (f" ({number(d, 3)} s)" if d else "") for n, d in result.motions.items())
-    lines = [f"{result.name}: what {motions} can determine", lead(result), ""]
-    lines += [f"  {line}" for line in text_table(_HEAD, table(result))]
-    lines += ["  * these readings would be used", "", f"Link parameters, by {main.sensor_set.title}:"]
-    for kind, count in counts(main):
-        names = [p.name for p in main.parameters if p.kind == kind]
-        shown = ", ".join(names[:_NAMED]) + (f" and {count - _NAMED} more" if count > _NAMED else "")
-        lines.append(f"  {count} {WORDS[kind]}: {shown}")
-    lines += ["", *side_by_side(result)] if len(result.sensor_sets) > 1 else [""]
-    said = spread(main)
-    lines += [said] if said else []
-    lines += [f"  effect {name}: {text}" for name, text in effect_lines(main)]
-    lines += ["What would make a difference:"] if result.advice else []
-    lines += [f"  - {a.text}" for a in result.advice]
-    if result.separations:
-        lines.append("Telling effects apart, each at its usual size; told from: share of that size that is enough:")
-        lines += [f"  {line}" for line in text_table(PAIR_HEAD, pair_rows(result))]
-    lines += [f"  warning: {w}" for w in result.warnings]
-    return "\n".join(lines)
-
-
-def as_html(result: Identifiability) -> str:
-    """Tables for a notebook: sensor sets, then the class of every link parameter for each of them."""
-    head = ["parameter", *(r.sensor_set.title for r in result.sensor_sets)]
-    rows = [
-        [p.name, *(r.parameters[k].kind.replace("_", " ") for r in result.sensor_sets)]
-        for k, p in enumerate(result.main.parameters)
-    ]
-    weak = "".join(f"<li>{escape(b.label)}</li>" for b in result.main.base_parameters if b.kind == WEAK)
-    return (
-        f"<p><b>{escape(result.name)}</b>: {escape(lead(result))}</p>"
-        + html_table(_HEAD, table(result))
-        + f"<ul>{''.join(f'<li>{escape(a.text)}</li>' for a in result.advice)}</ul>"
-        + (f"<p>Known too little:</p><ul>{weak}</ul>" if weak else "")
-        + f"<details><summary>Every link parameter</summary>{html_table(head, rows)}</details>"
-    )
+    table = Table(["", *(r.sensor_set.name for r in result.sensor_sets)], rows)
+    return [f"Side by side ({' '.join(across)}): {key}", table]

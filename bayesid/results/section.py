@@ -31,8 +31,8 @@ class Table:
         Cells, as many a row as there are titles.
     columns
         Letters for each column, separated by blanks: ``n`` a number, to the right; ``k`` never broken into lines; ``w`` wide
-        text or a long sum, folded after its first terms; ``u`` powers of units raised; ``b`` bold; ``d`` dim; ``-`` none of
-        these. The first is ``k`` and all others ``n`` by default.
+        text or a long sum, folded after its first terms; ``u`` powers of units raised; ``b`` bold; ``d`` dim; ``t`` a class
+        of parameters, on its colour; ``-`` none of these. The first is ``k`` and all others ``n`` by default.
     style
         ``narrow``, as wide as its text; ``tight``, in small type; or neither.
     marks
@@ -64,6 +64,7 @@ class Table:
             for letter, style, cell in zip(letters, styles, row, strict=True):
                 text, own = (cell, "") if isinstance(cell, str) else cell
                 shown = long(text) if "w" in letter else escape(powers(text) if "u" in letter else text)
+                shown = tag(text) if "t" in letter else shown
                 cells.append(_element("td", " ".join(filter(None, [*style, own])), shown))
             lines.append(_element("tr", self.marks.get(k, ""), "".join(cells)))
         return f'<div class="scroll">{_element("table", self.style, chr(10).join(lines))}</div>'
@@ -154,6 +155,11 @@ def long(text: str) -> str:
         return escape(text)
     first, more = escape("".join(terms[:kept])), len(terms) - kept
     return f"<details><summary>{first} … <small>({more} more terms)</small></summary>{escape(text)}</details>"
+
+
+def tag(kind: str) -> str:
+    """A class of parameters as HTML, on its colour."""
+    return f'<span class="tag {escape(kind.replace(" ", "_"))}">{escape(kind)}</span>'
 
 
 def powers(text: str) -> str:

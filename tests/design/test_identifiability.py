@@ -250,5 +250,5 @@ def test_a_regression_with_a_robot_behind_it(tmp_path):
     found = bayesid.identifiability(rows)
     assert found.main.rank == 7 and list(found.motions) == ["identification"]
     assert {p.name: p.kind for p in found.main.parameters}["joint1.Iyy"] == "effect"  # joint 1 turns about y here
-    assert str(found).splitlines()[1].startswith("These rows determine 7 combinations")
+    assert str(found).splitlines()[1].strip().startswith("These rows determine 7 combinations")
     assert bayesid.identifiability(setup)["torque"].rank == 7
