@@ -53,7 +53,7 @@ def as_payload(fitted: Fit, index: int, dispersion: float) -> tuple[Term, float]
     if body.value is None:
         return term, 0.0
     distance = np.sum(((root * size) @ body.value - root @ values) ** 2)
-    if chi2.sf(distance, len(root)) < fitted.projector.data.settings.possible_body:
+    if chi2.sf(distance, len(root)) < 1.0 - fitted.projector.data.settings.interval:
         return term, 0.0
     effect = next(e for e in fitted.projector.data.places(name) if e.where == term.effect.where)
     joint = effect.joint or 0

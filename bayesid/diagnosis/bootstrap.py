@@ -8,12 +8,12 @@ import numpy as np
 
 from bayesid.diagnosis.settings import Settings
 
-#: Lower end of one-sided 95 % intervals.
-_LOW = 0.05
+#: How often sums are drawn.
+_DRAWS = 999
 
 
 def lower_end(blocks: np.ndarray, statistic: Callable[[np.ndarray], np.ndarray], settings: Settings, seed: int) -> np.ndarray:
-    """Lower end of the one-sided 95 % interval of what depends on sums over blocks.
+    """Lower end of the one-sided 95 % interval (`Settings.interval`) of what depends on sums over blocks.
 
     Parameters
     ----------
@@ -22,7 +22,7 @@ def lower_end(blocks: np.ndarray, statistic: Callable[[np.ndarray], np.ndarray],
     statistic
         From sums (draws, k) to what is asked for (draws, ...).
     settings
-        ``bootstrap_draws`` counts here.
+        ``interval`` counts here.
     seed
         Of the draws.
 
@@ -31,5 +31,5 @@ def lower_end(blocks: np.ndarray, statistic: Callable[[np.ndarray], np.ndarray],
     lower end
         (...).
     """
-    picks = np.random.default_rng(seed).integers(len(blocks), size=(settings.bootstrap_draws, len(blocks)))
-    return np.quantile(statistic(blocks[picks].sum(axis=1)), _LOW, axis=0)
+    picks = np.random.default_rng(seed).integers(len(blocks), size=(_DRAWS, len(blocks)))
+    return np.quantile(statistic(blocks[picks].sum(axis=1)), 1.0 - settings.interval, axis=0)

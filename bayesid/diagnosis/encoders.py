@@ -11,6 +11,11 @@ from bayesid.diagnosis.settings import Settings
 from bayesid.diagnosis.spectra import Segment
 from bayesid.signals.smoothing import smooth
 
+#: Repetitions of the encoders' rounding: a standard deviation to 20 %, and to 6 % once neighbouring frequencies are pooled.
+ROUNDINGS = 12
+#: Log of the odds against a step's being a whole multiple by chance, to a tenth of it either way.
+_CHANCE = float(np.log(5.0))
+
 
 def with_noise(
     segment: Segment,
@@ -46,12 +51,12 @@ def with_noise(
     signal = segment.spectrum(exact)
     scatter = np.zeros((len(segment.frequencies), channels, channels))
     if resolution.any() or position_std.any():
-        for _ in range(settings.roundings):
+        for _ in range(ROUNDINGS):
             # Where within a count the truth lies is unknown: another shift, another rounding.
             shift = rng.uniform(-0.5, 0.5, segment.encoders.shape[1]) * resolution
             read = other_readings(smoothed_positions, shift, resolution, position_std, rng)
             error = segment.spectrum(predict(resmooth(segment, read)) - exact)
-            scatter += error[:, :, None] * error[:, None, :] / settings.roundings
+            scatter += error[:, :, None] * error[:, None, :] / ROUNDINGS
         scatter = pooled(scatter, settings.pooled_frequencies)
     weight = segment.weight(segment.times)
     share = weight.T @ weight / len(weight) + np.diag(~segment.alive)  # a channel that says nothing has any noise
@@ -91,7 +96,7 @@ def encoder_count(positions: np.ndarray, settings: Settings) -> float:
     # Numbers written with few decimals are off by up to half of the last one; a step is then no exact multiple.
     for part in (1, 2, 3):
         multiples = steps / (steps.min() / part)
-        if len(steps) > settings.encoder_steps and np.mean(np.abs(multiples - np.round(multiples)) < 0.1) > 0.98:
+        if len(steps) * _CHANCE > settings.accept and np.mean(np.abs(multiples - np.round(multiples)) < 0.1) > 0.98:
             return float(steps.min() / part)
     return 0.0
 
@@ -123,7 +128,7 @@ class Encoders:
         if not (self.resolution.any() or self.position_std.any()):
             return out
         exact = {i: smooth(s.times, s.encoders, s.scene.bandwidth)[0] for i, s in enumerate(segments) if i in wanted}
-        for _ in range(segments[0].settings.roundings):
+        for _ in range(ROUNDINGS):
             shift = rng.uniform(-0.5, 0.5, len(self.resolution)) * self.resolution
             for i, q in exact.items():
                 read = other_readings(q, shift, self.resolution, self.position_std, rng)

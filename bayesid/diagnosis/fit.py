@@ -21,6 +21,12 @@ from bayesid.diagnosis.rows import model_rows, residual_rows
 from bayesid.effects import Term
 from bayesid.robot.prior import Prior
 
+#: Gauss-Newton steps at most; and of a start that is to be compared with others first. Few fits need half of them.
+STEPS, FEW_STEPS = 15, 5
+#: Rounds at most of what is repeated until nothing changes; most settle in the first.
+SWEEPS = 3
+#: A fit has settled where chi2 changes by less than this, in units of its mean: a hundredth of a log evidence.
+_SETTLED = 0.02
 #: Damping of the first step, in units of a column's squared length, and how often a step is damped more.
 _DAMPING, _TRIALS = 1e-3, 6
 #: Sizes that a change of a link is tried with, over its own.
@@ -162,7 +168,7 @@ def _stepped(now: Iterate) -> Iterate:
     length = np.linalg.norm(kept, axis=0)
     scale = np.where(_alive(length, jacobian), length, np.inf)
     # What matters is a change beside all that no model explains, as evidence is judged.
-    settled = data.settings.settled_chi2 * max(now.chi2 / max(projector.rows, 1), 1.0)
+    settled = _SETTLED * max(now.chi2 / max(projector.rows, 1), 1.0)
     scaled = kept / scale
     values, vectors = _eigen(scaled)
     pull = vectors.T @ (scaled.T @ projector.project_out(stacked))
@@ -214,7 +220,7 @@ def is_another(data: DiagnosisData, terms: Sequence[Term]) -> bool:
     return any(t.effect.is_another(t.values) for t in terms if t.effect not in users)
 
 
-def fit(projector: NuisanceProjector, terms: Sequence[Term], start: Fit | None = None, steps: int | None = None) -> Fit:
+def fit(projector: NuisanceProjector, terms: Sequence[Term], start: Fit | None = None, steps: int = STEPS) -> Fit:
     """Fit links, offset and the effects' free parameters.
 
     Parameters
@@ -226,9 +232,9 @@ def fit(projector: NuisanceProjector, terms: Sequence[Term], start: Fit | None =
     start
         A fit whose links and offset to start from.
     steps
-        At most this many Gauss-Newton steps; default those of the settings.
+        At most this many Gauss-Newton steps.
     """
-    return finish(advance(begin(projector, terms, start), projector.data.settings.fit_steps if steps is None else steps))
+    return finish(advance(begin(projector, terms, start), steps))
 
 
 def _widened(projector: NuisanceProjector, covariance: np.ndarray, kept: np.ndarray, rows: np.ndarray) -> np.ndarray:

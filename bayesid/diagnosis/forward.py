@@ -12,11 +12,17 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayesid.diagnosis.candidates import Library, Proposal
-from bayesid.diagnosis.fit import Fit, advance, begin, finish, fit
+from bayesid.diagnosis.fit import FEW_STEPS, STEPS, SWEEPS, Fit, advance, begin, finish, fit
 from bayesid.diagnosis.noise_models import NoiseModels
 from bayesid.diagnosis.settings import Settings
 from bayesid.effects import Term
 from bayesid.regression.parallel import in_order
+
+#: Proposals fitted exactly in one round, and of them of one kind at most; kinds fitted at all joints at once. More find nothing
+#: else, and cost time.
+_FITTED, _ALIKE, _FAMILIES = 8, 3, 3
+#: Exact fits race: those that have gained less than this share of the best one's gain after a few steps are given up.
+_BEHIND = 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +106,7 @@ def _one_more(state: State, first: Sequence[Proposal] | None) -> tuple[NoiseMode
     proposals = library.propose(best) if first is None else first
     if dispersion >= state.settings.unexplained:
         proposals = library.with_last_resorts(proposals, best)
-    models, fits = exact_fits(models, best, best.terms, proposals, dispersion, state.settings.fitted_proposals)
+    models, fits = exact_fits(models, best, best.terms, proposals, dispersion)
     for terms in _families(library, proposals, dispersion):
         models, fitted = models.own(fit(best.projector, (*best.terms, *terms), best))
         fits.append(fitted)
@@ -124,11 +130,11 @@ def _families(library: Library, proposals: Sequence[Proposal], dispersion: float
     each = 0.5 * np.log(library.projector.rows)
     worth = {name: sum(0.5 * p.gain - each * len(p.term.values) for p in members) for name, members in kinds.items()}
     order = sorted((name for name in kinds if len(kinds[name]) > 1), key=lambda name: -worth[name])
-    return [tuple(p.term for p in kinds[name]) for name in order[: settings.families_at_once]]
+    return [tuple(p.term for p in kinds[name]) for name in order[:_FAMILIES]]
 
 
 def exact_fits(
-    models: NoiseModels, start: Fit, held: Sequence[Term], proposals: Sequence[Proposal], dispersion: float, most: int
+    models: NoiseModels, start: Fit, held: Sequence[Term], proposals: Sequence[Proposal], dispersion: float
 ) -> tuple[NoiseModels, list[Fit]]:
     """Exact fits of the most promising proposals beside the effects held, each under its own noise, best first.
 
@@ -146,35 +152,32 @@ def exact_fits(
         Effects that may come in.
     dispersion
         The dispersion factor.
-    most
-        How many proposals to fit.
     """
     settings = start.projector.data.settings
-    terms = [term for p in _shortlist(proposals, dispersion, most, settings) for term in (p.term, *p.others)]
+    terms = [term for p in _shortlist(proposals, dispersion, settings) for term in (p.term, *p.others)]
     fits = []
-    for fitted in _raced(start, held, terms, settings):
+    for fitted in _raced(start, held, terms):
         models, own = models.own(fitted)
         fits += [own] if np.isfinite(own.score) else []
     return models, sorted(fits, key=lambda f: -f.score)
 
 
-def _raced(start: Fit, held: Sequence[Term], terms: Sequence[Term], settings: Settings) -> list[Fit]:
+def _raced(start: Fit, held: Sequence[Term], terms: Sequence[Term]) -> list[Fit]:
     """Fits of one term each beside those held, without those that are far behind after a few steps."""
-    early = list(in_order(lambda t: advance(begin(start.projector, (*held, t), start), settings.race_steps), terms))
+    early = list(in_order(lambda t: advance(begin(start.projector, (*held, t), start), FEW_STEPS), terms))
     gains = [start.chi2 - now.chi2 for now in early]
-    least = settings.race_share * max((g for g in gains if np.isfinite(g)), default=0.0)
+    least = _BEHIND * max((g for g in gains if np.isfinite(g)), default=0.0)
     kept = [now for now, gain in zip(early, gains, strict=True) if least <= 0.0 or gain >= least]
-    return list(in_order(lambda now: finish(advance(now, settings.fit_steps - settings.race_steps)), kept))
+    return list(in_order(lambda now: finish(advance(now, STEPS - FEW_STEPS)), kept))
 
 
-def _shortlist(proposals: Sequence[Proposal], dispersion: float, most: int, settings: Settings) -> list[Proposal]:
+def _shortlist(proposals: Sequence[Proposal], dispersion: float, settings: Settings) -> list[Proposal]:
     """The best proposals, but few of one kind: neighbouring links explain alike and would crowd out other kinds."""
     kept: list[Proposal] = []
     for p in proposals:
         name = p.term.effect.name
         same = sum(k.term.effect.name == name for k in kept)
-        room = same < (settings.single_proposals if p.term.effect.single else settings.alike_proposals)
-        if len(kept) < most and room and 0.5 * p.gain > settings.accept * dispersion:
+        if len(kept) < _FITTED and same < _ALIKE and 0.5 * p.gain > settings.accept * dispersion:
             kept.append(p)
     return kept
 
@@ -185,18 +188,17 @@ def _exchanged(state: State) -> State:
     An effect with a shape (a contact's time and point, a tether's anchor) is its own rival, too: beside other effects
     it may start better than where it first settled.
     """
-    settings, dispersion = state.settings, state.dispersion
-    models, best = state.models, state.best
-    for _ in range(settings.sweeps):
+    models, best, dispersion = state.models, state.best, state.dispersion
+    for _ in range(SWEEPS):
         before = best
         for i in range(state.known, len(best.terms)):
             own, held = best.terms[i], tuple(t for k, t in enumerate(best.terms) if k != i)
             if not held or in_family(best.terms, i):
                 continue  # the first effect alone has just been chosen against all others, a family by many joints
-            models, without = models.own(fit(best.projector, held, best, steps=settings.exchange_steps))
+            models, without = models.own(fit(best.projector, held, best, steps=FEW_STEPS))
             models, library = models.library(without)
             rivals = [p for p in library.propose(without) if p.name != own.effect.spec or len(own.effect.shape) > 1]
-            models, fits = exact_fits(models, without, held, rivals, dispersion, settings.exchanged_proposals)
+            models, fits = exact_fits(models, without, held, rivals, dispersion)
             if fits and fits[0].score > best.score + dispersion:
                 best = fits[0]
         if best is before:

@@ -22,6 +22,8 @@ from bayesid.effects import REST_SPEED
 
 #: Of the high-pass filter.
 _ORDER = 4
+#: Least samples of a window.
+_SAMPLES = 5
 
 
 @dataclass(frozen=True)
@@ -41,7 +43,7 @@ class Event:
     p_value
         Probability of as much by chance in one of all places looked at.
     tap
-        Whether it is over within `Settings.tap_time` and its band is broad.
+        Whether it is over within `Settings.moment` and its band is broad.
     """
 
     channel: int
@@ -79,26 +81,26 @@ def _band(segment: Segment) -> tuple[float, float] | None:
 
 
 def _edges(segment: Segment) -> np.ndarray:
-    length = max(round(segment.settings.event_window / segment.step), segment.settings.event_samples)
+    length = max(round(0.5 * segment.settings.moment / segment.step), _SAMPLES)
     return np.linspace(0, len(segment.times), max(len(segment.times) // length, 1) + 1).astype(int)
 
 
 def _events(segment: Segment, quiet: np.ndarray, looked: int, level: float) -> tuple[Event, ...]:
     band, edges, settings = _band(segment), _edges(segment), segment.settings
-    if band is None or len(edges) <= settings.known_windows or len(segment.times) < settings.least_samples:
+    if band is None or len(edges) <= settings.enough:
         return ()
     high = _high(segment, band[0])
     energy, length = _mean_squares(high, edges), float(np.diff(edges).mean())
     share = 1.0 - band[0] / band[1]
-    around = max(round(settings.event_around / (segment.step * length)), 3)
+    around = max(round(0.5 * settings.window / (segment.step * length)), 3)
     ratio = energy / np.maximum(np.maximum(_usual(energy, around), share * quiet**2), 1e-300)
     judged = _inside(segment, edges) & ~np.maximum.reduceat(kicks(segment), edges[:-1])
     chance = np.ones_like(ratio)
     chance[judged] = np.minimum(unlikely(ratio[judged], share * length, settings) * looked, 1.0)
     usually = np.median(ratio[judged], axis=0) if judged.any() else np.ones(ratio.shape[1])
-    marked = (chance < level) & (ratio > settings.event_clear**2 * np.maximum(usually, 1.0))
+    marked = chance < level
     out = []
-    for first, last in runs(np.asarray(marked.any(axis=1)), max(round(settings.event_bridge / (segment.step * length)), 1)):
+    for first, last in runs(np.asarray(marked.any(axis=1)), max(round(settings.moment / (segment.step * length)), 1)):
         strength = np.where(marked[first:last], ratio[first:last] / usually, 0.0)
         row, channel = (int(k) for k in np.unravel_index(int(np.argmax(strength)), strength.shape))
         start, end = edges[first + row], edges[first + row + 1]
@@ -143,7 +145,7 @@ def unlikely(ratio: np.ndarray, freedom: np.ndarray | float, settings: Settings)
     upper tail than a normal distribution of that spread, so its probability is a bound; no spread is taken for smaller
     than that of white noise, a chi-squared of ``freedom``. Too few windows give no probability, 1.
     """
-    if len(ratio) < settings.known_windows:
+    if len(ratio) < settings.enough:
         return np.ones_like(ratio)
     log = np.log(np.maximum(ratio, 1e-300))
     middle, upper = np.quantile(log, [0.5, 0.9], axis=0)
@@ -157,29 +159,29 @@ def kicks(segment: Segment) -> np.ndarray:
     scene, settings = segment.scene, segment.settings
     step = float(np.median(np.diff(scene.times)))
     fastest = np.abs(scene.velocities).max(axis=0)
-    speed = scene.velocities[:, fastest > settings.kick_speed * REST_SPEED]
+    speed = scene.velocities[:, fastest > 10.0 * REST_SPEED]
     moves = np.abs(speed) > np.maximum(settings.rest_share * np.abs(speed).max(axis=0), 2.0 * REST_SPEED)
-    rests = np.any(binary_opening(~moves, np.ones((max(round(settings.event_rest / step), 1), 1), bool)), axis=1)
+    rests = np.any(binary_opening(~moves, np.ones((max(round(settings.moment / step), 1), 1), bool)), axis=1)
     sign = np.where(moves, np.sign(speed), 0.0)
     turns = np.concatenate([[False], (sign[1:] != sign[:-1]).any(axis=1)])
-    near = np.asarray(binary_dilation(turns, iterations=max(round(settings.kick_time / step), 1)))
+    near = np.asarray(binary_dilation(turns, iterations=max(round(settings.moment / step), 1)))
     return np.interp(segment.times, scene.times, np.where(near, 1.0, rests)) > 0.0
 
 
 def _is_tap(high: np.ndarray, peak: int, step: float, usual: float, settings: Settings) -> bool:
-    """Whether most of what an event adds to the usual readings comes within `Settings.tap_time`, in a broad band.
+    """Whether most of what an event adds to the usual readings comes within `Settings.moment`, in a broad band.
 
     A band's width is one over the sum of squares of its power's shares, times the spacing of frequencies.
     """
-    around = max(round(2.0 * settings.tap_time / step), 8)
+    around = max(round(2.0 * settings.moment / step), 8)
     cut = high[max(peak - around, 0) : peak + around]
-    steps = max(round(settings.tap_time / step), 1)
+    steps = max(round(settings.moment / step), 1)
     total = np.concatenate([[0.0], np.cumsum(cut**2 - usual**2)])
-    if len(total) <= steps or np.max(total[steps:] - total[:-steps]) < settings.tap_share * total[-1]:
+    if len(total) <= steps or np.max(total[steps:] - total[:-steps]) < settings.nearly_all * total[-1]:
         return False
     power = np.abs(np.fft.rfft(cut)) ** 2
     width = np.sum(power) ** 2 / np.sum(power**2) / (len(cut) * step)
-    return bool(width > settings.tap_width)
+    return bool(width * settings.moment > 2.0)
 
 
 def runs(flags: np.ndarray, bridge: int = 1) -> list[tuple[int, int]]:

@@ -25,7 +25,7 @@ import numpy as np
 from bayesid.diagnosis.candidates import column_terms, everywhere, make_library, surroundings
 from bayesid.diagnosis.choice import LEAST_GAP, Choice
 from bayesid.diagnosis.data import DiagnosisData
-from bayesid.diagnosis.fit import begin, finish, fit, is_another
+from bayesid.diagnosis.fit import FEW_STEPS, SWEEPS, begin, finish, fit, is_another
 from bayesid.diagnosis.held_out import held_out_sums, left_by, scaled
 from bayesid.diagnosis.projector import make_projector
 from bayesid.diagnosis.rivals import Found
@@ -183,7 +183,7 @@ def proven_effects(s: Search, seed: int) -> InPart | None:
     exact = tuple(_exact(part.search)) if part else ()
     # Values have moved since the columns were taken, and the less is left, the smaller the effects that stand out of it: anew
     # about what was found, until no more comes of it, and then with those effects that came near.
-    for _ in range(s.projector.data.settings.sweeps):
+    for _ in range(SWEEPS):
         again = part and _proven(part.search, seed, None, exact)
         if part is None or again is None:
             part = again  # what was proven does not stand alone
@@ -273,7 +273,7 @@ def _chosen(
     own = [k for k in range(known, len(attempt)) if _confirmable(attempt[k].effect) and attempt[k].effect.spec not in banned]
     kept = choice.without_unproven(own, before)
     others = range(len(attempt), len(choice.effects))
-    for _ in range(settings.sweeps):
+    for _ in range(SWEEPS):
         start = kept
         while (more := choice.with_one_more(kept, others, possible, before)) is not None:
             kept = more
@@ -305,10 +305,9 @@ def _exact(s: Search) -> Iterator[_Candidate]:
         if effect in taken or not (_confirmable(effect) and effect.may_be_another and linear.any() and effect.sought(around)):
             continue
         held = (*users, *(t for t in s.best.terms[len(users) :] if not effect.excludes(t.effect)))
-        steps = data.settings.exchange_steps
-        without = fit(s.projector, held, s.best, steps)
+        without = fit(s.projector, held, s.best, FEW_STEPS)
         proposals = make_library(s.projector, s.base, without, [effect]).propose(without)
-        fits = [fit(s.projector, (*held, t), without, steps) for p in proposals for t in (p.term, *p.others)]
+        fits = [fit(s.projector, (*held, t), without, FEW_STEPS) for p in proposals for t in (p.term, *p.others)]
         best = max(fits, key=lambda f: f.score, default=None)
         top = best and fit(s.projector, best.terms, best)
         if top is not None and np.isfinite(top.score):

@@ -20,6 +20,10 @@ from bayesid.diagnosis.spectra import Segment
 
 #: Bands told apart [Hz].
 BANDS = ((0.0, 0.3), (0.3, 1.0), (1.0, 3.0), (3.0, 10.0))
+#: Into how many parts a window is divided.
+_PARTS = 4
+#: Disagreements listed, and as many short events.
+LISTED = 8
 
 
 @dataclass(frozen=True)
@@ -102,10 +106,10 @@ def locate(
     for s, w in zip(segments, white, strict=True):
         settings = s.settings
         p = by_window(s, w, dispersion, looked)[3]
-        edges, fine, share, chance = by_window(s, w, dispersion, looked, settings.window_parts)
+        edges, fine, share, chance = by_window(s, w, dispersion, looked, _PARTS)
         alone = np.maximum(chance, np.minimum(unlikely(fine / share, share, settings) * looked, 1.0))
         for c in range(w.shape[1]):
-            level, parts = settings.level, settings.window_parts
+            level, parts = settings.level, _PARTS
             flags = alone[:, c] < level
             flags |= _placed(p[:, c] < level, chance[:, c] < level, (fine - share)[:, c], settings)
             for first, last in runs(flags, parts):
@@ -119,7 +123,7 @@ def locate(
                         _strongest_band(s, course, span), _joint(data, s, course, span), ratio, float(least), s.still,
                     )
                 )  # fmt: skip
-    strongest = sorted(found, key=_strength)[: data.settings.listed]
+    strongest = sorted(found, key=_strength)[:LISTED]
     return tuple(sorted([*strongest, *_events(data)], key=_strength))
 
 
@@ -134,7 +138,7 @@ def _events(data: DiagnosisData) -> list[Disagreement]:
     found = []
     for k, (s, events) in enumerate(zip(segments, short_events(segments, data.settings.level), strict=True)):
         found += [_event(data, s, e, unseen=k >= len(data.segments)) for e in events]
-    return sorted(found, key=_strength)[: data.settings.listed_events]
+    return sorted(found, key=_strength)[:LISTED]
 
 
 def _event(data: DiagnosisData, segment: Segment, event: Event, *, unseen: bool) -> Disagreement:
@@ -147,15 +151,15 @@ def _event(data: DiagnosisData, segment: Segment, event: Event, *, unseen: bool)
 
 def _placed(long: np.ndarray, short: np.ndarray, excess: np.ndarray, settings: Settings) -> np.ndarray:
     """Parts of the windows that disagree (parts,): those that hold nearly all of a window's excess (parts,), or all of it."""
-    parts = settings.window_parts
+    parts = _PARTS
     kept = short & np.repeat(long, parts)
     inside = np.where(kept, excess, 0.0).reshape(-1, parts).sum(axis=1)
-    return kept | np.repeat(long & (inside < settings.inside_share * excess.reshape(-1, parts).sum(axis=1)), parts)
+    return kept | np.repeat(long & (inside < settings.nearly_all * excess.reshape(-1, parts).sum(axis=1)), parts)
 
 
 def places_looked_at(segments: Sequence[Segment]) -> int:
     """Windows of all channels, and their parts."""
-    return sum((1 + s.settings.window_parts) * _windows(s) * s.shape[1] for s in segments)
+    return sum((1 + _PARTS) * _windows(s) * s.shape[1] for s in segments)
 
 
 def by_window(

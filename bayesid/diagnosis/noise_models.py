@@ -13,7 +13,7 @@ import numpy as np
 
 from bayesid.diagnosis.candidates import Library, make_library
 from bayesid.diagnosis.data import DiagnosisData
-from bayesid.diagnosis.fit import Fit, fit
+from bayesid.diagnosis.fit import SWEEPS, Fit, fit
 from bayesid.diagnosis.noise import at_instants, with_noise_of
 from bayesid.diagnosis.projector import NuisanceProjector, make_projector
 from bayesid.diagnosis.residual_floor import with_floor_of
@@ -75,7 +75,7 @@ class NoiseModels:
             if not data.floor_known:
                 return self, fitted  # what the richest model leaves stands in for the noise, whatever makes it
             # A mount that is damped too much rings too little with the errors that made it look so.
-            for _ in range(data.settings.sweeps if key else 1):
+            for _ in range(SWEEPS if key else 1):
                 own = with_noise_of(data, fitted.links, fitted.terms, self.seed)
                 fitted = fit(make_projector(own, fitted.terms), fitted.terms, fitted)
             models = replace(self, projectors={**self.projectors, key: fitted.projector})

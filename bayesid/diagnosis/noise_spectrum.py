@@ -25,6 +25,9 @@ from bayesid.diagnosis.settings import Settings
 from bayesid.diagnosis.spectra import Segment, taper
 from bayesid.signals.repeats import RATE, Course, Repeat, find_repeats
 
+#: Of a power less the encoders' share no less than this is left: a difference of two estimates may be negative.
+_LEAST = 0.05
+
 
 @dataclass(frozen=True, eq=False)
 class Piece:
@@ -106,7 +109,7 @@ class Spectrum:
 
     def enough(self, settings: Settings) -> bool:
         """Whether it was measured where it matters, and often enough."""
-        return self.lowest <= settings.spectrum_reach and float(self.freedom.sum()) >= settings.spectrum_freedom
+        return self.lowest <= 1.0 / settings.shortest_segment and float(self.freedom.sum()) >= settings.spectrum_freedom
 
     def at(self, frequencies: np.ndarray, least: np.ndarray | None = None) -> np.ndarray:
         """Covariance of one sample (K, c, c) at frequencies (K,); standard deviations no smaller than least (c,)."""
@@ -216,7 +219,7 @@ def measured_spectrum(pieces: Sequence[Piece]) -> Spectrum | None:
     all_, part = banded(total), banded(known)
     if not np.all(np.einsum("bcc->bc", all_) > 0):
         return None
-    rest = np.stack([_less(a, k, settings.least_noise_share) for a, k in zip(all_, part, strict=True)])
+    rest = np.stack([_less(a, k) for a, k in zip(all_, part, strict=True)])
     size = np.sqrt(np.einsum("bcc->bc", rest))
     # As many degrees of freedom as there are make whitened squares larger than 1 by nu / (nu - 2) on average.
     std = size * np.sqrt(weight / (weight - 2.0))[:, None]
@@ -227,7 +230,7 @@ def measured_spectrum(pieces: Sequence[Piece]) -> Spectrum | None:
     return Spectrum(centre, std, np.stack(sound), weight, float(frequency[0]))
 
 
-def _less(total: np.ndarray, known: np.ndarray, least: float) -> np.ndarray:
+def _less(total: np.ndarray, known: np.ndarray) -> np.ndarray:
     """A covariance (c, c) less a part of it, in no direction less than a least share of what it was.
 
     Encoders' errors come from a few joints and reach all channels: large in some directions, and nothing in others.
@@ -237,7 +240,7 @@ def _less(total: np.ndarray, known: np.ndarray, least: float) -> np.ndarray:
     half = root[:, None] * vectors * np.sqrt(np.maximum(values, 1e-9))
     inverse = np.linalg.inv(half)
     left, axes = np.linalg.eigh(np.eye(len(total)) - inverse @ known @ inverse.T)
-    out = half @ axes * np.sqrt(np.clip(left, least, 1.0))
+    out = half @ axes * np.sqrt(np.clip(left, _LEAST, 1.0))
     return out @ out.T
 
 
@@ -246,7 +249,7 @@ def _bands(frequency: np.ndarray, freedom: np.ndarray, settings: Settings) -> np
     edges, got = [0], 0.0
     for i, f in enumerate(freedom):
         got += f
-        if got >= settings.band_freedom and frequency[i] >= settings.band_growth * frequency[edges[-1]]:
+        if got >= settings.enough and frequency[i] >= settings.band_growth * frequency[edges[-1]]:
             edges.append(i + 1)
             got = 0.0
     if len(edges) > 1:
@@ -273,12 +276,12 @@ def coloured(pieces: Sequence[Piece], white: np.ndarray, channels: Sequence[int]
     ratios = []
     for p in pieces:
         z = np.zeros(p.values.shape)
-        low, high = np.searchsorted(p.frequencies, 1.0 / p.settings.colour_window), len(p.frequencies)
+        low, high = np.searchsorted(p.frequencies, 1.0 / p.settings.window), len(p.frequencies)
         z[low:high] = np.asarray(dct(p.values * p.weight, axis=0, norm="ortho"))[low:high]
         signal = np.asarray(idct(z, axis=0, norm="ortho"))
         share = (high - low) / len(signal) * p.gain * p.weight**2
         known = np.mean([p.power(k).diagonal(0, 1, 2).mean(axis=0) for k in p.known], axis=0) if len(p.known) else 0.0
-        pieces_ = max(int((p.times[-1] - p.times[0]) / p.settings.colour_window), 1)
+        pieces_ = max(int((p.times[-1] - p.times[0]) / p.settings.window), 1)
         edges = np.linspace(0, len(signal), pieces_ + 1).astype(int)[:-1]
         expected = np.add.reduceat(share * (white**2 + known), edges)
         ratios.append(np.add.reduceat(signal**2, edges) / np.maximum(expected, 1e-300))

@@ -21,6 +21,11 @@ from bayesid.robot.prior import Prior
 from bayesid.signals.resampling import resample_evenly, uneven
 from bayesid.signals.smoothing import choose_smoothers
 
+#: Predictions are made at so many times the highest frequency compared; at twice that where friction reverses at once.
+_RATE, _FRICTION_RATE = 6.0, 12.0
+#: Prior relative standard deviation of links of which nothing is stated: so wide that it says nothing.
+_UNKNOWN_REL_STD = 100.0
+
 
 def known_terms(experiment: Experiment, channel: str, effects: Sequence[str] | None) -> tuple[tuple[Term, ...], frozenset[str]]:
     """The user's effects at their starting values, and which of them (``name@where``) keep those."""
@@ -113,7 +118,7 @@ def prepare_data(
         shortest = f"{settings.shortest_segment:g} s"
         raise InputError(f"the motions to fit have no segment of {shortest} without a gap; record longer ones")
     rel_std = experiment.inertia_rel_std
-    assumed = settings.unknown_rel_std if rel_std is None else rel_std
+    assumed = _UNKNOWN_REL_STD if rel_std is None else rel_std
     prior = None if rel_std == 0 else Prior.warped(experiment.robot.nominal, assumed)
     for_validation = {m.name for m in experiment.motions if m.role == "validation" and m.kind == "trajectory"} - set(names)
     data = DiagnosisData(
@@ -169,7 +174,7 @@ def _segments(
                 positions, read = both[:, : positions.shape[1]], both[:, positions.shape[1] :]
             whole = slice(0, _fast_count(len(times)))
             times, positions, read = times[whole], positions[whole], read[whole]
-            rate = settings.friction_rate if channel != "wrench" else settings.smooth_rate
+            rate = (_FRICTION_RATE if channel != "wrench" else _RATE) * settings.band
             grid = even_grid(times, rate)
             scene = smoothed(times, positions, grid, bandwidth, still, middle, clear, float(grid[1] - grid[0]))
             joints = () if channel == "wrench" else experiment.torque_joints

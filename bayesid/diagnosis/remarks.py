@@ -21,6 +21,8 @@ from bayesid.estimators.prior_check import CONFLICT
 
 #: Share of a direction's prior variance that the data must explain for it to count.
 _CLEAR = 0.01
+#: From here on the slope of a drift is lost in its size at the start [s]: a day.
+_LATE = 1e5
 
 
 def by_kind(terms: Iterable[Term]) -> list[str]:
@@ -124,7 +126,7 @@ def _of_the_model(search: Search, found: Sequence[Found], gap: Gap | None) -> li
             f"{', '.join(idle)} of the model cannot be seen in what is compared ({argument('channel', data.channel)}), "
             "and took no part."
         )
-    if (start := max(abs(x.times[0]) for x in data.segments)) > settings.late_start:
+    if (start := max(abs(x.times[0]) for x in data.segments)) > _LATE:
         out.append(
             f"Times start at {start:.3g} s. A drift and a drive's warming count from time zero, so that they look constant "
             "here; subtract the start."
@@ -176,7 +178,7 @@ def _of_the_links(search: Search) -> list[str]:
 def _of_the_validation(search: Search, found: Sequence[Found], gap: Gap | None) -> list[str]:
     """On the held-out motions."""
     data, settings, out = search.projector.data, search.projector.data.settings, []
-    if gap is not None and gap.floor > settings.vague_floor:
+    if gap is not None and gap.floor**2 > 2.0:
         out.append(
             "The unseen motions say little: a complete model would be off there by far more than the noise, for the fitted "
             "motions leave its parameters that uncertain."

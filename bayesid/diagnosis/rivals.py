@@ -9,7 +9,7 @@ import numpy as np
 
 from bayesid.diagnosis.bodies import as_payload
 from bayesid.diagnosis.contacts import is_excuse
-from bayesid.diagnosis.fit import Fit, fit
+from bayesid.diagnosis.fit import SWEEPS, Fit, fit
 from bayesid.diagnosis.forward import State, exact_fits, in_family
 from bayesid.diagnosis.noise_models import NoiseModels
 from bayesid.diagnosis.rows import term_rows
@@ -17,6 +17,10 @@ from bayesid.diagnosis.significance import wald_evidence
 from bayesid.diagnosis.span import orthonormal
 from bayesid.diagnosis.surrogates import explained, is_surrogate_combination
 from bayesid.effects import Term
+
+#: Times the evidence asked for from which an effect needs no fit without it: nine tenths of what a linear model says of it would
+#: have to be made up for by the others.
+_CERTAIN = 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,7 +68,7 @@ def prune(state: State) -> Pruned:
     i = state.known
     while i < len(best.terms):
         # Near its best fit a model is almost linear: what stands out so far needs no fit without it.
-        least = settings.accept * (1.0 if in_family(best.terms, i) else settings.certain)
+        least = settings.accept * (1.0 if in_family(best.terms, i) else _CERTAIN)
         excuse = is_excuse(best, i)
         if not excuse and wald_evidence(best, i, dispersion) > least:
             i += 1
@@ -109,8 +113,8 @@ def with_rivals(pruned: Pruned) -> tuple[State, tuple[Found, ...]]:
     left = best.chi2 >= settings.unexplained * best.projector.rows and explained(state.base, best) < settings.nearly_all
     if left or is_surrogate_combination(best.projector.data, best.terms[state.known :]):
         return state, tuple(_alone(state, i) for i in range(state.known, len(best.terms)))
-    for attempt in range(settings.sweeps + 1):
-        state, found, better = _found(pruned, exchange=attempt < settings.sweeps)
+    for attempt in range(SWEEPS + 1):
+        state, found, better = _found(pruned, exchange=attempt < SWEEPS)
         if better is None:
             return state, found
         pruned = Pruned(replace(state, best=better))
@@ -138,7 +142,7 @@ def _found(pruned: Pruned, *, exchange: bool) -> tuple[State, tuple[Found, ...],
             models, without = _without(models, best, i)
         models, library = models.library(without)
         proposals = [p for p in library.propose(without) if p.name != term.effect.spec]
-        models, fits = exact_fits(models, without, held, proposals, dispersion, settings.fitted_proposals)
+        models, fits = exact_fits(models, without, held, proposals, dispersion)
         if exchange and fits and fits[0].score > best.score + dispersion:
             return replace(state, models=models), (), fits[0]
         named, bonus = as_payload(best, i, dispersion)

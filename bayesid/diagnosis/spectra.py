@@ -200,9 +200,9 @@ class Segment:
 
     @cached_property
     def _moving(self) -> np.ndarray:
-        """1 where a joint moves, 0 where it rests for longer than `Settings.rest_time`, with smooth flanks (M, n)."""
+        """1 where a joint moves, 0 where it rests for longer than `Settings.moment`, with smooth flanks (M, n)."""
         step = float(np.median(np.diff(self.scene.times)))
-        length = max(int(self.settings.rest_time / step), 1)
+        length = max(int(self.settings.moment / step), 1)
         # Encoder counts make single velocities noisy; a mean over a rest is not, and one over a reversal is soon past zero.
         speed = np.abs(uniform_filter1d(self.scene.velocities, length, axis=0))
         rest = speed < np.maximum(self.settings.rest_share * speed.max(axis=0), 2.0 * REST_SPEED)
@@ -257,13 +257,9 @@ def taper(times: np.ndarray, whole: np.ndarray, bandwidth: float, settings: Sett
 
 def sensor_noise(segments: Sequence[Segment]) -> np.ndarray:
     """Standard deviation of one sample's white noise (c,) of recordings made in the same way."""
-    settings = segments[0].settings
-    return quiet_noise([s.readings for s in segments], settings.quiet_window, settings.quiet_quantile)
+    return quiet_noise([s.readings for s in segments])
 
 
 def low_passed(segments: Sequence[Segment]) -> bool:
     """Whether readings were filtered before they were recorded, so that noise above the band tells nothing of it below."""
-    settings = segments[0].settings
-    return white_noise.low_passed(
-        [s.readings for s in segments], settings.filtered_ratio, settings.quiet_window, settings.quiet_quantile
-    )
+    return white_noise.low_passed([s.readings for s in segments])

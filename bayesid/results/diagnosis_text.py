@@ -205,7 +205,7 @@ def event_sentences(diagnosis: Findings) -> list[str]:
         text += ", in a motion that took no part in the fit" if mine[0].unseen else ""
         if taps:
             who = "it looks like a tap" if one else f"{'they' if taps == len(mine) else f'{taps} of them'} look like taps"
-            text += f"; {who}: a broad band, over within {diagnosis.data.settings.tap_time:g} s"
+            text += f"; {who}: a broad band, over within {diagnosis.data.settings.moment:g} s"
         out.append(f"{text}. No motion of the robot explains {'it' if one else 'them'}.")
     return out
 

@@ -66,7 +66,7 @@ def robot(tmp_path_factory):
 def found(robot):
     """A hose that the first joint drags along pulls at the second."""
     # One round of naming: more would go through the library for as long again and name nothing.
-    quick = replace(DEFAULT, most_families=1, sweeps=1, fit_steps=8)
+    quick = replace(DEFAULT, most_families=1)
     return bayesid.diagnose(made(robot, lambda q, v: LEVEL * bristle(q[:, 0])), settings=quick)
 
 

@@ -69,9 +69,9 @@ def record(plant, tmp_path_factory):
     return make
 
 
-def made(folder, channel, seed=0, settings=DEFAULT):
+def made(folder, channel, seed=0):
     """The data and the nuisance of its links."""
-    data = prepare_data(load_experiment(folder), channel, (), None, seed, settings=settings)
+    data = prepare_data(load_experiment(folder), channel, (), None, seed)
     return data, projector.make_projector(data, ())
 
 
@@ -130,15 +130,15 @@ def test_an_unmodelled_effect_is_unknown(record):
     assert "no effect of the library" in " ".join(found.remarks)
 
 
-def test_nothing_is_named_where_nothing_is_hidden_but_a_naive_noise_names_often(record):
+def test_nothing_is_named_where_nothing_is_hidden_but_a_naive_noise_names_often(record, monkeypatch):
     """Whitened residuals have unit size and nothing is named; without the encoders' share of the noise, names abound."""
     folders = [record(f"none-{k}", "none", [], "wrench", trust=0.0, seed=20 + k)[0] for k in range(4)]
     honest = [diagnose(f, "wrench") for f in folders]
     assert [d.verdict for d in honest] == ["nothing_missing"] * 4
     for d in honest:
         assert d.search.base.chi2 / d.search.projector.rows == pytest.approx(1.0, abs=0.3)
-    naive = replace(DEFAULT, roundings=0)
-    naive = [search.search(made(f, "wrench", settings=naive)[1], (), 0, lambda _: None) for f in folders]
+    monkeypatch.setattr(encoders, "ROUNDINGS", 0)
+    naive = [search.search(made(f, "wrench")[1], (), 0, lambda _: None) for f in folders]
     assert sum(s.base.chi2 / s.projector.rows > 1.5 or bool(s.found) for s in naive) >= 2
 
 

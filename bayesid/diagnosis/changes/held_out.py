@@ -15,6 +15,7 @@ from bayesid.diagnosis.bootstrap import lower_end
 from bayesid.diagnosis.changes.posterior import amplitudes
 from bayesid.diagnosis.changes.recording import LaterRecording
 from bayesid.diagnosis.changes.selection import Selection
+from bayesid.diagnosis.locate import LISTED
 from bayesid.diagnosis.settings import Settings
 from bayesid.estimators.dispersion import STRETCHES
 
@@ -102,7 +103,7 @@ def held_out_errors(selection: Selection, recording: LaterRecording, settings: S
     recording
         The rows.
     settings
-        ``room_ratio``, ``bootstrap_block`` and ``bootstrap_draws`` count here.
+        ``room_ratio``, ``bootstrap_block`` and ``interval`` count here.
     seed
         Of the bootstrap.
     """
@@ -185,4 +186,4 @@ def _places(recording: LaterRecording, squares: np.ndarray, blocks: list[np.ndar
             if before**2 > settings.unexplained:
                 start, end = recording.times[mine[[0, -1]]]
                 found.append(Place(c, int(recording.motions[mine[0]]), float(start), float(end), float(before), float(after)))
-    return tuple(sorted(found, key=lambda p: -p.before)[: settings.listed])
+    return tuple(sorted(found, key=lambda p: -p.before)[:LISTED])

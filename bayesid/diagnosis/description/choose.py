@@ -19,6 +19,8 @@ from bayesid.effects import Effect
 _HALVINGS = 6
 #: Forms of the same variables in the same readings that are adapted.
 _ALIKE = 4
+#: Terms at most: more would be a fit, not a description. Candidates adapted in one round, and compared on the other half.
+_TERMS, _ADAPTED, _COMPARED = 3, 10, 40
 
 
 @dataclass(frozen=True)
@@ -77,11 +79,11 @@ def choose(
     free = np.array([c.free for c in candidates], dtype=float)
     among, out = list(range(len(candidates))), []
     state = _State(first, second, np.zeros((len(first.residual), 0)), np.zeros((len(second.residual), 0)))
-    while len(out) < settings.description_terms:
+    while len(out) < _TERMS:
         pool, beside = [candidates[k] for k in among], state.beside
         worth = _evidence(beside, beside.gains(pool), free[among], tried[among])
         order = np.argsort(-worth)
-        best = [(*adapted(beside, pool[k]), among[k]) for k in _various(pool, order, settings.description_adapted)]
+        best = [(*adapted(beside, pool[k]), among[k]) for k in _various(pool, order, _ADAPTED)]
         proven = None
         evidences = [(float(_evidence(beside, np.array(g), free[k], tried[k])), c) for c, g, k in best]
         for evidence, candidate in sorted(evidences, key=lambda x: -x[0]):
@@ -93,7 +95,7 @@ def choose(
         if proven is None:
             break
         candidate, evidence, after, share, low = proven
-        lacks = [(pool[k], after.lack(state.tried(pool[k]))) for k in order[: settings.description_compared]]
+        lacks = [(pool[k], after.lack(state.tried(pool[k]))) for k in order[:_COMPARED]]
         others = _library_lacks(state, after, library)
         out.append(
             Chosen(
@@ -103,7 +105,7 @@ def choose(
             )
         )  # fmt: skip
         state = after
-        among = [among[k] for k in order[: max(len(pool) // 3, settings.description_compared)]]
+        among = [among[k] for k in order[: max(len(pool) // 3, _COMPARED)]]
     return tuple(out)
 
 
