@@ -220,7 +220,7 @@ def is_another(data: DiagnosisData, terms: Sequence[Term]) -> bool:
     return any(t.effect.is_another(t.values) for t in terms if t.effect not in users)
 
 
-def fit(projector: NuisanceProjector, terms: Sequence[Term], start: Fit | None = None, steps: int = STEPS) -> Fit:
+def fit(projector: NuisanceProjector, terms: Sequence[Term], start: Fit | None = None, steps: int | None = None) -> Fit:
     """Fit links, offset and the effects' free parameters.
 
     Parameters
@@ -232,9 +232,9 @@ def fit(projector: NuisanceProjector, terms: Sequence[Term], start: Fit | None =
     start
         A fit whose links and offset to start from.
     steps
-        At most this many Gauss-Newton steps.
+        At most this many Gauss-Newton steps; default `STEPS`.
     """
-    return finish(advance(begin(projector, terms, start), steps))
+    return finish(advance(begin(projector, terms, start), STEPS if steps is None else steps))
 
 
 def _widened(projector: NuisanceProjector, covariance: np.ndarray, kept: np.ndarray, rows: np.ndarray) -> np.ndarray:

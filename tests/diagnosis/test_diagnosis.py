@@ -322,7 +322,7 @@ def test_a_diverged_model_is_refused(record, monkeypatch):
         assert not diverged.covariance.any() and np.isfinite(diverged.residual).all()
         assert bodies.as_payload(diverged, 0, 1.0) == (diverged.terms[0], 0.0)
     models = NoiseModels.of(0, (), library)
-    assert forward.exact_fits(models, base, (), [replace(p, gain=1e3) for p in proposals], 1.0, 8)[1] == []
+    assert forward.exact_fits(models, base, (), [replace(p, gain=1e3) for p in proposals], 1.0)[1] == []
 
 
 def test_a_changed_link_is_priced_by_its_marginal_likelihood(record):

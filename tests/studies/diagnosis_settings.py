@@ -4,20 +4,25 @@
         [--docs DIR]
 
 Recordings come from the independent plant of case_studies/blind_naming. Every diagnosis is kept in DIR/diagnoses.json as soon as
-it is made, and none is made twice: the run can be interrupted and taken up again. A threshold that the diagnosis of a recording
-never reads cannot change it; that one is not made again. ``--quick`` takes two recordings and four thresholds, to see that the
-script works. Writes docs/studies/diagnosis-settings from what there is.
+it is made, and none is made twice: the run can be interrupted and taken up again. Recording after recording is finished, and the
+page tells of those that are. A threshold that the diagnosis of a recording never reads cannot change it; that one is not made
+again. What limits computing and is no threshold (`LIMITS`) is moved likewise once the thresholds are done.
+``--quick`` takes two recordings and four thresholds, to see that the script works. Writes docs/studies/diagnosis-settings from
+what there is.
 """
 
 from __future__ import annotations
 
 import argparse
 import concurrent.futures
+import contextlib
 import json
 import multiprocessing
 import sys
 import warnings
+from collections.abc import Iterator
 from dataclasses import fields, replace
+from importlib import import_module
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -30,38 +35,68 @@ from bayesid.diagnosis.settings import DEFAULT, Settings
 from tests.studies.page import STUDIES, write_page
 
 MOVED = 0.3
-QUICK = ("accept", "unexplained", "race_share", "mostly_closed")
+QUICK = ("accept", "unexplained", "nearly_all", "most")
+#: What limits computing, ``module.NAME`` of bayesid.diagnosis: steps, rounds, draws, rows listed, and how exact a number is made.
+LIMITS = (
+    "fit.STEPS", "fit.FEW_STEPS", "fit.SWEEPS", "fit._SETTLED", "forward._FITTED", "forward._ALIKE", "forward._FAMILIES",
+    "forward._BEHIND", "rivals._CERTAIN", "encoders.ROUNDINGS", "prepare._RATE", "prepare._FRICTION_RATE",
+    "prepare._UNKNOWN_REL_STD", "noise_spectrum._LEAST", "bootstrap._DRAWS", "locate.LISTED", "locate._PARTS",
+    "impulse_events._SAMPLES", "remarks._LATE", "description.choose._TERMS", "description.choose._ADAPTED",
+    "description.choose._COMPARED",
+)  # fmt: skip
 PAGE = """\
 # Thresholds of a diagnosis, moved
 
-Every threshold of `bayesid.diagnosis.settings.Settings`, where its derivation or source stands, moved by 30 % down and up (whole
-numbers by one at least, shares at most half-way to one), the others held, on {{ cases }} fresh recordings of the plant of
+The {{ count }} thresholds of `bayesid.diagnosis.settings.Settings`, where the reason of each stands, moved by 30 % down and up
+(whole numbers by one at least, shares at most half-way to one), the others held, on fresh recordings of the plant of
 [blind naming](../../../case_studies/blind_naming/README.md). "Right" counts recordings whose hidden effects are named and
-nothing else;
-nothing, where nothing is hidden; and `unknown`, where what is hidden is not in the library. "Changed" counts recordings with
-another verdict or other names than with the thresholds as they stand, which are right in {{ right }} of {{ cases }}. Made by
+nothing else; nothing, where nothing is hidden; and `unknown`, where what is hidden is not in the library. "Changed" counts
+recordings with another verdict or other names than with the thresholds as they stand. Made by
 `python -m tests.studies.diagnosis_settings`.
-{% if partial %}
+{% for part in parts %}
 
-This is a part of the run: thresholds that are missing have not been moved yet.
-{% endif %}
+{{ part.head }} {{ part.cases }} recordings; as it stands {{ part.right }} of {{ part.cases }} are right.
 
-| threshold | value | right at -30 % | changed | right at +30 % | changed |
+| {{ part.what }} | value | right at -30 % | changed | right at +30 % | changed |
 | --- | ---: | ---: | ---: | ---: | ---: |
-{% for row in rows %}
+{% for row in part.rows %}
 | `{{ row.name }}` | {{ row.value }} | {{ row.down.right }} | {{ row.down.changed }} | {{ row.up.right }} | {{ row.up.changed }} |
+{% endfor %}
 {% endfor %}
 """
 
 
-def moved(name: str, way: int) -> Settings:
-    """The thresholds with one of them moved down (-1) or up (1)."""
-    value = getattr(DEFAULT, name)
+def moved(value: float, way: int) -> float:
+    """A number moved down (-1) or up (1)."""
     if isinstance(value, int):
-        return replace(DEFAULT, **{name: max(value + way * max(round(MOVED * value), 1), 0)})
+        return max(value + way * max(round(MOVED * value), 1), 0)
     share = 1.0 + way * MOVED
     # Quantiles and shares stay below one.
-    return replace(DEFAULT, **{name: min(value * share, 0.5 * (1.0 + value)) if value < 1.0 else value * share})
+    return min(value * share, 0.5 * (1.0 + value)) if value < 1.0 else value * share
+
+
+def limit(name: str) -> float:
+    """A limit of computing as it stands."""
+    module, _, own = name.rpartition(".")
+    return getattr(import_module(f"bayesid.diagnosis.{module}"), own)
+
+
+@contextlib.contextmanager
+def limited(name: str, way: int) -> Iterator[None]:
+    """With one limit of computing moved, in all modules that know it."""
+    value, own = limit(name), name.rpartition(".")[2]
+    home = f"bayesid.diagnosis.{name.rpartition('.')[0]}"
+    knowing = [
+        m for key, m in sys.modules.items()
+        if key == home or (key.startswith("bayesid.diagnosis") and not own.startswith("_") and hasattr(m, own))
+    ]  # fmt: skip
+    for module in knowing:
+        setattr(module, own, moved(value, way))
+    try:
+        yield
+    finally:
+        for module in knowing:
+            setattr(module, own, value)
 
 
 def is_right(answer: dict[str, Any], said: dict[str, Any]) -> bool:
@@ -95,10 +130,17 @@ class Watched(Settings):
 def diagnosed(folder: Path, channel: str, name: str | None, way: int) -> dict[str, Any]:
     """Verdict and effects with their rivals; a refusal as verdict ``refused``. With no threshold moved: those read, too."""
     warnings.simplefilter("ignore")
-    settings = Watched() if name is None else moved(name, way)
+    settings, held = DEFAULT, contextlib.nullcontext()
+    if name is None:
+        settings = Watched()
+    elif name in LIMITS:
+        held = limited(name, way)
+    else:
+        settings = replace(DEFAULT, **{name: moved(getattr(DEFAULT, name), way)})
     Watched.read.clear()
     try:
-        said = bayesid.diagnose(folder, channel, settings=settings).to_dict()
+        with held:
+            said = bayesid.diagnose(folder, channel, settings=settings).to_dict()
         effects = [{key: e[key] for key in ("name", "where", "ambiguous_with")} for e in said["effects"]]
         out: dict[str, Any] = {"verdict": said["verdict"], "effects": effects}
     except bayesid.BayesidError as error:
@@ -116,27 +158,37 @@ def answers(work: Path, count: int, seed: int, quick: bool) -> list[dict[str, An
     return [json.loads(path.read_text(encoding="utf-8")) for path in sorted((folder / "answers").glob("*.json"))]
 
 
-def written(work: Path, names: list[str], cases: list[dict[str, Any]], docs: Path) -> None:
-    """The page, from all thresholds whose diagnoses have been made for all recordings."""
-    made = json.loads((work / "diagnoses.json").read_text(encoding="utf-8"))
+def table(made: dict[str, Any], names: list[str], every: list[dict[str, Any]]) -> dict[str, Any]:
+    """Of the recordings of which all diagnoses have been made: how many are right, and a row for each number moved."""
+    cases = [c for c in every if all(f"{c['case']} {name} {way:+d}" in made for name in names for way in (-1, 1))]
     plain = {c["case"]: made[f"{c['case']} as it stands"] for c in cases}
 
-    def side(name: str, way: int) -> dict[str, str] | None:
-        keys = {c["case"]: f"{c['case']} {name} {way:+d}" for c in cases}
-        if not all(key in made for key in keys.values()):
-            return None
-        right = sum(is_right(c, made[keys[c["case"]]]) for c in cases)
+    def named(said: dict[str, Any]) -> tuple[str, list[tuple[str, str]]]:
+        return said["verdict"], sorted((e["name"], e["where"]) for e in said["effects"])
 
-        def named(said):
-            return said["verdict"], sorted((e["name"], e["where"]) for e in said["effects"])
+    def side(name: str, way: int) -> dict[str, int]:
+        said = [made[f"{c['case']} {name} {way:+d}"] for c in cases]
+        return {
+            "right": sum(is_right(c, x) for c, x in zip(cases, said, strict=True)),
+            "changed": sum(named(x) != named(plain[c["case"]]) for c, x in zip(cases, said, strict=True)),
+        }
 
-        return {"right": str(right), "changed": str(sum(named(made[keys[k]]) != named(plain[k]) for k in plain))}
+    rows = [
+        {"name": n, "value": f"{limit(n) if n in LIMITS else getattr(DEFAULT, n):g}", "down": side(n, -1), "up": side(n, 1)}
+        for n in names
+    ]
+    return {"cases": len(cases), "right": sum(is_right(c, plain[c["case"]]) for c in cases), "rows": rows}
 
-    rows = [{"name": n, "value": f"{getattr(DEFAULT, n):g}", "down": side(n, -1), "up": side(n, 1)} for n in names]
-    rows = [row for row in rows if row["down"] and row["up"]]
-    right = sum(is_right(c, plain[c["case"]]) for c in cases)
-    partial = len(rows) < len(fields(DEFAULT))
-    write_page(PAGE, docs / "README.md", cases=len(cases), right=right, rows=rows, partial=partial)
+
+def written(made: dict[str, Any], names: list[str], limits: list[str], cases: list[dict[str, Any]], docs: Path) -> None:
+    """The page, from the recordings of which everything has been made."""
+    heads = (
+        ("threshold", "", names),
+        ("limit", f"{len(LIMITS)} numbers beside these limit computing and are no thresholds: steps, rounds, draws, rows listed. "
+                  "Moved likewise:", limits),
+    )  # fmt: skip
+    parts = [table(made, own, cases) | {"what": what, "head": head} for what, head, own in heads if own]
+    write_page(PAGE, docs / "README.md", count=len(fields(DEFAULT)), parts=[p for p in parts if p["cases"]])
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -151,7 +203,8 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--docs", type=Path, default=STUDIES / "diagnosis-settings")
     options = parser.parse_args(arguments)
     names = [f.name for f in fields(DEFAULT)]
-    chosen = options.only.split(",") if options.only else list(QUICK) if options.quick else names
+    chosen = options.only.split(",") if options.only else list(QUICK) if options.quick else [*names, *LIMITS]
+    names, limits = [n for n in chosen if n in names], [n for n in chosen if n in LIMITS]
     cases = answers(options.work, 2 if options.quick else options.count, options.seed, options.quick)
     store = options.work / "diagnoses.json"
     made = json.loads(store.read_text(encoding="utf-8")) if store.exists() else {}
@@ -173,20 +226,15 @@ def main(arguments: list[str] | None = None) -> None:
                 kept.write_text(json.dumps(made, indent=1), encoding="utf-8")
                 kept.replace(store)
 
-    make([(f"{case['case']} as it stands", case, None, 0) for case in cases])
-    again = []
-    for name in chosen:
+    for some in (names, limits):
         for case in cases:
+            make([(f"{case['case']} as it stands", case, None, 0)])
             plain = made[f"{case['case']} as it stands"]
-            for way in (-1, 1):
-                key = f"{case['case']} {name} {way:+d}"
-                if name in plain["read"]:
-                    again.append((key, case, name, way))
-                else:
-                    made[key] = plain
-    make(again)
-    store.write_text(json.dumps(made, indent=1), encoding="utf-8")
-    written(options.work, names, cases, options.docs)
+            keys = [(f"{case['case']} {name} {way:+d}", case, name, way) for name in some for way in (-1, 1)]
+            made.update({key: plain for key, _, name, _ in keys if name not in (*plain["read"], *LIMITS)})
+            make(keys)
+            store.write_text(json.dumps(made, indent=1), encoding="utf-8")
+            written(made, names, limits, cases, options.docs)
 
 
 if __name__ == "__main__":
