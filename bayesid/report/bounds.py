@@ -12,9 +12,11 @@ from matplotlib.ticker import MaxNLocator
 from bayesid.design.bounds.bands import FAR, Band
 from bayesid.design.bounds.region import Region
 from bayesid.design.bounds.remainder import HALF, Remainder
+from bayesid.design.bounds.workspace import Workspace
 from bayesid.report.figures import CLASSES, DENSE, GREY, PREDICTED, add_legend, make_grid, picked, styled, tidy_time
-from bayesid.report.page import render, run_times, svg, versions
+from bayesid.report.page import below, bullets, cards, figure, how, lead, note, page, run_times, svg, versions, warnings
 from bayesid.results.bounds import ControllerBounds, TrajectoryBands, joints
+from bayesid.results.section import Part, Section, Table
 from bayesid.results.text import channel_text, ends, number, percent, with_half
 
 _BLUE = CLASSES["alone"]
@@ -109,47 +111,61 @@ def remainder_figure(left: Remainder, names: Sequence[str], units: Sequence[str]
 def bounds_report(result: ControllerBounds) -> str:
     """The report of ``bounds``: an HTML page with all figures inside."""
     known, region, w = result.known, result.region, result.workspace
-    robot, rank = known.problem.experiment.robot, result.torque_model.base.rank
-    names = [*result.torque_model.base.short_names, *region.names[rank:]]
-    left = result.remainder
-    head, rows = joints(w, result.inside)
-    return render(
-        "bounds.html",
-        name=known.problem.experiment.name,
-        robot=robot.name,
-        source=f"{known.source} ({known.method})",
-        channel=channel_text(known.problem.channel),
-        fitted=known.problem.fitted,
-        warning_list=result.warnings,
-        lead=_lead(result),
-        card_list=_cards(result),
-        region=svg(parameter_figure(names, region, result.torque_per_unit), "region"),
-        parameters=_parameters(result),
-        factor=number(region.factor, 3),
-        bonferroni=number(region.bonferroni, 3),
-        ellipsoid=number(region.ellipsoid, 4),
-        rho=number(region.rho, 3),
-        ratio=number(result.effort_ratio, 2),
-        workspace=_workspace(result),
-        joint_head=head,
-        joint_rows=rows,
-        complete=result.inside.complete,
-        wrench_only=known.problem.channel == "wrench",
-        trajectories=[_trajectory(t, k) for k, t in enumerate(result.trajectories)],
-        far=number(FAR, 2),
-        left=None if left is None else {
-            "figure": svg(remainder_figure(left, robot.joint_names, result.torque_model.channels.units), "left"),
-            "rows": [
-                {"joint": name, "bound": number(b, 3), "share": percent(s, 2)}
-                for name, b, s in zip(robot.joint_names, left.bound, left.share, strict=True)
-            ],
-            "motions": left.motions, "held_out": left.held_out,
-        },
-        assumptions=result.assumptions,
-        urdfs=result.urdfs,
-        how=_how(result),
-        alpha=number(w.alpha, 3),
-    )  # fmt: skip
+    robot, wrench = known.problem.experiment.robot, known.problem.channel == "wrench"
+    names = [*result.torque_model.base.short_names, *region.names[result.torque_model.base.rank :]]
+    unseen = "A wrench sensor cannot know them: forces inside a joint act on both of its sides and cancel. "
+    inside = (
+        f"**Not in the bounds above:** the usual rotor inertia and friction in the last columns. {unseen * wrench}Their usual "
+        "sizes are guesses from the effort limits. For geared arms the reflected inertia of the rotors, gear ratio² × rotor "
+        "inertia, is often the largest term of the mass matrix: identify it from joint torques, or add the data sheet's value."
+    )
+    drawn = f", and {result.urdfs} files `sampled-….urdf` links drawn within the uncertainty" if result.urdfs else ""
+    sections = [
+        Section("Parameters of the joint torques, all at once", [
+            "The torques that move the links are linear in these parameters, whatever sensor they were identified with. Three "
+            "sets hold all of them at once with probability 95 %:",
+            bullets([
+                f"the box: every parameter within {number(region.factor, 3)} of its standard deviations (by Bonferroni's "
+                f"inequality {number(region.bonferroni, 3)});",
+                f"the ellipsoid: (b − b̂)′ V⁻¹ (b − b̂) ≤ rho_V², rho_V = {number(region.ellipsoid, 4)};",
+                f"the ball: ‖b − b̂‖ ≤ rho = {number(region.rho, 3)}, for Spong's term u = −rho Y′r / ‖Y′r‖. It takes "
+                f"{number(result.effort_ratio, 2)} times the torque of the ellipsoid's term u = −rho_V V Y′r / √(r′Y V Y′r), "
+                "median over states.",
+            ]),
+            figure(svg(parameter_figure(names, region, result.torque_per_unit), "region"),
+                   "The parameters whose uncertainty makes most torque: bars are half the box, circles the value itself, each "
+                   "times what one unit of it moves."),
+            _parameters(result),
+        ], "Parameters"),
+        Section("Mass matrix, Coriolis terms and gravity over the workspace", [
+            "Bounds hold at all configurations at once, with probability 95 % each. Draws are robots of bodies that can exist.",
+            _workspace(w),
+        ], "Workspace"),
+        Section("Joint by joint", [
+            "Inertia is the diagonal element of the mass matrix, its error relative; gravity and its error are the largest "
+            "torques over the workspace, the errors of all joints at once.",
+            joints(w, result.inside), "" if result.inside.complete else inside,
+        ], "Joints"),
+        Section("Other uncertainty", _remainder(result)),
+        Section("Trajectories", [
+            *(_trajectory(t, k) for k, t in enumerate(result.trajectories)),
+            "" if result.trajectories else "No trajectory was given, and no motion of the experiment moves.",
+            note("A band holds what is uncertain of the parameters and what no parameter explains, once each. A standard "
+                 f"deviation more than {number(FAR, 2)} times the largest in the fitted motions says that the trajectory asks "
+                 "for something they hardly show."),
+        ]),
+        Section("What it rests on", [bullets(result.assumptions)]),
+        how(*_how(result), after=(
+            "All numbers are in `bounds.json`, arrays in `bounds.mat`; `identified.urdf` is the robot that `bayesid identify` "
+            "writes, friction included; what a URDF has no place for, such as rotor inertia, stands in its comments and under "
+            f"`identified_urdf`{drawn}.")),
+    ]  # fmt: skip
+    name, source = known.problem.experiment.name, f"{known.source} ({known.method})"
+    of = f"{channel_text(known.problem.channel)} of {', '.join(known.problem.fitted)}"
+    fine = "No warnings: the data determine what a controller needs, and unseen motions are predicted down to the noise."
+    opening = [warnings(result.warnings, fine), lead(_lead(result)), cards(_cards(result))]
+    kicker = f"What a controller of {robot.name} may rely on, from the {source} of the {of}"
+    return page(name, kicker, opening, sections, f"{name}: bounds for controllers")
 
 
 def _lead(result: ControllerBounds) -> str:
@@ -157,9 +173,9 @@ def _lead(result: ControllerBounds) -> str:
     driven = int(region.prior_driven.sum())
     text = (
         f"{result.headline} All {len(region.values)} parameters of the joint torques are in one ellipsoid of rho_V = "
-        f"{number(region.ellipsoid, 3)}; the model's mass matrix is {number(w.ratio[0], 3)} to {number(w.ratio[1], 3)} times the "
-        f"true one over the workspace. All {len(result.links)} robots drawn within the uncertainty can exist, and their mass "
-        "matrices are positive definite. "
+        f"{number(region.ellipsoid, 3)}; the model's mass matrix is {number(w.ratio[0], 3)} to {number(w.ratio[1], 3)} times "
+        f"the true one over the workspace. All {len(result.links)} robots drawn within the uncertainty can exist, and their "
+        "mass matrices are positive definite. "
     )
     sums = int(region.undetermined.sum())
     text += f"{driven} of the parameters are driven by the prior. " if driven else ""
@@ -168,78 +184,95 @@ def _lead(result: ControllerBounds) -> str:
     return text + ("" if result.inside.complete else "What is inside the joints, rotors and friction, is not in these bounds.")
 
 
-def _cards(result: ControllerBounds) -> list[dict[str, str]]:
+def _cards(result: ControllerBounds) -> list[tuple[str, str, str]]:
     w, region = result.workspace, result.region
-    cards = [
-        {"value": number(region.rho, 3), "mood": "", "text": "rho, radius of the ball (SI units)"},
-        {"value": number(region.ellipsoid, 3), "mood": "", "text": "rho_V, radius of the ellipsoid"},
-        {
-            "value": number(w.alpha, 3),
-            "mood": "good" if w.alpha < 0.5 else "fair" if w.alpha < 1 else "bad",
-            "text": "alpha of computed torque, to be below 1",
-        },
+    large = [
+        (number(region.rho, 3), "rho, radius of the ball (SI units)", ""),
+        (number(region.ellipsoid, 3), "rho_V, radius of the ellipsoid", ""),
+        (
+            number(w.alpha, 3),
+            "alpha of computed torque, to be below 1",
+            "good" if w.alpha < 0.5 else "fair" if w.alpha < 1 else "bad",
+        ),
     ]
     if result.trajectories:
         name, t = result.trajectories[0].name, result.trajectories[0].torque
         widest = float((HALF * t.std).mean() / max(float(np.abs(t.values).mean()), 1e-300))
-        text = f"mean half width of the 95 % band, sample by sample, of the torques of ‘{name}’"
-        cards.append({"value": percent(widest, 2), "mood": "", "text": text})
+        large.append((percent(widest, 2), f"mean half width of the 95 % band, sample by sample, of the torques of ‘{name}’", ""))
     if result.remainder is not None:
-        share = float(result.remainder.share.max())
-        cards.append({"value": percent(share, 2), "mood": "", "text": "of the worst joint’s torque is not explained"})
-    return cards  # fmt: skip
+        large.append((percent(float(result.remainder.share.max()), 2), "of the worst joint’s torque is not explained", ""))
+    return large
 
 
-def _parameters(result: ControllerBounds) -> list[dict[str, Any]]:
-    region, rows = result.region, []
-    columns = zip(
-        region.labels, region.units, region.values, region.std, region.low, region.high, region.determined_by, strict=True
-    )
-    for k, (label, unit, value, std, low, high, kind) in enumerate(columns):
-        shown, spread = with_half(value, std)
-        rows.append(
-            {"index": k + 1, "label": label, "unit": unit, "value": shown, "std": spread, "interval": ends(low, high),
-             "kind": kind}
-        )  # fmt: skip
-    return rows
+def _parameters(result: ControllerBounds) -> Table:
+    r, rows = result.region, []
+    for k, (value, std) in enumerate(zip(r.values, r.std, strict=True)):
+        kind = r.determined_by[k]
+        cells = [str(k + 1), r.labels[k], *with_half(value, std), r.units[k], ends(r.low[k], r.high[k])]
+        rows.append([*cells, (kind, "dim" if kind == "prior" else "")])
+    return Table(["#", "parameter", "value", "± std", "unit", "all at once, 95 %", "determined by"], rows, "nd w nb n ku n -")
 
 
-def _workspace(result: ControllerBounds) -> list[tuple[str, str, str]]:
-    w = result.workspace
+def _workspace(w: Workspace) -> Table:
+    rows = [
+        ["eigenvalues of the model’s mass matrix relative to the true", f"{number(w.ratio[0], 3)} … {number(w.ratio[1], 3)}", ""],
+        ["alpha = ‖1 − M⁻¹ M̂‖ in the norm of M", number(w.alpha, 3), "below 1 for computed torque"],
+        ["eigenvalues of the mass matrix", f"{number(w.eigenvalues[0], 3)} … {number(w.eigenvalues[1], 3)} kg m²",
+         "for the tracking bound"],
+        ["smallest eigenvalue of any draw", f"{number(w.smallest_drawn, 3)} kg m²", "above 0: positive definite"],
+        ["‖C(q, v) v‖ / ‖v‖² of the model", f"{number(w.coriolis, 3)} N m s²", ""],
+        ["its error", f"{number(w.coriolis_error, 2)} N m s²", ""],
+        ["‖M⁻¹ (ĝ − g)‖", f"{number(w.acceleration_from_gravity, 2)} rad/s²", "what computed torque leaves at rest"],
+        ["‖M⁻¹ (Ĉ − C) v‖ / ‖v‖²", number(w.acceleration_from_coriolis, 2), "and in motion"],
+    ]  # fmt: skip
+    return Table(["quantity", "bound", "meaning"], rows, "- nb -", "narrow")
+
+
+def _remainder(result: ControllerBounds) -> list[Part]:
+    """What the model leaves of measured torques."""
+    left = result.remainder
+    if left is None:
+        return ["**Unknown.** No joint torques were recorded, so nothing tells how large friction, rotors and flexibility are."]
+    names = result.known.problem.experiment.robot.joint_names
+    rows = [[name, number(b, 3), percent(s, 2)] for name, b, s in zip(names, left.bound, left.share, strict=True)]
     return [
-        ("eigenvalues of the model’s mass matrix relative to the true", f"{number(w.ratio[0], 3)} … {number(w.ratio[1], 3)}", ""),
-        ("alpha = ‖1 − M⁻¹ M̂‖ in the norm of M", number(w.alpha, 3), "below 1 for computed torque"),
-        ("eigenvalues of the mass matrix", f"{number(w.eigenvalues[0], 3)} … {number(w.eigenvalues[1], 3)} kg m²",
-         "for the tracking bound"),
-        ("smallest eigenvalue of any draw", f"{number(w.smallest_drawn, 3)} kg m²", "above 0: positive definite"),
-        ("‖C(q, v) v‖ / ‖v‖² of the model", f"{number(w.coriolis, 3)} N m s²", ""),
-        ("its error", f"{number(w.coriolis_error, 2)} N m s²", ""),
-        ("‖M⁻¹ (ĝ − g)‖", f"{number(w.acceleration_from_gravity, 2)} rad/s²", "what computed torque leaves at rest"),
-        ("‖M⁻¹ (Ĉ − C) v‖ / ‖v‖²", number(w.acceleration_from_coriolis, 2), "and in motion"),
+        f"What the model leaves of the measured torques of {', '.join(left.motions)}, below 10 Hz. It is not parametric: a "
+        "controller needs a term of its own for it [Liu and Goldenberg 1996]."
+        + ("" if left.held_out else " **These motions were fitted**, which hides some of it."),
+        Table(["joint", "99 % of the samples within [N m or N]", "root mean square, of the torque"], rows, "k nb n", "narrow"),
+        figure(svg(remainder_figure(left, names, result.torque_model.channels.units), "left"),
+               "99 % of what is left in five classes of speed, and over all of them (line). Where it grows with speed, "
+               "friction is missing."),
     ]  # fmt: skip
 
 
-def _trajectory(t: TrajectoryBands, index: int) -> dict[str, Any]:
-    shown = [("Joint torques", t.torque)] + ([] if t.wrench is None else [("Wrench on the sensor", t.wrench)])
-    return {
-        "title": t.name,
-        "given": t.given,
-        "channels": [
-            {"title": title, "figure": svg(band_figure(b), f"band-{index}-{k}"), "factor": number(b.factor, 3),
-             "rows": _channels(b)}
-            for k, (title, b) in enumerate(shown)
-        ],
-    }  # fmt: skip
+def _trajectory(t: TrajectoryBands, index: int) -> Part:
+    parts: list[Part] = []
+    for k, (title, b) in enumerate((("Joint torques", t.torque), ("Wrench on the sensor", t.wrench))):
+        if b is not None:
+            parts += [
+                f"**{title}**: the whole trajectory is within {number(b.factor, 3)} standard deviations with probability 95 %.",
+                figure(svg(band_figure(b), f"band-{index}-{k}"),
+                       "Predicted readings with the band that holds the whole trajectory; below each, half its width beside "
+                       "that of the band that holds sample by sample."),
+                _channels(b),
+            ]  # fmt: skip
+    given = "" if t.given else " (a motion of the experiment; give another with --trajectory)"
+    return below(f"{t.name}{given}", *parts)
 
 
-def _channels(b: Band) -> list[dict[str, str]]:
+def _channels(b: Band) -> Table:
     largest, half = np.abs(b.values).max(axis=0), b.factor * b.std.max(axis=0)
     usual, lacks = HALF * b.std.mean(axis=0), HALF * b.model_error.mean(axis=0)
-    return [
-        {"name": n, "unit": u, "largest": number(x, 3), "usual": number(m, 2), "lacks": number(r, 2), "half": number(h, 2),
-         "extrapolation": number(e, 2), "mood": "bad" if e > FAR else ""}
+    rows = [
+        [n, u, number(x, 3), number(m, 2), number(r, 2), number(h, 2), (number(e, 2), "bad" if e > FAR else "")]
         for n, u, x, m, r, h, e in zip(b.names, b.units, largest, usual, lacks, half, b.extrapolation, strict=True)
+    ]
+    head = [
+        "channel", "unit", "largest", "half band, sample by sample, mean", "of it what the model lacks",
+        "half band, whole trajectory, largest", "parameters’ std over that of the fitted motions",
     ]  # fmt: skip
+    return Table(head, rows, "k - n nb n n n", "tight")
 
 
 def _how(result: ControllerBounds) -> list[tuple[str, str]]:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -22,15 +21,12 @@ from bayesid.errors import InputError
 from bayesid.estimators.estimator import LEVEL
 from bayesid.estimators.parameters import EstimatedParameter
 from bayesid.results.files import Result
-from bayesid.results.text import html_table, number, percent, text_table
+from bayesid.results.section import Part, Table
+from bayesid.results.text import number, percent
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from pandas import DataFrame
-
-
-#: Head and rows.
-Table = tuple[list[str], list[list[str]]]
 
 
 SCHEMA = 1
@@ -389,31 +385,50 @@ class ControllerBounds(Result):
     def __repr__(self) -> str:
         return f"<ControllerBounds of {self.known.problem.experiment.name}: rho {self.rho:.3g}, alpha {self.workspace.alpha:.3g}>"
 
-    def __str__(self) -> str:
-        """A summary for the terminal, warnings first."""
-        lines = [self._title(), *(f"  warning: {w}" for w in self.warnings)]
-        lines += [f"  {name}: {text}" for name, text in facts(self.region, self.effort_ratio, self.workspace, self.remainder)]
-        return "\n".join([*lines, *text_table(*joints(self.workspace, self.inside)), *text_table(*trajectories(self._torques()))])
-
-    def _repr_html_(self) -> str:
-        """The same for notebooks."""
-        warned = "".join(f"<p>{escape(w)}</p>" for w in self.warnings)
-        plain = [[name, text] for name, text in facts(self.region, self.effort_ratio, self.workspace, self.remainder)]
-        tables = [html_table([self._title(), ""], plain), html_table(*joints(self.workspace, self.inside))]
-        return warned + "".join([*tables, html_table(*trajectories(self._torques()))])
+    def _parts(self) -> list[Part]:
+        known = self.known
+        title = f"{known.problem.experiment.name}: bounds for controllers from the {known.source} ({known.method})."
+        facts = [f"{name}: {text}" for name, text in self._facts()]
+        warned = [f"warning: {w}" for w in self.warnings]
+        return [f"{title} {self.headline}", *warned, *facts, joints(self.workspace, self.inside), self._torques()]
 
     @property
     def headline(self) -> str:
         """What the bounds hold of, and what that is conditional on."""
         return headline(self.remainder, self.known.problem.fitted)
 
-    def _title(self) -> str:
-        known = self.known
-        source = f"{known.source} ({known.method})"
-        return f"{known.problem.experiment.name}: bounds for controllers from the {source}. {self.headline}"
+    def _facts(self) -> list[tuple[str, str]]:
+        """What there is to say in one line each: a name and a text."""
+        region, w, left = self.region, self.workspace, self.remainder
+        out = [
+            (
+                "parameters of the joint torques",
+                f"{len(region.values)}, all at once within {number(region.factor, 3)} standard deviations (box), "
+                f"rho_V {number(region.ellipsoid, 4)} (ellipsoid), rho {number(region.rho, 3)} (ball, SI units)",
+            ),
+            ("torque of the ball over that of the ellipsoid", f"{number(self.effort_ratio, 2)} times (median)"),
+            (
+                "mass matrix",
+                f"M_hat is {number(w.ratio[0], 3)} to {number(w.ratio[1], 3)} times M; alpha {number(w.alpha, 3)}"
+                + (" (of identified.urdf)" if w.of_urdf else "")
+                + ("" if w.alpha < 1.0 else ", not below 1: computed torque has no guarantee"),
+            ),
+            ("Coriolis", f"error {number(w.coriolis_error, 2)} of {number(w.coriolis, 3)} [N m s²]"),
+            ("every drawn mass matrix", f"positive definite; smallest eigenvalue {number(w.smallest_drawn, 3)}"),
+        ]
+        if left is not None:
+            kind = "motions that were not fitted" if left.held_out else "the fitted motions"
+            bounds = ", ".join(number(b, 3) for b in left.bound)
+            out.append(("other uncertainty", f"99 % of the torques of {kind} within {bounds}"))
+        return out
 
-    def _torques(self) -> list[tuple[str, Band]]:
-        return [(t.name, t.torque) for t in self.trajectories]
+    def _torques(self) -> Table:
+        rows = [
+            [t.name, ", ".join(number(x, 2) for x in t.torque.factor * t.torque.std.max(axis=0)),
+             ", ".join(number(x, 2) for x in t.torque.extrapolation)]
+            for t in self.trajectories
+        ]  # fmt: skip
+        return Table(["trajectory", "torque: half band, by joint", "std over that of the fitted motions"], rows)
 
 
 def _for_matlab(t: TrajectoryBands) -> dict[str, Any]:
@@ -443,38 +458,13 @@ def headline(left: Remainder | None, fitted: Sequence[str]) -> str:
             "which no parameter explains, is in them."
         )
     return (
-        f"{sets}. Bands of torques hold 95 % of the samples of motions like {', '.join(fitted)}, with the robot as warm and worn "
-        "as it was then: no motion was held out, so nothing shows another kind of motion or another day."
+        f"{sets}. Bands of torques hold 95 % of the samples of motions like {', '.join(fitted)}, with the robot as warm and "
+        "worn as it was then: no motion was held out, so nothing shows another kind of motion or another day."
     )
 
 
-def facts(region: Region, effort_ratio: float, w: Workspace, left: Remainder | None) -> list[tuple[str, str]]:
-    """What there is to say in one line each: a name and a text."""
-    out = [
-        (
-            "parameters of the joint torques",
-            f"{len(region.values)}, all at once within {number(region.factor, 3)} standard deviations (box), "
-            f"rho_V {number(region.ellipsoid, 4)} (ellipsoid), rho {number(region.rho, 3)} (ball, SI units)",
-        ),
-        ("torque of the ball over that of the ellipsoid", f"{number(effort_ratio, 2)} times (median)"),
-        (
-            "mass matrix",
-            f"M_hat is {number(w.ratio[0], 3)} to {number(w.ratio[1], 3)} times M; alpha {number(w.alpha, 3)}"
-            + (" (of identified.urdf)" if w.of_urdf else "")
-            + ("" if w.alpha < 1.0 else ", not below 1: computed torque has no guarantee"),
-        ),
-        ("Coriolis", f"error {number(w.coriolis_error, 2)} of {number(w.coriolis, 3)} [N m s²]"),
-        ("every drawn mass matrix", f"positive definite; smallest eigenvalue {number(w.smallest_drawn, 3)}"),
-    ]
-    if left is not None:
-        kind = "motions that were not fitted" if left.held_out else "the fitted motions"
-        bounds = ", ".join(number(b, 3) for b in left.bound)
-        out.append(("other uncertainty", f"99 % of the torques of {kind} within {bounds}"))
-    return out
-
-
 def joints(w: Workspace, inside: InsideJoints) -> Table:
-    """Bounds joint by joint: head and rows."""
+    """Bounds joint by joint."""
     least = 1e-9 * float(w.gravity.max(initial=0.0))  # rounding of a joint that carries no weight
     gravity, error = (np.where(x > least, x, 0.0) for x in (w.gravity, w.gravity_error))
     head = ["joint", "inertia", "error", "gravity", "error", "usual rotor inertia", "usual friction"]
@@ -488,20 +478,9 @@ def joints(w: Workspace, inside: InsideJoints) -> Table:
             [name, f"{number(w.inertia[j, 0], 3)} … {number(w.inertia[j, 1], 3)}", share_of(w.inertia_error[j]),
              number(gravity[j], 3), number(error[j], 2), rotor, "identified" if known else friction]
         )  # fmt: skip
-    return head, rows
+    return Table(head, rows, style="narrow")
 
 
 def share_of(error: float) -> str:
     """A relative error as per cent, as far as it is one."""
     return percent(error, 2) if error <= 1.0 else "over 100 %"
-
-
-def trajectories(bands: Iterable[tuple[str, Band]]) -> Table:
-    """Bands by trajectory: head and rows."""
-    head = ["trajectory", "torque: half band, by joint", "std over that of the fitted motions"]
-    rows = [
-        [name, ", ".join(number(x, 2) for x in torque.factor * torque.std.max(axis=0)),
-         ", ".join(number(x, 2) for x in torque.extrapolation)]
-        for name, torque in bands
-    ]  # fmt: skip
-    return head, rows
