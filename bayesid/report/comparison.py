@@ -1,4 +1,4 @@
-"""The report of ``compare``: turns a `Comparison` into what its template shows."""
+"""The report of ``compare``."""
 
 from __future__ import annotations
 
@@ -11,14 +11,29 @@ from matplotlib.figure import Figure
 from bayesid.report.charts import CYCLE
 from bayesid.report.figures import GREY, NOISE, add_legend, given_axes, make_grid, plain_log, styled
 from bayesid.report.identification import STATIC, mood_of
-from bayesid.report.page import render, run_times, svg, versions
-from bayesid.results.comparison import TEXT_MOTIONS, Comparison, in_sigmas, overview, values_table
+from bayesid.report.page import (
+    below,
+    cards,
+    figure,
+    fold,
+    how,
+    lead,
+    note,
+    page,
+    run_times,
+    svg,
+    terms,
+    versions,
+    warnings,
+)
+from bayesid.results.comparison import Comparison, in_sigmas, overview_table, values_table
 from bayesid.results.entry import Entry
 from bayesid.results.loaded import LoadedComparison
+from bayesid.results.section import Cell, Html, Part, Section, Table
 from bayesid.results.text import DASH, chance, channel_text, number, percent
 from bayesid.validation.agreement import HausmanTest
 from bayesid.validation.headline import judged
-from bayesid.validation.prediction import BAND, Prediction
+from bayesid.validation.prediction import BAND
 
 #: From so many parameters they stand in two columns.
 _TWO_COLUMNS = 14
@@ -153,67 +168,89 @@ _DESCRIPTIONS = {
 
 def comparison_report(result: Comparison) -> str:
     """The report of ``compare``: an HTML page with all figures inside."""
-    problem = result.problem
+    problem, reference = result.problem, result.reference
     done = [e for e in result.entries if e.estimate is not None]
-    motions = [_motion_errors(result, k) for k in range(len(done[0].predictions))]
-    return render(
-        "comparison.html",
-        name="Comparison of estimators" if problem is None else problem.experiment.name,
-        source="a regression of one's own" if problem is None else
-        f"the {channel_text(problem.channel)} of {', '.join(problem.fitted)}",
-        count=len(result.entries),
-        warning_list=result.warnings,
-        lead=_lead(result),
-        card_list=_cards(result),
-        reference=result.reference,
-        efficient=result.tests[0].efficient if result.tests else "",
-        shown=[p.motion for p in done[0].predictions[:TEXT_MOTIONS]],
-        validated=bool(done[0].validation),
-        robot=problem is not None,
-        links_known=any(e.impossible is not None for e in result.entries),
-        band=number(BAND, 2),
-        overview=[_row(result, e) for e in (*result.baselines, *result.entries)],
-        refused=[{"name": e.name, "reason": e.refusal} for e in result.entries if e.estimate is None],
-        descriptions=[(e.name, _describe(e)) for e in (*result.baselines, *result.entries)],
-        predictions=svg(errors_figure(result), "predictions") if motions else "",
-        values_figure=svg(values_figure(result, result.reference), "values") if result.reference else "",
-        columns=[e.name for e in done],
-        nominal=result.regression.nominal is not None,
-        values=values_table(result),
-        effects=values_table(result, effects=True),
-        gaps=_matrix(result),
-        farthest=[
-            {"pair": f"{g.first} and {g.second}", "compared": g.compared, "rms": in_sigmas(g.rms),
-             "largest": in_sigmas(g.largest), "where": g.where}
-            for g in sorted(result.gaps, key=lambda g: -g.rms)
-        ],
-        tests=[_test(t) for t in result.tests],
-        errors=motions,
-        impossible=[(e.name, ", ".join(e.impossible)) for e in result.entries if e.impossible],
-        credible=[n for n, e in result.estimates.items() if e.interval == "credible"],
-        intervals=[(n, e.interval_reason) for n, e in result.estimates.items() if e.interval == "none"],
-        how=_how(result),
-    )  # fmt: skip
+    predicted, validated = bool(done[0].predictions), bool(done[0].validation)
+    sections = [_side_by_side(result)]
+    if predicted:
+        sections.append(Section("How well each one predicts", [
+            "Motions for validation took no part in the fit, so a smaller error here is a better estimate. But motions are "
+            "few: a difference of a few per cent does not show that one estimator is better, and an estimator that is picked "
+            "by this figure has been fitted to the validation motion a little." if validated else
+            "**There is no validation motion**: these are the fitted motions, on which the estimator that fits most closely "
+            "looks best, right or wrong.",
+            figure(svg(errors_figure(result), "predictions"),
+                   f"Dot: all channels together; strokes: the channels. Left: error below {number(BAND, 2)} Hz in per cent of "
+                   "the reading, right: what is left in units of the noise, where the green line is perfect. On grey: the "
+                   "nominal model, which the estimates should beat."),
+        ], "Prediction"))  # fmt: skip
+    below_line = " Below the line: effects beyond rigid bodies, estimated along." if result.regression.effect_names else ""
+    sections += [
+        Section("Values", [
+            figure(svg(values_figure(result, reference), "values") if reference else "",
+                   f"Each base parameter by each estimator (dots) with its central 95 % interval (bars), relative to {reference} "
+                   f"and in units of its standard deviation. Green: the 95 % interval of {reference}. Triangles lie outside "
+                   "the picture. Numbers as in the table."),
+            values_table(result, whole=True),
+            note("In a label, m2 is the mass of body 2, m2 r2x its first moment along x and I2xy an inertia about the origin "
+                 "of its joint's frame. ±: half of the 95 % interval; where it is missing, none is honest." + below_line),
+        ]),
+        _agreement(result),
+    ]  # fmt: skip
+    if predicted:
+        role = "validation: not fitted" if validated else "fitted"
+        sections.append(Section("Errors by channel", [
+            f"Root mean square of measured less predicted below {number(BAND, 2)} Hz in the unit of the channel and relative "
+            "to the reading, and what is left in units of the noise (× noise).",
+            *(_motion_errors(result, k, role) for k in range(len(done[0].predictions))),
+        ]))  # fmt: skip
+    sections.append(
+        how(*_how(result), after="SI units, force before moment. Intervals are central and hold 95 %.", title="How this was done")
+    )
+    name = "Comparison of estimators" if problem is None else problem.experiment.name
+    source = (
+        "a regression of one's own" if problem is None else f"the {channel_text(problem.channel)} of {', '.join(problem.fitted)}"
+    )
+    better = "every estimator predicts better than the nominal model, and " if predicted else ""
+    opening = [
+        warnings(result.warnings, f"No warnings: {better}no test finds estimators in contradiction."), lead(_lead(result)),
+        cards(_cards(result)),
+    ]  # fmt: skip
+    kicker = f"{len(result.entries)} estimators side by side, all fitted to {source}"
+    return page(name, kicker, opening, sections, f"{name}: estimators side by side")
 
 
-def _row(result: Comparison, entry: Entry) -> dict[str, Any]:
-    """One line of the overview."""
-    test = next((t for t in result.tests if t.method == entry.name), None)
-    return {
-        **overview(result, entry),
-        "refused": entry.refusal,
-        "baseline": any(entry is b for b in result.baselines),
-        "motions": [
-            {"error": percent(p.relative_error), "white": number(p.times_noise, 3), "mood": judged(p).mood}
-            for p in entry.predictions[:TEXT_MOTIONS]
-        ],
-        "links_mood": "" if entry.impossible is None else "bad" if entry.impossible or entry.conflicting else "good",
-        "test_mood": "bad" if test is not None and test.contradiction else "",
-    }
-
-
-def _describe(entry: Entry) -> str:
-    return _DESCRIPTIONS.get(entry.name) or entry.description or "an estimator of one's own"
+def _side_by_side(result: Comparison) -> Section:
+    """All estimators in a table, with what its columns say and what each estimator is."""
+    reference, efficient = result.reference, result.tests[0].efficient if result.tests else ""
+    done = [e for e in result.entries if e.estimate is not None]
+    validated = "motions that took no part in the fit" if done[0].validation else "the fitted motions, as there are no others"
+    nearest = (
+        "; base parameters alone do not fix them, so the nearest to the nominal ones are judged unless the estimator has links "
+    )
+    nearest = f"{nearest}of its own" if result.problem is not None else ""
+    credible = "; * credible, so it counts what was known before"
+    credible = credible if any(e.interval == "credible" for e in result.estimates.values()) else ""
+    columns = [
+        f"**Error**: of all channels together, in per cent of the signal below {number(BAND, 2)} Hz, on {validated}. **× "
+        "noise**: what is left in units of the noise, the same noise for all; 1 is perfect." if done[0].predictions else "",
+        f"**Links**: whether bodies with such masses and inertias can exist{nearest}." if result.links_known else "",
+        f"**Interval**: median width over the base parameters, relative to {reference}{credible}. **From {reference}**: "
+        f"difference of the base parameters in standard deviations of {reference}: rms and largest." if reference else "",
+        f"**Hausman**: probability of so large a difference from {efficient} if the model is complete." if efficient else "",
+        "**Time**: of the fit alone; rows and noise are prepared once for all.",
+    ]  # fmt: skip
+    entries = [*result.baselines, *result.entries]
+    without = ", ".join(f"**{n}** ({e.interval_reason})" for n, e in result.estimates.items() if e.interval == "none")
+    impossible = ", ".join(f"**{e.name}** ({', '.join(e.impossible)})" for e in result.entries if e.impossible)
+    return Section("Side by side", [
+        overview_table(result),
+        *(f"**{e.name}** refused: {e.refusal}" for e in result.entries if e.estimate is None),
+        note(" ".join(filter(None, columns))),
+        terms([(e.name, _DESCRIPTIONS.get(e.name) or e.description or "an estimator of one's own") for e in entries]),
+        f"Without intervals: {without}." if without else "",
+        f"Links that cannot exist: {impossible}. Do not simulate with them." if impossible else "",
+    ])  # fmt: skip
 
 
 def _score(entry: Entry) -> float:
@@ -232,8 +269,8 @@ def _lead(result: Comparison) -> str:
     sorry = f" {refused} of {len(result.entries)} could not work with these data." if refused else ""
     if not done[0].predictions:
         return (
-            "The same rows, fitted by several estimators. A regression of one's own has no motion to validate on, so what can be "
-            f"compared is values, intervals and how far they agree.{sorry}"
+            "The same rows, fitted by several estimators. A regression of one's own has no motion to validate on, so what can "
+            f"be compared is values, intervals and how far they agree.{sorry}"
         )
     scores = {e.name: _score(e) for e in done}
     best = min(scores, key=lambda n: scores[n])
@@ -262,30 +299,30 @@ def _lead(result: Comparison) -> str:
     return text + sorry
 
 
-def _cards(result: Comparison) -> list[dict[str, str]]:
+def _cards(result: Comparison) -> list[tuple[str, str, str]]:
     done = [e for e in result.entries if e.estimate is not None]
-    cards = []
+    large = []
+
+    def times(entry: Entry, text: str) -> None:
+        large.append((f"{number(_score(entry), 3)} ×", text, mood_of(_score(entry))))
+
     if done[0].predictions:
-        best = min(done, key=_score)
-        cards.append({"value": f"{number(_score(best), 3)} ×", "mood": mood_of(_score(best)),
-                      "text": f"noise is left by the best prediction ({best.name}); 1 is perfect"})  # fmt: skip
-        worst = max(done, key=_score)
+        best, worst = min(done, key=_score), max(done, key=_score)
+        times(best, f"noise is left by the best prediction ({best.name}); 1 is perfect")
         if worst is not best:
-            cards.append({"value": f"{number(_score(worst), 3)} ×", "mood": mood_of(_score(worst)),
-                          "text": f"by the worst ({worst.name})"})  # fmt: skip
+            times(worst, f"by the worst ({worst.name})")
     for e in result.baselines:
-        cards.append({"value": f"{number(_score(e), 3)} ×", "mood": mood_of(_score(e)), "text": f"by {_baseline(e.name)}"})
+        times(e, f"by {_baseline(e.name)}")
     if result.gaps:
         far = max(result.gaps, key=lambda g: g.rms)
         pair = f"{far.first} and {far.second}, the farthest pair"
-        cards.append({"value": f"{in_sigmas(far.rms)} σ", "mood": "",
-                      "text": f"rms between {pair}, in standard deviations of {result.reference}"})  # fmt: skip
+        large.append((f"{in_sigmas(far.rms)} σ", f"rms between {pair}, in standard deviations of {result.reference}", ""))
     known = [e for e in done if e.impossible is not None]
     if known:
         fine = sum(not e.impossible and not e.conflicting for e in known)
-        cards.append({"value": f"{fine} of {len(known)}", "mood": "good" if fine == len(known) else "",
-                      "text": "estimators allow links that can all exist"})  # fmt: skip
-    return cards
+        text = "estimators allow links that can all exist"
+        large.append((f"{fine} of {len(known)}", text, "good" if fine == len(known) else ""))
+    return large
 
 
 def _baseline(name: str) -> str:
@@ -319,41 +356,67 @@ def values_figure(result: Comparison | LoadedComparison, name: str, ax: Any = No
     return values_side_by_side(names, list(result.estimates), np.where(hidden, np.nan, difference), ends, name, ax)
 
 
-def _matrix(result: Comparison) -> list[dict[str, Any]]:
-    """Root mean square differences of all pairs."""
-    names = list(result.estimates)
-    found = {frozenset((g.first, g.second)): g.rms for g in result.gaps}
-    return [{"name": a, "cells": [DASH if a == b else in_sigmas(found.get(frozenset((a, b)))) for b in names]} for a in names]
+def _agreement(result: Comparison) -> Section:
+    """How far every two estimators are apart, and whether that is more than noise."""
+    parts: list[Part] = ["No estimator has intervals, so there is no unit to count differences in."]
+    if result.gaps and result.reference:
+        names = list(result.estimates)
+        found = {frozenset((g.first, g.second)): g.rms for g in result.gaps}
+        matrix = [[a, *(DASH if a == b else in_sigmas(found.get(frozenset((a, b)))) for b in names)] for a in names]
+        farthest = [
+            [f"{g.first} and {g.second}", str(g.compared), in_sigmas(g.rms), in_sigmas(g.largest), g.where]
+            for g in sorted(result.gaps, key=lambda g: -g.rms)
+        ]
+        head = ["pair", "numbers", "rms [σ]", "largest [σ]", "base parameter"]
+        parts = [
+            "Root mean square difference of the base parameters of every two estimators, in standard deviations of "
+            f"{result.reference}. All had the same rows, noise and all, so they should be closer to each other than their "
+            "intervals are wide: this is a measure of how much the choice of the estimator matters, not a test. Beyond about "
+            "2, the choice matters more than the noise does.",
+            Table(["", *names], matrix, "kb" + " n" * len(names), "narrow"),
+            fold("Where each pair differs most", Table(head, farthest, "k n n n w")),
+        ]
+    if result.tests:
+        efficient = result.tests[0].efficient
+        head = [f"against {efficient}", "statistic", "directions", "probability", ""]
+        parts.append(below(
+            "Is a difference more than noise?",
+            f"Where the model is complete and the noise as modelled, {efficient} is the most exact estimator, and the "
+            f"difference of another one from it has the covariance V − V({efficient}) (Hausman's test). A probability below "
+            "0.01 % means that the two cannot both be right: something is missing in the model.",
+            Table(head, [_test(t) for t in result.tests], "kb n n n w", "narrow"),
+        ))  # fmt: skip
+    return Section("Do the estimators agree?", parts, "Agreement")
 
 
-def _test(test: HausmanTest) -> dict[str, str]:
+def _test(test: HausmanTest) -> list[Cell]:
     if test.probability is None:
-        return {"name": test.method, "statistic": DASH, "degrees": DASH, "probability": DASH, "mood": "", "verdict": test.reason}
-    bad = test.contradiction
-    return {
-        "name": test.method, "statistic": number(test.statistic, 3), "degrees": str(test.degrees),
-        "probability": chance(test.probability), "mood": "bad" if bad else "good",
-        "verdict": "differs by more than the noise explains" if bad else "differs by no more than the noise explains",
-    }  # fmt: skip
+        return [test.method, DASH, DASH, DASH, test.reason]
+    said = ("more", "bad") if test.contradiction else ("no more", "good")
+    verdict = f"differs by {said[0]} than the noise explains", said[1]
+    return [test.method, number(test.statistic, 3), str(test.degrees), chance(test.probability), verdict]
 
 
-def _motion_errors(result: Comparison, index: int) -> dict[str, Any]:
+def _motion_errors(result: Comparison, index: int, role: str) -> Html:
     """Errors of one motion, channel by channel and estimator by estimator."""
     entries = [e for e in (*result.baselines, *result.entries) if e.estimate is not None]
     ps = [e.predictions[index] for e in entries]
-
-    def white(p: Prediction, c: int) -> str:
-        return number(float(p.whitened_rms_by_channel[c]) if p.noise_known else None, 3)
-
-    channels = [
-        {"name": name, "unit": unit,
-         "cells": [{"rmse": number(p.rmse[c], 3), "nrmse": percent(p.nrmse[c]), "white": white(p, c)}
-                   for p in ps]}
-        for c, (name, unit) in enumerate(zip(ps[0].channel_names, ps[0].channel_units, strict=True))
-    ]  # fmt: skip
-    whole = [{"nrmse": percent(p.relative_error), "white": number(p.times_noise, 3), "mood": judged(p).mood} for p in ps]
-    return {"title": ps[0].motion, "names": [e.name for e in entries], "channels": channels, "whole": whole,
-            "repeats": f"This motion repeats the fitted ‘{ps[0].repeats}’." if ps[0].repeats else ""}  # fmt: skip
+    rows: list[list[Cell]] = []
+    for c, (name, unit) in enumerate(zip(ps[0].channel_names, ps[0].channel_units, strict=True)):
+        row: list[Cell] = [f"{name} [{unit}]"]
+        for p in ps:
+            white = number(float(p.whitened_rms_by_channel[c]) if p.noise_known else None, 3)
+            row += [number(p.rmse[c], 3), percent(p.nrmse[c]), white]
+        rows.append(row)
+    every = [
+        cell
+        for p in ps
+        for cell in ("", (percent(p.relative_error), "sure"), (number(p.times_noise, 3), f"sure {judged(p).mood}"))
+    ]
+    head = ["channel", *(title for e in entries for title in (f"{e.name}: rms", "relative", "× noise"))]
+    table = Table(head, [*rows, ["all", *every]], f"ku{' n n n' * len(ps)}", "tight", {len(rows): "rule"})
+    repeats = f"This motion repeats the fitted ‘{ps[0].repeats}’." if ps[0].repeats else ""
+    return fold(f"{ps[0].motion} ({role})", note(repeats), table, opened=index == 0)
 
 
 def _how(result: Comparison) -> list[tuple[str, str]]:

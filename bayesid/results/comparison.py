@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,8 +16,10 @@ from bayesid.regression.problem import Problem
 from bayesid.regression.regression import Regression
 from bayesid.results.entry import Entry, HasEntries
 from bayesid.results.files import Result
-from bayesid.results.text import DASH, chance, channel_text, html_table, number, percent, text_table, with_interval
+from bayesid.results.section import Cell, Part, Section, Table
+from bayesid.results.text import DASH, chance, channel_text, number, percent, with_interval
 from bayesid.validation.agreement import Gap, HausmanTest
+from bayesid.validation.headline import judged
 from bayesid.validation.predicted_readings import PredictedReadings, predict_readings
 from bayesid.validation.prediction import BAND
 
@@ -135,13 +136,30 @@ class Comparison(HasEntries, Result):
         of = "a regression" if self.problem is None else self.problem.experiment.name
         return f"<Comparison on {of} of {', '.join(e.name for e in self.entries)}>"
 
-    def __str__(self) -> str:
-        """The estimators in a table, then their values."""
-        return comparison_text(self)
+    def _parts(self) -> list[Part]:
+        done = [e for e in self.entries if e.estimate is not None]
+        legend = []
+        if done[0].predictions:
+            role = "not fitted" if done[0].validation else "fitted: no validation motion"
+            legend.append(f"error: of the signal below {BAND:g} Hz, on motions {role}; x noise: what is left, 1 is perfect")
+        if self.reference:
+            legend.append(f"interval: median width relative to {self.reference}")
+            legend.append(f"from {self.reference}: rms and largest difference in its sigmas")
+            if any(e.interval == "credible" for e in self.estimates.values()):
+                legend.append("*: credible, counts what was known before")
+        if self.tests:
+            legend.append("Hausman: chance of so large a difference if the model is complete")
+        if self.links_known:
+            legend.append("links: whether those that identify writes can exist, and how far off they are")
+        refused = [f"{e.name} refused: {e.refusal}" for e in self.entries if e.estimate is None]
+        warned = [f"warning: {w}" for w in self.warnings]
+        values = Section("Values, ± half of the 95 % interval", [values_table(self)])
+        return [_title(self), overview_table(self), *legend, *refused, *warned, values]
 
-    def _repr_html_(self) -> str:
-        """The same tables for notebooks."""
-        return comparison_text(self, html=True)
+    @property
+    def links_known(self) -> bool:
+        """Whether it is known for any estimator if its links can exist."""
+        return any(e.impossible is not None for e in (*self.baselines, *self.entries))
 
     def to_dict(self) -> dict[str, Any]:
         """``comparison.json``."""
@@ -179,62 +197,6 @@ class Comparison(HasEntries, Result):
         }
 
 
-def comparison_text(result: Comparison, *, html: bool = False) -> str:
-    """The estimators in a table, then their values; for a terminal or a notebook.
-
-    Parameters
-    ----------
-    result
-        The comparison.
-    html
-        As two HTML tables instead of text.
-    """
-    done = [e for e in result.entries if e.estimate is not None]
-    motions = [p.motion for p in done[0].predictions[:TEXT_MOTIONS]]
-    head = ["estimator"]
-    for motion in motions:
-        head += [f"{motion}: error", "x noise"]
-    known = any(e.impossible is not None for e in (*result.baselines, *result.entries))
-    head += ["links"] * known
-    if result.reference:
-        head += ["interval", f"from {result.reference}", "largest"]
-    head += [*(f"Hausman {t.efficient}" for t in result.tests[:1]), "time"]
-    rows = []
-    for entry in (*result.baselines, *(e for e in result.entries if e.estimate is not None)):
-        row = overview(result, entry)
-        cells = [row["name"]]
-        for p in entry.predictions[:TEXT_MOTIONS]:
-            cells += [percent(p.relative_error), number(p.times_noise, 3)]
-        cells += [row["links"]] * known
-        if result.reference:
-            cells += [row["width"], row["rms"], row["largest"]]
-        rows.append([*cells, *([row["test"]] * bool(result.tests)), row["time"]])
-    refused = [f"{e.name} refused: {e.refusal}" for e in result.entries if e.estimate is None]
-    names = [e.name for e in done]
-    table = [*values_table(result), *values_table(result, effects=True)]
-    values = [[v["label"], *(c["text"] for c in v["cells"]), v["unit"]] for v in table]
-    notes = [*refused, *(f"warning: {w}" for w in result.warnings)]
-    title = _title(result)
-    if html:
-        lists = "".join(f"<p>{escape(n)}</p>" for n in notes)
-        return f"<p>{escape(title)}</p>{html_table(head, rows)}{lists}{html_table(['base parameter', *names, 'unit'], values)}"
-    legend = []
-    if motions:
-        role = "not fitted" if done[0].validation else "fitted: no validation motion"
-        legend.append(f"  error: of the signal below {BAND:g} Hz, on motions {role}; x noise: what is left, 1 is perfect")
-    if result.reference:
-        legend.append(f"  interval: median width relative to {result.reference}")
-        legend.append(f"  from {result.reference}: rms and largest difference in its sigmas")
-        if any(e.interval == "credible" for e in result.estimates.values()):
-            legend.append("  *: credible, counts what was known before")
-    if result.tests:
-        legend.append("  Hausman: chance of so large a difference if the model is complete")
-    if known:
-        legend.append("  links: whether those that identify writes can exist, and how far off they are")
-    return "\n".join([title, *text_table(head, rows), *legend, *(f"  {n}" for n in notes), "",
-                      *text_table(["value ± 95 %", *names, "unit"], values)])  # fmt: skip
-
-
 def _title(result: Comparison) -> str:
     rank, count = result.regression.base.rank, len(result.entries)
     estimators = f"{count} estimator{'s' if count > 1 else ''}"
@@ -244,29 +206,46 @@ def _title(result: Comparison) -> str:
     return f"{p.experiment.name}: {estimators} on the {channel_text(p.channel)} of {', '.join(p.fitted)}, {rank} base parameters"
 
 
-def overview(result: Comparison, entry: Entry) -> dict[str, str]:
-    """An estimator's line of the overview but for its errors: links, interval, distance from the reference, test, time."""
+def overview_table(result: Comparison) -> Table:
+    """A line for each estimator: errors by motion, links, interval, distance from the reference, test, time of the fit."""
+    done = [e for e in result.entries if e.estimate is not None]
+    head, columns = ["estimator"], "kb"
+    for p in done[0].predictions[:TEXT_MOTIONS]:
+        head, columns = [*head, f"{p.motion}: error", "x noise"], f"{columns} n nb"
+    if result.links_known:
+        head, columns = [*head, "links"], f"{columns} k"
+    if result.reference:
+        head, columns = [*head, "interval", f"from {result.reference}", "largest"], f"{columns} n n n"
+    head, columns = [*head, *(f"Hausman {t.efficient}" for t in result.tests[:1])], columns + " n" * bool(result.tests)
+    rows = [_overview(result, entry) for entry in (*result.baselines, *done)]
+    return Table([*head, "time"], rows, f"{columns} n")
+
+
+def _overview(result: Comparison, entry: Entry) -> list[Cell]:
     own = None if any(entry is b for b in result.baselines) else entry.estimate
-    gap = next((g for g in result.gaps if {g.first, g.second} == {entry.name, result.reference}), None)
-    test = next((t for t in result.tests if t.method == entry.name), None)
-    width = DASH
-    if own is not None and result.reference is not None:
-        width = "none"
-        if own.full_covariance is not None:
+    row: list[Cell] = [" = ".join((entry.name, *(() if own is None else result.same_as(entry.name))))]
+    for p in entry.predictions[:TEXT_MOTIONS]:
+        row += [percent(p.relative_error), (number(p.times_noise, 3), judged(p).mood)]
+    if result.links_known:
+        none, unfit = entry.impossible is None, entry.impossible or entry.conflicting
+        links = DASH if none else f"{len(entry.impossible or ())} impossible" if entry.impossible else "possible"
+        if entry.conflicting and entry.urdf is not None and entry.urdf.moved is not None:
+            links += f", {number(entry.urdf.moved.distance, 2)} σ away"
+        row.append((links, "" if none else "bad" if unfit else "good"))
+    if result.reference is not None:
+        width = DASH if own is None else "none"
+        if own is not None and own.full_covariance is not None:
             ratio = interval_width(result, own)
             width = (DASH if ratio is None else f"{number(ratio, 3)} ×") + " *" * (own.interval == "credible")
-    links = DASH if entry.impossible is None else f"{len(entry.impossible)} impossible" if entry.impossible else "possible"
-    if entry.conflicting and entry.urdf is not None and entry.urdf.moved is not None:
-        links += f", {number(entry.urdf.moved.distance, 2)} σ away"
-    return {
-        "name": " = ".join((entry.name, *(() if own is None else result.same_as(entry.name)))),
-        "links": links,
-        "width": width,
-        "rms": DASH if gap is None else in_sigmas(gap.rms),
-        "largest": DASH if gap is None else in_sigmas(gap.largest),
-        "test": DASH if test is None or test.probability is None else chance(test.probability),
-        "time": DASH if own is None else f"{number(entry.seconds, 2)} s",
-    }
+        gap = next((g for g in result.gaps if {g.first, g.second} == {entry.name, result.reference}), None)
+        row += [width, *([DASH, DASH] if gap is None else [in_sigmas(gap.rms), in_sigmas(gap.largest)])]
+    if result.tests:
+        test = next((t for t in result.tests if t.method == entry.name), None)
+        if test is None or test.probability is None:
+            row.append(DASH)
+        else:
+            row.append((chance(test.probability), "bad" * test.contradiction))
+    return [*row, DASH if own is None else f"{number(entry.seconds, 2)} s"]
 
 
 def interval_width(result: Comparison, estimate: Estimate) -> float | None:
@@ -283,18 +262,19 @@ def in_sigmas(value: float | None) -> str:
     return "< 0.01" if value is not None and value < 0.01 else number(value, 3)
 
 
-def values_table(result: Comparison, *, effects: bool = False) -> list[dict[str, Any]]:
-    """A line for each base (or effect) parameter, a cell for each estimator."""
+def values_table(result: Comparison, *, whole: bool = False) -> Table:
+    """Base and effect parameters by each estimator; ``whole``: numbered, and with those of the nominal model."""
     base, regression = result.regression.base, result.regression
-    labels, units = (regression.effect_names, regression.effect_units) if effects else (base.labels, base.units)
-    first, rows = base.rank if effects else 0, []
-    nominal = None if effects else regression.nominal
-    found = [estimate.parameters() for estimate in result.estimates.values()]
+    labels, units = [*base.labels, *regression.effect_names], [*base.units, *regression.effect_units]
+    shown = whole and regression.nominal is not None
+    rows = []
     for k, (label, unit) in enumerate(zip(labels, units, strict=True)):
-        cells = []
-        for p in found:
-            value, half = with_interval(*(float(x[first + k]) for x in (p.values, p.std, p.low, p.high)))
-            cells.append({"value": value, "half": half, "text": joined(value, half)})
-        rows.append({"index": k + 1, "label": label, "unit": unit, "cells": cells,
-                     "nominal": DASH if nominal is None else number(nominal[k])})  # fmt: skip
-    return rows
+        values = []
+        for p in (estimate.parameters() for estimate in result.estimates.values()):
+            values.append(joined(*with_interval(*(float(x[k]) for x in (p.values, p.std, p.low, p.high)))))
+        index = [str(k + 1) if k < base.rank else ""] if whole else []
+        nominal = [number(regression.nominal[k]) if k < base.rank else DASH] if shown and regression.nominal is not None else []
+        rows.append([*index, label, *values, *nominal, unit])
+    head = [*["#"] * whole, "parameter", *result.estimates, *["nominal"] * shown, "unit"]
+    numbers = " n" * (len(result.estimates) + shown)
+    return Table(head, rows, f"{'nd ' * whole}w{numbers} ku", "tight", {base.rank: "rule"})
