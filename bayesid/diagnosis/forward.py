@@ -81,7 +81,7 @@ def forward_selection(state: State, progress: Callable[[str], None], first: Sequ
         # Small gains that leave much unexplained are surrogates, of an unmodelled effect or of what effects found are inexact by:
         # nothing would come of more of them.
         before, after = (f.chi2 / f.projector.rows - 1.0 for f in (state.best, better))
-        surrogate = after > settings.unexplained - 1.0 and after > settings.surrogate_share * before
+        surrogate = after > settings.unexplained - 1.0 and after > settings.nearly_all * before
         if surrogate and len(state.best.terms) > state.known:
             break
         state = replace(state, best=better)

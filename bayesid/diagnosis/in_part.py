@@ -193,14 +193,14 @@ def proven_effects(s: Search, seed: int) -> InPart | None:
         if better <= LEAST_GAP:
             break
     last = part and _proven(part.search, seed, part.near, exact)
-    if last is not None and last.remainder > 1.0 - s.projector.data.settings.mostly_closed:
+    if last is not None and last.remainder > 1.0 - s.projector.data.settings.most:
         last = _where_they_act(last, seed)
     return last and replace(last, search=with_white_noise(last.search))
 
 
 def _where_they_act(part: InPart, seed: int) -> InPart:
     """Of effects that close too little of the whole gap those that close most of it in the channels that they act in, if any."""
-    mostly = part.search.projector.data.settings.mostly_closed
+    mostly = part.search.projector.data.settings.most
     groups = channel_groups(part.search)
     kept = frozenset(spec for g in groups if g.closed >= mostly for spec in g.effects)
     if not kept:

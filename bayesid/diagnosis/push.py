@@ -36,8 +36,6 @@ from bayesid.regression.readings import make_channels
 _BLOCK, _MOST_BLOCKS = 0.25, 200
 #: Ratio of the lengths of windows tried.
 _LONGER = 1.3
-#: A push that lasts for a larger share of its motion leaves too little of that to compare with.
-_LONGEST = 0.75
 #: Weight of a moment below which a recording that fades in or out says too little.
 _FADED = 0.5
 #: Prior standard deviation of the point about its link's origin, by axis [m]: of what no force's direction shows.
@@ -393,7 +391,7 @@ def _scanned(moments: _Moments) -> tuple[int, slice] | None:
         edges = np.arange(moments.edges[k] + clear[0], moments.edges[k] + clear[-1] + 1, size)
         blocks = [_gram(rows[a:b]) for a, b in pairwise(edges)]
         summed = np.cumsum([np.zeros_like(total), *blocks], axis=0)
-        longest = _LONGEST * len(times) / size
+        longest = moments.data.settings.most * len(times) / size
         for n in sorted({round(2 * _LONGER**x) for x in range(40) if 2 * _LONGER**x <= longest}):
             at = np.arange(1, len(edges) - 1 - n, max(n // 4, 1))
             if not len(at):
@@ -413,7 +411,7 @@ def _refined(moments: _Moments, k: int, scaled: _Scaled, place: _Place, inside: 
     """The window with its ends moved to where it costs least, by a second and less at a time."""
     clear = moments.edges[k] + np.flatnonzero(moments.share(k) >= _FADED)
     first, last = int(clear[0]) + 1, int(clear[-1])
-    longest = _LONGEST * (moments.edges[k + 1] - moments.edges[k])
+    longest = moments.data.settings.most * (moments.edges[k + 1] - moments.edges[k])
     best, move = _fitted(scaled, place, inside).cost, 16
     while move:
         moved = False

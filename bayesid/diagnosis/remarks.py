@@ -113,7 +113,7 @@ def _unknown(search: Search, gap: Gap | None, reason: Reason) -> list[str]:
 
 def _of_the_model(search: Search, found: Sequence[Found], gap: Gap | None) -> list[str]:
     """On the effects in and beside the model, and how the readings are taken."""
-    data, settings, out = search.projector.data, search.projector.data.settings, []
+    data, out = search.projector.data, []
     tried = ", ".join(by_kind(f.term for f in found))
     if found and search.dropped:
         out.append(
@@ -136,7 +136,7 @@ def _of_the_model(search: Search, found: Sequence[Found], gap: Gap | None) -> li
             "Dry friction fits better with readings as values at their times than as means over a sample's time, so they are "
             "taken for that."
         )
-    hidden = gap is not None and gap.before <= settings.room_ratio * gap.floor
+    hidden = gap is not None and not gap.closed_low > 0.0
     if found and hidden and all(f.term.effect.changes_link for f in found):
         count = search.projector.root.shape[1]
         far, near = (float(np.sum(f.coordinates[:count] ** 2)) for f in (search.base, search.best))

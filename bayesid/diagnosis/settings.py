@@ -74,14 +74,14 @@ class Settings:
     detected: float = 5.0
     #: Families of effects sought; more would not be named. Set by looking at cases.
     most_families: int = 4
-    #: An effect that leaves more than this share of an unexplained residual is a surrogate. Set by looking at cases.
-    surrogate_share: float = 0.8
     #: An effect contains another if its columns leave no more than this share of the other's in amplitude. Set by looking at
     #: cases.
     contained_share: float = 0.05
-    #: A model that explains this share of the residual may leave more than noise: no model of a drive is exact to a
-    #: hundredth. Set by looking at cases.
-    nearly_all: float = 0.95
+    #: Share of a squared residual, of evidence or of energy that is nearly all of it: what is left is less than a third of it in
+    #: root mean square, and may be what a model is inexact by. A part that is less than the rest, a tenth, is not worth a word.
+    nearly_all: float = 0.9
+    #: Share that is most of it: what is left is no more than half of it in root mean square.
+    most: float = 0.75
     #: More unrelated effects at once are taken for surrogates: set by looking at cases.
     likely_effects: int = 2
     #: Neighbouring frequencies whose residuals may depend on each other. Set by looking at cases.
@@ -92,31 +92,8 @@ class Settings:
     #: Probability of the interval about zero that an effect's values have to leave, and of all intervals that reports state; a
     #: change of a link is a possible body unless its distance to one is as improbable as what lies outside.
     interval: float = 0.95
-    #: A contact that lasts for a larger share of a motion is no event in it: half.
-    longest_contact: float = 0.5
-    #: An effect must not make unseen motions worse by more than this share of their squared residual. Set by looking at
-    #: cases.
-    worse_share: float = 0.02
-    #: Where the gap before is this many times the floor, it has to shrink. Set by looking at cases.
-    room_ratio: float = 1.05
-    #: Share that effects named in part must close: of the whole gap, or of that in the channels that they act in. Set by
-    #: looking at cases.
-    mostly_closed: float = 0.7
-    #: Where so much of the gap on unseen motions is closed, what is left of it there is no sign of something unknown. Set by
-    #: looking at cases.
-    closed: float = 0.9
     #: Time that the bootstrap takes for independent of the next [s].
     bootstrap_block: float = 1.5
-    #: Blocks into which the recordings are cut; one without which little is left carries the effect if its share is this many
-    #: times that of evenly spread evidence, or this share of all. Set by looking at cases.
-    blocks: int = 10
-    uneven: float = 3.0
-    carries_all: float = 0.9
-
-    # -- description of what no effect explains
-
-    #: A term closes at least this share of what was left on motions that it was not chosen on; less is not worth a draft.
-    worthwhile: float = 0.1
 
     # -- where
 

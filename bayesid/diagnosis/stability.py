@@ -165,9 +165,7 @@ def stability(
         share = np.clip(gains[1:] / max(gains[0], 1e-300), 0.0, None)
         left = (f.gain + price) * share - price
         worst = int(np.argmin(left))
-        taken = 1.0 - share[worst]
-        alone = left[worst] < settings.accept and taken > min(settings.uneven / len(moments), 0.5)
-        carried = taken > settings.carries_all or alone
+        carried = 1.0 - share[worst] > settings.most
         out.append(
             Stability(
                 f.term.effect.spec, len(moments), float(left[worst]), moments[worst] if carried else None,
@@ -206,14 +204,14 @@ def _sums(projector: NuisanceProjector, best: Fit, known: int) -> tuple[_Sums, l
     columns = np.hstack([kept, rest, np.concatenate([best.residual, -prior_residual])[:, None]])
     prior = np.hstack([projector.q[projector.length :], columns[projector.length :]])
     blocks, moments, row = [], [], 0
-    total = sum(s.times[-1] - s.times[0] for s in data.segments)
+    total, moment = sum(s.times[-1] - s.times[0] for s in data.segments), 1.0 - data.settings.nearly_all
     for s in data.segments:
         size = s.shape[0] * s.shape[1]
         mine = np.hstack([projector.q[row : row + size], columns[row : row + size]]).reshape(*s.shape, -1)
         row += size
         course = np.asarray(idct(mine, axis=0, norm="ortho"))
         length = s.times[-1] - s.times[0]
-        count = int(np.clip(round(data.settings.blocks * length / total), 1, len(course)))
+        count = int(np.clip(round(length / (total * moment)), 1, len(course)))
         edges = np.linspace(0, len(course), count + 1).astype(int)
         for a, b in zip(edges[:-1], edges[1:], strict=True):
             part = course[a:b].reshape(-1, course.shape[2])

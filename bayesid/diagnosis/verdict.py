@@ -103,17 +103,15 @@ def nearly_complete(e: Evidence, s: Settings) -> bool:
     """Whether the model closes nearly all of the gap, so that what it leaves is its own inexactness."""
     if e.after is None or e.floor is None:
         return False
-    return e.closed > s.closed and e.after**2 <= s.unexplained * e.floor**2 and e.explained > s.nearly_all
+    return e.closed > s.nearly_all and e.after**2 <= s.unexplained * e.floor**2 and e.explained > s.nearly_all
 
 
 def denied(e: Evidence, s: Settings) -> bool:
-    """Whether held-out motions deny the effects: worse, or no better where there was room."""
-    if e.before is None or e.after is None or e.floor is None:
+    """Whether held-out motions deny the effects: worse, or no better where there was a gap."""
+    if e.before is None or e.after is None:
         return False
-    worse = e.after**2 > e.before**2 * (1.0 + s.worse_share)
     # Where the effects change too little to stand out of the noise, that nothing is better denies nothing.
-    no_better = e.before > s.room_ratio * e.floor and e.closed_low <= 0.0 and e.difference >= s.detected**2
-    return worse or no_better
+    return e.difference >= s.detected**2 and (e.after > e.before or e.closed_low <= 0.0)
 
 
 def verdict(evidence: Evidence, settings: Settings) -> tuple[Verdict, Reason]:
@@ -130,7 +128,7 @@ def verdict(evidence: Evidence, settings: Settings) -> tuple[Verdict, Reason]:
     nearly = nearly_complete(e, s)
     left = 0.0 if e.effects and nearly else e.residual
     # What is left of a gap on livelier motions than the fitted ones is no unmodelled effect if it is a small share of the gap.
-    forgiven = bool(e.effects) and e.closed > s.closed
+    forgiven = bool(e.effects) and e.closed > s.nearly_all
     unseen = 0.0 if e.after is None or e.floor is None or forgiven else (e.after / e.floor) ** 2
     if max(left, unseen) > s.unexplained:
         return "unknown", "residual"
@@ -151,5 +149,5 @@ def named_in_part(part: InPart, settings: Settings) -> bool:
     What imitates an effect that the library lacks is proven, too, for some of the gap: the names must close most of it, or
     most of it in the channels that they act in.
     """
-    least = settings.mostly_closed
+    least = settings.most
     return part.remainder <= 1.0 - least or (bool(part.groups) and all(g.closed >= least for g in part.groups))

@@ -220,7 +220,7 @@ def test_an_imitation_that_leaves_much_is_not_named(diagnosis):
     """Effects that close less than the share asked for are told, not named."""
     assert diagnosis.part is not None
     assert named_in_part(diagnosis.part, DEFAULT)
-    assert not named_in_part(diagnosis.part, replace(DEFAULT, mostly_closed=1.0))
+    assert not named_in_part(diagnosis.part, replace(DEFAULT, most=1.0))
     # Of the whole gap or of that in their channels, but of all their channels.
     little = cast(InPart, SimpleNamespace(remainder=0.6, groups=()))
     groups = tuple(ChannelGroup(("a@joint1",), ("tau1",), closed) for closed in (0.9, 0.6))

@@ -24,7 +24,7 @@ SENSOR = Sensor(translation=np.array([0.0, 0.0, -0.1]))
 NOISE = dict(force_std=0.3, torque_std=0.05, resolution=2e-5)
 GAIN = 0.02
 
-ACCEPT, BLOCKS = DEFAULT.accept, DEFAULT.blocks
+ACCEPT, BLOCKS = DEFAULT.accept, 10
 
 
 def made(robot, gain, names=("identification",)):

@@ -34,17 +34,17 @@ BELOW, ABOVE = 0.999, 1.001
         (replace(CLEAR, residual=2.0, explained=0.9), ("unknown", "residual")),
         # A model that explains nearly everything may leave more than noise, where held-out motions agree.
         (replace(CLEAR, residual=2.0), ("named", "")),
-        (replace(CLEAR, residual=2.0, closed=DEFAULT.closed * BELOW), ("unknown", "residual")),
+        (replace(CLEAR, residual=2.0, closed=DEFAULT.nearly_all * BELOW), ("unknown", "residual")),
         (replace(CLEAR, residual=2.0, after=math.sqrt(DEFAULT.unexplained) * ABOVE), ("unknown", "residual")),
         (replace(CLEAR, residual=2.0, explained=DEFAULT.nearly_all * BELOW), ("unknown", "residual")),
         # Livelier held-out motions: a small share of a large gap is forgiven, a large one not.
-        (replace(CLEAR, after=2.0, closed=DEFAULT.closed * ABOVE), ("named", "")),
-        (replace(CLEAR, after=2.0, closed=DEFAULT.closed * BELOW), ("unknown", "residual")),
-        # Held-out motions deny the effect: worse, or no better where there was room.
-        (replace(CLEAR, before=1.0, after=math.sqrt(1.0 + DEFAULT.worse_share) * ABOVE, closed=math.nan), ("unknown", "denied")),
-        (replace(CLEAR, before=1.0, after=math.sqrt(1.0 + DEFAULT.worse_share) * BELOW, closed=math.nan), ("named", "")),
-        (replace(CLEAR, before=DEFAULT.room_ratio * ABOVE, closed_low=0.0), ("unknown", "denied")),
-        (replace(CLEAR, before=DEFAULT.room_ratio * BELOW, closed_low=0.0), ("named", "")),
+        (replace(CLEAR, after=2.0, closed=DEFAULT.nearly_all * ABOVE), ("named", "")),
+        (replace(CLEAR, after=2.0, closed=DEFAULT.nearly_all * BELOW), ("unknown", "residual")),
+        # Held-out motions deny the effect: worse, or no better where there was a gap.
+        (replace(CLEAR, before=1.0, after=ABOVE, closed=math.nan, closed_low=math.nan), ("unknown", "denied")),
+        (replace(CLEAR, before=1.0, after=BELOW, closed=math.nan, closed_low=math.nan), ("named", "")),
+        (replace(CLEAR, before=1.1, closed_low=0.0), ("unknown", "denied")),
+        (replace(CLEAR, before=1.1, closed_low=0.001), ("named", "")),
         # What changes them too little to be seen there is not denied by their being no better.
         (replace(CLEAR, before=1.2, closed_low=0.0, difference=DEFAULT.detected**2 * BELOW), ("named", "")),
         (replace(CLEAR, before=1.2, closed_low=0.0, difference=DEFAULT.detected**2 * ABOVE), ("unknown", "denied")),

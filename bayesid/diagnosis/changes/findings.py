@@ -86,10 +86,10 @@ Verdict = Literal["named", "named_in_part", "ambiguous", "unknown", "nothing_mis
 def confirmed(selection: Selection, errors: HeldOutErrors, settings: Settings) -> tuple[Accepted, ...]:
     """Changes that differ from zero and close some of the gap on held-out parts, with 95 % confidence.
 
-    None is, where the tolerance alone predicts those parts better. It may predict them as well: what is improbable, that
+    None is, where the tolerance alone predicts those parts clearly better. It may predict them as well: what is improbable, that
     friction doubled from one day to the next, is the evidence's to say.
     """
-    if errors.after > errors.tolerance * (1.0 + settings.worse_share):
+    if settings.nearly_all * errors.after > errors.tolerance:
         return ()
     fitted, out = amplitudes(selection.marginal()), []
     for a, own, low in zip(selection.accepted, selection.directions, errors.shares_low, strict=True):
@@ -120,7 +120,7 @@ def verdict(selection: Selection, errors: HeldOutErrors, settings: Settings) -> 
         return "unknown" if selection.accepted or unexplained else "nothing_missing"
     if any(a.rivals for a in named):
         return "ambiguous"
-    open_ = np.isfinite(errors.closed) and errors.remainder > 1.0 - settings.closed
+    open_ = np.isfinite(errors.closed) and errors.remainder > 1.0 - settings.nearly_all
     return "named_in_part" if open_ or len(named) < len(selection.accepted) else "named"
 
 

@@ -103,7 +103,7 @@ def held_out_errors(selection: Selection, recording: LaterRecording, settings: S
     recording
         The rows.
     settings
-        ``room_ratio``, ``bootstrap_block`` and ``interval`` count here.
+        ``bootstrap_block`` and ``interval`` count here.
     seed
         Of the bootstrap.
     """
@@ -113,7 +113,7 @@ def held_out_errors(selection: Selection, recording: LaterRecording, settings: S
     means = squares.mean(axis=0)
     floor = float(means.min())
     shares, low = _shares(means), lower_end(sums, _shares, settings, seed)
-    if means[0] <= settings.room_ratio**2 * floor:
+    if means[0] <= floor:
         shares, low = np.full((2, len(shares)), np.nan)
     last = -4  # the reference with all changes and nothing else
     return HeldOutErrors(

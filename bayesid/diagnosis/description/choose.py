@@ -89,7 +89,7 @@ def choose(
         for evidence, candidate in sorted(evidences, key=lambda x: -x[0]):
             after = state.tried(candidate)
             share, low = closed(second, state.left, after.left, settings, seed)
-            if evidence >= settings.accept and low > least and share >= settings.worthwhile:
+            if evidence >= settings.accept and low > least and share >= 1.0 - settings.nearly_all:
                 proven = candidate, evidence, after, share, low
                 break
         if proven is None:

@@ -185,7 +185,7 @@ def describe(base: Fit, starts: Sequence[Fit], library: Library | None, seed: in
     pool = candidates(data.channels.names, joints, ranges, max(float(s.frequencies[-1]) for s in moving))
     best: Description | None = None
     for start in starts:
-        if best is not None and best.gap is not None and best.gap.closed > data.settings.closed:
+        if best is not None and best.gap is not None and best.gap.closed > data.settings.nearly_all:
             break  # nothing worth describing is left
         found = _beside(base, start, pool, library, seed)
         if found is not None and (best is None or _left(found) < 0.8 * _left(best)):
@@ -208,7 +208,7 @@ def _beside(base: Fit, start: Fit, pool: Sequence[CandidateTerm], library: Libra
         return None
     known = library if library is not None and library.projector is start.projector else None
     # Without unseen motions the other half is the only witness.
-    least = 0.0 if data.unseen else settings.worthwhile
+    least = 0.0 if data.unseen else 1.0 - settings.nearly_all
     # Something may show in one half only; then the other cannot confirm it, but terms chosen there may hold here.
     for first, second in (both, both[::-1]):
         chosen = choose(first, second, pool, settings, known, seed, least)
@@ -264,4 +264,4 @@ def _dispersion(fitted: Fit) -> float:
 
 def _worthwhile(gap: Gap | None, settings: Settings) -> bool:
     """Whether unseen motions, if there are any, say that a part of the gap is closed."""
-    return gap is None or (gap.closed_low > 0.0 and gap.closed >= settings.worthwhile)
+    return gap is None or (gap.closed_low > 0.0 and gap.closed >= 1.0 - settings.nearly_all)
