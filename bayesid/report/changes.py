@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bayesid.diagnosis.changes.findings import HiddenChange, ReferenceComparison
+from bayesid.diagnosis.changes.findings import HiddenChange, NamedChange, ReferenceComparison
 from bayesid.diagnosis.changes.scales import FRICTION_SHARE, GAIN_SHARE
 from bayesid.report.diagnosis_figures import evidence_bars, waterfall
-from bayesid.report.page import render, versions
+from bayesid.report.page import below, cards, figure, how, lead, note, page, versions, warnings
 from bayesid.results.changes import (
     gap_sentence,
     next_experiment,
@@ -20,6 +20,7 @@ from bayesid.results.changes import (
     verdict_sentence,
     worded,
 )
+from bayesid.results.section import Html, Section, Table
 from bayesid.results.text import DASH, channel_text, number, percent
 
 if TYPE_CHECKING:
@@ -41,24 +42,59 @@ def changes_report(result: Changes) -> str:
     problem, before = c.recording.problem, c.reference.problem.experiment
     named = {x.change.spec for x in c.changes}
     scores = [(h.spec, e, h.spec in named) for h, e in c.scores]
-    return render(
-        "changes.html",
-        name=problem.experiment.name, reference=before.name, channel=channel_text(problem.channel), fitted=problem.fitted,
-        sentence=verdict_sentence(c), gap=gap_sentence(c), cards_of=_cards(c), notes=notes(c),
-        runners_up=runners_up(c), next_experiment=next_experiment(c),
-        changes=[
-            {"name": worded(x.change, c), "summary": x.change.effects[0].summary,
-             "rows": [value_text(v) for v in (*x.values, *x.derived)],
-             "before": [number(v.before) for v in x.values] if x.change.known else [], "share": shares_sentence(x, c)}
-            for x in c.changes
-        ],
-        waterfall=waterfall(_steps(c), c.errors.floor), segments=c.errors.segments,
-        evidence=evidence_bars([s for s in scores if s[1] > 0][:_BARS] or scores[:1], c.settings.accept),
-        needed=f"{c.settings.accept:g}",
-        tried=len(scores), channels=_channels(c), places=[_place(result, p) for p in c.errors.places],
-        remainder=percent(c.errors.remainder), hidden=_hidden(c), gains=percent(GAIN_SHARE, 2),
-        friction=percent(FRICTION_SHARE, 2), how=_how(result),
-    )  # fmt: skip
+    places = [_place(result, p) for p in c.errors.places]
+    following = next_experiment(c)
+    sections = [
+        *([Section("What changed", [
+            *(_change(x, c) for x in c.changes),
+            note("Changes since the reference. Intervals count what is not known of links, friction and gains. `model.toml` "
+                 "beside this page holds the reference's model with these changes: `bayesid identify … --model model.toml`."),
+        ])] if c.changes else []),
+        Section("The gap, and what closes it", [
+            f"The recording was cut into {c.errors.segments} parts. Each was predicted from what the others say, in units of "
+            f"what the recording's own fit of the same model leaves: {gap_sentence(c)}.",
+            figure(waterfall(_steps(c), c.errors.floor),
+                   "Mean square of the residual on parts that took no part; numbers are its root. Green: what a step takes of "
+                   "the gap."),
+            _channels(c),
+        ], "The gap"),
+        Section("Why that, and not something else" if c.changes else "What was tried", [
+            f"{len(scores)} changes at their places competed, each with what is known of the robot from the reference, and "
+            f"with friction of every joint free by {percent(FRICTION_SHARE, 2)} and drive gains by {percent(GAIN_SHARE, 2)}: "
+            "so much they wander from day to day. The bars show what each alone adds to the log evidence; "
+            f"{c.settings.accept:g} is asked for.",
+            *runners_up(c),
+            figure(evidence_bars([s for s in scores if s[1] > 0][:_BARS] or scores[:1], c.settings.accept),
+                   "Log evidence of each change on its own; dashed: what is asked for; bold: named."),
+        ], "Why that"),
+        Section("Where reference and recording disagree", [
+            Table(["channel", "motion", "when", "reference", "in the end"], places, "kb - n nb n", "narrow"),
+            note("In units of what the recording's own fit leaves, worst places first. "
+                 f"{percent(c.errors.remainder)} of the gap stays in the end."),
+        ] if places else ["No channel is off anywhere by more than its own fit leaves."], "Where"),
+        *([Section("What next", [following])] if following else []),
+        Section("How large a change could hide", [
+            _hidden(c),
+            note("By these motions, beside what was named; a body's other parameters in the proportions of a compact one near "
+                 "the joint."),
+        ], "What could hide"),
+        how(*_how(result)),
+    ]  # fmt: skip
+    opening = [
+        lead(f"**{verdict_sentence(c)}**"), cards(_cards(c)),
+        warnings(notes(c), "", "Know this before you use it"),
+    ]  # fmt: skip
+    kicker = f"What changed since the reference: from the {channel_text(problem.channel)} of {', '.join(problem.fitted)}"
+    return page(f"{problem.experiment.name} since {before.name}", kicker, opening, sections)
+
+
+def _change(x: NamedChange, c: ReferenceComparison) -> Html:
+    """What one change is and its values."""
+    rows = [[*value_text(v), *([number(v.before)] if x.change.known else [])] for v in (*x.values, *x.derived)]
+    head = ["parameter", "change", "± (95 %)", "interval", "unit", *["in the reference"] * x.change.known]
+    summary, share = x.change.effects[0].summary, shares_sentence(x, c)
+    text = f"{summary[0].upper()}{summary[1:]}.{f' {share}.' if share else ''}"
+    return below(worded(x.change, c), text, Table(head, rows, f"k nb n n u{' n' * x.change.known}", "narrow"))
 
 
 def evidence_figure(result: Changes, ax: Any = None) -> Figure:
@@ -81,48 +117,55 @@ def _steps(c: ReferenceComparison) -> list[tuple[str, float]]:
     return [*steps, ("all else within its tolerance", p.after)]
 
 
-def _cards(c: ReferenceComparison) -> list[dict[str, str]]:
+def _cards(c: ReferenceComparison) -> list[tuple[str, str, str]]:
     p = c.errors
     words, mood = _VERDICTS[c.verdict]
-    cards = [{"value": words, "mood": mood, "text": f"since {c.reference.problem.experiment.name}"}]
+    large = [(words, f"since {c.reference.problem.experiment.name}", mood)]
     for x in c.changes[:2]:
-        v = value_text(x.values[0])
-        cards.append({"value": f"{v[1]} ± {v[2]} {v[4]}", "mood": "", "text": f"{v[0]} of {x.change.spec}"})
+        name, text, half, _, unit = value_text(x.values[0])
+        large.append((f"{text} ± {half} {unit}", f"{name} of {x.change.spec}", ""))
     for value, text in ((p.reference, "times the own fit's residual is left by the reference"), (p.after, "is left in the end")):
-        cards.append({"value": f"{number(float(np.sqrt(value)), 3)} ×", "mood": "", "text": text})
-    return cards
+        large.append((f"{number(float(np.sqrt(value)), 3)} ×", text, ""))
+    return large
 
 
-def _channels(c: ReferenceComparison) -> list[dict[str, Any]]:
+def _channels(c: ReferenceComparison) -> Table:
     channels, scale = c.recording.problem.row_model.channels, c.recording.scale / np.sqrt(c.recording.samples)
-    cells = [[number(float(v), 3) for v in row] for row in c.errors.by_channel]
-    return [
-        {"name": name, "unit": unit, "own": number(float(scale[k]), 3), "cells": cells[k]}
+    rows = [
+        [name, number(float(scale[k]), 3), unit, *(number(float(v), 3) for v in c.errors.by_channel[k])]
         for k, (name, unit) in enumerate(zip(channels.names, channels.units, strict=True))
     ]
+    head = [
+        "channel",
+        "own fit leaves",
+        "unit",
+        "reference",
+        "with the changes alone",
+        "all else within its tolerance",
+        "own fit",
+    ]
+    return Table(head, rows, "k n - n n n n", "narrow")
 
 
-def _place(result: Changes, place) -> dict[str, str]:
+def _place(result: Changes, place) -> list[str]:
     problem = result.comparison.recording.problem
-    return {
-        "channel": problem.row_model.channels.names[place.channel], "motion": problem.regression.motion_names[place.motion],
-        "time": f"{place.start:.1f} – {place.end:.1f} s", "before": number(place.before, 3), "after": number(place.after, 3),
-    }  # fmt: skip
+    return [
+        problem.row_model.channels.names[place.channel], problem.regression.motion_names[place.motion],
+        f"{place.start:.1f} – {place.end:.1f} s", number(place.before, 3), number(place.after, 3),
+    ]  # fmt: skip
 
 
-def _hidden(c: ReferenceComparison) -> list[dict[str, str]]:
+def _hidden(c: ReferenceComparison) -> Table:
     """Smallest changes that would have been named, a line for each kind."""
     kinds: dict[str, list[HiddenChange]] = {}
     for h in c.hidden:
         kinds.setdefault(h.change.name, []).append(h)
-    return [
-        {
-            "name": name, "parameter": members[0].change.parameters[0][0].rsplit(".", 1)[-1],
-            "unit": "" if members[0].change.parameters[0][1] == "1" else members[0].change.parameters[0][1],
-            "sizes": ", ".join(f"{h.change.where} {number(h.value, 2) if np.isfinite(h.value) else 'never'}" for h in members),
-        }
-        for name, members in kinds.items()
-    ]  # fmt: skip
+    rows = []
+    for name, members in kinds.items():
+        parameter, unit = members[0].change.parameters[0]
+        sizes = ", ".join(f"{h.change.where} {number(h.value, 2) if np.isfinite(h.value) else 'never'}" for h in members)
+        rows.append([name, parameter.rsplit(".", 1)[-1], "" if unit == "1" else unit, sizes])
+    return Table(["change", "of", "unit", "smallest that would have been named"], rows, "k - u w")
 
 
 def _how(result: Changes) -> list[tuple[str, str]]:

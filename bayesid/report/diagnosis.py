@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from bayesid.diagnosis.data import WHITE, Episode
@@ -22,9 +23,9 @@ from bayesid.diagnosis.validation import residual_spectra
 from bayesid.effects import Effect
 from bayesid.report.described import described_section
 from bayesid.report.diagnosis_figures import before_and_after, evidence, push_course, residual_maps, signals, waterfall
-from bayesid.report.excitation import motion_plot, pair_rows
+from bayesid.report.excitation import PAIRS, motion_plot
 from bayesid.report.identification import mood_of
-from bayesid.report.page import render, svg, versions
+from bayesid.report.page import note, render, svg, versions
 from bayesid.results.diagnosis_text import (
     known_share,
     notes,
@@ -38,6 +39,8 @@ from bayesid.results.diagnosis_text import (
     worded,
 )
 from bayesid.results.findings import Findings
+from bayesid.results.section import as_html
+from bayesid.results.telling import pair_table
 from bayesid.results.text import DASH, chance, channel_text, number, percent
 from bayesid.validation.own_fit import MotionErrors
 from bayesid.validation.prediction import Prediction
@@ -303,7 +306,7 @@ def diagnosis_report(diagnosis: Findings) -> str:
         described=None if d.description is None else described_section(data, d.description),
         next_experiment=d.next_experiment,
         next_motion="" if d.telling is None else motion_plot(d.telling),
-        pairs=[] if d.telling is None else pair_rows(d.telling),
+        pairs="" if d.telling is None else Markup(as_html([pair_table(d.telling), note(PAIRS)])),
         how=_how(d),
     )  # fmt: skip
 

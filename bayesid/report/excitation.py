@@ -1,4 +1,4 @@
-"""The report of ``excite``: turns an `Excitation` into what its template shows."""
+"""The reports of ``excite``."""
 
 from __future__ import annotations
 
@@ -12,10 +12,11 @@ from bayesid.arguments import argument
 from bayesid.design.tell.choose import Telling
 from bayesid.report.charts import WIDTH, Panel, chart, key, key_width, limits, text_width, write
 from bayesid.report.check import recording
-from bayesid.report.page import render, run_times, versions
+from bayesid.report.page import bullets, cards, figure, fold, lead, note, page, run_times, terms, versions, warnings
 from bayesid.results.distinguishing import TRAJECTORY, DistinguishingMotion
-from bayesid.results.excitation import Excitation, duration_text
-from bayesid.results.telling import chance, duration
+from bayesid.results.excitation import Excitation, block_length, duration_text
+from bayesid.results.section import Html, Section, Table
+from bayesid.results.telling import chance, duration, pair_table
 from bayesid.results.text import DASH, number, percent
 
 _PLOTTED = 1000
@@ -91,15 +92,6 @@ def beside_random(value: float, others: np.ndarray, label: str) -> Markup:
     return chart(104.0, parts)
 
 
-def pair_rows(telling: Telling) -> list[dict[str, str]]:
-    """A row for each rival as the true one and each other."""
-    return [
-        {"true": p.true, "other": p.other, "noncentrality": number(p.noncentrality, 3), "gain": number(p.gain, 3),
-         "std": number(p.std, 2), "probability": chance(p.probability)}
-        for p in telling.pairs
-    ]  # fmt: skip
-
-
 def telling_panels(telling: Telling) -> list[tuple[str, str, list[str], np.ndarray]]:
     """Panels of the motion: positions, velocities and accelerations of the joints."""
     t = telling.trajectory
@@ -113,29 +105,39 @@ def motion_plot(telling: Telling) -> Markup:
     return motion(telling.trajectory.times, telling_panels(telling))
 
 
+#: What the numbers of `pair_table` are.
+PAIRS = (
+    "Noncentrality: what the best fit of the other effect and of everything else leaves of the motion's readings, in squared "
+    "standard deviations. Log evidence: of the true effect over the other one once the motion is recorded, old and new "
+    "together; a diagnosis rules the other one out from 3 on."
+)
+
+
 def distinguishing_report(result: DistinguishingMotion) -> str:
     """The report of ``excite --tell``: an HTML page with all figures inside."""
     t = result.telling
-    return render(
-        "distinguishing.html",
-        name=result.name,
-        lead=result.lead,
-        file=TRAJECTORY,
-        card_list=[
-            {"value": chance(t.probability), "mood": "good" if t.probability > 0.8 else "bad",
-             "text": "probability that the true one alone is left"},
-            {"value": chance(t.wrong), "mood": "", "text": "probability that a wrong one is"},
-            {"value": duration(t), "mood": "", "text": t.label},
-            {"value": str(t.tried), "mood": "", "text": "motions compared"},
-        ],
-        rivals=[{"name": n, "weight": percent(w, 2)} for n, w in zip(t.rivals, t.weights, strict=True)],
-        estimated=t.estimated,
-        recordings=", ".join(result.recordings),
-        pairs=pair_rows(t),
-        motion=motion_plot(t),
-        notes=t.notes,
-        details=[run_times(result.seconds), versions("numpy", "scipy", "pin")],
+    large = [
+        (chance(t.probability), "probability that the true one alone is left", "good" if t.probability > 0.8 else "bad"),
+        (chance(t.wrong), "probability that a wrong one is", ""), (duration(t), t.label, ""),
+        (str(t.tried), "motions compared", ""),
+    ]  # fmt: skip
+    weights = ", ".join(f"{n} {percent(w, 2)}" for n, w in zip(t.rivals, t.weights, strict=True))
+    recorded = f"Recordings that count: {', '.join(result.recordings)}. " if result.recordings else "Nothing is recorded yet. "
+    sizes = (
+        f"The recordings show these effects; sizes are estimated, and the probabilities of each to be the true one before the "
+        f"motion are {weights}." if t.estimated else
+        "The recordings do not show each of these effects, so each is taken at its usual size, as often as any other."
     )  # fmt: skip
+    sections = [
+        Section("Every pair", [recorded + sizes, pair_table(t), note(PAIRS)]),
+        Section(
+            "The motion", [figure(motion_plot(t), f"Joint motion as in {TRAJECTORY}: it starts and ends at rest.")], "Motion"
+        ),
+        Section("Details", [bullets(t.notes), terms([run_times(result.seconds), versions("numpy", "scipy", "pin")])]),
+    ]
+    kicker = "The motion within limits that best tells effects apart"
+    title = f"{result.name}: a motion that tells effects apart"
+    return page(result.name, kicker, [lead(result.lead), cards(large)], sections, title)
 
 
 _TITLES = {
@@ -160,44 +162,53 @@ def excitation_report(result: Excitation) -> str:
     axis = {"d": "mean logarithm of the eigenvalues of the information, larger is better"}.get(
         result.criterion, "logarithm of the criterion, larger is better"
     )
-    return render(
-        "excitation.html",
-        name=result.name,
-        warning_list=_warnings(result),
-        lead=_lead(result),
-        card_list=_cards(result),
-        motion=motion(result.trajectory.times, panels_of(result)),
-        shares=limit_shares(shares),
-        random=beside_random(result.value, result.random, axis) if len(result.random) else None,
-        limits=[
-            {"kind": _TITLES[u.kind], "where": u.where, "reached": number(u.reached, 4), "limit": number(u.limit, 4),
-             "unit": u.unit, "share": percent(u.ratio) if u.kind != "collision" else DASH, "kept": u.kept}
-            for u in result.limits
-        ],
-        parameters=[
-            {"label": label, "unit": unit, "std": number(float(std), 3)}
-            for label, unit, std in zip(result.base.labels, result.base.units, result.std, strict=True)
-        ],
-        effects=_effects(result),
-        hidden=", ".join(result.diagnosability.hidden) if result.diagnosability else "",
-        quantities=[{"name": name, "unit": unit, "std": number(std, 3)} for name, unit, std in result.quantities],
-        joints=[
-            {"name": name, "centre": number(float(result.series.centre[j]), 5),
-             "sine": [number(float(x), 4) for x in result.series.sine[:, j]],
-             "cosine": [number(float(x), 4) for x in result.series.cosine[:, j]]}
-            for j, name in enumerate(result.joint_names)
-        ],
-        period=number(result.series.period, 4),
-        harmonics=range(1, result.series.harmonics + 1),
-        blocks=[
-            {"name": b.trajectory.name, "shows": b.shows,
-             "length": f"{len(b.trajectory.times)} poses" if b.trajectory.kind == "poses" else duration_text(b.seconds)}
-            for b in result.blocks
-        ],
-        static_run=_static_run(result),
-        notes=result.notes,
-        details=[*_options(result), run_times(result.seconds), versions("numpy", "scipy", "pin")],
-    )  # fmt: skip
+    blocks = [[f"{b.trajectory.name}.csv", block_length(b), b.shows] for b in result.blocks]
+    limits_ = [
+        [_TITLES[u.kind], u.where, number(u.reached, 4), number(u.limit, 4), u.unit,
+         percent(u.ratio) if u.kind != "collision" else DASH, ("yes", "good") if u.kept else ("no", "bad")]
+        for u in result.limits
+    ]  # fmt: skip
+    quantities = [[name, number(std, 3), unit] for name, unit, std in result.quantities]
+    parameters = [
+        [str(k + 1), label, number(float(std), 3), unit]
+        for k, (label, unit, std) in enumerate(zip(result.base.labels, result.base.units, result.std, strict=True))
+    ]
+    static = _static_run(result)
+    sections = [
+        Section("The motion", [
+            figure(motion(result.trajectory.times, panels_of(result)),
+                   "Joint motion as in trajectory.csv, and what the nominal links take along it."),
+            figure(beside_random(result.value, result.random, axis) if len(result.random) else "",
+                   "What the motion was optimised for, beside random motions of the same series within the same limits, each "
+                   "as large as the limits allow."),
+        ], "Motion"),
+        *([Section("What else to record", [
+            *([Table(["table", "length", "what it shows"], blocks, "k k w")] if blocks else []),
+            f"**Static run** (stop-and-go.csv): {static}" if static else "",
+        ])] if blocks or static else []),
+        Section("How near it comes to its limits", [
+            "Positions, speeds and accelerations are bounds for all times; torques, readings of the sensor (with the robot's "
+            "weight on it) and distances are the extremes at ten times the recorded rate, with nominal links.",
+            figure(limit_shares(shares), "One: as much as is allowed, which is the stated share of the robot's own limit."),
+            fold("All limits as numbers",
+                 Table(["limit", "of", "reached", "allowed", "unit", "share", "kept"], limits_, "k w n n - n -")),
+        ], "Limits"),
+        Section("Expected standard deviations", [
+            *([Table(["quantity", "expected standard deviation", "unit"], quantities, "- n -", "narrow")] if quantities else []),
+            "Of the base parameters that a fit of this motion would give, for the stated noise and a model that is complete.",
+            Table(["", "base parameter", "expected standard deviation", "unit"], parameters, "- w n u"),
+        ], "Expected deviations"),
+        *_effects(result),
+        _coefficients(result),
+        Section("Details", [
+            bullets(result.notes),
+            terms([*_options(result), run_times(result.seconds), versions("numpy", "scipy", "pin")]),
+        ]),
+    ]  # fmt: skip
+    fine = "The motion keeps all limits and determines every base parameter of these readings."
+    opening = [warnings(_warnings(result), fine), lead(_lead(result)), cards(_cards(result))]
+    kicker = "An exciting trajectory, planned before anything is recorded"
+    return page(result.name, kicker, opening, sections, f"{result.name}: exciting trajectory")
 
 
 def _warnings(result: Excitation) -> list[str]:
@@ -218,30 +229,50 @@ def _lead(result: Excitation) -> str:
     return text + " It starts and ends at rest, and keeps all limits." if result.within_limits else text
 
 
-def _cards(result: Excitation) -> list[dict[str, Any]]:
-    cards = [
-        {"value": f"{result.base.rank} of {result.possible}", "mood": "good" if result.base.rank == result.possible else "bad",
-         "text": "base parameters determined"},
-        {"value": number(result.condition_number, 3), "mood": "", "text": "condition number, whitened, columns of unit length"},
-        {"value": "yes" if result.within_limits else "no", "mood": "good" if result.within_limits else "bad",
-         "text": "within all limits, at ten times the recorded rate"},
-    ]  # fmt: skip
+def _cards(result: Excitation) -> list[tuple[str, str, str]]:
+    whole, kept = result.base.rank == result.possible, result.within_limits
+    large = [
+        (f"{result.base.rank} of {result.possible}", "base parameters determined", "good" if whole else "bad"),
+        (number(result.condition_number, 3), "condition number, whitened, columns of unit length", ""),
+        ("yes" if kept else "no", "within all limits, at ten times the recorded rate", "good" if kept else "bad"),
+    ]
     if len(result.random):
         what = "condition number" if result.criterion == "condition" else "typical standard deviation"
-        cards.append({"value": f"{number(result.gain, 2)} ×", "mood": "good" if result.gain > 1 else "fair",
-                      "text": f"smaller {what} than the best of {len(result.random)} random motions"})  # fmt: skip
-    return cards
+        text = f"smaller {what} than the best of {len(result.random)} random motions"
+        large.append((f"{number(result.gain, 2)} ×", text, "good" if result.gain > 1 else "fair"))
+    return large
 
 
-def _effects(result: Excitation) -> list[dict[str, str]]:
-    if result.diagnosability is None:
+def _effects(result: Excitation) -> list[Section]:
+    """Effects that the motion could show; none where that was not asked for."""
+    found = result.diagnosability
+    if found is None or not found.effects:
         return []
-    return [
-        {"effect": e.spec, "parameter": e.parameter, "unit": e.unit, "usual": number(e.usual, 2),
-         "smallest": number(e.smallest, 2), "rival": e.rival or DASH, "share": percent(e.share),
-         "named": number(e.named, 2) if np.isfinite(e.named) else "never", "mood": "good" if e.smallest <= e.usual else "fair"}
-        for e in result.diagnosability.effects
+    rows = [
+        [e.spec, e.parameter, number(e.usual, 2), (number(e.smallest, 2), "good" if e.smallest <= e.usual else "fair"), e.unit,
+         e.rival or DASH, percent(e.share), number(e.named, 2) if np.isfinite(e.named) else "never"]
+        for e in found.effects
     ]  # fmt: skip
+    head = ["effect", "by its", "usual", "smallest seen", "unit", "most like", "share", "told apart from"]
+    never = f"Never seen, as links or the model's effects explain them wholly: {', '.join(found.hidden)}." if found.hidden else ""
+    return [Section("Effects that it could show", [
+        "What the model may lack, with a usual size, and the smallest that would stand out by five standard deviations of the "
+        "readings; the effect that explains most of the same trace, and the size from which the two could be told apart. Those "
+        "seen worst come first.",
+        fold(f"{len(rows)} effects and places", Table(head, rows, "- - n n - - n n", "tight")), note(never),
+    ], "Effects")]  # fmt: skip
+
+
+def _coefficients(result: Excitation) -> Section:
+    s = result.series
+    rows = [
+        [name, number(float(s.centre[j]), 5), *(number(float(x), 4) for x in (*s.sine[:, j], *s.cosine[:, j]))]
+        for j, name in enumerate(result.joint_names)
+    ]
+    head = ["joint", "c", *(f"{letter}{k + 1}" for letter in "sr" for k in range(s.harmonics))]
+    period = number(s.period, 4)
+    series = f"q(t) = c + Σ s<sub>k</sub> sin(2πkt / {period} s) + r<sub>k</sub> cos(2πkt / {period} s), in radians or metres."
+    return Section("Coefficients", [Html(f"<p>{series}</p>"), Table(head, rows, style="tight")])
 
 
 def _static_run(result: Excitation) -> str | None:

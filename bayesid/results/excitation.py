@@ -30,9 +30,10 @@ def duration_text(seconds: float) -> str:
     return f"{number(seconds, 3)} s" if seconds < 120.0 else f"{number(seconds / 60.0, 3)} min"
 
 
-def _block_text(block: ScriptedBlock) -> str:
+def block_length(block: ScriptedBlock) -> str:
+    """How many poses it has, or how long it takes."""
     poses = block.trajectory.kind == "poses"
-    return f"{block.trajectory.name} ({f'{len(block.trajectory.times)} poses' if poses else duration_text(block.seconds)})"
+    return f"{len(block.trajectory.times)} poses" if poses else duration_text(block.seconds)
 
 
 @dataclass(frozen=True)
@@ -251,7 +252,7 @@ class Excitation(Result):
             seen = sum(e.smallest <= e.usual for e in self.diagnosability.effects)
             lines.append(f"effects that would be seen at their usual size: {seen} of {len(self.diagnosability.effects)}")
         if self.blocks:
-            lines.append("blocks: " + ", ".join(_block_text(b) for b in self.blocks))
+            lines.append("blocks: " + ", ".join(f"{b.trajectory.name} ({block_length(b)})" for b in self.blocks))
         if self.static_run is not None:
             lines.append(f"static run: {len(self.static_run.rows)} stops, {duration_text(self.static_run.seconds)}")
         if self.interrupted:

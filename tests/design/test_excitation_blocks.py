@@ -25,7 +25,7 @@ def result(tmp_path_factory):
 def test_report_reads_as_a_page(result, tmp_path):
     """Tags match, nothing points outside, and what the result says is in it."""
     page = read(result.write(tmp_path / "out").read_text(encoding="utf-8"))
-    assert {"motion", "blocks", "limits", "deviations", "series"} <= set(page.ids)
+    assert {"motion", "what-else-to-record", "limits", "expected-deviations", "coefficients"} <= set(page.ids)
     for text in ("Static run", "parked.csv", f"{result.base.rank} of {result.possible}", "keeps all limits"):
         assert text in page.text
 
