@@ -12,12 +12,13 @@ from matplotlib.ticker import MaxNLocator
 from bayesid.posterior.result import Posterior
 from bayesid.report.charts import CYCLE
 from bayesid.report.figures import CLASSES, GREY, NOISE, add_legend, make_grid, picked, styled
-from bayesid.report.page import render, run_times, svg, versions
+from bayesid.report.page import below, cards, figure, fold, how, lead, page, run_times, svg, versions, warnings
 from bayesid.report.prediction_figures import measured_against_predicted, residuals
 from bayesid.results.posterior import ExperimentPosterior
+from bayesid.results.section import Html, Part, Section, Table, tag
 from bayesid.results.text import DASH, channel_text, number, percent, with_half
 from bayesid.validation.headline import judged, still_predictable
-from bayesid.validation.prediction import BAND, Prediction
+from bayesid.validation.prediction import BAND
 
 _COLUMNS = 6
 _BINS = 36
@@ -179,34 +180,39 @@ _DRIVEN = 0.9
 def posterior_report(result: ExperimentPosterior) -> str:
     """The report of ``sample``: an HTML page with all figures inside."""
     problem, model = result.problem, result.model
-    shares = [("base parameters", result.base.short_names, result.prior_share)]
-    if result.link_draws is not None:
-        shares.append(("link parameters", _link_names(result.base.parameter_names), result.link_prior_share))
-    shown = sorted(result.validation, key=lambda p: -p.whitened_rms)[:_SHOWN_MOTIONS]
-    return render(
-        "posterior.html",
-        name=problem.experiment.name,
-        robot=problem.experiment.robot.name,
-        channel=channel_text(problem.channel),
-        fitted=problem.fitted,
-        warning_list=result.warnings,
-        lead=_lead(result),
-        card_list=_cards(result),
-        marginals=svg(marginals_figure(result), "marginals"),
-        has_prior=model.prior is not None,
-        parameters=_parameters(result, problem.regression.nominal),
-        effects=_effects(result),
-        scales=_scales(result),
-        student=model.noise == "student",
-        narrowing=None if model.prior is None else svg(narrowing(shares, _DRIVEN), "narrowing"),
-        physical=model.physical,
-        ranks=svg(ranks(*_worst(result)), "ranks"),
-        diagnostics=_diagnostics(result),
-        validation=[_motion(p, k) for k, p in enumerate(shown)],
-        errors=[_error(p, role) for role, ps in (("validation", result.validation), ("fitted", result.fitted)) for p in ps],
-        band=number(BAND, 2),
-        how=_how(result),
-    )
+    prior = ", its prior (orange)" if model.prior is not None else ""
+    sections = [
+        Section("What the data and the prior say together", [
+            "Base parameters are the combinations of masses, first moments (mass times centre of mass) and inertias that these "
+            "readings show. In a label, m2 is the mass of body 2, m2 r2x its first moment along x and I2xy an inertia about "
+            "the origin of its joint's frame.",
+            figure(svg(marginals_figure(result), "marginals"),
+                   f"Marginal posterior of each base parameter (blue){prior} and the nominal value (dashed) where it is in the "
+                   "picture. Numbers as in the table."),
+            _parameters(result, problem.regression.nominal),
+            Html(f'<p class="note">{tag("alone")} one parameter of one link; {tag("combination")} a sum that only as a whole can '
+                 f"be seen; {tag('prior')} the data leave more than 90 % of the prior's standard deviation: the value is the "
+                 "prior's.</p>"),
+        ], "Parameters"),
+        *_narrowed(result),
+        Section("Effects and noise", _effects_and_noise(result)),
+        Section("Predictions of motions", _predictions(result), "Predictions"),
+        Section("Did the chains converge", [
+            "Chains start far apart and know nothing of each other. R-hat compares them: 1 when they cannot be told apart. The "
+            "effective sample size is the number of independent draws that would be as good, in the bulk and in the tails.",
+            figure(svg(ranks(*_worst(result)), "ranks"),
+                   "Ranks of each chain's draws among all draws, for the numbers with the largest R-hat: level and alike where "
+                   "chains agree."),
+            _diagnostics(result),
+        ], "Chains"),
+        how(*_how(result), after="All draws are in `posterior.nc`, which ArviZ opens; numbers in `posterior.json`."),
+    ]  # fmt: skip
+    name, robot = problem.experiment.name, problem.experiment.robot.name
+    readings = f"{channel_text(problem.channel)} of {', '.join(problem.fitted)}"
+    fine = "No warnings: the chains agree and validation motions are predicted down to the noise."
+    opening = [warnings(result.warnings, fine), lead(_lead(result)), cards(_cards(result))]
+    kicker = f"Posterior of the inertial parameters of {robot}, from the {readings}"
+    return page(name, kicker, opening, sections, f"{name}: posterior")
 
 
 def marginals_figure(result: Posterior, ax: Any = None) -> Figure:
@@ -247,36 +253,73 @@ def _lead(result: ExperimentPosterior) -> str:
     return text
 
 
-def _cards(result: ExperimentPosterior) -> list[dict[str, str]]:
+def _cards(result: ExperimentPosterior) -> list[tuple[str, str, str]]:
     d = result.diagnosis
     mood = "good" if d.passed else "bad"
-    cards = [
-        {"value": str(int(np.prod(result.chains.draws.shape[:2]))), "mood": "", "text": f"draws by {result.chains.engine}"},
-        {"value": number(float(d.r_hat.max()), 4), "mood": mood, "text": "largest R-hat over independent chains; below 1.01"},
-        {"value": number(float(d.ess.min()), 3), "mood": mood, "text": "smallest effective sample size; at least 400"},
+    large = [
+        (str(int(np.prod(result.chains.draws.shape[:2]))), f"draws by {result.chains.engine}", ""),
+        (number(float(d.r_hat.max()), 4), "largest R-hat over independent chains; below 1.01", mood),
+        (number(float(d.ess.min()), 3), "smallest effective sample size; at least 400", mood),
     ]
     for p in sorted(result.validation, key=lambda p: -p.whitened_rms)[:1]:
-        cards.append(
-            {"value": f"{percent(p.relative_error)}", "mood": judged(p).mood, "text": f"error of the signal on ‘{p.motion}’"}
-        )
-        cards.append({"value": percent(p.coverage), "mood": "", "text": "of its readings inside 95 % predictive intervals"})
-    return cards
+        large.append((percent(p.relative_error), f"error of the signal on ‘{p.motion}’", judged(p).mood))
+        large.append((percent(p.coverage), "of its readings inside 95 % predictive intervals", ""))
+    return large
 
 
-def _parameters(result: ExperimentPosterior, nominal: np.ndarray | None) -> list[dict[str, Any]]:
+def _parameters(result: ExperimentPosterior, nominal: np.ndarray | None) -> Table:
     rows = []
-    columns = zip(
-        result.base.labels, result.base.units, result.values, result.std, result.low, result.high, result.prior_share,
-        result.classes, strict=True,
-    )  # fmt: skip
-    for k, (label, unit, value, std, low, high, share, kind) in enumerate(columns):
-        mean, spread = with_half(value, std)
-        rows.append(
-            {"index": k + 1, "label": label, "unit": unit, "mean": mean, "std": spread, "interval": _ends(low, high),
-             "nominal": number(nominal[k]) if nominal is not None else DASH,
-             "share": percent(share, 2) if result.link_draws is not None else DASH, "kind": kind}
-        )  # fmt: skip
-    return rows
+    for k, label in enumerate(result.base.labels):
+        share = percent(result.prior_share[k], 2) if result.link_draws is not None else DASH
+        known = DASH if nominal is None else number(nominal[k])
+        mean, std = with_half(result.values[k], result.std[k])
+        between = _ends(result.low[k], result.high[k])
+        rows.append([str(k + 1), label, mean, std, result.base.units[k], between, known, share, result.classes[k]])
+    head = ["#", "base parameter", "mean", "± std", "unit", "95 % interval", "nominal", "of prior std", "class"]
+    return Table(head, rows, "nd w nb n ku n n n t")
+
+
+def _narrowed(result: ExperimentPosterior) -> list[Section]:
+    """How far the data narrowed the prior; none with a flat one."""
+    model = result.model
+    if model.prior is None:
+        return []
+    shares = [("base parameters", result.base.short_names, result.prior_share)]
+    if result.link_draws is not None:
+        shares.append(("link parameters", _link_names(result.base.parameter_names), result.link_prior_share))
+    cut = ", cut to bodies that can exist" if model.physical else ""
+    return [Section("What came from the data, and what from the prior", [
+        f"Posterior over prior standard deviation. Near zero the data decide; near one (orange) the prior does{cut}. Single "
+        "link parameters can stay the prior's even where every base parameter is well known: many links "
+        "have the same base parameters.",
+        figure(svg(narrowing(shares, _DRIVEN), "narrowing"),
+               "Above: base parameters. Below: the ten parameters of every body, by the body's number."),
+    ], "Prior and data")]  # fmt: skip
+
+
+def _effects_and_noise(result: ExperimentPosterior) -> list[Part]:
+    model = result.model
+    effects = [
+        _summary(n, u, result.effect_draws[..., k])
+        for k, (n, u) in enumerate(zip(model.effect_names, model.effect_units, strict=True))
+    ]
+    scales = [_summary(n, "× noise", result.scales[..., k]) for k, n in enumerate(model.scale_names)]
+    scales += [] if result.dof is None else [_summary("degrees of freedom", "", result.dof)]
+    head = ["mean", "± std", "unit", "95 % interval"]
+    parts: list[Part] = ["No effects beyond rigid bodies are in the model."]
+    if effects:
+        parts = [Table(["effect", *head], effects, "k nb n ku n", "narrow")]
+    if scales:
+        text = "Scales of the noise of each channel, in units of the noise that was learned from the residuals: 1 is as learned."
+        if model.noise == "student":
+            text += " Few degrees of freedom say that outliers are frequent; above about 30 the noise is as good as Gaussian."
+        parts += [text, Table(["channel", *head], scales, "k nb n ku n", "narrow")]
+    return parts
+
+
+def _summary(name: str, unit: str, draws: np.ndarray) -> list[str]:
+    mean, std = with_half(float(draws.mean()), float(draws.std()))
+    return [name, mean, std, unit, _ends(*np.quantile(draws, [0.025, 0.975]))]
 
 
 def _ends(low: float, high: float) -> str:
@@ -284,19 +327,30 @@ def _ends(low: float, high: float) -> str:
     return f"{with_half(low, half)[0]} … {with_half(high, half)[0]}"
 
 
-def _summary(name: str, unit: str, draws: np.ndarray) -> dict[str, str]:
-    value, std = with_half(float(draws.mean()), float(draws.std()))
-    return {"name": name, "unit": unit, "mean": value, "std": std, "interval": _ends(*np.quantile(draws, [0.025, 0.975]))}
-
-
-def _effects(result: ExperimentPosterior) -> list[dict[str, str]]:
-    names, units = result.model.effect_names, result.model.effect_units
-    return [_summary(n, u, result.effect_draws[..., k]) for k, (n, u) in enumerate(zip(names, units, strict=True))]
-
-
-def _scales(result: ExperimentPosterior) -> list[dict[str, str]]:
-    rows = [_summary(n, "× noise", result.scales[..., k]) for k, n in enumerate(result.model.scale_names)]
-    return rows + ([] if result.dof is None else [_summary("degrees of freedom", "", result.dof)])
+def _predictions(result: ExperimentPosterior) -> list[Part]:
+    """Errors of all motions, and figures of those that were not fitted and are predicted worst."""
+    band = number(BAND, 2)
+    rows = [
+        [p.motion, role, percent(p.relative_error), (number(p.times_noise, 3), judged(p).mood), percent(p.coverage)]
+        for role, ps in (("validation", result.validation), ("fitted", result.fitted)) for p in ps
+    ]  # fmt: skip
+    head = ["motion", "role", f"error of the signal below {band} Hz", "residual / noise", "in 95 % predictive intervals"]
+    parts: list[Part] = [Table(head, rows, "k - n n n", "narrow")]
+    if not result.validation:
+        parts.append(
+            "**There is no validation motion**: nothing here tests the posterior on another motion. Add a motion with role "
+            "validation."
+        )
+    for k, p in enumerate(sorted(result.validation, key=lambda p: -p.whitened_rms)[:_SHOWN_MOTIONS]):
+        parts.append(below(
+            f"{p.motion} (validation: not fitted)",
+            figure(svg(measured_against_predicted(p), f"validation-{k}"),
+                   f"{p.motion}: measured (broad, pale) and predicted by the posterior mean (thin, red). Both in the band up "
+                   f"to {band} Hz."),
+            figure(svg(residuals(p), f"residual-{k}"),
+                   "What is left, in time and by frequency; the green band is where noise alone would be 95 % of the time."),
+        ))  # fmt: skip
+    return parts
 
 
 def _worst(result: ExperimentPosterior) -> tuple[list[str], np.ndarray]:
@@ -307,29 +361,11 @@ def _worst(result: ExperimentPosterior) -> tuple[list[str], np.ndarray]:
     return [names[k] for k in order], every[..., order]
 
 
-def _diagnostics(result: ExperimentPosterior) -> list[dict[str, Any]]:
+def _diagnostics(result: ExperimentPosterior) -> Html:
     d = result.diagnosis
-    order = np.argsort(-d.r_hat)
-    return [
-        {"name": d.names[k], "r_hat": f"{d.r_hat[k]:.4f}", "bulk": f"{d.ess_bulk[k]:.0f}", "tail": f"{d.ess_tail[k]:.0f}"}
-        for k in order
-    ]
-
-
-def _motion(prediction: Prediction, index: int) -> dict[str, Any]:
-    return {
-        "title": prediction.motion,
-        "caption": f"{prediction.motion}: measured (broad, pale) and predicted by the posterior mean (thin, red).",
-        "predicted": svg(measured_against_predicted(prediction), f"validation-{index}"),
-        "residuals": svg(residuals(prediction), f"residual-{index}"),
-    }
-
-
-def _error(p: Prediction, role: str) -> dict[str, str]:
-    return {
-        "motion": p.motion, "role": role, "relative": percent(p.relative_error), "white": number(p.times_noise, 3),
-        "mood": judged(p).mood, "coverage": percent(p.coverage),
-    }  # fmt: skip
+    rows = [[d.names[k], f"{d.r_hat[k]:.4f}", f"{d.ess_bulk[k]:.0f}", f"{d.ess_tail[k]:.0f}"] for k in np.argsort(-d.r_hat)]
+    table = Table(["parameter", "R-hat", "ESS, bulk", "ESS, tail"], rows, "w n n n")
+    return fold(f"R-hat and effective sample sizes of all {len(rows)} numbers", table)
 
 
 def _how(result: ExperimentPosterior) -> list[tuple[str, str]]:
