@@ -1,17 +1,17 @@
-"""The report of ``check``: turns an `Inspection` into what its template shows."""
+"""The report of ``check``."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from markupsafe import Markup
 
 from bayesid.recordings.table import WRENCH_COLUMNS
 from bayesid.report.charts import CYCLE, WIDTH, Panel, chart, key, key_width, limits, text_width, write
-from bayesid.report.page import render
+from bayesid.report.page import below, bullets, cards, figure, fold, lead, note, page, terms, warnings
 from bayesid.results.inspection import Inspection, MotionSummary
+from bayesid.results.section import Part, Section, Table
 from bayesid.results.text import DASH, number, percent
 from bayesid.robot import inertia
 from bayesid.validation.own_fit import left_text
@@ -122,64 +122,68 @@ def _legend(names: Sequence[str]) -> tuple[list[tuple[float, float]], int]:
 
 
 _SHOWN_MOTIONS = 8
+#: So many of them without a click.
+_OPEN_MOTIONS = 2
 _PLOTTED = 1500
 
 
 def check_report(check: Inspection) -> str:
     """The report of ``check``: an HTML page with all figures inside."""
-    return render("check.html", **_content(check))
-
-
-def _content(check: Inspection) -> dict[str, Any]:
     robot, experiment = check.experiment.robot, check.experiment
     units = ["m" if slides else "rad" for slides in robot.prismatic]
     shown = check.motions[:_SHOWN_MOTIONS]
-    mass, more = float(robot.nominal[:, 0].sum()), len(check.motions) - len(shown)
-    channels = [c for c in dict.fromkeys(c for m in check.motions for c in m.noise)]
-    return {
-        "name": check.name,
-        "warning_list": check.warnings,
-        "lead": _lead(check),
-        "card_list": [
-            {"value": str(robot.n), "mood": "", "text": "joints that move"},
-            {"value": f"{number(mass, 4)} kg", "mood": "", "text": "nominal mass of the moving links"},
-            {"value": str(len(check.motions)), "mood": "", "text": f"motions, {len(experiment.identification)} to be fitted"},
-            {"value": str(max((s.base.rank for s in check.sensor_sets if s.available), default=0)), "mood": "",
-             "text": "base parameters that the recorded readings could show at most"},
-        ],
-        "robot": _robot(check),
-        "joints": [
-            {"name": name, "type": "sliding" if robot.prismatic[j] else "turning", "unit": units[j],
-             "lower": number(robot.lower[j]), "upper": number(robot.upper[j]),
-             "speed": number(robot.velocity_limit[j]), "effort": number(robot.effort_limit[j])}
-            for j, name in enumerate(robot.joint_names)
-        ],
-        "bodies": [_body(name, body) for name, body in zip(robot.body_names, robot.nominal, strict=True)],
-        "motions": [_row(m) for m in check.motions],
-        "ranges": joint_ranges(
-            [f"q{j + 1}  {name}" for j, name in enumerate(robot.joint_names)], robot.lower, robot.upper,
-            [(m.motion.name, m.lowest, m.highest) for m in shown], units,
-        ),
-        "reach": [_reach(m, robot.lower, robot.upper) for m in check.motions],
-        "bandwidth": _bandwidth(check),
-        "left": [f"{p.motion}{'' if p.fitted else ', not fitted'}: {left_text(p)}" for p in check.left],
-        "noise": [
-            {"name": m.motion.name, "cells": [number(m.noise.get(c, np.nan), 3) for c in channels]}
-            for m in check.motions if m.noise
-        ],
-        "noise_channels": [{"name": c, "unit": _unit(c, robot.prismatic)} for c in channels],
-        "stated": _stated(check, channels),
-        "parameter_count": robot.nominal.size,
-        "ranks": [
-            {"name": s.name, "rank": s.base.rank, "invisible": len(s.base.invisible), "labels": s.base.labels,
-             "here": "yes" if s.available else "no"}
-            for s in check.sensor_sets
-        ],
-        "recordings": [
-            {"name": m.motion.name, "role": m.motion.role, "svg": _figure(m, robot.prismatic)} for m in shown
-        ],
-        "recordings_omitted": f"{more} more recordings are not drawn." if more else "",
-    }  # fmt: skip
+    more = len(check.motions) - len(shown)
+    ranges = joint_ranges(
+        [f"q{j + 1}  {name}" for j, name in enumerate(robot.joint_names)], robot.lower, robot.upper,
+        [(m.motion.name, m.lowest, m.highest) for m in shown], units,
+    )  # fmt: skip
+    drawn = [(f"{m.motion.name} ({m.motion.role})", figure(_figure(m, robot.prismatic), "")) for m in shown]
+    sections = [
+        Section("Robot", [
+            terms(_robot(check)), _joints(check, units),
+            note("Joints in the order of the tables' columns; a dash: the URDF states no limit."), _bodies(check),
+            note("Nominal bodies as the URDF has them, links beyond fixed and locked joints merged; centre of mass in the "
+                 "joint's frame."),
+        ]),
+        Section("Motions", [
+            "Motions of role identification are fitted; those of role validation are never fitted: their prediction tests the "
+            "estimate.",
+            _motions(check),
+        ]),
+        Section("How far and how fast joints move", [
+            figure(ranges, "Bars: positions that each motion reaches; grey: what the URDF allows. A joint that hardly moves "
+                           "shows little of the links beyond it."),
+            _reach(check),
+            note("Range in the joint's unit, share of the range between its limits, and largest speed (99.9 % of samples are "
+                 "slower), from the smoothed positions."),
+        ], "Joint ranges"),
+        Section("Noise and bandwidth", _noise(check), "Noise"),
+        Section("What each set of readings can see", [
+            f"How many combinations of the {robot.nominal.size} inertial parameters the richest motion could ever determine: "
+            "the rank. Which of them the recorded motions do determine, and how well, is for `bayesid identify`.",
+            Table(["readings", "rank", "invisible", "in this folder"], [
+                [s.name, str(s.base.rank), str(len(s.base.invisible)), "yes" if s.available else "no"] for s in check.sensor_sets
+            ], "w nb n -"),
+            *(fold(f"The {s.base.rank} base parameters of {s.name}", Table(["#", "base parameter"], [
+                [str(k + 1), label] for k, label in enumerate(s.base.labels)
+            ], "nd w")) for s in check.sensor_sets),
+        ], "What can be seen"),
+        Section("Recordings", [
+            *(below(*each) for each in drawn[:_OPEN_MOTIONS]), *(fold(*each) for each in drawn[_OPEN_MOTIONS:]),
+            note(f"{more} more recordings are not drawn." if more else ""),
+        ]),
+    ]  # fmt: skip
+    rank = max((s.base.rank for s in check.sensor_sets if s.available), default=0)
+    large = [
+        (str(robot.n), "joints that move", ""),
+        (f"{number(float(robot.nominal[:, 0].sum()), 4)} kg", "nominal mass of the moving links", ""),
+        (str(len(check.motions)), f"motions, {len(experiment.identification)} to be fitted", ""),
+        (str(rank), "base parameters that the recorded readings could show at most", ""),
+    ]
+    fine = "No warnings: the folder reads well and nothing in it looks doubtful."
+    opening = [warnings(check.warnings, fine), lead(_lead(check)), cards(large)]
+    kicker = "What the experiment folder contains, and what a fit would leave of it"
+    return page(check.name, kicker, opening, sections, f"{check.name}: what is in the folder")
 
 
 def _lead(check: Inspection) -> str:
@@ -237,32 +241,34 @@ def _bandwidth(check: Inspection) -> str:
     return text
 
 
-def _stated(check: Inspection, channels: list[str]) -> list[str]:
-    sensor = check.experiment.sensor
-    if sensor is None or (sensor.force_std is None and sensor.torque_std is None):
-        return []
-    stated = {c: sensor.force_std if c.startswith("f") else sensor.torque_std for c in WRENCH_COLUMNS}
-    return [number(stated.get(c), 3) for c in channels]
+def _joints(check: Inspection, units: Sequence[str]) -> Table:
+    robot, rows = check.experiment.robot, []
+    for j, name in enumerate(robot.joint_names):
+        ends, largest = (robot.lower[j], robot.upper[j]), (robot.velocity_limit[j], robot.effort_limit[j])
+        kind = "sliding" if robot.prismatic[j] else "turning"
+        rows.append([f"q{j + 1}", name, kind, *map(number, ends), units[j], *map(number, largest)])
+    return Table(["", "joint", "type", "lowest", "highest", "unit", "speed limit", "effort limit"], rows, "- - - n n - n n")
 
 
-def _unit(channel: str, prismatic: np.ndarray) -> str:
-    if channel.startswith("tau"):
-        return "N" if prismatic[int(channel[3:]) - 1] else "N m"
-    return "N" if channel.startswith("f") else "N m"
+def _bodies(check: Inspection) -> Table:
+    robot, rows = check.experiment.robot, []
+    for k, (name, body) in enumerate(zip(robot.body_names, robot.nominal, strict=True)):
+        exists = ("yes", "good") if inertia.is_physically_consistent(body[None])[0] else ("no", "bad")
+        cells = [number(body[0], 4), DASH, DASH]
+        if abs(body[0]) >= 1e-9:
+            _, com, about = inertia.to_mass_com_inertia(body)
+            cells[1:] = [",  ".join(number(x, 3) for x in v) for v in (com, np.linalg.eigvalsh(about))]
+        rows.append([f"{k + 1} {name}", *cells, exists])
+    head = ["body of", "nominal mass [kg]", "centre of mass [m]", "principal inertias [kg m²]", "can exist"]
+    return Table(head, rows, "- n n n -")
 
 
-def _body(name: str, body: np.ndarray) -> dict[str, Any]:
-    exists = bool(inertia.is_physically_consistent(body[None])[0])
-    if abs(body[0]) < 1e-9:
-        return {"name": name, "mass": number(body[0], 4), "com": DASH, "inertia": DASH, "exists": exists}
-    mass, com, about = inertia.to_mass_com_inertia(body)
-    return {
-        "name": name, "mass": number(mass, 4), "com": ",  ".join(number(c, 3) for c in com),
-        "inertia": ",  ".join(number(v, 3) for v in np.linalg.eigvalsh(about)), "exists": exists,
-    }  # fmt: skip
+def _motions(check: Inspection) -> Table:
+    head = ["motion", "role", "kind", "samples", "duration", "rate", "gaps", "columns", "static readings", "also"]
+    return Table(head, [_row(m) for m in check.motions], "b - - n n n n - - -")
 
 
-def _row(m: MotionSummary) -> dict[str, Any]:
+def _row(m: MotionSummary) -> list[str]:
     motion, poses = m.motion, m.motion.kind == "poses"
     also = [f"period {number(motion.period, 4)} s"] if motion.period else []
     also += [f"parked {number(sum(b - a for a, b in motion.parked), 3)} s"] if motion.parked else []
@@ -271,12 +277,11 @@ def _row(m: MotionSummary) -> dict[str, Any]:
     if m.timing and m.timing.jitter > 0.01 / m.rate:
         also.append(f"stamps jitter by {number(1e3 * m.timing.jitter, 2)} ms rms")
     static = {"none": "none", "stop-and-go": "stop-and-go run", "poses": f"{len(motion.static or ())} poses"}[m.static]
-    return {
-        "name": motion.name, "role": motion.role, "kind": motion.kind, "samples": str(len(motion.table)),
-        "duration": DASH if poses else f"{number(motion.table.duration, 4)} s",
-        "rate": DASH if np.isnan(m.rate) else f"{number(m.rate, 4)} Hz", "gaps": DASH if poses else str(len(m.gaps)),
-        "columns": ", ".join(m.columns), "static": static, "also": ", ".join(also) or DASH,
-    }  # fmt: skip
+    return [
+        motion.name, motion.role, motion.kind, str(len(motion.table)), DASH if poses else f"{number(motion.table.duration, 4)} s",
+        DASH if np.isnan(m.rate) else f"{number(m.rate, 4)} Hz", DASH if poses else str(len(m.gaps)), ", ".join(m.columns),
+        static, ", ".join(also) or DASH,
+    ]  # fmt: skip
 
 
 def _fixed(value: float) -> str:
@@ -284,16 +289,49 @@ def _fixed(value: float) -> str:
     return f"{round(value, 3) + 0.0:.3f}".replace("-", "−") if np.isfinite(value) else DASH
 
 
-def _reach(m: MotionSummary, lower: np.ndarray, upper: np.ndarray) -> dict[str, Any]:
-    room = upper - lower
-    share = np.where(np.isfinite(room) & (room > 0), (m.highest - m.lowest) / np.where(room > 0, room, 1.0), np.nan)
-    rows = [
-        {"label": "range", "cells": [f"{_fixed(a)} … {_fixed(b)}" for a, b in zip(m.lowest, m.highest, strict=True)]},
-        {"label": "share of limits", "cells": [f"{100 * s:.0f} %" if np.isfinite(s) else DASH for s in share]},
-    ]
-    if np.isfinite(m.speed).any():
-        rows.append({"label": "largest speed", "cells": [_fixed(v) for v in m.speed]})
-    return {"name": m.motion.name, "rows": rows}
+def _reach(check: Inspection) -> Table:
+    robot, rows, marks = check.experiment.robot, [], {}
+    room = robot.upper - robot.lower
+    for m in check.motions:
+        bounded = np.isfinite(room) & (room > 0)
+        share = np.where(bounded, (m.highest - m.lowest) / np.where(bounded, room, 1.0), np.nan)
+        marks[len(rows)] = "rule"
+        ranges = (f"{_fixed(a)} … {_fixed(b)}" for a, b in zip(m.lowest, m.highest, strict=True))
+        rows.append([m.motion.name, "range", *ranges])
+        rows.append(["", "share of limits", *(f"{100 * s:.0f} %" if np.isfinite(s) else DASH for s in share)])
+        if np.isfinite(m.speed).any():
+            rows.append(["", "largest speed", *map(_fixed, m.speed)])
+    return Table(["motion", "", *(f"q{j + 1}" for j in range(robot.n))], rows, f"- k{' n' * robot.n}", marks=marks)
+
+
+def _noise(check: Inspection) -> list[Part]:
+    parts: list[Part] = [_bandwidth(check)]
+    channels = [c for c in dict.fromkeys(c for m in check.motions for c in m.noise)]
+    rows = [[m.motion.name, *(number(m.noise.get(c, np.nan), 3) for c in channels)] for m in check.motions if m.noise]
+    if rows:
+        marks, sensor = {}, check.experiment.sensor
+        if sensor is not None and (sensor.force_std is not None or sensor.torque_std is not None):
+            stated = {c: sensor.force_std if c.startswith("f") else sensor.torque_std for c in WRENCH_COLUMNS}
+            marks = {len(rows): "rule"}
+            rows.append(["stated", *(number(stated.get(c), 3) for c in channels)])
+        head = ["motion", *(f"{c} [{_unit(c, check.experiment.robot.prismatic)}]" for c in channels)]
+        parts += [
+            "Noise of one sample, estimated from third differences by their median, so that neither the motion nor single "
+            "outliers count. Slow noise and vibration escape this number; where positions of a motion are only poses, it "
+            "cannot be had.",
+            Table(head, rows, f"-{' n' * len(channels)}", marks=marks),
+        ]
+    if check.left:
+        left = [f"{p.motion}{'' if p.fitted else ', not fitted'}: {left_text(p)}" for p in check.left]
+        said = "What a fit of the model as it is would leave of each motion below 10 Hz, as `bayesid identify` says it:"
+        parts += [said, bullets(left)]
+    return parts
+
+
+def _unit(channel: str, prismatic: np.ndarray) -> str:
+    if channel.startswith("tau"):
+        return "N" if prismatic[int(channel[3:]) - 1] else "N m"
+    return "N" if channel.startswith("f") else "N m"
 
 
 def _figure(m: MotionSummary, prismatic: np.ndarray) -> Markup:
