@@ -1,4 +1,4 @@
-"""The report of ``identify``: turns an `Identification` into what its template shows."""
+"""The report of ``identify``."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from bayesid.dynamics.base_parameters import BaseParameters
@@ -15,11 +14,26 @@ from bayesid.estimators import Estimate
 from bayesid.regression.regression import Regression
 from bayesid.report.certificate import certificate_section
 from bayesid.report.identification_figures import bandwidth_sensitivity, parameter_intervals
-from bayesid.report.page import physical, render, run_times, svg, versions
+from bayesid.report.page import (
+    below,
+    bullets,
+    cards,
+    figure,
+    fold,
+    lead,
+    note,
+    page,
+    physical,
+    run_times,
+    svg,
+    terms,
+    versions,
+    warnings,
+)
 from bayesid.report.prediction_figures import measured_against_predicted, residuals
 from bayesid.results.identification import Identification
 from bayesid.results.loaded import LoadedIdentification
-from bayesid.results.section import as_html
+from bayesid.results.section import Cell, Html, Part, Section, Table, tag
 from bayesid.results.text import DASH, HALF, chance, channel_text, ends, number, percent, with_interval
 from bayesid.robot import inertia
 from bayesid.robot.notation import notation
@@ -156,52 +170,55 @@ def identification_report(result: Identification) -> str:
     """The report of ``identify``: an HTML page with all figures inside."""
     estimate, problem = result.estimate, result.problem
     validation, fitted = _most_telling(result.validation), _most_telling(result.fitted)
+    motions = [(p, f"validation-{k}") for k, p in enumerate(validation)] + [(p, f"fitted-{k}") for k, p in enumerate(fitted)]
+    left_out = len(result.validation) + len(result.fitted) - len(motions)
+    omitted = f" Of {left_out} more motions only the numbers are shown below." if left_out else ""
     tried = problem.bandwidths
-    left_out = len(result.validation) + len(result.fitted) - len(validation) - len(fitted)
-    return render(
-        "identification.html",
-        name=problem.experiment.name,
-        robot=problem.experiment.robot.name,
-        channel=channel_text(problem.channel),
-        fitted=problem.fitted,
-        method=estimate.method,
-        warning_list=result.warnings,
-        verdict=_verdict(result),
-        unusable=result.unusable,
-        links_usable=result.urdf.usable,
-        links_mass=number(result.urdf.mass, 3),
-        card_list=_cards(result),
-        interval_reason=estimate.interval_reason if estimate.interval == "none" else "",
-        intervals=svg(intervals_figure(problem.regression, estimate), "intervals"),
-        bandwidths="" if tried is None else svg(bandwidth_sensitivity(tried, estimate.full_std), "bandwidths"),
-        parameters=_parameters(problem.regression, estimate),
-        effects=_effects(result.effects()),
-        offset_note=_OFFSET_NOTE if result.offset is not None and problem.row_model.base.weight_in_offset else "",
-        band=number(BAND, 2),
-        validation=[_motion(p, "validation", k) for k, p in enumerate(validation)],
-        fits=[_motion(p, "fitted", k) for k, p in enumerate(fitted)],
-        omitted=f"Of {left_out} more motions only the numbers are shown below." if left_out else "",
-        errors=[_errors(p, role) for role, ps in (("validation", result.validation), ("fitted", result.fitted)) for p in ps],
-        unexcited=[label for label in result.unexcited if " " in label],
-        unexcited_single=", ".join(label for label in result.unexcited if " " not in label),
-        invisible=_by_body(estimate.base.invisible),
-        invisible_count=len(estimate.base.invisible),
-        gravity_free=problem.static == "motion",
-        absorbed=_absorbed(estimate.base),
-        links=_links(result),
-        links_note=result.urdf.text(),
-        links_unconstrained=result.unconstrained_urdf,
-        agreements=[{**a.to_dict(), "rms": number(a.rms, 3), "probability": chance(a.probability)} for a in result.agreements],
-        static=_both_ways(result),
-        certificate=Markup(as_html(certificate_section(result.certificate, estimate.base))),
-        how=_how(result),
-    )
-
-
-_OFFSET_NOTE = (
-    "The sensor's offset is what is left of the estimated constant once the nominal weight that looks like one is taken off: "
-    "it is only as good as the nominal masses, and has an interval only where the experiment says how far those are trusted."
-)
+    sections: list[Part] = [
+        _identified(result),
+        Section("Measured against predicted", [
+            f"Both in the band up to {number(BAND, 2)} Hz, by one filter without delay. Motions for validation took no part in "
+            f"the fit: how well they are predicted is the test of the estimate.{omitted}",
+            "" if validation else
+            "**There is no validation motion**, so the figures below show the fit only, which says little about other motions. "
+            "Add a motion with role validation.",
+            *_motions(motions, lambda p, name: (
+                _said(p), figure(svg(measured_against_predicted(p), f"{name}-predicted"), _caption(p)),
+            )),
+        ]),
+        Section("What is left over", [
+            "Measured less predicted. If the model is complete, what is left looks like the noise: it keeps inside the green "
+            "band (where noise alone would be 95 % of the time), and its spectrum follows the noise model on which the "
+            "intervals rest. Where it sticks out, in time or at some frequency, something is at work that is not in the model.",
+            *_motions(motions, lambda p, name: (figure(svg(residuals(p), f"{name}-residuals"), _residual_caption(p)),)),
+        ], "Residuals"),
+        _errors(result),
+        _limits(result),
+        _links(result),
+        _agreement(result),
+        *_both_ways(result),
+        *certificate_section(result.certificate, estimate.base),
+        Section("How this was done", [
+            terms(_how(result)),
+            "" if tried is None else below("The bandwidth of the motion", figure(
+                svg(bandwidth_sensitivity(tried, estimate.full_std), "bandwidths"),
+                "Bandwidths that were tried. Left: error on segments of the fitted motions that were left out, in one and the "
+                "same band. Right: how far the estimate moves from the chosen one's, in its standard deviations.")),
+            below("Conventions", note(
+                "SI units. Ten parameters a body in Pinocchio's order, m, mcx, mcy, mcz, Ixx, Ixy, Iyy, Ixz, Iyz, Izz, about "
+                "the origin of its joint's frame. Force before moment. A wrench is the one that the sensor applies to the "
+                "robot, in the sensor's frame, moments about its origin: at rest on an upright sensor fz = +m g. Intervals are "
+                "central and hold 95 %.")),
+        ], "How"),
+    ]  # fmt: skip
+    name, robot = problem.experiment.name, problem.experiment.robot.name
+    fine = "No warnings: validation motions are predicted down to the noise and the data agree with themselves."
+    opening = [
+        warnings(result.warnings, fine), *(lead(f"**{text}**", "bad") for text in result.unusable), lead(_verdict(result)),
+        cards(_cards(result)),
+    ]  # fmt: skip
+    kicker = f"Inertial parameters of {robot}, identified from the {channel_text(problem.channel)} of {', '.join(problem.fitted)}"
+    return page(name, f"{kicker} by {estimate.method}", opening, sections, f"{name}: identification")
 
 
 def _most_telling(predictions: Sequence[Prediction]) -> list[Prediction]:
@@ -248,29 +265,20 @@ def _verdict(result: Identification) -> str:
     return text
 
 
-def _cards(result: Identification) -> list[dict[str, str]]:
+def _cards(result: Identification) -> list[tuple[str, str, str]]:
     estimate, problem = result.estimate, result.problem
     total = problem.experiment.robot.nominal.size
-    cards = [{"value": str(estimate.base.rank), "mood": "", "text": f"base parameters (rank), of {total} in the links"}]
+    large = [(str(estimate.base.rank), f"base parameters (rank), of {total} in the links", "")]
     for p in _most_telling(result.validation)[:2]:
         mood = judged(p).mood
-        cards += [
-            {
-                "value": percent(p.relative_error),
-                "mood": mood,
-                "text": f"error of the signal on ‘{p.motion}’, below {BAND:.2g} Hz",
-            },
-        ]
+        large.append((percent(p.relative_error), f"error of the signal on ‘{p.motion}’, below {BAND:.2g} Hz", mood))
         if p.noise_known:
-            text = f"the sensor's noise: the residual on ‘{p.motion}’"
-            cards.append({"value": f"{number(p.times_noise, 3)} ×", "mood": mood, "text": text})
+            large.append((f"{number(p.times_noise, 3)} ×", f"the sensor's noise: the residual on ‘{p.motion}’", mood))
     moved = result.urdf.moved
     if moved is not None and moved.distance is not None:
-        cards.append(
-            {"value": f"{number(moved.distance, 2)} σ", "mood": "good" if moved.inside else "bad",
-             "text": f"from the estimate to links that can exist; {number(moved.allowed, 2)} is the 95 % region's radius"}
-        )  # fmt: skip
-    return cards
+        text = f"from the estimate to links that can exist; {number(moved.allowed, 2)} is the 95 % region's radius"
+        large.append((f"{number(moved.distance, 2)} σ", text, "good" if moved.inside else "bad"))
+    return large
 
 
 def _reference(regression: Regression | LoadedIdentification, estimate: Estimate) -> tuple[np.ndarray, np.ndarray]:
@@ -291,81 +299,157 @@ def intervals_figure(regression: Regression | LoadedIdentification, estimate: Es
     return parameter_intervals(names, estimate.values - nominal, between, scale, estimate.classes, ax)
 
 
-def _parameters(regression: Regression, estimate: Estimate) -> list[dict[str, Any]]:
+def _identified(result: Identification) -> Section:
+    """Base parameters and effects with their intervals."""
+    estimate, regression = result.estimate, result.problem.regression
+    found, rank = estimate.parameters(), estimate.base.rank
+    nominal = [DASH] * rank if regression.nominal is None else [number(v) for v in regression.nominal]
     rows = []
-    nominal = [DASH] * estimate.base.rank if regression.nominal is None else [number(v) for v in regression.nominal]
-    found = estimate.parameters()
-    for k in range(estimate.base.rank):
+    for k in range(rank):
         low, high = found.low[k], found.high[k]
-        value, spread = with_interval(found.values[k], found.std[k], low, high)
-        rows.append(
-            {
-                "index": k + 1, "label": found.labels[k], "value": value, "half": spread, "unit": found.units[k],
-                "kind": found.classes[k], "interval": ends(low, high), "nominal": nominal[k],
-            }
-        )  # fmt: skip
-    return rows
+        value, half = with_interval(found.values[k], found.std[k], low, high)
+        rows.append([str(k + 1), found.labels[k], value, half, found.units[k], ends(low, high), nominal[k], found.classes[k]])
+    head = ["#", "base parameter", "value", "± 95 %", "unit", "interval", "nominal", "class"]
+    return Section("What was identified, and how sure it is", [
+        "These readings show links' masses, first moments (mass times centre of mass) and inertias in certain combinations "
+        "only: the base parameters. Every prediction of these readings follows from them. In a label, m2 is the mass of body "
+        "2, m2 r2x its first moment along x and I2xy an inertia about the origin of its joint's frame; bodies are counted in "
+        "the order of the table of links below.",
+        f"**No intervals:** {estimate.interval_reason}." if estimate.interval == "none" and estimate.interval_reason else "",
+        figure(svg(intervals_figure(regression, estimate), "intervals"),
+               "Each base parameter's change against the nominal model (dot) with its central 95 % interval (bar), in units of "
+               "its natural size: what the parameter would change by if every body that is in it were as uncertain as it is "
+               "large. Right: half the interval, in per cent of that size; right of the dashed line it is weak. Triangles lie "
+               "outside the picture. Numbers as in the table."),
+        Table(head, rows, "nd w nb n ku n n t"),
+        Html(f'<p class="note">{tag("alone")} one parameter of one link; {tag("combination")} a sum that only as a whole can be '
+             f"seen; {tag('weak')} known no better than the size of the body; {tag('prior')} the data say nothing, the nominal "
+             "value stands.</p>"),
+        *_effects(result),
+    ], "Parameters")  # fmt: skip
 
 
-def _effects(effects: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    rows = []
-    for effect in effects:
+_OFFSET_NOTE = (
+    "The sensor's offset is what is left of the estimated constant once the nominal weight that looks like one is taken off: "
+    "it is only as good as the nominal masses, and has an interval only where the experiment says how far those are trusted."
+)
+
+
+def _effects(result: Identification) -> list[Html]:
+    rows, marks = [], {}
+    for effect in result.effects():
+        marks[len(rows)] = "rule"
         for k, (key, parameter) in enumerate(effect["parameters"].items()):
-            value, half = with_interval(*(parameter[part] for part in _INTERVAL))
-            name = effect["name"].replace("_", " ")
-            rows.append(
-                {"first": k == 0, "name": name if k == 0 else "", "where": effect["where"] if k == 0 else "",
-                 "parameter": key, "value": value, "half": half, "unit": parameter["unit"]}
-            )  # fmt: skip
-    return rows
+            where = [effect["name"].replace("_", " "), effect["where"]] if k == 0 else ["", ""]
+            rows.append([*where, key, *with_interval(*(parameter[part] for part in _INTERVAL)), parameter["unit"]])
+    if not rows:
+        return []
+    offset = result.offset is not None and result.problem.row_model.base.weight_in_offset
+    text = f"Estimated together with the base parameters.{f' {_OFFSET_NOTE}' if offset else ''}"
+    table = Table(["effect", "where", "parameter", "value", "± 95 %", "unit"], rows, "k k - nb n ku", "narrow", marks)
+    return [below("Effects beyond rigid bodies", text, table)]
 
 
-def _motion(prediction: Prediction, role: str, index: int) -> dict[str, Any]:
-    title = f"{prediction.motion} ({'validation: not fitted' if role == 'validation' else 'fitted'})"
-    what = "poses, numbered" if prediction.poses else f"motion of {number(prediction.times[-1] - prediction.times[0], 3)} s"
+def _motions(motions: Sequence[tuple[Prediction, str]], shown: Callable[[Prediction, str], Sequence[Part]]) -> list[Html]:
+    """Each motion under its title; fitted ones folded, the first opened where there is no other."""
+    out = []
+    for p, name in motions:
+        title, parts = _title(p, name), shown(p, name)
+        validation = name.startswith("validation")
+        out.append(below(title, *parts) if validation else fold(title, *parts, opened=not out))
+    return out
+
+
+def _title(prediction: Prediction, role: str) -> str:
+    return f"{prediction.motion} ({'validation: not fitted' if role.startswith('validation') else 'fitted'})"
+
+
+def _said(p: Prediction) -> str:
+    """How well a motion is predicted."""
     text = (
-        f"Error {percent(prediction.relative_error, 3)} of the signal below {number(BAND, 2)} Hz, {_sizes(prediction)} "
-        f"({percent(prediction.relative_error_raw, 3)} on raw samples); {judged(prediction).text}. "
-        f"{still_predictable(prediction)}"
+        f"Error {percent(p.relative_error, 3)} of the signal below {number(BAND, 2)} Hz, {_sizes(p)} "
+        f"({percent(p.relative_error_raw, 3)} on raw samples); {judged(p).text}. {still_predictable(p)}"
     ).rstrip()
-    if prediction.repeats:
-        text += f" It repeats the fitted motion ‘{prediction.repeats}’ and so says little about other motions."
-    lines = ("circles", "crosses") if prediction.poses else ("broad, pale", "thin, red")
-    caption = f"{prediction.motion}: measured ({lines[0]}) and predicted ({lines[1]}); {what}."
-    left = f"{prediction.motion}: measured less predicted, in time" + (
-        "." if prediction.spectrum is None else " and as amplitude spectral density beside the noise model."
-    )
-    if prediction.spectrum is not None and prediction.spectrum.filtered:
-        left += " The spectra are those behind the low-pass filters; readings in time have not passed them."
-    return {
-        "title": title,
-        "text": text,
-        "caption": caption,
-        "residual_caption": left,
-        "predicted": svg(measured_against_predicted(prediction), f"{role}-{index}-predicted"),
-        "residuals": svg(residuals(prediction), f"{role}-{index}-residuals"),
-    }
+    if p.repeats:
+        text += f" It repeats the fitted motion ‘{p.repeats}’ and so says little about other motions."
+    return text
 
 
-def _errors(p: Prediction, role: str) -> dict[str, Any]:
-    channels = [
-        {"name": name, "unit": unit, "rmse": number(a, 3), "nrmse": percent(b), "raw": number(c, 3), "nraw": percent(d),
-         "white": number(w if p.noise_known else None, 3),
-         "mood": "bad" if worse_than_nothing(b) else mood_of(w) if p.noise_known else ""}
-        for name, unit, a, b, c, d, w in zip(
-            p.channel_names, p.channel_units, p.rmse, p.nrmse, p.rmse_raw, p.nrmse_raw, p.whitened_rms_by_channel, strict=True
-        )
-    ]  # fmt: skip
-    return {
-        "title": f"{p.motion} ({'validation: not fitted' if role == 'validation' else 'fitted'})",
-        "channels": channels,
-        "relative": percent(p.relative_error),
-        "relative_raw": percent(p.relative_error_raw),
-        "white": number(p.times_noise, 3),
-        "mood": judged(p).mood,
-        "coverage": percent(p.coverage),
-        "repeats": f"This motion repeats the fitted ‘{p.repeats}’." if p.repeats else "",
-    }
+def _caption(p: Prediction) -> str:
+    what = "poses, numbered" if p.poses else f"motion of {number(p.times[-1] - p.times[0], 3)} s"
+    lines = ("circles", "crosses") if p.poses else ("broad, pale", "thin, red")
+    return f"{p.motion}: measured ({lines[0]}) and predicted ({lines[1]}); {what}."
+
+
+def _residual_caption(p: Prediction) -> str:
+    if p.spectrum is None:
+        return f"{p.motion}: measured less predicted, in time."
+    text = f"{p.motion}: measured less predicted, in time and as amplitude spectral density beside the noise model."
+    filtered = " The spectra are those behind the low-pass filters; readings in time have not passed them."
+    return text + filtered * p.spectrum.filtered
+
+
+def _errors(result: Identification) -> Section:
+    """Errors of every motion by channel."""
+    tables = [_error_table(p, role) for role, ps in (("validation", result.validation), ("fitted", result.fitted)) for p in ps]
+    return Section("Errors in numbers", [
+        f"Root mean square of measured less predicted, in the band up to {number(BAND, 2)} Hz and on raw samples (where the "
+        "sensor's own noise counts in full), also relative to the root mean square of the reading. **Times noise** is the "
+        "residual below 10 Hz in units of the sensor's own noise (with what encoder errors make of a prediction), read off the "
+        "readings and not off the fit: 1 is what that noise alone leaves, more is model error. Both numbers count: a motion "
+        "that hardly moves leaves little but noise under any model, and a channel whose relative error is above 100 % is "
+        "predicted worse than by zero, whatever its noise. **In the interval**: share of residuals inside their 95 % "
+        "prediction interval; 95 % is right.",
+        Html(f'<div class="pair">{"".join(f"<div>{table.content}</div>" for table in tables)}</div>'),
+    ], "Errors")  # fmt: skip
+
+
+def _error_table(p: Prediction, role: str) -> Html:
+    rows: list[list[Cell]] = []
+    for k, (name, unit, white) in enumerate(zip(p.channel_names, p.channel_units, p.whitened_rms_by_channel, strict=True)):
+        mood = "bad" if worse_than_nothing(p.nrmse[k]) else mood_of(white) if p.noise_known else ""
+        errors = number(p.rmse[k], 3), percent(p.nrmse[k]), number(p.rmse_raw[k], 3), percent(p.nrmse_raw[k])
+        rows.append([name, *errors, unit, (number(white if p.noise_known else None, 3), mood)])
+    whole = (percent(p.relative_error), "sure"), "", percent(p.relative_error_raw), "", (number(p.times_noise, 3), judged(p).mood)
+    head = ["channel", f"rms error, {number(BAND, 2)} Hz", "relative", "rms error, raw", "relative", "unit", "times noise"]
+    table = Table(head, [*rows, ["all", "", *whole]], "- nb n n n ku n", "narrow", {len(rows): "rule"})
+    repeats = f" This motion repeats the fitted ‘{p.repeats}’." if p.repeats else ""
+    text = f"{percent(p.coverage)} of residuals in their 95 % prediction interval.{repeats}"
+    return below(_title(p, role), table, note(text))
+
+
+def _limits(result: Identification) -> Section:
+    """What these motions, and these readings, do not show."""
+    base, problem = result.estimate.base, result.problem
+    single = ", ".join(label for label in result.unexcited if " " not in label)
+    parts: list[Part] = ["Nothing that these readings can show at all was hidden by the motions."]
+    if result.unexcited:
+        parts = [below(
+            "Hidden by these motions",
+            "Other motions of this robot could show these; the recorded ones do not, or not well enough to say more than the "
+            "size of the body does. Where the tables give a number, it is the nominal one (class prior) or one that is less "
+            "sure than the body is large (class weak): it should not be used by itself. Motions that move these links faster, "
+            "or in other poses, would help.",
+            single, bullets([label for label in result.unexcited if " " in label], sums=True),
+        )]  # fmt: skip
+    if base.invisible:
+        gravity = " (with the static run subtracted, nor does what only gravity would show)" if problem.static == "motion" else ""
+        parts.append(below(
+            "Invisible to these readings",
+            f"No motion whatever shows these {len(base.invisible)} parameters in the {channel_text(problem.channel)}: they "
+            f"influence no reading{gravity}. Only the nominal model tells them.",
+            bullets(_by_body(base.invisible)),
+        ))  # fmt: skip
+    if absorbed := _absorbed(base):
+        parts.append(below(
+            "What the unknown sensor offset costs",
+            "Nothing here measures the sensor's offset by itself, so it is estimated along, and what acts on the sensor like a "
+            "constant offset cannot be told from it: it is taken up by the offset instead of by the base parameters. A static "
+            "run, or a reading of the unloaded sensor, would give it back. An offset that is estimated contains, beside the "
+            "true offset:",
+            Table(["axis", "contains besides"], absorbed, "- w"),
+        ))  # fmt: skip
+    return Section("What could not be identified", parts)
 
 
 def _by_body(names: Sequence[str]) -> list[str]:
@@ -377,7 +461,7 @@ def _by_body(names: Sequence[str]) -> list[str]:
     return [f"{body}: {', '.join(kinds)}" if body else ", ".join(kinds) for body, kinds in bodies.items()]
 
 
-def _absorbed(base: BaseParameters) -> list[dict[str, str]]:
+def _absorbed(base: BaseParameters) -> list[list[str]]:
     """What an estimated offset contains besides the true one, axis by axis."""
     if base.absorbed is None:
         return []
@@ -385,12 +469,34 @@ def _absorbed(base: BaseParameters) -> list[dict[str, str]]:
     for axis, row in zip(("fx", "fy", "fz", "mx", "my", "mz"), base.absorbed, strict=False):
         parts = [f"{'-' if row[k] < 0 else '+'} {abs(row[k]):.4g} {names[k]}" for k in np.flatnonzero(row)]
         if parts:
-            rows.append({"axis": axis, "text": re.sub(r"^- ", "-", " ".join(parts).removeprefix("+ "))})
+            rows.append([axis, re.sub(r"^- ", "-", " ".join(parts).removeprefix("+ "))])
     return rows
 
 
-def _links(result: Identification) -> list[dict[str, Any]]:
+def _links(result: Identification) -> Section:
     """Nominal and identified links, with how far the data alone determine each number."""
+    urdf = result.urdf
+    if not urdf.usable:
+        return Section("Link parameters", [
+            f"Not shown: no robot of this URDF is as heavy as these links ({number(urdf.mass, 3)} kg), so they are no result. "
+            f"{urdf.text()} The base parameters above hold the fit.",
+        ], "Links")  # fmt: skip
+    both = " `identified-unconstrained.urdf` holds the links with exactly the estimated base parameters, possible or not."
+    return Section("Link parameters", [
+        "Ten numbers a link, nearest to the nominal model among all that can exist and whose base parameters stay within the "
+        "estimate's uncertainty; this is what `identified.urdf` holds, with the identified friction of joints. "
+        f"{urdf.text()}{both * result.unconstrained_urdf}",
+        "Only **bold** numbers are determined by the data alone. Plain ones move with the data, yet how a combination is "
+        "shared among links is the nominal model's choice: they predict these readings, but taken one by one they are no "
+        "measurement. Grey ones influence no reading at all: they only keep the link near its nominal mass distribution. "
+        "Centre of mass in the joint's frame [m], inertia about the centre of mass, axes of the joint's frame [kg m²], mass "
+        "[kg].",
+        _link_table(result),
+        note("A link can exist if its mass is positive and its inertia is that of some distribution of positive mass."),
+    ], "Links")  # fmt: skip
+
+
+def _link_table(result: Identification) -> Table:
     robot, estimate = result.problem.experiment.robot, result.estimate
     bodies = result.link_parameters.reshape(-1, 10)
     seen = estimate.base.matrix[~estimate.undetermined[: estimate.base.rank]]
@@ -400,46 +506,65 @@ def _links(result: Identification) -> list[dict[str, Any]]:
     moved = (length > 0).reshape(-1, 10)
     # The centre of mass takes the mass and its first moment; the inertia about it takes these, too.
     needs = [[0], [0, 1], [0, 2], [0, 3], *([0, 1, 2, 3, k] for k in range(4, 10))]
-    rows = []
+    rows: list[list[Cell]] = []
     for k, name in enumerate(robot.body_names):
         nominal, found = physical(robot.nominal[k]), physical(bodies[k])
         if max(np.abs(robot.nominal[k]).max(), np.abs(bodies[k]).max()) < 1e-9:
             continue
         kinds = ["sure" if alone[k, n].all() else "" if moved[k, n].any() else "dim" for n in needs]
-        exist = inertia.is_physically_consistent(np.stack([robot.nominal[k], bodies[k]]))
-        rows.append(
-            {
-                "number": k + 1,
-                "name": name,
-                "nominal": [number(v, 3) for v in nominal],
-                "identified": [{"text": number(v, 3), "kind": kind} for v, kind in zip(found, kinds, strict=True)],
-                "nominal_exists": bool(exist[0]),
-                "exists": bool(exist[1]),
-            }
-        )
-    return rows
+        before, after = inertia.is_physically_consistent(np.stack([robot.nominal[k], bodies[k]]))
+        dim = [(text, "dim") for text in ("nominal", *(number(v, 3) for v in nominal), "yes" if before else "no")]
+        values = [(number(v, 3), kind) for v, kind in zip(found, kinds, strict=True)]
+        rows.append([f"{k + 1} {name}", *dim])
+        rows.append(["", "identified", *values, ("yes", "sure good") if after else ("no", "sure bad")])
+    head = ["link of", "", "mass", "cx", "cy", "cz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz", "can exist"]
+    return Table(head, rows, f"k -{' n' * 10} -", "tight", {k: "rule" for k in range(0, len(rows), 2)})
 
 
-def _both_ways(result: Identification) -> dict[str, Any] | None:
+def _agreement(result: Identification) -> Section:
+    """The same numbers from parts of the data."""
+    title, name = "Do the data agree with themselves?", "Agreement"
+    if not result.agreements:
+        return Section(title, ["There is nothing to compare: it takes two motions, or a wrench and torques."], name)
+    rows = [
+        [a.first, a.second, str(a.compared), (number(a.rms, 3), "sure"), chance(a.probability),
+         ("contradict", "sure bad") if a.contradiction else ("agree", "sure good"), a.worst]
+        for a in result.agreements
+    ]  # fmt: skip
+    return Section(title, [
+        "The same numbers, estimated twice from data that have nothing in common. The difference should be as large as both "
+        "intervals say: about 1 sigma root mean square. A probability below 0.1 % means that they contradict each other, and "
+        "that the intervals are too narrow for one of them.",
+        Table(["estimate", "against", "numbers", "difference, sigma", "probability", "", "differs most"], rows, "- - n n n k w"),
+    ], name)  # fmt: skip
+
+
+def _both_ways(result: Identification) -> list[Section]:
     """Subtracting the static run and fitting it along, side by side."""
     other = result.static_alternative
     if other is None:
-        return None
+        return []
     subtracted = result.problem.static == "motion"
     tables = []
     for estimate in (result.estimate, other):
         own = estimate.parameters().to_list()[: estimate.base.rank]
         tables.append({p["name"]: (*with_interval(*(p[k] for k in _INTERVAL)), p["label"], p["unit"]) for p in own})
     first, second = tables if subtracted else tables[::-1]
-    rows = []
+    rows, nothing = [], (DASH, DASH)
     for name in dict.fromkeys([*first, *second]):
         one, two = first.get(name), second.get(name)
         label, unit = (one or two or ("", "", "", ""))[2:]
-        rows.append(
-            {"label": label, "unit": unit, "one": one[0] if one else DASH, "one_half": one[1] if one else DASH,
-             "other": two[0] if two else DASH, "other_half": two[1] if two else DASH}
-        )  # fmt: skip
-    return {"rows": rows, "subtracted": subtracted, "only": set(first) != set(second)}
+        rows.append([label, *(one or nothing)[:2], *(two or nothing)[:2], unit])
+    head = ["base parameter", "subtracted", "± 95 %", "fitted along", "± 95 %", "unit"]
+    return [Section("The static run, used both ways", [
+        "The readings at rest can be subtracted sample by sample, which removes the sensor's offset and all gravity (equation "
+        "21 of the paper), or fitted along, which keeps what gravity tells. The estimate of this report "
+        f"{'subtracts them' if subtracted else 'fits them along'}. Both use the same moving samples, so they are not "
+        "independent: differences much beyond the intervals mean that subtracting or gravity brings in something that is not "
+        "in the model.",
+        Table(head, rows, "w n n n n ku"),
+        note("A dash: that way does not show the parameter." if set(first) != set(second) else ""),
+    ], "Static run")]  # fmt: skip
 
 
 def _how(result: Identification) -> list[tuple[str, str]]:

@@ -47,9 +47,9 @@ def cards(items: Sequence[tuple[str, str, str]]) -> Html:
     return Html(f'<div class="cards">{"".join(each)}</div>')
 
 
-def lead(text: str) -> Html:
+def lead(text: str, mood: str = "") -> Html:
     """A paragraph in larger type."""
-    return Html(f'<p class="lead">{marked(text)}</p>')
+    return Html(f'<p class="{f"lead {mood}".rstrip()}">{marked(text)}</p>')
 
 
 def note(text: str) -> Html:
