@@ -1,9 +1,8 @@
-"""The report's section on a description: rows, sentences, and the numbers behind its picture."""
+"""The report's section on a description."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -12,8 +11,9 @@ from bayesid.diagnosis.data import DiagnosisData
 from bayesid.diagnosis.description.columns import SegmentPart, parts_of
 from bayesid.diagnosis.description.describe import Description
 from bayesid.report.figures import MEASURED, PREDICTED, add_legend, make_grid, styled
-from bayesid.report.page import svg
+from bayesid.report.page import bullets, figure, note, svg
 from bayesid.results.described import not_distinguished, shares, terms_of, use_line
+from bayesid.results.section import Section, Table
 from bayesid.results.text import percent
 
 #: Points drawn of a recording.
@@ -21,7 +21,7 @@ _POINTS = 3000
 
 
 @styled
-def described(panels: Sequence[tuple[str, str, np.ndarray, np.ndarray, np.ndarray]]) -> Figure:
+def described_figure(panels: Sequence[tuple[str, str, np.ndarray, np.ndarray, np.ndarray]]) -> Figure:
     """One panel a term.
 
     Parameters
@@ -44,22 +44,34 @@ def described(panels: Sequence[tuple[str, str, np.ndarray, np.ndarray, np.ndarra
 _LISTED = 8
 
 
-def described_section(data: DiagnosisData, description: Description) -> dict[str, Any]:
-    """What the template shows."""
-    d, names = description, data.channels.names
-    terms = [
-        {
-            "formula": ", ".join(c.candidate.shape.texts),
-            "share": percent(min(c.share, 1.0)), "low": percent(min(c.share_low, 1.0)),
-            "causes": list(causes), "others": (others := not_distinguished(c))[:_LISTED], "more": max(len(others) - _LISTED, 0),
-        }
-        for c, causes in zip(d.terms, d.causes, strict=True)
-    ]  # fmt: skip
-    return {
-        "rows": terms_of(d, names), "terms": terms, "beside": [t.effect.spec for t in d.start.terms], "shares": shares(d),
-        "unseen": d.gap is not None, "use": use_line(d), "candidates": d.candidates,
-        "picture": svg(_picture(data, d), "described"),
-    }  # fmt: skip
+def described_section(data: DiagnosisData, description: Description) -> Section:
+    """What goes with what no effect explains, by formulas."""
+    d = description
+    rows = [[reading, value, half, text, unit] for reading, text, value, half, unit in terms_of(d, data.channels.names)]
+    these = "these go" if len(d.terms) > 1 else "this one goes"
+    beside = f", beside {', '.join(t.effect.spec for t in d.start.terms)}" if d.start.terms else ""
+    terms = []
+    for c, causes in zip(d.terms, d.causes, strict=True):
+        others = not_distinguished(c)
+        more = f" and {len(others) - _LISTED} more" if len(others) > _LISTED else ""
+        rivals = f"{', '.join(f'`{o}`' for o in others[:_LISTED])}{more}: these do as well there." if others else ""
+        share, low = percent(min(c.share, 1.0)), percent(min(c.share_low, 1.0))
+        terms.append(
+            f"`{', '.join(c.candidate.shape.texts)}` closes {share} of what was left on the other half (at least {low}). "
+            f"**It may be** {'; or '.join(causes)}. **It cannot be told from** {rivals or 'nothing else that was tried.'}"
+        )
+    unseen = ", on a motion that was not fitted." if d.gap is not None else "."
+    return Section("Described, not named", [
+        f"Of {d.candidates} short formulas of positions, speeds, loads and time {these} with what no effect of the library "
+        f"explains{beside}. Chosen on one half of the recordings, tested on the other, then fitted to all. The draft: "
+        f"{shares(d)}.",
+        Table(["reading", "amplitude", "± (95 %)", "times", "unit of the amplitude"], rows, "kb nb n - u", "narrow"),
+        bullets(terms),
+        figure(svg(_picture(data, d), "described"),
+               "What was measured less all the rest of the model, and what the term says, over the term's own "
+               f"variable{unseen}"),
+        note(f"A description is no name: another cause can leave the same trace. `{use_line(d)}`"),
+    ], "Described")  # fmt: skip
 
 
 def _picture(data: DiagnosisData, d: Description):
@@ -81,7 +93,7 @@ def _picture(data: DiagnosisData, d: Description):
         x = np.interp(longest.times, longest.scene.times, part.variables[variable])
         title = f"{data.channels.names[channel]} [{data.channels.units[channel]}] in {longest.motion}"
         panels.append((title, variable, x, rest + said[:, k], said[:, k]))
-    return described(panels)
+    return described_figure(panels)
 
 
 def _said(part: SegmentPart, courses: np.ndarray, channels: tuple[int, ...]) -> np.ndarray:

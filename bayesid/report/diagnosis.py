@@ -3,29 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from bayesid.diagnosis.data import WHITE, Episode
-from bayesid.diagnosis.locate import BANDS, Disagreement, by_band, by_window, places_looked_at
-from bayesid.diagnosis.noise import pose_noise
+from bayesid.diagnosis.locate import Disagreement
 from bayesid.diagnosis.push import Push
 from bayesid.diagnosis.remarks import by_kind
 from bayesid.diagnosis.residual_floor import SOURCES
 from bayesid.diagnosis.rivals import Found
-from bayesid.diagnosis.separation import Visible, visible
-from bayesid.diagnosis.spectra import Segment, sensor_noise
-from bayesid.diagnosis.validation import residual_spectra
+from bayesid.diagnosis.separation import Visible
 from bayesid.effects import Effect
 from bayesid.report.described import described_section
 from bayesid.report.diagnosis_figures import before_and_after, evidence, push_course, residual_maps, signals, waterfall
+from bayesid.report.diagnosis_views import Views, diagnosis_views
 from bayesid.report.excitation import PAIRS, motion_plot
 from bayesid.report.identification import mood_of
-from bayesid.report.page import note, render, svg, versions
+from bayesid.report.page import below, bullets, cards, figure, fold, how, lead, note, page, svg, versions, warnings
 from bayesid.results.diagnosis_text import (
     known_share,
     notes,
@@ -39,196 +35,11 @@ from bayesid.results.diagnosis_text import (
     worded,
 )
 from bayesid.results.findings import Findings
-from bayesid.results.section import as_html
+from bayesid.results.section import Cell, Part, Section, Table
 from bayesid.results.telling import pair_table
 from bayesid.results.text import DASH, chance, channel_text, number, percent
 from bayesid.validation.own_fit import MotionErrors
 from bayesid.validation.prediction import Prediction
-
-#: Recordings in the picture of residuals, and channels in the picture of signals.
-_PANELS, _CHANNELS = 4, 3
-#: Signals are shown below one of these frequencies, the one at which the disagreement stands out most [Hz].
-_CUTS = (1.0, 3.0, 10.0)
-
-
-@dataclass(frozen=True, eq=False)
-class ResidualPanel:
-    """Residuals of one recording in units of the noise, before and after.
-
-    Attributes
-    ----------
-    title, unseen
-        Which recording, and whether it took part in no fit.
-    pieces
-        For each gap-free segment: edges of the windows (w + 1,) [s], root mean squares before and after (w, c, 2), and
-        whether they are significant (w, c, 2).
-    bands
-        Root mean squares by band (b, c, 2).
-    """
-
-    title: str
-    unseen: bool
-    pieces: tuple[tuple[np.ndarray, np.ndarray, np.ndarray], ...]
-    bands: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
-class SignalView:
-    """What was measured in one channel, and measured less predicted before and after.
-
-    Attributes
-    ----------
-    channel, unit, motion
-        What is shown.
-    times, measured, values
-        (N,) [s], (N,) and (N, 2).
-    noise
-        Standard deviation that sensor and encoders leave in the same band.
-    below
-        Highest frequency shown [Hz].
-    """
-
-    channel: str
-    unit: str
-    motion: str
-    times: np.ndarray
-    measured: np.ndarray
-    values: np.ndarray
-    noise: float
-    below: float
-
-
-@dataclass(frozen=True, eq=False)
-class Noise:
-    """Where the noise floor of a channel comes from.
-
-    Attributes
-    ----------
-    channel, unit
-        What is shown.
-    sample
-        Standard deviation of the sensor's noise in one sample.
-    sensor, encoders
-        What of it, and of the encoders' noise in the prediction, falls into the band that is compared.
-    """
-
-    channel: str
-    unit: str
-    sample: float
-    sensor: float
-    encoders: float
-
-
-@dataclass(frozen=True, eq=False)
-class Views:
-    """All that the report shows beside the diagnosis itself.
-
-    Attributes
-    ----------
-    panels, signals, noise, visible
-        What each picture shows, see their classes.
-    bands
-        Their limits [Hz].
-    changed
-        Whether a model other than the user's was fitted, so that there is an "after".
-    """
-
-    panels: tuple[ResidualPanel, ...]
-    signals: tuple[SignalView, ...]
-    noise: tuple[Noise, ...]
-    visible: tuple[Visible, ...]
-    bands: tuple[tuple[float, float], ...]
-    changed: bool
-
-
-def diagnosis_views(diagnosis: Findings) -> Views:
-    """Evaluate both models on all recordings."""
-    data, s = diagnosis.data, diagnosis.search
-    sides = []
-    for segments in (data.segments, data.unseen):
-        sides.append([residual_spectra(data, segments, fit) for fit in (s.base, s.best)] if segments else [[], []])
-    pairs = [
-        (segment, np.stack([before, after], axis=-1), unseen)
-        for segments, (b, a), unseen in zip((data.segments, data.unseen), sides, (False, True), strict=True)
-        for segment, before, after in zip(segments, b, a, strict=True)
-    ]  # fmt: skip
-    judged = [p for p in pairs if p[2]] or pairs
-    return Views(
-        panels=_panels(pairs, diagnosis.noise_level),
-        signals=_signals(diagnosis, judged),
-        noise=_noise(diagnosis),
-        visible=() if s.library is None else visible(s.library),
-        bands=BANDS,
-        changed=s.best is not s.base and len(s.best.terms) > len(s.base.terms),
-    )
-
-
-def _panels(pairs: list[tuple[Segment, np.ndarray, bool]], level: float) -> tuple[ResidualPanel, ...]:
-    """Moving recordings first, fitted ones before unseen ones; then the runs at rest."""
-    looked = {unseen: places_looked_at([s for s, _, u in pairs if u == unseen]) for unseen in (False, True)}
-    groups: dict[tuple[str, bool], list[tuple[Segment, np.ndarray, bool]]] = {}
-    for pair in pairs:
-        groups.setdefault((pair[0].motion, pair[0].still), []).append(pair)
-    order = sorted(groups, key=lambda k: (k[1], groups[k][0][2]))
-    moving = [k for k in order if not k[1]]
-    fitted, unseen = ([k for k in moving if groups[k][0][2] == u] for u in (False, True))
-    room = max(_PANELS - 1 - min(len(unseen), 2), 1)
-    chosen = [*fitted[:room], *unseen[:2]]
-    chosen += [k for k in order if k not in chosen and not groups[k][0][2]][: _PANELS - len(chosen)]
-    out = []
-    for motion, still in chosen:
-        group = groups[motion, still]
-        pieces = []
-        for s, w, u in group:
-            sides = [by_window(s, w[..., k], 1.0, looked[u]) for k in (0, 1)]
-            marks = [by_window(s, w[..., k], level, looked[u])[3] < s.settings.level for k in (0, 1)]
-            edges = s.times[np.minimum(sides[0][0], len(s.times) - 1)]
-            ratio = np.stack([np.sqrt(energy / freedom) for _, energy, freedom, _ in sides], axis=-1)
-            pieces.append((edges, ratio, np.stack(marks, axis=-1)))
-        counts = np.array([len(w) for _, w, _ in group], float)
-        squares = np.stack([np.stack([by_band(s, w[..., k]) for k in (0, 1)], axis=-1) ** 2 for s, w, _ in group])
-        bands = np.sqrt(np.average(squares, axis=0, weights=counts))
-        title = f"{motion}, the run at rest" if still else motion
-        out.append(ResidualPanel(title, group[0][2], tuple(pieces), bands))
-    return tuple(out)
-
-
-def _signals(diagnosis: Findings, judged: list[tuple[Segment, np.ndarray, bool]]) -> tuple[SignalView, ...]:
-    """The channels that disagreed most, on the recording on which they did."""
-    channels = diagnosis.data.channels
-    moving = [p for p in judged if not p[0].still] or judged
-    energy = np.sum([np.sum(w[..., 0] ** 2, axis=0) for _, w, _ in judged], axis=0)
-    worst = np.argsort(-energy)[:_CHANNELS]
-    # One recording for all of them: the one with the largest residual.
-    s, w, _ = max(moving, key=lambda p: float(np.mean(p[1][..., 0] ** 2)))
-    root = np.linalg.cholesky(s.covariance)
-    left = np.matmul(root, w)  # the residual's coefficients in the channels' units (K, c, 2)
-    out = []
-    for c in np.sort(worst):
-        variance = s.covariance[:, c, c]
-        cuts = [f for f in _CUTS if f <= s.frequencies[-1] * 1.05] or [float(s.frequencies[-1])]
-        inside = {f: s.frequencies <= f for f in cuts}
-        below = max(cuts, key=lambda f: float(np.sum(left[inside[f], c, 0] ** 2) / np.sum(variance[inside[f]])))
-        kept = np.where(inside[below][:, None], np.column_stack([s.measured_readings[:, c], left[:, c]]), 0.0)
-        course = s.samples(kept)
-        noise = float(np.sqrt(np.sum(variance[inside[below]]) / len(s.times)))
-        out.append(SignalView(channels.names[c], channels.units[c], s.motion, s.times, course[:, 0], course[:, 1:], noise, below))
-    return tuple(out)
-
-
-def _noise(diagnosis: Findings) -> tuple[Noise, ...]:
-    data = diagnosis.data
-    moving = [s for s in (*data.segments, *data.unseen) if not s.still or s.apart]
-    sample = pose_noise(data) if moving[0].apart else sensor_noise(moving)
-    count = sum(len(s.times) for s in moving)
-    band = np.sum([len(s.frequencies) * np.mean(s.weight(s.times) ** 2, axis=0) for s in moving], axis=0) / count
-    total = np.sum([np.einsum("kcc->c", s.covariance) for s in moving], axis=0) / count
-    sensor = sample**2 * band
-    return tuple(
-        Noise(name, unit, float(sample[c]), float(np.sqrt(sensor[c])), float(np.sqrt(max(total[c] - sensor[c], 0.0))))
-        for c, (name, unit) in enumerate(zip(data.channels.names, data.channels.units, strict=True))
-    )
-
 
 #: Bars in the picture of the evidence, lines in the table of parameters that moved.
 _BARS, _SHIFTS = 14, 12
@@ -245,120 +56,288 @@ _VERDICTS = {
 
 def diagnosis_report(diagnosis: Findings) -> str:
     """The report of ``diagnose``: HTML with all figures inside."""
-    views = diagnosis_views(diagnosis)
-    text = _sentences(diagnosis)
-    d, data = diagnosis, diagnosis.data
-    channels = data.channels.names
-    fitted = list(dict.fromkeys(s.motion for s in data.segments))
-    changed = views.changed
-    proposals = _proposals(d)
-    shown = [p for p in proposals if p["evidence"] > 0][:_BARS]
-    seen = _seen(views)
-    curves = [(f"{s.channel} [{s.unit}] below {s.below:g} Hz", s.times, s.measured, s.values, s.noise) for s in views.signals]
-    return render(
-        "diagnosis.html",
-        name=data.experiment.name,
-        channel=channel_text(data.channel),
-        fitted=fitted,
-        unseen=[] if d.gap is None else d.gap.motions,
-        verdict=d.verdict,
-        verdict_text=_VERDICTS[d.verdict],
-        text=text,
-        known=[t.effect.spec for t in d.search.base.terms],
-        card_list=_cards(d, text),
-        remarks=text["notes"],
-        changed=changed,
-        maps=svg(_maps(channels, views), "maps"),
-        still=any("at rest" in p.title for p in views.panels),
-        torque=data.channel != "wrench",
-        where=[_place(w) for w in d.where],
-        evidence=svg(
-            evidence([p["spec"] for p in shown], np.array([p["evidence"] for p in shown]), [p["kind"] for p in shown], d.needed),
-            "evidence",
-        ) if shown else "",
-        proposals=[_line(p) for p in proposals],
-        found=[_rivals(f) for f in d.found],
-        stays=[_place(w) for w in d.remainder],
-        part=_part(d),
-        runner_up=_runner_up(proposals) if len(d.found) == 1 else None,
-        needed=f"{d.needed:g}",
-        shifts=[_shift(s) for s in d.shifts[:_SHIFTS]],
-        more_shifts=max(len(d.shifts) - _SHIFTS, 0),
-        exact=data.prior is None,
-        bars=svg(_bars(d), "bars") if d.errors else "",
-        noise_known=all(e.before.noise_known for e in d.errors),
-        signals=svg(signals(curves, changed), "signals"),
-        errors=[_errors(e) for e in d.errors],
-        error_channels=[{"name": n, "unit": u} for n, u in zip(channels, data.channels.units, strict=True)],
-        signal_motion=views.signals[0].motion,
-        seen=seen,
-        every=[_visible(v) for v in views.visible],
-        look_alikes=_look_alikes(views),
-        noise=[
-            {"channel": n.channel, "unit": n.unit, "sample": number(n.sample, 3), "sensor": number(n.sensor, 3),
-             "encoders": number(n.encoders, 3), "whole": number(float(np.hypot(n.sensor, n.encoders)), 3)}
-            for n in views.noise
-        ],
-        white=text["floor_is_white"],
-        floor_text=text["floor"],
-        dispersion=number(float(np.sqrt(d.search.dispersion)), 3),
-        overdispersed=d.search.dispersion > 1.05,
-        described=None if d.description is None else described_section(data, d.description),
-        next_experiment=d.next_experiment,
-        next_motion="" if d.telling is None else motion_plot(d.telling),
-        pairs="" if d.telling is None else Markup(as_html([pair_table(d.telling), note(PAIRS)])),
-        how=_how(d),
-    )  # fmt: skip
+    d, data, views = diagnosis, diagnosis.data, diagnosis_views(diagnosis)
+    described = [] if d.description is None else [described_section(data, d.description)]
+    moved = [_moved(d)] if d.found else []
+    found = [_found(d)] if d.found else []
+    sections = [
+        *_stays(d), _where(d, views), *found, *described, _why(d), *moved, _left(d, views), _visible(d, views),
+        _noise_floor(d, views), _next(d), how(*_how(d), after="All numbers are in `diagnosis.json`."),
+    ]  # fmt: skip
+    opening = [
+        lead(f"**{verdict_sentence(d)}** {validation_sentence(d)}"), cards(_cards(d)),
+        warnings(notes(d), "", "Know this before you use it"),
+    ]  # fmt: skip
+    name, fitted = data.experiment.name, ", ".join(dict.fromkeys(s.motion for s in data.segments))
+    tested = "" if d.gap is None else f", tested on {', '.join(d.gap.motions)}"
+    kicker = (
+        f"Where model and measurement disagree, and what is missing: from the {channel_text(data.channel)} of {fitted}{tested}"
+    )
+    return page(name, kicker, opening, sections, f"{name}: diagnosis")
 
 
-def _sentences(d: Findings) -> dict[str, Any]:
-    """What the report says in sentences, by part."""
-    return {
-        "verdict": verdict_sentence(d),
-        "validation": validation_sentence(d),
-        "effects": [
-            {"name": worded(f.term.effect, d), "spec": f.term.effect.spec, "summary": f.term.effect.summary,
-             "motion": f.term.motion if isinstance(f.term, Episode) else "", "rows": parameter_rows(d, k),
-             "steady": steady_sentence(f, d), "share": "" if d.part is None or d.shares(k) is None else share_range(d, k),
-             "course": _course(f)}
-            for k, f in enumerate(d.found)
-        ],
-        "notes": notes(d),
-        "tried": by_kind(f.term for f in d.search.found),
-        "closed": "" if d.gap is None else known_share(d.gap.closed),
-        "floor": SOURCES[d.data.floor_source],
-        "floor_is_white": d.data.floor_source == WHITE,
-        "closed_low": "" if d.gap is None else known_share(d.gap.closed_low),
-    }  # fmt: skip
-
-
-def _course(found: Found) -> str:
-    """The course of a push's force."""
-    term = found.term
-    return svg(push_course(term.times, term.force, term.force_std), "course") if isinstance(term, Push) else ""
-
-
-def _part(d: Findings) -> dict[str, Any] | None:
+def _stays(d: Findings) -> list[Section]:
     """What effects named in part close on held-out recordings, and what stays."""
     if d.part is None:
-        return None
+        return []
     *courses, floor = d.part.courses
     closed = zip(d.part.search.found, courses[1:], strict=True)
     steps = [("the model as it was", courses[0]), *((f.term.effect.spec, c) for f, c in closed)]
-    name = "noise" if floor else "noise, not known"
-    return {"text": part_sentence(d), "waterfall": waterfall(steps, floor, name), "stays": percent(d.part.remainder)}
+    still = "Where the model with these effects and the readings disagree most, as in the table above."
+    return [Section(f"What stays: {percent(d.part.remainder)}", [
+        f"{part_sentence(d)} What a real robot does beyond any model follows the motion, so readings that follow each other "
+        "do not count as independent, and an effect is named only if recordings that took no part are predicted better with "
+        "it than without.",
+        figure(waterfall(steps, floor, "noise" if floor else "noise, not known"),
+               "Mean square of the residual on recordings held out in turn, every channel in units of what the model as it "
+               "was leaves of it; numbers are its root. Green: what an effect takes of the gap beside those above it."),
+        *([_places(d.remainder), note(still)] if d.remainder else []),
+    ], "What stays")]  # fmt: skip
 
 
-def _maps(channels: Sequence[str], views: Views):
-    panels = [
-        (f"{p.title}, {'not fitted' if p.unseen else 'fitted'}", p.pieces, p.bands) for p in views.panels
+def _where(d: Findings, views: Views) -> Section:
+    """Where model and readings disagree."""
+    nothing, channels = d.verdict == "nothing_missing", d.data.channels.names
+    stands_out = "What stands out of the noise, and where" if nothing else "What disagrees, and where"
+    title = stands_out if d.where else "No place stands out" if d.found else "Nothing disagrees"
+    right = "with the effects named here" if d.found else "the best attempt"
+    sides = f". Left the model as it was, right {right}" if views.changed else ""
+    rests = " A joint that rests may stick, so its torque counts only while it moves." if d.data.channel != "wrench" else ""
+    at_rest = (
+        " A run at rest is the static recording of the same motion." if any("at rest" in p.title for p in views.panels) else ""
+    )
+    panels = [(f"{p.title}, {'not fitted' if p.unseen else 'fitted'}", p.pieces, p.bands) for p in views.panels]
+    maps = residual_maps(channels, panels, [f"{low:g}–{high:g}" for low, high in views.bands], views.changed)
+    parts: list[Part] = [
+        "What was measured less what the model predicts, in units of the noise, in windows of one second and by frequency. "
+        "White is noise, dark is many times as much; a dot marks a window that chance would give in fewer than one of a "
+        f"thousand such recordings{sides}.{rests}",
+        figure(svg(maps, "maps"), f"Residual by channel, time and frequency.{at_rest} Channels are made independent of those "
+                                  "above them, so an error in one can show in those below."),
     ]  # fmt: skip
-    return residual_maps(channels, panels, [f"{low:g}–{high:g}" for low, high in views.bands], views.changed)
+    if not d.where:
+        parts.append("In no channel, window or motion that was fitted is the residual larger than noise explains.")
+        return Section(title, parts, "Where")
+    parts += [
+        _places(d.where),
+        note("The model as it was, fitted motions, strongest places first. **Goes with**: the joint whose position, speed and "
+             "acceleration explain more than half of it; a **short event** or **tap** is in the readings themselves, of any "
+             "motion, above the frequencies that are compared, in times of what is usual there. **Chance**: of as much noise "
+             "anywhere in these recordings."),
+        "Short places like these are not enough to name anything: no effect of the library explains them. A knock, a gap in "
+        "the readings or a moment of fast motion at which the noise is larger than elsewhere looks like "
+        "this." if nothing else "",
+    ]  # fmt: skip
+    return Section(title, parts, "Where")
 
 
-def _cards(d: Findings, text: dict[str, Any]) -> list[dict[str, str]]:
+def _places(places: Sequence[Disagreement]) -> Table:
+    rows = []
+    for w in places:
+        digits, (low, high) = 2 if w.event else 1, w.band_hz
+        rows.append([
+            w.channel, w.motion + (", at rest" if w.still else ""), f"{w.start:.{digits}f} – {w.end:.{digits}f} s",
+            number(w.ratio, 3), f"{low:.3g} – {high:.3g} Hz", w.joint or w.looks_like or DASH, chance(w.p_value),
+        ])  # fmt: skip
+    return Table(["channel", "motion", "when", "× noise", "most at", "goes with", "chance"], rows, "kb - n nb n - n", "narrow")
+
+
+def _found(d: Findings) -> Section:
+    """What the effects are that were named."""
+    parts = []
+    for k, f in enumerate(d.found):
+        term, summary = f.term, f.term.effect.summary
+        once = f"; it happened once, in {term.motion}" if isinstance(term, Episode) else ""
+        rivals = ", ".join(f"**{t.effect.spec}** ({t.effect.summary})" for t, _ in f.rivals)
+        share = "" if d.part is None or d.shares(k) is None else share_range(d, k)
+        course = svg(push_course(term.times, term.force, term.force_std), "course") if isinstance(term, Push) else ""
+        parts.append(below(
+            worded(term.effect, d),
+            f"{summary[0].upper()}{summary[1:]}{once}.{f' Or, just as well: {rivals}.' if rivals else ''}",
+            Table(["parameter", "value", "± (95 %)", "interval", "unit"], parameter_rows(d, k), "k nb n n u", "narrow"),
+            figure(course, "The force that was pushed with, in base axes, with its 95 % band. Its course is free: forces and "
+                           "moments of every moment tell it. The values above hold its mean, and model.toml a constant force "
+                           "of that."),
+            note(steady_sentence(f, d)),
+            note(f"Without it and with all others, {share} would be open again on recordings held out in turn." if share else ""),
+        ))  # fmt: skip
+    end = note(
+        "Fitted together with the links and with each other, by the effects' exact equations; intervals count what is not "
+        "known of the links. `model.toml` beside this page holds the model with these effects: `bayesid identify … --model "
+        "model.toml`."
+    )
+    return Section("What it is", [*parts, end])
+
+
+def _why(d: Findings) -> Section:
+    """The effects that were tried, and what speaks for those that are named."""
+    proposals = _proposals(d)
+    shown = [p for p in proposals if p["evidence"] > 0][:_BARS]
+    tried = f"{len(proposals)} effects at their places were tried"
+    if d.verdict == "nothing_missing":
+        text = f"{tried}. " + (
+            f"What each alone would add is below; at least {d.needed:g} of log evidence is asked for, and no exact fit brings "
+            "that."
+            if shown else "Not one of them makes the readings more probable once its parameters are paid for."
+        )  # fmt: skip
+    elif d.verdict == "unknown":
+        best = ", ".join(by_kind(f.term for f in d.search.found))
+        text = (
+            f"{tried}, alone and several together{f'; the best attempt was {best}' if best else ''}. No "
+            "combination leaves only noise, so no effect is named: one that is not listed changes the readings in part as "
+            "listed ones do, and their evidence below says no more than that."
+        )
+    else:
+        text = (
+            f"{tried}, each first alone and beside the model as it was. Links may change along within their prior, so what a "
+            "wrong inertia explains counts for none of them. Log evidence is what the readings gain in probability less what "
+            f"the effect's parameters cost; an effect has to bring {d.needed:g} or more."
+        )
+    several = " Several can be high at once where their traces overlap: what decides is the exact fit, below." if d.found else ""
+    bars = evidence(
+        [p["spec"] for p in shown], np.array([p["evidence"] for p in shown]), [p["kind"] for p in shown], d.needed
+    ) if shown else None  # fmt: skip
+    rows = [
+        [(p["spec"], "" if p["kind"] == "other" else "sure"), _large(p["evidence"]), percent(p["share"], 2), p["summary"]]
+        for p in proposals
+    ]
+    summary = f"All {len(proposals)} effects tried, and how much of the disagreement each would explain alone"
+    return Section("Why that, and not something else" if d.found else "What was tried", [
+        text,
+        figure("" if bars is None else svg(bars, "evidence"),
+               f"The effects that explain most, by log evidence (logarithmic axis).{several}"),
+        bullets([_rivals(f, d, proposals) for f in d.found]),
+        fold(summary, Table(["effect", "log evidence", "explains at most", "what it is"], rows, "k n n -", "narrow")),
+    ], "Why that" if d.found else "")  # fmt: skip
+
+
+def _moved(d: Findings) -> Section:
+    """What naming an effect did to the base parameters."""
+    title, name = "What it did to the parameters", "Parameters"
+    if d.data.prior is None:
+        return Section(title, ["Nothing: the nominal links are taken as exact."], name)
+    if not d.shifts:
+        nothing = "Hardly anything: no base parameter had moved by more than three of its standard deviations."
+        return Section(title, [nothing], name)
+    rows = [[label, number(a), number(b), number(sigmas, 3)] for label, a, b, sigmas in d.shifts[:_SHIFTS]]
+    more = len(d.shifts) - _SHIFTS
+    return Section(title, [
+        "Without the effect the fit bends the rigid parameters to make up for it. Base parameters that had moved by more than "
+        "three standard deviations:",
+        Table(["base parameter", "without the effect", "with it", "moved [σ]"], rows, "w n nb n"),
+        note(f"And {more} more, by less." if more > 0 else ""),
+    ], name)  # fmt: skip
+
+
+def _left(d: Findings, views: Views) -> Section:
+    """What is left with the model as it was and as it is in the end."""
+    known, changed = all(e.before.noise_known for e in d.errors), views.changed
+    in_noise = (
+        "Residual of every channel in units of the noise (logarithmic axis), as identify leaves it with either model. The "
+        "line is what a complete model would leave: noise, and what is not known of its fitted parameters."
+    )
+    in_percent = (
+        "Residual of every channel in per cent of its signal (logarithmic axis), as identify leaves it with either model; the "
+        "sensor's own noise is not known."
+    )
+    curves = [(f"{s.channel} [{s.unit}] below {s.below:g} Hz", s.times, s.measured, s.values, s.noise) for s in views.signals]
+    end = "the effects named" if d.found else "the best attempt"
+    models = f", with the model as it was and with {end}" if changed else ""
+    return Section(f"{'Before and after' if changed else 'What is left'}{'' if d.gap is None else ' on unseen motions'}", [
+        "**There is no validation motion**: these are the fitted motions, and held-out validation is "
+        "missing." if d.gap is None else "",
+        figure(svg(_bars(d), "bars") if d.errors else "", in_noise if known else in_percent),
+        figure(svg(signals(curves, changed), "signals"),
+               f"Left: measured and predicted in {views.signals[0].motion}, in the channels that disagreed most, at the "
+               f"frequencies where it stands out{models}. Right: measured less predicted, on a scale of its own."),
+        below(
+            "In their own units, motion by motion",
+            f"What `identify` leaves below 10 Hz{', with the model as it was and with the effects named' if d.found else ''}: "
+            "root mean square of measured less predicted, in times the noise, in units, and in per cent of what was measured.",
+            _errors(d),
+        ),
+    ], "Before and after")  # fmt: skip
+
+
+def _errors(d: Findings) -> Table:
+    """Errors of every motion in units and per cent, before and after."""
+    rows: list[list[Cell]] = []
+    marks = {}
+    for e in d.errors:
+        marks[len(rows)] = "rule"
+        title = e.motion + ("" if e.fitted else ", not fitted")
+        for name, p in [("error", e.before)] if e.after is None else [("before", e.before), ("after", e.after)]:
+            each = [
+                f"{number(float(v), 3)} ({percent(float(share), 2)})" if share > 0 else number(float(v), 3)
+                for v, share in zip(p.rmse, p.nrmse, strict=True)
+            ]
+            noise = number(p.whitened_rms, 3) if p.noise_known else DASH
+            rows.append([title, (name, "dim"), noise, percent(p.relative_error), *each])
+            title = ""
+    channels = [f"{n} [{u}]" for n, u in zip(d.data.channels.names, d.data.channels.units, strict=True)]
+    return Table(["motion", "", "× noise", "all", *channels], rows, f"k - n nb{' n' * len(channels)}", "tight", marks)
+
+
+def _visible(d: Findings, views: Views) -> Section:
+    """Sizes from which effects would be seen, and told apart."""
+    unseen = " **Anything smaller may be there unseen.**" if d.verdict == "nothing_missing" else ""
+    parts: list[Part] = [
+        "Sizes from which an effect would stand out by five standard deviations beside all that the links could do, and from "
+        f"which it would do so beside the effect that looks most like it, too.{unseen}"
+    ]
+    if views.visible:
+        alike = _look_alikes(views)
+        hardest = (
+            "Hardest to tell apart with these motions, by the share of the first one's trace that the second would take over:"
+        )
+        every = [
+            [v.effect.spec, v.effect.parameters[v.parameter], "never" if v.seen is None else number(v.seen, 2),
+             "never" if v.named is None else number(v.named, 2), _unit(v),
+             DASH if v.most_collinear is None else v.most_collinear.spec, _near_one(v.share)]
+            for v in views.visible
+        ]  # fmt: skip
+        head = ["effect", "parameter", "seen from", "told apart from", "unit", "looks most like", "share"]
+        parts += [
+            _seen(views), hardest if alike else "", bullets(alike),
+            fold("Every place", Table(head, every, "k - nb n ku k n", "tight")),
+            note("Effects of several parameters have the others in proportion to their usual sizes. Linearised. An effect that "
+                 "another one contains, as a spring contains an offset, is never apart from it by its trace; it is named for "
+                 "having fewer parameters. A mount's resonance, a contact and a ripple have no such size and are missing "
+                 "here."),
+        ]  # fmt: skip
+    return Section("What these motions could show at all", parts, "What could be seen")
+
+
+def _noise_floor(d: Findings, views: Views) -> Section:
+    white, spread = d.data.floor_source == WHITE, d.search.dispersion
+    more = (
+        f" All models together leave {number(float(np.sqrt(spread)), 3)} times that: what nothing explains counts as noise, "
+        "and widens all intervals and thresholds." if spread > 1.05 else ""
+    )  # fmt: skip
+    rows = [
+        [n.channel, number(n.sample, 3), number(n.sensor, 3), number(n.encoders, 3),
+         number(float(np.hypot(n.sensor, n.encoders)), 3), n.unit]
+        for n in views.noise
+    ]  # fmt: skip
+    sides = ("sensor", "encoders") if white else ("white part", "beyond it")
+    head = ["channel", "sensor, one sample", *(f"{side}, in the band" for side in sides), "floor, in the band", "unit"]
+    return Section("Where the noise floor comes from", [
+        f"{SOURCES[d.data.floor_source]} The encoders' share is made by repeating the prediction with other roundings and "
+        f"errors of the size that these encoders show; it grows steeply with frequency.{more}",
+        Table(head, rows, "k n n n nb -", "narrow"),
+    ], "Noise")  # fmt: skip
+
+
+def _next(d: Findings) -> Section:
+    parts: list[Part] = [d.next_experiment or "Nothing is open."]
+    if d.telling is not None:
+        parts += [pair_table(d.telling), note(PAIRS), figure(motion_plot(d.telling), "The motion of next_motion.csv.")]
+    return Section("What next", parts)
+
+
+def _cards(d: Findings) -> list[tuple[str, str, str]]:
     words, mood = _VERDICTS[d.verdict]
-    cards = [{"value": words, "mood": mood, "text": "the verdict"}]
+    large = [(words, "the verdict", mood)]
     if d.errors:
         e = max(shown_errors(d), key=lambda e: e.before.whitened_rms)
         known = e.before.noise_known
@@ -368,28 +347,16 @@ def _cards(d: Findings, text: dict[str, Any]) -> list[dict[str, str]]:
         for p, what in sides:
             value = f"{number(p.whitened_rms, 3)} ×" if known else percent(p.relative_error)
             mood = mood_of(p.whitened_rms / p.expected_rms) if known else ""
-            cards.append({"value": value, "mood": mood, "text": f"{unit} is left {what}, on {e.motion}"})
+            large.append((value, f"{unit} is left {what}, on {e.motion}", mood))
         if known and d.part is None:
-            text_ = "is what a complete model would leave"
-            cards.append({"value": f"{number(e.last.expected_rms, 3)} ×", "mood": "", "text": text_})
+            large.append((f"{number(e.last.expected_rms, 3)} ×", "is what a complete model would leave", ""))
     if d.part is not None:
-        text_ = "of the gap on recordings held out in turn stays unexplained"
-        return [*cards, {"value": percent(d.part.remainder), "mood": "", "text": text_}]
-    if d.found and text["closed"]:
-        least = f", at least {text['closed_low']} with 95 % confidence" if text["closed_low"] else ""
-        cards.append({"value": text["closed"], "mood": "", "text": f"of the gap to the floor is closed{least}"})
-    return cards
-
-
-def _place(w: Disagreement) -> dict[str, str]:
-    low, high = w.band_hz
-    digits = 2 if w.event else 1
-    return {
-        "channel": w.channel, "motion": w.motion + (", at rest" if w.still else ""),
-        "time": f"{w.start:.{digits}f} – {w.end:.{digits}f} s",
-        "ratio": number(w.ratio, 3), "band": f"{low:.3g} – {high:.3g} Hz",
-        "joint": w.joint or w.looks_like or DASH, "chance": chance(w.p_value),
-    }  # fmt: skip
+        return [*large, (percent(d.part.remainder), "of the gap on recordings held out in turn stays unexplained", "")]
+    if d.found and d.gap is not None and (closed := known_share(d.gap.closed)):
+        low = known_share(d.gap.closed_low)
+        least = f", at least {low} with 95 % confidence" if low else ""
+        large.append((closed, f"of the gap to the floor is closed{least}", ""))
+    return large
 
 
 def channels_figure(diagnosis: Findings, ax: Any = None) -> Figure:
@@ -409,20 +376,6 @@ def _bars(d: Findings, ax: Any = None) -> Figure:
     ratios = np.stack([sizes(lambda e: e.before), sizes(lambda e: e.last)], axis=1)
     complete = max(e.last.expected_rms for e in errors) if known and d.part is None else None
     return before_and_after(errors[0].before.channel_names, ratios, complete, changed, "× noise" if known else "% of signal", ax)
-
-
-def _errors(e: MotionErrors) -> dict[str, Any]:
-    """Errors of a motion in units and per cent, before and after."""
-    sides = [("error", e.before)] if e.after is None else [("before", e.before), ("after", e.after)]
-    return {
-        "motion": e.motion, "fitted": e.fitted,
-        "lines": [
-            {"name": name, "noise": number(p.whitened_rms, 3) if p.noise_known else DASH, "all": percent(p.relative_error),
-             "cells": [f"{number(float(v), 3)} ({percent(float(share), 2)})" if share > 0 else number(float(v), 3)
-                       for v, share in zip(p.rmse, p.nrmse, strict=True)]}
-            for name, p in sides
-        ],
-    }  # fmt: skip
 
 
 def _proposals(d: Findings) -> list[dict[str, Any]]:
@@ -445,42 +398,23 @@ def _columns_of(effect: Effect) -> str:
     return f"{effect.columns_of or effect.name}@{effect.where}"
 
 
-def _line(p: dict[str, Any]) -> dict[str, str]:
-    return {**p, "evidence": _large(p["evidence"]), "share": percent(p["share"], 2)}
-
-
-def _rivals(found: Found) -> dict[str, Any]:
-    return {
-        "spec": found.term.effect.spec,
-        "gain": _large(found.gain),
-        "rivals": [{"spec": t.effect.spec, "lack": number(lack, 2), "summary": t.effect.summary} for t, lack in found.rivals],
-    }
-
-
-def _runner_up(proposals: list[dict[str, Any]]) -> dict[str, str] | None:
-    """The best effect on its own that is neither named nor a rival, and how far it is behind."""
-    if not proposals or proposals[0]["kind"] != "named":
-        return None
-    other = next((p for p in proposals if p["kind"] == "other"), None)
-    return other and {"spec": other["spec"], "lack": _large(proposals[0]["evidence"] - other["evidence"])}
+def _rivals(f: Found, d: Findings, proposals: list[dict[str, Any]]) -> str:
+    """What speaks for a named effect, and against others in its place."""
+    text = f"**{f.term.effect.spec}**: without it the best model loses {_large(f.gain)} of log evidence."
+    if f.rivals:
+        lacks = ", ".join(f"{t.effect.spec} loses only {number(lack, 2)}" for t, lack in f.rivals)
+        return f"{text} In its place {lacks}: too little to decide."
+    # The best effect on its own that is neither named nor a rival.
+    first, other = proposals[0] if proposals else None, next((p for p in proposals if p["kind"] == "other"), None)
+    behind = ""
+    if len(d.found) == 1 and first is not None and first["kind"] == "named" and other is not None:
+        lack = _large(first["evidence"] - other["evidence"])
+        behind = f"; at first sight, linearised, the next best was {other['spec']}, behind by {lack}"
+    return f"{text} No other effect in its place comes near{behind}."
 
 
 def _large(value: float) -> str:
     return f"{value:,.0f}".replace(",", " ").replace("-", "−") if abs(value) >= 100 else number(value, 3)
-
-
-def _shift(shift: tuple[str, float, float, float]) -> dict[str, str]:
-    label, before, after, sigmas = shift
-    return {"label": label, "before": number(before), "after": number(after), "sigmas": number(sigmas, 3)}
-
-
-def _visible(v: Visible) -> dict[str, Any]:
-    return {
-        "spec": v.effect.spec, "parameter": v.effect.parameters[v.parameter], "unit": _unit(v),
-        "seen": "never" if v.seen is None else number(v.seen, 2),
-        "most_collinear": DASH if v.most_collinear is None else v.most_collinear.spec, "share": _near_one(v.share),
-        "named": "never" if v.named is None else number(v.named, 2),
-    }  # fmt: skip
 
 
 def _unit(v: Visible) -> str:
@@ -488,7 +422,7 @@ def _unit(v: Visible) -> str:
     return "" if unit == "1" else unit
 
 
-def _seen(views: Views) -> list[dict[str, str]]:
+def _seen(views: Views) -> Table:
     """One line for each kind of effect: the smallest sizes, over all its places."""
     groups: dict[tuple[str, str], list[Visible]] = {}
     for v in views.visible:
@@ -497,14 +431,14 @@ def _seen(views: Views) -> list[dict[str, str]]:
     for (name, unit), members in groups.items():
         best, worst = (pick(members, key=lambda v: np.inf if v.seen is None else v.seen) for pick in (min, max))
         ends = [v.named for v in members if v.named is not None]
+        apart = "never" if not ends else _span(min(ends), max(ends)) + ("" if len(ends) == len(members) else ", or never")
         sizes = [v.usual for v in members]
-        rows.append({
-            "name": name, "summary": best.effect.summary, "parameter": best.effect.parameters[best.parameter], "unit": unit,
-            "best": _at(best.seen, best, members), "worst": _at(worst.seen, worst, members) if len(members) > 1 else "",
-            "named": "never" if not ends else _span(min(ends), max(ends)) + ("" if len(ends) == len(members) else ", or never"),
-            "usual": _span(min(sizes), max(sizes)),
-        })  # fmt: skip
-    return rows
+        rows.append([
+            name, best.effect.summary, best.effect.parameters[best.parameter], _at(best.seen, best, members),
+            _at(worst.seen, worst, members) if len(members) > 1 else "", apart, _span(min(sizes), max(sizes)), unit,
+        ])  # fmt: skip
+    head = ["effect", "what it is", "parameter", "seen from", "hardest place", "told apart from", "a usual size", "unit"]
+    return Table(head, rows, "kb w - nb n n nd ku", "tight")
 
 
 def _at(size: float | None, v: Visible, members: Sequence[Visible]) -> str:
@@ -516,13 +450,14 @@ def _span(low: float, high: float) -> str:
     return one if one == other else f"{one} … {other}"
 
 
-def _look_alikes(views: Views) -> list[dict[str, str]]:
+def _look_alikes(views: Views) -> list[str]:
     """Pairs of effects that look alike, most alike first."""
-    pairs: dict[frozenset[str], tuple[Effect, Effect, Visible]] = {}
+    pairs: dict[frozenset[str], str] = {}
     for v in sorted(views.visible, key=lambda v: -v.share):
         if v.most_collinear is not None and v.seen is not None and v.share > _ALIKE:
-            pairs.setdefault(frozenset((v.effect.spec, v.most_collinear.spec)), (v.effect, v.most_collinear, v))
-    return [{"one": one.spec, "other": other.spec, "share": _near_one(v.share)} for one, other, v in list(pairs.values())[:8]]
+            one, other = v.effect.spec, v.most_collinear.spec
+            pairs.setdefault(frozenset((one, other)), f"{one} and {other}: {_near_one(v.share)}")
+    return list(pairs.values())[:8]
 
 
 def _near_one(share: float) -> str:

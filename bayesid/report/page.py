@@ -13,7 +13,7 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from bayesid.results.section import Html, Part, Section, as_html, long, marked, powers
+from bayesid.results.section import Html, Part, Section, as_html, long, marked
 from bayesid.results.text import number
 from bayesid.robot import inertia
 
@@ -99,7 +99,6 @@ def _environment() -> Environment:
         loader=PackageLoader("bayesid.report", "templates"), autoescape=True, undefined=StrictUndefined,
         trim_blocks=True, lstrip_blocks=True,
     )  # fmt: skip
-    environment.filters |= {"long": lambda text: Markup(long(text)), "unit": powers}
     return environment
 
 

@@ -16,7 +16,7 @@ from bayesid.diagnosis.validation import residual_spectra
 from bayesid.effects import EffectLibrary, Term
 from bayesid.recordings.schema import read_model
 from bayesid.report import diagnosis as report
-from bayesid.report.diagnosis import diagnosis_views
+from bayesid.report.diagnosis_views import diagnosis_views
 from bayesid.results import diagnosis_text
 from bayesid.results.text import percent
 from bayesid.robot.examples import PAPER_LOCKED
