@@ -10,7 +10,7 @@ from importlib.metadata import version
 from typing import Any
 
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from markupsafe import Markup
 
 from bayesid.results.section import Html, Part, Section, as_html, long, marked
@@ -24,8 +24,8 @@ _LISTED = 4
 def page(heading: str, kicker: str, opening: Sequence[Part], sections: Sequence[Part], title: str = "") -> str:
     """A report: heading, the line below it, what comes before the first section, and the sections; ``title`` is the window's."""
     listed = [part for part in sections if isinstance(part, Section)]
-    return render(
-        "page.html", title=title or heading, heading=heading, kicker=kicker, opening=Markup(as_html(opening)),
+    return _template().render(
+        version=version("bayesid"), title=title or heading, heading=heading, kicker=kicker, opening=Markup(as_html(opening)),
         listed=listed if len(listed) >= _LISTED else (), body=Markup(as_html(sections)),
     )  # fmt: skip
 
@@ -88,18 +88,11 @@ def how(*pairs: tuple[str, str], after: str = "", title: str = "How") -> Section
     return Section(title, [terms(pairs), note(after)], "How")
 
 
-def render(template: str, **context: Any) -> str:
-    """A page from one of the package's templates; everything but `Markup` is escaped."""
-    return _environment().get_template(template).render(version=version("bayesid"), **context)
-
-
 @functools.cache
-def _environment() -> Environment:
-    environment = Environment(
-        loader=PackageLoader("bayesid.report", "templates"), autoescape=True, undefined=StrictUndefined,
-        trim_blocks=True, lstrip_blocks=True,
-    )  # fmt: skip
-    return environment
+def _template() -> Template:
+    loader = PackageLoader("bayesid.report", "templates")
+    options = {"autoescape": True, "undefined": StrictUndefined, "trim_blocks": True, "lstrip_blocks": True}
+    return Environment(loader=loader, **options).get_template("page.html")
 
 
 def svg(figure: Any, name: str) -> Markup:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from bayesid.results.diagnosis_text import notebook, summary
+from bayesid.results.diagnosis_text import lines_of, notebook_parts
 from bayesid.results.files import Result
 from bayesid.results.findings import Findings
+from bayesid.results.section import as_html
 
 
 class Diagnosis(Findings, Result):
@@ -16,10 +17,9 @@ class Diagnosis(Findings, Result):
         named = f": {', '.join(f.term.effect.spec for f in self.found)}" if self.found else ""
         return f"<Diagnosis of {self.data.experiment.name}: {self.verdict}{named}>"
 
-    def __str__(self) -> str:
-        """A few lines: the verdict, values, the gap, where it disagrees."""
-        return summary(self)
+    def _parts(self) -> list[str]:
+        return lines_of(self)
 
     def _repr_html_(self) -> str:
-        """The same for notebooks."""
-        return notebook(self)
+        """The same for notebooks, values as a table."""
+        return as_html(notebook_parts(self))

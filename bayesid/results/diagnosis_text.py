@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from html import escape
 
 import numpy as np
 
@@ -15,6 +14,7 @@ from bayesid.diagnosis.rivals import Found
 from bayesid.effects import Effect
 from bayesid.results.described import described_lines
 from bayesid.results.findings import Findings
+from bayesid.results.section import Part, Table
 from bayesid.results.text import DASH, HALF, channel_text, interval, number, percent, with_half
 from bayesid.validation.own_fit import MotionErrors
 from bayesid.validation.prediction import Prediction
@@ -248,46 +248,46 @@ def disagreement_line(where: Disagreement) -> str:
     return text + (f", goes with {w.joint}" if w.joint else "")
 
 
-def summary(diagnosis: Findings) -> str:
-    """A few lines for the terminal."""
+def lines_of(diagnosis: Findings) -> list[str]:
+    """A headline, and what the terminal shows below it."""
     d = diagnosis
     fitted = dict.fromkeys(s.motion for s in d.data.segments)
     lines = [
         f"{d.data.experiment.name}: {d.verdict.replace('_', ' ')} ({channel_text(d.data.channel)} of {', '.join(fitted)})",
-        f"  {verdict_sentence(d)}",
+        verdict_sentence(d),
     ]
     for k, f in enumerate(d.found):
         known = d.part is not None and d.shares(k) is not None
         share = f"; without it {share_range(d, k)} is open again" if known else ""
         for key, value, half, _, unit in parameter_rows(d, k):
             text = value if half == DASH else f"{value} ± {half} {unit}".rstrip()
-            lines.append(f"    {f.term.effect.spec}: {key} {text}{share}")
+            lines.append(f"  {f.term.effect.spec}: {key} {text}{share}")
             share = ""
     if d.part is not None:
-        lines.append(f"  {part_sentence(d)}")
+        lines.append(part_sentence(d))
     if d.gap is None:
-        lines.append("  No motion that took no part in the fit was compared.")
+        lines.append("No motion that took no part in the fit was compared.")
     elif d.found and d.part is None:
         motions, closed, least = ", ".join(d.gap.motions), known_share(d.gap.closed), known_share(d.gap.closed_low)
         if d.gap.difference < d.data.settings.detected**2:
-            lines.append(f"  {motions} hardly depends on what is named, and neither confirms nor denies it")
+            lines.append(f"{motions} hardly depends on what is named, and neither confirms nor denies it")
         elif closed:
-            lines.append(f"  gap on {motions}: {closed} closed" + (f", at least {least}" if least else ""))
-    lines += [f"  {line}" for line in error_lines(d)]
+            lines.append(f"gap on {motions}: {closed} closed" + (f", at least {least}" if least else ""))
+    lines += error_lines(d)
     if d.verdict == "unknown" and d.search.found:
-        lines.append(f"  best attempt: {', '.join(by_kind(f.term for f in d.search.found))}")
+        lines.append(f"best attempt: {', '.join(by_kind(f.term for f in d.search.found))}")
     word = "unexplained" if d.verdict == "nothing_missing" else "stays" if d.part is not None else "disagrees"
     places = d.where if d.part is None else d.remainder
     for w in places[:_SHOWN]:
-        lines.append(f"  {word}: {disagreement_line(w)}")
+        lines.append(f"{word}: {disagreement_line(w)}")
     if len(places) > _SHOWN:
-        lines.append(f"  and in {len(places) - _SHOWN} more places")
+        lines.append(f"and in {len(places) - _SHOWN} more places")
     if d.description is not None:
-        lines += [f"  {line}" for line in described_lines(d.description, d.data.channels.names)]
-    lines += [f"  note: {r}" for r in notes(d)]
+        lines += described_lines(d.description, d.data.channels.names)
+    lines += [f"note: {r}" for r in notes(d)]
     if d.next_experiment:
-        lines.append(f"  next: {d.next_experiment}")
-    return "\n".join(lines)
+        lines.append(f"next: {d.next_experiment}")
+    return lines
 
 
 def share_range(diagnosis: Findings, index: int) -> str:
@@ -303,22 +303,18 @@ def share_text(share: float) -> str:
     return percent(share) if share < 0.999 else f"{np.floor(min(share, 1.0) * 1e5) / 1e3:.6g} %"
 
 
-def notebook(diagnosis: Findings) -> str:
-    """The same as HTML for a notebook."""
+def notebook_parts(diagnosis: Findings) -> list[Part]:
+    """What a notebook shows: values as a table."""
     d = diagnosis
-    out = [f"<p><b>{escape(verdict_sentence(d))}</b> {escape(validation_sentence(d))}</p>"]
-    out += [f"<p>{escape(line[0].upper() + line[1:])}.</p>" for line in error_lines(d)]
+    parts: list[Part] = [f"**{verdict_sentence(d)}** {validation_sentence(d)}"]
+    parts += [f"{line[0].upper()}{line[1:]}." for line in error_lines(d)]
     if d.found:
         rows = [(f.term.effect.spec, *row) for k, f in enumerate(d.found) for row in parameter_rows(d, k)]
-        head = "".join(f"<th>{h}</th>" for h in ("effect", "parameter", "value", "± 95 %", "interval", "unit"))
-        body = "".join("<tr>" + "".join(f"<td>{escape(c)}</td>" for c in row) + "</tr>" for row in rows)
-        out.append(f"<table><tr>{head}</tr>{body}</table>")
-    if d.where:
-        out.append("<ul>" + "".join(f"<li>{escape(disagreement_line(w))}</li>" for w in d.where[:_SHOWN]) + "</ul>")
+        parts.append(Table(["effect", "parameter", "value", "± 95 %", "interval", "unit"], rows, "k k nb n n ku"))
+    parts += [disagreement_line(w) for w in d.where[:_SHOWN]]
     if d.description is not None:
-        out.append(f"<pre>{escape(chr(10).join(described_lines(d.description, d.data.channels.names)))}</pre>")
-    out += [f"<p>{escape(r)}</p>" for r in (*notes(d), d.next_experiment) if r]
-    return "".join(out)
+        parts += described_lines(d.description, d.data.channels.names)
+    return [*parts, *notes(d), d.next_experiment]
 
 
 def known_share(share: float) -> str:
