@@ -163,7 +163,7 @@ class Library:
                 continue
             rows = block.rows - found @ (found.T @ block.rows)
             amplitudes, gain, count = _explained(rows, left)
-            if first := [b.rows for b in self.blocks if block.effect.comes_after(b.effect)]:
+            if first := [b.rows for b in self._before[block.effect]]:
                 others = Span.of(np.hstack(first) - found @ (found.T @ np.hstack(first)))
                 _, gain, count = _explained(others.project_out(rows), others.project_out(left))
             if name not in best or gain - _cost(count) > best[name].gain - _cost(best[name].parameters):
@@ -177,6 +177,11 @@ class Library:
             if (name := terms[0].effect.spec) not in taken:
                 best[name] = _better(best.get(name), terms, gain)
         return sorted(best.values(), key=_promise)
+
+    @cached_property
+    def _before(self) -> dict[Effect, list[_Block]]:
+        """By effects, the blocks whose effects leave them what they are counted for."""
+        return {e: [b for b in self.blocks if e.comes_after(b.effect)] for e in {b.effect for b in self.blocks}}
 
     def with_last_resorts(self, proposals: Sequence[Proposal], fit: Fit) -> list[Proposal]:
         """Proposals beside a fit with effects whose values are tried as a last resort among them, best gain first.

@@ -72,7 +72,7 @@ class Choice:
     def evidence(self, kept: Sequence[int], index: int) -> float:
         """Log evidence that one of the effects kept adds to the others."""
         others = [*self.users, *(k for k in kept if k != index)]
-        return 0.5 * (self.sums.cost(others) - self.sums.cost([*others, index])) - self.sums.price(index)
+        return 0.5 * (self.sums.cost(others) - self.sums.cost([*others, index])) - float(self.sums.prices[index])
 
     def without_unproven(self, kept: list[int], before: np.ndarray) -> list[int]:
         """Leave out the effect whose loss costs least on held-out recordings until all of them are proven."""
@@ -87,7 +87,15 @@ class Choice:
 
     def beside(self, kept: Sequence[int], others: Sequence[int]) -> list[int]:
         """Other effects that may be in a model beside those kept."""
-        return [k for k in others if not any(self.effects[k].excludes(self.effects[x]) for x in kept)]
+        among = np.array(others, int)
+        return among[~self._excludes[np.ix_(among, np.array(kept, int))].any(axis=1)].tolist()
+
+    @cached_property
+    def _excludes(self) -> np.ndarray:
+        """Which effect excludes which (effects, effects)."""
+        each = list(dict.fromkeys(self.effects))  # an effect stands there once for every shape that is tried
+        at = [each.index(effect) for effect in self.effects]
+        return np.array([[own.excludes(other) for other in each] for own in each])[np.ix_(at, at)]
 
     def with_one_more(self, kept: list[int], others: Sequence[int], possible: Possible, before: np.ndarray) -> list[int] | None:
         """The effect added that the data demand most, if held-out recordings confirm it."""
@@ -130,7 +138,7 @@ class Choice:
 
     def price_of(self, effects: Sequence[int]) -> float:
         """Log evidence that the parameters of effects cost."""
-        return sum(map(self.sums.price, effects))
+        return float(self.sums.prices[list(effects)].sum())
 
     def with_a_family(self, kept: list[int], others: Sequence[int], possible: Possible, before: np.ndarray) -> list[int]:
         """One kind of effect added at every joint that shows it, where the data demand them together.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -64,7 +64,7 @@ def with_noise(
     rough = np.zeros_like(scatter)
     power = pooled(signal[:, :, None] ** 2, settings.pooled_frequencies)[:, :, 0]
     rough[:, np.arange(channels), np.arange(channels)] = settings.accuracy**2 * power
-    return replace(segment, covariance=floor + scatter + rough)
+    return segment.with_noise(floor + scatter + rough)
 
 
 def other_readings(

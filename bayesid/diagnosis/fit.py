@@ -166,31 +166,66 @@ def _stepped(now: Iterate) -> Iterate:
     stacked = np.concatenate([now.rows, -now.prior])
     kept = projector.columns(jacobian)
     length = np.linalg.norm(kept, axis=0)
-    scale = np.where(_alive(length, jacobian), length, np.inf)
+    alive = _alive(length, jacobian)
+    scale = np.where(alive, length, np.inf)
     # What matters is a change beside all that no model explains, as evidence is judged.
     settled = _SETTLED * max(now.chi2 / max(projector.rows, 1), 1.0)
-    scaled = kept / scale
-    values, vectors = _eigen(scaled)
-    pull = vectors.T @ (scaled.T @ projector.project_out(stacked))
+    scaled, left = kept / scale, projector.project_out(stacked)
+    gram, pull = scaled.T @ scaled, scaled.T @ left
+    limits = _at_limits(terms, free)
+    # What is left if the readings are linear: a fit that comes down to just that is done, and its values are a
+    # hundredth of their standard deviation from the best ones.
+    best = _change(gram, pull, 0.0, alive, limits)
+    least, close = float(left @ left - best @ (2.0 * pull - gram @ best)), 0.01 * settled
+    if now.chi2 - least < close:
+        return replace(now, settled=True)
     for _ in range(_TRIALS):
         # Levenberg and Marquardt: where a direction says nothing yet (a point without a force), hold it back.
-        change = (vectors / (values + damping)) @ pull / scale if len(free) else np.zeros(0)
-        trial = _moved(terms, free, change)
+        trial = _moved(terms, free, _change(gram, pull, damping, alive, limits) / scale)
         taken = np.array([trial[i].values[k] - terms[i].values[k] for i, k in free])
         moved = u
         if projector.size:
-            left = stacked.copy()
-            left[: projector.length] -= jacobian @ taken
-            moved = u + np.linalg.solve(projector.r, projector.q.T @ left)
+            back = stacked.copy()
+            back[: projector.length] -= jacobian @ taken
+            moved = u + np.linalg.solve(projector.r, projector.q.T @ back)
         rows, prior = _rows(projector, moved, trial), projector.prior_residual(moved)
         chi2 = float(rows @ rows + prior @ prior)
         if now.chi2 - chi2 > -settled:
             return replace(
                 now, terms=trial, coordinates=moved, rows=rows, prior=prior, chi2=chi2, steps=now.steps + 1,
-                damping=0.1 * damping if damping > 1e-7 else 0.0, settled=now.chi2 - chi2 < settled,
+                damping=0.1 * damping if damping > 1e-7 else 0.0,
+                settled=now.chi2 - chi2 < settled or abs(chi2 - least) < close,
             )  # fmt: skip
         damping = max(10.0 * damping, 1e-4)
     return replace(now, settled=True)
+
+
+def _at_limits(terms: tuple[Term, ...], free: Sequence[tuple[int, int]]) -> tuple[np.ndarray, np.ndarray]:
+    """Which parameters are at their lower and at their upper limit (k,)."""
+    values = np.array([terms[i].values[k] for i, k in free])
+    lower, upper = (np.array([getattr(terms[i].effect, end)[k] for i, k in free]) for end in ("lower", "upper"))
+    return values <= lower, values >= upper
+
+
+def _change(
+    gram: np.ndarray, pull: np.ndarray, damping: float, open_: np.ndarray, limits: tuple[np.ndarray, np.ndarray]
+) -> np.ndarray:
+    """The damped change of the open ones among scaled parameters (k,).
+
+    What is at a limit and would pass it stays, and the others are found without it: else they would make up for a change that is
+    not made. What only comes to a limit is cut off there later: held from here on, more fits end in a poor place.
+    """
+    lower, upper = limits
+    while True:
+        out = np.zeros(len(pull))
+        if not open_.any():
+            return out
+        values, vectors = _eigen(gram[np.ix_(open_, open_)])
+        out[open_] = (vectors / (values + damping)) @ (vectors.T @ pull[open_])
+        stays = (lower & (out < 0.0)) | (upper & (out > 0.0))
+        if not stays.any():
+            return out
+        open_ = open_ & ~stays
 
 
 def finish(now: Iterate) -> Fit:
@@ -205,7 +240,7 @@ def finish(now: Iterate) -> Fit:
     kept = projector.columns(jacobian)
     length = np.linalg.norm(kept, axis=0)
     safe = np.where(_alive(length, jacobian), length, np.inf)
-    values, vectors = _eigen(kept / safe)
+    values, vectors = _eigen((kept / safe).T @ (kept / safe))
     determined = np.sum(vectors**2, axis=1) > 1.0 - _HIDDEN**2
     covariance = (vectors / values) @ vectors.T / np.outer(safe, safe)
     covariance = _widened(projector, covariance, kept, rows)
@@ -296,7 +331,8 @@ def price(data: DiagnosisData, rows: int, terms: Sequence[Term], free: Sequence[
             total += 0.5 * float(np.min(np.sum(energy * y**2 / spread + np.log(spread), axis=1))) + np.log(len(WIDTHS))
         elif mine.shape[1]:
             length = np.linalg.norm(mine, axis=0)
-            total += 0.5 * len(_eigen(mine / np.where(length > 0, length, 1.0))[0]) * np.log(rows)
+            unit = mine / np.where(length > 0, length, 1.0)
+            total += 0.5 * len(_eigen(unit.T @ unit)[0]) * np.log(rows)
     return total
 
 
@@ -305,9 +341,9 @@ def _alive(length: np.ndarray, jacobian: np.ndarray) -> np.ndarray:
     return (length > ALIVE * np.linalg.norm(jacobian, axis=0)) & (length > _ROUNDING)
 
 
-def _eigen(columns_: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _eigen(gram: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Eigenvalues and vectors of the Gram matrix of scaled columns, without directions that are not there."""
-    values, vectors = np.linalg.eigh(columns_.T @ columns_) if columns_.shape[1] else (np.zeros(0), np.zeros((0, 0)))
+    values, vectors = np.linalg.eigh(gram) if len(gram) else (np.zeros(0), np.zeros((0, 0)))
     keep = values > 1e-9
     return values[keep], vectors[:, keep]
 

@@ -20,6 +20,7 @@ from functools import cached_property
 
 import numpy as np
 from scipy.fft import idct
+from scipy.linalg import solve_triangular
 
 from bayesid.diagnosis.data import DiagnosisData
 from bayesid.diagnosis.fit import Fit
@@ -122,9 +123,15 @@ class HeldOutSums:
         links = self.start - left[: self.links]
         return float(left @ self.whole @ left) / self.correlation + float(links @ links)
 
-    def price(self, effect: int) -> float:
-        """Log evidence that an effect's parameters cost: half the logarithm of the number of rows for each [Schwarz1978]_."""
-        return 0.5 * int(np.sum(self.owners == effect)) * float(np.log(max(self.counts.sum() / self.correlation, 2.0)))
+    @cached_property
+    def prices(self) -> np.ndarray:
+        """Log evidence that each effect's parameters cost: half the logarithm of the number of rows for each [Schwarz1978]_."""
+        return 0.5 * self._parameters * float(np.log(max(self.counts.sum() / self.correlation, 2.0)))
+
+    @cached_property
+    def _parameters(self) -> np.ndarray:
+        """Number of columns of each effect, up to the last that has any."""
+        return np.bincount(self.owners, minlength=self.traces)
 
     def evidence(self, effects: Sequence[int], others: Sequence[int]) -> np.ndarray:
         """Log evidence that each of other effects would add to a fit of these (len(others),)."""
@@ -135,27 +142,23 @@ class HeldOutSums:
         square[:links, :links] += np.eye(links)
         scale = np.maximum(np.sqrt(np.diag(square)), 1e-150)
         half = np.linalg.cholesky(square / np.outer(scale, scale) + _FLAT * np.eye(len(active)))
-        columns = links + np.arange(len(self.owners))
-        inside = np.linalg.solve(half, gram[np.ix_(active, columns)] / scale[:, None])
-        target = gram[columns] @ left
-        size = np.diag(gram)[columns]
-        length = np.maximum(np.sqrt(size), 1e-150)
-        # Of one column each all at once; of more, along the directions that the rest leaves free.
-        free = (size - np.sum(inside**2, axis=0)) / length**2
-        each = np.where(free > _SEEN, 0.5 * (target / length) ** 2 / np.maximum(free, _SEEN), 0.0)
-        counts = np.bincount(self.owners, minlength=max(others, default=0) + 1)
-        first = np.searchsorted(self.owners, others)
-        out = np.array([each[f] if counts[k] == 1 else 0.0 for f, k in zip(first, others, strict=True)])
-        for i, k in enumerate(others):
-            if counts[k] < 2:
-                continue
-            own = np.arange(first[i], first[i] + counts[k])
-            square = gram[np.ix_(columns[own], columns[own])] - inside[:, own].T @ inside[:, own]
-            values, vectors = np.linalg.eigh(square / np.outer(length[own], length[own]))
+        columns = slice(links, links + len(self.owners))
+        length = np.maximum(np.sqrt(np.diag(gram)[columns]), 1e-150)
+        inside = solve_triangular(half, gram[active, columns] / np.outer(scale, length), lower=True, check_finite=False)
+        target = gram[columns] @ left / length
+        # Along the directions that the rest leaves free, of all effects with as many columns at once.
+        asked, out = np.array(others, int), np.zeros(len(others))
+        counts, first = self._parameters[asked], np.searchsorted(self.owners, asked)
+        for count in np.unique(counts[counts > 0]):
+            alike = np.flatnonzero(counts == count)
+            own = first[alike, None] + np.arange(count)
+            square = gram[links + own[:, :, None], links + own[:, None, :]] / (length[own][:, :, None] * length[own][:, None, :])
+            part = inside.T[own]
+            values, vectors = np.linalg.eigh(square - part @ part.transpose(0, 2, 1))
+            along = np.einsum("eij,ei->ej", vectors, target[own])
             seen = values > _SEEN
-            along = vectors[:, seen].T @ (target[own] / length[own])
-            out[i] = 0.5 * float(np.sum(along**2 / values[seen]))
-        return out - np.array([self.price(k) for k in others])
+            out[alike] = 0.5 * np.sum(np.where(seen, along**2 / np.where(seen, values, 1.0), 0.0), axis=1)
+        return out - self.prices[asked]
 
 
 def left_by(data: DiagnosisData, model: Fit) -> np.ndarray:
@@ -170,7 +173,7 @@ def scaled(data: DiagnosisData, square: np.ndarray) -> DiagnosisData:
     """The data with white noise of these mean squares (c,) in all channels."""
 
     def alike(segments: Sequence[Segment]) -> tuple[Segment, ...]:
-        return tuple(replace(s, covariance=np.tile(np.diag(square), (len(s.covariance), 1, 1))) for s in segments)
+        return tuple(s.with_noise(np.tile(np.diag(square), (len(s.covariance), 1, 1))) for s in segments)
 
     return replace(data, segments=alike(data.segments), unseen=alike(data.unseen))
 

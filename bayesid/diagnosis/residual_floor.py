@@ -51,7 +51,7 @@ def with_floor_of(library: Library, fit: Fit) -> DiagnosisData:
         out = []
         for s in segments:
             root = np.linalg.inv(s.whitener) * np.sqrt(ratio[np.searchsorted(_EDGES, s.frequencies, side="right") - 1])[:, None]
-            out.append(replace(s, covariance=root @ root.transpose(0, 2, 1)))
+            out.append(s.with_noise(root @ root.transpose(0, 2, 1)))
         return tuple(out)
 
     source = data.floor_source if data.floor_source == "stated" else "richest model"

@@ -36,20 +36,21 @@ def term_rows(
 
 
 def _white_columns(data: DiagnosisData, segment: Segment, links: np.ndarray, terms: tuple[Term, ...], term: Term) -> np.ndarray:
-    """Rows of one segment (rows, k); where they depend on neither the links nor the term's values they are made once."""
+    """Rows of one segment (rows, k); those of what the joint's motion alone says are transformed once."""
+    effect = term.effect
 
-    def made() -> np.ndarray:
+    def made() -> tuple[np.ndarray, np.ndarray]:
         with np.errstate(all="ignore"):  # as above
-            found = columns(data.robot, data.channels, segment.scene, links, terms, term.effect, term.values)
-        return segment.white(found)
+            found = columns(data.robot, data.channels, segment.scene, links, terms, effect, term.values)
+        return segment.live_spectrum(found)
 
-    if not (isinstance(term.effect, JointTorqueEffect) and term.effect.from_motion_alone):
-        return made()
+    if not isinstance(effect, JointTorqueEffect) or effect.uses_load:
+        return segment.white_rows(*made())
     reads = (EncoderEffect, JointDelayEffect, JointGainEffect)
     # What another joint's encoder or drive does is nothing to this joint's torque.
-    here = (None, term.effect.joint)
+    here = (None, effect.joint)
     beside = tuple(t for t in terms if isinstance(t.effect, reads) and t.effect.joint in here)
-    return segment.kept.get((term.effect, beside), made)
+    return segment.white_rows(*segment.kept.get((effect, term.values if effect.shape else (), beside), made))
 
 
 def model_rows(data: DiagnosisData, segments: Sequence[Segment], links: np.ndarray, terms: Sequence[Term]) -> np.ndarray:

@@ -13,7 +13,7 @@ frequency, so that low frequencies tell most, and an unweighted error in the tim
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -26,8 +26,8 @@ from bayesid.effects.segment import Results
 from bayesid.signals import white_noise
 from bayesid.signals.white_noise import quiet_noise
 
-#: As many kinds of friction as there are, at each joint of a long arm.
-_KEPT = 200
+#: As many kinds of friction as there are, at each joint of a long arm and at every shape that is tried.
+_KEPT = 600
 #: Time in which the weight falls to nothing before what is left out [s], about that of a contact's ramp.
 _FLANK = 0.2
 
@@ -70,7 +70,7 @@ class Segment:
     left_out
         Start and end of a time that has no weight [s]: something else acted then.
     kept
-        White columns that are always the same.
+        Coefficients of columns that are the same for any noise.
     """
 
     motion: str
@@ -227,16 +227,29 @@ class Segment:
         flat = coefficients.reshape(*coefficients.shape[:2], -1)
         return np.matmul(self.whitener, flat).reshape(coefficients.shape)
 
-    def white(self, samples: np.ndarray) -> np.ndarray:
-        """Predicted samples (M, c, ...) as white rows (K c, ...); channels that are zero throughout cost nothing."""
+    def with_noise(self, covariance: np.ndarray) -> Segment:
+        """The same recording with another covariance of the coefficients (K, c, c)."""
+        out = replace(self, covariance=covariance)
+        object.__setattr__(out, "kept", self.kept)
+        return out
+
+    def live_spectrum(self, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Channels in which predicted samples (M, c, ...) are not zero throughout (c,), and their coefficients (K, live, ...)."""
         # Down contiguous rows, which is six times as fast as over two axes.
         any_sample = np.asarray(samples.reshape(len(samples), -1).any(axis=0))
         live = np.asarray(any_sample.reshape(samples.shape[1], -1).any(axis=1))
         if not live.any():
-            return np.zeros((self.shape[0] * self.shape[1], *samples.shape[2:]))
-        coefficients = self.spectrum(samples if live.all() else samples[:, live], live)
-        flat = np.matmul(self.whitener[:, :, live], coefficients.reshape(*coefficients.shape[:2], -1))
-        return flat.reshape(-1, *samples.shape[2:])
+            return live, np.zeros((len(self.frequencies), 0, *samples.shape[2:]))
+        return live, self.spectrum(samples if live.all() else samples[:, live], live)
+
+    def white_rows(self, live: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
+        """White rows (K c, ...) of coefficients (K, live, ...) of some channels (c,), of nothing in the others."""
+        flat = coefficients.reshape(*coefficients.shape[:2], int(np.prod(coefficients.shape[2:])))
+        return np.matmul(self.whitener[:, :, live], flat).reshape(-1, *coefficients.shape[2:])
+
+    def white(self, samples: np.ndarray) -> np.ndarray:
+        """Predicted samples (M, c, ...) as white rows (K c, ...); channels that are zero throughout cost nothing."""
+        return self.white_rows(*self.live_spectrum(samples))
 
 
 def _transform(samples: np.ndarray, weight: np.ndarray, count: int) -> np.ndarray:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from abc import ABC
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import product
 from math import inf
 from typing import ClassVar, Literal
@@ -209,7 +210,7 @@ class Effect(ABC):
 
     # -- what a place adds
 
-    @property
+    @cached_property
     def spec(self) -> str:
         """``name@where``."""
         return f"{self.name}@{self.where}"

@@ -9,6 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.optimize import lsq_linear
 from scipy.stats import chi2, multivariate_normal
 
 from bayesid import diagnose
@@ -287,7 +290,7 @@ def test_a_contact_is_no_excuse(record):
 
     assert not judged(*window, push)
     assert judged(last - 2.0, last, push)
-    assert judged(first + 0.5, first + 0.5 + 0.6 * (last - first), push)
+    assert judged(first + 0.5, first + 0.5 + 0.8 * (last - first), push)
     assert not judged(*window, push, Term)
 
 
@@ -341,3 +344,18 @@ def test_a_changed_link_is_priced_by_its_marginal_likelihood(record):
     free = max(multivariate_normal.logpdf(measured, cov=plain + w**2 * change) for w in fit.WIDTHS)
     want = free - multivariate_normal.logpdf(measured, cov=plain) - np.log(len(fit.WIDTHS))
     assert changed.score - base.score == pytest.approx(want, abs=1e-3 * abs(want) + 0.02)
+
+
+@given(st.integers(0, 10_000), st.integers(2, 6))
+def test_a_step_holds_what_would_pass_its_limit(seed, size):
+    """The others change as in least squares without it; by scipy's bounded least squares."""
+    rng = np.random.default_rng(seed)
+    columns, target = rng.normal(size=(20, size)), rng.normal(size=20)
+    lower = rng.uniform(size=size) < 0.5
+    change = fit._change(columns.T @ columns, columns.T @ target, 0.0, np.ones(size, bool), (lower, np.zeros(size, bool)))
+    assert np.all(change[lower] >= 0.0)
+    kept = change != 0.0
+    np.testing.assert_allclose(change[kept], np.linalg.lstsq(columns[:, kept], target)[0], rtol=1e-6, atol=1e-9)
+    least = lsq_linear(columns, target, (np.where(lower, 0.0, -np.inf), np.inf)).cost
+    left = target - columns @ change
+    assert least <= 0.5 * left @ left + 1e-9 <= 0.5 * target @ target + 1e-9

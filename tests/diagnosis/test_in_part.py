@@ -140,7 +140,7 @@ def test_sums_give_what_a_fit_to_the_rows_gives(diagnosis):
     without = y + effects[:, -1] * s.best.terms[-1].values[0]
     gain = fitted(all_rows, every[:-1], without)[1] - fitted(all_rows, every, y)[1]
     assert sums.cost([0, 1]) - sums.cost([0, 1, 2]) == pytest.approx(gain, rel=1e-6)
-    assert sums.evidence([0, 1], [2])[0] == pytest.approx(0.5 * gain - sums.price(2), rel=1e-6)
+    assert sums.evidence([0, 1], [2])[0] == pytest.approx(0.5 * gain - sums.prices[2], rel=1e-6)
 
 
 @pytest.fixture(scope="module")
@@ -237,7 +237,7 @@ def test_a_kind_of_friction_is_added_at_all_joints_that_show_it_if_they_are_dema
     sums = SimpleNamespace(
         evidence=lambda _, others: np.array([gains[k] for k in others]),
         cost=lambda kept: -2.0 * sum(gains[k] + 6.0 for k in kept),
-        price=lambda _: 6.0,
+        prices=np.full(9, 6.0),
         squares=lambda kept: np.array([-float(len(kept))]),
     )
     choice = _Told(cast(HeldOutSums, sums), effects, (), 0.0, DEFAULT, 0)
@@ -261,7 +261,7 @@ def test_an_effect_takes_the_place_of_those_that_it_excludes(kept, gain, confirm
     """Coupled friction for all friction of the joint whose motor it is, if it adds what any effect must; not for nothing."""
     sums = SimpleNamespace(
         cost=lambda effects: -2.0 * (gain + 6.0 if 3 in effects else 6.0 * len(set(effects) & {1, 2})),
-        price=lambda _: 6.0,
+        prices=np.full(9, 6.0),
         squares=lambda effects: np.array([-float(confirmed and 3 in effects)]),
     )
     choice = _Told(cast(HeldOutSums, sums), COUPLED, (), 0.0, DEFAULT, 0)
@@ -274,7 +274,7 @@ def test_an_effect_that_contains_others_is_neither_added_nor_exchanged_for_one_o
     gains = {0: 0.0, 1: 60.0, 2: 15.0, 3: 83.0}
     sums = SimpleNamespace(
         evidence=lambda _, others: np.array([gains[k] for k in others]), squares=lambda kept: np.array([-float(len(kept))]),
-        price=lambda _: 0.0, cost=lambda kept: -2.0 * sum(gains[k] for k in kept),
+        prices=np.zeros(9), cost=lambda kept: -2.0 * sum(gains[k] for k in kept),
     )  # fmt: skip
     choice = _Told(cast(HeldOutSums, sums), COUPLED, (), 0.0, DEFAULT, 0)
     assert choice.with_one_more([], range(4), lambda *_: True, np.zeros(1)) == [1]
