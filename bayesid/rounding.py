@@ -7,7 +7,7 @@ from statistics import NormalDist
 import numpy as np
 
 DASH = "–"
-#: Central probability of the intervals that are told.
+#: Central probability of the intervals that are shown.
 LEVEL = 0.95
 #: Half a central 95 % interval of a normal distribution in standard deviations.
 HALF = NormalDist().inv_cdf(0.5 + LEVEL / 2)

@@ -29,7 +29,7 @@ def two(_context, _parameter, value: str | None) -> tuple[float, float] | None:
 @click.option("--reference", type=click.Path(path_type=Path), help="The robot without the payload: a folder.")
 @CHANNEL
 @click.option("--joint", help="Joint whose link carries the payload; default: the last one, or the sensor's.")
-@click.option("--frame", help="URDF link in whose frame it is told; default: the flange.")
+@click.option("--frame", help="URDF link in whose frame it is given; default: the flange.")
 @click.option("--extent", type=float, help="No part of it is farther from its centre of mass [m]; bounds what is not shown.")
 @click.option("--next", "target", callback=two, help="KG,M: half intervals wanted; proposes poses that reach them.")
 @click.option("--diagnosis/--no-diagnosis", default=True, help="Look for what else is in the readings.")

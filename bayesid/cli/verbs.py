@@ -1,4 +1,4 @@
-"""The group of verbs, and how a failure is told."""
+"""The group of verbs, and how a failure is shown."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class Verbs(click.Group):
 
 @dataclass
 class _Telling:
-    """How a failure is told: with a traceback, or in its one line alone."""
+    """How a failure is shown: with a traceback, or in its one line alone."""
 
     traceback: bool = False
 
@@ -74,7 +74,7 @@ class _Telling:
 
 
 def run(arguments: Sequence[str]) -> int:
-    """Run the verb that the arguments name; every failure is told in one line.
+    """Run the verb that the arguments name; every failure is shown in one line.
 
     Returns
     -------

@@ -87,7 +87,7 @@ def brief(label: str) -> str:
 def _motion(plan: PlannedMotions, main: SetReport) -> list[Advice]:
     """What other motions would show."""
     title, most = main.sensor_set.title, main.rank_of_any_motion or 0
-    found = main.shown.without_effects  # what effects take is told apart
+    found = main.shown.without_effects  # what effects take is stated apart
     if found.rank == most:
         return [
             Advice("motion", f"These motions show all {most} combinations that any motion can show ({title}); another motion can "

@@ -168,7 +168,7 @@ def rows_of(
     chosen = smoother_of(experiment, moving, bandwidth).bandwidth
     step = row_step(chosen, min((1.0 / usual_step(s.times) for s in moving), default=np.inf))
     model = RowModel(experiment.robot, channels, structure.base, structure.effects, chosen, step, None, structure.point)
-    # Stretches that are too short for the smoothed trajectory to settle say nothing.
+    # Segments that are too short for the smoothed trajectory to settle say nothing.
     return model, [s for s in segments if s.poses or np.ptp(s.inner(model.margin)) >= 2]
 
 

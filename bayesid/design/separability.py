@@ -75,7 +75,7 @@ def separations(
     plan, sensor_set, noise, bandwidth
         As for `bayesid.design.identifiability.report_of`.
     effects
-        To be told apart, of `pair_of`.
+        Effects to be distinguished, of `pair_of`.
     """
     names = make_channels(plan.experiment, sensor_set.channel).names
     gone = sensor_set.offset != "fitted"  # no such set shows what a static run removes
@@ -104,7 +104,7 @@ def separations(
 
 
 def pair_of(plan: PlannedMotions, specs: Sequence[str]) -> tuple[Effect, ...]:
-    """Effects to be told apart from their names, as in `bayesid.effects.EffectLibrary.parse_rivals`."""
+    """Effects to be distinguished, made from their names, as in `bayesid.effects.EffectLibrary.parse_rivals`."""
     e, every = plan.experiment, make_channels(plan.experiment, "both").names
     known = [x.spec for x in e.library.parse(e.effects, e.robot.joint_names, every, e.gear_ratio)]
     return e.library.parse_rivals(specs, known, e.robot.joint_names, every, e.gear_ratio, "both")

@@ -154,7 +154,7 @@ class TotalLeastSquares:
             meat = spread(wider, ((b, start.back(b, start.rows(b)[0])) for b in regression.blocks()))
             meat = meat + start.weights.dispersion * extra
         if not start.weights.complete:
-            # What the model lacks has the colour of the motion, as encoder errors have, and is not told apart from them: noise as
+            # What the model lacks has the colour of the motion, as encoder errors have, and looks like them: noise as
             # `wls` takes it is then a lower bound in every direction.
             whole = ((b, start.back(b, start.rows(b)[0])) for b in regression.blocks())
             meat = at_least(meat, spread(start.weights.dispersed(), whole))

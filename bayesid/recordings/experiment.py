@@ -88,7 +88,7 @@ class Experiment(Plots):
     effects, effect_values
         What the user's model already has: ``name`` or ``name@where``; starting values, and ``fixed`` where true.
     inertia_rel_std
-        Trust in the nominal inertias (relative, 1 sigma); 0: exact; None: not known at all.
+        Prior relative standard deviation of the nominal inertias; 0: exact; None: not known at all.
     position_resolution, position_std
         One encoder count and random noise on top [rad or m], where known.
     gear_ratio, locked
@@ -207,7 +207,7 @@ class Experiment(Plots):
     ) -> Experiment:
         """Make an experiment of a URDF and one recording as arrays, lists or data frames; no file is written.
 
-        Readings are checked as those of files are: rows that hold a NaN or the time of the row before are left out and told.
+        Readings are checked as those of files are: rows that hold a NaN or the time of the row before are left out and reported.
 
         Parameters
         ----------

@@ -16,8 +16,8 @@ from bayesid.recordings.rows import holes_left
 from bayesid.recordings.table import GAP, Table
 from bayesid.robot.robot import Robot
 
-#: Jitter beyond this share of a step, or a drift of the step by it, is told.
-TOLD = 0.1
+#: Jitter beyond this share of a step, or a drift of the step by it, is reported.
+REPORTED = 0.1
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ MATCH = 5e-3  # positions of one pose, moving and stopped, agree to this [rad or
 FROZEN_TIME = 0.5  # an encoder standing longer than this [s] while the joint moves is frozen
 _DEGREE = 180.0 / np.pi
 _NEAR = 1.2  # factor within which a scale is recognised
-_FEW = 2  # frozen encoders more than this are told in one line
+_FEW = 2  # frozen encoders more than this are named in one line
 _CLOCKS = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}
 _EPOCH = (3e8, 1e10)  # seconds since 1970, of computers' dates
 _USUAL_STEP = 4e-3  # in the middle of those of robots' logs, 1 ms to 20 ms [s]
@@ -118,17 +118,17 @@ def _clock(table: Table) -> str:
 
 def _steps(table: Table) -> list[str]:
     steps = np.diff(table.times)
-    steps[holes_left(table.dropped, len(table))] = table.step  # rows left out are told already
+    steps[holes_left(table.dropped, len(table))] = table.step  # rows left out are reported already
     gaps, lost = np.flatnonzero(steps > GAP * table.step), np.flatnonzero(steps > STEP_SLACK * table.step)
     start = f"{table.source}: column t: "
     timing, uneven = Timing.of(table), []
-    if timing.jitter > TOLD * table.step:
+    if timing.jitter > REPORTED * table.step:
         uneven.append(
             f"{start}time stamps jitter by {timing.jitter:.2g} s rms (a step is usually {table.step:.4g} s) and are taken as "
             "true times; if the samples were taken evenly, write even times"
         )
         lost = np.flatnonzero(steps > (STEP_SLACK + 5.0 * timing.jitter / table.step) * table.step)
-    if abs(timing.last_step - timing.first_step) > TOLD * table.step:
+    if abs(timing.last_step - timing.first_step) > REPORTED * table.step:
         uneven.append(
             f"{start}steps drift from {timing.first_step:.4g} to {timing.last_step:.4g} s and are taken as they are; "
             "if the rate was constant, write even times"

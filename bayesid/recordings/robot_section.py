@@ -118,7 +118,7 @@ def robot_doubts(robot: Robot, locked: Mapping[str, float], stated: str) -> list
 def _missing(robot: Robot, urdf: UrdfFile) -> list[str]:
     """Links without an ``<inertial>`` that have a shape or a length, in a robot whose other links have masses."""
     if not states_masses(robot):
-        return []  # told of the whole file
+        return []  # reported of the whole file
     links, found = {str(link.get("name")): link for link in urdf.root.findall("link")}, []
     for j, name in enumerate(robot.joint_names):
         link = links[urdf.joints[name].child]

@@ -191,7 +191,7 @@ def stored_table(path: Path, source: str, joints: int, wrench: bool, chunked: bo
     InputError
         As there; or angles wrap, or a row group is too large.
     """
-    if chunked is False or not path.is_file():  # what is missing is told by who reads it whole
+    if chunked is False or not path.is_file():  # who reads it whole says what is missing
         return None
     parquet = path.suffix.lower() in (".parquet", ".pq")
     if not parquet and path.suffix.lower() != ".csv":

@@ -33,7 +33,7 @@ _SMALL = 8_000_000
 _BLOCK_ROWS = 200_000
 _BLOCK_BYTES = 1 << 24
 EMPTY = ["", "nan", "NaN", "NAN"]  # cells without a reading; any other text is a mistake
-_LARGEST_TIME = 1e19  # [s]; nanoseconds since 1970, which are told as such, are below
+_LARGEST_TIME = 1e19  # [s]; nanoseconds since 1970, which are named as such, are below
 
 
 def read_table(path: Path, source: str, joints: int, wrench: bool = True) -> tuple[Table, list[str]]:

@@ -184,7 +184,7 @@ class GivenInstruments:
         return {"instruments": ["as given"]}
 
     def instruments(self) -> Instruments:
-        """As estimators take them."""
+        """Instruments as estimators take them."""
         return Instruments(self.pairs, self.described, None if self.noise is None else self.drawn)
 
 

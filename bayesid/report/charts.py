@@ -189,7 +189,7 @@ def _line(x1: float, y1: float, x2: float, y2: float, colour: str, width: float)
 
 
 def _unbroken(x: np.ndarray, y: np.ndarray) -> list[slice]:
-    """Stretches without nan."""
+    """Split a curve where it has nan."""
     there = np.isfinite(x) & np.isfinite(y)
     edges = np.flatnonzero(np.diff(np.concatenate([[False], there, [False]]).astype(int)))
     return [slice(a, b) for a, b in edges.reshape(-1, 2)]

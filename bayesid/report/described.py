@@ -22,7 +22,7 @@ _POINTS = 3000
 
 @styled
 def described_figure(panels: Sequence[tuple[str, str, np.ndarray, np.ndarray, np.ndarray]]) -> Figure:
-    """One panel a term.
+    """Draw each term in a panel of its own.
 
     Parameters
     ----------

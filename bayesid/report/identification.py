@@ -45,7 +45,7 @@ _SHOWN = 8
 
 _NAMES = {
     "agreement_of_gls_and_wls": "Chance of so large a gap of gls and wls",
-    "certificate": "Proof of the optimum",
+    "certificate": "Certificate of the optimum",
     "durbin_wu_hausman": "Durbin-Wu-Hausman test",
     "encoder_correlation": "Correlation of encoder noise from sample to sample, by joint",
     "encoder_std": "Encoder noise by joint [rad or m]",
@@ -57,7 +57,7 @@ _NAMES = {
     "rejected_share": "Rows rejected as taps or contacts",
     "rejected_windows": "Rejected times",
     "shift_from_least_squares": "Largest shift from least squares, in its standard deviations",
-    "trust": "Trust in the nominal model",
+    "trust": "Prior of the nominal model",
     "weights": "Rows weighted by",
 }
 

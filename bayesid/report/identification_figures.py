@@ -116,7 +116,7 @@ def bandwidth_sensitivity(choice: BandwidthChoice, std: np.ndarray) -> Figure:
     tried, taken = choice.bandwidths, choice.bandwidths[choice.chosen]
     error = np.sqrt(choice.error)
     left.plot(tried, 100 * (error / error[choice.chosen] - 1), "o-", color=NOISE, ms=4)
-    left.set_ylabel("error on stretches left out,\nover the chosen one's [%]")
+    left.set_ylabel("error on segments left out,\nover the chosen one's [%]")
     known = np.isfinite(std) & (std > 0)
     moved = (choice.estimates - choice.estimates[choice.chosen])[:, known] / std[known]
     if moved.size:

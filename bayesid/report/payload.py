@@ -85,7 +85,7 @@ def _card(name: str, q: Quantity, scale: float, unit: str) -> tuple[str, str, st
 def payload_figure(result: PayloadEstimate, ax: Any = None) -> Figure:
     """Mass [kg] and centre of mass [mm] with their 95 % intervals, a panel each, beside those without the effects found."""
     figure, axes = make_grid(1, 4, 1.5, gap=0.55, ax=ax)
-    series = [(result.quantities[:4], CLASSES["alone"], "told", 0.0)]
+    series = [(result.quantities[:4], CLASSES["alone"], "estimated", 0.0)]
     if any(e.in_model for e in result.effects):
         series.append((result.plain, GREY, "without the effects found", 1.0))
     for quantities, colour, label, x in series:

@@ -142,7 +142,7 @@ class Accuracy(Result):
         return figures_of(self)[name](ax=ax)
 
     def to_dict(self) -> dict[str, Any]:
-        """``accuracy.json``."""
+        """What ``accuracy.json`` holds."""
         bench, problem = self.bench, self.bench.problem
         low_pass = problem.row_model.filters
         base, truth = problem.row_model.base, bench.truth[: bench.rank]

@@ -12,7 +12,7 @@ from bayesid.design.payload.body import Quantity
 from bayesid.estimators.parameters import with_ends
 from bayesid.results.text import DASH, HALF, ends, with_half, with_interval
 
-#: Share of half an interval by which its middle may be off the value for the interval to be told as ±.
+#: Share of half an interval by which its middle may be off the value for the interval to be written as ±.
 _SKEW = 0.05
 
 

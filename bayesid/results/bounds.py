@@ -335,7 +335,7 @@ class ControllerBounds(Result):
         return self.region.table()[name]
 
     def to_dict(self) -> dict[str, Any]:
-        """``bounds.json``."""
+        """What ``bounds.json`` holds."""
         k = self.known
         return {
             "schema": SCHEMA, "experiment": k.problem.experiment.name, "level": LEVEL, "seed": self.seed,

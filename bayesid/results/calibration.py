@@ -69,7 +69,7 @@ class Calibration(Result):
     common_gain
         By which share all force axes read too much; None without a known mass.
     load
-        What controllers are told; None where mass and centre of mass are not known.
+        What controllers take; None where mass and centre of mass are not known.
     verdict
         Of the diagnosis; None where it was refused.
     sentences
@@ -160,7 +160,7 @@ class Calibration(Result):
         return [lead, self.table, *self.sentences, *(f"warning: {w}" for w in self.warnings)]
 
     def to_dict(self) -> dict[str, Any]:
-        """``calibration.json``."""
+        """What ``calibration.json`` holds."""
         return {
             "schema": SCHEMA, "experiment": self.name, "sensor": self.sensor, "motions": list(self.fit.problem.fitted),
             "verdict": self.verdict,

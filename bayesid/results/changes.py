@@ -18,7 +18,7 @@ from bayesid.results.files import Result
 from bayesid.results.section import Table, as_html
 from bayesid.results.text import DASH, HALF, channel_text, interval, number, percent, with_half
 
-#: Kinds of changes whose smallest visible size is told where nothing changed.
+#: Kinds of changes whose smallest visible size is given where nothing changed.
 _LISTED = ("payload", "coulomb_friction", "viscous_friction", "torque_gain", "sensor_offset", "sensor_gain")
 
 
@@ -106,7 +106,7 @@ class Changes(Result):
         return as_html([f"**{verdict_sentence(c)}**", f"{gap_sentence(c)}.", *table, *shares, *_open(c)])
 
     def to_dict(self) -> dict[str, Any]:
-        """``diagnosis.json``."""
+        """What ``diagnosis.json`` holds."""
         c = self.comparison
         minimum = {h.change.spec: h.value for h in c.hidden}
         return {

@@ -162,7 +162,7 @@ class Comparison(HasEntries, Result):
         return any(e.impossible is not None for e in (*self.baselines, *self.entries))
 
     def to_dict(self) -> dict[str, Any]:
-        """``comparison.json``."""
+        """What ``comparison.json`` holds."""
         base, problem = self.regression.base, self.problem
         filters = None if problem is None else problem.row_model.filters
         return {

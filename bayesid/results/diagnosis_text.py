@@ -23,7 +23,7 @@ from bayesid.validation.prediction import Prediction
 NOT_DETERMINED = "not determined"
 #: Disagreements that a terminal shows.
 _SHOWN = 4
-#: So many effects are spelt out in a sentence, and so many channels of what stays; more are told by kind.
+#: So many effects are spelt out in a sentence, and so many channels of what stays; more are named by kind.
 _SPELT_OUT, _CHANNELS_SAID = 3, 3
 _COUNTS = {1: "one effect", 2: "two effects", 3: "three effects"}
 
@@ -39,8 +39,8 @@ def verdict_sentence(diagnosis: Findings) -> str:
     count = _COUNTS.get(len(names), f"{len(names)} effects")
     if d.verdict == "named_in_part":
         each = [_with_rivals(name, f, d) for name, f in zip(names, d.found, strict=True)]
-        told = listed(each) if len(names) <= _SPELT_OUT else listed(by_kind(f.term for f in d.found))
-        return f"The model misses {count} that held-out recordings confirm, and more that stays unexplained: {told}."
+        spelt = listed(each) if len(names) <= _SPELT_OUT else listed(by_kind(f.term for f in d.found))
+        return f"The model misses {count} that held-out recordings confirm, and more that stays unexplained: {spelt}."
     if d.verdict == "ambiguous":
         parts = [_with_rivals(name, f, d) for name, f in zip(names, d.found, strict=True)]
         return f"The model misses {count}, but these motions do not tell every name apart: {'; and '.join(parts)}."

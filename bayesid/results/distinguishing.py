@@ -46,7 +46,7 @@ class DistinguishingMotion(Result):
 
     @property
     def lead(self) -> str:
-        """One sentence or two."""
+        """What the motion is and what it decides, in a sentence or two."""
         t = self.telling
         together = f" together with {', '.join(self.recordings)}" if self.recordings else ""
         sizes = "as large as estimated" if t.estimated else "each at its usual size"
@@ -62,7 +62,7 @@ class DistinguishingMotion(Result):
         return [f"{self.name}: {self.lead}", pair_table(self.telling)]
 
     def to_dict(self) -> dict[str, Any]:
-        """``excitation.json``."""
+        """What ``excitation.json`` holds."""
         return {
             "schema": SCHEMA, "experiment": self.name, "channel": self.channel, "recordings": list(self.recordings),
             "tell": telling_dict(self.telling, TRAJECTORY), "runtime_s": dict(self.seconds),

@@ -174,7 +174,7 @@ class Excitation(Result):
         return tuple(dict.fromkeys(use.kind for use in self.limits))
 
     def to_dict(self) -> dict[str, Any]:
-        """``excitation.json``."""
+        """What ``excitation.json`` holds."""
         uses = [
             {"kind": u.kind, "where": u.where, "reached": u.reached, "limit": u.limit, "unit": u.unit, "ratio": u.ratio,
              "kept": u.kept}

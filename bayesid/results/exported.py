@@ -60,7 +60,7 @@ class Exported(Result):
         return [*lines, *(f"warning: {text}" for text in self.warnings)]
 
     def to_dict(self) -> dict[str, Any]:
-        """``export.json``."""
+        """What ``export.json`` holds."""
         return {
             "schema": SCHEMA,
             "experiment": self.name,

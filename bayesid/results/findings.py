@@ -127,7 +127,7 @@ class Findings:
         return 0.5 * (proposal.gain / self.search.dispersion - proposal.parameters * each)
 
     def to_dict(self) -> dict[str, Any]:
-        """``diagnosis.json``."""
+        """What ``diagnosis.json`` holds."""
         return {
             "schema": SCHEMA,
             "experiment": self.data.experiment.name,

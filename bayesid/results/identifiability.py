@@ -50,7 +50,7 @@ class Identifiability(Result):
     advice
         What would make a difference, most important first.
     separations
-        How well effects are told apart, by the name of the sensor set; empty where nobody asked.
+        How well effects are distinguished, by the name of the sensor set; empty where nobody asked.
     warnings
         What the user should know, most important first.
     seconds
@@ -106,7 +106,7 @@ class Identifiability(Result):
         return figures_of(self)["expected"](ax=ax)
 
     def to_dict(self) -> dict[str, Any]:
-        """``identifiability.json``."""
+        """What ``identifiability.json`` holds."""
         return strict({
             "schema": SCHEMA,
             "experiment": self.name,
@@ -247,7 +247,7 @@ def effect_lines(report: SetReport) -> list[tuple[str, str]]:
 
 
 def pair_table(result: Identifiability) -> Table:
-    """How well effects are told apart: a row for each sensor set, true effect and other one; squared standard deviations."""
+    """How well effects are distinguished: a row for each sensor set, true effect and other one; squared standard deviations."""
     rows = []
     for report in result.sensor_sets:
         pairs = result.separations.get(report.sensor_set.name, ())

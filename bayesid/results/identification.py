@@ -59,7 +59,7 @@ class Identification(PlotsPredictions, HasEstimate, Result):
         With a stop-and-go run subtracted: the estimate with the run fitted along instead, or None.
     offset
         Constant reading of the sensor (6,), its standard deviation (nan where the nominal mass it rests on has
-        no stated trust), or None without one.
+        no stated standard deviation), or None without one.
     unexcited
         Parameters that other motions of this robot could show and these cannot.
     warnings
@@ -67,7 +67,7 @@ class Identification(PlotsPredictions, HasEstimate, Result):
     seconds
         Run time by stage.
     prior_check
-        How far the data are from the nominal links, where their trust is stated or the estimator takes it from the data.
+        How far the data are from the nominal links, where their prior is stated or the estimator takes it from the data.
     unconstrained_urdf
         Whether ``identified-unconstrained.urdf`` is written, too.
     certificate
@@ -206,7 +206,7 @@ class Identification(PlotsPredictions, HasEstimate, Result):
         return f"<pre>{escape(summary(self))}</pre>{self.parameters().to_html(self.estimate.method)}{reasons}"
 
     def to_dict(self) -> dict[str, Any]:
-        """``estimate.json``."""
+        """What ``estimate.json`` holds."""
         nominal = self.problem.regression.knowledge.nominal_links
         filters, smoother, tried = self.problem.row_model.filters, self.problem.smoother, self.problem.bandwidths
         return {

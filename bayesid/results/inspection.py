@@ -10,7 +10,7 @@ import numpy as np
 
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.recordings.experiment import Experiment, Motion
-from bayesid.recordings.motion_checks import TOLD, Timing
+from bayesid.recordings.motion_checks import REPORTED, Timing
 from bayesid.results.files import Result
 from bayesid.results.section import Table
 from bayesid.validation.mistakes.mistake import Mistake
@@ -145,7 +145,7 @@ class Inspection(Result):
         return self.experiment.name
 
     def to_dict(self) -> dict[str, Any]:
-        """``check.json``."""
+        """What ``check.json`` holds."""
         robot, sensor = self.experiment.robot, self.experiment.sensor
         limits = {k: [_finite(v) for v in getattr(robot, k)] for k in ("lower", "upper", "velocity_limit", "effort_limit")}
         return {
@@ -193,7 +193,7 @@ class Inspection(Result):
                 f"columns {' '.join(m.columns)}, static {m.static}"
                 + (f", {len(m.gaps)} gaps" if m.gaps else "")
                 + (f", {m.timing.dropped} samples dropped" if m.timing and m.timing.dropped else "")
-                + (f", stamps jitter by {m.timing.jitter:.2g} s rms" if m.timing and m.timing.jitter > TOLD / m.rate else "")
+                + (f", stamps jitter by {m.timing.jitter:.2g} s rms" if m.timing and m.timing.jitter > REPORTED / m.rate else "")
             )
             if m.noise_at_rest:
                 lines.append("  noise at rest: " + ", ".join(f"{c} {s:.3g}" for c, s in m.noise_at_rest.items()))

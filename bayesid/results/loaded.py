@@ -107,7 +107,7 @@ class Loaded(Plots):
         return f"<{type(self).__name__} {self.kind} of {self.document.get('experiment')}: {self.path.name}>"
 
     def __str__(self) -> str:
-        """As the result printed."""
+        """What the result printed."""
         return self.printed or repr(self)
 
     def _repr_html_(self) -> str:

@@ -47,9 +47,9 @@ class PayloadEstimate(Result):
     source
         ``sensor``, ``reference`` or ``nominal``: where the payload is known from.
     source_detail
-        The sensor's joint, the reference's name, or the trust.
+        The sensor's joint, the reference's name, or the prior relative standard deviation of the links.
     carrier, frame
-        The body that it hangs on, and the URDF link in whose frame it is told.
+        The body that it hangs on, and the URDF link in whose frame it is given.
     body
         What the data say of its ten parameters, whether such a body can exist or not; all values below are of one that can.
     mass, centre, inertia
@@ -226,7 +226,7 @@ class PayloadEstimate(Result):
         return [lead, frame, self.table, *self.sentences, *(f"warning: {w}" for w in self.warnings)]
 
     def to_dict(self) -> dict[str, Any]:
-        """``payload.json``."""
+        """What ``payload.json`` holds."""
         return {
             "schema": SCHEMA, "experiment": self.name, "channel": self.channel,
             "source": {"kind": self.source, "detail": self.source_detail},

@@ -76,7 +76,7 @@ class ExperimentPosterior(PlotsPredictions, Posterior, Result):
         ]  # fmt: skip
 
     def to_dict(self) -> dict[str, Any]:
-        """``posterior.json``."""
+        """What ``posterior.json`` holds."""
         filters, own = self.problem.row_model.filters, super().to_dict()
         return {
             "schema": SCHEMA,

@@ -59,7 +59,7 @@ def pair_table(telling: Telling) -> Table:
 
 
 def pair_dict(pair: RivalPair) -> dict[str, Any]:
-    """For the JSON file."""
+    """A pair as plain values for the JSON file."""
     p = pair
     return {
         "true": p.true, "other": p.other, "noncentrality": p.noncentrality, "log_bayes_factor": p.gain,

@@ -35,7 +35,7 @@ def impossible_bodies(links: np.ndarray, names: Sequence[str]) -> tuple[str, ...
 
 #: A robot's whole mass is stated right to this factor: data sheets are, and models by hand hardly worse.
 TOTAL_MASS = 1.5
-#: Errors of predictions that grow by more than this share are told.
+#: Errors of predictions that grow by more than this share bring a warning.
 LARGEST_GROWTH = 0.05
 _NAMED = 4
 

@@ -86,7 +86,7 @@ class Watched:
         return [self.name, verdict, "; ".join(map(_change_text, self.changes)) or DASH, number(self.gap, 3), noise]
 
     def __str__(self) -> str:
-        """One line."""
+        """The recording in one line."""
         said = self.complaint or "; ".join(map(_change_text, self.changes))
         gap = "" if self.comparison is None else f" (residual {number(self.gap, 3)} times that of its own fit)"
         return f"{self.name}: {self.words}{f': {said}' if said else ''}{gap}"
@@ -172,7 +172,7 @@ class Watch(Result):
         return [head, self.table, *(f"{s}." for s in self.sentences())]
 
     def to_dict(self) -> dict[str, Any]:
-        """``watch.json``."""
+        """What ``watch.json`` holds."""
         return {
             "schema": SCHEMA, "experiment": self.reference, "reference": self.folder or self.reference,
             "log_evidence_needed": self.accept, "planned": self.planned,

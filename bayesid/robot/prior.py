@@ -1,4 +1,4 @@
-"""What is known of the links before the data: a nominal model and how far it is trusted."""
+"""What is known of the links before the data: a nominal model and its uncertainty."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ class JointDynamics:
     left_out
         Identified friction that is negative, and so not written, ``joint1 damping``.
     beside
-        Value and unit, by name, of what a URDF has no place for, such as rotor inertia: a simulator is told apart.
+        Value and unit, by name, of what a URDF has no place for, such as rotor inertia: a simulator needs it beside the file.
     """
 
     friction: dict[str, dict[str, float]]
@@ -37,7 +37,7 @@ class JointDynamics:
         return ["Identified along, and not part of this robot as a URDF has no place for it:", *lines] if lines else []
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """The same as plain values for JSON."""
         return {
             "dynamics": self.friction, "negative_friction": list(self.left_out),
             "not_in_urdf": {name: {"value": value, "unit": unit} for name, (value, unit) in self.beside.items()},

@@ -181,7 +181,7 @@ class UrdfFile:
 
 
 def read_urdf(given: str | Path, folder: Path | None = None) -> UrdfFile:
-    """Read a robot's file and check all that can be told without a robot in mind.
+    """Read a robot's file and check all that can be checked without a robot in mind.
 
     Parameters
     ----------

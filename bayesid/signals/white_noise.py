@@ -58,7 +58,7 @@ def low_passed(
     """Whether readings were filtered before they were recorded, so that noise above the band tells nothing of it below.
 
     Either the noise falls with frequency there, or so little of it is left in most channels that only the digits of the file make
-    it. Simulated readings without noise are told so, too: nothing tells how much of it a sensor would have.
+    it. Simulated readings without noise count as such, too: nothing tells how much of it a sensor would have.
     """
     lower, upper = (np.quantile(p, quantile, axis=0) for p in _powers(readings, _COMPARED, window)[0])
     size = np.sqrt(np.sum([np.einsum("kc,kc->c", y, y) for y in readings], axis=0) / sum(map(len, readings)))

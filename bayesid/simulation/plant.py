@@ -157,7 +157,7 @@ def plant_readings(
             middle,
             in_turn=segment.in_turn,
         )
-        with np.errstate(all="ignore"):  # what is not finite is told below
+        with np.errstate(all="ignore"):  # what is not finite is reported below
             out[first:last] = readings(robot, channels, piece, links, terms)[first - a : last - a]
     if not np.isfinite(out).all():
         specs = ", ".join(t.effect.spec for t in terms)

@@ -95,7 +95,7 @@ class Truth:
         return {t.effect.spec: dict(zip(t.effect.parameters, t.values, strict=True)) for t in self.terms}
 
     def to_dict(self, robot: Robot) -> dict[str, Any]:
-        """``truth.json``."""
+        """What ``truth.json`` holds."""
         effects = []
         for term in self.terms:
             e = term.effect

@@ -145,7 +145,7 @@ def _(result: Accuracy) -> Figures:
 
 @files_of.register
 def _(result: Accuracy) -> Files:
-    """``accuracy.json`` and the report."""
+    """Write ``accuracy.json`` and the report."""
     from bayesid.report.accuracy import accuracy_report
 
     return Files({"accuracy.json": result.to_dict()}, {}, accuracy_report(result))

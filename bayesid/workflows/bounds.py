@@ -115,7 +115,7 @@ def warnings(result: ControllerBounds) -> list[str]:
     if driven:
         out.append(
             f"Driven by the prior, the data hardly narrow them: {listed(driven, 4)}. Bounds that depend on them are as good as "
-            "the nominal model and its stated trust."
+            "the nominal model and its stated uncertainty."
         )
     if result.wrench_model is not None:
         region = result.wrench_model.region
@@ -241,8 +241,8 @@ def _fitted(
     experiment: Experiment, method: str | Estimator | None, prior_std: float | None, seed: int, clock: Clock, options: FitOptions
 ) -> ExperimentPosterior | Identification:
     """The experiment sampled, or identified where a method is named or nothing is said of its links."""
-    trusted = bool(prior_std or experiment.inertia_rel_std) and bool((experiment.robot.nominal[:, 0] > 0.0).any())
-    if method is None and trusted:
+    known = bool(prior_std or experiment.inertia_rel_std) and bool((experiment.robot.nominal[:, 0] > 0.0).any())
+    if method is None and known:
         return sample(experiment, draws=DRAWS, prior_std=prior_std, seed=seed, progress=clock.progress, options=options)
     return identify(experiment, method=method, progress=clock.progress, options=options)
 

@@ -49,7 +49,7 @@ def calibrate(
 ) -> Calibration:
     """Offset, drift, gain, cross-talk, orientation, origin and delay of a force/torque sensor in place, and the tilt of its base.
 
-    Only as many of them are told as the recordings prove, each with its interval; of the others how large they may be without
+    Only as many of them are named as the recordings show, each with its interval; of the others how large they may be without
     standing out. A gain that all axes share looks like a heavier load: a known mass tells it.
 
     Parameters
@@ -190,7 +190,7 @@ def _hidden(found: Diagnosis, fit: Identification, alone: bool) -> tuple[HiddenE
 
 
 def _load(fit: Identification, experiment: Experiment, known: BodyKnowledge | None) -> Load | None:
-    """What controllers are told of what the sensor carries."""
+    """What controllers need to know of what the sensor carries."""
     if known is None or fit.offset is None or experiment.sensor is None or not all(q.shown for q in (known.mass, *known.centre)):
         return None
     sensor, urdf = experiment.sensor, experiment.robot.description

@@ -95,7 +95,7 @@ def _(result: Motion) -> Figures:
 
 @files_of.register
 def _(result: Inspection) -> Files:
-    """``check.json`` and the report."""
+    """Write ``check.json`` and the report."""
     from bayesid.report.check import check_report
 
     return Files({"check.json": result.to_dict()}, {}, check_report(result))
@@ -174,7 +174,7 @@ def _speed(table: Table, bandwidth: float) -> np.ndarray:
         try:
             speeds.append(np.abs(smooth(table.times[piece], table.positions[piece], bandwidth)[1]))
         except InputError:
-            continue  # a stretch too short to be smoothed
+            continue  # too short to be smoothed
     return np.quantile(np.concatenate(speeds), 0.999, axis=0) if speeds else np.full(table.positions.shape[1], np.nan)
 
 

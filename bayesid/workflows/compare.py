@@ -155,7 +155,7 @@ def _(result: Comparison) -> Figures:
 
 @files_of.register
 def _(result: Comparison) -> Files:
-    """``comparison.json`` and the report."""
+    """Write ``comparison.json`` and the report."""
     from bayesid.report.comparison import comparison_report
 
     return Files({"comparison.json": result.to_dict()}, {}, comparison_report(result))

@@ -72,13 +72,13 @@ def explain(
     part_of_it
         Whether an effect is what was asked for under another name.
     not_modelled
-        Whether an effect is told but kept out of the model.
+        Whether an effect is reported but kept out of the model.
     wanted
         Whether to diagnose at all.
     seed, settings
         Of the diagnosis.
     clock
-        Is told the stages.
+        Is called with each stage.
     """
     clock("fit")
     first = identify(experiment, options=options, progress=None)

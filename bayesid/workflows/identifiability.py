@@ -111,7 +111,7 @@ def _(result: Identifiability) -> Figures:
 
 @files_of.register
 def _(result: Identifiability) -> Files:
-    """``identifiability.json`` and the report."""
+    """Write ``identifiability.json`` and the report."""
     from bayesid.report.identifiability import identifiability_report
 
     return Files({"identifiability.json": result.to_dict()}, {}, identifiability_report(result))

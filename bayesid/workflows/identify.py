@@ -185,7 +185,7 @@ def _(result: Identification) -> Files:
 def _solved(problem: Problem, method: Estimator, clock: Clock) -> tuple[Problem, Estimate]:
     """The problem at its solution, and the estimate."""
     for _ in problem.regression.blocks() if problem.regression.rows.fits_in_memory else ():
-        pass  # makes the rows, whose time is told apart
+        pass  # makes the rows, whose time is given apart
     clock("estimate")
     return solve(problem, method)
 

@@ -124,7 +124,7 @@ def payload(
     joint
         Joint whose link carries it; default the last of the chain, or the sensor's.
     frame
-        URDF link in whose frame it is told; default the flange, where the URDF has one, else the link that carries it.
+        URDF link in whose frame it is given; default the flange, where the URDF has one, else the link that carries it.
     extent
         No part of the payload is farther from its centre of mass [m]: bounds an inertia that the readings do not show.
     target
@@ -148,7 +148,7 @@ def payload(
     ------
     InputError
         Bad input, or nothing tells the payload from the arm: neither a sensor that carries it alone, nor a reference, nor a
-        trust in the nominal model.
+        the prior of the nominal model.
     """
     chosen = some_options("payload", options, channel=channel, motions=motions, effects=effects)
     if extent is not None and not (np.isfinite(extent) and extent > 0.0):
@@ -181,8 +181,8 @@ def payload(
         source, detail = "nominal", percent(rel_std, 2)
         found = _beside_nominal(asked, joint, rel_std)
     clock("result")
-    told, name = in_frame(found.known, experiment, found.body, frame)
-    known = told.possible
+    own, name = in_frame(found.known, experiment, found.body, frame)
+    known = own.possible
     plain, _ = in_frame(found.plain.possible, experiment, found.body, frame)
     others = [in_frame(k.possible, experiment, found.body, frame)[0] for k in found.rivals]
     mass = known.mass.joined(tuple(k.mass for k in others))
@@ -193,7 +193,7 @@ def payload(
     urdf = experiment.robot.description
     carrier = experiment.robot.body_names[found.body]
     result = PayloadEstimate(
-        name=experiment.name, channel=read, source=source, source_detail=detail, carrier=carrier, frame=name, body=told,
+        name=experiment.name, channel=read, source=source, source_detail=detail, carrier=carrier, frame=name, body=own,
         mass=mass, centre=centre, inertia=moments, extent=assumed if extent is None else float(extent),
         extent_assumed=extent is None,
         plain=(plain.mass, *plain.centre), effects=found.effects, verdict=found.verdict, offset=found.offset,
@@ -375,8 +375,8 @@ def _next_sentence(more: NextPoses) -> str:
 
 
 def _offset_sentence(offset: Sequence[Quantity]) -> str:
-    told = [f"{q.name} {' ± '.join(with_half(q.value, q.high - q.value)) if q.shown else 'not shown'}" for q in offset]
-    return f"Sensor offset: {', '.join(told[:3])} N; {', '.join(told[3:])} N m."
+    values = [f"{q.name} {' ± '.join(with_half(q.value, q.high - q.value)) if q.shown else 'not shown'}" for q in offset]
+    return f"Sensor offset: {', '.join(values[:3])} N; {', '.join(values[3:])} N m."
 
 
 def _beside(effects: Sequence[EffectBeside], plain: BodyKnowledge) -> list[str]:

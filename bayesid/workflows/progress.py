@@ -1,4 +1,4 @@
-"""Stages of a verb: told to a progress display as they begin, and timed; shown where nothing else is asked for."""
+"""Stages of a verb: shown on a progress display as they begin, and timed; shown where nothing else is asked for."""
 
 from __future__ import annotations
 
@@ -101,12 +101,12 @@ def _tqdm() -> Any:
 
 
 class Clock:
-    """Run time by stage, told to a progress display as it goes: called with a stage's name when it begins.
+    """Run time by stage, shown on a progress display as it goes: called with a stage's name when it begins.
 
     Attributes
     ----------
     progress
-        Is told; None: nobody is.
+        Is called with each stage; None: nothing is.
     seconds
         Run time of every stage that is over [s].
     """

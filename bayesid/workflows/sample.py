@@ -116,7 +116,7 @@ def sample(
         ``nominal``: links near the nominal ones, and bodies that can exist only; ``flat``: on the base parameters,
         without bounds; or a `Prior`. Default: nominal where the experiment says how far its links are trusted.
     prior_std
-        That trust: relative standard deviation of every mass, such as 0.3; default the experiment's.
+        Prior relative standard deviation of every mass, such as 0.3; default the experiment's.
     noise
         ``gaussian``, or ``student`` for outliers that strike all channels of an instant.
     chains

@@ -165,7 +165,7 @@ def _(result: Watch) -> Figures:
 
 @files_of.register
 def _(result: Watch) -> Files:
-    """``watch.json`` and the report."""
+    """Write ``watch.json`` and the report."""
     from bayesid.report.watch import watch_report
 
     return Files({"watch.json": strict(result.to_dict())}, {}, watch_report(result))

@@ -37,7 +37,7 @@ from bayesid.robot.robot import load_robot
 from bayesid.robot.typical import states_masses, typical_links
 from bayesid.simulation.plant import plant_readings
 
-#: How far nominal links are trusted where the experiment does not say.
+#: Prior relative standard deviation of nominal links where the experiment does not say.
 USUAL_REL_STD = 0.3
 #: An effect that is seen only from so many times its usual size is not seen; rounding leaves as much.
 _ABSURD = 100.0

@@ -5,7 +5,7 @@ With the rows ``y = X b + z + e``, z the exact action of an effect of usual size
     d = (X'W'W X)^-1 X'W'W z,
 
 which is exact for least squares with given weights and of first order for others. Weights by channel are learned from residuals,
-which the effect enlarges: W is that of noise and what the fit leaves of z together. The bias is told in standard deviations of
+which the effect enlarges: W is that of noise and what the fit leaves of z together. The bias is given in standard deviations of
 the estimate, and by what it does to predictions of a motion that was not fitted.
 """
 

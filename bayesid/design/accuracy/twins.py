@@ -58,7 +58,7 @@ class Setting:
 
 
 def own_setting(bench: Bench) -> Setting:
-    """The user's own."""
+    """The user's own setting."""
     return Setting(options=bench.options)
 
 

@@ -4,7 +4,7 @@ A reading is ``y = c + A x + e`` with parameters x of mean x_hat and covariance 
 parameters, of standard deviation r (`bayesid.design.bounds.remainder`): its standard deviation is ``s = sqrt(A V A' + r^2)``.
 Pointwise, 95 % have ``|z| <= 1.96`` with ``z = (A (x - x_hat) + e) / s``; for the whole trajectory and all its channels at once,
 ``|z| <= c`` with c the 95 % quantile of ``max_t |z|`` over draws of x, each with a piece of the errors that were found in the
-recordings. How much further a motion goes than those that were fitted is told by ``sqrt(A V A')`` over its largest value there.
+recordings. How much further a motion goes than those that were fitted is given by ``sqrt(A V A')`` over its largest value there.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from bayesid.design.bounds.remainder import HALF, Remainder
 from bayesid.design.bounds.simultaneous import left_out, quantile
 from bayesid.estimators.estimator import LEVEL
 
-#: Standard deviations over those of the fitted motions above this are told.
+#: Standard deviations over those of the fitted motions above this bring a warning.
 FAR = 2.0
 #: Samples that the factor is taken over, evenly picked of more, draws, and pairs of both worked on at once.
 _SAMPLES, _DRAWS, _TOGETHER = 1500, 4000, 2_000_000

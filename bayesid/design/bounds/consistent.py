@@ -6,7 +6,7 @@ A covariance of base parameters knows nothing of masses that are positive. So li
 
 (`bayesid.robot.prior.Prior.warped`) by the exact reflected trajectories of the posterior. Every draw is a robot that can exist;
 what the data determine is as uncertain as the estimate says, cut to what such robots can have; what they do not determine is as
-uncertain as the nominal model is trusted. Effects are drawn along.
+uncertain as the nominal model is stated to be. Effects are drawn along.
 """
 
 from __future__ import annotations

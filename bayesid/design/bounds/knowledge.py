@@ -20,7 +20,7 @@ from bayesid.robot.prior import Prior
 from bayesid.robot.urdf import JointDynamics
 from bayesid.validation.noise_floor import NoiseFloor
 
-#: Relative standard deviation of masses where nobody says how far the nominal links are trusted: as good as none.
+#: Relative standard deviation of masses where nobody says how well the nominal links are known: as good as none.
 WIDE = 1.0
 #: What of a combination of link parameters may lie outside those that are determined, relative to its length.
 _OUTSIDE = 1e-4
@@ -211,7 +211,7 @@ def known_from(
     rel_std
         Relative standard deviation of the nominal links; None: what the experiment says, else next to nothing is known.
     conflict
-        Whether data and that trust contradict each other: then next to nothing is taken to be known, where none is given.
+        Whether data and that prior contradict each other: then next to nothing is taken to be known, where none is given.
     dispersion
         Factor that the covariance has for what the model lacks.
     floor

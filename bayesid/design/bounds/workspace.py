@@ -182,7 +182,7 @@ def workspace_bounds(
         Parameters of links that can exist (k,), taken for the controller's where the mass matrix of the centre is not positive
         definite everywhere.
     progress
-        Told how far it is.
+        Called with how far it is.
     """
     positions, lower, upper = sobol_configurations(model.robot, configurations, seed)
     terms = Terms.of(model, positions)

@@ -36,7 +36,7 @@ class Detectable:
     Attributes
     ----------
     spec, parameter, unit
-        The effect and its place; the parameter by which its size is told.
+        The effect and its place; the parameter that gives its size.
     usual, smallest
         A usual size, and the smallest that stands out.
     rival, share

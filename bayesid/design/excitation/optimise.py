@@ -201,7 +201,7 @@ class Task:
     rank
         How many base parameters the richest motion of these joints would determine.
     quantities
-        Quantities that are told of as well.
+        Quantities that are reported as well.
     """
 
     information: Information
@@ -283,7 +283,7 @@ class TrajectorySearch:
 
     @property
     def seconds(self) -> float:
-        """Since the search began."""
+        """Time since the search began [s]."""
         return time.perf_counter() - self._since
 
 

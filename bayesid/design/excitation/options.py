@@ -32,7 +32,7 @@ class ExcitationOptions:
     static
         Whether a stop-and-go run will follow and be subtracted, as in the paper.
     criterion, quantities
-        What counts, see `bayesid.design.excitation.criteria`; quantities whose expected deviation is told, and which count for
+        What counts, see `bayesid.design.excitation.criteria`; quantities whose expected deviation is given, and which count for
         ``quantity``, see `bayesid.design.excitation.quantities`.
     kind
         ``fourier``, or ``liu1998`` for the paper's set-up.
@@ -53,7 +53,7 @@ class ExcitationOptions:
         Whether bodies are kept apart, by how much [m], and the height of the ground in the base frame [m].
     diagnosability
         Weight of the diagnosability in the choice among the motions found, see `bayesid.design.excitation.diagnosability`; 0: it
-        is only told; None: it is not worked out.
+        is only reported; None: it is not computed.
     blocks
         Scripted blocks that are added, see `bayesid.design.excitation.blocks`.
     stops, settle, read

@@ -104,7 +104,7 @@ class BodyKnowledge:
     hidden
         Directions of which nothing is known (10, k).
     freedom
-        Degrees of freedom that the noise was told from.
+        Degrees of freedom that the noise was estimated from.
     """
 
     mean: np.ndarray

@@ -8,7 +8,7 @@ they weigh by estimated weights, the covariance is larger by ``1 + 4 (1 - 1/k) /
 freedom each [Meier1953]_.
 
 **A nominal model** with links ``phi_0`` and errors of covariance P. What is attached to link n adds to its parameters:
-``b - K phi_0 = K_n p + K (phi - phi_0)``, so that p is told with the covariance ``V + K P K'``.
+``b - K phi_0 = K_n p + K (phi - phi_0)``, so that p is known with the covariance ``V + K P K'``.
 
 **A recording without it** makes a prior of everything but the payload (`bayesid.diagnosis.changes`): p is what changed on that
 link.
@@ -123,7 +123,7 @@ def from_nominal(problem: Problem, estimate: Estimate, body: int, rel_std: float
     body
         The link that carries it.
     rel_std
-        How far the nominal links are trusted; 0: they are exact.
+        Prior relative standard deviation of the nominal links; 0: they are exact.
     """
     base = estimate.base
     shown = ~estimate.undetermined[: base.rank]
@@ -166,7 +166,7 @@ def from_reference(comparison: ReferenceComparison, joint: int) -> tuple[BodyKno
     fitted = amplitudes(s.marginal())
     root, prior = fitted.part_root(own)[columns], whole.size * whole.change.sizes
     covariance = root @ root.T
-    # Of a parameter of which the recordings leave most of the prior's variance they say nothing: what is told is the prior's.
+    # Of a parameter of which the recordings leave most of the prior's variance they say nothing: the value is the prior's.
     open_ = np.diag(covariance) > _LEFT * prior**2
     covariance[open_] = covariance[:, open_] = 0.0
     return BodyKnowledge(fitted.part(own)[columns], covariance, np.eye(10)[:, open_]), evidence

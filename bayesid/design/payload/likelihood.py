@@ -156,7 +156,7 @@ def has_valley(problem: Problem) -> bool:
 def along_mass(
     problem: Problem, estimate: Estimate, slope: np.ndarray, half: float, factor: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Base parameters and their covariance where the mass is told by its profile.
+    """Base parameters and their covariance where the profile gives the mass.
 
     Parameters
     ----------
@@ -184,7 +184,7 @@ def along_mass(
             break
     known.sort(key=lambda p: p.mass)
     best = min(known, key=_height)
-    # Noise that was told from another valley is another one.
+    # Noise that was estimated in another valley is another one.
     factor *= best.chi2 / max(len(held.rows(best.at)[0]) - len(best.at), 1)
     level = half**2 * factor
     within = [k for k, p in enumerate(known) if p.chi2 <= best.chi2 + level]

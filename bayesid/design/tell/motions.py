@@ -95,7 +95,7 @@ class Planned:
 
     @property
     def label(self) -> str:
-        """In words."""
+        """What the motion is, in words."""
         moved = np.flatnonzero(self.amplitudes.any(axis=0))
         who = "all joints" if len(moved) == self.amplitudes.shape[1] else ", ".join(f"joint {j + 1}" for j in moved)
         return f"{who} {self.pace.label}"

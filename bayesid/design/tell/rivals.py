@@ -150,7 +150,7 @@ def _weights(rivals: Sequence[Rival]) -> np.ndarray:
 
 
 def parse_effects(data: DiagnosisData, specs: Sequence[str]) -> tuple[Effect, ...]:
-    """Effects to be told apart from their names, as in `bayesid.effects.EffectLibrary.parse_rivals`."""
+    """Effects to be distinguished, made from their names, as in `bayesid.effects.EffectLibrary.parse_rivals`."""
     e, known = data.experiment, [t.effect.spec for t in data.terms]
     return e.library.parse_rivals(specs, known, e.robot.joint_names, data.channels.names, e.gear_ratio, data.channel)
 

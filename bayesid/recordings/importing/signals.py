@@ -69,7 +69,7 @@ class Signal:
 
     @property
     def name(self) -> str:
-        """In words."""
+        """What the signal is, in words."""
         return NAMES[self.quantity]
 
     @property
