@@ -231,7 +231,7 @@ def _moved(d: Findings) -> Section:
 
 def _left(d: Findings, views: Views) -> Section:
     """What is left with the model as it was and as it is in the end."""
-    known, changed = all(e.before.noise_known for e in d.errors), views.changed
+    known, changed = all(e.before.noise_known for e in shown_errors(d)), views.changed
     in_noise = (
         "Residual of every channel in units of the noise (logarithmic axis), as identify leaves it with either model. The "
         "line is what a complete model would leave: noise, and what is not known of its fitted parameters."

@@ -35,7 +35,7 @@ def warnings(items: Sequence[str], otherwise: str = "No warnings.", title: str =
     if not items:
         return Html(f'<p class="fine" id="warnings">{escape(otherwise)}</p>' if otherwise else "")
     title = title or f"{len(items)} warning{'s' if len(items) > 1 else ''}, most important first"
-    listed = "".join(f"<li>{escape(item)}</li>" for item in items)
+    listed = "".join(f"<li>{marked(item)}</li>" for item in items)
     return Html(f'<section class="warnings" id="warnings">\n<h2>{escape(title)}</h2>\n<ol>{listed}</ol>\n</section>')
 
 
