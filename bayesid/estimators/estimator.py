@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from html import escape
 from typing import Any, Protocol
 
 import numpy as np
@@ -15,6 +14,7 @@ from bayesid.estimators.parameters import HasParameters, Parameters, central_int
 from bayesid.regression.linalg import standard_deviations
 from bayesid.regression.regression import Regression
 from bayesid.rounding import LEVEL
+from bayesid.section import as_html, as_text
 from bayesid.signals.noise import NoiseModel
 
 __all__ = ["LEVEL", "Estimate", "Estimator", "largest_autocorrelation"]
@@ -167,17 +167,17 @@ class Estimate(HasParameters):
 
     def __str__(self) -> str:
         """Table of the base and effect parameters."""
-        lines = [f"{self.method}: {self.base.rank} base parameters, {self.rows} rows", *self.parameters().to_text()]
-        return "\n".join([*lines, *self.no_intervals])
+        head = f"{self.method}: {self.base.rank} base parameters, {self.rows} rows"
+        return "\n".join([head, *as_text([self.parameters().table(), *self.no_intervals])])
 
     def _repr_html_(self) -> str:
         """The same as an HTML table for notebooks."""
-        return self.parameters().to_html(self.method) + "".join(f"<p>{escape(text)}</p>" for text in self.no_intervals)
+        return as_html([self.parameters().table(self.method), *self.no_intervals])
 
     @property
     def no_intervals(self) -> tuple[str, ...]:
         """Why there are no intervals, a line; empty where there are."""
-        return (f"  no intervals: {self.interval_reason}",) if self.interval == "none" else ()
+        return (f"no intervals: {self.interval_reason}",) if self.interval == "none" else ()
 
     def to_dict(self) -> dict[str, Any]:
         """The estimate's part of ``estimate.json``."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,12 +12,10 @@ from scipy.stats import norm
 
 from bayesid.errors import InputError
 from bayesid.rounding import DASH, LEVEL, with_interval, without_rounding_errors
+from bayesid.section import Table
 
 if TYPE_CHECKING:
     from pandas import DataFrame
-
-#: Characters of a label in a terminal.
-_WIDEST = 60
 
 
 def tails(level: float = LEVEL) -> tuple[float, float]:
@@ -161,34 +158,14 @@ class Parameters:
             )
         ]
 
-    def to_text(self) -> list[str]:
+    def table(self, title: str = "parameter") -> Table:
         """A line a parameter: label, value and interval to its second digit, unit, and a note where the prior decides."""
-        rows = [(label[:_WIDEST], *cells) for label, cells in zip(self.labels, self._cells(), strict=True)]
-        label, value, spread, unit = (max((len(row[k]) for row in rows), default=0) for k in range(4))
-        return [
-            f"  {a:<{label}}  {b:>{value}} {c:<{spread}} {d:<{unit}} {note}".rstrip()
-            for (a, b, c, d), note in zip(rows, self._notes(), strict=True)
-        ]
-
-    def to_html(self, title: str) -> str:
-        """The same as an HTML table for notebooks."""
-        rows = "".join(
-            "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in (label, *cells, note)) + "</tr>"
-            for label, cells, note in zip(self.labels, self._cells(), self._notes(), strict=True)
-        )
-        head = "".join(f"<th>{escape(cell)}</th>" for cell in (title, "value", "95 %", "unit", ""))
-        return f"<table><tr>{head}</tr>{rows}</table>"
-
-    def _cells(self) -> list[tuple[str, str, str]]:
-        out = []
-        for value, std, low, high, unit in zip(self.values, self.std, self.low, self.high, self.units, strict=True):
-            shown, spread = with_interval(value, std, low, high)
-            out.append((shown, _sign(spread), unit))
-        return out
-
-    def _notes(self) -> list[str]:
-        known = np.isfinite(self.std)
-        return ["prior-driven" if kind == "prior" and sure else "" for kind, sure in zip(self.classes, known, strict=True)]
+        rows = []
+        for k, label in enumerate(self.labels):
+            value, spread = with_interval(self.values[k], self.std[k], self.low[k], self.high[k])
+            said = "no interval" if spread == DASH else "prior-driven" if self.classes[k] == "prior" else ""
+            rows.append([label, joined(value, spread), self.units[k], said])
+        return Table([title, "value, 95 %", "unit", ""], rows, "w n ku -")
 
 
 class HasParameters(ABC):
@@ -231,11 +208,7 @@ class HasParameters(ABC):
 
 def joined(value: str, spread: str) -> str:
     """``1.84 ± 0.22``, ``0.04 in 0 … 0.17`` or the value alone."""
-    return f"{value} {_sign(spread)}" if spread != DASH else value
-
-
-def _sign(spread: str) -> str:
-    return "(no interval)" if spread == DASH else f"in {spread}" if "…" in spread else f"± {spread}"
+    return value if spread == DASH else f"{value} in {spread}" if "…" in spread else f"{value} ± {spread}"
 
 
 def _known(value: float) -> float | None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from html import escape
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,6 +20,7 @@ from bayesid.posterior.diagnostics import Convergence
 from bayesid.posterior.model import PosteriorModel
 from bayesid.posterior.run import Chains
 from bayesid.rounding import LEVEL
+from bayesid.section import as_html
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -346,18 +346,17 @@ class Posterior(Plots, HasParameters):
     def __str__(self) -> str:
         """Table of the base and effect parameters."""
         d = self.diagnosis
-        shape = self.chains.draws.shape
-        lines = [f"warning: {text}" for text in conflicts(self.prior_check)]
-        lines += [
-            f"posterior: {self.base.rank} base parameters, {shape[0]} chains of {shape[1]} draws ({self.chains.engine}), "
+        chains, draws = self.chains.draws.shape[:2]
+        head = (
+            f"posterior: {self.base.rank} base parameters, {chains} chains of {draws} draws ({self.chains.engine}), "
             f"largest R-hat {d.r_hat.max():.4f}, smallest ESS {d.ess.min():.0f}"
-        ]
-        return "\n".join([*lines, *self.parameters().to_text()])
+        )
+        warned = [f"warning: {text}" for text in conflicts(self.prior_check)]
+        return "\n".join([*warned, head, *self.parameters().table().text()])
 
     def _repr_html_(self) -> str:
         """The same as an HTML table for notebooks."""
-        warned = "".join(f"<p>{escape(text)}</p>" for text in conflicts(self.prior_check))
-        return warned + self.parameters().to_html("posterior")
+        return as_html([*conflicts(self.prior_check), self.parameters().table("posterior")])
 
 
 def _summaries(names, draws: np.ndarray, share: np.ndarray | None = None) -> list[dict[str, Any]]:

@@ -24,10 +24,10 @@ from bayesid.results.accuracy import (
     sweeps_table,
     worst_places,
 )
-from bayesid.results.section import Part, Section, Table
 from bayesid.results.text import DASH, HALF, channel_text, number, percent
 from bayesid.robot import inertia
 from bayesid.robot.notation import notation
+from bayesid.section import Part, Section, Table
 
 #: Places of each kind of effect that the map shows.
 _MAPPED_PLACES = 4

@@ -16,8 +16,8 @@ from bayesid.design.bounds.workspace import Workspace
 from bayesid.report.figures import CLASSES, DENSE, GREY, PREDICTED, add_legend, make_grid, picked, styled, tidy_time
 from bayesid.report.page import below, bullets, cards, figure, how, lead, note, page, run_times, svg, versions, warnings
 from bayesid.results.bounds import ControllerBounds, TrajectoryBands, joints
-from bayesid.results.section import Part, Section, Table
 from bayesid.results.text import channel_text, ends, number, percent, with_half
+from bayesid.section import Part, Section, Table
 
 _BLUE = CLASSES["alone"]
 #: Parameters that are shown, those whose uncertainty makes most torque.

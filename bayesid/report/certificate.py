@@ -12,8 +12,8 @@ from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.report.accuracy_figures import certificate_figure
 from bayesid.report.page import figure, fold, svg
 from bayesid.results.accuracy import coverage_text
-from bayesid.results.section import Html, Part, Section, Table, as_html
 from bayesid.results.text import number, percent
+from bayesid.section import Html, Part, Section, Table, as_html
 
 #: Where the section stands in a page.
 _BEGIN, _END = "<!-- certificate -->", "<!-- end of certificate -->"

@@ -20,8 +20,8 @@ from bayesid.results.changes import (
     verdict_sentence,
     worded,
 )
-from bayesid.results.section import Html, Section, Table
 from bayesid.results.text import DASH, channel_text, number, percent
+from bayesid.section import Html, Section, Table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

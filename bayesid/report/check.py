@@ -11,9 +11,9 @@ from bayesid.recordings.table import WRENCH_COLUMNS
 from bayesid.report.charts import CYCLE, WIDTH, Panel, chart, key, key_width, limits, text_width, write
 from bayesid.report.page import below, bullets, cards, figure, fold, lead, note, page, terms, warnings
 from bayesid.results.inspection import Inspection, MotionSummary
-from bayesid.results.section import Part, Section, Table
 from bayesid.results.text import DASH, number, percent
 from bayesid.robot import inertia
+from bayesid.section import Part, Section, Table
 from bayesid.validation.own_fit import left_text
 
 _LONGEST_NAME = 40

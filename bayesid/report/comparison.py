@@ -29,8 +29,8 @@ from bayesid.report.page import (
 from bayesid.results.comparison import Comparison, in_sigmas, overview_table, values_table
 from bayesid.results.entry import Entry
 from bayesid.results.loaded import LoadedComparison
-from bayesid.results.section import Cell, Html, Part, Section, Table
 from bayesid.results.text import DASH, chance, channel_text, number, percent
+from bayesid.section import Cell, Html, Part, Section, Table
 from bayesid.validation.agreement import HausmanTest
 from bayesid.validation.headline import judged
 from bayesid.validation.prediction import BAND

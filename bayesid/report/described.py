@@ -13,8 +13,8 @@ from bayesid.diagnosis.description.describe import Description
 from bayesid.report.figures import MEASURED, PREDICTED, add_legend, make_grid, styled
 from bayesid.report.page import bullets, figure, note, svg
 from bayesid.results.described import not_distinguished, shares, terms_of, use_line
-from bayesid.results.section import Section, Table
 from bayesid.results.text import percent
+from bayesid.section import Section, Table
 
 #: Points drawn of a recording.
 _POINTS = 3000

@@ -35,9 +35,9 @@ from bayesid.results.diagnosis_text import (
     worded,
 )
 from bayesid.results.findings import Findings
-from bayesid.results.section import Cell, Part, Section, Table
 from bayesid.results.telling import pair_table
 from bayesid.results.text import DASH, chance, channel_text, number, percent
+from bayesid.section import Cell, Part, Section, Table
 from bayesid.validation.own_fit import MotionErrors
 from bayesid.validation.prediction import Prediction
 

@@ -15,9 +15,9 @@ from bayesid.report.check import recording
 from bayesid.report.page import bullets, cards, figure, fold, lead, note, page, run_times, terms, versions, warnings
 from bayesid.results.distinguishing import TRAJECTORY, DistinguishingMotion
 from bayesid.results.excitation import Excitation, block_length, duration_text
-from bayesid.results.section import Html, Section, Table
 from bayesid.results.telling import chance, duration, pair_table
 from bayesid.results.text import DASH, number, percent
+from bayesid.section import Html, Section, Table
 
 _PLOTTED = 1000
 _ROW, _BEST, _OTHER, _OVER = 15.0, "#1d4ed8", "#94a3b8", "#b91c1c"

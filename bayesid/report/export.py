@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from bayesid.report.page import how, note, page, terms, versions, warnings
 from bayesid.results.exported import Exported
-from bayesid.results.section import Section, Table
 from bayesid.results.text import channel_text, number
+from bayesid.section import Section, Table
 
 
 def export_report(result: Exported) -> str:

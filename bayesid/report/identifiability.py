@@ -26,8 +26,8 @@ from bayesid.results.identifiability import (
     share,
     spread,
 )
-from bayesid.results.section import Html, Part, Section, Table, tag
 from bayesid.results.text import DASH, number, percent
+from bayesid.section import Html, Part, Section, Table, tag
 
 #: Colour of every class, and of its letter, which tells it in print and to the colour-blind.
 LOOKS = {

@@ -33,10 +33,10 @@ from bayesid.report.page import (
 from bayesid.report.prediction_figures import measured_against_predicted, residuals
 from bayesid.results.identification import Identification
 from bayesid.results.loaded import LoadedIdentification
-from bayesid.results.section import Cell, Html, Part, Section, Table, tag
 from bayesid.results.text import DASH, HALF, chance, channel_text, ends, number, percent, with_interval
 from bayesid.robot import inertia
 from bayesid.robot.notation import notation
+from bayesid.section import Cell, Html, Part, Section, Table, tag
 from bayesid.validation.headline import judged, still_predictable, worse_than_nothing
 from bayesid.validation.prediction import BAND, TOLERATED, Prediction
 

@@ -13,9 +13,9 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 from markupsafe import Markup
 
-from bayesid.results.section import Html, Part, Section, as_html, long, marked
 from bayesid.results.text import number
 from bayesid.robot import inertia
+from bayesid.section import Html, Part, Section, as_html, long, marked
 
 #: A page with so many sections begins with a list of them.
 _LISTED = 4

@@ -17,8 +17,8 @@ from bayesid.report.prediction_figures import measured_against_predicted
 from bayesid.results.beside import cells
 from bayesid.results.calibration import Calibration
 from bayesid.results.payload import SOURCES, PayloadEstimate
-from bayesid.results.section import Html, Part, Section
 from bayesid.results.text import channel_text, number
+from bayesid.section import Html, Part, Section
 
 
 def calibration_report(result: Calibration) -> str:

@@ -15,8 +15,8 @@ from bayesid.report.figures import CLASSES, GREY, NOISE, add_legend, make_grid, 
 from bayesid.report.page import below, cards, figure, fold, how, lead, page, run_times, svg, versions, warnings
 from bayesid.report.prediction_figures import measured_against_predicted, residuals
 from bayesid.results.posterior import ExperimentPosterior
-from bayesid.results.section import Html, Part, Section, Table, tag
 from bayesid.results.text import DASH, channel_text, number, percent, with_half
+from bayesid.section import Html, Part, Section, Table, tag
 from bayesid.validation.headline import judged, still_predictable
 from bayesid.validation.prediction import BAND
 

@@ -11,8 +11,8 @@ from markupsafe import Markup
 from bayesid.diagnosis.changes.scales import FRICTION_SHARE, GAIN_SHARE
 from bayesid.report.charts import CYCLE, WIDTH, Panel, chart, text_width, write
 from bayesid.report.page import figure, how, lead, note, page, versions
-from bayesid.results.section import Section
 from bayesid.results.text import HALF, channel_text, number, percent
+from bayesid.section import Section
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -16,8 +16,8 @@ from bayesid.design.accuracy.sweeps import Level, Sweep, Sweeps
 from bayesid.drawing import figures_of
 from bayesid.errors import InputError
 from bayesid.results.files import Result, strict
-from bayesid.results.section import Cell, Html, Part, Section, Table
 from bayesid.results.text import DASH, channel_text, number, percent
+from bayesid.section import Cell, Html, Part, Section, Table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -21,8 +21,8 @@ from bayesid.errors import InputError
 from bayesid.estimators.estimator import LEVEL
 from bayesid.estimators.parameters import EstimatedParameter
 from bayesid.results.files import Result
-from bayesid.results.section import Part, Table
 from bayesid.results.text import number, percent
+from bayesid.section import Part, Table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

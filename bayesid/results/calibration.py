@@ -15,8 +15,8 @@ from bayesid.results.beside import cells
 from bayesid.results.controllers import FORMATS, Load
 from bayesid.results.files import Result
 from bayesid.results.identification import Identification
-from bayesid.results.section import Table
 from bayesid.results.text import number
+from bayesid.section import Table
 
 SCHEMA = 1
 #: Kinds of effects that a calibration tells of, and what they are.

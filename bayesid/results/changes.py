@@ -15,8 +15,8 @@ from bayesid.estimators.parameters import with_ends
 from bayesid.recordings.experiment import Experiment
 from bayesid.recordings.schema import EffectParameters
 from bayesid.results.files import Result
-from bayesid.results.section import Table, as_html
 from bayesid.results.text import DASH, HALF, channel_text, interval, number, percent, with_half
+from bayesid.section import Table, as_html
 
 #: Kinds of changes whose smallest visible size is given where nothing changed.
 _LISTED = ("payload", "coulomb_friction", "viscous_friction", "torque_gain", "sensor_offset", "sensor_gain")

@@ -16,8 +16,8 @@ from bayesid.regression.problem import Problem
 from bayesid.regression.regression import Regression
 from bayesid.results.entry import Entry, HasEntries
 from bayesid.results.files import Result
-from bayesid.results.section import Cell, Part, Section, Table
 from bayesid.results.text import DASH, chance, channel_text, number, percent, with_interval
+from bayesid.section import Cell, Part, Section, Table
 from bayesid.validation.agreement import Gap, HausmanTest
 from bayesid.validation.headline import judged
 from bayesid.validation.predicted_readings import PredictedReadings, predict_readings

@@ -5,7 +5,7 @@ from __future__ import annotations
 from bayesid.results.diagnosis_text import lines_of, notebook_parts
 from bayesid.results.files import Result
 from bayesid.results.findings import Findings
-from bayesid.results.section import as_html
+from bayesid.section import as_html
 
 
 class Diagnosis(Findings, Result):

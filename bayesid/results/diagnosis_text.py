@@ -14,8 +14,8 @@ from bayesid.diagnosis.rivals import Found
 from bayesid.effects import Effect
 from bayesid.results.described import described_lines
 from bayesid.results.findings import Findings
-from bayesid.results.section import Part, Table
 from bayesid.results.text import DASH, HALF, channel_text, interval, number, percent, with_half
+from bayesid.section import Part, Table
 from bayesid.validation.own_fit import MotionErrors
 from bayesid.validation.prediction import Prediction
 

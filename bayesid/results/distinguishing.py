@@ -7,8 +7,8 @@ from typing import Any
 
 from bayesid.design.tell.choose import Telling
 from bayesid.results.files import Result
-from bayesid.results.section import Table
 from bayesid.results.telling import chance, duration, listed_names, listed_pairs, pair_table, telling_dict
+from bayesid.section import Table
 
 SCHEMA = 1
 #: The motion's file.

@@ -14,8 +14,8 @@ from bayesid.design.excitation.series import FourierSeries
 from bayesid.design.excitation.stops import StopAndGo
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.results.files import Result, strict
-from bayesid.results.section import Table
 from bayesid.results.text import number, percent
+from bayesid.section import Table
 from bayesid.simulation.trajectories import Trajectory
 
 SCHEMA = 1

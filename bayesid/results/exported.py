@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from bayesid.results.files import Result
-from bayesid.results.section import Table
+from bayesid.section import Table
 
 SCHEMA = 1
 

@@ -17,7 +17,7 @@ from bayesid.drawing import Plots, registered_by_verb
 from bayesid.errors import InputError
 from bayesid.recordings.complaints import cut
 from bayesid.recordings.whole import whole_folder
-from bayesid.results.section import Part, as_html, as_text
+from bayesid.section import Part, as_html, as_text
 
 REPORT = "report.html"
 #: Keys of a written document that are not of the result's `to_dict`: what it is, how it prints, and the other files' hashes.

@@ -14,9 +14,9 @@ from bayesid.design.visibility import LETTERS, WORDS, LinkExpectation, by_body
 from bayesid.drawing import figures_of
 from bayesid.posterior.result import PRIOR_DRIVEN
 from bayesid.results.files import Result, strict
-from bayesid.results.section import Cell, Part, Section, Table
 from bayesid.results.telling import chance
 from bayesid.results.text import DASH, number, percent
+from bayesid.section import Cell, Part, Section, Table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

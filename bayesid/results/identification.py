@@ -29,6 +29,7 @@ from bayesid.results.fitted_model import fitted_model
 from bayesid.results.robot_section import robot_section
 from bayesid.results.urdf_links import UrdfLinks, impossible_bodies
 from bayesid.rounding import LEVEL
+from bayesid.section import as_html, as_text
 from bayesid.validation.cross_checks import Agreement
 from bayesid.validation.headline import over_noise, still_predictable
 from bayesid.validation.noise_floor import NoiseFloor
@@ -198,12 +199,12 @@ class Identification(PlotsPredictions, HasEstimate, Result):
         """Summary with the table of parameters."""
         e = self.estimate
         head = f"{e.method}: {e.base.rank} base parameters, {e.rows} rows"
-        return "\n".join([summary(self), "", head, *self.parameters().to_text(), *e.no_intervals])
+        return "\n".join([summary(self), "", head, *as_text([self.parameters().table(), *e.no_intervals])])
 
     def _repr_html_(self) -> str:
         """The same for notebooks."""
-        reasons = "".join(f"<p>{escape(text)}</p>" for text in self.estimate.no_intervals)
-        return f"<pre>{escape(summary(self))}</pre>{self.parameters().to_html(self.estimate.method)}{reasons}"
+        e = self.estimate
+        return f"<pre>{escape(summary(self))}</pre>{as_html([self.parameters().table(e.method), *e.no_intervals])}"
 
     def to_dict(self) -> dict[str, Any]:
         """What ``estimate.json`` holds."""

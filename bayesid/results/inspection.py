@@ -12,7 +12,7 @@ from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.recordings.experiment import Experiment, Motion
 from bayesid.recordings.motion_checks import REPORTED, Timing
 from bayesid.results.files import Result
-from bayesid.results.section import Table
+from bayesid.section import Table
 from bayesid.validation.mistakes.mistake import Mistake
 from bayesid.validation.own_fit import left_dict, left_text
 from bayesid.validation.prediction import Prediction

@@ -14,10 +14,10 @@ from bayesid.errors import InputError
 from bayesid.results.beside import EffectBeside, cells
 from bayesid.results.controllers import FORMATS, Load
 from bayesid.results.files import Result
-from bayesid.results.section import Table, powers
 from bayesid.results.text import channel_text, number
 from bayesid.robot import inertia
 from bayesid.robot.inertia import PARAMETERS, inertia_matrix
+from bayesid.section import Table, powers
 
 if TYPE_CHECKING:
     from pandas import DataFrame

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from bayesid.design.tell.choose import RivalPair, Telling
-from bayesid.results.section import Table
 from bayesid.results.text import number, percent
+from bayesid.section import Table
 from bayesid.simulation.trajectory_file import write_trajectory
 
 #: The file that it is written into beside a diagnosis.

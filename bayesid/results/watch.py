@@ -10,8 +10,8 @@ import numpy as np
 from bayesid.diagnosis.changes.findings import NamedChange, ReferenceComparison
 from bayesid.results.changes import change_dict, value_text
 from bayesid.results.files import Result
-from bayesid.results.section import Cell, Table
 from bayesid.results.text import DASH, number
+from bayesid.section import Cell, Table
 from bayesid.validation.own_fit import left_dict
 from bayesid.validation.prediction import Prediction
 

@@ -9,9 +9,9 @@ import bayesid
 from bayesid.recordings.table import Table
 from bayesid.report.check import check_report
 from bayesid.report.identification import described, identification_report
-from bayesid.results.section import long
 from bayesid.results.text import number, percent, with_half
 from bayesid.robot.robot import load_robot
+from bayesid.section import long
 from bayesid.workflows.check import check, noise_at_rest, sample_noise
 from tests.report_pages import read
 from tests.robots import lwr4, wrist_sensor_arm, write

@@ -210,7 +210,7 @@ def test_one_interval_in_print_html_json_table_and_figure(result):
             assert table.loc[label, key] == entry[key]
         cut += not np.isclose(entry["high"] - entry["low"], 2 * 1.959964 * entry["std"], rtol=1e-6)
         for text in (str(found), html):
-            (line,) = (x for x in text.splitlines() if re.match(rf"\s*{re.escape(label[:60])}\s+−?\d", x))
+            (line,) = (x for x in text.splitlines() if re.match(rf"\s*{re.escape(label[:58])}\s+−?\d", x))
             ends = interval_read(re.sub(r"\s+", " ", line))
             assert ends == pytest.approx((entry["low"], entry["high"]), abs=0.1 * entry["std"])
     assert cut > 6

@@ -171,5 +171,5 @@ def _element(tag: str, style: str, content: str) -> str:
     return f'<{tag} class="{style}">{content}</{tag}>' if style else f"<{tag}>{content}</{tag}>"
 
 
-def _cut(text: str, width: int = 44) -> str:
+def _cut(text: str, width: int = 60) -> str:
     return text if len(text) <= width else text[: width - 2] + " …"
