@@ -239,7 +239,7 @@ def expected_factors(blocks: Callable[[], Iterable[Block]], noise: Mapping[str, 
     blocks
         Makes the rows anew, block by block.
     noise
-        Of each group of rows.
+        Noise model of each group of rows.
     """
     if all(m.order == 0 and np.count_nonzero(m.innovation) == len(m.innovation) for m in noise.values()):
         white = _triangular(reduce_whitened(blocks(), dict(noise)).matrix)

@@ -96,7 +96,7 @@ def _turned(turn, sine, cosine, k):
 
 @jit
 def _advance(up, here, q, v, a, turn, translation, axis, slides):
-    """As `bayesid.dynamics.newton_euler.advance`, for one sample."""
+    """Advance one sample as `bayesid.dynamics.newton_euler.advance` does."""
     r, w, dw, turns = _rows(up), _get(up, W), _get(up, DW), 1.0 - slides
     sine, cosine = np.sin(q), np.cos(q)
     rows = (_turned(turn, sine, cosine, 0)[0], _turned(turn, sine, cosine, 1)[0], _turned(turn, sine, cosine, 2)[0])

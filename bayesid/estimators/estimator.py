@@ -105,7 +105,7 @@ class Estimate(HasParameters):
 
     @property
     def covariance(self) -> np.ndarray | None:
-        """Of the base parameters (r, r); None where no honest one exists."""
+        """Covariance of the base parameters (r, r); None where no honest one exists."""
         r = self.base.rank
         return None if self.full_covariance is None else self.full_covariance[:r, :r]
 

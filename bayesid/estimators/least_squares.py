@@ -307,7 +307,7 @@ def make_estimate(
     solution
         Base and effect parameters (p,).
     covariance
-        Theirs (p, p), or None.
+        Covariance of these parameters (p, p), or None.
     hidden
         Parameters that the rows say nothing about (p,).
     """

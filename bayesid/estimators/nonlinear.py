@@ -170,7 +170,7 @@ def _started(problem: Problem) -> Problem:
 
 
 def _place(problem: Problem, effect: Effect) -> slice:
-    """Where its parameters are among those of all effects."""
+    """Indices of its parameters among those of all effects."""
     before = problem.row_model.effects[: problem.row_model.effects.index(effect)]
     first = sum(len(e.parameters) for e in before)
     return slice(first, first + len(effect.parameters))

@@ -69,11 +69,11 @@ class EstimatedParameter:
     Attributes
     ----------
     name, label
-        In full, and for reading.
+        The name in full, and one for reading.
     value, std, low, high
         Estimate, standard deviation and ends of the central interval; nan where no honest one exists.
     unit
-        Of all four.
+        Unit of these four numbers.
     kind
         ``alone``, ``combination``, ``weak``, ``prior`` or ``effect``.
     """

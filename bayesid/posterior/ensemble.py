@@ -31,7 +31,7 @@ _WARM_UP_ALONE = 1000
 
 @dataclass(eq=False)
 class EnsembleState:
-    """Where an ensemble stands; steps move it on in place.
+    """State of an ensemble; steps move it on in place.
 
     Attributes
     ----------
@@ -109,12 +109,12 @@ class Ensemble:
 
     @property
     def dimensions(self) -> int:
-        """Of a walker: linear parameters and log scales."""
+        """Number of coordinates of a walker: linear parameters and log scales."""
         return len(self.model.linear_names) + len(self.model.scale_names)
 
     @property
     def walkers(self) -> int:
-        """In an ensemble; an even number above twice the dimensions."""
+        """Number of walkers in an ensemble, even and above twice the dimensions."""
         return 2 * self.dimensions + 2
 
     def log_density(self, points: np.ndarray) -> np.ndarray:

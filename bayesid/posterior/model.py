@@ -184,7 +184,7 @@ class PosteriorModel:
 
     @property
     def scale_names(self) -> tuple[str, ...]:
-        """Of the unknown scales; empty where they are known."""
+        """Names of the unknown scales; empty where they are known."""
         return () if self.scale_prior.known else self.likelihood.names
 
     @property

@@ -43,7 +43,7 @@ class DofPrior:
     fixed: float | None = None
 
     def log_density(self, dof: np.ndarray) -> np.ndarray:
-        """Of the degrees of freedom, up to a constant."""
+        """Log density of the degrees of freedom, up to a constant."""
         return (self.shape - 1.0) * np.log(dof) - self.rate * dof
 
 

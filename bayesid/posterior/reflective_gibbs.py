@@ -31,7 +31,7 @@ _SLICE_STEP = 0.5
 
 @dataclass(eq=False)
 class GibbsState:
-    """Where a chain stands; sweeps move it on in place.
+    """State of a chain; sweeps move it on in place.
 
     Attributes
     ----------

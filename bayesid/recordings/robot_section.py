@@ -156,7 +156,7 @@ def _weights(robot: Robot) -> list[str]:
     total = float(robot.nominal[:, 0].sum())
     if 0.0 < total < 1e-3:
         return [
-            f"{robot.urdf.name}: all moving links weigh {total:g} kg together; intervals are not proved for so light a robot: "
+            f"{robot.urdf.name}: all moving links weigh {total:g} kg together; intervals are not validated for so light a robot: "
             "are the masses in kilograms? write kilograms"
         ]
     return []

@@ -148,7 +148,7 @@ class GivenErrors:
         return bool(self.errors.any())
 
     def described(self) -> dict[str, str]:
-        """Where the errors come from, for the document."""
+        """Say where the errors come from, for the document."""
         return {"regressor_noise": "as given"}
 
     def law(self) -> RegressorNoise:
@@ -180,7 +180,7 @@ class GivenInstruments:
         return self.pairs(self.noise.perturbed(draw, 1.0))
 
     def described(self) -> dict[str, list[str]]:
-        """Where the instruments come from, for the document."""
+        """Say where the instruments come from, for the document."""
         return {"instruments": ["as given"]}
 
     def instruments(self) -> Instruments:

@@ -182,7 +182,7 @@ class _Encoders:
         for versions in zip(parts, *drawn, strict=True):
 
             def said(_: Segment, first: int, last: int, versions: tuple[Segment, ...] = versions) -> np.ndarray:
-                """Without errors and of every draw (N, channels, 1 + draws)."""
+                """Predictions without errors and of every draw (N, channels, 1 + draws)."""
                 return np.stack([self.row_model.modelled(v, first, last, solution) for v in versions], axis=2)
 
             rows += [b.rows for b in make_blocks(self.row_model, versions[:1], said)]

@@ -50,7 +50,7 @@ class HiddenEffect:
 
 @dataclass(frozen=True, eq=False)
 class Calibration(Result):
-    """What a force/torque sensor in place has: only as much as the recordings prove.
+    """What a force/torque sensor in place has: only as much as the recordings show.
 
     Attributes
     ----------

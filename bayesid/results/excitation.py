@@ -50,7 +50,7 @@ class LimitUse:
         Largest value of the motion and what is allowed, the share of the limits taken off; of a position, the far end; of a
         collision, the smallest distance and the margin.
     unit
-        Of both.
+        Unit of both.
     ratio
         At most one: the limit is kept.
     """

@@ -27,7 +27,7 @@ _OURS = {next(iter(units)) for units in UNITS.values()}
 
 @dataclass(frozen=True)
 class Delay:
-    """By how much one quantity is later than another.
+    """How much later one quantity is than another.
 
     Attributes
     ----------

@@ -119,7 +119,7 @@ class PayloadEstimate(Result):
 
     @property
     def centre_of_mass(self) -> np.ndarray:
-        """In the stated frame (3,) [m]; nan where it is not shown."""
+        """Centre of mass in the stated frame (3,) [m]; nan where it is not shown."""
         return np.array([q.value for q in self.centre])
 
     @property

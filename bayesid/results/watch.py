@@ -52,7 +52,7 @@ class Watched:
 
     @property
     def verdict(self) -> str:
-        """As in ``diagnosis.json``, or ``not_compared``."""
+        """Verdict as in ``diagnosis.json``, or ``not_compared``."""
         return "not_compared" if self.comparison is None else self.comparison.verdict
 
     @property
@@ -147,7 +147,7 @@ class Watch(Result):
         return out
 
     def sentences(self) -> list[str]:
-        """When each change came, and whether it stayed."""
+        """Say when each change came, and whether it stayed."""
         names = [w.name for w in self.recordings]
         out = []
         for spec, where in self.history.items():

@@ -131,7 +131,7 @@ _A = (0.0, 0.0, 0.4318, -0.0203, 0.0, 0.0)
 _D = (0.672, 0.2435, -0.0934, 0.4331, 0.0, 0.0)  # d1: height of the shoulder above the floor (26.45 inch)
 # Mass, centre of mass, principal inertias. Of link 1 only the inertia about its axis is known, 0.35 kg m^2;
 # the rest is assumed, its centre of mass set after three numbers of the estimate of Liu et al. (m1 r1x, the
-# parameter with m1 r1z, I1yz): agreement in those proves nothing.
+# parameter with m1 r1z, I1yz): agreement in those says nothing.
 _LINKS: tuple[tuple[float, Vector, Vector], ...] = (
     (13.0, (0.009, -0.053, -0.15), (0.45, 0.45, 0.35 - 13.0 * (0.009**2 + 0.053**2))),
     (17.4, (0.068, 0.006, -0.016), (0.13, 0.524, 0.539)),

@@ -37,7 +37,7 @@ def fingerprint(holder: Any) -> bytes:
 
 @dataclass(frozen=True)
 class SensorPlace:
-    """Where the sensor sits in the tree.
+    """Place of the sensor in the tree.
 
     Attributes
     ----------

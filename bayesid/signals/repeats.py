@@ -51,7 +51,7 @@ Course = tuple[np.ndarray, np.ndarray]
 
 
 def find_repeats(courses: Sequence[Course], counts: np.ndarray) -> list[Repeat]:
-    """Where motions repeat themselves or an earlier one.
+    """Find where motions repeat themselves or an earlier one.
 
     Parameters
     ----------

@@ -108,7 +108,7 @@ def warnings(result: ControllerBounds) -> list[str]:
         )
     if w.alpha >= 1.0:
         out.append(
-            f"alpha = {w.alpha:.3g} is not below 1: no gain of a computed-torque controller is proven to be stable. Identify "
+            f"alpha = {w.alpha:.3g} is not below 1: no gain of a computed-torque controller is certain to be stable. Identify "
             "with motions that move all links in other ways."
         )
     driven = [label for label, d in zip(result.region.labels, result.region.prior_driven, strict=True) if d]

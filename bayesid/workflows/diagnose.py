@@ -89,9 +89,9 @@ def diagnose(
     """Find where model and data disagree, name the missing effect, add it and show on held-out motions that the gap shrank.
 
     The phases: noise of sensors and encoders; forward selection of effects; refit under the noise as the new model passes it on;
-    pruning; rivals; held-out validation; verdict; where that is unknown, effects that are proven although something stays;
-    remarks; where it is ambiguous, the motion that would settle it, and where something stays that no effect explains, a draft
-    of that.
+    pruning; rivals; held-out validation; verdict; where that is unknown, effects that held-out recordings confirm although
+    something stays; remarks; where it is ambiguous, the motion that would settle it, and where something stays that no effect
+    explains, a draft of that.
 
     Parameters
     ----------
@@ -264,7 +264,7 @@ def _with_push(rest: Diagnosis, push: Push, data: DiagnosisData) -> Diagnosis:
 
 
 def _places(s: Search, model: Fit) -> tuple[Disagreement, ...]:
-    """Where a model and the data disagree."""
+    """Find where a model and the data disagree."""
     data: DiagnosisData = s.projector.data
     white = residual_spectra(data, data.segments, model)
     return locate(data, data.segments, white, max(1.0, min(s.dispersion, data.settings.unexplained)))

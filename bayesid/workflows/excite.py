@@ -179,7 +179,7 @@ def _result(plan: Plan, clock: Clock) -> Excitation:
 
 
 def _static_run(plan: Plan) -> StopAndGo | None:
-    """Where a static run is subtracted, or stops are asked for."""
+    """Plan a static run where one is subtracted, or stops are asked for."""
     o = plan.options
     if plan.task.information.sensor_set.offset != "static run" and o.stops is None:
         return None

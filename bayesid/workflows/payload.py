@@ -236,7 +236,7 @@ def _write(text: str, path: Path) -> None:
 
 
 def _weighed(asked: _Asked, body: int) -> _Found:
-    """By a sensor that carries it alone."""
+    """Find it by a sensor that carries it alone."""
     # What it carries is free: its nominal values are mostly placeholders, and an error of theirs is no fault.
     found = _explained(asked, replace(asked.experiment, inertia_rel_std=None), body)
     plain, known, *others = (from_sensor(f.problem, f.estimate, body) for f in (found.first, found.best, *found.rivals))
@@ -258,7 +258,7 @@ def _weighed(asked: _Asked, body: int) -> _Found:
 
 
 def _beside_nominal(asked: _Asked, joint: str | None, rel_std: float) -> _Found:
-    """Beside a nominal model that is trusted so far."""
+    """Find it beside a nominal model of this relative standard deviation."""
     body = body_of(asked.experiment.robot, carrying_joint(asked.experiment.robot, joint))
     found = _explained(asked, asked.experiment, body)
     fits = (found.first, found.best, *found.rivals)

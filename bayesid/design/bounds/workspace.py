@@ -246,7 +246,7 @@ def _evenly(model: ReadingModel, draws: int) -> np.ndarray:
 
 
 def _of_draws(terms: Terms, drawn: np.ndarray, mass: np.ndarray, hat: np.ndarray) -> list[list[np.ndarray]]:
-    """Of each draw the extremes over all configurations."""
+    """Extremes of each draw over all configurations."""
     m = np.einsum("mijk,dk->dmij", terms.mass, drawn, optimize=True)
     m = _symmetric(m)
     values = np.linalg.eigvalsh(m)

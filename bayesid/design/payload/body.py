@@ -88,7 +88,7 @@ class Quantity:
         )  # fmt: skip
 
     def to_dict(self) -> dict[str, float | str | bool | None]:
-        """For JSON; None where there is no number."""
+        """Plain values for JSON; None where there is no number."""
         out = {key: _finite(getattr(self, key)) for key in ("value", "std", "low", "high")}
         return {**out, "unit": self.unit, "shown": self.shown}
 

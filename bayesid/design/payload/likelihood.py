@@ -125,7 +125,7 @@ class HeldCombination:
         return self.least(mass, found.at)
 
     def variance(self, at: np.ndarray) -> float:
-        """Of the mass by white noise, linearised."""
+        """Variance of the mass by white noise, linearised."""
         return float(self.slope @ self._inverse(at) @ self.slope)
 
     def _inverse(self, at: np.ndarray) -> np.ndarray:

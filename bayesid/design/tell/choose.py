@@ -1,7 +1,7 @@
 """The motion that best tells rivals apart: the best of many within limits, then improved step by step.
 
 The closed form is checked by rivals that are fitted exactly to the recordings and to what one of them predicts of a planned
-motion. It takes readings for linear in what is not known. A hose, say, whose ends and stiffness are free is not: on the new
+motion. It takes readings for linear in what is not known. A tether, say, whose ends and stiffness are free is not: on the new
 motion another one may do that is far from the one that explained the old. So the readings that rival i predicts of the motion are
 made, without noise, and rival j is fitted to old and new recordings together, from its estimate and from where a search for it
 would start. By how much more chi2 than so far it then lacks is ``lambda'`` in place of ``lambda_ij``: the predictions are as far
@@ -180,7 +180,7 @@ def tell_search(
         Limits, joints and length of the motion, as for `excite`; default those of `excite`, and as long as the longest
         recording, at least 16 s and at most 20 s, or twice that where it would not decide.
     seed
-        Of all of it.
+        Seed of everything random.
     """
     case = from_search(search)
     if case is None or all(segment.still for segment in case.rivals[0].fit.projector.data.segments):

@@ -113,7 +113,7 @@ class Planned:
         return self.centre + self._path(s[:, 0], 0), first * rate, second * rate**2 + first * change
 
     def trajectory(self, name: str, rate: float) -> Trajectory:
-        """As samples, so many a second."""
+        """Sample the motion, so many times a second."""
         times = np.arange(int(round(self.duration * rate)) + 1) / rate
         return Trajectory(name, "identification", times, *self.at(times))
 
@@ -160,7 +160,7 @@ def pool(limits: Limits, duration: float, count: int, seed: int) -> Iterator[Pla
     limits
         The robot's.
     duration
-        Of each [s].
+        Length of each motion [s].
     count
         About how many.
     seed

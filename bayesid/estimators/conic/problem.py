@@ -135,7 +135,7 @@ def unpack(packed: np.ndarray) -> np.ndarray:
 
 
 def parts(problem: Conic) -> tuple[slice, slice]:
-    """Where bounds and bodies stand among the constraints."""
+    """Indices of bounds and bodies among the constraints."""
     a = sum(len(b.low) for b in problem.bounds)
     return slice(0, a), slice(a, a + 10 * len(problem.bodies))
 

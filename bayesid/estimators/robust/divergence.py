@@ -112,7 +112,7 @@ class ResidualSizes:
 
     @classmethod
     def of(cls, residual: Residuals, q: np.ndarray, n: np.ndarray, blocks: Iterable[Block]) -> ResidualSizes:
-        """From residuals and lengths of all segments."""
+        """Make it from residuals and lengths of all segments."""
         signal = sum((np.sum(b.target**2, axis=0) for b in blocks), np.zeros(residual.values.shape[1]))
         used = signal > 0
         error = np.sum(residual.values**2, axis=0)

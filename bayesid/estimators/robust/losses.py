@@ -75,7 +75,7 @@ class HuberLoss:
         return value
 
     def fitted(self, q: np.ndarray, n: np.ndarray) -> Self:
-        """Itself: nothing is learned."""
+        """The loss itself: nothing is learned."""
         return self
 
     def efficiency(self, n: float) -> float:

@@ -416,9 +416,9 @@ class RobustDetails(Details):
     rule
         Where the loss's parameter is from.
     scale
-        Of the residuals, in units of the noise.
+        Scale of the residuals, in units of the noise.
     rejected_share
-        Of all rows.
+        Share of all rows that were rejected.
     rejected_windows
         Times of the first and the last row of each rejected window, by recording [s].
     mean_weight_of_accepted_rows, rows_per_segment, iterations

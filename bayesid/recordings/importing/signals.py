@@ -74,7 +74,7 @@ class Signal:
 
     @property
     def called(self) -> str:
-        """In words, with its topic."""
+        """What the signal is, in words, with its topic."""
         return f"{self.name} of {self.topic}" if self.topic else self.name
 
     @property

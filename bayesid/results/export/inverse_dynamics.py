@@ -84,7 +84,7 @@ class JointLaw:
 
     @property
     def torque(self) -> str:
-        """Its torque as an expression of ``q, v, a, s, l``."""
+        """Write its torque as an expression of ``q, v, a, s, l``."""
         return self._filled(LAWS[self.name][0])
 
     @property
