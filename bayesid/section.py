@@ -13,14 +13,14 @@ from html import escape
 from typing import TypeAlias
 
 _LONGEST_LABEL = 90
-#: What a letter of `Table.columns` stands for in the style sheet.
+#: What a letter of `ShownTable.columns` stands for in the style sheet.
 _STYLES = {"n": "n", "k": "k", "w": "w", "b": "sure", "d": "dim"}
 #: Text, or text and the style of this cell alone, such as ``good`` or ``bad``.
 Cell: TypeAlias = str | tuple[str, str]
 
 
 @dataclass(frozen=True)
-class Table:
+class ShownTable:
     """A table.
 
     Attributes
@@ -77,11 +77,11 @@ class Html:
     content: str
 
 
-Part: TypeAlias = "str | Table | Html | Section"
+Part: TypeAlias = "str | ShownTable | Html | ShownSection"
 
 
 @dataclass(frozen=True)
-class Section:
+class ShownSection:
     """Paragraphs, tables and figures under a title.
 
     Attributes
@@ -108,15 +108,15 @@ def as_text(parts: Iterable[Part]) -> list[str]:
     """Lines for a terminal: paragraphs set in by two blanks, sections with a blank line before and after."""
     lines, section = [], False
     for part in parts:
-        if isinstance(part, Section):
+        if isinstance(part, ShownSection):
             if shown := as_text(part.parts):
                 lines += ["", part.title, *shown]
-        elif isinstance(part, Table):
+        elif isinstance(part, ShownTable):
             lines += part.text()
         elif isinstance(part, str) and part:
             lines += [""] * section
             lines.append(f"  {_BOLD.sub(lambda m: m[1], part)}")
-        section = isinstance(part, Section) or (section and not part)
+        section = isinstance(part, ShownSection) or (section and not part)
     return lines
 
 
@@ -124,7 +124,7 @@ def as_html(parts: Iterable[Part]) -> str:
     """The same as HTML."""
     out = []
     for part in parts:
-        if isinstance(part, Section):
+        if isinstance(part, ShownSection):
             out.append(f'\n<h2 id="{part.anchor}">{escape(part.title)}</h2>\n{as_html(part.parts)}')
         elif isinstance(part, str):
             out.append(f"<p>{marked(part)}</p>" if part else "")

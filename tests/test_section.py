@@ -1,14 +1,16 @@
 """Paragraphs and tables, for a terminal and as HTML."""
 
-from bayesid.section import Html, Table, as_html, as_text, marked
+from bayesid.section import Html, ShownTable, as_html, as_text, marked
 from tests.report_pages import read
 
-TABLE = Table(["of", "value", "unit"], [["a & b", ("2.50", "bad"), "kg m^2"], ["c", "10", "m"]], "k nb ku", "narrow", {1: "rule"})
+TABLE = ShownTable(
+    ["of", "value", "unit"], [["a & b", ("2.50", "bad"), "kg m^2"], ["c", "10", "m"]], "k nb ku", "narrow", {1: "rule"}
+)
 
 
 def test_a_table_in_a_terminal_has_columns_of_a_width():
     assert TABLE.text() == ["  of     value    unit", "  a & b   2.50  kg m^2", "  c         10       m"]
-    assert Table(["a", "b"], [["c" * 61, "d"]]).text()[1].split() == ["c" * 58, "…", "d"]
+    assert ShownTable(["a", "b"], [["c" * 61, "d"]]).text()[1].split() == ["c" * 58, "…", "d"]
 
 
 def test_a_table_as_html_is_styled_by_column_row_and_cell():
@@ -24,6 +26,6 @@ def test_marks_become_bold_and_code_and_all_else_is_escaped():
 
 
 def test_parts_are_the_same_in_a_terminal_and_as_html_but_for_what_only_a_page_shows():
-    parts = ["**Read** this.", "", Html("<hr>"), Table(["a", "b"], [["c", "d"]])]
+    parts = ["**Read** this.", "", Html("<hr>"), ShownTable(["a", "b"], [["c", "d"]])]
     assert as_text(parts) == ["  Read this.", "  a  b", "  c  d"]
     assert as_html(parts).startswith("<p><b>Read</b> this.</p>\n<hr>\n<div")

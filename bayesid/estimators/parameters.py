@@ -12,7 +12,7 @@ from scipy.stats import norm
 
 from bayesid.errors import InputError
 from bayesid.rounding import DASH, LEVEL, with_interval, without_rounding_errors
-from bayesid.section import Table
+from bayesid.section import ShownTable
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -158,14 +158,14 @@ class Parameters:
             )
         ]
 
-    def table(self, title: str = "parameter") -> Table:
+    def table(self, title: str = "parameter") -> ShownTable:
         """A line a parameter: label, value and interval to its second digit, unit, and a note where the prior decides."""
         rows = []
         for k, label in enumerate(self.labels):
             value, spread = with_interval(self.values[k], self.std[k], self.low[k], self.high[k])
             said = "no interval" if spread == DASH else "prior-driven" if self.classes[k] == "prior" else ""
             rows.append([label, joined(value, spread), self.units[k], said])
-        return Table([title, "value, 95 %", "unit", ""], rows, "w n ku -")
+        return ShownTable([title, "value, 95 %", "unit", ""], rows, "w n ku -")
 
 
 class HasParameters(ABC):

@@ -27,7 +27,7 @@ from bayesid.results.accuracy import (
 from bayesid.results.text import DASH, HALF, channel_text, number, percent
 from bayesid.robot import inertia
 from bayesid.robot.notation import notation
-from bayesid.section import Part, Section, Table
+from bayesid.section import Part, ShownSection, ShownTable
 
 #: Places of each kind of effect that the map shows.
 _MAPPED_PLACES = 4
@@ -40,9 +40,9 @@ def accuracy_report(result: Accuracy) -> str:
     sections: list[Part] = []
     if result.improvements:
         best = "The best step of each factor that lowers the error beyond chance, what lowers it most first."
-        sections.append(Section("What would buy most", [best, improvements_table(result)]))
+        sections.append(ShownSection("What would buy most", [best, improvements_table(result)]))
     if sweeps is not None:
-        sections.append(Section("One factor at a time", [
+        sections.append(ShownSection("One factor at a time", [
             "Everything else stays as it is. Error: root mean square of estimate less truth, bias included. Predictions: of "
             f"{', '.join(bench.predicted_motions)}, error over signal, noise of the readings not counted.",
             figure(svg(sweeps_figure(sweeps), "sweeps"),
@@ -55,7 +55,7 @@ def accuracy_report(result: Accuracy) -> str:
         ]))  # fmt: skip
     mapped = min(len(worst_places(biased, _MAPPED_PLACES)), SHOWN_EFFECTS)
     unbiased = f", {len(result.susceptibility) - len(biased)} of them without any bias"
-    sections.append(Section("Effects left out of the model", [
+    sections.append(ShownSection("Effects left out of the model", [
         "What the estimate would be off by if the robot or sensor had an effect that the model lacks, at a usual size, "
         "everything else being right (bias susceptibility). A payload or another body that belongs to a link is no error of "
         "the link that carries it: there the change says what the estimate then holds.",
@@ -71,7 +71,7 @@ def accuracy_report(result: Accuracy) -> str:
         sections.append(_sensors(result.sensors))
     parameters = [_parameters(result), note("± : standard errors of the simulation.")]
     sections += [
-        Section("Every base parameter", parameters, "Parameters"),
+        ShownSection("Every base parameter", parameters, "Parameters"),
         how(*_how(result), after="SI units, force before moment.", title="How this was done"),
     ]
     kicker = f"Accuracy of {bench.rank} base parameters by {bench.method.name}, from the "
@@ -125,7 +125,7 @@ def _cards(result: Accuracy) -> list[tuple[str, str, str]]:
     return large
 
 
-def _parameters(result: Accuracy) -> Table:
+def _parameters(result: Accuracy) -> ShownTable:
     base, bench, sweeps = result.bench.problem.row_model.base, result.bench, result.sweeps
     head, columns = ["#", "base parameter", "value", "std printed"], "nd w n n"
     if sweeps is not None:
@@ -144,10 +144,10 @@ def _parameters(result: Accuracy) -> Table:
         if worst is not None and np.isfinite(worst.sigmas[k]) and abs(worst.sigmas[k]) >= NO_BIAS:
             most = f"{worst.effect.spec} ({number(abs(worst.sigmas[k]), 2)} σ)"
         rows.append([*row, unit, most])
-    return Table([*head, "unit", "most harmful effect"], rows, f"{columns} ku -", "tight")
+    return ShownTable([*head, "unit", "most harmful effect"], rows, f"{columns} ku -", "tight")
 
 
-def _sensors(choice: SensorChoice) -> Section:
+def _sensors(choice: SensorChoice) -> ShownSection:
     """Candidates side by side: what they leave, their ranges, link parameters and effects."""
     outlooks = choice.outlooks
     candidates = [o.candidate.name for o in outlooks]
@@ -170,18 +170,18 @@ def _sensors(choice: SensorChoice) -> Section:
     seen = [s for s in specs if any(o.effects.get(s) is not None for o in outlooks)]
     effects = [[s, *(DASH if o.effects.get(s) is None else percent(o.effects[s] or 0.0, 2) for o in outlooks)] for s in seen]
     numbers = " n" * len(outlooks)
-    return Section("Candidate sensors", [
+    return ShownSection("Candidate sensors", [
         "What each sensor would tell of the fitted motions, its offset fitted along, before it is bought. Left of a body: the "
         "share of the prior uncertainty of its ten parameters; 100 % is what is known without the sensor. Better than "
         "beforehand: combinations of link parameters with a smaller error than what is known of them anyway.",
         sensors_table(choice), note(f"{sensor_title(choice)}."),
         fold("Largest readings and ranges", terms(ranges)),
         fold("Expected 95 % intervals of every link parameter",
-             Table(["link parameter", "without", *candidates, "unit"], links, f"k nd{numbers} ku", "tight")),
+             ShownTable(["link parameter", "without", *candidates, "unit"], links, f"k nd{numbers} ku", "tight")),
         fold("Smallest effects that would be seen",
              note("In per cent of an effect of usual size, with what the links could explain of it taken away; a dash: not "
                   f"seen at any plausible size. {len(specs) - len(seen)} effects are seen by none."),
-             Table(["effect", *candidates], effects, f"k{numbers}", "tight")),
+             ShownTable(["effect", *candidates], effects, f"k{numbers}", "tight")),
     ], "Sensors")  # fmt: skip
 
 

@@ -17,7 +17,7 @@ from bayesid.report.figures import CLASSES, DENSE, GREY, PREDICTED, add_legend, 
 from bayesid.report.page import below, bullets, cards, figure, how, lead, note, page, run_times, svg, versions, warnings
 from bayesid.results.bounds import ControllerBounds, TrajectoryBands, joints
 from bayesid.results.text import channel_text, ends, number, percent, with_half
-from bayesid.section import Part, Section, Table
+from bayesid.section import Part, ShownSection, ShownTable
 
 _BLUE = CLASSES["alone"]
 #: Parameters that are shown, those whose uncertainty makes most torque.
@@ -121,7 +121,7 @@ def bounds_report(result: ControllerBounds) -> str:
     )
     drawn = f", and {result.urdfs} files `sampled-….urdf` links drawn within the uncertainty" if result.urdfs else ""
     sections = [
-        Section("Parameters of the joint torques, all at once", [
+        ShownSection("Parameters of the joint torques, all at once", [
             "The torques that move the links are linear in these parameters, whatever sensor they were identified with. Three "
             "sets hold all of them at once with probability 95 %:",
             bullets([
@@ -137,24 +137,24 @@ def bounds_report(result: ControllerBounds) -> str:
                    "times what one unit of it moves."),
             _parameters(result),
         ], "Parameters"),
-        Section("Mass matrix, Coriolis terms and gravity over the workspace", [
+        ShownSection("Mass matrix, Coriolis terms and gravity over the workspace", [
             "Bounds hold at all configurations at once, with probability 95 % each. Draws are robots of bodies that can exist.",
             _workspace(w),
         ], "Workspace"),
-        Section("Joint by joint", [
+        ShownSection("Joint by joint", [
             "Inertia is the diagonal element of the mass matrix, its error relative; gravity and its error are the largest "
             "torques over the workspace, the errors of all joints at once.",
             joints(w, result.inside), "" if result.inside.complete else inside,
         ], "Joints"),
-        Section("Other uncertainty", _remainder(result)),
-        Section("Trajectories", [
+        ShownSection("Other uncertainty", _remainder(result)),
+        ShownSection("Trajectories", [
             *(_trajectory(t, k) for k, t in enumerate(result.trajectories)),
             "" if result.trajectories else "No trajectory was given, and no motion of the experiment moves.",
             note("A band holds what is uncertain of the parameters and what no parameter explains, once each. A standard "
                  f"deviation more than {number(FAR, 2)} times the largest in the fitted motions says that the trajectory asks "
                  "for something they hardly show."),
         ]),
-        Section("What it rests on", [bullets(result.assumptions)]),
+        ShownSection("What it rests on", [bullets(result.assumptions)]),
         how(*_how(result), after=(
             "All numbers are in `bounds.json`, arrays in `bounds.mat`; `identified.urdf` is the robot that `bayesid identify` "
             "writes, friction included; what a URDF has no place for, such as rotor inertia, stands in its comments and under "
@@ -204,16 +204,18 @@ def _cards(result: ControllerBounds) -> list[tuple[str, str, str]]:
     return large
 
 
-def _parameters(result: ControllerBounds) -> Table:
+def _parameters(result: ControllerBounds) -> ShownTable:
     r, rows = result.region, []
     for k, (value, std) in enumerate(zip(r.values, r.std, strict=True)):
         kind = r.determined_by[k]
         cells = [str(k + 1), r.labels[k], *with_half(value, std), r.units[k], ends(r.low[k], r.high[k])]
         rows.append([*cells, (kind, "dim" if kind == "prior" else "")])
-    return Table(["#", "parameter", "value", "± std", "unit", "all at once, 95 %", "determined by"], rows, "nd w nb n ku n -")
+    return ShownTable(
+        ["#", "parameter", "value", "± std", "unit", "all at once, 95 %", "determined by"], rows, "nd w nb n ku n -"
+    )
 
 
-def _workspace(w: Workspace) -> Table:
+def _workspace(w: Workspace) -> ShownTable:
     rows = [
         ["eigenvalues of the model’s mass matrix relative to the true", f"{number(w.ratio[0], 3)} … {number(w.ratio[1], 3)}", ""],
         ["alpha = ‖1 − M⁻¹ M̂‖ in the norm of M", number(w.alpha, 3), "below 1 for computed torque"],
@@ -225,7 +227,7 @@ def _workspace(w: Workspace) -> Table:
         ["‖M⁻¹ (ĝ − g)‖", f"{number(w.acceleration_from_gravity, 2)} rad/s²", "what computed torque leaves at rest"],
         ["‖M⁻¹ (Ĉ − C) v‖ / ‖v‖²", number(w.acceleration_from_coriolis, 2), "and in motion"],
     ]  # fmt: skip
-    return Table(["quantity", "bound", "meaning"], rows, "- nb -", "narrow")
+    return ShownTable(["quantity", "bound", "meaning"], rows, "- nb -", "narrow")
 
 
 def _remainder(result: ControllerBounds) -> list[Part]:
@@ -239,7 +241,7 @@ def _remainder(result: ControllerBounds) -> list[Part]:
         f"What the model leaves of the measured torques of {', '.join(left.motions)}, below 10 Hz. It is not parametric: a "
         "controller needs a term of its own for it [Liu and Goldenberg 1996]."
         + ("" if left.held_out else " **These motions were fitted**, which hides some of it."),
-        Table(["joint", "99 % of the samples within [N m or N]", "root mean square, of the torque"], rows, "k nb n", "narrow"),
+        ShownTable(["joint", "99 % of the samples within [N m or N]", "rms, of the torque"], rows, "k nb n", "narrow"),
         figure(svg(remainder_figure(left, names, result.torque_model.channels.units), "left"),
                "99 % of what is left in five classes of speed, and over all of them (line). Where it grows with speed, "
                "friction is missing."),
@@ -261,7 +263,7 @@ def _trajectory(t: TrajectoryBands, index: int) -> Part:
     return below(f"{t.name}{given}", *parts)
 
 
-def _channels(b: Band) -> Table:
+def _channels(b: Band) -> ShownTable:
     largest, half = np.abs(b.values).max(axis=0), b.factor * b.std.max(axis=0)
     usual, lacks = HALF * b.std.mean(axis=0), HALF * b.model_error.mean(axis=0)
     rows = [
@@ -272,7 +274,7 @@ def _channels(b: Band) -> Table:
         "channel", "unit", "largest", "half band, sample by sample, mean", "of it what the model lacks",
         "half band, whole trajectory, largest", "parameters’ std over that of the fitted motions",
     ]  # fmt: skip
-    return Table(head, rows, "k - n nb n n n", "tight")
+    return ShownTable(head, rows, "k - n nb n n n", "tight")
 
 
 def _how(result: ControllerBounds) -> list[tuple[str, str]]:

@@ -13,7 +13,7 @@ from bayesid.report.accuracy_figures import certificate_figure
 from bayesid.report.page import figure, fold, svg
 from bayesid.results.accuracy import coverage_text
 from bayesid.results.text import number, percent
-from bayesid.section import Html, Part, Section, Table, as_html
+from bayesid.section import Html, Part, ShownSection, ShownTable, as_html
 
 #: Where the section stands in a page.
 _BEGIN, _END = "<!-- certificate -->", "<!-- end of certificate -->"
@@ -24,7 +24,7 @@ def certificate_section(certificate: CoverageCertificate | None, base: BaseParam
     if certificate is None:
         return [Html(_BEGIN), Html(_END)]
     more = f" {certificate.refused} more twins could not be fitted." if certificate.refused else ""
-    section = Section(
+    section = ShownSection(
         "Coverage certificate",
         [
             coverage_text(certificate) + more,
@@ -51,7 +51,7 @@ def coverage_figure(certificate: CoverageCertificate, base: BaseParameters, ax: 
     return certificate_figure(certificate, base.short_names, ax)
 
 
-def _table(certificate: CoverageCertificate, base: BaseParameters) -> Table:
+def _table(certificate: CoverageCertificate, base: BaseParameters) -> ShownTable:
     low, high = certificate.intervals
     rows = [
         [
@@ -60,4 +60,6 @@ def _table(certificate: CoverageCertificate, base: BaseParameters) -> Table:
         ]
         for k, (label, share) in enumerate(zip(base.labels, certificate.coverage, strict=True))
     ]  # fmt: skip
-    return Table(["#", "base parameter", "coverage", "95 % interval", "mean error [σ]", "scatter [σ]"], rows, "nd w nb n n n")
+    return ShownTable(
+        ["#", "base parameter", "coverage", "95 % interval", "mean error [σ]", "scatter [σ]"], rows, "nd w nb n n n"
+    )

@@ -21,7 +21,7 @@ from bayesid.results.changes import (
     worded,
 )
 from bayesid.results.text import DASH, channel_text, number, percent
-from bayesid.section import Html, Section, Table
+from bayesid.section import Html, ShownSection, ShownTable
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -45,12 +45,12 @@ def changes_report(result: Changes) -> str:
     places = [_place(result, p) for p in c.errors.places]
     following = next_experiment(c)
     sections = [
-        *([Section("What changed", [
+        *([ShownSection("What changed", [
             *(_change(x, c) for x in c.changes),
             note("Changes since the reference. Intervals count what is not known of links, friction and gains. `model.toml` "
                  "beside this page holds the reference's model with these changes: `bayesid identify … --model model.toml`."),
         ])] if c.changes else []),
-        Section("The gap, and what closes it", [
+        ShownSection("The gap, and what closes it", [
             f"The recording was cut into {c.errors.segments} parts. Each was predicted from what the others say, in units of "
             f"what the recording's own fit of the same model leaves: {gap_sentence(c)}.",
             figure(waterfall(_steps(c), c.errors.floor),
@@ -58,7 +58,7 @@ def changes_report(result: Changes) -> str:
                    "the gap."),
             _channels(c),
         ], "The gap"),
-        Section("Why that, and not something else" if c.changes else "What was tried", [
+        ShownSection("Why that, and not something else" if c.changes else "What was tried", [
             f"{len(scores)} changes at their places competed, each with what is known of the robot from the reference, and "
             f"with friction of every joint free by {percent(FRICTION_SHARE, 2)} and drive gains by {percent(GAIN_SHARE, 2)}: "
             "so much they wander from day to day. The bars show what each alone adds to the log evidence; "
@@ -67,13 +67,13 @@ def changes_report(result: Changes) -> str:
             figure(evidence_bars([s for s in scores if s[1] > 0][:_BARS] or scores[:1], c.settings.accept),
                    "Log evidence of each change on its own; dashed: what is asked for; bold: named."),
         ], "Why that"),
-        Section("Where reference and recording disagree", [
-            Table(["channel", "motion", "when", "reference", "in the end"], places, "kb - n nb n", "narrow"),
+        ShownSection("Where reference and recording disagree", [
+            ShownTable(["channel", "motion", "when", "reference", "in the end"], places, "kb - n nb n", "narrow"),
             note("In units of what the recording's own fit leaves, worst places first. "
                  f"{percent(c.errors.remainder)} of the gap stays in the end."),
         ] if places else ["No channel is off anywhere by more than its own fit leaves."], "Where"),
-        *([Section("What next", [following])] if following else []),
-        Section("How large a change could hide", [
+        *([ShownSection("What next", [following])] if following else []),
+        ShownSection("How large a change could hide", [
             _hidden(c),
             note("By these motions, beside what was named; a body's other parameters in the proportions of a compact one near "
                  "the joint."),
@@ -94,7 +94,7 @@ def _change(x: NamedChange, c: ReferenceComparison) -> Html:
     head = ["parameter", "change", "± (95 %)", "interval", "unit", *["in the reference"] * x.change.known]
     summary, share = x.change.effects[0].summary, shares_sentence(x, c)
     text = f"{summary[0].upper()}{summary[1:]}.{f' {share}.' if share else ''}"
-    return below(worded(x.change, c), text, Table(head, rows, f"k nb n n u{' n' * x.change.known}", "narrow"))
+    return below(worded(x.change, c), text, ShownTable(head, rows, f"k nb n n u{' n' * x.change.known}", "narrow"))
 
 
 def evidence_figure(result: Changes, ax: Any = None) -> Figure:
@@ -129,7 +129,7 @@ def _cards(c: ReferenceComparison) -> list[tuple[str, str, str]]:
     return large
 
 
-def _channels(c: ReferenceComparison) -> Table:
+def _channels(c: ReferenceComparison) -> ShownTable:
     channels, scale = c.recording.problem.row_model.channels, c.recording.scale / np.sqrt(c.recording.samples)
     rows = [
         [name, number(float(scale[k]), 3), unit, *(number(float(v), 3) for v in c.errors.by_channel[k])]
@@ -144,7 +144,7 @@ def _channels(c: ReferenceComparison) -> Table:
         "all else within its tolerance",
         "own fit",
     ]
-    return Table(head, rows, "k n - n n n n", "narrow")
+    return ShownTable(head, rows, "k n - n n n n", "narrow")
 
 
 def _place(result: Changes, place) -> list[str]:
@@ -155,7 +155,7 @@ def _place(result: Changes, place) -> list[str]:
     ]  # fmt: skip
 
 
-def _hidden(c: ReferenceComparison) -> Table:
+def _hidden(c: ReferenceComparison) -> ShownTable:
     """Smallest changes that would have been named, a line for each kind."""
     kinds: dict[str, list[HiddenChange]] = {}
     for h in c.hidden:
@@ -165,7 +165,7 @@ def _hidden(c: ReferenceComparison) -> Table:
         parameter, unit = members[0].change.parameters[0]
         sizes = ", ".join(f"{h.change.where} {number(h.value, 2) if np.isfinite(h.value) else 'never'}" for h in members)
         rows.append([name, parameter.rsplit(".", 1)[-1], "" if unit == "1" else unit, sizes])
-    return Table(["change", "of", "unit", "smallest that would have been named"], rows, "k - u w")
+    return ShownTable(["change", "of", "unit", "smallest that would have been named"], rows, "k - u w")
 
 
 def _how(result: Changes) -> list[tuple[str, str]]:

@@ -13,7 +13,7 @@ from bayesid.report.page import below, bullets, cards, figure, fold, lead, note,
 from bayesid.results.inspection import Inspection, MotionSummary
 from bayesid.results.text import DASH, number, percent
 from bayesid.robot import inertia
-from bayesid.section import Part, Section, Table
+from bayesid.section import Part, ShownSection, ShownTable
 from bayesid.validation.own_fit import left_text
 
 _LONGEST_NAME = 40
@@ -139,36 +139,36 @@ def check_report(check: Inspection) -> str:
     )  # fmt: skip
     drawn = [(f"{m.motion.name} ({m.motion.role})", figure(_figure(m, robot.prismatic), "")) for m in shown]
     sections = [
-        Section("Robot", [
+        ShownSection("Robot", [
             terms(_robot(check)), _joints(check, units),
             note("Joints in the order of the tables' columns; a dash: the URDF states no limit."), _bodies(check),
             note("Nominal bodies as the URDF has them, links beyond fixed and locked joints merged; centre of mass in the "
                  "joint's frame."),
         ]),
-        Section("Motions", [
+        ShownSection("Motions", [
             "Motions of role identification are fitted; those of role validation are never fitted: their prediction tests the "
             "estimate.",
             _motions(check),
         ]),
-        Section("How far and how fast joints move", [
+        ShownSection("How far and how fast joints move", [
             figure(ranges, "Bars: positions that each motion reaches; grey: what the URDF allows. A joint that hardly moves "
                            "shows little of the links beyond it."),
             _reach(check),
             note("Range in the joint's unit, share of the range between its limits, and largest speed (99.9 % of samples are "
                  "slower), from the smoothed positions."),
         ], "Joint ranges"),
-        Section("Noise and bandwidth", _noise(check), "Noise"),
-        Section("What each set of readings can see", [
+        ShownSection("Noise and bandwidth", _noise(check), "Noise"),
+        ShownSection("What each set of readings can see", [
             f"How many combinations of the {robot.nominal.size} inertial parameters the richest motion could ever determine: "
             "the rank. Which of them the recorded motions do determine, and how well, is for `bayesid identify`.",
-            Table(["readings", "rank", "invisible", "in this folder"], [
+            ShownTable(["readings", "rank", "invisible", "in this folder"], [
                 [s.name, str(s.base.rank), str(len(s.base.invisible)), "yes" if s.available else "no"] for s in check.sensor_sets
             ], "w nb n -"),
-            *(fold(f"The {s.base.rank} base parameters of {s.name}", Table(["#", "base parameter"], [
+            *(fold(f"The {s.base.rank} base parameters of {s.name}", ShownTable(["#", "base parameter"], [
                 [str(k + 1), label] for k, label in enumerate(s.base.labels)
             ], "nd w")) for s in check.sensor_sets),
         ], "What can be seen"),
-        Section("Recordings", [
+        ShownSection("Recordings", [
             *(below(*each) for each in drawn[:_OPEN_MOTIONS]), *(fold(*each) for each in drawn[_OPEN_MOTIONS:]),
             note(f"{more} more recordings are not drawn." if more else ""),
         ]),
@@ -241,16 +241,16 @@ def _bandwidth(check: Inspection) -> str:
     return text
 
 
-def _joints(check: Inspection, units: Sequence[str]) -> Table:
+def _joints(check: Inspection, units: Sequence[str]) -> ShownTable:
     robot, rows = check.experiment.robot, []
     for j, name in enumerate(robot.joint_names):
         ends, largest = (robot.lower[j], robot.upper[j]), (robot.velocity_limit[j], robot.effort_limit[j])
         kind = "sliding" if robot.prismatic[j] else "turning"
         rows.append([f"q{j + 1}", name, kind, *map(number, ends), units[j], *map(number, largest)])
-    return Table(["", "joint", "type", "lowest", "highest", "unit", "speed limit", "effort limit"], rows, "- - - n n - n n")
+    return ShownTable(["", "joint", "type", "lowest", "highest", "unit", "speed limit", "effort limit"], rows, "- - - n n - n n")
 
 
-def _bodies(check: Inspection) -> Table:
+def _bodies(check: Inspection) -> ShownTable:
     robot, rows = check.experiment.robot, []
     for k, (name, body) in enumerate(zip(robot.body_names, robot.nominal, strict=True)):
         exists = ("yes", "good") if inertia.is_physically_consistent(body[None])[0] else ("no", "bad")
@@ -260,12 +260,12 @@ def _bodies(check: Inspection) -> Table:
             cells[1:] = [",  ".join(number(x, 3) for x in v) for v in (com, np.linalg.eigvalsh(about))]
         rows.append([f"{k + 1} {name}", *cells, exists])
     head = ["body of", "nominal mass [kg]", "centre of mass [m]", "principal inertias [kg m²]", "can exist"]
-    return Table(head, rows, "- n n n -")
+    return ShownTable(head, rows, "- n n n -")
 
 
-def _motions(check: Inspection) -> Table:
+def _motions(check: Inspection) -> ShownTable:
     head = ["motion", "role", "kind", "samples", "duration", "rate", "gaps", "columns", "static readings", "also"]
-    return Table(head, [_row(m) for m in check.motions], "b - - n n n n - - -")
+    return ShownTable(head, [_row(m) for m in check.motions], "b - - n n n n - - -")
 
 
 def _row(m: MotionSummary) -> list[str]:
@@ -289,7 +289,7 @@ def _fixed(value: float) -> str:
     return f"{round(value, 3) + 0.0:.3f}".replace("-", "−") if np.isfinite(value) else DASH
 
 
-def _reach(check: Inspection) -> Table:
+def _reach(check: Inspection) -> ShownTable:
     robot, rows, marks = check.experiment.robot, [], {}
     room = robot.upper - robot.lower
     for m in check.motions:
@@ -301,7 +301,7 @@ def _reach(check: Inspection) -> Table:
         rows.append(["", "share of limits", *(f"{100 * s:.0f} %" if np.isfinite(s) else DASH for s in share)])
         if np.isfinite(m.speed).any():
             rows.append(["", "largest speed", *map(_fixed, m.speed)])
-    return Table(["motion", "", *(f"q{j + 1}" for j in range(robot.n))], rows, f"- k{' n' * robot.n}", marks=marks)
+    return ShownTable(["motion", "", *(f"q{j + 1}" for j in range(robot.n))], rows, f"- k{' n' * robot.n}", marks=marks)
 
 
 def _noise(check: Inspection) -> list[Part]:
@@ -319,7 +319,7 @@ def _noise(check: Inspection) -> list[Part]:
             "Noise of one sample, estimated from third differences by their median, so that neither the motion nor single "
             "outliers count. Slow noise and vibration escape this number; where positions of a motion are only poses, it "
             "cannot be had.",
-            Table(head, rows, f"-{' n' * len(channels)}", marks=marks),
+            ShownTable(head, rows, f"-{' n' * len(channels)}", marks=marks),
         ]
     if check.left:
         left = [f"{p.motion}{'' if p.fitted else ', not fitted'}: {left_text(p)}" for p in check.left]

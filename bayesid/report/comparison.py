@@ -30,7 +30,7 @@ from bayesid.results.comparison import Comparison, in_sigmas, overview_table, va
 from bayesid.results.entry import Entry
 from bayesid.results.loaded import LoadedComparison
 from bayesid.results.text import DASH, chance, channel_text, number, percent
-from bayesid.section import Cell, Html, Part, Section, Table
+from bayesid.section import Cell, Html, Part, ShownSection, ShownTable
 from bayesid.validation.agreement import HausmanTest
 from bayesid.validation.headline import judged
 from bayesid.validation.prediction import BAND
@@ -173,7 +173,7 @@ def comparison_report(result: Comparison) -> str:
     predicted, validated = bool(done[0].predictions), bool(done[0].validation)
     sections = [_side_by_side(result)]
     if predicted:
-        sections.append(Section("How well each one predicts", [
+        sections.append(ShownSection("How well each one predicts", [
             "Motions for validation took no part in the fit, so a smaller error here is a better estimate. But motions are "
             "few: a difference of a few per cent does not show that one estimator is better, and an estimator that is picked "
             "by this figure has been fitted to the validation motion a little." if validated else
@@ -186,7 +186,7 @@ def comparison_report(result: Comparison) -> str:
         ], "Prediction"))  # fmt: skip
     below_line = " Below the line: effects beyond rigid bodies, estimated along." if result.regression.effect_names else ""
     sections += [
-        Section("Values", [
+        ShownSection("Values", [
             figure(svg(values_figure(result, reference), "values") if reference else "",
                    f"Each base parameter by each estimator (dots) with its central 95 % interval (bars), relative to {reference} "
                    f"and in units of its standard deviation. Green: the 95 % interval of {reference}. Triangles lie outside "
@@ -199,7 +199,7 @@ def comparison_report(result: Comparison) -> str:
     ]  # fmt: skip
     if predicted:
         role = "validation: not fitted" if validated else "fitted"
-        sections.append(Section("Errors by channel", [
+        sections.append(ShownSection("Errors by channel", [
             f"Root mean square of measured less predicted below {number(BAND, 2)} Hz in the unit of the channel and relative "
             "to the reading, and what is left in units of the noise (× noise).",
             *(_motion_errors(result, k, role) for k in range(len(done[0].predictions))),
@@ -220,7 +220,7 @@ def comparison_report(result: Comparison) -> str:
     return page(name, kicker, opening, sections, f"{name}: estimators side by side")
 
 
-def _side_by_side(result: Comparison) -> Section:
+def _side_by_side(result: Comparison) -> ShownSection:
     """All estimators in a table, with what its columns say and what each estimator is."""
     reference, efficient = result.reference, result.tests[0].efficient if result.tests else ""
     done = [e for e in result.entries if e.estimate is not None]
@@ -243,7 +243,7 @@ def _side_by_side(result: Comparison) -> Section:
     entries = [*result.baselines, *result.entries]
     without = ", ".join(f"**{n}** ({e.interval_reason})" for n, e in result.estimates.items() if e.interval == "none")
     impossible = ", ".join(f"**{e.name}** ({', '.join(e.impossible)})" for e in result.entries if e.impossible)
-    return Section("Side by side", [
+    return ShownSection("Side by side", [
         overview_table(result),
         *(f"**{e.name}** refused: {e.refusal}" for e in result.entries if e.estimate is None),
         note(" ".join(filter(None, columns))),
@@ -356,7 +356,7 @@ def values_figure(result: Comparison | LoadedComparison, name: str, ax: Any = No
     return values_side_by_side(names, list(result.estimates), np.where(hidden, np.nan, difference), ends, name, ax)
 
 
-def _agreement(result: Comparison) -> Section:
+def _agreement(result: Comparison) -> ShownSection:
     """How far every two estimators are apart, and whether that is more than noise."""
     parts: list[Part] = ["No estimator has intervals, so there is no unit to count differences in."]
     if result.gaps and result.reference:
@@ -373,8 +373,8 @@ def _agreement(result: Comparison) -> Section:
             f"{result.reference}. All had the same rows, noise and all, so they should be closer to each other than their "
             "intervals are wide: this is a measure of how much the choice of the estimator matters, not a test. Beyond about "
             "2, the choice matters more than the noise does.",
-            Table(["", *names], matrix, "kb" + " n" * len(names), "narrow"),
-            fold("Where each pair differs most", Table(head, farthest, "k n n n w")),
+            ShownTable(["", *names], matrix, "kb" + " n" * len(names), "narrow"),
+            fold("Where each pair differs most", ShownTable(head, farthest, "k n n n w")),
         ]
     if result.tests:
         efficient = result.tests[0].efficient
@@ -384,9 +384,9 @@ def _agreement(result: Comparison) -> Section:
             f"Where the model is complete and the noise as modelled, {efficient} is the most exact estimator, and the "
             f"difference of another one from it has the covariance V − V({efficient}) (Hausman's test). A probability below "
             "0.01 % means that the two cannot both be right: something is missing in the model.",
-            Table(head, [_test(t) for t in result.tests], "kb n n n w", "narrow"),
+            ShownTable(head, [_test(t) for t in result.tests], "kb n n n w", "narrow"),
         ))  # fmt: skip
-    return Section("Do the estimators agree?", parts, "Agreement")
+    return ShownSection("Do the estimators agree?", parts, "Agreement")
 
 
 def _test(test: HausmanTest) -> list[Cell]:
@@ -414,7 +414,7 @@ def _motion_errors(result: Comparison, index: int, role: str) -> Html:
         for cell in ("", (percent(p.relative_error), "sure"), (number(p.times_noise, 3), f"sure {judged(p).mood}"))
     ]
     head = ["channel", *(title for e in entries for title in (f"{e.name}: rms", "relative", "× noise"))]
-    table = Table(head, [*rows, ["all", *every]], f"ku{' n n n' * len(ps)}", "tight", {len(rows): "rule"})
+    table = ShownTable(head, [*rows, ["all", *every]], f"ku{' n n n' * len(ps)}", "tight", {len(rows): "rule"})
     repeats = f"This motion repeats the fitted ‘{ps[0].repeats}’." if ps[0].repeats else ""
     return fold(f"{ps[0].motion} ({role})", note(repeats), table, opened=index == 0)
 

@@ -14,7 +14,7 @@ from bayesid.report.figures import MEASURED, PREDICTED, add_legend, make_grid, s
 from bayesid.report.page import bullets, figure, note, svg
 from bayesid.results.described import not_distinguished, shares, terms_of, use_line
 from bayesid.results.text import percent
-from bayesid.section import Section, Table
+from bayesid.section import ShownSection, ShownTable
 
 #: Points drawn of a recording.
 _POINTS = 3000
@@ -44,7 +44,7 @@ def described_figure(panels: Sequence[tuple[str, str, np.ndarray, np.ndarray, np
 _LISTED = 8
 
 
-def described_section(data: DiagnosisData, description: Description) -> Section:
+def described_section(data: DiagnosisData, description: Description) -> ShownSection:
     """What goes with what no effect explains, by formulas."""
     d = description
     rows = [[reading, value, half, text, unit] for reading, text, value, half, unit in terms_of(d, data.channels.names)]
@@ -61,11 +61,11 @@ def described_section(data: DiagnosisData, description: Description) -> Section:
             f"**It may be** {'; or '.join(causes)}. **It cannot be told from** {rivals or 'nothing else that was tried.'}"
         )
     unseen = ", on a motion that was not fitted." if d.gap is not None else "."
-    return Section("Described, not named", [
+    return ShownSection("Described, not named", [
         f"Of {d.candidates} short formulas of positions, speeds, loads and time {these} with what no effect of the library "
         f"explains{beside}. Chosen on one half of the recordings, tested on the other, then fitted to all. The draft: "
         f"{shares(d)}.",
-        Table(["reading", "amplitude", "± (95 %)", "times", "unit of the amplitude"], rows, "kb nb n - u", "narrow"),
+        ShownTable(["reading", "amplitude", "± (95 %)", "times", "unit of the amplitude"], rows, "kb nb n - u", "narrow"),
         bullets(terms),
         figure(svg(_picture(data, d), "described"),
                "What was measured less all the rest of the model, and what the term says, over the term's own "

@@ -37,7 +37,7 @@ from bayesid.results.diagnosis_text import (
 from bayesid.results.findings import Findings
 from bayesid.results.telling import pair_table
 from bayesid.results.text import DASH, chance, channel_text, number, percent
-from bayesid.section import Cell, Part, Section, Table
+from bayesid.section import Cell, Part, ShownSection, ShownTable
 from bayesid.validation.own_fit import MotionErrors
 from bayesid.validation.prediction import Prediction
 
@@ -76,7 +76,7 @@ def diagnosis_report(diagnosis: Findings) -> str:
     return page(name, kicker, opening, sections, f"{name}: diagnosis")
 
 
-def _stays(d: Findings) -> list[Section]:
+def _stays(d: Findings) -> list[ShownSection]:
     """What effects named in part close on held-out recordings, and what stays."""
     if d.part is None:
         return []
@@ -84,7 +84,7 @@ def _stays(d: Findings) -> list[Section]:
     closed = zip(d.part.search.found, courses[1:], strict=True)
     steps = [("the model as it was", courses[0]), *((f.term.effect.spec, c) for f, c in closed)]
     still = "Where the model with these effects and the readings disagree most, as in the table above."
-    return [Section(f"What stays: {percent(d.part.remainder)}", [
+    return [ShownSection(f"What stays: {percent(d.part.remainder)}", [
         f"{part_sentence(d)} What a real robot does beyond any model follows the motion, so readings that follow each other "
         "do not count as independent, and an effect is named only if recordings that took no part are predicted better with "
         "it than without.",
@@ -95,7 +95,7 @@ def _stays(d: Findings) -> list[Section]:
     ], "What stays")]  # fmt: skip
 
 
-def _where(d: Findings, views: Views) -> Section:
+def _where(d: Findings, views: Views) -> ShownSection:
     """Where model and readings disagree."""
     nothing, channels = d.verdict == "nothing_missing", d.data.channels.names
     stands_out = "What stands out of the noise, and where" if nothing else "What disagrees, and where"
@@ -117,7 +117,7 @@ def _where(d: Findings, views: Views) -> Section:
     ]  # fmt: skip
     if not d.where:
         parts.append("In no channel, window or motion that was fitted is the residual larger than noise explains.")
-        return Section(title, parts, "Where")
+        return ShownSection(title, parts, "Where")
     parts += [
         _places(d.where),
         note("The model as it was, fitted motions, strongest places first. **Goes with**: the joint whose position, speed and "
@@ -128,10 +128,10 @@ def _where(d: Findings, views: Views) -> Section:
         "the readings or a moment of fast motion at which the noise is larger than elsewhere looks like "
         "this." if nothing else "",
     ]  # fmt: skip
-    return Section(title, parts, "Where")
+    return ShownSection(title, parts, "Where")
 
 
-def _places(places: Sequence[Disagreement]) -> Table:
+def _places(places: Sequence[Disagreement]) -> ShownTable:
     rows = []
     for w in places:
         digits, (low, high) = 2 if w.event else 1, w.band_hz
@@ -139,10 +139,12 @@ def _places(places: Sequence[Disagreement]) -> Table:
             w.channel, w.motion + (", at rest" if w.still else ""), f"{w.start:.{digits}f} – {w.end:.{digits}f} s",
             number(w.ratio, 3), f"{low:.3g} – {high:.3g} Hz", w.joint or w.looks_like or DASH, chance(w.p_value),
         ])  # fmt: skip
-    return Table(["channel", "motion", "when", "× noise", "most at", "goes with", "chance"], rows, "kb - n nb n - n", "narrow")
+    return ShownTable(
+        ["channel", "motion", "when", "× noise", "most at", "goes with", "chance"], rows, "kb - n nb n - n", "narrow"
+    )
 
 
-def _found(d: Findings) -> Section:
+def _found(d: Findings) -> ShownSection:
     """What the effects are that were named."""
     parts = []
     for k, f in enumerate(d.found):
@@ -154,7 +156,7 @@ def _found(d: Findings) -> Section:
         parts.append(below(
             worded(term.effect, d),
             f"{summary[0].upper()}{summary[1:]}{once}.{f' Or, just as well: {rivals}.' if rivals else ''}",
-            Table(["parameter", "value", "± (95 %)", "interval", "unit"], parameter_rows(d, k), "k nb n n u", "narrow"),
+            ShownTable(["parameter", "value", "± (95 %)", "interval", "unit"], parameter_rows(d, k), "k nb n n u", "narrow"),
             figure(course, "The force that was pushed with, in base axes, with its 95 % band. Its course is free: forces and "
                            "moments of every moment tell it. The values above hold its mean, and model.toml a constant force "
                            "of that."),
@@ -166,10 +168,10 @@ def _found(d: Findings) -> Section:
         "known of the links. `model.toml` beside this page holds the model with these effects: `bayesid identify … --model "
         "model.toml`."
     )
-    return Section("What it is", [*parts, end])
+    return ShownSection("What it is", [*parts, end])
 
 
-def _why(d: Findings) -> Section:
+def _why(d: Findings) -> ShownSection:
     """The effects that were tried, and what speaks for those that are named."""
     proposals = _proposals(d)
     shown = [p for p in proposals if p["evidence"] > 0][:_BARS]
@@ -202,34 +204,34 @@ def _why(d: Findings) -> Section:
         for p in proposals
     ]
     summary = f"All {len(proposals)} effects tried, and how much of the disagreement each would explain alone"
-    return Section("Why that, and not something else" if d.found else "What was tried", [
+    return ShownSection("Why that, and not something else" if d.found else "What was tried", [
         text,
         figure("" if bars is None else svg(bars, "evidence"),
                f"The effects that explain most, by log evidence (logarithmic axis).{several}"),
         bullets([_rivals(f, d, proposals) for f in d.found]),
-        fold(summary, Table(["effect", "log evidence", "explains at most", "what it is"], rows, "k n n -", "narrow")),
+        fold(summary, ShownTable(["effect", "log evidence", "explains at most", "what it is"], rows, "k n n -", "narrow")),
     ], "Why that" if d.found else "")  # fmt: skip
 
 
-def _moved(d: Findings) -> Section:
+def _moved(d: Findings) -> ShownSection:
     """What naming an effect did to the base parameters."""
     title, name = "What it did to the parameters", "Parameters"
     if d.data.prior is None:
-        return Section(title, ["Nothing: the nominal links are taken as exact."], name)
+        return ShownSection(title, ["Nothing: the nominal links are taken as exact."], name)
     if not d.shifts:
         nothing = "Hardly anything: no base parameter had moved by more than three of its standard deviations."
-        return Section(title, [nothing], name)
+        return ShownSection(title, [nothing], name)
     rows = [[label, number(a), number(b), number(sigmas, 3)] for label, a, b, sigmas in d.shifts[:_SHIFTS]]
     more = len(d.shifts) - _SHIFTS
-    return Section(title, [
+    return ShownSection(title, [
         "Without the effect the fit bends the rigid parameters to make up for it. Base parameters that had moved by more than "
         "three standard deviations:",
-        Table(["base parameter", "without the effect", "with it", "moved [σ]"], rows, "w n nb n"),
+        ShownTable(["base parameter", "without the effect", "with it", "moved [σ]"], rows, "w n nb n"),
         note(f"And {more} more, by less." if more > 0 else ""),
     ], name)  # fmt: skip
 
 
-def _left(d: Findings, views: Views) -> Section:
+def _left(d: Findings, views: Views) -> ShownSection:
     """What is left with the model as it was and as it is in the end."""
     known, changed = all(e.before.noise_known for e in shown_errors(d)), views.changed
     in_noise = (
@@ -243,7 +245,7 @@ def _left(d: Findings, views: Views) -> Section:
     curves = [(f"{s.channel} [{s.unit}] below {s.below:g} Hz", s.times, s.measured, s.values, s.noise) for s in views.signals]
     end = "the effects named" if d.found else "the best attempt"
     models = f", with the model as it was and with {end}" if changed else ""
-    return Section(f"{'Before and after' if changed else 'What is left'}{'' if d.gap is None else ' on unseen motions'}", [
+    return ShownSection(f"{'Before and after' if changed else 'What is left'}{'' if d.gap is None else ' on unseen motions'}", [
         "**There is no validation motion**: these are the fitted motions, and held-out validation is "
         "missing." if d.gap is None else "",
         figure(svg(_bars(d), "bars") if d.errors else "", in_noise if known else in_percent),
@@ -259,7 +261,7 @@ def _left(d: Findings, views: Views) -> Section:
     ], "Before and after")  # fmt: skip
 
 
-def _errors(d: Findings) -> Table:
+def _errors(d: Findings) -> ShownTable:
     """Errors of every motion in units and per cent, before and after."""
     rows: list[list[Cell]] = []
     marks = {}
@@ -275,10 +277,10 @@ def _errors(d: Findings) -> Table:
             rows.append([title, (name, "dim"), noise, percent(p.relative_error), *each])
             title = ""
     channels = [f"{n} [{u}]" for n, u in zip(d.data.channels.names, d.data.channels.units, strict=True)]
-    return Table(["motion", "", "× noise", "all", *channels], rows, f"k - n nb{' n' * len(channels)}", "tight", marks)
+    return ShownTable(["motion", "", "× noise", "all", *channels], rows, f"k - n nb{' n' * len(channels)}", "tight", marks)
 
 
-def _visible(d: Findings, views: Views) -> Section:
+def _visible(d: Findings, views: Views) -> ShownSection:
     """Sizes from which effects would be seen, and told apart."""
     unseen = " **Anything smaller may be there unseen.**" if d.verdict == "nothing_missing" else ""
     parts: list[Part] = [
@@ -299,16 +301,16 @@ def _visible(d: Findings, views: Views) -> Section:
         head = ["effect", "parameter", "seen from", "told apart from", "unit", "looks most like", "share"]
         parts += [
             _seen(views), hardest if alike else "", bullets(alike),
-            fold("Every place", Table(head, every, "k - nb n ku k n", "tight")),
+            fold("Every place", ShownTable(head, every, "k - nb n ku k n", "tight")),
             note("Effects of several parameters have the others in proportion to their usual sizes. Linearised. An effect that "
                  "another one contains, as a spring contains an offset, is never apart from it by its trace; it is named for "
                  "having fewer parameters. A mount's resonance, a contact and a ripple have no such size and are missing "
                  "here."),
         ]  # fmt: skip
-    return Section("What these motions could show at all", parts, "What could be seen")
+    return ShownSection("What these motions could show at all", parts, "What could be seen")
 
 
-def _noise_floor(d: Findings, views: Views) -> Section:
+def _noise_floor(d: Findings, views: Views) -> ShownSection:
     white, spread = d.data.floor_source == WHITE, d.search.dispersion
     more = (
         f" All models together leave {number(float(np.sqrt(spread)), 3)} times that: what nothing explains counts as noise, "
@@ -321,18 +323,18 @@ def _noise_floor(d: Findings, views: Views) -> Section:
     ]  # fmt: skip
     sides = ("sensor", "encoders") if white else ("white part", "beyond it")
     head = ["channel", "sensor, one sample", *(f"{side}, in the band" for side in sides), "floor, in the band", "unit"]
-    return Section("Where the noise floor comes from", [
+    return ShownSection("Where the noise floor comes from", [
         f"{SOURCES[d.data.floor_source]} The encoders' share is made by repeating the prediction with other roundings and "
         f"errors of the size that these encoders show; it grows steeply with frequency.{more}",
-        Table(head, rows, "k n n n nb -", "narrow"),
+        ShownTable(head, rows, "k n n n nb -", "narrow"),
     ], "Noise")  # fmt: skip
 
 
-def _next(d: Findings) -> Section:
+def _next(d: Findings) -> ShownSection:
     parts: list[Part] = [d.next_experiment or "Nothing is open."]
     if d.telling is not None:
         parts += [pair_table(d.telling), note(PAIRS), figure(motion_plot(d.telling), "The motion of next_motion.csv.")]
-    return Section("What next", parts)
+    return ShownSection("What next", parts)
 
 
 def _cards(d: Findings) -> list[tuple[str, str, str]]:
@@ -422,7 +424,7 @@ def _unit(v: Visible) -> str:
     return "" if unit == "1" else unit
 
 
-def _seen(views: Views) -> Table:
+def _seen(views: Views) -> ShownTable:
     """One line for each kind of effect: the smallest sizes, over all its places."""
     groups: dict[tuple[str, str], list[Visible]] = {}
     for v in views.visible:
@@ -438,7 +440,7 @@ def _seen(views: Views) -> Table:
             _at(worst.seen, worst, members) if len(members) > 1 else "", apart, _span(min(sizes), max(sizes)), unit,
         ])  # fmt: skip
     head = ["effect", "what it is", "parameter", "seen from", "hardest place", "told apart from", "a usual size", "unit"]
-    return Table(head, rows, "kb w - nb n n nd ku", "tight")
+    return ShownTable(head, rows, "kb w - nb n n nd ku", "tight")
 
 
 def _at(size: float | None, v: Visible, members: Sequence[Visible]) -> str:

@@ -17,7 +17,7 @@ from bayesid.results.distinguishing import TRAJECTORY, DistinguishingMotion
 from bayesid.results.excitation import Excitation, block_length, duration_text
 from bayesid.results.telling import chance, duration, pair_table
 from bayesid.results.text import DASH, number, percent
-from bayesid.section import Html, Section, Table
+from bayesid.section import Html, ShownSection, ShownTable
 
 _PLOTTED = 1000
 _ROW, _BEST, _OTHER, _OVER = 15.0, "#1d4ed8", "#94a3b8", "#b91c1c"
@@ -129,11 +129,11 @@ def distinguishing_report(result: DistinguishingMotion) -> str:
         "The recordings do not show each of these effects, so each is taken at its usual size, as often as any other."
     )  # fmt: skip
     sections = [
-        Section("Every pair", [recorded + sizes, pair_table(t), note(PAIRS)]),
-        Section(
+        ShownSection("Every pair", [recorded + sizes, pair_table(t), note(PAIRS)]),
+        ShownSection(
             "The motion", [figure(motion_plot(t), f"Joint motion as in {TRAJECTORY}: it starts and ends at rest.")], "Motion"
         ),
-        Section("Details", [bullets(t.notes), terms([run_times(result.seconds), versions("numpy", "scipy", "pin")])]),
+        ShownSection("Details", [bullets(t.notes), terms([run_times(result.seconds), versions("numpy", "scipy", "pin")])]),
     ]
     kicker = "The motion within limits that best tells effects apart"
     title = f"{result.name}: a motion that tells effects apart"
@@ -173,34 +173,34 @@ def excitation_report(result: Excitation) -> str:
         [str(k + 1), label, number(float(std), 3), unit]
         for k, (label, unit, std) in enumerate(zip(result.base.labels, result.base.units, result.std, strict=True))
     ]
-    static = _static_run(result)
+    static, deviation = _static_run(result), "expected standard deviation"
     sections = [
-        Section("The motion", [
+        ShownSection("The motion", [
             figure(motion(result.trajectory.times, panels_of(result)),
                    "Joint motion as in trajectory.csv, and what the nominal links take along it."),
             figure(beside_random(result.value, result.random, axis) if len(result.random) else "",
                    "What the motion was optimised for, beside random motions of the same series within the same limits, each "
                    "as large as the limits allow."),
         ], "Motion"),
-        *([Section("What else to record", [
-            *([Table(["table", "length", "what it shows"], blocks, "k k w")] if blocks else []),
+        *([ShownSection("What else to record", [
+            *([ShownTable(["table", "length", "what it shows"], blocks, "k k w")] if blocks else []),
             f"**Static run** (stop-and-go.csv): {static}" if static else "",
         ])] if blocks or static else []),
-        Section("How near it comes to its limits", [
+        ShownSection("How near it comes to its limits", [
             "Positions, speeds and accelerations are bounds for all times; torques, readings of the sensor (with the robot's "
             "weight on it) and distances are the extremes at ten times the recorded rate, with nominal links.",
             figure(limit_shares(shares), "One: as much as is allowed, which is the stated share of the robot's own limit."),
             fold("All limits as numbers",
-                 Table(["limit", "of", "reached", "allowed", "unit", "share", "kept"], limits_, "k w n n - n -")),
+                 ShownTable(["limit", "of", "reached", "allowed", "unit", "share", "kept"], limits_, "k w n n - n -")),
         ], "Limits"),
-        Section("Expected standard deviations", [
-            *([Table(["quantity", "expected standard deviation", "unit"], quantities, "- n -", "narrow")] if quantities else []),
+        ShownSection("Expected standard deviations", [
+            *([ShownTable(["quantity", deviation, "unit"], quantities, "- n -", "narrow")] if quantities else []),
             "Of the base parameters that a fit of this motion would give, for the stated noise and a model that is complete.",
-            Table(["", "base parameter", "expected standard deviation", "unit"], parameters, "- w n u"),
+            ShownTable(["", "base parameter", deviation, "unit"], parameters, "- w n u"),
         ], "Expected deviations"),
         *_effects(result),
         _coefficients(result),
-        Section("Details", [
+        ShownSection("Details", [
             bullets(result.notes),
             terms([*_options(result), run_times(result.seconds), versions("numpy", "scipy", "pin")]),
         ]),
@@ -243,7 +243,7 @@ def _cards(result: Excitation) -> list[tuple[str, str, str]]:
     return large
 
 
-def _effects(result: Excitation) -> list[Section]:
+def _effects(result: Excitation) -> list[ShownSection]:
     """Effects that the motion could show; none where that was not asked for."""
     found = result.diagnosability
     if found is None or not found.effects:
@@ -255,15 +255,15 @@ def _effects(result: Excitation) -> list[Section]:
     ]  # fmt: skip
     head = ["effect", "by its", "usual", "smallest seen", "unit", "most like", "share", "told apart from"]
     never = f"Never seen, as links or the model's effects explain them wholly: {', '.join(found.hidden)}." if found.hidden else ""
-    return [Section("Effects that it could show", [
+    return [ShownSection("Effects that it could show", [
         "What the model may lack, with a usual size, and the smallest that would stand out by five standard deviations of the "
         "readings; the effect that explains most of the same trace, and the size from which the two could be told apart. Those "
         "seen worst come first.",
-        fold(f"{len(rows)} effects and places", Table(head, rows, "- - n n - - n n", "tight")), note(never),
+        fold(f"{len(rows)} effects and places", ShownTable(head, rows, "- - n n - - n n", "tight")), note(never),
     ], "Effects")]  # fmt: skip
 
 
-def _coefficients(result: Excitation) -> Section:
+def _coefficients(result: Excitation) -> ShownSection:
     s = result.series
     rows = [
         [name, number(float(s.centre[j]), 5), *(number(float(x), 4) for x in (*s.sine[:, j], *s.cosine[:, j]))]
@@ -272,7 +272,7 @@ def _coefficients(result: Excitation) -> Section:
     head = ["joint", "c", *(f"{letter}{k + 1}" for letter in "sr" for k in range(s.harmonics))]
     period = number(s.period, 4)
     series = f"q(t) = c + Σ s<sub>k</sub> sin(2πkt / {period} s) + r<sub>k</sub> cos(2πkt / {period} s), in radians or metres."
-    return Section("Coefficients", [Html(f"<p>{series}</p>"), Table(head, rows, style="tight")])
+    return ShownSection("Coefficients", [Html(f"<p>{series}</p>"), ShownTable(head, rows, style="tight")])
 
 
 def _static_run(result: Excitation) -> str | None:

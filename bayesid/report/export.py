@@ -5,7 +5,7 @@ from __future__ import annotations
 from bayesid.report.page import how, note, page, terms, versions, warnings
 from bayesid.results.exported import Exported
 from bayesid.results.text import channel_text, number
-from bayesid.section import Section, Table
+from bayesid.section import ShownSection, ShownTable
 
 
 def export_report(result: Exported) -> str:
@@ -14,10 +14,10 @@ def export_report(result: Exported) -> str:
         [form, name, number(value, 4), unit]
         for form, values in result.left_out.items() for name, (value, unit) in values.items()
     ]  # fmt: skip
-    left_out = Table(["form", "parameter", "value", "unit"], rows, "k - n ku", "narrow")
+    left_out = ShownTable(["form", "parameter", "value", "unit"], rows, "k - n ku", "narrow")
     sections = [
-        Section("Files", [terms(list(result.about.items())), note(", ".join(result.texts))]),
-        *([Section("Identified, and not in these files", [left_out])] if rows else []),
+        ShownSection("Files", [terms(list(result.about.items())), note(", ".join(result.texts))]),
+        *([ShownSection("Identified, and not in these files", [left_out])] if rows else []),
         how(versions("numpy", "pin")),
     ]
     kicker = f"Identified by {result.method}, from the {channel_text(result.channel)}"

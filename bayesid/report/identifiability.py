@@ -27,7 +27,7 @@ from bayesid.results.identifiability import (
     spread,
 )
 from bayesid.results.text import DASH, number, percent
-from bayesid.section import Html, Part, Section, Table, tag
+from bayesid.section import Html, Part, ShownSection, ShownTable, tag
 
 #: Colour of every class, and of its letter, which tells it in print and to the colour-blind.
 LOOKS = {
@@ -136,9 +136,9 @@ def identifiability_report(result: Identifiability) -> str:
     title = main.sensor_set.title
     sections: list[Part] = []
     if result.advice:
-        sections.append(Section("What would make a difference", [bullets([a.text for a in result.advice])]))
+        sections.append(ShownSection("What would make a difference", [bullets([a.text for a in result.advice])]))
     each = ", for each sensor set; rank in the title. ● marks the readings that would be used." if many else "."
-    sections.append(Section("Sensors side by side" if many else "What these rows show", [
+    sections.append(ShownSection("Sensors side by side" if many else "What these rows show", [
         "Rank is the number of combinations of link parameters (masses, first moments, inertias) that these motions determine "
         "at all; no motion determines more than the next column says. Better than size: of how many the expected error is "
         "smaller than the body itself. Then how many parameters are in each class, as below. * these readings would be used.",
@@ -146,7 +146,7 @@ def identifiability_report(result: Identifiability) -> str:
         figure(svg(classes(result.sensor_sets, main), "classes"), f"Every link parameter by what these motions show of it{each}"),
     ]))  # fmt: skip
     if result.separations:
-        sections.append(Section("Telling effects apart", [
+        sections.append(ShownSection("Telling effects apart", [
             "One effect at its usual size is the truth, the other is fitted in its stead, links and all else in the model "
             "with it. Seen alone: by how many squared standard deviations the readings then differ from a model without "
             "left: from the best fit of the other. The probability is that the evidence rules the other out; told from: the "
@@ -157,7 +157,7 @@ def identifiability_report(result: Identifiability) -> str:
     effects, unexcited = effect_lines(main), bullets(main.unexcited, sums=True)
     prior = any(b.prior_share is not None for b in main.base_parameters)
     sections += [
-        Section(f"Expected errors: {title}", [
+        ShownSection(f"Expected errors: {title}", [
             spread(main),
             figure(drawn, "Expected standard deviation of every combination, by the first parameter of each; the table has "
                           "them in full."),
@@ -167,7 +167,7 @@ def identifiability_report(result: Identifiability) -> str:
             *([below("Effects in the model", terms(effects))] if effects else []),
             *([below("Combinations that another motion would show", unexcited)] if main.unexcited else []),
         ], "Expected errors"),
-        Section(f"Every link parameter: {title}", [
+        ShownSection(f"Every link parameter: {title}", [
             Html("<p>" + "; ".join(f"{tag(k.replace('_', ' '))} {n} {escape(WORDS[k])}" for k, n in counts(main)) + ". The "
                  "standard deviation is that of the parameter itself where it is identified alone, else of the combination "
                  "that it has most of.</p>"),
@@ -203,7 +203,7 @@ def _cards(main: SetReport) -> list[tuple[str, str, str]]:
     return [*large, (number(main.condition_number, 3), "condition number, columns at unit length", "")]
 
 
-def _combinations(main: SetReport, prior: bool) -> Table:
+def _combinations(main: SetReport, prior: bool) -> ShownTable:
     sized = any(b.size for b in main.base_parameters)
     rows = []
     for k, b in enumerate(main.base_parameters):
@@ -211,10 +211,10 @@ def _combinations(main: SetReport, prior: bool) -> Table:
         before = [DASH if b.prior_share is None else percent(b.prior_share, 2)] if prior else []
         rows.append([str(k + 1), b.label, number(b.std, 3), b.unit, *size, *before, b.kind])
     head = ["#", "combination", "expected ± std", "unit", *["size", "of size"] * sized, *["of prior std"] * prior, "class"]
-    return Table(head, rows, f"nd w nb ku{' n n' * sized}{' n' * prior} t")
+    return ShownTable(head, rows, f"nd w nb ku{' n n' * sized}{' n' * prior} t")
 
 
-def _links(result: Identifiability) -> Table:
+def _links(result: Identifiability) -> ShownTable:
     main, rows, marks = result.main, [], {}
     for link in main.parameters:
         inside = [main.base_parameters[k] for k in link.combinations]
@@ -228,7 +228,7 @@ def _links(result: Identifiability) -> Table:
             marks[len(rows)] = "dim"
         rows.append([link.name, link.kind.replace("_", " "), std, unit, combination + more, ", ".join(better) or DASH])
     head = ["parameter", "class", "± std", "unit", "in which combination", "shown better by"]
-    return Table(head, rows, "k kt n ku w -", "tight", marks)
+    return ShownTable(head, rows, "k kt n ku w -", "tight", marks)
 
 
 def _how(result: Identifiability) -> list[tuple[str, str]]:

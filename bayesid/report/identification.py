@@ -36,7 +36,7 @@ from bayesid.results.loaded import LoadedIdentification
 from bayesid.results.text import DASH, HALF, chance, channel_text, ends, number, percent, with_interval
 from bayesid.robot import inertia
 from bayesid.robot.notation import notation
-from bayesid.section import Cell, Html, Part, Section, Table, tag
+from bayesid.section import Cell, Html, Part, ShownSection, ShownTable, tag
 from bayesid.validation.headline import judged, still_predictable, worse_than_nothing
 from bayesid.validation.prediction import BAND, TOLERATED, Prediction
 
@@ -176,7 +176,7 @@ def identification_report(result: Identification) -> str:
     tried = problem.bandwidths
     sections: list[Part] = [
         _identified(result),
-        Section("Measured against predicted", [
+        ShownSection("Measured against predicted", [
             f"Both in the band up to {number(BAND, 2)} Hz, by one filter without delay. Motions for validation took no part in "
             f"the fit: how well they are predicted is the test of the estimate.{omitted}",
             "" if validation else
@@ -186,7 +186,7 @@ def identification_report(result: Identification) -> str:
                 _said(p), figure(svg(measured_against_predicted(p), f"{name}-predicted"), _caption(p)),
             )),
         ]),
-        Section("What is left over", [
+        ShownSection("What is left over", [
             "Measured less predicted. If the model is complete, what is left looks like the noise: it keeps inside the green "
             "band (where noise alone would be 95 % of the time), and its spectrum follows the noise model on which the "
             "intervals rest. Where it sticks out, in time or at some frequency, something is at work that is not in the model.",
@@ -198,7 +198,7 @@ def identification_report(result: Identification) -> str:
         _agreement(result),
         *_both_ways(result),
         *certificate_section(result.certificate, estimate.base),
-        Section("How this was done", [
+        ShownSection("How this was done", [
             terms(_how(result)),
             "" if tried is None else below("The bandwidth of the motion", figure(
                 svg(bandwidth_sensitivity(tried, estimate.full_std), "bandwidths"),
@@ -299,7 +299,7 @@ def intervals_figure(regression: Regression | LoadedIdentification, estimate: Es
     return parameter_intervals(names, estimate.values - nominal, between, scale, estimate.classes, ax)
 
 
-def _identified(result: Identification) -> Section:
+def _identified(result: Identification) -> ShownSection:
     """Base parameters and effects with their intervals."""
     estimate, regression = result.estimate, result.problem.regression
     found, rank = estimate.parameters(), estimate.base.rank
@@ -310,7 +310,7 @@ def _identified(result: Identification) -> Section:
         value, half = with_interval(found.values[k], found.std[k], low, high)
         rows.append([str(k + 1), found.labels[k], value, half, found.units[k], ends(low, high), nominal[k], found.classes[k]])
     head = ["#", "base parameter", "value", "± 95 %", "unit", "interval", "nominal", "class"]
-    return Section("What was identified, and how sure it is", [
+    return ShownSection("What was identified, and how sure it is", [
         "These readings show links' masses, first moments (mass times centre of mass) and inertias in certain combinations "
         "only: the base parameters. Every prediction of these readings follows from them. In a label, m2 is the mass of body "
         "2, m2 r2x its first moment along x and I2xy an inertia about the origin of its joint's frame; bodies are counted in "
@@ -321,7 +321,7 @@ def _identified(result: Identification) -> Section:
                "its natural size: what the parameter would change by if every body that is in it were as uncertain as it is "
                "large. Right: half the interval, in per cent of that size; right of the dashed line it is weak. Triangles lie "
                "outside the picture. Numbers as in the table."),
-        Table(head, rows, "nd w nb n ku n n t"),
+        ShownTable(head, rows, "nd w nb n ku n n t"),
         Html(f'<p class="note">{tag("alone")} one parameter of one link; {tag("combination")} a sum that only as a whole can be '
              f"seen; {tag('weak')} known no better than the size of the body; {tag('prior')} the data say nothing, the nominal "
              "value stands.</p>"),
@@ -346,7 +346,7 @@ def _effects(result: Identification) -> list[Html]:
         return []
     offset = result.offset is not None and result.problem.row_model.base.weight_in_offset
     text = f"Estimated together with the base parameters.{f' {_OFFSET_NOTE}' if offset else ''}"
-    table = Table(["effect", "where", "parameter", "value", "± 95 %", "unit"], rows, "k k - nb n ku", "narrow", marks)
+    table = ShownTable(["effect", "where", "parameter", "value", "± 95 %", "unit"], rows, "k k - nb n ku", "narrow", marks)
     return [below("Effects beyond rigid bodies", text, table)]
 
 
@@ -389,10 +389,10 @@ def _residual_caption(p: Prediction) -> str:
     return text + filtered * p.spectrum.filtered
 
 
-def _errors(result: Identification) -> Section:
+def _errors(result: Identification) -> ShownSection:
     """Errors of every motion by channel."""
     tables = [_error_table(p, role) for role, ps in (("validation", result.validation), ("fitted", result.fitted)) for p in ps]
-    return Section("Errors in numbers", [
+    return ShownSection("Errors in numbers", [
         f"Root mean square of measured less predicted, in the band up to {number(BAND, 2)} Hz and on raw samples (where the "
         "sensor's own noise counts in full), also relative to the root mean square of the reading. **Times noise** is the "
         "residual below 10 Hz in units of the sensor's own noise (with what encoder errors make of a prediction), read off the "
@@ -412,13 +412,13 @@ def _error_table(p: Prediction, role: str) -> Html:
         rows.append([name, *errors, unit, (number(white if p.noise_known else None, 3), mood)])
     whole = (percent(p.relative_error), "sure"), "", percent(p.relative_error_raw), "", (number(p.times_noise, 3), judged(p).mood)
     head = ["channel", f"rms error, {number(BAND, 2)} Hz", "relative", "rms error, raw", "relative", "unit", "times noise"]
-    table = Table(head, [*rows, ["all", "", *whole]], "- nb n n n ku n", "narrow", {len(rows): "rule"})
+    table = ShownTable(head, [*rows, ["all", "", *whole]], "- nb n n n ku n", "narrow", {len(rows): "rule"})
     repeats = f" This motion repeats the fitted ‘{p.repeats}’." if p.repeats else ""
     text = f"{percent(p.coverage)} of residuals in their 95 % prediction interval.{repeats}"
     return below(_title(p, role), table, note(text))
 
 
-def _limits(result: Identification) -> Section:
+def _limits(result: Identification) -> ShownSection:
     """What these motions, and these readings, do not show."""
     base, problem = result.estimate.base, result.problem
     single = ", ".join(label for label in result.unexcited if " " not in label)
@@ -447,9 +447,9 @@ def _limits(result: Identification) -> Section:
             "constant offset cannot be told from it: it is taken up by the offset instead of by the base parameters. A static "
             "run, or a reading of the unloaded sensor, would give it back. An offset that is estimated contains, beside the "
             "true offset:",
-            Table(["axis", "contains besides"], absorbed, "- w"),
+            ShownTable(["axis", "contains besides"], absorbed, "- w"),
         ))  # fmt: skip
-    return Section("What could not be identified", parts)
+    return ShownSection("What could not be identified", parts)
 
 
 def _by_body(names: Sequence[str]) -> list[str]:
@@ -473,16 +473,16 @@ def _absorbed(base: BaseParameters) -> list[list[str]]:
     return rows
 
 
-def _links(result: Identification) -> Section:
+def _links(result: Identification) -> ShownSection:
     """Nominal and identified links, with how far the data alone determine each number."""
     urdf = result.urdf
     if not urdf.usable:
-        return Section("Link parameters", [
+        return ShownSection("Link parameters", [
             f"Not shown: no robot of this URDF is as heavy as these links ({number(urdf.mass, 3)} kg), so they are no result. "
             f"{urdf.text()} The base parameters above hold the fit.",
         ], "Links")  # fmt: skip
     both = " `identified-unconstrained.urdf` holds the links with exactly the estimated base parameters, possible or not."
-    return Section("Link parameters", [
+    return ShownSection("Link parameters", [
         "Ten numbers a link, nearest to the nominal model among all that can exist and whose base parameters stay within the "
         "estimate's uncertainty; this is what `identified.urdf` holds, with the identified friction of joints. "
         f"{urdf.text()}{both * result.unconstrained_urdf}",
@@ -496,7 +496,7 @@ def _links(result: Identification) -> Section:
     ], "Links")  # fmt: skip
 
 
-def _link_table(result: Identification) -> Table:
+def _link_table(result: Identification) -> ShownTable:
     robot, estimate = result.problem.experiment.robot, result.estimate
     bodies = result.link_parameters.reshape(-1, 10)
     seen = estimate.base.matrix[~estimate.undetermined[: estimate.base.rank]]
@@ -518,28 +518,29 @@ def _link_table(result: Identification) -> Table:
         rows.append([f"{k + 1} {name}", *dim])
         rows.append(["", "identified", *values, ("yes", "sure good") if after else ("no", "sure bad")])
     head = ["link of", "", "mass", "cx", "cy", "cz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz", "can exist"]
-    return Table(head, rows, f"k -{' n' * 10} -", "tight", {k: "rule" for k in range(0, len(rows), 2)})
+    return ShownTable(head, rows, f"k -{' n' * 10} -", "tight", {k: "rule" for k in range(0, len(rows), 2)})
 
 
-def _agreement(result: Identification) -> Section:
+def _agreement(result: Identification) -> ShownSection:
     """The same numbers from parts of the data."""
     title, name = "Do the data agree with themselves?", "Agreement"
     if not result.agreements:
-        return Section(title, ["There is nothing to compare: it takes two motions, or a wrench and torques."], name)
+        return ShownSection(title, ["There is nothing to compare: it takes two motions, or a wrench and torques."], name)
     rows = [
         [a.first, a.second, str(a.compared), (number(a.rms, 3), "sure"), chance(a.probability),
          ("contradict", "sure bad") if a.contradiction else ("agree", "sure good"), a.worst]
         for a in result.agreements
     ]  # fmt: skip
-    return Section(title, [
+    head = ["estimate", "against", "numbers", "difference, sigma", "probability", "", "differs most"]
+    return ShownSection(title, [
         "The same numbers, estimated twice from data that have nothing in common. The difference should be as large as both "
         "intervals say: about 1 sigma root mean square. A probability below 0.1 % means that they contradict each other, and "
         "that the intervals are too narrow for one of them.",
-        Table(["estimate", "against", "numbers", "difference, sigma", "probability", "", "differs most"], rows, "- - n n n k w"),
+        ShownTable(head, rows, "- - n n n k w"),
     ], name)  # fmt: skip
 
 
-def _both_ways(result: Identification) -> list[Section]:
+def _both_ways(result: Identification) -> list[ShownSection]:
     """Subtracting the static run and fitting it along, side by side."""
     other = result.static_alternative
     if other is None:
@@ -556,13 +557,13 @@ def _both_ways(result: Identification) -> list[Section]:
         label, unit = (one or two or ("", "", "", ""))[2:]
         rows.append([label, *(one or nothing)[:2], *(two or nothing)[:2], unit])
     head = ["base parameter", "subtracted", "± 95 %", "fitted along", "± 95 %", "unit"]
-    return [Section("The static run, used both ways", [
+    return [ShownSection("The static run, used both ways", [
         "The readings at rest can be subtracted sample by sample, which removes the sensor's offset and all gravity (equation "
         "21 of the paper), or fitted along, which keeps what gravity tells. The estimate of this report "
         f"{'subtracts them' if subtracted else 'fits them along'}. Both use the same moving samples, so they are not "
         "independent: differences much beyond the intervals mean that subtracting or gravity brings in something that is not "
         "in the model.",
-        Table(head, rows, "w n n n n ku"),
+        ShownTable(head, rows, "w n n n n ku"),
         note("A dash: that way does not show the parameter." if set(first) != set(second) else ""),
     ], "Static run")]  # fmt: skip
 

@@ -15,7 +15,7 @@ from markupsafe import Markup
 
 from bayesid.results.text import number
 from bayesid.robot import inertia
-from bayesid.section import Html, Part, Section, as_html, long, marked
+from bayesid.section import Html, Part, ShownSection, as_html, long, marked
 
 #: A page with so many sections begins with a list of them.
 _LISTED = 4
@@ -23,7 +23,7 @@ _LISTED = 4
 
 def page(heading: str, kicker: str, opening: Sequence[Part], sections: Sequence[Part], title: str = "") -> str:
     """A report: heading, the line below it, what comes before the first section, and the sections; ``title`` is the window's."""
-    listed = [part for part in sections if isinstance(part, Section)]
+    listed = [part for part in sections if isinstance(part, ShownSection)]
     return _template().render(
         version=version("bayesid"), title=title or heading, heading=heading, kicker=kicker, opening=Markup(as_html(opening)),
         listed=listed if len(listed) >= _LISTED else (), body=Markup(as_html(sections)),
@@ -83,9 +83,9 @@ def terms(pairs: Sequence[tuple[str, str]]) -> Html:
     return Html("<dl>" + "".join(f"<dt>{escape(k)}</dt><dd>{escape(v)}</dd>" for k, v in pairs) + "</dl>")
 
 
-def how(*pairs: tuple[str, str], after: str = "", title: str = "How") -> Section:
+def how(*pairs: tuple[str, str], after: str = "", title: str = "How") -> ShownSection:
     """The last section: how it was done."""
-    return Section(title, [terms(pairs), note(after)], "How")
+    return ShownSection(title, [terms(pairs), note(after)], "How")
 
 
 @functools.cache

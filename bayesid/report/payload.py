@@ -18,13 +18,13 @@ from bayesid.results.beside import cells
 from bayesid.results.calibration import Calibration
 from bayesid.results.payload import SOURCES, PayloadEstimate
 from bayesid.results.text import channel_text, number
-from bayesid.section import Html, Part, Section
+from bayesid.section import Html, Part, ShownSection
 
 
 def calibration_report(result: Calibration) -> str:
     """The report of ``calibrate``: an HTML page with all figures inside."""
     sections = [
-        Section("What it has", [
+        ShownSection("What it has", [
             result.table,
             note("Of what was not found stands the size that would stand out by five standard deviations, at the place where it "
                  "would stand out least."),
@@ -45,7 +45,7 @@ def payload_report(result: PayloadEstimate) -> str:
     """The report of ``payload``: an HTML page with all figures inside."""
     large = [_card("mass", result.mass, 1.0, "kg"), *(_card(f"centre of mass {q.name}", q, 1e3, "mm") for q in result.centre)]
     sections = [
-        Section("Values", [
+        ShownSection("Values", [
             note(f"In the frame of **{result.frame}**; inertia about the centre of mass, in that frame's axes."),
             result.table, figure(svg(payload_figure(result), "payload"), "With 95 % intervals."),
         ]),
@@ -68,9 +68,11 @@ def payload_report(result: PayloadEstimate) -> str:
     )  # fmt: skip
 
 
-def _files(title: str, texts: Mapping[str, str], *before: Part) -> list[Section]:
+def _files(title: str, texts: Mapping[str, str], *before: Part) -> list[ShownSection]:
     """A section with the text of each file; none without files."""
-    return [Section(title, [*before, *(below(k, Html(f"<pre>{escape(v)}</pre>")) for k, v in texts.items())])] if texts else []
+    return (
+        [ShownSection(title, [*before, *(below(k, Html(f"<pre>{escape(v)}</pre>")) for k, v in texts.items())])] if texts else []
+    )
 
 
 def _card(name: str, q: Quantity, scale: float, unit: str) -> tuple[str, str, str]:

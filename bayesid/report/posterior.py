@@ -16,7 +16,7 @@ from bayesid.report.page import below, cards, figure, fold, how, lead, page, run
 from bayesid.report.prediction_figures import measured_against_predicted, residuals
 from bayesid.results.posterior import ExperimentPosterior
 from bayesid.results.text import DASH, channel_text, number, percent, with_half
-from bayesid.section import Html, Part, Section, Table, tag
+from bayesid.section import Html, Part, ShownSection, ShownTable, tag
 from bayesid.validation.headline import judged, still_predictable
 from bayesid.validation.prediction import BAND
 
@@ -182,7 +182,7 @@ def posterior_report(result: ExperimentPosterior) -> str:
     problem, model = result.problem, result.model
     prior = ", its prior (orange)" if model.prior is not None else ""
     sections = [
-        Section("What the data and the prior say together", [
+        ShownSection("What the data and the prior say together", [
             "Base parameters are the combinations of masses, first moments (mass times centre of mass) and inertias that these "
             "readings show. In a label, m2 is the mass of body 2, m2 r2x its first moment along x and I2xy an inertia about "
             "the origin of its joint's frame.",
@@ -195,9 +195,9 @@ def posterior_report(result: ExperimentPosterior) -> str:
                  "prior's.</p>"),
         ], "Parameters"),
         *_narrowed(result),
-        Section("Effects and noise", _effects_and_noise(result)),
-        Section("Predictions of motions", _predictions(result), "Predictions"),
-        Section("Did the chains converge", [
+        ShownSection("Effects and noise", _effects_and_noise(result)),
+        ShownSection("Predictions of motions", _predictions(result), "Predictions"),
+        ShownSection("Did the chains converge", [
             "Chains start far apart and know nothing of each other. R-hat compares them: 1 when they cannot be told apart. The "
             "effective sample size is the number of independent draws that would be as good, in the bulk and in the tails.",
             figure(svg(ranks(*_worst(result)), "ranks"),
@@ -267,7 +267,7 @@ def _cards(result: ExperimentPosterior) -> list[tuple[str, str, str]]:
     return large
 
 
-def _parameters(result: ExperimentPosterior, nominal: np.ndarray | None) -> Table:
+def _parameters(result: ExperimentPosterior, nominal: np.ndarray | None) -> ShownTable:
     rows = []
     for k, label in enumerate(result.base.labels):
         share = percent(result.prior_share[k], 2) if result.link_draws is not None else DASH
@@ -276,10 +276,10 @@ def _parameters(result: ExperimentPosterior, nominal: np.ndarray | None) -> Tabl
         between = _ends(result.low[k], result.high[k])
         rows.append([str(k + 1), label, mean, std, result.base.units[k], between, known, share, result.classes[k]])
     head = ["#", "base parameter", "mean", "± std", "unit", "95 % interval", "nominal", "of prior std", "class"]
-    return Table(head, rows, "nd w nb n ku n n n t")
+    return ShownTable(head, rows, "nd w nb n ku n n n t")
 
 
-def _narrowed(result: ExperimentPosterior) -> list[Section]:
+def _narrowed(result: ExperimentPosterior) -> list[ShownSection]:
     """How far the data narrowed the prior; none with a flat one."""
     model = result.model
     if model.prior is None:
@@ -288,7 +288,7 @@ def _narrowed(result: ExperimentPosterior) -> list[Section]:
     if result.link_draws is not None:
         shares.append(("link parameters", _link_names(result.base.parameter_names), result.link_prior_share))
     cut = ", cut to bodies that can exist" if model.physical else ""
-    return [Section("What came from the data, and what from the prior", [
+    return [ShownSection("What came from the data, and what from the prior", [
         f"Posterior over prior standard deviation. Near zero the data decide; near one (orange) the prior does{cut}. Single "
         "link parameters can stay the prior's even where every base parameter is well known: many links "
         "have the same base parameters.",
@@ -308,12 +308,12 @@ def _effects_and_noise(result: ExperimentPosterior) -> list[Part]:
     head = ["mean", "± std", "unit", "95 % interval"]
     parts: list[Part] = ["No effects beyond rigid bodies are in the model."]
     if effects:
-        parts = [Table(["effect", *head], effects, "k nb n ku n", "narrow")]
+        parts = [ShownTable(["effect", *head], effects, "k nb n ku n", "narrow")]
     if scales:
         text = "Scales of the noise of each channel, in units of the noise that was learned from the residuals: 1 is as learned."
         if model.noise == "student":
             text += " Few degrees of freedom say that outliers are frequent; above about 30 the noise is as good as Gaussian."
-        parts += [text, Table(["channel", *head], scales, "k nb n ku n", "narrow")]
+        parts += [text, ShownTable(["channel", *head], scales, "k nb n ku n", "narrow")]
     return parts
 
 
@@ -335,7 +335,7 @@ def _predictions(result: ExperimentPosterior) -> list[Part]:
         for role, ps in (("validation", result.validation), ("fitted", result.fitted)) for p in ps
     ]  # fmt: skip
     head = ["motion", "role", f"error of the signal below {band} Hz", "residual / noise", "in 95 % predictive intervals"]
-    parts: list[Part] = [Table(head, rows, "k - n n n", "narrow")]
+    parts: list[Part] = [ShownTable(head, rows, "k - n n n", "narrow")]
     if not result.validation:
         parts.append(
             "**There is no validation motion**: nothing here tests the posterior on another motion. Add a motion with role "
@@ -364,7 +364,7 @@ def _worst(result: ExperimentPosterior) -> tuple[list[str], np.ndarray]:
 def _diagnostics(result: ExperimentPosterior) -> Html:
     d = result.diagnosis
     rows = [[d.names[k], f"{d.r_hat[k]:.4f}", f"{d.ess_bulk[k]:.0f}", f"{d.ess_tail[k]:.0f}"] for k in np.argsort(-d.r_hat)]
-    table = Table(["parameter", "R-hat", "ESS, bulk", "ESS, tail"], rows, "w n n n")
+    table = ShownTable(["parameter", "R-hat", "ESS, bulk", "ESS, tail"], rows, "w n n n")
     return fold(f"R-hat and effective sample sizes of all {len(rows)} numbers", table)
 
 

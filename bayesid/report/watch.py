@@ -12,7 +12,7 @@ from bayesid.diagnosis.changes.scales import FRICTION_SHARE, GAIN_SHARE
 from bayesid.report.charts import CYCLE, WIDTH, Panel, chart, text_width, write
 from bayesid.report.page import figure, how, lead, note, page, versions
 from bayesid.results.text import HALF, channel_text, number, percent
-from bayesid.section import Section
+from bayesid.section import ShownSection
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -100,13 +100,13 @@ def watch_report(result: Watch) -> str:
     changed = [bool(w.changes) or w.verdict == "unknown" for w in entries]
     gaps, evidence = [w.gap for w in entries], [w.evidence for w in entries]
     sections = [
-        Section("Recordings", [
+        ShownSection("Recordings", [
             result.table,
             note("“Residual over own fit”: what the reference leaves on segments held out in turn, in units of what the "
                  "recording's own fit of the same model leaves; 1 is no difference at all. Friction of every joint may differ by "
                  f"{percent(FRICTION_SHARE, 2)} and drive gains by {percent(GAIN_SHARE, 2)} before anything is named."),
         ]),
-        Section("The course", [
+        ShownSection("The course", [
             figure(course(gaps, changed, _GAP), "Red: something changed. Friction that wanders with warmth raises it, too."),
             figure(course(evidence, changed, "Largest log evidence of a change", result.accept),
                    "A change is named from the line on. It is higher the more recordings there are, so that the series as a "

@@ -17,7 +17,7 @@ from bayesid.drawing import figures_of
 from bayesid.errors import InputError
 from bayesid.results.files import Result, strict
 from bayesid.results.text import DASH, channel_text, number, percent
-from bayesid.section import Cell, Html, Part, Section, Table
+from bayesid.section import Cell, Html, Part, ShownSection, ShownTable
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -80,16 +80,16 @@ class Accuracy(Result):
         )
         parts: list[Part] = [headline]
         if self.improvements:
-            parts.append(Section("What would buy most", [improvements_table(self)]))
+            parts.append(ShownSection("What would buy most", [improvements_table(self)]))
         if sweeps is not None:  # too long for a terminal
             title = f"One factor at a time, {sweeps.runs} twins a level"
-            parts.append(Section(title, [Html(sweeps_table(sweeps).html())]))
+            parts.append(ShownSection(title, [Html(sweeps_table(sweeps).html())]))
         if self.susceptibility:
             worst = worst_places(self.susceptibility, 1)[:_SHOWN_EFFECTS]
             title = "Bias by effects left out of the model, each at its worst place"
-            parts.append(Section(title, [effects_table(worst, labels)]))
+            parts.append(ShownSection(title, [effects_table(worst, labels)]))
         if self.sensors is not None:
-            parts.append(Section(sensor_title(self.sensors), [sensors_table(self.sensors)]))
+            parts.append(ShownSection(sensor_title(self.sensors), [sensors_table(self.sensors)]))
         return [*parts, coverage_text(self.certificate), *(f"warning: {w}" for w in self.warnings)]
 
     @property
@@ -208,16 +208,16 @@ def _level(level: Level) -> dict[str, Any]:
     return {**out, "reason": level.reason} if level.reason else out
 
 
-def improvements_table(result: Accuracy) -> Table:
+def improvements_table(result: Accuracy) -> ShownTable:
     """The best step of each factor that lowers the error."""
     rows = [
         [v.improvement, (change(v.ratio), "good"), _sure(v) or DASH, change(v.prediction_ratio), v.source]
         for _, v in result.improvements
     ]
-    return Table(["change", "median error", "95 %", "prediction", "by"], rows, "w nb n n -")
+    return ShownTable(["change", "median error", "95 %", "prediction", "by"], rows, "w nb n n -")
 
 
-def sweeps_table(sweeps: Sweeps) -> Table:
+def sweeps_table(sweeps: Sweeps) -> ShownTable:
     """Every level of every factor: median error, its interval, error of predictions, parameters lost."""
     rows: list[list[Cell]] = []
     marks = {}
@@ -232,7 +232,7 @@ def sweeps_table(sweeps: Sweeps) -> Table:
                 rows.append([title, (f"{v.label} (yours)", "sure"), "", "", percent(v.prediction), ""])
             else:
                 rows.append([title, label, change(v.ratio), _sure(v) or "formula", percent(v.prediction), lost])
-    return Table(["factor", "level", "median error", "95 %", "prediction", "lost"], rows, "b - n n n n", marks=marks)
+    return ShownTable(["factor", "level", "median error", "95 %", "prediction", "lost"], rows, "b - n n n n", marks=marks)
 
 
 def _sure(level: Level) -> str:
@@ -249,14 +249,14 @@ def change(ratio: float) -> str:
     return f"{100 * (ratio - 1):+.0f} %".replace("-", "−") if abs(ratio - 1) >= 0.005 else "0 %"
 
 
-def effects_table(found: Sequence[Susceptibility], labels: tuple[str, ...]) -> Table:
+def effects_table(found: Sequence[Susceptibility], labels: tuple[str, ...]) -> ShownTable:
     """Effects and places, their sizes, the largest bias in standard deviations, of which parameter, error of predictions."""
     rows = []
     for s in found:
         none = s.largest < NO_BIAS
         bias, of = ("none", "") if none else (f"{number(s.largest, 2)} σ", _short(labels[s.most_biased]))
         rows.append([s.effect.spec, size_text(s), bias, of, percent(s.prediction, 2) if s.prediction > 1e-12 else "0 %"])
-    return Table(["effect left out", "size", "largest bias", "of", "prediction"], rows, "k u nb - n")
+    return ShownTable(["effect left out", "size", "largest bias", "of", "prediction"], rows, "k u nb - n")
 
 
 def worst_places(found: Sequence[Susceptibility], each: int) -> list[Susceptibility]:
@@ -288,7 +288,7 @@ def sensor_title(sensors: SensorChoice) -> str:
     return f"Candidate sensors: share of the links' prior uncertainty ({percent(sensors.rel_std, 2)}, {how}) that would be left"
 
 
-def sensors_table(sensors: SensorChoice) -> Table:
+def sensors_table(sensors: SensorChoice) -> ShownTable:
     """A line for each thing that candidates are compared by, a cell for each candidate."""
     outlooks = sensors.outlooks
     bodies = list(dict.fromkeys(body for o in outlooks for body in o.left))
@@ -298,7 +298,7 @@ def sensors_table(sensors: SensorChoice) -> Table:
         *([f"left of {b}", *(percent(o.left[b], 2) if b in o.left else DASH for o in outlooks)] for b in bodies),
         ["range used", *((_range_used(o), "sure bad" if o.load > 1.0 else "") for o in outlooks)],
     ]
-    return Table(["", *(o.candidate.name for o in outlooks)], rows, marks={len(rows) - 1: "rule"})
+    return ShownTable(["", *(o.candidate.name for o in outlooks)], rows, marks={len(rows) - 1: "rule"})
 
 
 def _range_used(outlook: Outlook) -> str:

@@ -22,7 +22,7 @@ from bayesid.estimators.estimator import LEVEL
 from bayesid.estimators.parameters import EstimatedParameter
 from bayesid.results.files import Result
 from bayesid.results.text import number, percent
-from bayesid.section import Part, Table
+from bayesid.section import Part, ShownTable
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -422,13 +422,13 @@ class ControllerBounds(Result):
             out.append(("other uncertainty", f"99 % of the torques of {kind} within {bounds}"))
         return out
 
-    def _torques(self) -> Table:
+    def _torques(self) -> ShownTable:
         rows = [
             [t.name, ", ".join(number(x, 2) for x in t.torque.factor * t.torque.std.max(axis=0)),
              ", ".join(number(x, 2) for x in t.torque.extrapolation)]
             for t in self.trajectories
         ]  # fmt: skip
-        return Table(["trajectory", "torque: half band, by joint", "std over that of the fitted motions"], rows)
+        return ShownTable(["trajectory", "torque: half band, by joint", "std over that of the fitted motions"], rows)
 
 
 def _for_matlab(t: TrajectoryBands) -> dict[str, Any]:
@@ -463,7 +463,7 @@ def headline(left: Remainder | None, fitted: Sequence[str]) -> str:
     )
 
 
-def joints(w: Workspace, inside: InsideJoints) -> Table:
+def joints(w: Workspace, inside: InsideJoints) -> ShownTable:
     """Bounds joint by joint."""
     least = 1e-9 * float(w.gravity.max(initial=0.0))  # rounding of a joint that carries no weight
     gravity, error = (np.where(x > least, x, 0.0) for x in (w.gravity, w.gravity_error))
@@ -478,7 +478,7 @@ def joints(w: Workspace, inside: InsideJoints) -> Table:
             [name, f"{number(w.inertia[j, 0], 3)} … {number(w.inertia[j, 1], 3)}", share_of(w.inertia_error[j]),
              number(gravity[j], 3), number(error[j], 2), rotor, "identified" if known else friction]
         )  # fmt: skip
-    return Table(head, rows, style="narrow")
+    return ShownTable(head, rows, style="narrow")
 
 
 def share_of(error: float) -> str:

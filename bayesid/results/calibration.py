@@ -16,7 +16,7 @@ from bayesid.results.controllers import FORMATS, Load
 from bayesid.results.files import Result
 from bayesid.results.identification import Identification
 from bayesid.results.text import number
-from bayesid.section import Table
+from bayesid.section import ShownTable
 
 SCHEMA = 1
 #: Kinds of effects that a calibration tells of, and what they are.
@@ -139,7 +139,7 @@ class Calibration(Result):
         return f"<Calibration of {self.name}: {', '.join(self.found) or 'nothing found'}>"
 
     @property
-    def table(self) -> Table:
+    def table(self) -> ShownTable:
         """What was found and what was not, with intervals, and what explains the readings as well."""
         out = []
         for spec, quantities in self.found.items():
@@ -153,9 +153,9 @@ class Calibration(Result):
                          ("common gain of the forces", self.common_gain)):  # fmt: skip
             if q is not None:
                 out.append([label, *cells(q), q.unit, "" if q.shown else "not shown"])
-        return Table(["", "value", "95 % interval", "unit", ""], out, "k n n - w", "narrow")
+        return ShownTable(["", "value", "95 % interval", "unit", ""], out, "k n n - w", "narrow")
 
-    def _parts(self) -> list[str | Table]:
+    def _parts(self) -> list[str | ShownTable]:
         lead = f"{self.name}: force/torque sensor in {self.sensor}"
         return [lead, self.table, *self.sentences, *(f"warning: {w}" for w in self.warnings)]
 

@@ -16,7 +16,7 @@ from bayesid.recordings.experiment import Experiment
 from bayesid.recordings.schema import EffectParameters
 from bayesid.results.files import Result
 from bayesid.results.text import DASH, HALF, channel_text, interval, number, percent, with_half
-from bayesid.section import Table, as_html
+from bayesid.section import ShownTable, as_html
 
 #: Kinds of changes whose smallest visible size is given where nothing changed.
 _LISTED = ("payload", "coulomb_friction", "viscous_friction", "torque_gain", "sensor_offset", "sensor_gain")
@@ -76,12 +76,12 @@ class Changes(Result):
         return f"<Changes of {self.experiment.name} since {c.reference.problem.experiment.name}: {self.verdict}{named}>"
 
     @property
-    def table(self) -> Table:
+    def table(self) -> ShownTable:
         """Every parameter of every change, with its interval."""
         rows = [[x.change.spec, *value_text(v)] for x in self.comparison.changes for v in (*x.values, *x.derived)]
-        return Table(["change", "parameter", "value", "± 95 %", "interval", "unit"], rows, "k k nb n n ku")
+        return ShownTable(["change", "parameter", "value", "± 95 %", "interval", "unit"], rows, "k k nb n n ku")
 
-    def _parts(self) -> list[str | Table]:
+    def _parts(self) -> list[str | ShownTable]:
         c = self.comparison
         problem = c.recording.problem
         since, channel = c.reference.problem.experiment.name, channel_text(problem.channel)

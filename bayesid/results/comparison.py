@@ -17,7 +17,7 @@ from bayesid.regression.regression import Regression
 from bayesid.results.entry import Entry, HasEntries
 from bayesid.results.files import Result
 from bayesid.results.text import DASH, chance, channel_text, number, percent, with_interval
-from bayesid.section import Cell, Part, Section, Table
+from bayesid.section import Cell, Part, ShownSection, ShownTable
 from bayesid.validation.agreement import Gap, HausmanTest
 from bayesid.validation.headline import judged
 from bayesid.validation.predicted_readings import PredictedReadings, predict_readings
@@ -153,7 +153,7 @@ class Comparison(HasEntries, Result):
             legend.append("links: whether those that identify writes can exist, and how far off they are")
         refused = [f"{e.name} refused: {e.refusal}" for e in self.entries if e.estimate is None]
         warned = [f"warning: {w}" for w in self.warnings]
-        values = Section("Values, ± half of the 95 % interval", [values_table(self)])
+        values = ShownSection("Values, ± half of the 95 % interval", [values_table(self)])
         return [_title(self), overview_table(self), *legend, *refused, *warned, values]
 
     @property
@@ -206,7 +206,7 @@ def _title(result: Comparison) -> str:
     return f"{p.experiment.name}: {estimators} on the {channel_text(p.channel)} of {', '.join(p.fitted)}, {rank} base parameters"
 
 
-def overview_table(result: Comparison) -> Table:
+def overview_table(result: Comparison) -> ShownTable:
     """A line for each estimator: errors by motion, links, interval, distance from the reference, test, time of the fit."""
     done = [e for e in result.entries if e.estimate is not None]
     head, columns = ["estimator"], "kb"
@@ -218,7 +218,7 @@ def overview_table(result: Comparison) -> Table:
         head, columns = [*head, "interval", f"from {result.reference}", "largest"], f"{columns} n n n"
     head, columns = [*head, *(f"Hausman {t.efficient}" for t in result.tests[:1])], columns + " n" * bool(result.tests)
     rows = [_overview(result, entry) for entry in (*result.baselines, *done)]
-    return Table([*head, "time"], rows, f"{columns} n")
+    return ShownTable([*head, "time"], rows, f"{columns} n")
 
 
 def _overview(result: Comparison, entry: Entry) -> list[Cell]:
@@ -262,7 +262,7 @@ def in_sigmas(value: float | None) -> str:
     return "< 0.01" if value is not None and value < 0.01 else number(value, 3)
 
 
-def values_table(result: Comparison, *, whole: bool = False) -> Table:
+def values_table(result: Comparison, *, whole: bool = False) -> ShownTable:
     """Base and effect parameters by each estimator; ``whole``: numbered, and with those of the nominal model."""
     base, regression = result.regression.base, result.regression
     labels, units = [*base.labels, *regression.effect_names], [*base.units, *regression.effect_units]
@@ -277,4 +277,4 @@ def values_table(result: Comparison, *, whole: bool = False) -> Table:
         rows.append([*index, label, *values, *nominal, unit])
     head = [*["#"] * whole, "parameter", *result.estimates, *["nominal"] * shown, "unit"]
     numbers = " n" * (len(result.estimates) + shown)
-    return Table(head, rows, f"{'nd ' * whole}w{numbers} ku", "tight", {base.rank: "rule"})
+    return ShownTable(head, rows, f"{'nd ' * whole}w{numbers} ku", "tight", {base.rank: "rule"})

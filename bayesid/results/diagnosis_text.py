@@ -15,7 +15,7 @@ from bayesid.effects import Effect
 from bayesid.results.described import described_lines
 from bayesid.results.findings import Findings
 from bayesid.results.text import DASH, HALF, channel_text, interval, number, percent, with_half
-from bayesid.section import Part, Table
+from bayesid.section import Part, ShownTable
 from bayesid.validation.own_fit import MotionErrors
 from bayesid.validation.prediction import Prediction
 
@@ -310,7 +310,7 @@ def notebook_parts(diagnosis: Findings) -> list[Part]:
     parts += [f"{line[0].upper()}{line[1:]}." for line in error_lines(d)]
     if d.found:
         rows = [(f.term.effect.spec, *row) for k, f in enumerate(d.found) for row in parameter_rows(d, k)]
-        parts.append(Table(["effect", "parameter", "value", "± 95 %", "interval", "unit"], rows, "k k nb n n ku"))
+        parts.append(ShownTable(["effect", "parameter", "value", "± 95 %", "interval", "unit"], rows, "k k nb n n ku"))
     parts += [disagreement_line(w) for w in d.where[:_SHOWN]]
     if d.description is not None:
         parts += described_lines(d.description, d.data.channels.names)

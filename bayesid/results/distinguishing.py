@@ -8,7 +8,7 @@ from typing import Any
 from bayesid.design.tell.choose import Telling
 from bayesid.results.files import Result
 from bayesid.results.telling import chance, duration, listed_names, listed_pairs, pair_table, telling_dict
-from bayesid.section import Table
+from bayesid.section import ShownTable
 
 SCHEMA = 1
 #: The motion's file.
@@ -58,7 +58,7 @@ class DistinguishingMotion(Result):
             )
         return text
 
-    def _parts(self) -> list[str | Table]:
+    def _parts(self) -> list[str | ShownTable]:
         return [f"{self.name}: {self.lead}", pair_table(self.telling)]
 
     def to_dict(self) -> dict[str, Any]:

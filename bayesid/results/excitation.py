@@ -15,7 +15,7 @@ from bayesid.design.excitation.stops import StopAndGo
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.results.files import Result, strict
 from bayesid.results.text import number, percent
-from bayesid.section import Table
+from bayesid.section import ShownTable
 from bayesid.simulation.trajectories import Trajectory
 
 SCHEMA = 1
@@ -227,8 +227,8 @@ class Excitation(Result):
         state = "within all limits" if self.within_limits else "outside its limits"
         return f"<Excitation {self.name}: {len(self.joint_names)} joints, {self.trajectory.times[-1]:g} s, {state}>"
 
-    def _parts(self) -> list[str | Table]:
-        lines: list[str | Table] = [
+    def _parts(self) -> list[str | ShownTable]:
+        lines: list[str | ShownTable] = [
             f"{self.name}: exciting trajectory of {self.trajectory.times[-1]:g} s for {self.readings}",
             f"{self.criterion_text}",
         ]
@@ -246,7 +246,7 @@ class Excitation(Result):
             use = self.nearest(kind)
             rows.append([_KINDS[kind], use.where, f"{number(use.reached, 3)} {use.unit}", f"{number(use.limit, 3)} {use.unit}",
                          percent(use.ratio) if kind != "collision" else "kept" if use.kept else "broken"])  # fmt: skip
-        lines.append(Table(["nearest to its limit", "where", "reached", "allowed", "share"], rows))
+        lines.append(ShownTable(["nearest to its limit", "where", "reached", "allowed", "share"], rows))
         lines += [f"expected standard deviation of {name}: {number(std, 3)} {unit}" for name, unit, std in self.quantities]
         if self.diagnosability is not None:
             seen = sum(e.smallest <= e.usual for e in self.diagnosability.effects)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from bayesid.results.files import Result
-from bayesid.section import Table
+from bayesid.section import ShownTable
 
 SCHEMA = 1
 
@@ -50,7 +50,7 @@ class Exported(Result):
     def __repr__(self) -> str:
         return f"<Exported {self.name}: {', '.join(self.to)}>"
 
-    def _parts(self) -> list[str | Table]:
+    def _parts(self) -> list[str | ShownTable]:
         lines = [f"{self.name}, {self.method} from the {self.channel}:"]
         lines += [f"{form}: {text}" for form, text in self.about.items()]
         for form, values in self.left_out.items():

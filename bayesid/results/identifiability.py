@@ -16,7 +16,7 @@ from bayesid.posterior.result import PRIOR_DRIVEN
 from bayesid.results.files import Result, strict
 from bayesid.results.telling import chance
 from bayesid.results.text import DASH, number, percent
-from bayesid.section import Cell, Part, Section, Table
+from bayesid.section import Cell, Part, ShownSection, ShownTable
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -85,12 +85,12 @@ class Identifiability(Result):
         expected = [spread(main), *(f"effect {name}: {text}" for name, text in effect_lines(main))]
         parts: list[Part] = [
             f"{self.name}: what {motions} can determine", answer(self), sets_table(self), "* these readings would be used",
-            Section(f"Link parameters, by {main.sensor_set.title}", classes), Section("Expected errors", expected),
-            Section("What would make a difference", [f"- {a.text}" for a in self.advice]),
+            ShownSection(f"Link parameters, by {main.sensor_set.title}", classes), ShownSection("Expected errors", expected),
+            ShownSection("What would make a difference", [f"- {a.text}" for a in self.advice]),
         ]  # fmt: skip
         if self.separations:
             explained = "each at its usual size; told from: share of that size that is enough"
-            parts.append(Section("Telling effects apart", [explained, pair_table(self)]))
+            parts.append(ShownSection("Telling effects apart", [explained, pair_table(self)]))
         return [*parts, *(f"warning: {w}" for w in self.warnings)]
 
     def __getitem__(self, name: str) -> SetReport:
@@ -190,7 +190,7 @@ def counts(report: SetReport) -> list[tuple[str, int]]:
     return [(kind, found[kind]) for kind in WORDS if found[kind]]
 
 
-def sets_table(result: Identifiability, *, counted: bool = False) -> Table:
+def sets_table(result: Identifiability, *, counted: bool = False) -> ShownTable:
     """A row for each sensor set; ``counted``: with how many parameters are in each class."""
     rows: list[list[Cell]] = []
     for r in result.sensor_sets:
@@ -202,7 +202,7 @@ def sets_table(result: Identifiability, *, counted: bool = False) -> Table:
         rows.append([title, str(r.rank), most, known, number(r.condition_number, 3), *kinds, sources(r)])
     names = [k.replace("_", " ") for k in WORDS] if counted else []
     head = ["readings", "rank", "of any motion", "better than size", "condition", *names, "noise from"]
-    return Table(head, rows, f"- nb n n n{' n' * len(names)} -", "tight")
+    return ShownTable(head, rows, f"- nb n n n{' n' * len(names)} -", "tight")
 
 
 def sources(report: SetReport) -> str:
@@ -246,7 +246,7 @@ def effect_lines(report: SetReport) -> list[tuple[str, str]]:
     return lines
 
 
-def pair_table(result: Identifiability) -> Table:
+def pair_table(result: Identifiability) -> ShownTable:
     """How well effects are distinguished: a row for each sensor set, true effect and other one; squared standard deviations."""
     rows = []
     for report in result.sensor_sets:
@@ -258,7 +258,7 @@ def pair_table(result: Identifiability) -> Table:
         if not pairs:
             rows.append([report.sensor_set.title, "not both seen", "", DASH, DASH, DASH, DASH])
     head = ["readings", "true", "other", "seen alone", "left", "probability", "told from"]
-    return Table(head, rows, "- - - n n n n", "tight")
+    return ShownTable(head, rows, "- - - n n n n", "tight")
 
 
 def side_by_side(result: Identifiability) -> list[Part]:
@@ -270,5 +270,5 @@ def side_by_side(result: Identifiability) -> list[Part]:
     for k, body in enumerate(bodies):
         part = slice(k * len(across), (k + 1) * len(across))
         rows.append([body, *("".join(LETTERS[p.kind] for p in r.parameters[part]) for r in result.sensor_sets)])
-    table = Table(["", *(r.sensor_set.name for r in result.sensor_sets)], rows)
+    table = ShownTable(["", *(r.sensor_set.name for r in result.sensor_sets)], rows)
     return [f"Side by side ({' '.join(across)}): {key}", table]

@@ -12,7 +12,7 @@ from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.recordings.experiment import Experiment, Motion
 from bayesid.recordings.motion_checks import REPORTED, Timing
 from bayesid.results.files import Result
-from bayesid.section import Table
+from bayesid.section import ShownTable
 from bayesid.validation.mistakes.mistake import Mistake
 from bayesid.validation.own_fit import left_dict, left_text
 from bayesid.validation.prediction import Prediction
@@ -181,9 +181,11 @@ class Inspection(Result):
         found = f"{len(self.mistakes)} mistakes, {len(self.warnings)} warnings"
         return f"<Inspection of {self.name}: {len(self.motions)} motions, {found}>"
 
-    def _parts(self) -> list[str | Table]:
+    def _parts(self) -> list[str | ShownTable]:
         robot = self.experiment.robot
-        lines: list[str | Table] = [f"{self.name}: {robot.n} joints, {len(robot.body_names)} bodies, {len(self.motions)} motions"]
+        lines: list[str | ShownTable] = [
+            f"{self.name}: {robot.n} joints, {len(robot.body_names)} bodies, {len(self.motions)} motions"
+        ]
         lines += [f"warning: {w}" for w in self.warnings]
         for m in self.motions:
             rate = "" if np.isnan(m.rate) else f", {m.motion.table.duration:.4g} s at {m.rate:.4g} Hz"

@@ -17,7 +17,7 @@ from bayesid.results.files import Result
 from bayesid.results.text import channel_text, number
 from bayesid.robot import inertia
 from bayesid.robot.inertia import PARAMETERS, inertia_matrix
-from bayesid.section import Table, powers
+from bayesid.section import ShownTable, powers
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -211,16 +211,16 @@ class PayloadEstimate(Result):
         return f"<PayloadEstimate of {self.name}: {number(self.mass.value)} kg in the frame of {self.frame}>"
 
     @property
-    def table(self) -> Table:
+    def table(self) -> ShownTable:
         """Every quantity with its interval, and whether it is shown."""
         rows = [
             [_NAMES.get(q.name, f"inertia {q.name}"), *cells(q), powers(q.unit), "" if q.shown else "not shown"]
             for q in self.quantities
         ]
         dim = {k: "dim" for k, q in enumerate(self.quantities) if not q.shown}
-        return Table(["", "value", "95 % interval", "unit", ""], rows, "k n n - -", "narrow", dim)
+        return ShownTable(["", "value", "95 % interval", "unit", ""], rows, "k n n - -", "narrow", dim)
 
-    def _parts(self) -> list[str | Table]:
+    def _parts(self) -> list[str | ShownTable]:
         lead = f"{self.name}: payload {SOURCES[self.source].format(where=self.source_detail)} ({channel_text(self.channel)})"
         frame = f"in the frame of {self.frame}, inertia about the centre of mass"
         return [lead, frame, self.table, *self.sentences, *(f"warning: {w}" for w in self.warnings)]

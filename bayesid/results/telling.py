@@ -7,7 +7,7 @@ from typing import Any
 
 from bayesid.design.tell.choose import RivalPair, Telling
 from bayesid.results.text import number, percent
-from bayesid.section import Table
+from bayesid.section import ShownTable
 from bayesid.simulation.trajectory_file import write_trajectory
 
 #: The file that it is written into beside a diagnosis.
@@ -49,13 +49,13 @@ def chance(probability: float) -> str:
     return "over 99 %" if probability > 0.99 else "under 1 %" if probability < 0.01 else percent(round(probability, 2))
 
 
-def pair_table(telling: Telling) -> Table:
+def pair_table(telling: Telling) -> ShownTable:
     """Each rival as the true one, and each other that it rules out."""
     rows = [
         [p.true, p.other, number(p.noncentrality, 3), f"{number(p.gain, 3)} ± {number(p.std, 2)}", chance(p.probability)]
         for p in telling.pairs
     ]
-    return Table(["if true", "rules out", "noncentrality", "log evidence", "probability"], rows, "k k n n nb")
+    return ShownTable(["if true", "rules out", "noncentrality", "log evidence", "probability"], rows, "k k n n nb")
 
 
 def pair_dict(pair: RivalPair) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from bayesid.diagnosis.changes.findings import NamedChange, ReferenceComparison
 from bayesid.results.changes import change_dict, value_text
 from bayesid.results.files import Result
 from bayesid.results.text import DASH, number
-from bayesid.section import Cell, Table
+from bayesid.section import Cell, ShownTable
 from bayesid.validation.own_fit import left_dict
 from bayesid.validation.prediction import Prediction
 
@@ -161,12 +161,12 @@ class Watch(Result):
         return out
 
     @property
-    def table(self) -> Table:
+    def table(self) -> ShownTable:
         """A line for each recording."""
         head = ["recording", "verdict", "what changed", "residual over own fit", "x noise"]
-        return Table(head, [w.line for w in self.recordings], "k - w n n")
+        return ShownTable(head, [w.line for w in self.recordings], "k - w n n")
 
-    def _parts(self) -> list[str | Table]:
+    def _parts(self) -> list[str | ShownTable]:
         head = f"{len(self.recordings)} recordings since {self.reference}"
         head += f"; a change is named from a log evidence of {self.accept:.3g}"
         return [head, self.table, *(f"{s}." for s in self.sentences())]
