@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from bayesid.arguments import argument, call
 from bayesid.design.bounds.bands import FAR, Band
 from bayesid.design.bounds.region import Region
 from bayesid.design.bounds.remainder import HALF, Remainder
@@ -113,7 +114,10 @@ def bounds_report(result: ControllerBounds) -> str:
     known, region, w = result.known, result.region, result.workspace
     robot, wrench = known.problem.experiment.robot, known.problem.channel == "wrench"
     names = [*result.torque_model.base.short_names, *region.names[result.torque_model.base.rank :]]
-    unseen = "A wrench sensor cannot know them: forces inside a joint act on both of its sides and cancel. "
+    unseen = (
+        "A wrench sensor under the base or at the wrist cannot know them: forces inside a joint act on both of its sides and "
+    )
+    unseen += "cancel. "
     inside = (
         f"**Not in the bounds above:** the usual rotor inertia and friction in the last columns. {unseen * wrench}Their usual "
         "sizes are guesses from the effort limits. For geared arms the reflected inertia of the rotors, gear ratio² × rotor "
@@ -156,9 +160,9 @@ def bounds_report(result: ControllerBounds) -> str:
         ]),
         ShownSection("What it rests on", [bullets(result.assumptions)]),
         how(*_how(result), after=(
-            "All numbers are in `bounds.json`, arrays in `bounds.mat`; `identified.urdf` is the robot that `bayesid identify` "
-            "writes, friction included; what a URDF has no place for, such as rotor inertia, stands in its comments and under "
-            f"`identified_urdf`{drawn}.")),
+            "All numbers are in `bounds.json`, arrays in `bounds.mat`; `identified.urdf` is the robot that "
+            f"`{call('identify')}` writes, friction included; what a URDF has no place for, such as rotor inertia, stands in "
+            f"its comments and under `identified_urdf`{drawn}.")),
     ]  # fmt: skip
     name, source = known.problem.experiment.name, f"{known.source} ({known.method})"
     of = f"{channel_text(known.problem.channel)} of {', '.join(known.problem.fitted)}"
@@ -259,7 +263,7 @@ def _trajectory(t: TrajectoryBands, index: int) -> Part:
                        "that of the band that holds sample by sample."),
                 _channels(b),
             ]  # fmt: skip
-    given = "" if t.given else " (a motion of the experiment; give another with --trajectory)"
+    given = "" if t.given else f" (a motion of the experiment; give another with {argument('trajectories')})"
     return below(f"{t.name}{given}", *parts)
 
 

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bayesid.arguments import call
 from bayesid.diagnosis.changes.findings import HiddenChange, NamedChange, ReferenceComparison
 from bayesid.diagnosis.changes.scales import FRICTION_SHARE, GAIN_SHARE
 from bayesid.report.diagnosis_figures import evidence_bars, waterfall
@@ -48,7 +49,8 @@ def changes_report(result: Changes) -> str:
         *([ShownSection("What changed", [
             *(_change(x, c) for x in c.changes),
             note("Changes since the reference. Intervals count what is not known of links, friction and gains. `model.toml` "
-                 "beside this page holds the reference's model with these changes: `bayesid identify … --model model.toml`."),
+                 "beside this page holds the reference's model with these changes, for the next "
+                 f"`{call('identify')}`."),
         ])] if c.changes else []),
         ShownSection("The gap, and what closes it", [
             f"The recording was cut into {c.errors.segments} parts. Each was predicted from what the others say, in units of "

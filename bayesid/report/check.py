@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from markupsafe import Markup
 
+from bayesid.arguments import call
 from bayesid.recordings.table import WRENCH_COLUMNS
 from bayesid.report.charts import CYCLE, WIDTH, Panel, chart, key, key_width, limits, text_width, write
 from bayesid.report.page import below, bullets, cards, figure, fold, lead, note, page, terms, warnings
@@ -160,7 +161,7 @@ def check_report(check: Inspection) -> str:
         ShownSection("Noise and bandwidth", _noise(check), "Noise"),
         ShownSection("What each set of readings can see", [
             f"How many combinations of the {robot.nominal.size} inertial parameters the richest motion could ever determine: "
-            "the rank. Which of them the recorded motions do determine, and how well, is for `bayesid identify`.",
+            f"the rank. Which of them the recorded motions do determine, and how well, is for `{call('identify')}`.",
             ShownTable(["readings", "rank", "invisible", "in this folder"], [
                 [s.name, str(s.base.rank), str(len(s.base.invisible)), "yes" if s.available else "no"] for s in check.sensor_sets
             ], "w nb n -"),
@@ -323,7 +324,7 @@ def _noise(check: Inspection) -> list[Part]:
         ]
     if check.left:
         left = [f"{p.motion}{'' if p.fitted else ', not fitted'}: {left_text(p)}" for p in check.left]
-        said = "What a fit of the model as it is would leave of each motion below 10 Hz, as `bayesid identify` says it:"
+        said = f"What a fit of the model as it is would leave of each motion below 10 Hz, as `{call('identify')}` says it:"
         parts += [said, bullets(left)]
     return parts
 

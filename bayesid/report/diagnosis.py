@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from bayesid.arguments import call
 from bayesid.diagnosis.data import WHITE, Episode
 from bayesid.diagnosis.locate import Disagreement
 from bayesid.diagnosis.push import Push
@@ -165,8 +166,8 @@ def _found(d: Findings) -> ShownSection:
         ))  # fmt: skip
     end = note(
         "Fitted together with the links and with each other, by the effects' exact equations; intervals count what is not "
-        "known of the links. `model.toml` beside this page holds the model with these effects: `bayesid identify … --model "
-        "model.toml`."
+        "known of the links. `model.toml` beside this page holds the model with these effects, for the next "
+        f"`{call('identify')}`."
     )
     return ShownSection("What it is", [*parts, end])
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from markupsafe import Markup
 
+from bayesid.arguments import argument, call
 from bayesid.diagnosis.changes.scales import FRICTION_SHARE, GAIN_SHARE
 from bayesid.report.charts import CYCLE, WIDTH, Panel, chart, text_width, write
 from bayesid.report.page import figure, how, lead, note, page, versions
@@ -115,7 +116,7 @@ def watch_report(result: Watch) -> str:
         ]),
         how(("Recordings", f"{len(entries)} of {result.planned}"), ("Run time", f"{number(result.seconds, 3)} s"),
             versions("numpy", "scipy", "pin"),
-            after=f"Everything about one recording: `bayesid diagnose RECORDING --reference {result.reference}`. "
+            after=f"Everything about one recording: `{call('diagnose')}` with `{argument('reference', result.reference)}`. "
                   f"A change is named from a log evidence of {number(result.accept, 3)}."),
     ]  # fmt: skip
     kicker = f"What changed since the reference, and when: from the {channel_text(channel)}"
