@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 SCHEMA = 1
 #: Errors of at most so many motions stand in the overview.
-TEXT_MOTIONS = 3
+_SHOWN_MOTIONS = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,7 +210,7 @@ def overview_table(result: Comparison) -> ShownTable:
     """A line for each estimator: errors by motion, links, interval, distance from the reference, test, time of the fit."""
     done = [e for e in result.entries if e.estimate is not None]
     head, columns = ["estimator"], "kb"
-    for p in done[0].predictions[:TEXT_MOTIONS]:
+    for p in done[0].predictions[:_SHOWN_MOTIONS]:
         head, columns = [*head, f"{p.motion}: error", "x noise"], f"{columns} n nb"
     if result.links_known:
         head, columns = [*head, "links"], f"{columns} k"
@@ -224,7 +224,7 @@ def overview_table(result: Comparison) -> ShownTable:
 def _overview(result: Comparison, entry: Entry) -> list[Cell]:
     own = None if any(entry is b for b in result.baselines) else entry.estimate
     row: list[Cell] = [" = ".join((entry.name, *(() if own is None else result.same_as(entry.name))))]
-    for p in entry.predictions[:TEXT_MOTIONS]:
+    for p in entry.predictions[:_SHOWN_MOTIONS]:
         row += [percent(p.relative_error), (number(p.times_noise, 3), judged(p).mood)]
     if result.links_known:
         none, unfit = entry.impossible is None, entry.impossible or entry.conflicting

@@ -7,8 +7,7 @@ import numpy as np
 from bayesid.rounding import DASH, HALF, ends, interval, number, with_half, with_interval
 
 __all__ = [
-    "DASH", "HALF", "chance", "channel_text", "ends", "interval", "number", "percent", "with_half",
-    "with_interval",
+    "DASH", "HALF", "chance", "channel_text", "ends", "interval", "number", "percent", "with_half", "with_interval",
 ]  # fmt: skip
 
 _CHANNELS = {"wrench": "sensor's wrench", "torque": "joint torques", "both": "sensor's wrench and joint torques"}
