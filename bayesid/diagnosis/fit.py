@@ -17,7 +17,7 @@ import numpy as np
 
 from bayesid.diagnosis.data import DiagnosisData
 from bayesid.diagnosis.projector import NuisanceProjector
-from bayesid.diagnosis.rows import model_rows, residual_rows
+from bayesid.diagnosis.rows import model_rows
 from bayesid.effects import Term
 from bayesid.robot.prior import Prior
 
@@ -142,7 +142,7 @@ def begin(projector: NuisanceProjector, terms: Sequence[Term], start: Fit | None
     data, terms = projector.data, tuple(terms)
     u = np.zeros(projector.size) if start is None else start.coordinates.copy()
     free = tuple((i, k) for i, t in enumerate(terms) if not data.fixed(t) for k in range(len(t.values)))
-    rows, prior = _rows(projector, u, terms), projector.prior_residual(u)
+    rows, prior = projector.residual(u, terms), projector.prior_residual(u)
     return Iterate(projector, terms, free, u, rows, prior, float(rows @ rows + prior @ prior))
 
 
@@ -159,7 +159,7 @@ def _stepped(now: Iterate) -> Iterate:
     """One damped Gauss-Newton step."""
     projector, free, terms, u = now.projector, now.free, now.terms, now.coordinates
     data, damping = projector.data, now.damping
-    links, _ = _split(projector, u)
+    links, _ = projector.split(u)
     jacobian = model_rows(data, data.segments, links, terms)
     if not np.isfinite(jacobian).all():
         return replace(now, settled=True)
@@ -188,7 +188,7 @@ def _stepped(now: Iterate) -> Iterate:
             back = stacked.copy()
             back[: projector.length] -= jacobian @ taken
             moved = u + np.linalg.solve(projector.r, projector.q.T @ back)
-        rows, prior = _rows(projector, moved, trial), projector.prior_residual(moved)
+        rows, prior = projector.residual(moved, trial), projector.prior_residual(moved)
         chi2 = float(rows @ rows + prior @ prior)
         if now.chi2 - chi2 > -settled:
             return replace(
@@ -232,7 +232,7 @@ def finish(now: Iterate) -> Fit:
     """The fit as it stands, with its covariance and score; without a score where it diverged or an effect is another one."""
     projector, free, terms = now.projector, now.free, now.terms
     data, rows, chi2 = projector.data, now.rows, now.chi2
-    links, offset = _split(projector, now.coordinates)
+    links, offset = projector.split(now.coordinates)
     jacobian = model_rows(data, data.segments, links, terms)
     possible = bool(np.isfinite(chi2) and np.isfinite(jacobian).all())
     if not possible:  # diverged: refused
@@ -346,17 +346,6 @@ def _eigen(gram: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     values, vectors = np.linalg.eigh(gram) if len(gram) else (np.zeros(0), np.zeros((0, 0)))
     keep = values > 1e-9
     return values[keep], vectors[:, keep]
-
-
-def _split(projector: NuisanceProjector, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    m = projector.root.shape[1]
-    offset = u[m:] if projector.offset else np.zeros(len(projector.data.channels))
-    return projector.data.links + projector.root @ u[:m], offset
-
-
-def _rows(projector: NuisanceProjector, u: np.ndarray, terms: Sequence[Term]) -> np.ndarray:
-    links, offset = _split(projector, u)
-    return residual_rows(projector.data, projector.data.segments, links, offset, terms)
 
 
 def _moved(terms: tuple[Term, ...], free: Sequence[tuple[int, int]], change: np.ndarray) -> tuple[Term, ...]:

@@ -18,9 +18,9 @@ from bayesid.diagnosis.settings import Settings
 from bayesid.effects import Term
 from bayesid.regression.parallel import in_order
 
-#: Proposals fitted exactly in one round, and of them of one kind at most; kinds fitted at all joints at once. More find nothing
-#: else, and cost time.
-_FITTED, _ALIKE, _FAMILIES = 8, 3, 3
+#: Proposals fitted exactly in one round, in the place of an effect that was chosen from as many before, and of one kind at most;
+#: kinds fitted at all joints at once. More find nothing else, and cost time.
+_FITTED, _EXCHANGED, _ALIKE, _FAMILIES = 8, 4, 3, 3
 #: Exact fits race: those that have gained less than this share of the best one's gain after a few steps are given up.
 _BEHIND = 0.2
 
@@ -134,7 +134,7 @@ def _families(library: Library, proposals: Sequence[Proposal], dispersion: float
 
 
 def exact_fits(
-    models: NoiseModels, start: Fit, held: Sequence[Term], proposals: Sequence[Proposal], dispersion: float
+    models: NoiseModels, start: Fit, held: Sequence[Term], proposals: Sequence[Proposal], dispersion: float, most: int = _FITTED
 ) -> tuple[NoiseModels, list[Fit]]:
     """Exact fits of the most promising proposals beside the effects held, each under its own noise, best first.
 
@@ -152,9 +152,11 @@ def exact_fits(
         Effects that may come in.
     dispersion
         The dispersion factor.
+    most
+        How many proposals to fit.
     """
     settings = start.projector.data.settings
-    terms = [term for p in _shortlist(proposals, dispersion, settings) for term in (p.term, *p.others)]
+    terms = [term for p in _shortlist(proposals, dispersion, settings, most) for term in (p.term, *p.others)]
     fits = []
     for fitted in _raced(start, held, terms):
         models, own = models.own(fitted)
@@ -171,13 +173,13 @@ def _raced(start: Fit, held: Sequence[Term], terms: Sequence[Term]) -> list[Fit]
     return list(in_order(lambda now: finish(advance(now, STEPS - FEW_STEPS)), kept))
 
 
-def _shortlist(proposals: Sequence[Proposal], dispersion: float, settings: Settings) -> list[Proposal]:
+def _shortlist(proposals: Sequence[Proposal], dispersion: float, settings: Settings, most: int) -> list[Proposal]:
     """The best proposals, but few of one kind: neighbouring links explain alike and would crowd out other kinds."""
     kept: list[Proposal] = []
     for p in proposals:
         name = p.term.effect.name
         same = sum(k.term.effect.name == name for k in kept)
-        if len(kept) < _FITTED and same < _ALIKE and 0.5 * p.gain > settings.accept * dispersion:
+        if len(kept) < most and same < _ALIKE and 0.5 * p.gain > settings.accept * dispersion:
             kept.append(p)
     return kept
 
@@ -198,7 +200,7 @@ def _exchanged(state: State) -> State:
             models, without = models.own(fit(best.projector, held, best, steps=FEW_STEPS))
             models, library = models.library(without)
             rivals = [p for p in library.propose(without) if p.name != own.effect.spec or len(own.effect.shape) > 1]
-            models, fits = exact_fits(models, without, held, rivals, dispersion)
+            models, fits = exact_fits(models, without, held, rivals, dispersion, _EXCHANGED)
             if fits and fits[0].score > best.score + dispersion:
                 best = fits[0]
         if best is before:

@@ -8,12 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from bayesid.diagnosis.data import DiagnosisData
+from bayesid.diagnosis.rows import inside_joints_rows, residual_rows
 from bayesid.diagnosis.spectra import Segment
 from bayesid.effects import Term
+from bayesid.effects.families import needs_no_load
 
 #: One over the prior standard deviation of an offset, of which nothing is known [1/N, 1/(N m)].
 UNKNOWN_OFFSET = 1e-6
@@ -37,6 +40,8 @@ class NuisanceProjector:
         Number of rows that are data: those of channels that say anything.
     volume
         Log determinant of the noise of all rows.
+    rigid
+        Whether the links' columns are those of rigid bodies, at whatever links.
     """
 
     data: DiagnosisData
@@ -46,6 +51,7 @@ class NuisanceProjector:
     r: np.ndarray
     rows: int
     volume: float
+    rigid: bool
 
     @property
     def size(self) -> int:
@@ -56,6 +62,27 @@ class NuisanceProjector:
     def length(self) -> int:
         """Number of rows above the prior's, those of channels that say nothing among them."""
         return len(self.q) - self.size
+
+    @cached_property
+    def _nominal_rows(self) -> np.ndarray:
+        """Whitened rows of what was measured less what the nominal links make (rows,)."""
+        channels = len(self.data.channels)
+        return residual_rows(self.data, self.data.segments, self.data.links, np.zeros(channels), ())
+
+    def residual(self, u: np.ndarray, terms: Sequence[Term]) -> np.ndarray:
+        """Whitened rows of what was measured less what links and offset at coordinates u (size,) and effects make (rows,)."""
+        if self.rigid and all(needs_no_load(t.effect) for t in terms):
+            # Linear in links and offset, and what is inside joints comes on top.
+            links = self.q[: self.length] @ (self.r @ u)
+            return self._nominal_rows - links - inside_joints_rows(self.data, self.data.segments, terms)
+        links, offset = self.split(u)
+        return residual_rows(self.data, self.data.segments, links, offset, terms)
+
+    def split(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Links (10 b,) and offset (c,) of coordinates u (size,)."""
+        m = self.root.shape[1]
+        offset = u[m:] if self.offset else np.zeros(len(self.data.channels))
+        return self.data.links + self.root @ u[:m], offset
 
     def project_out(self, stacked: np.ndarray) -> np.ndarray:
         """What links and offset cannot explain of rows of data with those of their prior beneath (rows + size, ...)."""
@@ -98,7 +125,8 @@ def make_projector(data: DiagnosisData, terms: Sequence[Term]) -> NuisanceProjec
         prior[-6:] *= UNKNOWN_OFFSET
     q, r = np.linalg.qr(np.vstack([whitened, prior]))
     volume = sum(float(np.linalg.slogdet(s.covariance)[1].sum()) for s in data.segments)
-    return NuisanceProjector(data, root, offset, q, r, sum(s.count for s in data.segments), volume)
+    rigid = all(needs_no_load(t.effect) for t in terms)
+    return NuisanceProjector(data, root, offset, q, r, sum(s.count for s in data.segments), volume, rigid)
 
 
 def offset_columns(segment: Segment) -> np.ndarray:

@@ -9,7 +9,9 @@ import numpy as np
 from bayesid.diagnosis.data import DiagnosisData, active_terms
 from bayesid.diagnosis.spectra import Segment
 from bayesid.effects import Term, columns
-from bayesid.effects.families import EncoderEffect, JointDelayEffect, JointGainEffect, JointTorqueEffect
+from bayesid.effects.exact import effect_derivatives_at_joint
+from bayesid.effects.families import EncoderEffect, JointDelayEffect, JointGainEffect, needs_no_load
+from bayesid.effects.model import Model
 
 
 def residual_rows(data: DiagnosisData, segments: Sequence[Segment], links: np.ndarray, offset: np.ndarray, terms: Sequence[Term]):
@@ -37,20 +39,29 @@ def term_rows(
 
 def _white_columns(data: DiagnosisData, segment: Segment, links: np.ndarray, terms: tuple[Term, ...], term: Term) -> np.ndarray:
     """Rows of one segment (rows, k); those of what the joint's motion alone says are transformed once."""
-    effect = term.effect
+    effect, channels = term.effect, {joint: channel for channel, joint in segment.torque_channels}
+    if needs_no_load(effect) and effect.joint in channels:
+        # What another joint's encoder or drive does is nothing to this joint's torque.
+        reads, here = (EncoderEffect, JointDelayEffect, JointGainEffect), (None, effect.joint)
+        beside = tuple(t for t in terms if isinstance(t.effect, reads) and t.effect.joint in here)
+        live = np.arange(len(data.channels)) == channels[effect.joint]
 
-    def made() -> tuple[np.ndarray, np.ndarray]:
-        with np.errstate(all="ignore"):  # as above
-            found = columns(data.robot, data.channels, segment.scene, links, terms, effect, term.values)
-        return segment.live_spectrum(found)
+        def made() -> np.ndarray:
+            model = Model.of(data.robot, data.channels, segment.scene, data.links, beside)
+            with np.errstate(all="ignore"):  # as above
+                return segment.spectrum(effect_derivatives_at_joint(model, effect, term.values)[:, None], live)
 
-    if not isinstance(effect, JointTorqueEffect) or effect.uses_load:
-        return segment.white_rows(*made())
-    reads = (EncoderEffect, JointDelayEffect, JointGainEffect)
-    # What another joint's encoder or drive does is nothing to this joint's torque.
-    here = (None, effect.joint)
-    beside = tuple(t for t in terms if isinstance(t.effect, reads) and t.effect.joint in here)
-    return segment.white_rows(*segment.kept.get((effect, term.values if effect.shape else (), beside), made))
+        key = effect, term.values if effect.shape else (), beside
+        return segment.white_rows(live, segment.kept.get(key, made))
+    with np.errstate(all="ignore"):  # as above
+        found = columns(data.robot, data.channels, segment.scene, links, terms, effect, term.values)
+    return segment.white(found)
+
+
+def inside_joints_rows(data: DiagnosisData, segments: Sequence[Segment], terms: Sequence[Term]) -> np.ndarray:
+    """Whitened rows of torques inside joints that need no load (rows,)."""
+    models = [Model.of(data.robot, data.channels, s.scene, data.links, terms) for s in segments]
+    return np.concatenate([s.white(m.inside_joints) for s, m in zip(segments, models, strict=True)])
 
 
 def model_rows(data: DiagnosisData, segments: Sequence[Segment], links: np.ndarray, terms: Sequence[Term]) -> np.ndarray:

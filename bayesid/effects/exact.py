@@ -87,8 +87,7 @@ def effect_derivatives(model: Model, effect: Effect) -> np.ndarray:
             share = differences(effect, values, lambda v: np.full(1, effect.gain(v)))
             out[:, k] = model.ungained[:, k, None] * share
         case JointTorqueEffect():
-            k, motion = model.joints[effect.joint], model.joint_motion(effect)
-            out[:, k] = differences(effect, values, lambda v: effect.torque(motion, v)) * model.torque_chain.gain[k]
+            out[:, model.joints[effect.joint]] = effect_derivatives_at_joint(model, effect, values)
         case ReadingEffect():
             added = differences(effect, values, lambda v: effect.added(model.readout, v))
             out = model.torque_chain.late(model.segment, added) * model.torque_chain.gain[:, None]
@@ -110,6 +109,12 @@ def effect_derivatives(model: Model, effect: Effect) -> np.ndarray:
         case _:
             out = differences(effect, values, lambda v: model.changed(Term(effect, v)).readings)
     return out
+
+
+def effect_derivatives_at_joint(model: Model, effect: JointTorqueEffect, values: tuple[float, ...]) -> np.ndarray:
+    """Derivative of the reading of a joint's torque with respect to the parameters of what is inside that joint (N, k)."""
+    motion = model.joint_motion(effect)
+    return differences(effect, values, lambda v: effect.torque(motion, v)) * model.torque_chain.gain[model.joints[effect.joint]]
 
 
 def _load_columns(model: Model, effect: LoadEffect, values: tuple[float, ...]) -> np.ndarray:

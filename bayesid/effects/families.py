@@ -19,7 +19,7 @@ from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import ClassVar
+from typing import ClassVar, TypeGuard
 
 import numpy as np
 
@@ -67,6 +67,15 @@ class JointMotion:
     def direction(self) -> np.ndarray:
         """Sign of the velocity (N,); see `bayesid.effects.segment.direction`."""
         return direction(self.velocity, self.acceleration, self.cell)
+
+    @cached_property
+    def ways(self) -> np.ndarray:
+        """Signed ways (2 (N - 1),), two between samples, for a velocity that is straight there and may reverse."""
+        step, speed, sign = np.diff(self.time), np.abs(self.velocity), np.sign(self.velocity)
+        turns = sign[:-1] * sign[1:] < 0.0
+        both = np.where(turns, speed[:-1] + speed[1:], 1.0)
+        first, second = (0.5 * step * s * np.where(turns, s / both, 1.0) for s in (speed[:-1], speed[1:]))
+        return np.column_stack([first * sign[:-1], second * sign[1:]]).ravel()
 
 
 @dataclass(frozen=True, eq=False)
@@ -289,6 +298,11 @@ class JointTorqueEffect(InstrumentEffect):
         return out
 
 
+def needs_no_load(effect: Effect) -> TypeGuard[JointTorqueEffect]:
+    """Whether an effect is a torque inside a joint that neither links nor effects elsewhere have a part in."""
+    return isinstance(effect, JointTorqueEffect) and not effect.uses_load
+
+
 class JointGainEffect(InstrumentEffect):
     """A joint's torque is read larger or smaller than it is, all that is inside the joint included."""
 
@@ -341,5 +355,5 @@ class ReadingEffect(InstrumentEffect):
 __all__ = [
     "BodyEffect", "Effect", "EncoderEffect", "FlexibleJointEffect", "GravityEffect", "InstrumentEffect", "JointDelayEffect",
     "JointGainEffect", "JointMotion", "JointTorqueEffect", "LoadEffect", "Loads", "MountEffect", "Parameter", "PlayEffect",
-    "ReadingEffect", "Readout", "RotorEffect", "SensorEffect", "TransmissionEffect", "differences",
+    "ReadingEffect", "Readout", "RotorEffect", "SensorEffect", "TransmissionEffect", "differences", "needs_no_load",
 ]  # fmt: skip

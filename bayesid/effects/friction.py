@@ -9,7 +9,7 @@ import numpy as np
 from bayesid.effects import sizes
 from bayesid.effects.bristle import bent
 from bayesid.effects.effect import Parameter
-from bayesid.effects.families import JointMotion, JointTorqueEffect
+from bayesid.effects.families import JointTorqueEffect
 
 _ARMSTRONG = "[Armstrong1994](references.md)"
 _BITTENCOURT = "[Bittencourt2012](references.md)"
@@ -127,16 +127,7 @@ class DahlFriction(JointTorqueEffect):
     def torque(self, motion, values):
         # Where a recording starts at rest the bristle does, too; a joint that moves has bent it.
         start = float(np.clip(motion.velocity[0] / SLIPPING_SPEED, -1.0, 1.0))
-        return values[0] * bent(_ways(motion), max(values[1], 1e-9), start)[::2]
-
-
-def _ways(motion: JointMotion) -> np.ndarray:
-    """Signed ways between samples (2 (N - 1),), two for each interval, for a velocity that is straight there and may reverse."""
-    step, speed, sign = np.diff(motion.time), np.abs(motion.velocity), np.sign(motion.velocity)
-    turns = sign[:-1] * sign[1:] < 0.0
-    both = np.where(turns, speed[:-1] + speed[1:], 1.0)
-    ways = [0.5 * step * s * np.where(turns, s / both, 1.0) for s in (speed[:-1], speed[1:])]
-    return np.column_stack([ways[0] * sign[:-1], ways[1] * sign[1:]]).ravel()
+        return values[0] * bent(motion.ways, max(values[1], 1e-9), start)[::2]
 
 
 class StribeckFriction(JointTorqueEffect):

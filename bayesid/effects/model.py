@@ -427,14 +427,28 @@ class Model:
 
     def joint_motion(self, effect: JointTorqueEffect) -> JointMotion:
         """What happens at the joint of an effect when its torque is read."""
-        assert effect.joint is not None
-        load = self.given[:, self.joints[effect.joint]] if effect.uses_load else None
-        late = self.torque_chain.late_motion(self.segment, self.motor, tuple(self._by_family.get(EncoderEffect, ())))
-        return self.torque_chain.at_joint(self.segment, late, effect.joint, load)
+        joint, chain, pose = effect.joint, self.torque_chain, tuple(self._by_family.get(EncoderEffect, ()))
+        assert joint is not None
+
+        def made(load: np.ndarray | None = None) -> JointMotion:
+            return chain.at_joint(self.segment, chain.late_motion(self.segment, self.motor, pose), joint, load)
+
+        if effect.uses_load:
+            return made(self.given[:, self.joints[joint]])
+        return self.segment.joints.get(("motion", joint, tuple(chain.delays.items()), pose), made)
 
     def inside(self, effect: JointTorqueEffect, values: Sequence[float]) -> np.ndarray:
         """What something inside a joint adds to its torque (N,)."""
         return effect.torque(self.joint_motion(effect), values)
+
+    @cached_property
+    def inside_joints(self) -> np.ndarray:
+        """What all that is inside joints adds to their torques (N, c)."""
+        out = np.zeros((len(self.segment.times), len(self.channels)))
+        for effect, values in self.of_family(JointTorqueEffect):
+            if effect.joint in self.joints:
+                out[:, self.joints[effect.joint]] += self.inside(effect, values)
+        return out
 
     @cached_property
     def ungained(self) -> np.ndarray:
@@ -442,9 +456,7 @@ class Model:
         out = np.array(self.given)
         if len(self.wrench):
             out[:, self.wrench] = self.chain().reading(self.segment, self.true[:, self.wrench])
-        for effect, values in self.of_family(JointTorqueEffect):
-            if effect.joint in self.joints:
-                out[:, self.joints[effect.joint]] += self.inside(effect, values)
+        out += self.inside_joints
         for effect, values in self.of_family(ReadingEffect):
             out += self.torque_chain.late(self.segment, effect.added(self.readout, values))
         return out

@@ -37,7 +37,8 @@ from bayesid.diagnosis.prepare import prepare_data
 from bayesid.diagnosis.search import certain
 from bayesid.diagnosis.settings import DEFAULT
 from bayesid.diagnosis.significance import differs_from_zero, distance
-from bayesid.effects import EffectLibrary, Term
+from bayesid.effects import EffectLibrary, Term, columns
+from bayesid.effects.families import needs_no_load
 from bayesid.recordings.experiment import load_experiment
 from bayesid.robot.prior import Prior
 
@@ -359,3 +360,23 @@ def test_a_step_holds_what_would_pass_its_limit(seed, size):
     least = lsq_linear(columns, target, (np.where(lower, 0.0, -np.inf), np.inf)).cost
     left = target - columns @ change
     assert least <= 0.5 * left @ left + 1e-9 <= 0.5 * target @ target + 1e-9
+
+
+@pytest.mark.parametrize("other", [[], ["tether"]])
+def test_readings_that_are_linear_in_the_links_are_not_predicted_anew(record, other):
+    """The residual at any links and friction is what an exact prediction leaves, whatever else acts."""
+    folder, _ = record(f"linear-{len(other)}", "single", ["viscous_friction"], "torque", seed=11)
+    data, nuisance = made(folder, "torque")
+    effects = [data.places(name)[1] for name in ("coulomb_friction", "dahl_friction", "torque_ripple", *other)]
+    terms = tuple(Term(e, tuple(np.clip(e.typical(data.robot), e.lower, e.upper))) for e in effects)
+    u = 0.01 * np.random.default_rng(3).normal(size=nuisance.size)
+    links, offset = nuisance.split(u)
+    exact = rows.residual_rows(data, data.segments, links, offset, terms)
+    np.testing.assert_allclose(nuisance.residual(u, terms), exact, rtol=0.0, atol=1e-7 * np.abs(exact).max())
+    for t in terms[:3]:  # their columns are made at the joint alone, too
+        assert needs_no_load(t.effect)
+        own = rows.term_rows(data, data.segments, links, (), t)
+        full = np.vstack([
+            s.white(columns(data.robot, data.channels, s.scene, links, terms, t.effect, t.values)) for s in data.segments
+        ])  # fmt: skip
+        np.testing.assert_allclose(own, full, rtol=0.0, atol=1e-9 * np.abs(full).max())
