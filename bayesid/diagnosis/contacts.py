@@ -38,7 +38,7 @@ def is_excuse(best: Fit, index: int) -> bool:
     """Whether a contact found is no more than an excuse for something else.
 
     It does not act in held-out motions, so nothing there can deny it. So it must end inside the recording, and last for no more
-    than most of the motion; what lasts longer has to be an effect that is there in other motions, too.
+    than half of the motion, longer than not; what lasts longer has to be an effect that is there in other motions, too.
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ def is_excuse(best: Fit, index: int) -> bool:
     start, end = term.values[:2]
     times = np.concatenate([s.times for s in best.projector.data.segments if s.motion == term.motion and not s.still])
     first, last = float(times.min()), float(times.max())
-    return end > last - 0.5 * CONTACT_RAMP or end - start > best.projector.data.settings.most * (last - first)
+    return end > last - 0.5 * CONTACT_RAMP or 2.0 * (end - start) > last - first
 
 
 def contact_terms(projector: NuisanceProjector, fit: Fit, left: np.ndarray) -> Iterator[tuple[list[Term], float]]:

@@ -57,12 +57,12 @@ def with_noise(
             read = other_readings(smoothed_positions, shift, resolution, position_std, rng)
             error = segment.spectrum(predict(resmooth(segment, read)) - exact)
             scatter += error[:, :, None] * error[:, None, :] / ROUNDINGS
-        scatter = pooled(scatter, settings.pooled_frequencies)
+        scatter = pooled(scatter, settings.neighbours // 2)
     weight = segment.weight(segment.times)
     share = weight.T @ weight / len(weight) + np.diag(~segment.alive)  # a channel that says nothing has any noise
     floor = (np.diag(sensor**2) if sensor.ndim == 1 else sensor) * share
     rough = np.zeros_like(scatter)
-    power = pooled(signal[:, :, None] ** 2, settings.pooled_frequencies)[:, :, 0]
+    power = pooled(signal[:, :, None] ** 2, settings.neighbours // 2)[:, :, 0]
     rough[:, np.arange(channels), np.arange(channels)] = settings.accuracy**2 * power
     return segment.with_noise(floor + scatter + rough)
 

@@ -285,7 +285,7 @@ def _widened(projector: NuisanceProjector, covariance: np.ndarray, kept: np.ndar
     for s in projector.data.segments:
         size = s.shape[0] * s.shape[1]
         product = kept[at : at + size] * rows[at : at + size, None]
-        edges = np.arange(0, size, projector.data.settings.grouped_frequencies * s.shape[1])
+        edges = np.arange(0, size, projector.data.settings.neighbours * s.shape[1])
         scores.append(np.add.reduceat(product, edges, axis=0))
         at += size
     groups = np.vstack(scores)

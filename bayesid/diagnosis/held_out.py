@@ -244,7 +244,7 @@ def _by_blocks(data: DiagnosisData, segments: Sequence[Segment], columns: np.nda
         size = s.shape[0] * s.shape[1]
         course = np.asarray(idct(columns[row : row + size].reshape(*s.shape, -1), axis=0, norm="ortho"))
         row += size
-        count = int(np.clip((s.times[-1] - s.times[0]) / data.settings.bootstrap_block, 1, len(course)))
+        count = int(np.clip((s.times[-1] - s.times[0]) / data.settings.window, 1, len(course)))
         for k, part in enumerate(np.array_split(course, count)):
             yield k * STRETCHES // count if alone and not s.still else 0, part, float(len(part) * s.alive.sum())
 

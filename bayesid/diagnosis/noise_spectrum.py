@@ -108,8 +108,8 @@ class Spectrum:
         return self.own.get(motion, self)
 
     def enough(self, settings: Settings) -> bool:
-        """Whether it was measured where it matters, and often enough."""
-        return self.lowest <= 1.0 / settings.shortest_segment and float(self.freedom.sum()) >= settings.spectrum_freedom
+        """Whether it was measured where it matters."""
+        return self.lowest <= 1.0 / settings.shortest_segment
 
     def at(self, frequencies: np.ndarray, least: np.ndarray | None = None) -> np.ndarray:
         """Covariance of one sample (K, c, c) at frequencies (K,); standard deviations no smaller than least (c,)."""
@@ -207,7 +207,7 @@ def measured_spectrum(pieces: Sequence[Piece]) -> Spectrum | None:
     frequency, total, known, freedom = (np.concatenate(x) for x in zip(*parts, strict=True))
     order = np.argsort(frequency, kind="stable")
     frequency, total, known, freedom = frequency[order], total[order], known[order], freedom[order]
-    edges = _bands(frequency, freedom, settings)
+    edges = _bands(freedom, settings)
     if len(edges) < 3:
         return None
 
@@ -244,12 +244,12 @@ def _less(total: np.ndarray, known: np.ndarray) -> np.ndarray:
     return out @ out.T
 
 
-def _bands(frequency: np.ndarray, freedom: np.ndarray, settings: Settings) -> np.ndarray:
-    """First indices of bands, wider with frequency, of enough degrees of freedom; the last is the end."""
+def _bands(freedom: np.ndarray, settings: Settings) -> np.ndarray:
+    """First indices of bands of enough degrees of freedom; the last is the end."""
     edges, got = [0], 0.0
     for i, f in enumerate(freedom):
         got += f
-        if got >= settings.enough and frequency[i] >= settings.band_growth * frequency[edges[-1]]:
+        if got >= settings.enough:
             edges.append(i + 1)
             got = 0.0
     if len(edges) > 1:

@@ -110,7 +110,8 @@ def prepare_data(
         bandwidth = min(max(clearest, settings.smoothing_bandwidth), 0.2 * rate, below)
     # One mount, one stiffness: "the middle of the motion" is the same pose for all motions, the first one's.
     middle = middle_of(chosen[0].table.positions)
-    share = settings.fitted_clear_share
+    # What is left of encoders' noise makes estimates of a compliance too small: loads are smoothed to most of the clear band.
+    share = settings.most
     clear = dict(zip((m.name for m in [*chosen, *unseen]), each, strict=True))
     fitted = [s for m in chosen for s in _segments(experiment, m, channel, bandwidth, middle, share * clear[m.name], settings)]
     others = [s for m in unseen for s in _segments(experiment, m, channel, bandwidth, middle, clear[m.name], settings)]

@@ -169,4 +169,4 @@ def _contains(without: Fit, wider: Term, term: Term) -> bool:
         return False
     q = orthonormal(outer)
     left = inner - q @ (q.T @ inner)
-    return bool(np.linalg.norm(left) < data.settings.contained_share * np.linalg.norm(inner))
+    return bool(np.sum(left**2) < (1.0 - data.settings.nearly_all) * np.sum(inner**2))

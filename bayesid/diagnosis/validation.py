@@ -110,7 +110,7 @@ def _closed(before, after, floor2):
 def _by_blocks(segment: Segment, before: np.ndarray, after: np.ndarray) -> np.ndarray:
     """Energies before and after and number of coefficients, by block of time (blocks, 3)."""
     energies = [np.sum(segment.samples(w) ** 2, axis=1) for w in (before, after)]
-    count = max(int((segment.times[-1] - segment.times[0]) / segment.settings.bootstrap_block), 1)
+    count = max(int((segment.times[-1] - segment.times[0]) / segment.settings.window), 1)
     edges = np.linspace(0, len(energies[0]), count + 1).astype(int)
     sums = [np.add.reduceat(e, edges[:-1]) for e in energies]
     return np.stack([*sums, np.full(count, segment.count / count)], axis=1)

@@ -46,7 +46,7 @@ class SeenInstruments:
         like = max((s for s in data.segments if not s.still), key=lambda s: len(s.times))
         # The share that grows with the readings themselves is made anew for another motion.
         signal = like.spectrum(data.predict(like, fitted.links, fitted.terms)) ** 2
-        power = pooled(signal[:, :, None], data.settings.pooled_frequencies)[:, :, 0]
+        power = pooled(signal[:, :, None], data.settings.neighbours // 2)[:, :, 0]
         noise = like.covariance.copy()
         at = np.arange(noise.shape[1])
         noise[:, at, at] = np.maximum(noise[:, at, at] - data.settings.accuracy**2 * power, 0.01 * noise[:, at, at])

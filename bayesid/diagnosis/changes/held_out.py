@@ -103,7 +103,7 @@ def held_out_errors(selection: Selection, recording: LaterRecording, settings: S
     recording
         The rows.
     settings
-        ``bootstrap_block`` and ``interval`` count here.
+        ``window`` and ``interval`` count here.
     seed
         Of the bootstrap.
     """
@@ -171,7 +171,7 @@ def _blocks(recording: LaterRecording, settings: Settings) -> list[np.ndarray]:
     for motion in dict.fromkeys(recording.motions.tolist()):
         mine = np.flatnonzero(recording.motions == motion)
         times = recording.times[mine]
-        count = max(int((times[-1] - times[0]) / settings.bootstrap_block), 1)
+        count = max(int((times[-1] - times[0]) / settings.window), 1)
         out += np.array_split(mine, min(count, len(mine)))
     return out
 

@@ -113,13 +113,13 @@ def select(reference: Reference, recording: LaterRecording, settings: Settings) 
     reference, recording
         Before and after.
     settings
-        ``accept``, ``rival`` and ``most_families`` count here.
+        ``accept`` and ``rival`` count here.
     """
     tolerance = {f: _tolerance(reference, recording, f) for f in WANDER_FACTORS}
     s = Selection(Reduced.of(recording.rows, recording.left, recording.correlation), hypotheses(reference), tolerance)
     scores = further = s.ranked(())
     s = replace(s, scores=scores, factor=_factor(s, ()))
-    while further and further[0][1] >= settings.accept and len(s.accepted) < settings.most_families:
+    while further and further[0][1] >= settings.accept:
         change, evidence = further[0]
         accepted = (*s.accepted, Accepted(change, best_size(s.marginal(), change), evidence))
         s = replace(s, accepted=accepted, factor=_factor(s, accepted))

@@ -220,7 +220,7 @@ def closed(half: Half, before: np.ndarray, after: np.ndarray, settings: Settings
     seed
         Of the draws.
     """
-    energy = np.stack([half.by_block(x, settings.bootstrap_block) for x in (before, after)], axis=1)
+    energy = np.stack([half.by_block(x, settings.window) for x in (before, after)], axis=1)
 
     def share(pair):
         return (pair[..., 0] - pair[..., 1]) / np.maximum(pair[..., 0] - half.count, 1e-3 * half.count)
