@@ -2,12 +2,13 @@
 
 Run from the root of the repository, with the recordings where ``BAYESID_DATA`` says (default ``../shared``)::
 
-    python -m tests.studies.friction_left_out [--only NAME] [--disturbed 3] [--docs FOLDER]
+    python -m tests.studies.friction_left_out [--only NAME] [--disturbed 3] [--shuffled 3] [--docs FOLDER]
 
 Joint torques of real robots, ``[model] effects`` emptied. The error is that of `bayesid.identify` with the effects that were
 found, or that were put in at all joints, on a motion that was not fitted (below 10 Hz, error norm over signal norm of all
-channels). With ``--disturbed N`` the readings and positions are changed in the ninth digit and diagnosed again, N times: which
-names stay? Writes docs/studies/friction-left-out.
+channels). With ``--disturbed N`` the readings and positions are changed in the ninth digit and diagnosed again, N times, with
+``--shuffled N`` the effects of the library, the joints that each is sought at and the motions come in another order: which names
+stay? Writes docs/studies/friction-left-out.
 """
 
 from __future__ import annotations
@@ -17,7 +18,8 @@ import os
 import time
 import warnings
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +27,7 @@ import numpy as np
 from tqdm import tqdm
 
 import bayesid
+from bayesid.effects import Effect, EffectLibrary
 from bayesid.recordings.experiment import Experiment
 from bayesid.validation.prediction import predict_elsewhere
 from tests.studies.page import STUDIES, plain, table, write_numbers, write_page
@@ -53,15 +56,20 @@ models put in at all joints by hand. Error on a motion that was not fitted, by `
 {{ errors }}
 
 The diagnosed model predicts better than, or within 5 % of, the best of the four by hand in {{ good }} of {{ count }} recordings.
-{% if names %}
+{% for digit, names in again %}
 
+{% if digit %}
 ## Are the names the same for data changed in the ninth digit?
 
-Positions and torques are changed at random by {{ digit }} of their largest, and diagnosed again. A name stays if it comes in
+Positions and torques are changed at random by {{ digit }} of their largest, and diagnosed again. {% else %}
+## Are the names the same in another order?
+
+The effects of the library, the joints at which each is sought, and the recording's motions are put in another order at random,
+and diagnosed again. {% endif %}A name stays if it comes in
 every run; in brackets the share of the gap that opens again without it, of those that do not.
 
 {{ names }}
-{% endif %}
+{% endfor %}
 """
 
 
@@ -102,7 +110,34 @@ def disturbed(experiment: Experiment, seed: int) -> Experiment:
     )
 
 
-def judge(experiment: Experiment, other: Experiment | None, runs: int) -> dict[str, Any]:
+@dataclass(frozen=True)
+class ShuffledLibrary(EffectLibrary):
+    """The effects in another order, and the joints at which each is sought."""
+
+    seed: int = 0
+
+    @cached_property
+    def classes(self) -> dict[str, type[Effect]]:
+        """Every class by name."""
+        return dict(_shuffled(list(super().classes.items()), self.seed))
+
+    def places(self, name, joint_names, channels, gear_ratio=None) -> tuple[Effect, ...]:
+        """All effects of one class."""
+        return tuple(_shuffled(list(super().places(name, joint_names, channels, gear_ratio)), self.seed))
+
+
+def _shuffled(things: list, seed: int) -> list:
+    return [things[k] for k in np.random.default_rng(seed).permutation(len(things))]
+
+
+def shuffled(experiment: Experiment, seed: int) -> Experiment:
+    """The recording with effects, joints and motions in another order."""
+    own = experiment.library
+    library = ShuffledLibrary(own.own, own.sliding, seed=seed)
+    return replace(experiment, library=library, motions=tuple(_shuffled(list(experiment.motions), seed)))
+
+
+def judge(experiment: Experiment, other: Experiment | None, digits: int, orders: int) -> dict[str, Any]:
     """Errors of the bare model, of those by hand and of the diagnosed one; what is named, also of disturbed data."""
     out: dict[str, Any] = {"bare": error(experiment, other)}
     out["by_hand"] = {name: error(replace(experiment, effects=effects), other) for name, effects in BY_HAND.items()}
@@ -114,8 +149,13 @@ def judge(experiment: Experiment, other: Experiment | None, runs: int) -> dict[s
     shares = () if found.part is None else found.part.shares
     named = [f.term.effect.spec for f in found.found]
     out["named"] = {spec: shares[k].share if k < len(shares) else None for k, spec in enumerate(named)}
-    again = [bayesid.diagnose(disturbed(experiment, seed), channel="torque", progress=None) for seed in range(runs)]
-    out["again"] = [sorted(f.term.effect.spec for f in d.found) for d in again]
+    changed = {
+        "again": [disturbed(experiment, seed) for seed in range(digits)],
+        "shuffled": [shuffled(experiment, seed) for seed in range(1, orders + 1)],
+    }
+    for kind, experiments in changed.items():
+        said = [bayesid.diagnose(e, channel="torque", progress=None) for e in experiments]
+        out[kind] = [sorted(f.term.effect.spec for f in d.found) for d in said]
     return out
 
 
@@ -123,26 +163,34 @@ def write(found: dict[str, dict[str, Any]], folder: Path) -> None:
     """The page and its numbers."""
     folder.mkdir(parents=True, exist_ok=True)
     found = write_numbers(found, folder / "results.json", 4)
-    good, errors, names = 0, [], []
+    good, errors = 0, []
     for name, f in found.items():
         best = min(f["by_hand"].values())
         good += f["diagnosed"] <= 1.05 * best
         cells = [f["bare"], *f["by_hand"].values(), f["diagnosed"]]
         numbers = " | ".join(f"{100 * c:.1f} %" for c in cells)
         errors.append(f"| {name} | {numbers} | {f['verdict'].replace('_', ' ')} | {len(f['named'])} | {f['seconds']:.0f} s |")
-        if f["again"]:
-            every = set(f["named"]).intersection(*f["again"])
-            lost = [
-                spec if share is None else f"{spec} ({100 * share:.1f} %)"
-                for spec, share in f["named"].items() if spec not in every
-            ]  # fmt: skip
-            new = sorted(set().union(*f["again"]) - set(f["named"]))
-            names.append(f"| {name} | {len(f['again'])} | {len(every)} of {len(f['named'])} | {_listed(lost)} | {_listed(new)} |")
     head = f"recording | no friction | {' | '.join(BY_HAND)} | diagnosed | verdict | effects | processor time"
+    again = [(digit, _names(found, kind)) for digit, kind in ((NINTH_DIGIT, "again"), (None, "shuffled"))]
     write_page(
-        PAGE, folder / "README.md", errors=table(head, errors), good=good, count=len(found), digit=NINTH_DIGIT,
-        names=table("recording | runs | names in all | not in all | only in others", names) if names else "",
+        PAGE, folder / "README.md", errors=table(head, errors), good=good, count=len(found),
+        again=[(digit, names) for digit, names in again if names],
     )  # fmt: skip
+
+
+def _names(found: dict[str, dict[str, Any]], kind: str) -> str:
+    """Table of the names that stay; empty where nothing was diagnosed again."""
+    lines = []
+    for name, f in found.items():
+        if not f[kind]:
+            continue
+        every = set(f["named"]).intersection(*f[kind])
+        lost = [
+            spec if share is None else f"{spec} ({100 * share:.1f} %)" for spec, share in f["named"].items() if spec not in every
+        ]
+        new = sorted(set().union(*f[kind]) - set(f["named"]))
+        lines.append(f"| {name} | {len(f[kind])} | {len(every)} of {len(f['named'])} | {_listed(lost)} | {_listed(new)} |")
+    return table("recording | runs | names in all | not in all | only in others", lines) if lines else ""
 
 
 def _listed(specs: list[str]) -> str:
@@ -154,13 +202,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", default="")
     parser.add_argument("--disturbed", type=int, default=0)
+    parser.add_argument("--shuffled", type=int, default=0)
     parser.add_argument("--docs", type=Path, default=STUDIES / "friction-left-out")
     given = parser.parse_args()
     warnings.simplefilter("ignore")
     chosen = [c for c in cases() if given.only in c[0]]
     if not chosen:
         parser.error(f"no recordings in {DATA}")
-    found = {name: plain(judge(experiment, other, given.disturbed)) for name, experiment, other in tqdm(chosen)}
+    found = {name: plain(judge(experiment, other, given.disturbed, given.shuffled)) for name, experiment, other in tqdm(chosen)}
     write(found, given.docs)
 
 
