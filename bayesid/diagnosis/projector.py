@@ -8,15 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
 from bayesid.diagnosis.data import DiagnosisData
-from bayesid.diagnosis.rows import inside_joints_rows, residual_rows
+from bayesid.diagnosis.rows import residual_rows
 from bayesid.diagnosis.spectra import Segment
 from bayesid.effects import Term
-from bayesid.effects.families import needs_no_load
+from bayesid.effects.families import comes_on_top
 
 #: One over the prior standard deviation of an offset, of which nothing is known [1/N, 1/(N m)].
 UNKNOWN_OFFSET = 1e-6
@@ -63,20 +62,14 @@ class NuisanceProjector:
         """Number of rows above the prior's, those of channels that say nothing among them."""
         return len(self.q) - self.size
 
-    @cached_property
-    def _nominal_rows(self) -> np.ndarray:
-        """Whitened rows of what was measured less what the nominal links make (rows,)."""
-        channels = len(self.data.channels)
-        return residual_rows(self.data, self.data.segments, self.data.links, np.zeros(channels), ())
-
     def residual(self, u: np.ndarray, terms: Sequence[Term]) -> np.ndarray:
         """Whitened rows of what was measured less what links and offset at coordinates u (size,) and effects make (rows,)."""
-        if self.rigid and all(needs_no_load(t.effect) for t in terms):
-            # Linear in links and offset, and what is inside joints comes on top.
-            links = self.q[: self.length] @ (self.r @ u)
-            return self._nominal_rows - links - inside_joints_rows(self.data, self.data.segments, terms)
-        links, offset = self.split(u)
-        return residual_rows(self.data, self.data.segments, links, offset, terms)
+        data = self.data
+        if self.rigid and all(comes_on_top(t.effect) for t in terms):
+            # Links and offset change the readings by their columns, and what the nominal ones make is kept with the motion.
+            nominal = residual_rows(data, data.segments, data.links, np.zeros(len(data.channels)), terms)
+            return nominal - self.q[: self.length] @ (self.r @ u)
+        return residual_rows(data, data.segments, *self.split(u), terms)
 
     def split(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Links (10 b,) and offset (c,) of coordinates u (size,)."""
@@ -125,7 +118,7 @@ def make_projector(data: DiagnosisData, terms: Sequence[Term]) -> NuisanceProjec
         prior[-6:] *= UNKNOWN_OFFSET
     q, r = np.linalg.qr(np.vstack([whitened, prior]))
     volume = sum(float(np.linalg.slogdet(s.covariance)[1].sum()) for s in data.segments)
-    rigid = all(needs_no_load(t.effect) for t in terms)
+    rigid = all(comes_on_top(t.effect) for t in terms)
     return NuisanceProjector(data, root, offset, q, r, sum(s.count for s in data.segments), volume, rigid)
 
 

@@ -58,12 +58,6 @@ def _white_columns(data: DiagnosisData, segment: Segment, links: np.ndarray, ter
     return segment.white(found)
 
 
-def inside_joints_rows(data: DiagnosisData, segments: Sequence[Segment], terms: Sequence[Term]) -> np.ndarray:
-    """Whitened rows of torques inside joints that need no load (rows,)."""
-    models = [Model.of(data.robot, data.channels, s.scene, data.links, terms) for s in segments]
-    return np.concatenate([s.white(m.inside_joints) for s, m in zip(segments, models, strict=True)])
-
-
 def model_rows(data: DiagnosisData, segments: Sequence[Segment], links: np.ndarray, terms: Sequence[Term]) -> np.ndarray:
     """Whitened derivatives with respect to all free parameters of a model's effects (rows, k)."""
     parts = [np.zeros((sum(s.shape[0] * s.shape[1] for s in segments), 0))]

@@ -303,6 +303,11 @@ def needs_no_load(effect: Effect) -> TypeGuard[JointTorqueEffect]:
     return isinstance(effect, JointTorqueEffect) and not effect.uses_load
 
 
+def comes_on_top(effect: Effect) -> bool:
+    """Whether what an effect adds to readings is the same whatever the links are, and theirs is the same whatever it is."""
+    return needs_no_load(effect) or isinstance(effect, (BodyEffect, LoadEffect, RotorEffect))
+
+
 class JointGainEffect(InstrumentEffect):
     """A joint's torque is read larger or smaller than it is, all that is inside the joint included."""
 
@@ -355,5 +360,6 @@ class ReadingEffect(InstrumentEffect):
 __all__ = [
     "BodyEffect", "Effect", "EncoderEffect", "FlexibleJointEffect", "GravityEffect", "InstrumentEffect", "JointDelayEffect",
     "JointGainEffect", "JointMotion", "JointTorqueEffect", "LoadEffect", "Loads", "MountEffect", "Parameter", "PlayEffect",
-    "ReadingEffect", "Readout", "RotorEffect", "SensorEffect", "TransmissionEffect", "differences", "needs_no_load",
+    "ReadingEffect", "Readout", "RotorEffect", "SensorEffect", "TransmissionEffect", "comes_on_top", "differences",
+    "needs_no_load",
 ]  # fmt: skip
