@@ -53,9 +53,12 @@ The {{ count }} thresholds of `bayesid.diagnosis.settings.Settings`, where the r
 nothing else; nothing, where nothing is hidden; and `unknown`, where what is hidden is not in the library. "Changed" counts
 recordings with another verdict or other names than with the thresholds as they stand. Made by
 `python -m tests.studies.diagnosis_settings`.
+
+{{ limits }} other numbers limit computing and are no thresholds: steps, rounds, draws, rows listed, each a constant beside the
+function that uses it (`LIMITS` in the script). They are moved likewise once the thresholds are done.
 {% for part in parts %}
 
-{{ part.head }} {{ part.cases }} recordings; as it stands {{ part.right }} of {{ part.cases }} are right.
+{{ part.head }}, {{ part.cases }} recordings; as it stands {{ part.right }} of {{ part.cases }} are right.
 
 | {{ part.what }} | value | right at -30 % | changed | right at +30 % | changed |
 | --- | ---: | ---: | ---: | ---: | ---: |
@@ -182,13 +185,9 @@ def table(made: dict[str, Any], names: list[str], every: list[dict[str, Any]]) -
 
 def written(made: dict[str, Any], names: list[str], limits: list[str], cases: list[dict[str, Any]], docs: Path) -> None:
     """The page, from the recordings of which everything has been made."""
-    heads = (
-        ("threshold", "", names),
-        ("limit", f"{len(LIMITS)} numbers beside these limit computing and are no thresholds: steps, rounds, draws, rows listed. "
-                  "Moved likewise:", limits),
-    )  # fmt: skip
+    heads = (("threshold", "Thresholds", names), ("limit", "Limits of computing", limits))
     parts = [table(made, own, cases) | {"what": what, "head": head} for what, head, own in heads if own]
-    write_page(PAGE, docs / "README.md", count=len(fields(DEFAULT)), parts=[p for p in parts if p["cases"]])
+    write_page(PAGE, docs / "README.md", count=len(fields(DEFAULT)), limits=len(LIMITS), parts=[p for p in parts if p["cases"]])
 
 
 def main(arguments: list[str] | None = None) -> None:
