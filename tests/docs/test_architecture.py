@@ -3,6 +3,8 @@
 import ast
 import re
 import runpy
+from contextlib import suppress
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -64,6 +66,20 @@ def test_no_frozen_class_changes_a_container_of_its_own_making():
 def test_a_circle_is_seen(script):
     edges = [("a", "b"), ("b", "c"), ("c", "a"), ("c", "d")]
     assert script["_circles"](["a", "b", "c", "d"], edges) == (("a", "b", "c"),)
+
+
+def test_functions_that_a_recording_passes_exist():
+    """Every dotted name in "How data flow" is a function, a method or a package of bayesid."""
+    flow = PAGE.split("## How data flow")[1].split("\n## ")[0]
+    names = set(re.findall(r"`([a-z_]+(?:\.\w+)+)`", flow))
+    assert len(names) > 40
+    for name in names:
+        where, part = import_module("bayesid"), name.split(".")
+        for k, word in enumerate(part):
+            with suppress(ModuleNotFoundError):
+                where = import_module("bayesid." + ".".join(part[: k + 1]))
+                continue
+            where = getattr(where, word)
 
 
 @pytest.mark.parametrize("row", [line for line in PAGE.splitlines() if line.startswith("| a") and line.count("|") == 4])
