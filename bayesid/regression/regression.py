@@ -30,7 +30,7 @@ class PriorKnowledge:
     nominal_links
         Link parameters of the nominal model, in the order of ``base.parameter_names`` (P,), if there is one.
     inertia_rel_std
-        Their prior relative standard deviation, see `bayesid.robot.prior.Prior.nominal`; 0: exact, None: not known.
+        Their prior relative standard deviation, see `bayesid.robot.prior.Prior.warped`; 0: exact, None: not known.
     guessed_links
         Where that model states no masses: about what links of these lengths weigh (P,), see `bayesid.robot.typical`.
     bodies

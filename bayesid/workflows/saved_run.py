@@ -154,7 +154,7 @@ def _posterior(problem: Problem, file: Path, document: dict[str, Any], prior_std
     nominal = problem.regression.knowledge.nominal_links
     if "bodies that can exist only" in document["prior"] and rel_std and nominal is not None:
         links = drawn("link", len(base.parameter_names))
-        prior = prior_links(base, Prior.nominal(nominal, rel_std), PRIOR_DRAWS, seed)
+        prior = prior_links(base, Prior.warped(nominal, rel_std), PRIOR_DRAWS, seed)
     nothing, mean = np.zeros(draws.shape[1], bool), draws.mean(axis=0)
     return known_from(
         problem, source="posterior", method=prior_text(document["noise"], document["prior"].startswith("flat")),
