@@ -25,6 +25,3 @@ def unrelated(data: DiagnosisData, terms: Sequence[Term]) -> int:
 def is_surrogate_combination(data: DiagnosisData, terms: Sequence[Term]) -> bool:
     """Whether more effects are needed than a robot is likely to hide."""
     return unrelated(data, terms) > data.settings.likely_effects
-
-
-__all__ = ["explained", "is_surrogate_combination", "unrelated"]

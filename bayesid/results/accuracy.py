@@ -15,7 +15,7 @@ from bayesid.design.accuracy.susceptibility import Susceptibility
 from bayesid.design.accuracy.sweeps import Level, Sweep, Sweeps
 from bayesid.drawing import figures_of
 from bayesid.errors import InputError
-from bayesid.results.files import Result, strict
+from bayesid.results.files import ShownResult, strict
 from bayesid.results.text import DASH, channel_text, number, percent
 from bayesid.section import Cell, Html, Part, ShownSection, ShownTable
 
@@ -33,7 +33,7 @@ SCHEMA = 1
 
 
 @dataclass(frozen=True, eq=False)
-class Accuracy(Result):
+class Accuracy(ShownResult):
     """What `accuracy` found.
 
     Attributes

@@ -20,7 +20,7 @@ from bayesid.drawing import figures_of
 from bayesid.errors import InputError
 from bayesid.estimators.estimator import LEVEL
 from bayesid.estimators.parameters import EstimatedParameter
-from bayesid.results.files import Result
+from bayesid.results.files import ShownResult
 from bayesid.results.text import number, percent
 from bayesid.section import Part, ShownTable
 
@@ -66,7 +66,7 @@ class TrajectoryBands:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class ControllerBounds(Result):
+class ControllerBounds(ShownResult):
     """What a controller may rely on, with probability 95 % for each bound.
 
     Attributes

@@ -13,7 +13,7 @@ from bayesid.design.payload.body import Quantity
 from bayesid.errors import InputError
 from bayesid.results.beside import cells
 from bayesid.results.controllers import FORMATS, Load
-from bayesid.results.files import Result
+from bayesid.results.files import ShownResult
 from bayesid.results.identification import Identification
 from bayesid.results.text import number
 from bayesid.section import ShownTable
@@ -49,7 +49,7 @@ class HiddenEffect:
 
 
 @dataclass(frozen=True, eq=False)
-class Calibration(Result):
+class Calibration(ShownResult):
     """What a force/torque sensor in place has: only as much as the recordings show.
 
     Attributes

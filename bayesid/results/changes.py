@@ -14,7 +14,7 @@ from bayesid.diagnosis.changes.hypotheses import EVERYWHERE, Hypothesis
 from bayesid.estimators.parameters import with_ends
 from bayesid.recordings.experiment import Experiment
 from bayesid.recordings.schema import EffectParameters
-from bayesid.results.files import Result
+from bayesid.results.files import ShownResult
 from bayesid.results.text import DASH, HALF, channel_text, interval, number, percent, with_half
 from bayesid.section import ShownTable, as_html
 
@@ -26,7 +26,7 @@ SCHEMA = 1
 
 
 @dataclass(frozen=True, eq=False)
-class Changes(Result):
+class Changes(ShownResult):
     """What `diagnose` found with a reference: the changes since then.
 
     Attributes

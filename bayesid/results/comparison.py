@@ -15,7 +15,7 @@ from bayesid.estimators.weights import Weights
 from bayesid.regression.problem import Problem
 from bayesid.regression.regression import Regression
 from bayesid.results.entry import Entry, HasEntries
-from bayesid.results.files import Result
+from bayesid.results.files import ShownResult
 from bayesid.results.text import DASH, chance, channel_text, number, percent, with_interval
 from bayesid.section import Cell, Part, ShownSection, ShownTable
 from bayesid.validation.agreement import Gap, HausmanTest
@@ -32,7 +32,7 @@ _SHOWN_MOTIONS = 3
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison(HasEntries, Result):
+class Comparison(HasEntries, ShownResult):
     """What `compare` found.
 
     Attributes

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from bayesid.results.diagnosis_text import lines_of, notebook_parts
-from bayesid.results.files import Result
+from bayesid.results.files import ShownResult
 from bayesid.results.findings import Findings
 from bayesid.section import as_html
 
 
-class Diagnosis(Findings, Result):
+class Diagnosis(Findings, ShownResult):
     """What `diagnose` found: `Findings` that can be printed and written."""
 
     verb = "diagnose"

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from bayesid.design.tell.choose import Telling
-from bayesid.results.files import Result
+from bayesid.results.files import ShownResult
 from bayesid.results.telling import chance, duration, listed_names, listed_pairs, pair_table, telling_dict
 from bayesid.section import ShownTable
 
@@ -16,7 +16,7 @@ TRAJECTORY = "trajectory.csv"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class DistinguishingMotion(Result):
+class DistinguishingMotion(ShownResult):
     """The motion that best tells effects apart.
 
     Attributes

@@ -13,7 +13,7 @@ from bayesid.design.excitation.diagnosability import Diagnosability
 from bayesid.design.excitation.series import FourierSeries
 from bayesid.design.excitation.stops import StopAndGo
 from bayesid.dynamics.base_parameters import BaseParameters
-from bayesid.results.files import Result, strict
+from bayesid.results.files import ShownResult, strict
 from bayesid.results.text import number, percent
 from bayesid.section import ShownTable
 from bayesid.simulation.trajectories import Trajectory
@@ -69,7 +69,7 @@ class LimitUse:
 
 
 @dataclass(frozen=True, eq=False)
-class Excitation(Result):
+class Excitation(ShownResult):
     """An exciting trajectory within limits.
 
     Attributes

@@ -7,14 +7,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from bayesid.results.files import Result
+from bayesid.results.files import ShownResult
 from bayesid.section import ShownTable
 
 SCHEMA = 1
 
 
 @dataclass(frozen=True, eq=False)
-class Exported(Result):
+class Exported(ShownResult):
     """An identified robot in other tools' forms.
 
     Attributes

@@ -6,6 +6,7 @@ import hashlib
 import json
 import os
 import tempfile
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -104,9 +105,13 @@ class Result(Plots):
         """Write the verb's files and ``report.html``, all or none; returns the report's path."""
         return write_results(folder, *files_of(self), {"result": type(self).__name__, "printed": str(self).splitlines()})
 
+
+class ShownResult(Result, ABC):
+    """A result whose text in a terminal and a notebook is made of the same parts."""
+
+    @abstractmethod
     def _parts(self) -> Sequence[Part]:
         """What a terminal and a notebook show: a headline, then paragraphs and tables."""
-        raise NotImplementedError
 
     def __str__(self) -> str:
         """What was found, for a terminal."""

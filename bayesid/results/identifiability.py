@@ -13,7 +13,7 @@ from bayesid.design.separability import Separation
 from bayesid.design.visibility import LETTERS, WORDS, LinkExpectation, by_body
 from bayesid.drawing import figures_of
 from bayesid.posterior.result import PRIOR_DRIVEN
-from bayesid.results.files import Result, strict
+from bayesid.results.files import ShownResult, strict
 from bayesid.results.telling import chance
 from bayesid.results.text import DASH, number, percent
 from bayesid.section import Cell, Part, ShownSection, ShownTable
@@ -30,7 +30,7 @@ SCHEMA = 1
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Identifiability(Result):
+class Identifiability(ShownResult):
     """What motions can and cannot determine, for each sensor set.
 
     Attributes

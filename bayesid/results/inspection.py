@@ -11,7 +11,7 @@ import numpy as np
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.recordings.experiment import Experiment, Motion
 from bayesid.recordings.motion_checks import REPORTED, Timing
-from bayesid.results.files import Result
+from bayesid.results.files import ShownResult
 from bayesid.section import ShownTable
 from bayesid.validation.mistakes.mistake import Mistake
 from bayesid.validation.own_fit import left_dict, left_text
@@ -97,7 +97,7 @@ class InspectedReadings:
 
 
 @dataclass(frozen=True, eq=False)
-class Inspection(Result):
+class Inspection(ShownResult):
     """What `check` found.
 
     Attributes

@@ -13,7 +13,7 @@ from bayesid.design.payload.poses import NextPoses
 from bayesid.errors import InputError
 from bayesid.results.beside import EffectBeside, cells
 from bayesid.results.controllers import FORMATS, Load
-from bayesid.results.files import Result
+from bayesid.results.files import ShownResult
 from bayesid.results.text import channel_text, number
 from bayesid.robot import inertia
 from bayesid.robot.inertia import PARAMETERS, inertia_matrix
@@ -35,7 +35,7 @@ _NAMES = {"m": "mass", "x": "centre of mass x", "y": "centre of mass y", "z": "c
 
 
 @dataclass(frozen=True, eq=False)
-class PayloadEstimate(Result):
+class PayloadEstimate(ShownResult):
     """What hangs at the flange: mass, centre of mass, inertia about it, and what the readings hold beside it.
 
     Attributes

@@ -9,7 +9,7 @@ import numpy as np
 
 from bayesid.diagnosis.changes.findings import NamedChange, ReferenceComparison
 from bayesid.results.changes import change_dict, value_text
-from bayesid.results.files import Result
+from bayesid.results.files import ShownResult
 from bayesid.results.text import DASH, number
 from bayesid.section import Cell, ShownTable
 from bayesid.validation.own_fit import left_dict
@@ -106,7 +106,7 @@ class Watched:
 
 
 @dataclass(frozen=True, eq=False)
-class Watch(Result):
+class Watch(ShownResult):
     """A series of recordings compared with one reference.
 
     Attributes
