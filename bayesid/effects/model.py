@@ -442,21 +442,14 @@ class Model:
         return effect.torque(self.joint_motion(effect), values)
 
     @cached_property
-    def inside_joints(self) -> np.ndarray:
-        """What all that is inside joints adds to their torques (N, c)."""
-        out = np.zeros((len(self.segment.times), len(self.channels)))
-        for effect, values in self.of_family(JointTorqueEffect):
-            if effect.joint in self.joints:
-                out[:, self.joints[effect.joint]] += self.inside(effect, values)
-        return out
-
-    @cached_property
     def ungained(self) -> np.ndarray:
         """What the instruments read (N, c) but for the torques' gain."""
         out = np.array(self.given)
         if len(self.wrench):
             out[:, self.wrench] = self.chain().reading(self.segment, self.true[:, self.wrench])
-        out += self.inside_joints
+        for effect, values in self.of_family(JointTorqueEffect):
+            if effect.joint in self.joints:
+                out[:, self.joints[effect.joint]] += self.inside(effect, values)
         for effect, values in self.of_family(ReadingEffect):
             out += self.torque_chain.late(self.segment, effect.added(self.readout, values))
         return out
