@@ -1,7 +1,6 @@
 from . import datasets
 from .design.excitation.options import ExcitationOptions
-from .effects.library import EffectLibrary
-from .effects.own import load_effects
+from .effects.library import EffectLibrary, load_effects
 from .errors import BayesidError, BayesidWarning, EstimationError, InputError
 from .estimators import DEFAULT_METHOD, METHODS, estimator, fit
 from .estimators.conic.bounds import Bounds, load_bounds
@@ -26,7 +25,6 @@ from .results.calibration import Calibration
 from .results.changes import Changes
 from .results.comparison import Comparison
 from .results.diagnosis import Diagnosis
-from .results.distinguishing import DistinguishingMotion
 from .results.excitation import Excitation
 from .results.exported import Exported
 from .results.identifiability import Identifiability
@@ -36,13 +34,13 @@ from .results.inspection import Inspection
 from .results.loaded import NeedsRecording, load
 from .results.payload import PayloadEstimate
 from .results.posterior import ExperimentPosterior
+from .results.telling import DistinguishingMotion
 from .results.watch import Watch
 from .robot.prior import Prior
 from .robot.robot import Robot, load_robot
 from .signals.filters import LowPass
 from .simulation.simulation import Recorder, Simulation, simulate, write_simulation
-from .simulation.trajectories import Trajectory, fourier_trajectory
-from .simulation.trajectory_file import read_trajectory, write_trajectory
+from .simulation.trajectories import Trajectory, fourier_trajectory, read_trajectory, write_trajectory
 from .workflows.accuracy import accuracy
 from .workflows.bounds import bounds
 from .workflows.calibrate import calibrate

@@ -6,7 +6,7 @@ import click
 
 import bayesid
 from bayesid.cli import options as shared
-from bayesid.cli.known_bounds import all_bounded
+from bayesid.cli.options import all_bounded
 from bayesid.cli.terminal import say
 from bayesid.results.files import check_output
 from bayesid.workflows.compare import DEFAULT_SET

@@ -6,7 +6,7 @@ import click
 
 import bayesid
 from bayesid.cli import options as shared
-from bayesid.cli.known_bounds import bounded
+from bayesid.cli.options import bounded
 from bayesid.cli.terminal import say
 from bayesid.results.files import check_output
 

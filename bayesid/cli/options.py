@@ -5,12 +5,14 @@ from __future__ import annotations
 import contextlib
 import warnings
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from bayesid.errors import InputError
+from bayesid.estimators import Physical, estimator, load_bounds
 
 if TYPE_CHECKING:
     from bayesid.effects import EffectLibrary
@@ -140,3 +142,20 @@ def output_folder(out: Path | None, name: str, verb: str) -> Path:
     from bayesid.results.files import check_output
 
     return check_output(out or OUTPUTS / f"{name}-{verb}")
+
+
+def bounded(method, bounds: Path | None, loaded):
+    """The estimator with the bounds of a file."""
+    if bounds is None:
+        return method
+    if not isinstance(method, Physical):
+        raise InputError(f"--bounds is given with --method {method.name}, which takes none; add --method sdp")
+    return replace(method, bounds=load_bounds(bounds, loaded.robot, loaded.locked))
+
+
+def all_bounded(names, bounds: Path, loaded) -> list:
+    """Estimators by name, those that take bounds with the bounds of a file."""
+    chosen = [estimator(name) for name in names]
+    if not any(isinstance(method, Physical) for method in chosen):
+        raise InputError("--bounds is given, but none of --methods takes any; add sdp to --methods")
+    return [bounded(method, bounds, loaded) if isinstance(method, Physical) else method for method in chosen]

@@ -15,8 +15,7 @@ from bayesid.recordings.experiment import load_setup
 from bayesid.results.files import check_output
 from bayesid.simulation.plant import complete_effects
 from bayesid.simulation.simulation import Recorder, write_simulation
-from bayesid.simulation.trajectories import make_trajectories
-from bayesid.simulation.trajectory_file import planned_trajectories
+from bayesid.simulation.trajectories import make_trajectories, planned_trajectories
 
 
 @click.command()

@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from bayesid.design.expected import Expected, expect
-from bayesid.design.reading_noise import ReadingNoise
-from bayesid.design.sensor_sets import SensorSet
+from bayesid.design.reading_noise import ReadingNoise, SensorSet
 from bayesid.design.visibility import (
     BaseExpectation,
     LinkExpectation,

@@ -1,4 +1,7 @@
-"""The noise of single readings: as given, as a data sheet says, as recordings show, or assumed."""
+"""Sets of sensors that an experiment may be read with, and the noise of their single readings.
+
+Noise is as given, as a data sheet says, as recordings show, or assumed.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import block_diag
 
-from bayesid.design.sensor_sets import SensorSet
 from bayesid.dynamics.channels import WRENCH_NAMES
 from bayesid.errors import InputError
 from bayesid.estimators.nonlinear import settled
@@ -25,6 +27,48 @@ ASSUMED_FORCE, ASSUMED_MOMENT = 0.5, 0.05
 #: The same of a drive's torque, as a share of its effort limit, and where the URDF states no limit [N m or N]; assumed.
 _DRIVE_SHARE, _DRIVE_NOISE = 0.005, 0.5
 _KINDS = ("force", "moment", "torque")
+
+
+@dataclass(frozen=True)
+class SensorSet:
+    """What is read, and what becomes of the constant offset of the force/torque sensor.
+
+    Attributes
+    ----------
+    name
+        Key in results.
+    title
+        The same in words.
+    channel
+        ``wrench``, ``torque`` or ``both``.
+    offset
+        ``static run``: a run at rest in the same positions is subtracted, which takes gravity along (equation 21 of
+        [Liu1998]_); ``fitted``: estimated along; ``known``: there is none, or it has been measured.
+    """
+
+    name: str
+    title: str
+    channel: str
+    offset: str = "known"
+
+    @property
+    def gravity(self) -> bool:
+        """Whether gravity is in the readings."""
+        return self.offset != "static run"
+
+
+#: All of them, in the order in which they are shown.
+SENSOR_SETS = {
+    s.name: s
+    for s in (
+        SensorSet("wrench-static", "wrench less its static run", "wrench", "static run"),
+        SensorSet("wrench-offset", "wrench, offsets fitted", "wrench", "fitted"),
+        SensorSet("wrench", "wrench, offsets known", "wrench"),
+        SensorSet("torque", "joint torques", "torque"),
+        SensorSet("both-offset", "wrench and torques, offsets fitted", "both", "fitted"),
+        SensorSet("both", "wrench and torques, offsets known", "both"),
+    )
+}
 
 
 @dataclass(frozen=True)

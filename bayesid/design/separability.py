@@ -20,8 +20,7 @@ from scipy.special import ndtr
 
 from bayesid.design.expected import rows_of
 from bayesid.design.identifiability import PlannedMotions
-from bayesid.design.reading_noise import ReadingNoise
-from bayesid.design.sensor_sets import SensorSet
+from bayesid.design.reading_noise import ReadingNoise, SensorSet
 from bayesid.diagnosis.settings import Settings
 from bayesid.effects import Effect
 from bayesid.estimators.factor import reduce_whitened

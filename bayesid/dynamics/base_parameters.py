@@ -16,13 +16,24 @@ import numpy as np
 from bayesid.dynamics.channels import Channels
 from bayesid.dynamics.regressors import dynamics_regressor
 from bayesid.robot import inertia
-from bayesid.robot.notation import notation
 from bayesid.robot.robot import Robot
 
 #: A column whose part outside the kept ones is below this share of its length counts as dependent. URDFs round
 #: right angles to 1.5708, which tilts axes by 4e-6 and would otherwise pass for identifiable structure.
 TOLERANCE = 3e-5
 _PREFERENCE = {"mcx": 0, "mcy": 1, "mcz": 2, "Ixy": 3, "Iyy": 4, "Ixz": 5, "Iyz": 6, "Izz": 7, "Ixx": 8, "m": 9}
+
+
+def notation(names: Sequence[str]) -> list[str]:
+    """The notation of the labels: ``joint2.mcx`` is ``m2 r2x``; other names stay."""
+    bodies = list(dict.fromkeys(n.rpartition(".")[0] for n in names))
+    out = []
+    for name in names:
+        body, _, kind = name.rpartition(".")
+        place = bodies.index(body) + 1
+        short = f"m{place}" if kind == "m" else f"m{place} r{place}{kind[2:]}" if kind.startswith("mc") else f"I{place}{kind[1:]}"
+        out.append(short if body and kind in inertia.PARAMETERS else name)
+    return out
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-from .effect import Effect, Parameter, Term
+from .effect import Effect, Linearisation, Parameter, Surroundings, Term
 from .exact import columns, readings, rigid_columns
 from .expressions import variables
 from .families import (
@@ -20,12 +20,10 @@ from .families import (
     SensorEffect,
     TransmissionEffect,
 )
-from .library import EffectLibrary
+from .library import EffectLibrary, load_effects
 from .linearised import Point, linearised, moved, reach_of, starting_point
 from .loads import ExternalContact
 from .model import Model
-from .own import load_effects
-from .proposals import Linearisation, Surroundings
 from .segment import REST_SPEED, MotionSegment, middle_of
 
 __all__ = [

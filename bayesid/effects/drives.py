@@ -7,9 +7,8 @@ from math import inf
 import numpy as np
 
 from bayesid.effects import sizes
-from bayesid.effects.effect import Parameter
+from bayesid.effects.effect import Linearisation, Parameter
 from bayesid.effects.families import JointDelayEffect, JointGainEffect, JointTorqueEffect, ReadingEffect, TransmissionEffect
-from bayesid.effects.proposals import Linearisation
 from bayesid.effects.segment import direction
 
 #: Periods of a ripple per radian or metre tried; slower ones than a gear's would pass for any error of weight.

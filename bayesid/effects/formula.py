@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bayesid.effects.bristle import bent
+from bayesid.effects.friction import bent
 from bayesid.errors import InputError
 
 

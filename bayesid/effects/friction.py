@@ -1,18 +1,47 @@
-"""Friction inside a joint."""
+"""Friction inside a joint; the bristle of [Dahl1968]_ with exponent 1 obeys ``dz = (sign(dx) - z) |dx| / w``."""
 
 from __future__ import annotations
 
 from math import inf
 
+import numba
 import numpy as np
 
 from bayesid.effects import sizes
-from bayesid.effects.bristle import bent
 from bayesid.effects.effect import Parameter
 from bayesid.effects.families import JointTorqueEffect
 
 _ARMSTRONG = "[Armstrong1994](references.md)"
 _BITTENCOURT = "[Bittencourt2012](references.md)"
+
+
+def bent(moves: np.ndarray, width: float, start: float = 0.0) -> np.ndarray:
+    """How far the bristle is bent, from -1 to 1, at the start and after each move (m + 1,).
+
+    A move of a way s in one direction takes z to ``sign - (sign - z) exp(-|s| / width)``, however fast.
+
+    Parameters
+    ----------
+    moves
+        Signed ways, each without a reversal (m,).
+    width
+        The way w over which it bends.
+    start
+        How far it is bent at the start.
+    """
+    moves = np.ascontiguousarray(moves, dtype=float)
+    return _bent(np.sign(moves), np.exp(-np.abs(moves) / width), float(start))
+
+
+@numba.njit(cache=True, nogil=True, error_model="numpy")
+def _bent(sign, keep, start):
+    out = np.empty(len(sign) + 1)
+    out[0] = start
+    for k in range(len(sign)):
+        out[k + 1] = sign[k] - (sign[k] - out[k]) * keep[k]
+    return out
+
+
 #: Speeds below which a Stribeck law may fall [rad/s or m/s].
 STRIBECK_SPEEDS = tuple(float(v) for v in np.geomspace(0.01, 0.6, 8))
 #: Ways over which a bristle may bend before it slips [rad or m].

@@ -10,9 +10,8 @@ import numpy as np
 from bayesid.dynamics.kinematics import P, R, V, W
 from bayesid.effects import sizes
 from bayesid.effects.bodies import body_of
-from bayesid.effects.effect import Parameter
+from bayesid.effects.effect import Linearisation, Parameter
 from bayesid.effects.families import LoadEffect, Loads
-from bayesid.effects.proposals import Linearisation
 
 #: A contact grows and fades in this time, within its window [s].
 CONTACT_RAMP = 0.2

@@ -9,9 +9,8 @@ import numpy as np
 import pinocchio as pin
 
 from bayesid.effects import sizes
-from bayesid.effects.effect import Parameter
+from bayesid.effects.effect import Linearisation, Parameter
 from bayesid.effects.families import EncoderEffect, FlexibleJointEffect, GravityEffect, MountEffect, PlayEffect
-from bayesid.effects.proposals import Linearisation
 from bayesid.signals.smoothing import OVERLAP
 
 #: Resonances of a flexible joint [Hz], tried where columns leave something unexplained: above its resonance a link moves

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from bayesid.robot.limits import motion_limits
-from bayesid.robot.robot import Robot
+from bayesid.robot.robot import Robot, motion_limits
 
 #: Effort where the URDF states none [N m or N].
 ANY_EFFORT = 100.0

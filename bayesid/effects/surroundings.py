@@ -8,8 +8,8 @@ import numpy as np
 
 from bayesid.dynamics.channels import torque_channels
 from bayesid.dynamics.kinematics import P, link_states
+from bayesid.effects.effect import Surroundings
 from bayesid.effects.exact import readings
-from bayesid.effects.proposals import Surroundings
 from bayesid.effects.segment import MotionSegment
 from bayesid.robot.robot import Robot
 

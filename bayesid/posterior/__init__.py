@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from bayesid.posterior.diagnostics import Convergence, ConvergenceError
-from bayesid.posterior.likelihood import Likelihood
+from bayesid.posterior.likelihood import DofPrior, Likelihood, ScalePrior
 from bayesid.posterior.model import PosteriorModel
-from bayesid.posterior.noise import DofPrior, ScalePrior
 from bayesid.posterior.result import Posterior
 from bayesid.posterior.run import Chains, Engine, choose_engine, run
 

@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from bayesid.posterior import coordinates
+from bayesid.posterior.likelihood import student_slopes
 from bayesid.posterior.model import PosteriorModel
-from bayesid.posterior.noise import student_slopes
 
 
 def theta_names(model: PosteriorModel) -> tuple[str, ...]:

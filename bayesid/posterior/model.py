@@ -18,8 +18,7 @@ from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.errors import InputError
 from bayesid.estimators.dispersion import STRETCHES
 from bayesid.posterior import coordinates
-from bayesid.posterior.likelihood import Likelihood
-from bayesid.posterior.noise import NOISES, DofPrior, ScalePrior, student_log_likelihood
+from bayesid.posterior.likelihood import NOISES, DofPrior, Likelihood, ScalePrior, student_log_likelihood
 from bayesid.posterior.trajectory import travel
 from bayesid.regression.linalg import undetermined
 from bayesid.regression.regression import Regression

@@ -22,8 +22,7 @@ from scipy.signal import lfilter
 
 from bayesid.estimators.factor import whitened
 from bayesid.posterior.convert import Groups
-from bayesid.posterior.likelihood import Likelihood
-from bayesid.posterior.noise import log_student
+from bayesid.posterior.likelihood import Likelihood, log_student
 from bayesid.posterior.result import Posterior
 from bayesid.regression.blocks import Block
 from bayesid.signals.noise import NoiseModel

@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 from scipy.linalg import get_blas_funcs, get_lapack_funcs
 
+from bayesid.posterior.likelihood import log_student
 from bayesid.posterior.model import PosteriorModel, Quadratic
-from bayesid.posterior.noise import log_student
 from bayesid.posterior.trajectory import feasible, travel
 
 _WARM_UP = 100

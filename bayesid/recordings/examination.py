@@ -14,9 +14,8 @@ import numpy as np
 from bayesid.errors import InputError
 from bayesid.recordings import motion_checks
 from bayesid.recordings.complaints import Finding, listed
-from bayesid.recordings.held import held_columns, held_findings
 from bayesid.recordings.motion import Motion
-from bayesid.recordings.motion_checks import MATCH, MIN_SAMPLES
+from bayesid.recordings.motion_checks import MATCH, MIN_SAMPLES, held_columns, held_findings
 from bayesid.recordings.table import GAP, Table
 from bayesid.robot.robot import Robot
 

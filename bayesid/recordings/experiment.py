@@ -18,8 +18,8 @@ from bayesid.errors import InputError
 from bayesid.recordings.complaints import Finding, listed, suggest
 from bayesid.recordings.examination import examine
 from bayesid.recordings.importing.column_map import ColumnMap, column_map
-from bayesid.recordings.importing.kinds import kind_of
 from bayesid.recordings.importing.recording import read_stated
+from bayesid.recordings.importing.stream import kind_of
 from bayesid.recordings.motion import Motion
 from bayesid.recordings.robot_section import read_robot, robot_doubts, with_stated_effects
 from bayesid.recordings.schema import (

@@ -20,9 +20,8 @@ import numpy as np
 from bayesid.arguments import call
 from bayesid.errors import InputError
 from bayesid.recordings.complaints import cut, listed, one_line, suggest
-from bayesid.recordings.importing.kinds import FOREIGN, kind_of
-from bayesid.recordings.rows import usable_rows
-from bayesid.recordings.table import JOINT_GROUPS, WRENCH_COLUMNS, Table, check_increasing
+from bayesid.recordings.importing.stream import FOREIGN, kind_of
+from bayesid.recordings.table import JOINT_GROUPS, WRENCH_COLUMNS, Table, check_increasing, usable_rows
 from bayesid.recordings.toml_file import LARGEST
 
 if TYPE_CHECKING:

@@ -7,10 +7,9 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from bayesid.design.accuracy.sensor_choice import SensorChoice
-from bayesid.design.accuracy.sensor_file import KINDS
-from bayesid.report.accuracy_figures import SHOWN_EFFECTS, susceptibility_figure, sweeps_figure
-from bayesid.report.certificate import certificate_section
+from bayesid.design.accuracy.sensor_choice import KINDS, SensorChoice
+from bayesid.dynamics.base_parameters import notation
+from bayesid.report.accuracy_figures import SHOWN_EFFECTS, certificate_section, susceptibility_figure, sweeps_figure
 from bayesid.report.page import cards, figure, fold, how, lead, note, page, run_times, svg, terms, versions, warnings
 from bayesid.results.accuracy import (
     NO_BIAS,
@@ -26,7 +25,6 @@ from bayesid.results.accuracy import (
 )
 from bayesid.results.text import DASH, HALF, channel_text, number, percent
 from bayesid.robot import inertia
-from bayesid.robot.notation import notation
 from bayesid.section import Part, ShownSection, ShownTable
 
 #: Places of each kind of effect that the map shows.

@@ -1,7 +1,8 @@
-"""Figures of `accuracy`: errors over each factor, and bias by effects left out."""
+"""Figures of ``accuracy``, and the section on coverage in its report and that of ``identify``."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from typing import Any
 
@@ -12,8 +13,13 @@ from matplotlib.figure import Figure
 
 from bayesid.design.accuracy.certificate import CoverageCertificate
 from bayesid.design.accuracy.sweeps import Level, Sweep, Sweeps
+from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.estimators.estimator import LEVEL
 from bayesid.report.figures import GREY, NOISE, PREDICTED, Drawing, add_legend, make_grid, plain_log, styled
+from bayesid.report.page import figure, fold, svg
+from bayesid.results.accuracy import coverage_text
+from bayesid.results.text import number, percent
+from bayesid.section import Html, Part, ShownSection, ShownTable, as_html
 
 _BLUE, _RED = "#1d4ed8", "#c2410c"
 _HEAT = "YlOrRd"
@@ -23,6 +29,8 @@ _TOP = 0.35
 #: Effects that the map shows, and base parameters from which their names are numbers only.
 SHOWN_EFFECTS, _NAMED = 40, 48
 _PANELS = 3
+#: Where the section stands in a page.
+_BEGIN, _END = "<!-- certificate -->", "<!-- end of certificate -->"
 
 
 @styled
@@ -210,3 +218,44 @@ def _over_parameters(parameters: Sequence[str], height: float, left: float, righ
     else:
         ax.set_xticks(np.arange(len(parameters)), list(parameters), rotation=90, fontsize=7.5)
     return figure, ax, below
+
+
+def certificate_section(certificate: CoverageCertificate | None, base: BaseParameters) -> list[Part]:
+    """Coverage of every base parameter, with a figure; the empty place for it without a certificate."""
+    if certificate is None:
+        return [Html(_BEGIN), Html(_END)]
+    more = f" {certificate.refused} more twins could not be fitted." if certificate.refused else ""
+    section = ShownSection(
+        "Coverage certificate",
+        [
+            coverage_text(certificate) + more,
+            figure(
+                svg(certificate_figure(certificate, base.short_names), "certificate"),
+                "Dots: share of 95 % intervals that held the truth; strokes: its own 95 % interval. Green band: where exact "
+                "intervals of all parameters lie together with a probability of 99 %.",
+            ),
+            fold("Every base parameter", _table(certificate, base)),
+        ],
+        "Certificate",
+    )
+    return [Html(_BEGIN), section, Html(_END)]
+
+
+def with_certificate(page: str, certificate: CoverageCertificate, base: BaseParameters) -> str:
+    """A page that was written before, with the section in its place; the same where there is no place for it."""
+    section = as_html(certificate_section(certificate, base))
+    return re.sub(f"{_BEGIN}.*?{_END}", lambda _: section, page, count=1, flags=re.DOTALL)
+
+
+def _table(certificate: CoverageCertificate, base: BaseParameters) -> ShownTable:
+    low, high = certificate.intervals
+    rows = [
+        [
+            str(k + 1), label, (percent(share), "bad" if share < certificate.band[0] - 1e-12 else ""),
+            f"{percent(low[k])} … {percent(high[k])}", number(certificate.mean_z[k], 2), number(certificate.std_z[k], 3),
+        ]
+        for k, (label, share) in enumerate(zip(base.labels, certificate.coverage, strict=True))
+    ]  # fmt: skip
+    return ShownTable(
+        ["#", "base parameter", "coverage", "95 % interval", "mean error [σ]", "scatter [σ]"], rows, "nd w nb n n n"
+    )

@@ -26,8 +26,7 @@ from bayesid.report.page import (
     versions,
     warnings,
 )
-from bayesid.results.comparison import Comparison, in_sigmas, overview_table, values_table
-from bayesid.results.entry import Entry
+from bayesid.results.comparison import Comparison, Entry, in_sigmas, overview_table, values_table
 from bayesid.results.loaded import LoadedComparison
 from bayesid.results.text import DASH, chance, channel_text, number, percent
 from bayesid.section import Cell, Html, Part, ShownSection, ShownTable

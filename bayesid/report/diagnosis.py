@@ -23,7 +23,8 @@ from bayesid.report.diagnosis_views import Views, diagnosis_views
 from bayesid.report.excitation import PAIRS, motion_plot
 from bayesid.report.identification import mood_of
 from bayesid.report.page import below, bullets, cards, figure, fold, how, lead, note, page, svg, versions, warnings
-from bayesid.results.diagnosis_text import (
+from bayesid.results.diagnosis import (
+    Diagnosis,
     known_share,
     notes,
     parameter_rows,
@@ -35,7 +36,6 @@ from bayesid.results.diagnosis_text import (
     verdict_sentence,
     worded,
 )
-from bayesid.results.findings import Findings
 from bayesid.results.telling import pair_table
 from bayesid.results.text import DASH, chance, channel_text, number, percent
 from bayesid.section import Cell, Part, ShownSection, ShownTable
@@ -55,7 +55,7 @@ _VERDICTS = {
 }
 
 
-def diagnosis_report(diagnosis: Findings) -> str:
+def diagnosis_report(diagnosis: Diagnosis) -> str:
     """The report of ``diagnose``: HTML with all figures inside."""
     d, data, views = diagnosis, diagnosis.data, diagnosis_views(diagnosis)
     described = [] if d.description is None else [described_section(data, d.description)]
@@ -77,7 +77,7 @@ def diagnosis_report(diagnosis: Findings) -> str:
     return page(name, kicker, opening, sections, f"{name}: diagnosis")
 
 
-def _stays(d: Findings) -> list[ShownSection]:
+def _stays(d: Diagnosis) -> list[ShownSection]:
     """What effects named in part close on held-out recordings, and what stays."""
     if d.part is None:
         return []
@@ -96,7 +96,7 @@ def _stays(d: Findings) -> list[ShownSection]:
     ], "What stays")]  # fmt: skip
 
 
-def _where(d: Findings, views: Views) -> ShownSection:
+def _where(d: Diagnosis, views: Views) -> ShownSection:
     """Where model and readings disagree."""
     nothing, channels = d.verdict == "nothing_missing", d.data.channels.names
     stands_out = "What stands out of the noise, and where" if nothing else "What disagrees, and where"
@@ -145,7 +145,7 @@ def _places(places: Sequence[Disagreement]) -> ShownTable:
     )
 
 
-def _found(d: Findings) -> ShownSection:
+def _found(d: Diagnosis) -> ShownSection:
     """What the effects are that were named."""
     parts = []
     for k, f in enumerate(d.found):
@@ -172,7 +172,7 @@ def _found(d: Findings) -> ShownSection:
     return ShownSection("What it is", [*parts, end])
 
 
-def _why(d: Findings) -> ShownSection:
+def _why(d: Diagnosis) -> ShownSection:
     """The effects that were tried, and what speaks for those that are named."""
     proposals = _proposals(d)
     shown = [p for p in proposals if p["evidence"] > 0][:_BARS]
@@ -214,7 +214,7 @@ def _why(d: Findings) -> ShownSection:
     ], "Why that" if d.found else "")  # fmt: skip
 
 
-def _moved(d: Findings) -> ShownSection:
+def _moved(d: Diagnosis) -> ShownSection:
     """What naming an effect did to the base parameters."""
     title, name = "What it did to the parameters", "Parameters"
     if d.data.prior is None:
@@ -232,7 +232,7 @@ def _moved(d: Findings) -> ShownSection:
     ], name)  # fmt: skip
 
 
-def _left(d: Findings, views: Views) -> ShownSection:
+def _left(d: Diagnosis, views: Views) -> ShownSection:
     """What is left with the model as it was and as it is in the end."""
     known, changed = all(e.before.noise_known for e in shown_errors(d)), views.changed
     in_noise = (
@@ -262,7 +262,7 @@ def _left(d: Findings, views: Views) -> ShownSection:
     ], "Before and after")  # fmt: skip
 
 
-def _errors(d: Findings) -> ShownTable:
+def _errors(d: Diagnosis) -> ShownTable:
     """Errors of every motion in units and per cent, before and after."""
     rows: list[list[Cell]] = []
     marks = {}
@@ -281,7 +281,7 @@ def _errors(d: Findings) -> ShownTable:
     return ShownTable(["motion", "", "× noise", "all", *channels], rows, f"k - n nb{' n' * len(channels)}", "tight", marks)
 
 
-def _visible(d: Findings, views: Views) -> ShownSection:
+def _visible(d: Diagnosis, views: Views) -> ShownSection:
     """Sizes from which effects would be seen, and told apart."""
     unseen = " **Anything smaller may be there unseen.**" if d.verdict == "nothing_missing" else ""
     parts: list[Part] = [
@@ -311,7 +311,7 @@ def _visible(d: Findings, views: Views) -> ShownSection:
     return ShownSection("What these motions could show at all", parts, "What could be seen")
 
 
-def _noise_floor(d: Findings, views: Views) -> ShownSection:
+def _noise_floor(d: Diagnosis, views: Views) -> ShownSection:
     white, spread = d.data.floor_source == WHITE, d.search.dispersion
     more = (
         f" All models together leave {number(float(np.sqrt(spread)), 3)} times that: what nothing explains counts as noise, "
@@ -331,14 +331,14 @@ def _noise_floor(d: Findings, views: Views) -> ShownSection:
     ], "Noise")  # fmt: skip
 
 
-def _next(d: Findings) -> ShownSection:
+def _next(d: Diagnosis) -> ShownSection:
     parts: list[Part] = [d.next_experiment or "Nothing is open."]
     if d.telling is not None:
         parts += [pair_table(d.telling), note(PAIRS), figure(motion_plot(d.telling), "The motion of next_motion.csv.")]
     return ShownSection("What next", parts)
 
 
-def _cards(d: Findings) -> list[tuple[str, str, str]]:
+def _cards(d: Diagnosis) -> list[tuple[str, str, str]]:
     words, mood = _VERDICTS[d.verdict]
     large = [(words, "the verdict", mood)]
     if d.errors:
@@ -362,12 +362,12 @@ def _cards(d: Findings) -> list[tuple[str, str, str]]:
     return large
 
 
-def channels_figure(diagnosis: Findings, ax: Any = None) -> Figure:
+def channels_figure(diagnosis: Diagnosis, ax: Any = None) -> Figure:
     """What is left of each channel, before and after: in units of the noise, or where that is not known in per cent."""
     return _bars(diagnosis, ax)
 
 
-def _bars(d: Findings, ax: Any = None) -> Figure:
+def _bars(d: Diagnosis, ax: Any = None) -> Figure:
     """Root mean squares over the motions that were not fitted, or over all where there are none."""
     errors = shown_errors(d)
     known, changed = all(e.before.noise_known for e in errors), any(e.after is not None for e in errors)
@@ -381,7 +381,7 @@ def _bars(d: Findings, ax: Any = None) -> Figure:
     return before_and_after(errors[0].before.channel_names, ratios, complete, changed, "× noise" if known else "% of signal", ax)
 
 
-def _proposals(d: Findings) -> list[dict[str, Any]]:
+def _proposals(d: Diagnosis) -> list[dict[str, Any]]:
     """All effects tried on their own, with what they would explain."""
     s = d.search
     excess = max(s.base.chi2 - s.projector.rows, 1.0)
@@ -401,7 +401,7 @@ def _columns_of(effect: Effect) -> str:
     return f"{effect.columns_of or effect.name}@{effect.where}"
 
 
-def _rivals(f: Found, d: Findings, proposals: list[dict[str, Any]]) -> str:
+def _rivals(f: Found, d: Diagnosis, proposals: list[dict[str, Any]]) -> str:
     """What speaks for a named effect, and against others in its place."""
     text = f"**{f.term.effect.spec}**: without it the best model loses {_large(f.gain)} of log evidence."
     if f.rivals:
@@ -467,7 +467,7 @@ def _near_one(share: float) -> str:
     return f"{np.floor(1e6 * share) / 1e4:.6g} %" if share > 0.99 else percent(share, 2)
 
 
-def _how(d: Findings) -> list[tuple[str, str]]:
+def _how(d: Diagnosis) -> list[tuple[str, str]]:
     data, s = d.data, d.search
     rel_std = data.experiment.inertia_rel_std
     if rel_std is None:

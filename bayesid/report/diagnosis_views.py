@@ -11,7 +11,7 @@ from bayesid.diagnosis.noise import pose_noise
 from bayesid.diagnosis.separation import Visible, visible
 from bayesid.diagnosis.spectra import Segment, sensor_noise
 from bayesid.diagnosis.validation import residual_spectra
-from bayesid.results.findings import Findings
+from bayesid.results.diagnosis import Diagnosis
 
 #: Recordings in the picture of residuals, and channels in the picture of signals.
 _PANELS, _CHANNELS = 4, 3
@@ -109,7 +109,7 @@ class Views:
     changed: bool
 
 
-def diagnosis_views(diagnosis: Findings) -> Views:
+def diagnosis_views(diagnosis: Diagnosis) -> Views:
     """Evaluate both models on all recordings."""
     data, s = diagnosis.data, diagnosis.search
     sides = []
@@ -161,7 +161,7 @@ def _panels(pairs: list[tuple[Segment, np.ndarray, bool]], level: float) -> tupl
     return tuple(out)
 
 
-def _signals(diagnosis: Findings, judged: list[tuple[Segment, np.ndarray, bool]]) -> tuple[SignalView, ...]:
+def _signals(diagnosis: Diagnosis, judged: list[tuple[Segment, np.ndarray, bool]]) -> tuple[SignalView, ...]:
     """The channels that disagreed most, on the recording on which they did."""
     channels = diagnosis.data.channels
     moving = [p for p in judged if not p[0].still] or judged
@@ -184,7 +184,7 @@ def _signals(diagnosis: Findings, judged: list[tuple[Segment, np.ndarray, bool]]
     return tuple(out)
 
 
-def _noise(diagnosis: Findings) -> tuple[Noise, ...]:
+def _noise(diagnosis: Diagnosis) -> tuple[Noise, ...]:
     data = diagnosis.data
     moving = [s for s in (*data.segments, *data.unseen) if not s.still or s.apart]
     sample = pose_noise(data) if moving[0].apart else sensor_noise(moving)

@@ -13,9 +13,8 @@ from bayesid.design.tell.choose import Telling
 from bayesid.report.charts import WIDTH, Panel, chart, key, key_width, limits, text_width, write
 from bayesid.report.check import recording
 from bayesid.report.page import bullets, cards, figure, fold, lead, note, page, run_times, terms, versions, warnings
-from bayesid.results.distinguishing import TRAJECTORY, DistinguishingMotion
 from bayesid.results.excitation import Excitation, block_length, duration_text
-from bayesid.results.telling import chance, duration, pair_table
+from bayesid.results.telling import TRAJECTORY, DistinguishingMotion, chance, duration, pair_table
 from bayesid.results.text import DASH, number, percent
 from bayesid.section import Html, ShownSection, ShownTable
 

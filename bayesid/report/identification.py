@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from bayesid.dynamics.base_parameters import BaseParameters
+from bayesid.dynamics.base_parameters import BaseParameters, notation
 from bayesid.estimators import Estimate
 from bayesid.regression.regression import Regression
-from bayesid.report.certificate import certificate_section
+from bayesid.report.accuracy_figures import certificate_section
 from bayesid.report.identification_figures import bandwidth_sensitivity, parameter_intervals
 from bayesid.report.page import (
     below,
@@ -35,7 +35,6 @@ from bayesid.results.identification import Identification
 from bayesid.results.loaded import LoadedIdentification
 from bayesid.results.text import DASH, HALF, chance, channel_text, ends, number, percent, with_interval
 from bayesid.robot import inertia
-from bayesid.robot.notation import notation
 from bayesid.section import Cell, Html, Part, ShownSection, ShownTable, tag
 from bayesid.validation.headline import judged, still_predictable, worse_than_nothing
 from bayesid.validation.prediction import BAND, TOLERATED, Prediction

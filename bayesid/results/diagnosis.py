@@ -1,17 +1,105 @@
-"""What ``diagnose`` found, and how it shows itself."""
+"""What ``diagnose`` found: its numbers, in one sentence, a few lines for a terminal, a table for a notebook."""
 
 from __future__ import annotations
 
-from bayesid.results.diagnosis_text import lines_of, notebook_parts
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from bayesid.design.tell.choose import Telling
+from bayesid.diagnosis.candidates import Proposal
+from bayesid.diagnosis.data import DiagnosisData, Episode
+from bayesid.diagnosis.description.describe import Description
+from bayesid.diagnosis.in_part import InPart
+from bayesid.diagnosis.locate import Disagreement
+from bayesid.diagnosis.push import Push
+from bayesid.diagnosis.remarks import by_kind
+from bayesid.diagnosis.search import Found, Search
+from bayesid.diagnosis.stability import Stability
+from bayesid.diagnosis.validation import Gap
+from bayesid.effects import Effect, Term
+from bayesid.effects.effect import Derived
+from bayesid.estimators.parameters import with_ends
+from bayesid.recordings.schema import EffectParameters
+from bayesid.results.described import described_lines, description_dict, terms_of
 from bayesid.results.files import ShownResult
-from bayesid.results.findings import Findings
-from bayesid.section import as_html
+from bayesid.results.fitted_model import fitted_model
+from bayesid.results.telling import NEXT_MOTION, telling_dict
+from bayesid.results.text import DASH, HALF, channel_text, interval, number, percent, with_half
+from bayesid.section import Part, ShownTable, as_html
+from bayesid.validation.own_fit import MotionErrors
+from bayesid.validation.prediction import Prediction
+
+SCHEMA = 1
+#: What stands for a value that the data leave open.
+NOT_DETERMINED = "not determined"
+#: Disagreements that a terminal shows.
+_SHOWN = 4
+#: So many effects are spelt out in a sentence, and so many channels of what stays; more are named by kind.
+_SPELT_OUT, _CHANNELS_SAID = 3, 3
+_COUNTS = {1: "one effect", 2: "two effects", 3: "three effects"}
 
 
-class Diagnosis(Findings, ShownResult):
-    """What `diagnose` found: `Findings` that can be printed and written."""
+@dataclass(frozen=True, eq=False, repr=False)
+class Diagnosis(ShownResult):
+    """What `diagnose` found.
+
+    Attributes
+    ----------
+    data
+        What was compared.
+    verdict
+        ``named``, ``named_in_part``, ``ambiguous``, ``unknown`` or ``nothing_missing``.
+    search
+        The models fitted.
+    found
+        The effects named, none for the last two verdicts.
+    where
+        Where the user's model and the data disagree.
+    gap
+        On the validation motions; None without any.
+    shifts
+        Base parameters that the missing effects had moved: label, value before, after, and by how many standard
+        deviations.
+    remarks
+        What the reader should know.
+    next_experiment
+        What would settle what is open.
+    seconds
+        Run time.
+    stability
+        Each effect named without each part of the recordings; None where that says nothing.
+    telling
+        The motion that settles an ambiguous verdict; None for any other.
+    description
+        A draft of what no effect explains; None where all is explained, or no motion that it was not chosen on confirms one.
+    part
+        What held-out recordings say of effects named in part; None for any other verdict.
+    remainder
+        Where the model with the effects named in part and the data disagree.
+    errors
+        What `bayesid.identify` leaves of every motion without and with the effects named; those that were not fitted first.
+    """
 
     verb = "diagnose"
+    data: DiagnosisData
+    verdict: str
+    search: Search
+    found: tuple[Found, ...]
+    where: tuple[Disagreement, ...]
+    gap: Gap | None
+    shifts: tuple[tuple[str, float, float, float], ...]
+    remarks: tuple[str, ...]
+    next_experiment: str
+    seconds: float = 0.0
+    stability: tuple[Stability | None, ...] = ()
+    telling: Telling | None = None
+    description: Description | None = None
+    part: InPart | None = None
+    remainder: tuple[Disagreement, ...] = ()
+    errors: tuple[MotionErrors, ...] = ()
 
     def __repr__(self) -> str:
         named = f": {', '.join(f.term.effect.spec for f in self.found)}" if self.found else ""
@@ -23,3 +111,430 @@ class Diagnosis(Findings, ShownResult):
     def _repr_html_(self) -> str:
         """The same for notebooks, values as a table."""
         return as_html(notebook_parts(self))
+
+    @property
+    def terms(self) -> tuple[Term, ...]:
+        """Effects of the model after the diagnosis: the user's, as they are beside those named, and those."""
+        fitted = self.search.best if self.found else self.search.base
+        known = fitted.terms[: len(self.search.base.terms)]
+        return (*known, *(f.term for f in self.found))
+
+    def derived(self, index: int) -> tuple[Derived, ...]:
+        """What follows from the values of an effect, see `bayesid.effects.effect.Effect.derived`."""
+        found, best = self.found[index], self.search.best
+        at = [column for column, (owner, _) in enumerate(best.free) if owner == len(self.search.base.terms) + index]
+        if len(at) != len(found.std):  # only of a fit of all its parameters is their covariance known
+            return ()
+        covariance = best.covariance[np.ix_(at, at)]
+        scale = found.std / np.sqrt(np.maximum(np.diag(covariance), 1e-300))  # a dispersion, and infinite where undetermined
+        with np.errstate(invalid="ignore"):
+            return found.term.effect.derived(found.term.values, covariance * np.outer(scale, scale))
+
+    @property
+    def needed(self) -> float:
+        """Log evidence that an effect has to bring to be named."""
+        return self.data.settings.accept
+
+    @property
+    def noise_level(self) -> float:
+        """Mean square of whitened residuals that counts as noise when disagreements are looked for."""
+        return max(1.0, min(self.search.dispersion, self.data.settings.unexplained))
+
+    @property
+    def model(self) -> tuple[tuple[str, ...], EffectParameters]:
+        """The experiment's model with the named effects added, see `bayesid.results.fitted_model`."""
+        experiment = self.data.experiment
+        return fitted_model(experiment, [*experiment.effects, *(f.term.effect.spec for f in self.found)], self.terms)
+
+    def evidence(self, proposal: Proposal) -> float:
+        """Log evidence that an effect alone would add to the user's model."""
+        each = float(np.log(self.search.projector.rows))
+        return 0.5 * (proposal.gain / self.search.dispersion - proposal.parameters * each)
+
+    def to_dict(self) -> dict[str, Any]:
+        """What ``diagnosis.json`` holds."""
+        return {
+            "schema": SCHEMA,
+            "experiment": self.data.experiment.name,
+            "channel": self.data.channel,
+            "verdict": self.verdict,
+            "effects": [self._effect(f, k) for k, f in enumerate(self.found)],
+            "remainder": self._remainder(),
+            "where": [d.to_dict() for d in self.where],
+            "gap": self._gap(),
+            "errors": [e.to_dict() for e in self.errors],
+            "description": None if self.description is None else description_dict(self.description, self.data.channels.names),
+            "candidates": [
+                {
+                    "name": p.term.effect.name, "where": p.term.effect.where,
+                    "log_bayes_factor": self.evidence(p),
+                    "minimum_detectable": p.minimum,
+                }
+                for p in self.search.proposals
+            ],
+            "identification": {
+                "rows": self.search.projector.rows,
+                "before": float(np.sqrt(self.search.base.chi2 / self.search.projector.rows)),
+                "after": float(np.sqrt(self.search.best.chi2 / self.search.projector.rows)),
+                "unexplained": float(np.sqrt(self.search.dispersion)),
+            },
+            "base_parameter_shifts": [
+                dict(zip(("label", "before", "after", "sigmas"), shift, strict=True)) for shift in self.shifts
+            ],
+            "remarks": list(self.remarks),
+            "next_experiment": self.next_experiment,
+            "next_motion": None if self.telling is None else telling_dict(self.telling, NEXT_MOTION),
+            "runtime_s": self.seconds,
+        }  # fmt: skip
+
+    def _gap(self) -> dict[str, Any] | None:
+        """The gap of the model as it is handed on: an attempt that was not accepted closes nothing."""
+        if self.gap is None:
+            return None
+        out = {**self.gap.to_dict(), "floor_known": self.data.floor_known, "floor_source": self.data.floor_source}
+        if self.verdict == "unknown":
+            out |= {"best_attempt_after": out["after"], "after": out["before"], "closed": 0.0, "closed_low": 0.0}
+        return out
+
+    def shares(self, index: int) -> tuple[float, float] | None:
+        """Share of the held-out gap that an effect closes and its lower end; None where that was not measured for it alone."""
+        if isinstance(self.found[index].term, Push):  # it is in no other motion
+            return None
+        if self.part is not None:
+            return self.part.shares[index].share, self.part.shares[index].share_low
+        alone = len(self.found) == 1 and self.gap is not None and np.isfinite(self.gap.closed)
+        return (self.gap.closed, self.gap.closed_low) if self.gap is not None and alone else None
+
+    def _remainder(self) -> dict[str, Any] | None:
+        """What stays beside effects named in part."""
+        if self.part is None:
+            return None
+        rows = [] if self.description is None else terms_of(self.description, self.data.channels.names)
+        described_by = "; ".join(f"{reading} ~ {formula}" for reading, formula, *_ in rows) or None
+        return {
+            "share": self.part.remainder, "where": [d.to_dict() for d in self.remainder], "described_by": described_by,
+            "closed_in": [
+                {"channels": list(g.channels), "effects": list(g.effects), "share": g.closed} for g in self.part.groups
+            ],
+            "stretches": self.part.stretches, "correlated_rows": self.part.correlation,
+        }  # fmt: skip
+
+    def _effect(self, found: Found, index: int) -> dict[str, Any]:
+        effect = found.term.effect
+        std = found.std
+        parameters = {
+            key: with_ends(value, s, unit)
+            for key, value, s, unit in zip(effect.parameters, found.term.values, std, effect.units, strict=True)
+        }
+        derived = {key: with_ends(value, s, unit) for key, value, s, unit in self.derived(index)}
+        rivals = [{"name": t.effect.name, "where": t.effect.where} for t, _ in found.rivals]
+        share = self.shares(index)
+        odds = np.array([0.0, *(-lack for _, lack in found.rivals)])
+        probability = (1.0 - self.data.settings.outside_library) / np.exp(odds).sum()
+        return {
+            "name": effect.name, "where": effect.where, "probability": float(probability),
+            "log_bayes_factor": found.gain, "share": None if share is None else share[0],
+            "share_low": None if share is None else share[1], "parameters": parameters, "derived": derived,
+            "ambiguous_with": rivals,
+            "stability": next((x.to_dict() for x in self.stability if x and x.spec == effect.spec), None),
+            "course": found.term.to_dict() if isinstance(found.term, Push) else None,
+        }  # fmt: skip
+
+
+def verdict_sentence(diagnosis: Diagnosis) -> str:
+    """The verdict in plain words."""
+    d = diagnosis
+    names = [f"{worded(f.term.effect, d)} ({f.term.effect.summary})" for f in d.found]
+    if d.verdict == "nothing_missing":
+        return "Nothing is missing that these motions could show: the model as it is explains the readings down to their noise."
+    if d.verdict == "unknown":
+        return "Something is missing, and no effect of the library explains it."
+    count = _COUNTS.get(len(names), f"{len(names)} effects")
+    if d.verdict == "named_in_part":
+        each = [_with_rivals(name, f, d) for name, f in zip(names, d.found, strict=True)]
+        spelt = listed(each) if len(names) <= _SPELT_OUT else listed(by_kind(f.term for f in d.found))
+        return f"The model misses {count} that held-out recordings confirm, and more that stays unexplained: {spelt}."
+    if d.verdict == "ambiguous":
+        parts = [_with_rivals(name, f, d) for name, f in zip(names, d.found, strict=True)]
+        return f"The model misses {count}, but these motions do not tell every name apart: {'; and '.join(parts)}."
+    return f"The model misses {count}: {' and '.join(names)}."
+
+
+def _with_rivals(name: str, found: Found, diagnosis: Diagnosis) -> str:
+    """An effect with those that explain as much."""
+    others = [worded(t.effect, diagnosis) for t, _ in found.rivals]
+    return f"either {name} or {' or '.join(others)}" if others else name
+
+
+def part_sentence(diagnosis: Diagnosis) -> str:
+    """What effects named in part close of the gap on recordings held out in turn, and what stays."""
+    d, part = diagnosis, diagnosis.part
+    if part is None:
+        return ""
+    own = part.search.found
+    closes = f"{listed(by_kind(f.term for f in own))} {'closes' if len(own) == 1 else 'close'}"
+    if len(own) == len(d.found):  # a push is no part of other recordings
+        closes = "it closes" if len(own) == 1 else "they close"
+    text = (
+        f"With each of {part.stretches} parts of the recordings held out in turn, {closes} {percent(1.0 - part.remainder)} of "
+        f"the gap and {percent(part.remainder)} stays"
+    )
+    if part.courses[-1] == 0.0:
+        text += ", the noise, which is not known, included"
+    places = [w for w in d.remainder if not w.event]
+    channels = listed(list(dict.fromkeys(w.channel for w in places))[:_CHANNELS_SAID])
+    joints = listed(list(dict.fromkeys(w.joint for w in places[:_SHOWN] if w.joint)))
+    if channels:
+        text += f", most of it in {channels}" + (f", and it goes with {joints}" if joints else "")
+    return f"{text}."
+
+
+def validation_sentence(diagnosis: Diagnosis) -> str:
+    """What unseen motions, or for want of any the fitted ones, say of it."""
+    d, gap = diagnosis, diagnosis.gap
+    if gap is None:
+        text = "No motion that took no part in the fit was compared." + (
+            f" On the fitted ones {left_text(d)}." if d.errors else ""
+        )
+        return f"{part_sentence(d)} {text}" if d.verdict == "named_in_part" else text
+    unseen = f"On {listed([f'‘{m}’' for m in gap.motions])}, which took no part in any fit,"
+    text = f"{unseen} {left_text(d)}." if d.errors else ""
+    if d.verdict == "named_in_part":
+        return f"{part_sentence(d)} {text}".rstrip()
+    if d.verdict == "nothing_missing":
+        count = sum(not w.event for w in d.where)
+        if count:
+            places, them = ("one place stands", "it") if count == 1 else (f"{count} places stand", "them")
+            text += f" In the fitted motions {places} out of the noise, but no effect of the library explains {them}."
+    elif d.verdict == "unknown":
+        tried, closed = listed(by_kind(f.term for f in d.search.found)), known_share(gap.closed)
+        if tried:
+            text += f" The best attempt ({tried}) closes {closed or 'nothing'} of the gap."
+    elif gap.difference < d.data.settings.detected**2:
+        what = "it" if len(d.found) == 1 else "them"
+        text += f" The readings of these motions hardly depend on {what}, so they neither confirm nor deny {what}."
+    elif closed := known_share(gap.closed):
+        least = known_share(gap.closed_low)
+        text += f" That closes {closed} of the gap" + (f", at least {least}." if least else ".")
+    here = [f.term for f in d.found if isinstance(f.term, Episode)]
+    if here and isinstance(here[0], Push):
+        text += f" A push is in ‘{here[0].motion}’ alone; the other motions are explained without it."
+    elif here:
+        text += f" A contact happens once, here in ‘{here[0].motion}’, so other motions cannot confirm it."
+    return text.strip()
+
+
+def shown_errors(diagnosis: Diagnosis) -> tuple[MotionErrors, ...]:
+    """Of the motions that were not fitted, or of all where there are none."""
+    return tuple(e for e in diagnosis.errors if not e.fitted) or diagnosis.errors
+
+
+def left_text(diagnosis: Diagnosis) -> str:
+    """What is left of the motions: in units of the noise, or of the signal where no reading tells the noise."""
+    errors = shown_errors(diagnosis)
+    several = len(errors) > 1
+
+    def each(e: MotionErrors, value: Callable[[Prediction], str]) -> str:
+        where = f" on ‘{e.motion}’" if several else ""
+        return value(e.before) + where if e.after is None else f"from {value(e.before)} to {value(e.after)}{where}"
+
+    goes = any(e.after is not None for e in errors)
+    known = all(e.before.noise_known for e in errors)
+    size = _times if known else _share
+    sizes = listed([each(e, size) for e in errors])
+    if known:
+        complete = number(max(e.last.expected_rms for e in errors), 3)
+        text = f"the residual goes {sizes} times the noise" if goes else f"{sizes} times the noise is left"
+        return f"{text}; a complete model would leave {complete}"
+    text = f"the error goes {sizes} of the signal" if goes else f"the error is {sizes} of the signal"
+    return f"{text} (the sensor's own noise is not known)"
+
+
+def _times(p: Prediction) -> str:
+    return number(p.whitened_rms, 3)
+
+
+def _share(p: Prediction) -> str:
+    return percent(p.relative_error)
+
+
+def error_lines(diagnosis: Diagnosis) -> list[str]:
+    """Errors without and with the effects named, in times the noise, per cent and units: of the motions `shown_errors` names."""
+    return [error_line(e) for e in shown_errors(diagnosis)]
+
+
+def error_line(e: MotionErrors) -> str:
+    """One motion's errors: all channels together, then those that gain most, or of which most is left where nothing is named."""
+    before, after = e.before, e.last
+
+    def change(text: Callable[[Prediction], str]) -> str:
+        return text(before) if e.after is None else f"{text(before)} -> {text(after)}"
+
+    order = np.argsort(-before.rmse / np.maximum(before.signal if e.after is None else after.rmse, 1e-300))
+    worst = [k for k in order if before.rmse[k] > 0.0][:_CHANNELS_SAID]
+    units = before.channel_units
+    parts = [f"{before.channel_names[k]} {change(lambda p, k=k: number(float(p.rmse[k]), 3))} {units[k]}" for k in worst]
+    noise = f"{change(_times)} x noise" if before.noise_known else "noise not known"
+    whole = change(_share)
+    return f"error of {e.motion}{' (fitted)' if e.fitted else ''}: {noise}, {whole} of the signal; {', '.join(parts)}"
+
+
+def notes(diagnosis: Diagnosis) -> list[str]:
+    """What the reader should know beside the verdict and its validation."""
+    said = [r for r in diagnosis.remarks if not r.startswith("Something is missing")]
+    return [*said, *event_sentences(diagnosis)]
+
+
+def steady_sentence(found: Found, diagnosis: Diagnosis) -> str:
+    """Between which values the parameters stay, and what evidence is left, whichever part of the recordings is left out."""
+    mine = next((x for x in diagnosis.stability if x is not None and x.spec == found.term.effect.spec), None)
+    if mine is None:
+        return ""
+    parts = []
+    for key, value, unit, (low, high) in zip(
+        found.term.effect.parameters, found.term.values, found.term.effect.units, mine.ranges, strict=True
+    ):
+        if np.isfinite(low) and np.isfinite(high):
+            # As many digits as tell the two ends apart.
+            first, last = (with_half(v, max(0.2 * (high - low), 1e-6 * abs(value)))[0] for v in (low, high))
+            parts.append(f"{key} between {first} and {last}" + ("" if unit == "1" else f" {unit}"))
+        else:
+            parts.append(f"{key} not determined")
+    least = f"{mine.least:,.0f}".replace(",", " ") if mine.least >= 100 else number(mine.least, 3)
+    return f"Whichever of {mine.blocks} parts of the recordings is left out: {'; '.join(parts)}; log evidence at least {least}."
+
+
+def event_sentences(diagnosis: Diagnosis) -> list[str]:
+    """Short events above the compared band, a sentence for each motion that has some."""
+    events = [w for w in diagnosis.where if w.event]
+    out = []
+    for motion in dict.fromkeys(w.motion for w in events):
+        mine = sorted((w for w in events if w.motion == motion), key=lambda w: w.start)
+        channels = listed(list(dict.fromkeys(w.channel for w in mine)))
+        taps, one = sum(w.tap for w in mine), len(mine) == 1
+        times = listed([f"{w.peak:.2f}" for w in mine])
+        text = f"{'One short event' if one else f'{len(mine)} short events'} in ‘{motion}’ at {times} s, loudest in {channels}, "
+        text += f"above the frequencies that models are compared at ({mine[0].band_hz[0]:.3g} Hz and more)"
+        text += ", in a motion that took no part in the fit" if mine[0].unseen else ""
+        if taps:
+            who = "it looks like a tap" if one else f"{'they' if taps == len(mine) else f'{taps} of them'} look like taps"
+            text += f"; {who}: a broad band, over within {diagnosis.data.settings.moment:g} s"
+        out.append(f"{text}. No motion of the robot explains {'it' if one else 'them'}.")
+    return out
+
+
+def worded(effect: Effect, diagnosis: Diagnosis) -> str:
+    """``sensor_gain at mx``, ``tether at joint3 (elbow_joint)``; the place is left out where there is only one."""
+    if effect.at in ("sensor", "base", "robot"):
+        return effect.name
+    if effect.joint is None:
+        return f"{effect.name} at {effect.where}"
+    own = diagnosis.data.robot.joint_names[effect.joint]
+    return f"{effect.name} at {effect.where}" + ("" if own == effect.where else f" ({own})")
+
+
+def parameter_rows(diagnosis: Diagnosis, index: int) -> list[tuple[str, str, str, str, str]]:
+    """Name, value, half the 95 % interval, the interval and the unit of an effect's parameters and of what follows from them.
+
+    Where the data do not determine a value none is shown.
+    """
+    found = diagnosis.found[index]
+    effect = found.term.effect
+    rows = []
+    values = zip(effect.parameters, found.term.values, found.std, effect.units, strict=True)
+    for key, value, std, unit in (*values, *diagnosis.derived(index)):
+        half = HALF * float(std)
+        known = np.isfinite(half) and half > 0.0
+        text, spread = with_half(value, half) if known else (NOT_DETERMINED, DASH)
+        rows.append((key, text, spread, interval(value, half) if known else DASH, "" if unit == "1" else unit))
+    return rows
+
+
+def disagreement_line(where: Disagreement) -> str:
+    """Channel, motion, time, band and joint of a disagreement."""
+    w, (low, high) = where, where.band_hz
+    if w.event:
+        text = f"{w.channel} in {w.motion}, {w.start:.2f} to {w.end:.2f} s"
+        return f"{text}: {number(w.ratio, 3)} x the usual level at {low:.3g} to {high:.3g} Hz, a {w.looks_like}"
+    text = f"{w.channel} in {w.motion}{' at rest' if w.still else ''}, {w.start:.1f} to {w.end:.1f} s"
+    text += f": {number(w.ratio, 3)} x noise, most at {low:g} to {high:g} Hz"
+    return text + (f", goes with {w.joint}" if w.joint else "")
+
+
+def lines_of(diagnosis: Diagnosis) -> list[str]:
+    """A headline, and what the terminal shows below it."""
+    d = diagnosis
+    fitted = dict.fromkeys(s.motion for s in d.data.segments)
+    lines = [
+        f"{d.data.experiment.name}: {d.verdict.replace('_', ' ')} ({channel_text(d.data.channel)} of {', '.join(fitted)})",
+        verdict_sentence(d),
+    ]
+    for k, f in enumerate(d.found):
+        known = d.part is not None and d.shares(k) is not None
+        share = f"; without it {share_range(d, k)} is open again" if known else ""
+        for key, value, half, _, unit in parameter_rows(d, k):
+            text = value if half == DASH else f"{value} ± {half} {unit}".rstrip()
+            lines.append(f"  {f.term.effect.spec}: {key} {text}{share}")
+            share = ""
+    if d.part is not None:
+        lines.append(part_sentence(d))
+    if d.gap is None:
+        lines.append("No motion that took no part in the fit was compared.")
+    elif d.found and d.part is None:
+        motions, closed, least = ", ".join(d.gap.motions), known_share(d.gap.closed), known_share(d.gap.closed_low)
+        if d.gap.difference < d.data.settings.detected**2:
+            lines.append(f"{motions} hardly depends on what is named, and neither confirms nor denies it")
+        elif closed:
+            lines.append(f"gap on {motions}: {closed} closed" + (f", at least {least}" if least else ""))
+    lines += error_lines(d)
+    if d.verdict == "unknown" and d.search.found:
+        lines.append(f"best attempt: {', '.join(by_kind(f.term for f in d.search.found))}")
+    word = "unexplained" if d.verdict == "nothing_missing" else "stays" if d.part is not None else "disagrees"
+    places = d.where if d.part is None else d.remainder
+    for w in places[:_SHOWN]:
+        lines.append(f"{word}: {disagreement_line(w)}")
+    if len(places) > _SHOWN:
+        lines.append(f"and in {len(places) - _SHOWN} more places")
+    if d.description is not None:
+        lines += described_lines(d.description, d.data.channels.names)
+    lines += [f"note: {r}" for r in notes(d)]
+    if d.next_experiment:
+        lines.append(f"next: {d.next_experiment}")
+    return lines
+
+
+def share_range(diagnosis: Diagnosis, index: int) -> str:
+    """Share of the gap that an effect closes beside all others, and the least it does with 95 % confidence."""
+    found = diagnosis.shares(index)
+    if found is None:
+        return DASH
+    return f"{percent(max(found[0], 0.0))} of the gap" + (f" (at least {percent(found[1])})" if found[1] > 0.0 else "")
+
+
+def share_text(share: float) -> str:
+    """A share of a gap as per cent; rounded down near the whole, so that 100 % means all of it."""
+    return percent(share) if share < 0.999 else f"{np.floor(min(share, 1.0) * 1e5) / 1e3:.6g} %"
+
+
+def notebook_parts(diagnosis: Diagnosis) -> list[Part]:
+    """What a notebook shows: values as a table."""
+    d = diagnosis
+    parts: list[Part] = [f"**{verdict_sentence(d)}** {validation_sentence(d)}"]
+    parts += [f"{line[0].upper()}{line[1:]}." for line in error_lines(d)]
+    if d.found:
+        rows = [(f.term.effect.spec, *row) for k, f in enumerate(d.found) for row in parameter_rows(d, k)]
+        parts.append(ShownTable(["effect", "parameter", "value", "± 95 %", "interval", "unit"], rows, "k k nb n n ku"))
+    parts += [disagreement_line(w) for w in d.where[:_SHOWN]]
+    if d.description is not None:
+        parts += described_lines(d.description, d.data.channels.names)
+    return [*parts, *notes(d), d.next_experiment]
+
+
+def known_share(share: float) -> str:
+    """A share of a gap as per cent; nothing where it is not known or none."""
+    return share_text(share) if np.isfinite(share) and share > 0 else ""
+
+
+def listed(words: list[str]) -> str:
+    """Words with commas and an and."""
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}" if words else ""

@@ -1,12 +1,16 @@
-"""The ``[model]`` of an experiment with the values that were found: what ``model.toml`` holds."""
+"""What files of results hold of the fitted model and its robot: effects with the values found, and what loads the robot again."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
 
 from bayesid.effects import Term
+from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment
 from bayesid.recordings.schema import EffectParameters
+from bayesid.robot.robot import Robot, load_robot
 
 
 def fitted_model(
@@ -36,3 +40,31 @@ def fitted_model(
         found = {key: float(value) for key, value in zip(effect.parameters, term.values, strict=True)}
         values[effect.spec] = {**found, "fixed": True} if stated.get("fixed", False) else dict(found)
     return tuple(dict.fromkeys(effects)), values
+
+
+def robot_section(experiment: Experiment) -> dict[str, Any]:
+    """``robot`` in ``estimate.json`` and ``posterior.json``: as `bayesid.load_robot` takes it, but for the URDF."""
+    robot, sensor = experiment.robot, experiment.sensor
+    return {
+        "joints": list(robot.joint_names),
+        "locked": {name: float(position) for name, position in experiment.locked.items()},
+        "gravity": robot.gravity.tolist(),
+        "sensor_joint": None if sensor is None else sensor.joint,
+    }
+
+
+def robot_of(document: Mapping[str, Any], file: Path) -> tuple[Robot, dict[str, float]]:
+    """The robot in the ``identified.urdf`` beside a document, and where its locked joints stand.
+
+    Raises
+    ------
+    InputError
+        The document is of an earlier version, or there is no such URDF.
+    """
+    stated, urdf = document.get("robot"), file.with_name("identified.urdf")
+    if stated is None:
+        raise InputError(f"{file}: does not say which joints its robot has, as results of earlier versions do not; run it again")
+    if not urdf.is_file():
+        raise InputError(f"{urdf}: no such file; it is written with {file.name} where links are known, and holds the robot")
+    robot = load_robot(urdf, stated["joints"], stated["locked"], stated["gravity"], stated["sensor_joint"])
+    return robot, dict(stated["locked"])

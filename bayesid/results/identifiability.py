@@ -44,7 +44,7 @@ class Identifiability(ShownResult):
     still
         Names of joints that stand still in all of them.
     sensor_sets
-        One report each, in the order of `bayesid.design.sensor_sets.SENSOR_SETS`.
+        One report each, in the order of `bayesid.design.reading_noise.SENSOR_SETS`.
     main
         The one whose readings an estimate would use by default.
     advice

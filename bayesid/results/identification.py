@@ -22,11 +22,9 @@ from bayesid.recordings.motion import Motion
 from bayesid.recordings.schema import EffectParameters
 from bayesid.regression.parallel import in_order, one_blas_thread
 from bayesid.regression.problem import Problem
-from bayesid.results.estimated import HasEstimate
-from bayesid.results.figures import PlotsPredictions
+from bayesid.results.estimated import HasEstimate, PlotsPredictions
 from bayesid.results.files import Result
-from bayesid.results.fitted_model import fitted_model
-from bayesid.results.robot_section import robot_section
+from bayesid.results.fitted_model import fitted_model, robot_section
 from bayesid.results.urdf_links import UrdfLinks, impossible_bodies
 from bayesid.rounding import LEVEL
 from bayesid.section import as_html, as_text

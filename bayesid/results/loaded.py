@@ -20,7 +20,7 @@ from bayesid.estimators import Estimate
 from bayesid.estimators.details import CustomDetails, Details
 from bayesid.estimators.parameters import HasParameters, Parameters, central_interval, tails
 from bayesid.posterior.convert import load_arviz
-from bayesid.results.entry import Entry, HasEntries
+from bayesid.results.comparison import Entry, HasEntries
 from bayesid.results.estimated import HasEstimate
 from bayesid.results.files import BESIDE
 from bayesid.robot.prior import Prior

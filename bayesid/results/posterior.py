@@ -10,9 +10,9 @@ import numpy as np
 
 from bayesid.posterior.result import Posterior
 from bayesid.regression.problem import Problem
-from bayesid.results.figures import PlotsPredictions
+from bayesid.results.estimated import PlotsPredictions
 from bayesid.results.files import Result
-from bayesid.results.robot_section import robot_section
+from bayesid.results.fitted_model import robot_section
 from bayesid.validation.predicted_readings import PredictedReadings, predict_readings
 from bayesid.validation.prediction import Prediction
 

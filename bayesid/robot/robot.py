@@ -21,6 +21,10 @@ from bayesid.errors import InputError
 from bayesid.robot import inertia
 from bayesid.robot.urdf_file import UrdfFile, read_urdf
 
+# Where the URDF states no limit: half a turn to both sides, and speeds of a small arm.
+_RANGE = {False: np.pi / 2, True: 0.25}
+_SPEED = {False: 1.5, True: 0.3}
+
 
 def fingerprint(holder: Any) -> bytes:
     """Digest (16 bytes) of all fields of a dataclass instance: the same for equal arrays and texts, wherever they are kept."""
@@ -431,3 +435,12 @@ def _limits(model, j: int) -> tuple[float, float, float, float]:
         lower, upper = -np.inf, np.inf
     velocity, effort = float(model.velocityLimit[k]), float(model.effortLimit[k])
     return lower, upper, velocity if 0 < velocity < 1e6 else np.inf, effort if 0 < effort < 1e6 else np.inf
+
+
+def motion_limits(robot: Robot) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Lower and upper positions and the largest speed (n,), all finite: those of a small arm where none are stated."""
+    reach = np.array([_RANGE[bool(p)] for p in robot.prismatic])
+    speed = np.array([_SPEED[bool(p)] for p in robot.prismatic])
+    free = ~(np.isfinite(robot.lower) & np.isfinite(robot.upper))
+    fastest = np.where(np.isfinite(robot.velocity_limit), robot.velocity_limit, speed)
+    return np.where(free, -reach, robot.lower), np.where(free, reach, robot.upper), fastest

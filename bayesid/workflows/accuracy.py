@@ -12,8 +12,7 @@ import numpy as np
 from bayesid.arguments import argument, call
 from bayesid.design.accuracy.bench import Bench, make_bench
 from bayesid.design.accuracy.certificate import CoverageCertificate, certify, check_certifiable
-from bayesid.design.accuracy.sensor_choice import choose_sensor
-from bayesid.design.accuracy.sensor_file import CandidateSensor, read_sensors
+from bayesid.design.accuracy.sensor_choice import CandidateSensor, choose_sensor, read_sensors
 from bayesid.design.accuracy.susceptibility import susceptibility
 from bayesid.design.accuracy.sweeps import Sweeps, sweep
 from bayesid.drawing import Figures, figures_of
@@ -132,14 +131,13 @@ def accuracy(
 @figures_of.register
 def _(result: Accuracy) -> Figures:
     from bayesid.report.accuracy import bias_map
-    from bayesid.report.accuracy_figures import sweeps_figure
-    from bayesid.report.certificate import coverage_figure
+    from bayesid.report.accuracy_figures import certificate_figure, sweeps_figure
 
     figures: dict[str, Any] = {"susceptibility": partial(bias_map, result)}
     if result.sweeps is not None:
         figures["sweeps"] = partial(sweeps_figure, result.sweeps)
     if result.certificate is not None:
-        figures["certificate"] = partial(coverage_figure, result.certificate, result.bench.problem.row_model.base)
+        figures["certificate"] = partial(certificate_figure, result.certificate, result.bench.problem.row_model.base.short_names)
     return figures
 
 
@@ -197,7 +195,7 @@ def add_certificate(path: Path, result: Accuracy) -> bool:
             "options that it "
             f"was made with, or run {call('identify')} again"
         )
-    from bayesid.report.certificate import with_certificate
+    from bayesid.report.accuracy_figures import with_certificate
 
     return amend(path, {"certificate": found.to_dict()}, lambda page: with_certificate(page, found, base))
 

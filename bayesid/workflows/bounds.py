@@ -32,12 +32,10 @@ from bayesid.results.files import Files, files_of, strict
 from bayesid.results.identification import Identification
 from bayesid.results.posterior import ExperimentPosterior
 from bayesid.results.text import number
-from bayesid.robot.limits import motion_limits
-from bayesid.robot.robot import Robot
+from bayesid.robot.robot import Robot, motion_limits
 from bayesid.robot.urdf import write_urdf
 from bayesid.signals.filters import LowPass
-from bayesid.simulation.trajectories import Trajectory
-from bayesid.simulation.trajectory_file import read_trajectory
+from bayesid.simulation.trajectories import Trajectory, read_trajectory
 from bayesid.validation.noise_floor import noise_floor
 from bayesid.workflows.identify import identify
 from bayesid.workflows.progress import SHOWN, Clock, Progress, shows_progress

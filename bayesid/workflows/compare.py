@@ -23,14 +23,12 @@ from bayesid.regression.options import NOT_FOR_REGRESSIONS, FitOptions, fit_opti
 from bayesid.regression.parallel import one_blas_thread
 from bayesid.regression.problem import Problem, prepare
 from bayesid.regression.regression import Regression
-from bayesid.results.comparison import Comparison
-from bayesid.results.entry import Entry, equal_estimates
+from bayesid.results.comparison import Comparison, Entry, equal_estimates
 from bayesid.results.files import Files, files_of
 from bayesid.results.urdf_links import impossible_bodies
 from bayesid.signals.filters import LowPass
 from bayesid.tasks import cluster
-from bayesid.validation.agreement import HausmanTest, gaps, hausman
-from bayesid.validation.baselines import nominal_estimates
+from bayesid.validation.agreement import HausmanTest, gaps, hausman, nominal_estimates
 from bayesid.validation.noise_floor import NoiseFloor, noise_floor
 from bayesid.validation.prediction import predict
 from bayesid.workflows.progress import SHOWN, Progress, quiet, shows_progress

@@ -1,4 +1,7 @@
-"""The verb ``diagnose``: which effect a model misses, in phases."""
+"""The verb ``diagnose``: which effect a model misses, in phases.
+
+With a reference it finds what changed since a recording of the robot in its known state.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +14,7 @@ from pathlib import Path
 from typing import overload
 
 from bayesid.design.tell.choose import tell_search
+from bayesid.diagnosis.changes.findings import compare_with_reference
 from bayesid.diagnosis.data import DiagnosisData
 from bayesid.diagnosis.description.describe import describe
 from bayesid.diagnosis.fit import Fit, fit
@@ -39,7 +43,6 @@ from bayesid.results.diagnosis import Diagnosis
 from bayesid.results.files import Files, files_of, strict
 from bayesid.results.telling import NEXT_MOTION, telling_sentence, write_motion
 from bayesid.validation.own_fit import motion_errors
-from bayesid.workflows.changes import changes
 from bayesid.workflows.progress import SHOWN, Progress, quiet, shows_progress
 
 
@@ -315,3 +318,41 @@ def _(result: Diagnosis) -> Files:
     if (description := result.description) is not None:
         others[DRAFT] = lambda path: write_draft(description, result.data.experiment, path)
     return Files({"diagnosis.json": strict(result.to_dict())}, others, diagnosis_report(result))
+
+
+def changes(
+    after: Experiment | str | Path,
+    before: Experiment | str | Path,
+    channel: str | None,
+    motions: Sequence[str] | None,
+    effects: Sequence[str] | None,
+    seed: int,
+    settings: Settings,
+    progress: Progress,
+) -> Changes:
+    """What changed; parameters and errors as in `bayesid.diagnose`."""
+    since = time.perf_counter()
+    with one_blas_thread():
+        progress("reading")
+        after, before = as_experiment(after), as_experiment(before)
+        progress("what changed since the reference")
+        found = compare_with_reference(before, after, channel, effects=effects, motions=motions, seed=seed, settings=settings)
+    return Changes(found, time.perf_counter() - since)
+
+
+@figures_of.register
+def _(result: Changes) -> Figures:
+    from bayesid.report.changes import evidence_figure
+
+    return {"evidence": partial(evidence_figure, result)}
+
+
+@files_of.register
+def _(result: Changes) -> Files:
+    """``diagnosis.json``, ``model.toml`` and the report."""
+    from bayesid.report.changes import changes_report
+
+    effects, values = result.model
+    expressions = result.experiment.library.expressions
+    others = {"model.toml": lambda path: write_model(effects, values, path, expressions)}
+    return Files({"diagnosis.json": strict(result.to_dict())}, others, changes_report(result))

@@ -15,7 +15,7 @@ import tomli_w
 
 from bayesid.arguments import argument, with_given
 from bayesid.design.excitation.blocks import check_blocks, scripted_blocks
-from bayesid.design.excitation.criteria import CRITERIA
+from bayesid.design.excitation.information import CRITERIA
 from bayesid.design.excitation.options import ExcitationOptions
 from bayesid.design.excitation.plan import Plan, make_plan
 from bayesid.design.excitation.stops import StopAndGo, stop_and_go
@@ -32,8 +32,7 @@ from bayesid.results.excitation import Excitation, LimitUse
 from bayesid.results.files import Files, files_of
 from bayesid.robot.robot import Robot
 from bayesid.robot.typical import states_masses
-from bayesid.simulation.trajectories import Trajectory, recorded_trajectories
-from bayesid.simulation.trajectory_file import read_trajectory, write_trajectory
+from bayesid.simulation.trajectories import Trajectory, read_trajectory, recorded_trajectories, write_trajectory
 from bayesid.tasks import cluster
 from bayesid.workflows.progress import SHOWN, Clock, Progress, shows_progress
 

@@ -23,10 +23,10 @@ from bayesid.results.export.randomisation import draws_of, randomisation
 from bayesid.results.export.sdf import HELD, sdf
 from bayesid.results.exported import Exported
 from bayesid.results.files import Files, files_of
+from bayesid.results.fitted_model import robot_of
 from bayesid.results.identification import Identification
 from bayesid.results.loaded import Loaded, LoadedIdentification, LoadedPosterior, load
 from bayesid.results.posterior import ExperimentPosterior
-from bayesid.results.robot_section import robot_of
 from bayesid.robot.robot import Robot
 from bayesid.robot.urdf import JointDynamics, urdf_text
 from bayesid.workflows.progress import SHOWN, Clock, Progress, shows_progress

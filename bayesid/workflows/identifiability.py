@@ -13,8 +13,7 @@ from bayesid.arguments import argument, names
 from bayesid.design.advice import advise, duration
 from bayesid.design.expected import Expected, expected_factors
 from bayesid.design.identifiability import PlannedMotions, SetReport, report_of, set_report, with_differences
-from bayesid.design.reading_noise import ReadingNoise, recorded_noise, white_noise
-from bayesid.design.sensor_sets import SENSOR_SETS, SensorSet
+from bayesid.design.reading_noise import SENSOR_SETS, ReadingNoise, SensorSet, recorded_noise, white_noise
 from bayesid.design.separability import pair_of, separations
 from bayesid.design.visibility import shown
 from bayesid.drawing import Figures, figures_of
@@ -28,8 +27,7 @@ from bayesid.regression.regression import Regression
 from bayesid.results.files import Files, files_of
 from bayesid.results.identifiability import Identifiability
 from bayesid.robot.robot import Robot
-from bayesid.simulation.trajectories import Trajectory, fourier_trajectory
-from bayesid.simulation.trajectory_file import read_trajectory
+from bayesid.simulation.trajectories import Trajectory, fourier_trajectory, read_trajectory
 from bayesid.workflows.progress import SHOWN, Clock, Progress, shows_progress
 
 _READ = {"wrench": "wrench", "torque": "joint torques"}
@@ -64,7 +62,7 @@ def identifiability(
         Planned motions in place of the experiment's: tables with columns ``t`` and ``q1`` ..., as `bayesid.excite` writes them,
         or trajectories. A robot without any gets a random motion within its limits.
     sensor_sets
-        Names of `bayesid.design.sensor_sets.SENSOR_SETS`; default all.
+        Names of `bayesid.design.reading_noise.SENSOR_SETS`; default all.
     noise
         Standard deviation of one sample, by ``force``, ``moment``, ``torque`` or the channel's name; default what a fit leaves of
         recorded readings, else the data sheet's, else an assumed one.

@@ -16,8 +16,8 @@ from bayesid.effects.library import EffectLibrary
 from bayesid.errors import InputError
 from bayesid.recordings.complaints import listed, suggest
 from bayesid.recordings.experiment import Experiment, Motion, Sensor
+from bayesid.recordings.importing.clock import lag
 from bayesid.recordings.importing.column_map import ColumnMap, load_column_map
-from bayesid.recordings.importing.lag import lag
 from bayesid.recordings.importing.reader import joined, read_source
 from bayesid.recordings.importing.recording import Recording, make_recording
 from bayesid.recordings.importing.signals import Signal

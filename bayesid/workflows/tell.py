@@ -18,9 +18,8 @@ from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, as_experiment, load_experiment
 from bayesid.regression.parallel import one_blas_thread
 from bayesid.regression.readings import default_channel, has_readings
-from bayesid.results.distinguishing import TRAJECTORY, DistinguishingMotion
 from bayesid.results.files import Files, files_of, strict
-from bayesid.results.telling import write_motion
+from bayesid.results.telling import TRAJECTORY, DistinguishingMotion, write_motion
 from bayesid.simulation.simulation import simulate
 from bayesid.simulation.trajectories import fourier_trajectory
 from bayesid.workflows.progress import SHOWN, Clock, Progress, shows_progress

@@ -9,7 +9,7 @@ import pytest
 import bayesid
 from bayesid.cli import main
 from bayesid.recordings.experiment import load_experiment
-from bayesid.simulation.trajectory_file import write_trajectory
+from bayesid.simulation.trajectories import write_trajectory
 from tests.malformed import write_good
 
 

@@ -10,11 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bayesid.design.accuracy.bench import Bench, make_bench
+from bayesid.design.accuracy.bench import Bench, Setting, make_bench, own_setting, twin
 from bayesid.design.accuracy.fits import Learned, combinations, differenced, errors_of, fit_twin, learn, run_twin
 from bayesid.design.accuracy.susceptibility import missing_effects, susceptibility
 from bayesid.design.accuracy.sweeps import sweep
-from bayesid.design.accuracy.twins import Setting, own_setting, twin
 from bayesid.dynamics.base_parameters import structural_base
 from bayesid.effects import Term
 from bayesid.estimators import estimator

@@ -11,7 +11,7 @@ import pytest
 
 import bayesid
 from bayesid.design.excitation.collision import clearance
-from bayesid.design.excitation.criteria import Criterion
+from bayesid.design.excitation.information import Criterion
 from bayesid.design.excitation.optimise import random_feasible, restored, scaled_to_fit
 from bayesid.design.excitation.options import ExcitationOptions
 from bayesid.design.excitation.plan import make_task, mount_response

@@ -5,8 +5,7 @@ import pytest
 
 from bayesid import estimators
 from bayesid.design.expected import expect, expected_factors, rows_of
-from bayesid.design.reading_noise import recorded_noise, white_noise
-from bayesid.design.sensor_sets import SENSOR_SETS
+from bayesid.design.reading_noise import SENSOR_SETS, recorded_noise, white_noise
 from bayesid.dynamics.regressors import dynamics_regressor
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Motion

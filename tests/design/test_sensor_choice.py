@@ -9,10 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from bayesid.design.accuracy.bench import own_setting, twin
 from bayesid.design.accuracy.fits import fit_twin
-from bayesid.design.accuracy.sensor_choice import Outlook, choose_sensor
-from bayesid.design.accuracy.sensor_file import CandidateSensor, read_sensors
-from bayesid.design.accuracy.twins import own_setting, twin
+from bayesid.design.accuracy.sensor_choice import CandidateSensor, Outlook, choose_sensor, read_sensors
 from bayesid.effects import Term
 from bayesid.errors import InputError
 from bayesid.regression.rows import make_blocks

@@ -11,10 +11,9 @@ import pytest
 from bayesid.cli import main
 from bayesid.design.excitation.options import ExcitationOptions
 from bayesid.design.excitation.plan import make_task
-from bayesid.design.tell.choose import checked, tell, tell_effects, tell_search, unrecorded
+from bayesid.design.tell.choose import SeenInstruments, checked, contest, contest_on, tell, tell_effects, tell_search, unrecorded
 from bayesid.design.tell.evidence import PredictedRows
 from bayesid.design.tell.motions import Planned, paces, pool, prolonged, varied, within_limits
-from bayesid.design.tell.planned_rows import SeenInstruments, contest, contest_on
 from bayesid.design.tell.rivals import Case, from_effects, from_search, parse_effects, supposed
 from bayesid.diagnosis.fit import fit
 from bayesid.diagnosis.prepare import prepare_data
@@ -23,12 +22,10 @@ from bayesid.dynamics.channels import torque_channels
 from bayesid.effects import MotionSegment, readings
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment, Sensor
-from bayesid.results.distinguishing import DistinguishingMotion
-from bayesid.results.telling import telling_sentence
-from bayesid.robot.limits import motion_limits
+from bayesid.results.telling import DistinguishingMotion, telling_sentence
+from bayesid.robot.robot import motion_limits
 from bayesid.simulation.simulation import Recorder, simulate, write_simulation
-from bayesid.simulation.trajectories import fourier_trajectory
-from bayesid.simulation.trajectory_file import read_trajectory
+from bayesid.simulation.trajectories import fourier_trajectory, read_trajectory
 from bayesid.workflows.diagnose import diagnose
 from bayesid.workflows.tell import tell as tell_verb
 from tests.simulated import puma2

@@ -17,7 +17,7 @@ from bayesid.effects import EffectLibrary, Term
 from bayesid.recordings.schema import read_model
 from bayesid.report import diagnosis as report
 from bayesid.report.diagnosis_views import diagnosis_views
-from bayesid.results import diagnosis_text
+from bayesid.results import diagnosis
 from bayesid.results.text import percent
 from bayesid.robot.examples import PAPER_LOCKED
 from tests.report_pages import read
@@ -220,13 +220,13 @@ def test_two_effects_and_a_contact(named):
     both = replace(named, found=(*named.found, Found(contact, 90.0, np.full(8, 0.1))))
     assert "The model misses two effects: sensor_gain at mx" in str(both)
     assert "external_contact at joint2" in str(both)
-    assert "here in ‘identification’, so other motions cannot confirm it" in diagnosis_text.validation_sentence(both)
+    assert "here in ‘identification’, so other motions cannot confirm it" in diagnosis.validation_sentence(both)
 
 
 def test_shares_are_not_rounded_up_to_all(named):
-    assert diagnosis_text.share_text(0.9999994) == "99.999 %"
-    assert diagnosis_text.share_text(1.0) == "100 %"
-    assert diagnosis_text.share_text(0.5) == "50.0 %"
+    assert diagnosis.share_text(0.9999994) == "99.999 %"
+    assert diagnosis.share_text(1.0) == "100 %"
+    assert diagnosis.share_text(0.5) == "50.0 %"
 
 
 def test_a_notebook_escapes(named):
@@ -377,13 +377,13 @@ def test_how_much_better_in_units_per_cent_and_noise_motion_by_motion(named):
 def test_what_the_data_leave_open_has_no_value(named):
     """Neither a number nor an interval, in print, report and JSON."""
     open_ = replace(named, found=(replace(named.found[0], std=np.array([np.inf])),))
-    (row,) = diagnosis_text.parameter_rows(open_, 0)
-    assert row[1] == diagnosis_text.NOT_DETERMINED and diagnosis_text.NOT_DETERMINED in str(open_)
+    (row,) = diagnosis.parameter_rows(open_, 0)
+    assert row[1] == diagnosis.NOT_DETERMINED and diagnosis.NOT_DETERMINED in str(open_)
     assert open_.to_dict()["effects"][0]["parameters"]["gain"]["std"] is None
 
 
 def test_motions_that_hardly_depend_on_what_is_named_say_nothing_of_it(named):
     """A gap that stays as it was is no confirmation."""
     blind = replace(named, gap=replace(named.gap, after=named.gap.before, difference=1.0))
-    assert "neither confirm nor deny it" in diagnosis_text.validation_sentence(blind)
+    assert "neither confirm nor deny it" in diagnosis.validation_sentence(blind)
     assert "neither confirms nor denies" in str(blind) and "neither" not in str(named)

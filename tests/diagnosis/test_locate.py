@@ -15,7 +15,7 @@ from bayesid.diagnosis.prepare import prepare_data
 from bayesid.diagnosis.settings import DEFAULT
 from bayesid.diagnosis.spectra import Segment
 from bayesid.recordings.experiment import load_experiment
-from bayesid.results import diagnosis_text as text
+from bayesid.results import diagnosis as text
 
 JOINTS, CHANNELS = 3, 6
 LEVEL = DEFAULT.level

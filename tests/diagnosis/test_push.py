@@ -11,7 +11,7 @@ from bayesid.diagnosis.fit import fit
 from bayesid.diagnosis.prepare import prepare_data
 from bayesid.diagnosis.projector import make_projector
 from bayesid.diagnosis.push import find_push, less_push, without_push
-from bayesid.results.diagnosis_text import validation_sentence
+from bayesid.results.diagnosis import validation_sentence
 from bayesid.robot.examples import PAPER_LOCKED, puma_two_joint_urdf
 from tests.simulated import Motion, Sensor, experiment, fourier, puma2, recording
 

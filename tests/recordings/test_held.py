@@ -11,7 +11,7 @@ import pytest
 
 import bayesid
 from bayesid.recordings.experiment import Experiment, load_experiment
-from bayesid.recordings.held import held_columns
+from bayesid.recordings.motion_checks import held_columns
 from bayesid.recordings.table import Table
 from tests.malformed import DATA
 from tests.simulated import fourier, puma2, recording

@@ -16,7 +16,7 @@ from bayesid.effects.friction import ViscousFriction
 from bayesid.recordings.experiment import load_setup
 from bayesid.recordings.table import WRENCH_COLUMNS
 from bayesid.robot import inertia
-from bayesid.robot.limits import motion_limits
+from bayesid.robot.robot import motion_limits
 from bayesid.simulation.plant import complete_effects, default_values
 from bayesid.simulation.simulation import perturbed_links
 from bayesid.simulation.trajectories import new_trajectories, recorded_trajectories

@@ -19,12 +19,11 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from bayesid.design.accuracy.bench import Bench, make_bench
+from bayesid.design.accuracy.bench import Bench, make_bench, own_setting, twin
 from bayesid.design.accuracy.certificate import certify
 from bayesid.design.accuracy.fits import errors_of, fit_twin, learn, run_twin
 from bayesid.design.accuracy.susceptibility import missing_effects, susceptibility
 from bayesid.design.accuracy.sweeps import linear_errors
-from bayesid.design.accuracy.twins import own_setting, twin
 from bayesid.effects import Effect, Term
 from bayesid.estimators import estimator
 from bayesid.recordings.experiment import Experiment, Sensor

@@ -19,8 +19,7 @@ from threadpoolctl import threadpool_limits
 
 from bayesid import estimators
 from bayesid.design.expected import expect
-from bayesid.design.reading_noise import white_noise
-from bayesid.design.sensor_sets import SENSOR_SETS, SensorSet
+from bayesid.design.reading_noise import SENSOR_SETS, SensorSet, white_noise
 from bayesid.recordings.experiment import Experiment, Sensor
 from bayesid.regression.motion_rows import MotionRows
 from bayesid.regression.options import FitOptions

@@ -17,9 +17,8 @@ import numpy as np
 from scipy.stats import beta, binom
 
 from bayesid.arguments import argument, call
-from bayesid.design.accuracy.bench import Bench
+from bayesid.design.accuracy.bench import Bench, own_setting, twin
 from bayesid.design.accuracy.fits import fit_twin
-from bayesid.design.accuracy.twins import own_setting, twin
 from bayesid.errors import BayesidError, EstimationError, InputError
 from bayesid.estimators.estimator import LEVEL
 from bayesid.posterior.checkpoint import load_checkpoint, save_checkpoint

@@ -6,8 +6,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from bayesid.design.accuracy.bench import Bench, true_solution
-from bayesid.design.accuracy.twins import Setting, fit_options, twin
+from bayesid.design.accuracy.bench import Bench, Setting, fit_options, true_solution, twin
 from bayesid.dynamics.base_parameters import BaseParameters
 from bayesid.effects import MotionSegment
 from bayesid.estimators import Estimate

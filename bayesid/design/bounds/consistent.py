@@ -17,9 +17,8 @@ import numpy as np
 
 from bayesid.design.bounds.simultaneous import root_of
 from bayesid.dynamics.base_parameters import BaseParameters
-from bayesid.posterior.likelihood import Likelihood
+from bayesid.posterior.likelihood import Likelihood, ScalePrior
 from bayesid.posterior.model import PosteriorModel
-from bayesid.posterior.noise import ScalePrior
 from bayesid.posterior.reflective_gibbs import ReflectiveGibbs
 from bayesid.posterior.run import run
 from bayesid.regression.linalg import pseudo_inverse

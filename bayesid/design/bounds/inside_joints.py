@@ -16,7 +16,7 @@ from bayesid.design.bounds.model import ReadingModel
 from bayesid.design.bounds.workspace import Workspace
 from bayesid.effects.drives import RotorInertia
 from bayesid.effects.friction import CoulombFriction, ViscousFriction
-from bayesid.robot.limits import motion_limits
+from bayesid.robot.robot import motion_limits
 
 
 @dataclass(frozen=True, eq=False)

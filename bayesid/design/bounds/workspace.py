@@ -25,8 +25,7 @@ from scipy.stats import qmc
 from bayesid.design.bounds.model import ReadingModel
 from bayesid.design.bounds.simultaneous import quantile
 from bayesid.estimators.estimator import LEVEL
-from bayesid.robot.limits import motion_limits
-from bayesid.robot.robot import Robot
+from bayesid.robot.robot import Robot, motion_limits
 
 #: Draws and configurations unless others are asked for.
 DRAWS, CONFIGURATIONS = 300, 512

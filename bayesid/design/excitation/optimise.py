@@ -29,8 +29,7 @@ from functools import partial
 import numpy as np
 from scipy.optimize import minimize, nnls
 
-from bayesid.design.excitation.criteria import Criterion
-from bayesid.design.excitation.information import Information
+from bayesid.design.excitation.information import Criterion, Information
 from bayesid.design.excitation.limits import Limits, Motion
 from bayesid.design.excitation.quantities import JudgedQuantity
 from bayesid.design.excitation.series import Coordinates, FourierSeries

@@ -9,8 +9,7 @@ import numpy as np
 
 from bayesid.arguments import argument, names
 from bayesid.errors import InputError
-from bayesid.robot.limits import motion_limits
-from bayesid.robot.robot import Robot
+from bayesid.robot.robot import Robot, motion_limits
 
 _POSITIVE = ("duration", "period", "rate", "share", "torque_share", "sensor_share", "mount_frequency", "seconds")
 _SHARES = ("share", "torque_share", "sensor_share")
@@ -32,8 +31,8 @@ class ExcitationOptions:
     static
         Whether a stop-and-go run will follow and be subtracted, as in the paper.
     criterion, quantities
-        What counts, see `bayesid.design.excitation.criteria`; quantities whose expected deviation is given, and which count for
-        ``quantity``, see `bayesid.design.excitation.quantities`.
+        What counts, see `bayesid.design.excitation.information`; quantities whose expected deviation is given, and which count
+        for ``quantity``, see `bayesid.design.excitation.quantities`.
     kind
         ``fourier``, or ``liu1998`` for the paper's set-up.
     duration, period, harmonics, rate

@@ -21,14 +21,13 @@ from bayesid.design.excitation.optimise import Task, TrajectorySearch, search
 from bayesid.design.excitation.options import BELOW_RESONANCE, ExcitationOptions, largest_accelerations, sensor_ranges
 from bayesid.design.excitation.quantities import criterion_of, parse_quantity
 from bayesid.design.excitation.series import Coordinates, FourierSeries, fitted_series
-from bayesid.design.reading_noise import white_noise
-from bayesid.design.sensor_sets import SENSOR_SETS, SensorSet
+from bayesid.design.reading_noise import SENSOR_SETS, SensorSet, white_noise
 from bayesid.dynamics.channels import torque_channels
 from bayesid.dynamics.regressors import Kernel
 from bayesid.errors import EstimationError, InputError
 from bayesid.recordings.experiment import Experiment
 from bayesid.regression.readings import default_channel, make_channels
-from bayesid.robot.limits import motion_limits
+from bayesid.robot.robot import motion_limits
 from bayesid.robot.typical import states_masses
 from bayesid.simulation.trajectories import Trajectory
 

@@ -17,14 +17,13 @@ from pathlib import Path
 import numpy as np
 
 from bayesid.arguments import argument
-from bayesid.design.excitation.criteria import Criterion
-from bayesid.design.excitation.information import Information, typical_sizes
+from bayesid.design.excitation.information import Criterion, Information, typical_sizes
 from bayesid.dynamics.base_parameters import regroup
 from bayesid.dynamics.channels import torque_channels
 from bayesid.dynamics.regressors import Kernel, dynamics_regressor
 from bayesid.errors import InputError
 from bayesid.recordings.experiment import Experiment
-from bayesid.simulation.trajectory_file import read_trajectory
+from bayesid.simulation.trajectories import read_trajectory
 
 #: What of a torque may lie outside the base parameters of the readings: rounding of a URDF's angles.
 _OUTSIDE = 1e-4
@@ -92,7 +91,7 @@ def criterion_of(name: str, quantities: Sequence[JudgedQuantity], information: I
     Parameters
     ----------
     name
-        One of `bayesid.design.excitation.criteria.CRITERIA`.
+        One of `bayesid.design.excitation.information.CRITERIA`.
     quantities
         Those asked for.
     information

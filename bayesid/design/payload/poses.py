@@ -25,7 +25,7 @@ from bayesid.errors import InputError
 from bayesid.estimators import Estimate
 from bayesid.regression.problem import Problem
 from bayesid.regression.segment import Segment
-from bayesid.robot.limits import motion_limits
+from bayesid.robot.robot import motion_limits
 
 #: Poses to choose from, and the most that are proposed.
 _CANDIDATES, _MOST = 200, 100

@@ -12,8 +12,7 @@ import numpy as np
 
 from bayesid.errors import InputError
 from bayesid.recordings.complaints import cut, listed, one_line, suggest
-from bayesid.recordings.importing.extras import extra
-from bayesid.recordings.importing.stream import Source, Stream, array_columns
+from bayesid.recordings.importing.stream import Source, Stream, array_columns, extra
 
 #: Types of topics that are read without being named.
 _KNOWN = ("JointState", "Wrench", "WrenchStamped")

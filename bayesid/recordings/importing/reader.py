@@ -11,8 +11,7 @@ import numpy as np
 from bayesid.errors import InputError
 from bayesid.recordings.importing.arrays import read_hdf5, read_mat, read_npz
 from bayesid.recordings.importing.bags import read_bag
-from bayesid.recordings.importing.kinds import kind_of
-from bayesid.recordings.importing.stream import Source, Stream
+from bayesid.recordings.importing.stream import Source, Stream, kind_of
 from bayesid.recordings.importing.tables import read_csv, read_lerobot, read_parquet
 
 _ARRAYS = {"numpy": read_npz, "mat": read_mat, "hdf5": read_hdf5}

@@ -11,13 +11,12 @@ import numpy as np
 from bayesid.arguments import argument
 from bayesid.errors import InputError
 from bayesid.recordings.complaints import cut, listed
-from bayesid.recordings.held import rows_held
 from bayesid.recordings.importing.clock import RowTimes
 from bayesid.recordings.importing.column_map import ColumnMap
 from bayesid.recordings.importing.found_columns import FoundColumn, Layout
 from bayesid.recordings.importing.stream import Stream
 from bayesid.recordings.importing.units import UNITS, needs_constant
-from bayesid.recordings.motion_checks import Timing
+from bayesid.recordings.motion_checks import Timing, rows_held
 from bayesid.recordings.table import GAP, WRENCH_COLUMNS, Table, check_increasing
 from bayesid.recordings.toml_file import LARGEST
 

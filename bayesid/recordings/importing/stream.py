@@ -1,11 +1,38 @@
-"""What a file of another tool holds, before anything is known of its meaning."""
+"""Kinds of files that logs come in, and what reading one gives."""
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
+from types import ModuleType
 
 import numpy as np
+
+from bayesid.errors import InputError
+
+_FILES = {
+    "bag": (".bag", ".db3", ".mcap"), "text": (".csv", ".tsv", ".txt", ".dat", ".log"), "parquet": (".parquet", ".pq"),
+    "numpy": (".npz", ".npy"), "mat": (".mat",), "hdf5": (".h5", ".hdf5", ".hdf"),
+    "pickle": (".pkl", ".pickle", ".pt", ".joblib"),
+}  # fmt: skip
+
+
+_KIND = {suffix: kind for kind, suffixes in _FILES.items() for suffix in suffixes}
+#: What a LeRobot data set has.
+INFO = Path("meta") / "info.json"
+#: Kinds that are no tables of an experiment folder, though they can be imported.
+FOREIGN = ("bag", "lerobot", "numpy", "mat", "hdf5")
+
+
+def kind_of(path: Path) -> str:
+    """What a file or folder is: ``lerobot``, ``bag``, or a key of `_FILES`; empty where it is none of them."""
+    if not path.is_dir():
+        return _KIND.get(path.suffix.lower(), "")
+    if (path / INFO).is_file():
+        return "lerobot"
+    return "bag" if (path / "metadata.yaml").is_file() or any(any(path.glob(f"*{end}")) for end in (".db3", ".mcap")) else ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,3 +94,17 @@ def array_columns(name: str, values: np.ndarray) -> dict[str, np.ndarray]:
         return {name: values}
     flat = values.reshape(len(values), -1)
     return {f"{name}[{k}]": flat[:, k] for k in range(flat.shape[1])}
+
+
+def extra(module: str, package: str, source: str) -> ModuleType:
+    """Import a module of an optional package.
+
+    Raises
+    ------
+    InputError
+        The package is not installed; the message says how to install it.
+    """
+    try:
+        return importlib.import_module(module)
+    except ImportError:
+        raise InputError(f"reading it needs {package}", file=source, remedy='pip install "bayesid[import]"') from None

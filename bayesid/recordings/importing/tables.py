@@ -14,9 +14,7 @@ import numpy as np
 
 from bayesid.errors import InputError
 from bayesid.recordings.complaints import cut, listed, one_line
-from bayesid.recordings.importing.extras import extra
-from bayesid.recordings.importing.kinds import INFO
-from bayesid.recordings.importing.stream import Source, Stream, array_columns
+from bayesid.recordings.importing.stream import INFO, Source, Stream, array_columns, extra
 from bayesid.recordings.table_reader import count_lines
 
 _SEPARATORS = (",", ";", "\t", "|")

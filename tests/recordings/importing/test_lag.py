@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bayesid.recordings.importing.lag import lag
+from bayesid.recordings.importing.clock import lag
 
 TIMES = np.arange(0.0, 20.0, 0.04)
 FREQUENCIES = 2.0 * np.pi * np.array([0.3, 0.7, 1.1])
