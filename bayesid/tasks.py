@@ -147,24 +147,12 @@ def map_tasks(
     """Results of a function for independent items, in their order.
 
     Within `cluster`, tasks go to its workers, a few ahead of the results that are asked for. In a task, linear algebra and
-    compiled loops keep to one thread. A task whose worker is lost is done again by another; a function that gives the same result
-    wherever it is called makes the whole the same.
+    compiled loops keep to one thread. A task whose worker is lost is done again by another; a function that gives the same
+    result wherever it is called makes the whole the same. An `EstimationError` where workers were lost again and again with the
+    same task; most often their memory is too small.
 
-    Parameters
-    ----------
-    function
-        Of one item; on a cluster sent once a call, with all that it refers to.
-    items
-        Each is sent with its task.
-    locally
-        How items are done without a cluster: one after the other by default.
-    progress
-        Called with the number of results so far.
-
-    Raises
-    ------
-    EstimationError
-        Workers were lost again and again with the same task; most often their memory is too small.
+    ``function`` is sent once a call, with all that it refers to; ``locally`` is how items are done without a cluster, and
+    ``progress`` is called with the number of results so far.
     """
     if on_cluster():
         results = _on_workers(_clients[-1], function, items)
@@ -232,14 +220,9 @@ def _task(function: Callable[[_A], _B], item: _A) -> _B:
 
 
 def fold(parts: Iterable[_A], add: Callable[[_A, _A], _A]) -> _A:
-    """All parts added, `ARITY` at a time in their order, and these sums likewise: the same wherever parts come from.
+    """All parts, one at least, added, `ARITY` at a time in order, and these sums likewise: the same wherever parts come from.
 
-    Parameters
-    ----------
-    parts
-        At least one; only a few sums of each level are held.
-    add
-        Of two neighbours.
+    Only a few sums of each level are held.
     """
     levels: list[list[_A]] = []
     for part in parts:

@@ -46,18 +46,10 @@ def colours(stream: TextIO) -> bool:
 
 
 def laid_out(text: str, width: int, numbered: Sequence[str] | None = None, *, colour: bool = False) -> str:
-    """Text for a terminal of so many columns.
+    """Text for a terminal of so many columns: sentences, one a line, and tables, whose columns are two blanks apart at least.
 
-    Parameters
-    ----------
-    text
-        Sentences, one a line, and tables, whose columns are two blanks apart at least.
-    width
-        Columns of the terminal.
-    numbered
-        Warnings as the report numbers them: those are cut short here; None: none is.
-    colour
-        Whether to colour the first line, warnings, and the words before a path.
+    Warnings that the report has ``numbered`` are cut short here. ``colour`` is for the first line, warnings, and the words
+    before a path.
     """
     out: list[str] = []
     shortened: list[int] = []

@@ -179,19 +179,7 @@ def _nothing(n: int) -> Segment:
 def planned_segment(
     trajectory: Trajectory, channels: int, index: int = 0, *, gravity: bool = True, offset: bool = True
 ) -> Segment:
-    """A planned motion as a segment that has not been read yet.
-
-    Parameters
-    ----------
-    trajectory
-        Its states.
-    channels
-        How many there are.
-    index
-        Number of the motion.
-    gravity, offset
-        What is in the readings, as in `Segment`.
-    """
+    """A planned motion as a segment that has not been read yet; ``gravity`` and ``offset`` as in `Segment`."""
     rates = np.stack([trajectory.velocities, trajectory.accelerations])
     return Segment(
         trajectory.times, trajectory.positions, _unread(len(trajectory.times), channels), np.zeros(channels), index, gravity,
@@ -231,14 +219,8 @@ def expected_factors(blocks: Callable[[], Iterable[Block]], noise: Mapping[str, 
     """Triangular factor R (p, p) of the information that a fit takes from rows, and that of the rows as they are weighted.
 
     For white noise, independent from channel to channel, ``R'R = X' Sigma^-1 X``. With any other noise rows keep the weights of
-    ``wls``, the default method, and ``R'R`` is the inverse of its covariance ``(X'WX)^-1 (X'W Sigma WX) (X'WX)^-1``.
-
-    Parameters
-    ----------
-    blocks
-        Makes the rows anew, block by block.
-    noise
-        Noise model of each group of rows.
+    ``wls``, the default method, and ``R'R`` is the inverse of its covariance ``(X'WX)^-1 (X'W Sigma WX) (X'WX)^-1``. ``noise``
+    is by group of rows.
     """
     if all(m.order == 0 and np.count_nonzero(m.innovation) == len(m.innovation) for m in noise.values()):
         white = _triangular(reduce_whitened(blocks(), dict(noise)).matrix)

@@ -162,24 +162,7 @@ def _held(motion: Motion | Trajectory) -> Motion | Trajectory:
 
 
 def report_of(plan: PlannedMotions, sensor_set: SensorSet, noise: ReadingNoise, *, bandwidth: float | None = None) -> SetReport:
-    """What the motions of a plan show to a sensor set.
-
-    Parameters
-    ----------
-    plan
-        The motions.
-    sensor_set
-        What is read.
-    noise
-        Of single readings.
-    bandwidth
-        Of recorded joint motion [Hz]; default by cross-validation of the positions.
-
-    Raises
-    ------
-    InputError
-        An effect of the experiment's model does not exist.
-    """
+    """What the motions of a plan show to a sensor set; ``bandwidth`` is that of recorded joint motion [Hz]."""
     experiment = plan.experiment
     expected = expect(experiment, sensor_set, noise, plan.motions, bandwidth=bandwidth)
     own = tuple(n for n in expected.effect_names if n.partition("@")[0] in _offsets(experiment))
@@ -206,18 +189,9 @@ def set_report(
 ) -> SetReport:  # fmt: skip
     """A report from what is expected.
 
-    Parameters
-    ----------
-    sensor_set, expected, found
-        What is read, and what it would tell.
-    richest
-        Base parameters of the richest motion; None where it is not known.
-    spread
-        Covariance of link parameters, each body uncertain by its own size (P, P), or None.
-    prior
-        Their prior covariance (P, P), or None.
-    sizes
-        Of the combinations (r,), where there is no ``spread``.
+    ``richest`` are the base parameters of the richest motion where it is known; ``spread`` the covariance of link parameters,
+    each body uncertain by its own size (P, P), or without it ``sizes`` of the combinations (r,); ``prior`` the prior covariance
+    of link parameters (P, P).
     """
     matrix = found.base.matrix
     if spread is not None:

@@ -103,20 +103,9 @@ def white_noise(
 ) -> ReadingNoise:
     """White noise of one sample of every channel: as given, else of the sensor's data sheet, else an assumed one.
 
-    Parameters
-    ----------
-    robot
-        Says how many drives there are, and their effort limits.
-    given
-        Standard deviations, by ``force`` [N], ``moment`` [N m], ``torque`` [N m or N] for a kind, or by the channel's name,
-        ``fx`` ... ``mz``, ``tau1`` ...
-    force_std, torque_std
-        Of the sensor's data sheet [N], [N m].
-
-    Raises
-    ------
-    InputError
-        A name is no channel's, or a number is not above zero.
+    ``given`` are standard deviations by ``force`` [N], ``moment`` [N m], ``torque`` [N m or N] for a kind, or by the channel's
+    name, ``fx`` ... ``mz``, ``tau1`` ...; ``force_std`` [N] and ``torque_std`` [N m] are of the data sheet. An `InputError`
+    where a name is no channel's, or a number is not above zero.
     """
     given = dict(given or {})
     drives = tuple(f"tau{k + 1}" for k in range(robot.n))

@@ -163,17 +163,7 @@ def kinds_of(base: BaseParameters) -> list[str]:
 
 
 def base_expectations(found: Shown, size: np.ndarray | None, prior: np.ndarray | None = None) -> tuple[BaseExpectation, ...]:
-    """Expected standard deviations of the combinations, and what they are worth.
-
-    Parameters
-    ----------
-    found
-        The combinations.
-    size
-        Of each (r,), or None.
-    prior
-        Covariance of the link parameters before any reading (P, P), or None.
-    """
+    """Expected standard deviations of combinations, and what they are worth, by their sizes (r,) and a prior of links (P, P)."""
     base, std = found.base, found.std
     share = None if prior is None else _prior_share(found, prior)
     out = []
@@ -203,14 +193,8 @@ def link_expectations(
 ) -> list[LinkExpectation]:
     """What motions show of every link parameter.
 
-    Parameters
-    ----------
-    found, bases
-        The combinations.
-    richest
-        Base parameters of the richest motion; None where it is not known.
-    sizes
-        Of the link parameters (P,), for how much each has of a combination; None: by the factors alone.
+    ``richest`` are base parameters of the richest motion where it is known, ``sizes`` those of the link parameters (P,), for
+    how much each has of a combination; None: by the factors alone.
     """
     kinds, best = kinds_of(found.base), None if richest is None else kinds_of(richest)
     bare = kinds_of(found.without_effects)

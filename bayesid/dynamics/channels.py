@@ -67,12 +67,7 @@ class Channels:
 def wrench_channels(robot: Robot, rotation: np.ndarray, translation: np.ndarray) -> Channels:
     """Channels of the robot's force/torque sensor: force before moment, in the sensor frame.
 
-    Parameters
-    ----------
-    robot
-        Says in which joint the sensor sits and what it carries.
-    rotation, translation
-        The sensor frame's pose in the sensor joint's child link, or in the base frame (3, 3), (3,) [m].
+    ``rotation`` (3, 3) and ``translation`` (3,) [m] are its pose in the sensor joint's child link, or in the base frame.
     """
     frame_rotation = robot.sensor_rotation @ rotation
     frame_translation = robot.sensor_rotation @ translation + robot.sensor_translation

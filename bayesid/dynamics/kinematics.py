@@ -115,16 +115,9 @@ class _RobotKey:
 def link_states(
     robot: Robot, positions: np.ndarray, velocities: np.ndarray, accelerations: np.ndarray, root: np.ndarray | None = None
 ) -> np.ndarray:
-    """Poses and rates of every joint's frame and of the root, (N, n + 1, 24).
+    """Poses and rates of every joint's frame and of the root (N, n + 1, 24), from joint motion, (N, n) each.
 
-    Parameters
-    ----------
-    robot
-        Its kinematics.
-    positions, velocities, accelerations
-        (N, n) each.
-    root
-        (N, 18): rotation, origin, spin and its rate of a root that turns; default at rest in the base frame.
+    ``root`` (N, 18) is rotation, origin, spin and its rate of a root that turns; default at rest in the base frame.
     """
     q, v, a = (kernel_input(x) for x in (positions, velocities, accelerations))
     out = np.empty((len(q), robot.n + 1, WIDTH))
@@ -157,18 +150,10 @@ def _wrenches(states, row_of, links, gravity, out):
 
 
 def body_wrenches(states: np.ndarray, row_of: np.ndarray, links: np.ndarray, gravity: np.ndarray) -> np.ndarray:
-    """What each body's motion and weight take, force and moment about the base origin, (N, b, 6).
+    """What each body's motion and weight take, force and moment about the base origin (N, b, 6).
 
-    Parameters
-    ----------
-    states
-        From `link_states`.
-    row_of
-        Row of the state that each body moves with (b,).
-    links
-        Ten parameters a body in that row's frame (b, 10).
-    gravity
-        (3,) [m/s^2].
+    ``states`` are those of `link_states`, ``row_of`` the row that each body moves with (b,), ``links`` ten parameters a body in
+    that row's frame (b, 10); ``gravity`` is in m/s^2.
     """
     out = np.empty((len(states), len(links), 6))
     _wrenches(states, row_of, kernel_input(links), kernel_input(gravity), out)
@@ -256,23 +241,9 @@ def readings_of_bodies(
     robot: Robot, channels: Channels, motion: tuple[np.ndarray, np.ndarray, np.ndarray], row_of: np.ndarray, links: np.ndarray,
     gravity: np.ndarray, carries: np.ndarray,
 ) -> np.ndarray:  # fmt: skip
-    """What channels read of the bodies that they carry, root at rest: `project` of `body_wrenches` of `link_states`, at once.
+    """What channels read (N, c) of the bodies that each carries (c, b), root at rest: `project` of `body_wrenches`, at once.
 
-    Parameters
-    ----------
-    robot, channels
-        What moves, and what is measured.
-    motion
-        Positions, velocities, accelerations, (N, n) each.
-    row_of, links, gravity
-        As for `body_wrenches`.
-    carries
-        Which bodies each channel carries (c, b).
-
-    Returns
-    -------
-    readings
-        (N, c).
+    ``motion`` is positions, velocities and accelerations, (N, n) each.
     """
     q, v, a = (kernel_input(x) for x in motion)
     out = np.empty((len(q), len(channels)))

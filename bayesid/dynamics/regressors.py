@@ -58,15 +58,7 @@ class Kernel:
 
     @classmethod
     def of(cls, robot: Robot, channels: Channels, columns: np.ndarray | None = None) -> Kernel:
-        """Tables of a robot and its channels.
-
-        Parameters
-        ----------
-        robot, channels
-            What moves and what is measured.
-        columns
-            Indices into ``robot.parameter_names``; default all.
-        """
+        """Tables of a robot and its channels, for columns by their indices into ``robot.parameter_names``; default all."""
         n, bodies = robot.n, len(robot.body_names)
         columns = np.arange(10 * bodies) if columns is None else np.asarray(columns)
         # A split body is one more row, of a joint that never moves.
@@ -104,16 +96,9 @@ class Kernel:
         gravity: bool = True,
         out: np.ndarray | None = None,
     ) -> np.ndarray:
-        """Regressor Y with ``reading = Y phi``, (samples, channels, columns).
+        """Regressor Y with ``reading = Y phi`` (samples, channels, columns) of a joint motion (samples, n), into ``out`` if any.
 
-        Parameters
-        ----------
-        positions, velocities, accelerations
-            Joint trajectory, (samples, n) each [rad or m and per second (squared)].
-        gravity
-            Whether the weight is part of the reading; False for the motion wrench of [Liu1998]_ equation 24.
-        out
-            Array to write into.
+        Without ``gravity`` the weight is no part of the reading: the motion wrench of [Liu1998]_ equation 24.
         """
         out = np.empty((len(positions), self._channels, self.columns)) if out is None else out
         q, v, a = map(_c, (positions, velocities, accelerations))
@@ -139,14 +124,10 @@ class Kernel:
         *,
         gravity: bool = True,
     ) -> np.ndarray:
-        """``Y phi`` of all columns without Y: inverse dynamics, (samples, channels).
+        """``Y phi`` of all columns without Y: inverse dynamics (samples, channels); the rest as for `dynamics`.
 
-        Parameters
-        ----------
-        positions, velocities, accelerations, gravity
-            As for `dynamics`.
-        links
-            Ten parameters a body, in the order of ``robot.parameter_names`` (10 bodies,); they need not be possible ones.
+        ``links`` are ten parameters a body, in the order of ``robot.parameter_names`` (10 bodies,); they need not be possible
+        ones.
         """
         q, v, a = map(_c, (positions, velocities, accelerations))
         out = np.empty((len(q), self._channels))
@@ -172,21 +153,7 @@ def dynamics_regressor(
     gravity: bool = True,
     out: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Regressor Y with ``reading = Y phi``, (samples, channels, columns).
-
-    Parameters
-    ----------
-    robot, channels
-        What moves and what is measured.
-    positions, velocities, accelerations
-        Joint trajectory, (samples, n) each [rad or m and per second (squared)].
-    columns
-        Indices into ``robot.parameter_names``; default all.
-    gravity
-        Whether the weight is part of the reading; False for the motion wrench of [Liu1998]_ equation 24.
-    out
-        Array to write into.
-    """
+    """`Kernel.dynamics` of a robot and its channels."""
     return Kernel.of(robot, channels, columns).dynamics(positions, velocities, accelerations, gravity=gravity, out=out)
 
 

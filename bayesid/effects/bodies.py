@@ -93,15 +93,10 @@ class RotorMomentum(RotorEffect):
 
 
 def rotor_couple(robot: Robot, states: np.ndarray, joint: int, velocity: np.ndarray, acceleration: np.ndarray):
-    """Rate of a rotor's angular momentum per unit of ``gear ratio x rotor inertia``.
+    """The body, couple (N, 6) and joint torque (N,) of a rotor's momentum, per unit of ``gear ratio x rotor inertia``.
 
-    The momentum is ``h = qd z`` with the joint's axis z fixed in the parent link, so
-    ``dh/dt = qdd z + qd w x z``. The joint itself feels the rotor's turning with the parent, ``z . dw``.
-
-    Returns
-    -------
-    body, wrench, own
-        The parent's body, the couple that the rotor's motion takes from it (N, 6), and the joint's torque (N,).
+    The momentum is ``h = qd z`` with the joint's axis z fixed in the parent link, so ``dh/dt = qdd z + qd w x z``: a couple
+    that the parent's body takes. The joint itself feels the rotor's turning with the parent, ``z . dw``.
     """
     parent = int(robot.parent[joint])
     up = states[:, parent if parent >= 0 else robot.n]

@@ -131,24 +131,10 @@ def _is_reading(name: str) -> bool:
 
 
 def expression_effect(name: str, table: Mapping[str, Any], joints: int, source: str) -> type[ExpressionEffect]:
-    """A class from one ``[model.expressions.NAME]``.
+    """A class from one ``[model.expressions.NAME]``; an `InputError` says which formula, reading or parameter cannot be.
 
-    Parameters
-    ----------
-    name
-        Of the effect.
-    table
-        Formulas by reading, ``parameters`` (each with ``unit``, ``lower``, ``upper``, ``start``, ``typical``, ``tried``) and
-        ``summary``.
-    joints
-        How many the robot has.
-    source
-        The file, for messages.
-
-    Raises
-    ------
-    InputError
-        A formula, reading or parameter cannot be; the message says which, and what to write.
+    ``table`` holds formulas by reading, ``parameters`` (each with ``unit``, ``lower``, ``upper``, ``start``, ``typical``,
+    ``tried``) and ``summary``; ``source`` is the file, for messages.
     """
     if not name.isidentifier():
         raise InputError(f"{source}: [model.expressions] {name!r}: write a name of letters, digits and underscores")

@@ -36,22 +36,12 @@ def link_motion(
     basis: Basis | None,
     stiff: np.ndarray | None = None,
 ) -> Motion:
-    """Link-side positions, velocities and accelerations, (N, n) each.
+    """Link-side positions, velocities and accelerations, (N, n) each, from those of the motors.
 
-    Parameters
-    ----------
-    motor
-        Motor-side positions, velocities and accelerations, (N, n) each.
-    torque
-        Torques (N, k) that a link motion takes of some joints (k,).
-    compliance
-        (n,) [rad/(N m) or m/N]; zero for stiff joints.
-    inertia
-        That each joint feels (N, n) [kg m^2 or kg].
-    basis
-        Functions of time in which links move otherwise than motors, `splines`; None: every sample is a pose at rest.
-    stiff
-        Torques that the joints with a compliance would take if they were stiff (N, k); default computed.
+    ``torque`` gives the torques (N, k) that a link motion takes of some joints (k,), ``stiff`` those of joints with a
+    compliance if they were stiff (N, k); ``compliance`` is zero for stiff joints (n,) [rad/(N m) or m/N], and ``inertia`` what
+    each joint feels (N, n) [kg m^2 or kg]. ``basis`` are functions of time in which links move otherwise than motors,
+    `splines`; None: every sample is a pose at rest.
     """
     from scipy import sparse
     from scipy.sparse.linalg import splu

@@ -61,13 +61,7 @@ class Formula:
 
     @classmethod
     def parse(cls, text: str) -> Formula:
-        """Check a text.
-
-        Raises
-        ------
-        InputError
-            It is no formula, or has something in it that may not stand there.
-        """
+        """Check a text; an `InputError` where it is no formula, or has something in it that may not stand there."""
         if len(text) > _LONGEST:
             raise InputError(f"a formula of {len(text)} characters; write at most {_LONGEST}")
         try:
@@ -79,15 +73,10 @@ class Formula:
         return cls(text, tree, frozenset(names))
 
     def __call__(self, values: Mapping[str, np.ndarray | float], *, course: bool = True) -> np.ndarray:
-        """Its value; names mean arrays (N,) or numbers. Where it has none (a root of a negative number) it is nan.
+        """Its value with arrays (N,) or numbers for names; nan where it has none (a root of a negative number).
 
-        Parameters
-        ----------
-        values
-            By name.
-        course
-            Whether samples follow one another in time; otherwise, as in a static run, summands with the time or with functions
-            that remember are zero.
+        Unless samples follow one another in a ``course`` of time, as in a static run they do not, summands with the time or
+        with functions that remember are zero.
         """
         with np.errstate(all="ignore"):
             if course:

@@ -16,18 +16,9 @@ _BITTENCOURT = "[Bittencourt2012](references.md)"
 
 
 def bent(moves: np.ndarray, width: float, start: float = 0.0) -> np.ndarray:
-    """How far the bristle is bent, from -1 to 1, at the start and after each move (m + 1,).
+    """How far the bristle is bent, from -1 to 1, at the start and after each signed move without a reversal (m + 1,).
 
     A move of a way s in one direction takes z to ``sign - (sign - z) exp(-|s| / width)``, however fast.
-
-    Parameters
-    ----------
-    moves
-        Signed ways, each without a reversal (m,).
-    width
-        The way w over which it bends.
-    start
-        How far it is bent at the start.
     """
     moves = np.ascontiguousarray(moves, dtype=float)
     return _bent(np.sign(moves), np.exp(-np.abs(moves) / width), float(start))

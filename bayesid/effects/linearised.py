@@ -58,17 +58,7 @@ class Point:
 
 
 def reach_of(terms: Sequence[Term], bandwidth: float, step: float) -> float:
-    """Time before and after some samples that their readings depend on [s].
-
-    Parameters
-    ----------
-    terms
-        The effects.
-    bandwidth
-        Of the joint motion [Hz].
-    step
-        Time between samples [s].
-    """
+    """Time before and after some samples that their readings depend on [s]; bandwidth of the motion [Hz], step of samples [s]."""
     return max((t.effect.reach(t.values, bandwidth, step) for t in terms), default=0.0)
 
 
@@ -121,21 +111,9 @@ def linearised(
 def starting_point(
     effects: Sequence[Effect], stated: Mapping[str, Mapping[str, float | bool]], joint_names: Sequence[str]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Values that an estimate starts from, and which are estimated.
+    """Values that an estimate starts from, and which are estimated; ``stated`` is ``[model.values]``.
 
-    Parameters
-    ----------
-    effects
-        The model's.
-    stated
-        ``[model.values]``, by ``name@where`` or ``name``.
-    joint_names
-        The URDF's.
-
-    Raises
-    ------
-    InputError
-        A value of a parameter that the effect does not have.
+    An `InputError` where a value is of a parameter that the effect does not have.
     """
     values, free = [], []
     for effect in effects:

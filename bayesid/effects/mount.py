@@ -59,17 +59,7 @@ class RigidMountLoad:
         cls, robot: Robot, segment: MotionSegment, motion: Motion, row_of: np.ndarray, links: np.ndarray, gravity: np.ndarray,
         moment: Callable[[np.ndarray], np.ndarray],
     ) -> RigidMountLoad:  # fmt: skip
-        """Of links that move so.
-
-        Parameters
-        ----------
-        robot, segment, motion, moment
-            As for `mount_motion`.
-        row_of, links
-            The bodies, the root among them, in the frames of their rows of the state (b,), (b, 10).
-        gravity
-            (3,) [m/s^2].
-        """
+        """Of links that move so: bodies (b, 10), the root among them, in the frames of their rows of the state (b,)."""
         still = np.zeros((1, robot.n))
         middle, _ = _tilting(link_states(robot, segment.middle_positions[None], still, still), row_of, links)
         states = link_states(robot, *motion)
@@ -94,16 +84,9 @@ def mount_motion(
 ) -> np.ndarray:
     """Attitude of the base (N, 18): rotation, origin, spin and its rate.
 
-    Parameters
-    ----------
-    robot, segment, motion
-        The links' positions, velocities, accelerations.
-    load
-        What these ask of a mount that does not give.
-    resonance, damping
-        Of the mount, for the mean tilting inertia at the middle of the motion [Hz], [1].
-    moment
-        From states to the moment about the base origin that moves and holds all that the mount carries (N, 3).
+    ``motion`` is that of the links, ``load`` what it asks of a mount that does not give; ``resonance`` [Hz] and ``damping`` [1]
+    are for the mean tilting inertia at the middle of the motion. ``moment`` takes states to the moment about the base origin
+    that moves and holds all that the mount carries (N, 3).
     """
     rate = 2.0 * np.pi * max(resonance, 1e-3)
     mean = 0.5 * (load.middle[0, 0] + load.middle[1, 1])

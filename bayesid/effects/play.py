@@ -71,22 +71,9 @@ def crossed_anew(
 ) -> np.ndarray:
     """On which side the link is in each interval (M,), -1 elsewhere, with the crossings that leave least of the readings.
 
-    Parameters
-    ----------
-    encoders
-        Readings (M,) [rad or m].
-    behind
-        How far the link is behind by the fit (M,) [rad or m].
-    sides
-        How far it may be behind (k,) [rad or m].
-    splines
-        That the link moves by, at the samples.
-    still
-        Where it is known, because nothing moves (M,).
-    step
-        Time between samples [s].
-    intervals
-        First sample of each, and the one after the last.
+    ``encoders`` are readings (M,) [rad or m], ``behind`` how far the link is behind by the fit (M,), ``sides`` how far it may
+    be (k,), ``splines`` what it moves by, at the samples; ``still`` says where it is known, as nothing moves (M,), ``step`` is
+    in s, and ``intervals`` are the first sample of each and the one after its last.
     """
     if not intervals:
         return np.full(len(behind), -1)
@@ -121,14 +108,8 @@ def crossed_anew(
 def _least(until: np.ndarray, outside: np.ndarray, sides: np.ndarray) -> tuple[float, tuple[int, ...], int, int]:
     """The least sum of squares, which its three sides are, and which of the times the two crossings between them are.
 
-    Parameters
-    ----------
-    until
-        What the splines leave of a unit step that lasts from the interval's start to each time, the last one its end (M, k).
-    outside
-        What they leave of the readings if the link is not behind in the interval (M,).
-    sides
-        How far it may be behind (k,).
+    ``until`` (M, k) is what the splines leave of a unit step from the interval's start to each time, the last one its end, and
+    ``outside`` (M,) what they leave of the readings if the link is not behind in the interval.
     """
     gram, along, alone = until.T @ until, until.T @ outside, outside @ outside
     own, whole = np.diag(gram), gram[:, -1]
@@ -295,17 +276,7 @@ class Recorded:
 
 
 def leaning_poses(motor: Motion, play: Sequence[tuple[PlayEffect, Sequence[float]]], torque: Torque) -> Motion:
-    """Link-side positions, velocities and accelerations, (N, n) each, where every sample is a pose at rest.
-
-    Parameters
-    ----------
-    motor
-        Motor-side positions, velocities and accelerations, (N, n) each.
-    play
-        What the joints have of it, effects with their values.
-    torque
-        That poses take.
-    """
+    """Link-side positions, velocities and accelerations, (N, n) each, where every sample is a pose at rest."""
     behind = np.zeros_like(motor[0])
     for _ in range(_POSE_TURNS):
         link = motor[0] - behind, motor[1], motor[2]

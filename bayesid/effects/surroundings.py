@@ -21,21 +21,7 @@ def surroundings_of(
     robot: Robot, scenes: Sequence[MotionSegment], links: np.ndarray, channel: str, sensor_under_base: bool, *, static_run: bool,
     links_known: bool,
 ) -> Surroundings:  # fmt: skip
-    """What effects may want to know of some motions.
-
-    Parameters
-    ----------
-    robot, scenes
-        The nominal robot, and how it moves.
-    links
-        Ten parameters a body (10 b,), for what joints feel.
-    channel
-        ``wrench``, ``torque`` or ``both``.
-    sensor_under_base
-        Whether there is a sensor, and under the base.
-    static_run, links_known
-        As in `Surroundings`.
-    """
+    """What effects may want to know of some motions; ``links`` are ten parameters a body (10 b,), for what joints feel."""
     return Surroundings(
         robot=robot, mean_places=mean_places(robot, scenes), joint_inertia=joint_inertia(robot, scenes[0], links),
         moving=moving(robot, scenes), links_known=links_known, both_channels=channel == "both", static_run=static_run,
@@ -59,15 +45,7 @@ def moving(robot: Robot, scenes: Sequence[MotionSegment]) -> np.ndarray:
 
 
 def joint_inertia(robot: Robot, scene: MotionSegment, links: np.ndarray) -> np.ndarray:
-    """Mean inertia that each joint feels over a motion (n,) [kg m^2 or kg].
-
-    Parameters
-    ----------
-    robot, scene
-        What moves, and how.
-    links
-        Ten parameters a body (10 b,).
-    """
+    """Mean inertia that each joint feels over a motion (n,) [kg m^2 or kg], by ten parameters a body (10 b,)."""
     n = robot.n
     poses = np.repeat(scene.positions[:: max(len(scene.positions) // 20, 1)], n, axis=0)
     rates = np.tile(np.eye(n), (len(poses) // n, 1))

@@ -29,16 +29,10 @@ def coupling_matrix(robot: Robot, coupled: Sequence[tuple[TransmissionEffect, Se
 
 
 def motor_torques(transmission: np.ndarray, order: Sequence[int], true: np.ndarray) -> np.ndarray:
-    """Readings, or changes of them, with what the motors give for the joints' torques.
+    """Readings (N, c, ...), or changes of them, with what the motors give for the joints' torques.
 
-    Parameters
-    ----------
-    transmission
-        From the motors' positions to the joints', (1 + C)^-1 (n, n).
-    order
-        Channel of each joint's torque (n,).
-    true
-        With the joints' torques (N, c, ...).
+    ``transmission`` is from the motors' positions to the joints', (1 + C)^-1 (n, n), and ``order`` the channel of each joint's
+    torque (n,).
     """
     out = np.array(true)
     out[:, order] = np.einsum("kj,nk...->nj...", transmission, true[:, order])

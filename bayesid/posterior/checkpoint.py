@@ -16,14 +16,7 @@ from bayesid.errors import InputError
 def save_checkpoint(path: Path, mark: str, content: dict[str, Any]) -> None:
     """Write a checkpoint; an interruption, or a full disk, leaves the last one.
 
-    Parameters
-    ----------
-    path
-        The file.
-    mark
-        What run it belongs to.
-    content
-        ``kept``, the draws so far, and whatever else is needed to go on.
+    ``mark`` says what run it belongs to; ``content`` holds ``kept``, the draws so far, and whatever else is needed to go on.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     draft = path.with_name(path.name + ".part")
@@ -38,13 +31,7 @@ def save_checkpoint(path: Path, mark: str, content: dict[str, Any]) -> None:
 
 
 def load_checkpoint(path: Path, mark: str) -> dict[str, Any] | None:
-    """Read a checkpoint; None where there is none.
-
-    Raises
-    ------
-    InputError
-        It is damaged or was changed, or belongs to another run.
-    """
+    """Read a checkpoint, None where there is none; an `InputError` where it is damaged, changed, or of another run."""
     if not path.exists():
         return None
     try:

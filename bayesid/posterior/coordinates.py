@@ -61,13 +61,7 @@ def from_log_cholesky(theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def to_log_cholesky(entries: np.ndarray) -> np.ndarray:
-    """The inverse: (..., 10).
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        A matrix is not positive definite.
-    """
+    """The inverse (..., 10); a `numpy.linalg.LinAlgError` where a matrix is not positive definite."""
     flipped = np.linalg.cholesky(matrices(entries)[..., ::-1, ::-1])
     u = flipped[..., ::-1, ::-1]
     return np.concatenate([np.log(u[..., _DIAGONAL, _DIAGONAL]), u[(..., *_ABOVE)]], axis=-1)

@@ -92,19 +92,7 @@ def log_student(squares: np.ndarray, channels: int, dof: float | np.ndarray) -> 
 
 
 def student_log_likelihood(white: Sequence[np.ndarray], columns: np.ndarray, scales: np.ndarray, dof: float) -> float:
-    """Log likelihood of all rows.
-
-    Parameters
-    ----------
-    white
-        Whitened rows [X y] of each group (N, channels, p + 1).
-    columns
-        Parameters of the columns (p,).
-    scales
-        Of all channels, group by group (k,).
-    dof
-        Degrees of freedom nu.
-    """
+    """Log likelihood of whitened rows [X y] of each group (N, channels, p + 1), with one scale a channel, group by group (k,)."""
     total = 0.0
     for rows, s in zip(white, np.split(scales, len(white)), strict=True):
         squares = np.sum(((rows[:, :, -1] - rows[:, :, :-1] @ columns) / s) ** 2, axis=1)

@@ -33,15 +33,7 @@ _LOG_2PI = float(np.log(2.0 * np.pi))
 
 
 def log_likelihood_terms(posterior: Posterior, blocks: Iterable[Block]) -> np.ndarray:
-    """Logarithm of the likelihood of every draw in independent terms (chains, draws, terms), up to a constant in all.
-
-    Parameters
-    ----------
-    posterior
-        The draws.
-    blocks
-        The rows that were fitted.
-    """
+    """Logarithm of the likelihood of every draw in independent terms (chains, draws, terms), up to a constant in all."""
     likelihood = posterior.model.likelihood
     chains, draws = posterior.columns.shape[:2]
     centre = np.zeros(0)

@@ -285,24 +285,10 @@ def _travel(x, velocity, mean, root, bodies, bounded, to_bernstein, nodes, most)
 
 
 def travel(x: np.ndarray, velocity: np.ndarray, mean: np.ndarray, root: np.ndarray, bodies: int, bounded: np.ndarray) -> int:
-    """Move a point of a truncated Gaussian along one exact trajectory of a quarter turn.
+    """Move a point x of a truncated Gaussian, in place, along one exact trajectory of a quarter turn; returns the bounces.
 
-    Parameters
-    ----------
-    x
-        A point inside all walls (d,): ten entries of each body's matrix, then the rest; moved in place.
-    velocity
-        A draw of N(0, C) (d,).
-    mean, root
-        Of the Gaussian before it is cut: its mean (d,), which may be outside, and A with ``C = A A'`` (d, d).
-    bodies
-        How many matrices there are.
-    bounded
-        Further coordinates that cannot be negative, by index.
-
-    Returns
-    -------
-    bounces
-        -1 if the trajectory was given up and x left as it was: too many bounces, or rounding led outside.
+    x (d,) is inside all walls: ten entries of each body's matrix, then the rest, of which ``bounded`` cannot be negative. The
+    velocity is a draw of N(0, C), with C = A A' and A the ``root`` of the Gaussian before it is cut, whose mean may be outside.
+    With too many bounces, or where rounding leads outside, x stays as it was, and -1 is returned.
     """
     return _travel(x, velocity, mean, root, bodies, bounded, _TO_BERNSTEIN, _NODES, MOST_BOUNCES)

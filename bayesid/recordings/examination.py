@@ -27,13 +27,7 @@ LIMIT_SLACK = 0.1  # [rad or m]
 
 
 def check_positions(table: Table, robot: Robot) -> list[str]:
-    """Compare positions with the URDF's limits; far beyond them the unit is wrong.
-
-    Raises
-    ------
-    InputError
-        A position is so far outside that it cannot be in rad (or m).
-    """
+    """Compare positions with the URDF's limits; an `InputError` where they are so far outside that the unit must be wrong."""
     warnings = []
     for j in range(robot.n):
         q, lower, upper = table.positions[:, j], float(robot.lower[j]), float(robot.upper[j])
@@ -58,10 +52,7 @@ def check_positions(table: Table, robot: Robot) -> list[str]:
 def check_channels(table: Table) -> list[str]:
     """Look for sensor channels that do not work at all, in any kind of table.
 
-    Raises
-    ------
-    InputError
-        All six wrench channels, or all torques, are zero throughout; torques have lost their signs.
+    An `InputError` where all six wrench channels, or all torques, are zero throughout, or torques have lost their signs.
     """
     for array, names in ((table.wrench, "fx ... mz"), (table.torques, "tau1 ...")):
         if array is not None and not np.nan_to_num(array).any():
@@ -106,10 +97,7 @@ def _without_sign(table: Table) -> list[str]:
 def check_static(table: Table, static: Table, resolution: float | None) -> list[str]:
     """Check a static table against its motion.
 
-    Raises
-    ------
-    InputError
-        It lacks a channel of the motion, has as many rows but other positions, or the motion's own readings.
+    An `InputError` where it lacks a channel of the motion, has as many rows but other positions, or the motion's own readings.
     """
     for name in ("wrench", "torques"):
         if getattr(table, name) is not None and getattr(static, name) is None:
@@ -144,24 +132,7 @@ def check_static(table: Table, static: Table, resolution: float | None) -> list[
 def check_intervals(
     table: Table, stated: str, period: float | None, parked: Sequence[tuple[float, float]], resolution: float | None
 ) -> list[str]:
-    """Check the stated ``period`` and ``parked`` times against the recording.
-
-    Parameters
-    ----------
-    table
-        The recording.
-    stated
-        Where the two are, ``experiment.toml: [motion.0]``.
-    period, parked
-        As stated [s].
-    resolution
-        One encoder count [rad or m], where known.
-
-    Raises
-    ------
-    InputError
-        A time outside the recording, or backwards.
-    """
+    """Check the stated ``period`` and ``parked`` times [s]; an `InputError` where one is outside the recording, or backwards."""
     warnings: list[str] = []
     first, last, slack = float(table.times[0]), float(table.times[-1]), 0.5 * table.step
     for start, end in parked:
@@ -289,28 +260,9 @@ def _in_chunks(motion: Motion) -> Finding:
 
 
 def examine(motion: Motion, robot: Robot, resolution: float | None, place: str) -> tuple[Motion, list[Finding], list[str]]:
-    """Examine a motion's tables, and undo what is certainly only a way of counting.
+    """The motion with angles unwrapped, what is certain about its tables, and what is doubtful, one line each.
 
-    Parameters
-    ----------
-    motion
-        The recording, from a file or from arrays.
-    robot
-        The robot it is from.
-    resolution
-        One encoder count [rad or m], where known.
-    place
-        Where its times are stated, for messages.
-
-    Returns
-    -------
-    motion, findings, doubts
-        The motion with angles unwrapped, what is certain about it, and what is doubtful, one line each.
-
-    Raises
-    ------
-    InputError
-        What is recorded cannot be right.
+    An `InputError` where what is recorded cannot be right; ``place`` is where its times are stated, for messages.
     """
     findings, doubts = [], []
     table, notes = unwrapped(motion.table, robot, motion.kind)

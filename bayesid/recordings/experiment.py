@@ -410,13 +410,7 @@ def as_experiment(given: object, also: str = "") -> Experiment:
 
 
 def load_setup(folder: str | Path, library: EffectLibrary | None = None) -> Experiment:
-    """Read and check the robot and sensor of an experiment folder, whose tables need not exist yet: no motions.
-
-    Raises
-    ------
-    InputError
-        experiment.toml or the URDF is missing or wrong.
-    """
+    """Read and check the robot and sensor of an experiment folder, whose tables need not exist yet: no motions."""
     return _read_setup(Path(folder), library)[0]
 
 

@@ -144,21 +144,9 @@ _WINDOW = 5  # samples before and after a place over which a speed is taken
 def check_trajectory(table: Table, robot: Robot, resolution: float | None, held: Collection[str] = ()) -> list[str]:
     """Check a motion sampled in time: steps, velocities, encoders, and channels that stall or clip.
 
-    Parameters
-    ----------
-    table
-        The recording.
-    robot
-        The robot it is from.
-    resolution
-        One encoder count [rad or m], where known.
-    held
-        Columns whose samples are known to be held: that their values repeat is no doubt of its own.
-
-    Raises
-    ------
-    InputError
-        Too few samples, time in another unit than seconds, or velocities that are not those of the positions.
+    ``resolution`` is one encoder count [rad or m], ``held`` columns whose samples are known to be held: that their values
+    repeat is no doubt of its own. An `InputError` where samples are too few, time is in another unit than seconds, or
+    velocities are not those of the positions.
     """
     if len(table) < MIN_SAMPLES:
         raise InputError(

@@ -27,25 +27,9 @@ _LENGTH = 0.01  # between joints that are not at one place, as those of a wrist 
 
 
 def read_robot(folder: Path, section: RobotSection, sensor_joint: str | None) -> tuple[Robot, list[str]]:
-    """Read the robot and check it.
+    """Read the robot of a ``[robot]`` section and check it, with warnings.
 
-    Parameters
-    ----------
-    folder
-        The experiment folder.
-    section
-        Its ``[robot]``.
-    sensor_joint
-        The joint that the sensor sits in, if any.
-
-    Returns
-    -------
-    robot, warnings
-
-    Raises
-    ------
-    InputError
-        The URDF is absent or damaged, or lacks a joint that experiment.toml names.
+    An `InputError` where the URDF is absent or damaged, or lacks a joint that experiment.toml names.
     """
     if not section.urdf.startswith(NAMED) and not locate(section.urdf, folder).path.is_file():
         raise InputError(
@@ -75,14 +59,8 @@ def with_stated_effects(
 ) -> tuple[tuple[str, ...], EffectParameters]:
     """Effects of a model, and starting values, with what the robot's own file states, as MJCF does: friction, rotors, springs.
 
-    Parameters
-    ----------
-    robot
-        The robot.
-    effects
-        What the user's model has; default: what the file states, of each joint that moves.
-    values
-        What the user states goes before what the file does.
+    Default effects are those that the file states, of each joint that moves; what the user states goes before what the file
+    does.
     """
     own: EffectParameters = {}
     values = values or {}
@@ -100,17 +78,7 @@ def with_stated_effects(
 
 
 def robot_doubts(robot: Robot, locked: Mapping[str, float], stated: str) -> list[str]:
-    """What is doubtful about a robot and its URDF, one line each.
-
-    Parameters
-    ----------
-    robot
-        The robot.
-    locked
-        Positions of joints that do not move [rad or m].
-    stated
-        Where these and the joints are, for messages.
-    """
+    """What is doubtful about a robot and its URDF, one line each; ``stated`` is where joints and their positions are."""
     urdf = robot.description
     return [*urdf.warnings, *_missing(robot, urdf), *_doubts(robot, urdf, locked, stated), *_weights(robot)]
 

@@ -162,13 +162,7 @@ def read_file(path: Path, kind: type[File]) -> File:
 
 
 def read_model(path: str | Path) -> tuple[tuple[str, ...], EffectParameters, Expressions]:
-    """Read a model.toml, which stands in for ``[model]``: the effects, their starting values, and the user's formulas.
-
-    Raises
-    ------
-    InputError
-        The file is absent or holds anything else.
-    """
+    """Read a model.toml, which stands in for ``[model]``: the effects, their starting values, and the user's formulas."""
     section = read_file(Path(path), ModelFile).model
     check_effects(section.effects, Path(path).name)
     return model_parts(section)
@@ -182,18 +176,7 @@ def write_model(
 
 
 def check_keys(file: ExperimentFile) -> list[str]:
-    """Check what experiment.toml says by itself, beyond types: names that repeat or contradict each other.
-
-    Returns
-    -------
-    warnings
-        One line each.
-
-    Raises
-    ------
-    InputError
-        For the first contradiction.
-    """
+    """Warnings of what experiment.toml says by itself, beyond types; an `InputError` where names contradict each other."""
     robot = file.robot
     for name in robot.joints:
         if robot.joints.count(name) > 1:

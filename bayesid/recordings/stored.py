@@ -177,19 +177,10 @@ class StoredTable:
 
 
 def stored_table(path: Path, source: str, joints: int, wrench: bool, chunked: bool | None) -> StoredTable | None:
-    """A table that is read in chunks; None where it is small, and is to be read whole.
+    """A table that is read in chunks; None where it is small, and is to be read whole; the rest is as for `read_table`.
 
-    Parameters
-    ----------
-    path, source, joints, wrench
-        As for `bayesid.recordings.table_reader.read_table`.
-    chunked
-        Whether it is read in chunks; None: where its numbers take more than `LARGE`.
-
-    Raises
-    ------
-    InputError
-        As there; or angles wrap, or a row group is too large.
+    It is ``chunked`` if that is said, by default where its numbers take more than `LARGE`. An `InputError` where angles wrap,
+    or a row group is too large.
     """
     if chunked is False or not path.is_file():  # who reads it whole says what is missing
         return None

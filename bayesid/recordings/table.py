@@ -17,26 +17,11 @@ from bayesid.recordings.complaints import listed
 def usable_rows(
     times: np.ndarray, columns: Mapping[str, np.ndarray], source: str, place: Callable[[int], str]
 ) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Find the rows without a reading and those that repeat the time before.
+    """Rows without a reading and those that repeat the time before (k,), and a line for each of the reasons that there is.
 
-    Parameters
-    ----------
-    times
-        (N,) [s]; a time that goes back is an error of its own, which is not looked for here.
-    columns
-        Readings (N,) by the name of their column; NaN where there is none.
-    source, place
-        The recording's name, and the name of a row in it, for messages.
-
-    Returns
-    -------
-    dropped, notes
-        Indices of the rows to be left out (k,), ascending, and a line for each of the two reasons that there is.
-
-    Raises
-    ------
-    InputError
-        Most rows would be left out: the table is a join of topics of their own times, or its times have too few digits.
+    Of the ``times`` (N,) [s], one that goes back is an error of its own, which is not looked for here; ``columns`` are readings
+    (N,), NaN where there is none. An `InputError` where most rows would be left out: the table is a join of topics of their own
+    times, or its times have too few digits.
     """
     empty = np.isnan(times)
     holes = ["t"] if empty.any() else []

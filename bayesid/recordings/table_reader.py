@@ -36,27 +36,10 @@ _LARGEST_TIME = 1e19  # [s]; nanoseconds since 1970, which are named as such, ar
 
 
 def read_table(path: Path, source: str, joints: int, wrench: bool = True) -> tuple[Table, list[str]]:
-    """Read a table.
+    """Read a CSV or Parquet table with columns ``q1`` to ``q<joints>``, and warnings; ``source`` is what messages call it.
 
-    Parameters
-    ----------
-    path
-        A CSV file, or a Parquet file (``.parquet``, ``.pq``).
-    source
-        What to call it in messages: its path within the experiment folder.
-    joints
-        How many joints there are: columns ``q1`` to ``q<joints>`` must be there.
-    wrench
-        Whether the wrench columns are to be read.
-
-    Returns
-    -------
-    table, warnings
-
-    Raises
-    ------
-    InputError
-        The file is absent or no such table, a column is missing, a cell is no finite number, or time does not increase.
+    An `InputError` where the file is absent or no such table, a column is missing, a cell is no finite number, or time does not
+    increase.
     """
     if path.exists() and kind_of(path) in FOREIGN:
         raise InputError(f"{source}: is a log of another tool and no table; make an experiment folder with {call('import')}")
@@ -123,13 +106,7 @@ def _plain_cells(path: Path, places: list[int]) -> np.ndarray | None:
 
 
 def open_parquet(path: Path, source: str) -> Any:
-    """A Parquet file, of which nothing but its description is read yet.
-
-    Raises
-    ------
-    InputError
-        It is none, or pyarrow is not installed.
-    """
+    """A Parquet file, of which nothing but its description is read yet; an `InputError` where it is none, or without pyarrow."""
     try:
         parquet = importlib.import_module("pyarrow.parquet")
     except ImportError:
@@ -196,10 +173,7 @@ def _assemble(
 def read_header(path: Path, source: str) -> list[str]:
     """Names of the columns of a CSV file.
 
-    Raises
-    ------
-    InputError
-        It is empty or no text, starts with numbers, or separates by something else than commas.
+    An `InputError` where it is empty or no text, starts with numbers, or separates by something else than commas.
     """
     try:
         with path.open(encoding="utf-8-sig", newline="") as handle:
@@ -218,13 +192,7 @@ def read_header(path: Path, source: str) -> list[str]:
 
 
 def column_groups(header: list[str], source: str, joints: int, wrench: bool) -> tuple[dict[str, list[str]], list[str]]:
-    """Choose the columns to read: group -> its columns; and say what of the robot's own is left out.
-
-    Raises
-    ------
-    InputError
-        A column is missing, or stands there twice.
-    """
+    """Choose the columns to read: group -> its columns; and say what of the robot's own is left out."""
     wanted = {"t": ["t"]}
     for group, prefix in JOINT_GROUPS.items():
         wanted[group] = [f"{prefix}{j + 1}" for j in range(joints)]
@@ -276,24 +244,9 @@ def _meant(column: str, header: list[str]) -> str:
 def count_lines(path: Path, source: str, width: int, separator: str = ",", skipped: int = 0) -> int:
     """Count the lines; refuse one with more or fewer cells than the header.
 
-    pandas fills and drops cells without a word where columns are chosen, so that one stray or missing comma would
-    shift the numbers of its row into other columns.
-
-    Parameters
-    ----------
-    path, source
-        The file, and what to call it in messages.
-    width
-        Cells of the header.
-    separator
-        What separates cells: one byte.
-    skipped
-        Lines before the header, which may be of any width.
-
-    Raises
-    ------
-    InputError
-        A line has another width, or the file is no text.
+    pandas fills and drops cells without a word where columns are chosen, so that one stray or missing comma would shift the
+    numbers of its row into other columns. ``width`` is that of the header in cells; ``skipped`` lines before it may be of any
+    width.
     """
     lines = 0
     with path.open("rb") as handle:

@@ -62,23 +62,9 @@ File = TypeVar("File", bound=BaseModel)
 
 
 def read_toml(path: Path, kind: type[File], keys: Keys, asked: str) -> File:
-    """Read a TOML file into its model.
+    """Read a TOML file into its model; ``keys`` of its sections are for suggestions, ``asked`` says what file it should be.
 
-    Parameters
-    ----------
-    path
-        The file.
-    kind
-        What it must hold.
-    keys
-        Of its sections, for suggestions.
-    asked
-        What file it should be, for messages.
-
-    Raises
-    ------
-    InputError
-        When the file is absent, unreadable, not UTF-8, not TOML, or holds a wrong key or value.
+    An `InputError` where the file is absent, unreadable, not UTF-8, not TOML, or holds a wrong key or value.
     """
     try:
         if path.exists() and not path.is_file():

@@ -21,18 +21,8 @@ _DRAFT = re.compile(r"\.bayesid-([0-9a-f]{8})-(\d+)-\w+")
 def whole_folder(folder: Path) -> Iterator[Path]:
     """Yield an empty hidden folder; what is in it when the block ends goes into ``folder``, all files or none.
 
-    Other files of ``folder`` stay. On any error or interruption everything is as before. What a run that was killed
-    left behind is put right first.
-
-    Parameters
-    ----------
-    folder
-        Made if absent, with the folders above it.
-
-    Raises
-    ------
-    OSError
-        Something cannot be written.
+    Other files of ``folder``, which is made if absent, stay. On any error (an `OSError` where something cannot be written) or
+    interruption everything is as before. What a run that was killed left behind is put right first.
     """
     folder = folder.absolute()
     missing = [part for part in (folder.parent, *folder.parent.parents) if not part.exists()]

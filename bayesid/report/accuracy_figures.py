@@ -152,15 +152,7 @@ def _dots(ax: Axes, rows: list[tuple[Sweep, int, Level]], sweeps: Sweeps) -> Non
 
 @styled
 def susceptibility_figure(effects: Sequence[str], parameters: Sequence[str], sigmas: np.ndarray, ax: Any = None) -> Figure:
-    """Bias of each base parameter by each effect left out, as a map.
-
-    Parameters
-    ----------
-    effects, parameters
-        Their names (e,), (r,).
-    sigmas
-        In standard deviations (e, r).
-    """
+    """Bias of each base parameter (r,) by each effect left out (e,), in standard deviations (e, r), as a map."""
     matrix = np.abs(sigmas)
     left, right = 0.35 + 0.068 * max(map(len, effects), default=0), 1.0
     own = ax is None

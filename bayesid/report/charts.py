@@ -49,17 +49,7 @@ class Panel:
         return self.top + self.height * (self.y[1] - values) / (self.y[1] - self.y[0])
 
     def frame(self, title: str, x_label: str, *, y_axis: bool = True, x_numbers: bool = True, whole: bool = False) -> str:
-        """Grid, axes, numbers and titles.
-
-        Parameters
-        ----------
-        title, x_label
-            Above and below the panel.
-        y_axis, x_numbers
-            Whether the vertical axis has a grid and numbers, and the horizontal one numbers.
-        whole
-            Whether only whole numbers stand on the horizontal axis.
-        """
+        """Grid, axes, numbers and titles; with ``whole`` only whole numbers stand on the horizontal axis."""
         right, bottom = self.left + self.width, self.top + self.height
         parts = []
         numbers, label = tick_labels(ticks(*self.x, 10, whole))

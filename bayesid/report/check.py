@@ -28,17 +28,7 @@ def joint_ranges(
     motions: Sequence[tuple[str, np.ndarray, np.ndarray]],
     units: Sequence[str],
 ) -> Markup:
-    """How much of each joint's range each motion uses.
-
-    Parameters
-    ----------
-    names, units
-        Of the joints (n,).
-    lower, upper
-        Limits (n,), infinite where there are none.
-    motions
-        Name, lowest and highest positions (n,) of each.
-    """
+    """How much of each joint's range (n,) each motion, with its name, lowest and highest positions (n,), uses."""
     names = [_cut(name) for name in names]
     count, shown = len(names), list(motions)[:8]
     places, lines = _legend([_cut(name) for name, _, _ in shown])

@@ -44,19 +44,10 @@ _ONE_LINE = 9
 def values_side_by_side(
     names: Sequence[str], estimators: Sequence[str], difference: np.ndarray, ends: np.ndarray, reference: str, ax: Any = None
 ) -> Figure:
-    """Each base parameter by each estimator, with intervals, around the reference.
+    """Each base parameter (r,) by each estimator (e,), with intervals, around the reference.
 
-    Parameters
-    ----------
-    names
-        Of the parameters (r,).
-    estimators
-        Their names (e,).
-    difference, ends
-        Value less the reference's value (e, r), and the same of both ends of the 95 % interval (2, e, r), in standard deviations
-        of the reference; nan where there is none.
-    reference
-        Its name.
+    ``difference`` (e, r) and ``ends`` (2, e, r) of 95 % intervals are less the reference's value, in its standard deviations;
+    nan where there is none.
     """
     count, many = len(names), len(estimators)
     columns = 2 if count > _TWO_COLUMNS and ax is None else 1
@@ -104,17 +95,9 @@ def errors_side_by_side(
 ) -> Figure:
     """What each estimator's prediction misses, motion by motion: in per cent of the signal and in units of the noise.
 
-    Into one axis a motion of the user's own, in per cent alone.
-
-    Parameters
-    ----------
-    estimators
-        Names from top to bottom (e,).
-    baselines
-        How many of them, at the top, were not fitted.
-    motions
-        Title, channels (c,), error of each channel over its signal (e, c), of all channels (e,), residual of each
-        channel in units of the noise (e, c), of all (e,).
+    Into one axis a motion of the user's own, in per cent alone. Estimators are from top to bottom (e,), the first ``baselines``
+    of them not fitted. A motion is its title, channels (c,), error of each channel over its signal (e, c), of all channels
+    (e,), residual of each channel in units of the noise (e, c), of all (e,).
     """
     y = np.arange(len(estimators))
     margin = 0.35 + 0.066 * max(map(len, estimators))

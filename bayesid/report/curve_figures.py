@@ -85,21 +85,7 @@ def curves(
 
 @styled
 def course_figure(names: Sequence[str], values: np.ndarray, changed: np.ndarray, title: str, ax: Any = None) -> Figure:
-    """A number of every recording of a series in turn, coloured where something changed.
-
-    Parameters
-    ----------
-    names
-        Of the recordings (n,).
-    values
-        One each (n,); nan where it was not compared.
-    changed
-        Whether something changed (n,).
-    title
-        Of the panel.
-    ax
-        The user's own Axes; default a figure.
-    """
+    """A number of every recording of a series in turn, coloured where something changed; nan where it was not compared."""
     figure, axes = make_grid(1, 1, 1.8, top=0.4, ax=ax)
     panel, x = axes[0, 0], np.arange(len(values))
     panel.plot(x, values, color="#94a3b8", lw=0.9)

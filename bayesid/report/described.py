@@ -24,10 +24,8 @@ _POINTS = 3000
 def described_figure(panels: Sequence[tuple[str, str, np.ndarray, np.ndarray, np.ndarray]]) -> Figure:
     """Draw each term in a panel of its own.
 
-    Parameters
-    ----------
-    panels
-        Title, name of the variable, its values (N,), what was measured less all the rest (N,), and what the term says (N,).
+    A panel is its title, name of the variable, its values (N,), what was measured less all the rest (N,), and what the term
+    says (N,).
     """
     figure, axes = make_grid(1, len(panels), 2.4, left=0.75, top=0.5, gap=0.6)
     for ax, (title, variable, x, measured, said) in zip(axes[0], panels, strict=True):

@@ -26,14 +26,8 @@ def _rect(x: float, y: float, width: float, colour: str) -> str:
 def waterfall(steps: Sequence[tuple[str, float]], floor: float, floor_name: str = "own fit (floor)") -> Markup:
     """A gap between a model or a reference and recordings, and what each step takes of it.
 
-    Parameters
-    ----------
-    steps
-        Names and mean squares, first before any step, last with everything.
-    floor
-        Mean square that stays in any case: of the recording's own fit, or of the noise.
-    floor_name
-        What that is.
+    Steps are names and mean squares, first before any step, last with everything; ``floor`` is the mean square that stays in
+    any case: of the recording's own fit, or of the noise.
     """
     names = [steps[0][0], *(f"{'+ ' if k else ''}{name}" for k, (name, _) in enumerate(steps[1:], 1)), floor_name]
     left = 16.0 + max(text_width(n) for n in names)
@@ -56,15 +50,7 @@ def waterfall(steps: Sequence[tuple[str, float]], floor: float, floor_name: str 
 
 
 def evidence_bars(scores: Sequence[tuple[str, float, bool]], needed: float) -> Markup:
-    """Log evidence of each change on its own; a line where it counts.
-
-    Parameters
-    ----------
-    scores
-        Name, log evidence, and whether it is named.
-    needed
-        Log evidence that a change must bring.
-    """
+    """Name and log evidence of each change on its own, and whether it is named; a line where it counts."""
     left = 16.0 + max(text_width(name) for name, _, _ in scores)
     top = max([2.0 * needed, *(value for _, value, _ in scores)])
     scale = (WIDTH - left - 70.0) / top
@@ -96,16 +82,8 @@ def residual_maps(
 ) -> Figure:
     """Residuals in units of the noise: channel by time, before and after, and channel by frequency.
 
-    Parameters
-    ----------
-    channels
-        Names (c,).
-    panels
-        Title, pieces (edges (w + 1,) [s], ratios (w, c, 2), significant (w, c, 2)) and ratios by band (b, c, 2).
-    bands
-        Their names (b,).
-    changed
-        Whether there is an "after".
+    A panel is its title, pieces (edges (w + 1,) [s], ratios (w, c, 2), significant (w, c, 2)) and ratios by band (b, c, 2);
+    ``changed`` says whether there is an "after".
     """
     sides = 2 if changed else 1
     count = len(channels)
@@ -211,20 +189,9 @@ def evidence(names: Sequence[str], values: np.ndarray, kinds: Sequence[str], nee
 def before_and_after(
     channels: Sequence[str], ratios: np.ndarray, floor: float | None, changed: bool, unit: str, ax: Any = None
 ) -> Figure:
-    """What is left of each channel, before, after, and what a complete model would leave.
+    """What is left of each channel, before and after (c, 2), and what a complete model would leave.
 
-    Parameters
-    ----------
-    channels
-        Names (c,).
-    ratios
-        Before and after (c, 2).
-    floor
-        Of a complete model; None where it is not known.
-    changed
-        Whether there is an "after".
-    unit
-        Of the axis.
+    ``floor`` is that of a complete model, where it is known; ``changed`` says whether there is an "after".
     """
     figure, axes = make_grid(1, 1, 1.25, left=0.65, top=0.4, ax=ax)
     ax = axes[0, 0]
@@ -289,13 +256,7 @@ def signals(rows: Sequence[tuple[str, np.ndarray, np.ndarray, np.ndarray, float]
 
 @styled
 def push_course(times: np.ndarray, force: np.ndarray, std: np.ndarray) -> Figure:
-    """The force of a push over time, in base axes with its 95 % band.
-
-    Parameters
-    ----------
-    times, force, std
-        (m,) [s], (m, 3) [N] and its standard deviations (m, 3) [N].
-    """
+    """The force of a push (m, 3) [N] over time (m,) [s], in base axes with its 95 % band."""
     figure, axes = make_grid(1, 1, 1.5, left=0.65)
     ax = axes[0, 0]
     for k, (axis, colour) in enumerate(zip(("fx", "fy", "fz"), (BEFORE, NOISE, AFTER), strict=True)):

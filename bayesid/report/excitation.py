@@ -34,12 +34,8 @@ def motion_panels(
 ) -> list[tuple[str, str, list[str], np.ndarray]]:
     """Title, unit, names and values of each panel: joint positions and rates, joint torques and the sensor's readings.
 
-    Parameters
-    ----------
-    parts
-        Title, unit and values (N, n) of positions, velocities and accelerations.
-    loads
-        Names and values (N, c), by ``torque`` and ``wrench``.
+    ``parts`` are title, unit and values (N, n) of positions, velocities and accelerations; ``loads`` names and values (N, c),
+    by ``torque`` and ``wrench``.
     """
     names = [f"q{j + 1}" for j in range(parts[0][2].shape[1])]
     panels = [(title, unit, names, values) for title, unit, values in parts]
@@ -53,13 +49,7 @@ def motion_panels(
 
 
 def limit_shares(rows: Sequence[tuple[str, str, float]]) -> Markup:
-    """How much of every limit a motion uses, as bars.
-
-    Parameters
-    ----------
-    rows
-        Kind, joint or channel, and share.
-    """
+    """How much of every limit, by kind and joint or channel, a motion uses, as bars."""
     names = [f"{kind} {where}" for kind, where, _ in rows]
     left = 14.0 + max(map(text_width, names)) * 0.9
     height = _ROW * len(rows)
@@ -73,15 +63,7 @@ def limit_shares(rows: Sequence[tuple[str, str, float]]) -> Markup:
 
 
 def beside_random(value: float, others: np.ndarray, label: str) -> Markup:
-    """The criterion of the motion beside that of random motions within the same limits.
-
-    Parameters
-    ----------
-    value, others
-        Larger is better.
-    label
-        What the axis shows.
-    """
+    """The criterion of the motion, larger is better, beside that of random motions within the same limits."""
     names = [f"{len(others)} random motions", "this motion"]
     places = np.cumsum([0.0, key_width(names[0])])
     panel = Panel(30.0, 24.0, WIDTH - 60.0, 46.0, limits([np.append(others, value)], 0.05), (0.0, 1.0))

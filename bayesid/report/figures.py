@@ -82,13 +82,8 @@ def styled(draw: Callable[_P, Figure]) -> Callable[_P, Figure]:
 def to_svg(figure: Figure, name: str) -> str:
     """The figure as an ``<svg>`` element to be put into a page.
 
-    Parameters
-    ----------
-    figure
-        Any figure.
-    name
-        Different for each figure of a page, so that references inside one do not reach into another; the
-        same figure and name give the same text.
+    ``name`` is different for each figure of a page, so that references inside one do not reach into another; the same figure
+    and name give the same text.
     """
     buffer = io.StringIO()
     with mpl.rc_context({**_STYLE, "svg.hashsalt": name}):
@@ -117,17 +112,8 @@ def make_grid(
 ) -> tuple[Figure, np.ndarray]:  # fmt: skip
     """A figure with panels of a height; margins in inches. An automatic layout would take most of a report's time.
 
-    Parameters
-    ----------
-    rows, columns, height, left, right, top, gap
-        Of a new figure; ``options`` go to its ``subplots``.
-    ax
-        The user's own Axes, row by row, to be used in place of a new figure.
-
-    Raises
-    ------
-    InputError
-        There are fewer or more of the user's axes than panels.
+    The user's own Axes ``ax``, row by row, are used in place of a new figure; an `InputError` where they are fewer or more than
+    panels. ``options`` go to ``subplots`` of a new one.
     """
     if ax is not None:
         given = given_axes(ax)
@@ -150,13 +136,7 @@ def make_grid(
 
 
 def given_axes(ax: Any) -> Sequence[Axes]:
-    """The user's own axes, one or many in any shape, row by row.
-
-    Raises
-    ------
-    InputError
-        Something else is among them.
-    """
+    """The user's own axes, one or many in any shape, row by row; an `InputError` where something else is among them."""
     axes = [ax] if isinstance(ax, Axes) else list(np.asarray(ax, object).ravel())
     for one in axes:
         if not isinstance(one, Axes):
@@ -165,13 +145,7 @@ def given_axes(ax: Any) -> Sequence[Axes]:
 
 
 def picked(names: Sequence[str], channels: Sequence[str] | str | None) -> list[int]:
-    """Places of the channels asked for; all of them by default.
-
-    Raises
-    ------
-    InputError
-        There is no such channel.
-    """
+    """Places of the channels asked for; all of them by default. An `InputError` where there is no such channel."""
     asked = names if channels is None else [channels] if isinstance(channels, str) else channels
     for name in asked:
         if name not in names:

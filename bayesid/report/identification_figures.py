@@ -27,18 +27,8 @@ def parameter_intervals(
 ) -> Figure:
     """Base parameters as dots with 95 % intervals, in units of their natural size, and how sure each is; into one axis, no more.
 
-    Parameters
-    ----------
-    names
-        Short names (r,).
-    change
-        Value less reference (r,) [SI].
-    ends
-        Both ends of the 95 % interval, less the reference (2, r) [SI], nan where there is none.
-    scale
-        Natural size of each parameter (r,) [SI], positive.
-    classes
-        Keys of `CLASSES` (r,).
+    ``change`` is the value less the reference (r,), ``ends`` both ends of the interval less it (2, r), nan where there is none,
+    ``scale`` the natural size (r,), all in SI units; ``classes`` are keys of `CLASSES` (r,).
     """
     count = len(names)
     panels = 1 if ax is not None and len(given_axes(ax)) == 1 else 2
@@ -102,15 +92,7 @@ def _how_sure(ax: Axes, width: np.ndarray, classes: Sequence[str]) -> None:
 
 @styled
 def bandwidth_sensitivity(choice: BandwidthChoice, std: np.ndarray) -> Figure:
-    """What the bandwidth does to predictions of parts left out, and to the estimate.
-
-    Parameters
-    ----------
-    choice
-        The bandwidths that were tried.
-    std
-        Standard deviations of the estimate (p,), nan or zero where there is none.
-    """
+    """What the bandwidth does to predictions of parts left out, and to the estimate with its standard deviations (p,)."""
     figure, axes = make_grid(1, 2, 1.9, left=0.65, gap=0.75)
     left, right = axes[0]
     tried, taken = choice.bandwidths, choice.bandwidths[choice.chosen]

@@ -29,19 +29,7 @@ _RANKS = 20
 def marginals(
     names: Sequence[str], draws: np.ndarray, prior: np.ndarray | None, nominal: np.ndarray | None, ax: Any = None
 ) -> Figure:
-    """Marginal posterior of every base parameter beside its prior.
-
-    Parameters
-    ----------
-    names
-        Short names (r,).
-    draws
-        (n, r).
-    prior
-        Draws from the prior (m, r), or None where it is flat.
-    nominal
-        (r,), or None.
-    """
+    """Marginal posterior of every base parameter, draws (n, r), beside its prior's (m, r), None where it is flat."""
     columns = _COLUMNS if ax is None else 1
     figure, axes = make_grid(-(-len(names) // columns), columns, 1.0, left=0.2, gap=0.22, ax=ax)
     if ax is None:
@@ -121,12 +109,8 @@ def predictive(
 def narrowing(groups: Sequence[tuple[str, Sequence[str], np.ndarray]], driven: float) -> Figure:
     """Posterior over prior standard deviation: what the data narrowed, and what they did not.
 
-    Parameters
-    ----------
-    groups
-        Title, names and ratios (k,) of each panel.
-    driven
-        Ratio from which a parameter counts as driven by the prior.
+    A group is the title, names and ratios (k,) of a panel; ``driven`` the ratio from which a parameter counts as driven by the
+    prior.
     """
     figure, axes = make_grid(len(groups), 1, 1.7, left=0.6)
     figure.subplots_adjust(hspace=0.85)

@@ -124,19 +124,10 @@ class ShownResult(Result, ABC):
 
 
 def check_output(folder: str | Path, verb: str = "") -> Path:
-    """The output folder as a path, refused early if it cannot be one.
+    """The output folder as a path, which need not exist; nothing in it is changed.
 
-    Parameters
-    ----------
-    folder
-        It need not exist; if it does, nothing of it is changed.
-    verb
-        Whose files will be written, a key of `WRITTEN`.
-
-    Raises
-    ------
-    InputError
-        It is a file or cannot be written, or a file in it that would be replaced is not of an earlier run.
+    An `InputError` where it is a file or cannot be written, or a file in it that ``verb`` (a key of `WRITTEN`) would replace is
+    not of an earlier run.
     """
     folder = Path(folder)
     try:
@@ -164,33 +155,13 @@ def write_results(
     folder: str | Path, documents: Mapping[str, Any], files: Mapping[str, Callable[[Path], Any]], report: str,
     beside: Mapping[str, Any] | None = None,
 ) -> Path:  # fmt: skip
-    """Write JSON documents, other files and the report; they appear together or not at all.
+    """Write JSON documents, other files and the report, whose path is returned; they appear together or not at all.
 
-    Every document gets a key ``files``: the SHA-256 of each other file written with it. By that a later run knows which
-    files are an earlier one's, and may be replaced; those of the same documents that it does not make are removed.
-
-    Parameters
-    ----------
-    folder
-        Made if absent; files of an earlier run are replaced.
-    documents
-        JSON-serialisable objects by file name; numbers that are not finite are refused.
-    files
-        Functions that write a file at the given path, by file name.
-    report
-        Text of ``report.html``.
-    beside
-        Further keys of every document, of `BESIDE`.
-
-    Returns
-    -------
-    path
-        Of the report.
-
-    Raises
-    ------
-    InputError
-        The folder cannot be written, or a file of the user's own would be replaced.
+    Every document gets a key ``files``: the SHA-256 of each other file written with it. By that a later run knows which files
+    are an earlier one's, and may be replaced; those of the same documents that it does not make are removed. ``documents`` are
+    by file name, in which numbers that are not finite are refused; ``files`` are functions that write one at the given path;
+    ``beside`` holds further keys of every document, of `BESIDE`. An `InputError` where the folder cannot be written, or a file
+    of the user's own would be replaced.
     """
     folder = check_output(folder)
     _check_ours(folder, (*documents, *files, REPORT))
@@ -214,20 +185,7 @@ def write_results(
 
 
 def read_document(path: Path, option: str) -> dict[str, Any]:
-    """A JSON document that an earlier run wrote.
-
-    Parameters
-    ----------
-    path
-        The file.
-    option
-        Where the user named it, for messages.
-
-    Raises
-    ------
-    InputError
-        It is no such document.
-    """
+    """A JSON document that an earlier run wrote; ``option`` is where the user named it, for messages."""
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
@@ -240,19 +198,7 @@ def read_document(path: Path, option: str) -> dict[str, Any]:
 def amend(path: Path, added: Mapping[str, Any], report: Callable[[str], str]) -> bool:
     """Add keys to a document of an earlier run, and change the report that was written with it; both or none.
 
-    Parameters
-    ----------
-    path
-        The document.
-    added
-        Its new keys.
-    report
-        From the text of the report to the new one.
-
-    Returns
-    -------
-    changed
-        Whether the report is still as it was written, and was changed, too.
+    Returns whether the report was still as it was written, and was changed, too.
     """
     document = read_document(path, argument("estimate"))
     page, hashes = path.parent / REPORT, dict(document.get("files") or {})

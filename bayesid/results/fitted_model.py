@@ -18,17 +18,8 @@ def fitted_model(
 ) -> tuple[tuple[str, ...], EffectParameters]:
     """Effects and their values, as `bayesid.recordings.schema.write_model` takes them.
 
-    Effects that act on other channels stay as the experiment has them, values included; all others get the values of
-    ``terms``, from which a fit that is given the file starts. What is fixed stays fixed.
-
-    Parameters
-    ----------
-    experiment
-        Whose model it is.
-    effects
-        ``name`` or ``name@where``, as in ``[model] effects``.
-    terms
-        The effects that were fitted, with their values.
+    Effects that act on other channels stay as the experiment has them, values included; all others get the values of ``terms``,
+    from which a fit that is given the file starts. What is fixed stays fixed.
     """
     values: EffectParameters = {spec: dict(given) for spec, given in experiment.effect_values.items()}
     for term in terms:
@@ -56,10 +47,7 @@ def robot_section(experiment: Experiment) -> dict[str, Any]:
 def robot_of(document: Mapping[str, Any], file: Path) -> tuple[Robot, dict[str, float]]:
     """The robot in the ``identified.urdf`` beside a document, and where its locked joints stand.
 
-    Raises
-    ------
-    InputError
-        The document is of an earlier version, or there is no such URDF.
+    An `InputError` where the document is of an earlier version, or there is no such URDF.
     """
     stated, urdf = document.get("robot"), file.with_name("identified.urdf")
     if stated is None:

@@ -19,15 +19,7 @@ _MASSLESS = 1e-9
 
 
 def impossible_bodies(links: np.ndarray, names: Sequence[str]) -> tuple[str, ...]:
-    """Names of the bodies that are not physically consistent.
-
-    Parameters
-    ----------
-    links
-        Inertial parameters (b, 10).
-    names
-        Of the bodies (b,).
-    """
+    """Names of the bodies (b,), of parameters (b, 10), that are not physically consistent."""
     massless = np.abs(links).max(axis=1) <= _MASSLESS
     exists = inertia.is_physically_consistent(links)
     return tuple(name for name, possible in zip(names, exists | massless, strict=True) if not possible)

@@ -74,20 +74,7 @@ class Joint:
 
 
 def urdf_text(name: str, links: Sequence[Link], joints: Sequence[Joint]) -> str:
-    """Write links and joints as URDF.
-
-    Parameters
-    ----------
-    name
-        Name of the robot.
-    links, joints
-        Its parts; the first link is the root.
-
-    Returns
-    -------
-    str
-        The XML document.
-    """
+    """Write links and joints as URDF; the first link is the root."""
     root = ET.Element("robot", name=name)
     for link in links:
         element = ET.SubElement(root, "link", name=link.name)

@@ -83,12 +83,7 @@ BASIS = pseudo_inertia(np.eye(10))
 def is_physically_consistent(parameters: np.ndarray, tolerance: float = 1e-9) -> np.ndarray:
     """Whether bodies (..., 10) can exist: their pseudo-inertia is positive semidefinite.
 
-    Parameters
-    ----------
-    parameters
-        Ten parameters a body, (..., 10).
-    tolerance
-        Smallest eigenvalue allowed, relative to the largest; lets a point mass pass.
+    ``tolerance`` is the smallest eigenvalue allowed, relative to the largest; it lets a point mass pass.
     """
     eigenvalues = np.linalg.eigvalsh(pseudo_inertia(parameters))
     return eigenvalues[..., 0] >= -tolerance * np.maximum(np.abs(eigenvalues[..., -1]), 1e-30)

@@ -49,13 +49,7 @@ class MjcfRobot:
     model: Any
 
     def check(self, urdf: str, source: str) -> None:
-        """Compare with Pinocchio's reading of the URDF.
-
-        Raises
-        ------
-        InputError
-            Mass matrices or bias forces differ.
-        """
+        """Compare with Pinocchio's reading of the URDF; an `InputError` where mass matrices or bias forces differ."""
         joints = [str(j.get("name")) for j in self.root.findall("joint") if j.get("type") != "fixed"]
         armature = np.array([self.inside.get(name, {}).get("armature", 0.0) for name in joints])
         compare(
@@ -65,13 +59,7 @@ class MjcfRobot:
 
 
 def load_mujoco() -> Any:
-    """The package mujoco.
-
-    Raises
-    ------
-    InputError
-        It is not installed.
-    """
+    """The package mujoco; an `InputError` where it is not installed."""
     try:
         return importlib.import_module("mujoco")
     except ImportError:
@@ -81,10 +69,8 @@ def load_mujoco() -> Any:
 def read_mjcf(path: Path) -> MjcfRobot:
     """Read an MJCF file through MuJoCo.
 
-    Raises
-    ------
-    InputError
-        MuJoCo is missing or refuses the file; or the robot is none that is fixed to the world by a tree of hinges and slides.
+    An `InputError` where MuJoCo is missing or refuses the file, or the robot is none that is fixed to the world by a tree of
+    hinges and slides.
     """
     mujoco = load_mujoco()
     try:

@@ -62,25 +62,10 @@ class SensorPlace:
 
 
 def locate_sensor(urdf: Path, model, name: str, index, parent, anchor, frame) -> SensorPlace:
-    """Find the sensor's joint.
+    """Find the sensor's joint; an `InputError` where the URDF has no such joint.
 
-    Parameters
-    ----------
-    urdf, model
-        The file, for messages, and Pinocchio's model of it.
-    name
-        The sensor's joint.
-    index
-        Moving joints by name: their index.
-    parent
-        Moving joint before each moving joint, -1 for the root (n,).
-    anchor, frame
-        The moving joint that carries each of the model's joints, and that joint's frame in it.
-
-    Raises
-    ------
-    InputError
-        The URDF has no such joint.
+    ``index`` and ``parent`` are the moving joints' own, by name, and the moving joint before each, -1 for the root (n,);
+    ``anchor`` and ``frame`` are the moving joint that carries each of the model's joints, and that joint's frame in it.
     """
     kinds = (pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)
     found = [k for k, f in enumerate(model.frames) if f.name == name and f.type in kinds]

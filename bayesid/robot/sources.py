@@ -67,14 +67,9 @@ def locate(given: str | Path, folder: Path | None = None) -> RobotSource:
 
 
 def expand(source: RobotSource) -> bytes:
-    """The URDF that a xacro file becomes.
+    """The URDF that a xacro file becomes; an `InputError` where xacrodoc, a file or a package is missing or wrong.
 
     Packages that it names are looked for in the folders above it, then where ROS has them.
-
-    Raises
-    ------
-    InputError
-        xacrodoc is missing, or the file, one that it includes or a package is not found or is wrong.
     """
     path = source.path
     try:

@@ -43,18 +43,8 @@ def read_bytes(path: Path, source: str) -> bytes:
 def parse_xml(data: bytes, source: str) -> ET.Element:
     """Read XML into its root element.
 
-    Parameters
-    ----------
-    data
-        What the file holds.
-    source
-        What messages call it.
-
-    Raises
-    ------
-    InputError
-        It is no well-formed XML, declares a document type (entities grow without bound and read
-        other files), or nests elements a hundred deep. No content of the file is quoted.
+    An `InputError` where it is no well-formed XML, declares a document type (entities grow without bound and read other files),
+    or nests elements a hundred deep. No content of the file is quoted; ``source`` is what messages call it.
     """
     builder = ET.TreeBuilder()
     parser = expat.ParserCreate(namespace_separator="}")

@@ -118,18 +118,11 @@ def _low_pass(l, d, times, last_time, rate, last_rate, rest, last_rest, first, s
 
 
 def row_noise_poles(filters: LowPass, sample_step: float, row_step: float) -> np.ndarray:
-    """Poles of a recursion that white sensor noise obeys once it has become filtered rows.
+    """Poles of a recursion that white sensor noise obeys once it has become filtered rows, from the steps of both [s].
 
-    Beside the filters' own two poles the rows' spectrum bears the mark of thinning: bilinear filters at the
-    sampling rate, times the projection's raised cosine, folded at the rate of rows. That is known, so it need
-    not be learned from few rows, and costs no parameters of the noise.
-
-    Parameters
-    ----------
-    filters
-        The two low-passes.
-    sample_step, row_step
-        Time between samples and between rows [s].
+    Beside the filters' own two poles the rows' spectrum bears the mark of thinning: bilinear filters at the sampling rate,
+    times the projection's raised cosine, folded at the rate of rows. That is known, so it need not be learned from few rows,
+    and costs no parameters of the noise.
     """
     poles = filters.poles(row_step)
     cycles = np.arange(_SPECTRUM) / _SPECTRUM - 0.5  # per row

@@ -122,18 +122,9 @@ class GridProjection:
     def of(
         cls, times: np.ndarray, origin: float, spacing: float, start: float, step: float, first: int, rows: int
     ) -> GridProjection:
-        """Weights for samples, a grid and rows.
+        """Weights for samples at increasing times (N,), grid points and rows; ``start``, ``step`` and ``first`` as in `project`.
 
-        Parameters
-        ----------
-        times
-            Of the samples, increasing (N,) [s].
-        origin, spacing
-            First grid point and distance of grid points [s]; `BEFORE` points lie before the first sample.
-        start, step, first
-            As in `project`.
-        rows
-            How many rows there are.
+        The grid begins at ``origin`` with points ``spacing`` apart [s]; `BEFORE` of them lie before the first sample.
         """
         span = int(2 * HALF_WIDTH * step / spacing) + 2 + cls.BEFORE + cls.AFTER
         centres = start + step * (first + np.arange(rows))

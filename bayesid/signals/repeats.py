@@ -51,15 +51,7 @@ Course = tuple[np.ndarray, np.ndarray]
 
 
 def find_repeats(courses: Sequence[Course], counts: np.ndarray) -> list[Repeat]:
-    """Find where motions repeat themselves or an earlier one.
-
-    Parameters
-    ----------
-    courses
-        Times on an even grid of `RATE` (M,) [s] and smoothed positions there (M, n), by segment.
-    counts
-        One encoder count by joint (n,) [rad or m].
-    """
+    """Where motions repeat themselves or an earlier one, by courses at `RATE` and one encoder count a joint (n,) [rad or m]."""
     if not courses:
         return []
     span = np.max([np.ptp(q, axis=0) for _, q in courses], axis=0)
@@ -150,15 +142,7 @@ def _runs(flags: np.ndarray) -> list[tuple[int, int]]:
 
 
 def find_rests(times: np.ndarray, encoders: np.ndarray, counts: np.ndarray) -> list[tuple[float, float]]:
-    """Times [s] in which no joint moves for three seconds at least, less what may still ring at both ends.
-
-    Parameters
-    ----------
-    times, encoders
-        (N,) [s], (N, n) [rad or m].
-    counts
-        One encoder count by joint (n,).
-    """
+    """Times [s] in which no joint moves for three seconds at least, less what may still ring at both ends."""
     size = max(int(_STILL_TIME / np.median(np.diff(times))), 2)
     travel = maximum_filter1d(encoders, size, axis=0) - minimum_filter1d(encoders, size, axis=0)
     rests = _runs(np.all(travel <= np.maximum(2.5 * counts, _STILL_TRAVEL), axis=1))

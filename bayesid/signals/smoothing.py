@@ -171,17 +171,7 @@ def choose_smoothers(
     noise: float | None = None,
     each: Callable[[Callable, Iterable], Iterable] = map,
 ) -> list[Smoother]:
-    """`choose_smoother` for groups of pieces; a piece of several groups is fitted once.
-
-    Parameters
-    ----------
-    pieces
-        Gap-free segments (times (N,), positions (N, n)).
-    groups
-        Indices of each group's pieces.
-    resolution, noise, each
-        As for one group.
-    """
+    """`choose_smoother` for groups of pieces, by the indices of each; a piece of several groups is fitted once."""
     tried = [_candidates([pieces[k][0] for k in group]) for group in groups]
     centred = [(kernel_input(times), kernel_input(positions - positions.mean(axis=0))) for times, positions in pieces]
     wanted: dict[float, dict[int, None]] = {}

@@ -31,24 +31,10 @@ def complete_effects(
     stated: Mapping[str, Values],
     library: EffectLibrary | None = None,
 ) -> dict[str, dict[str, float]]:
-    """Every effect at each of its places, with all its values.
+    """Every effect, ``name`` or ``name@where``, at each of its places with all its values.
 
-    Parameters
-    ----------
-    robot
-        Its joints.
-    effects
-        ``name`` or ``name@where``, with values or None.
-    stated
-        Values for those without: ``[model.values]``. What is in neither is `default_values`, or zero for the axes
-        of a sensor that are left out.
-    library
-        The effects that there are; default those of the package.
-
-    Raises
-    ------
-    InputError
-        Unknown effect, place or parameter.
+    Values that are not given are ``stated`` (``[model.values]``), else `default_values`, or zero for the axes of a sensor that
+    are left out. An `InputError` where an effect, place or parameter is unknown.
     """
     given = effects if isinstance(effects, Mapping) else dict.fromkeys(effects)
     out: dict[str, dict[str, float]] = {}
@@ -80,17 +66,7 @@ def plant_terms(
     gear_ratio: Mapping[str, float] | None = None,
     library: EffectLibrary | None = None,
 ) -> tuple[Term, ...]:
-    """`complete_effects` as terms of the exact model.
-
-    Parameters
-    ----------
-    robot, plant
-        Its joints and effects.
-    gear_ratio
-        By the joint's name.
-    library
-        The effects that there are; default those of the package.
-    """
+    """`complete_effects` as terms of the exact model; gear ratios are by the joint's name."""
     return tuple(
         Term(effect, tuple(values[key] for key in effect.parameters))
         for spec, values in plant.items()
@@ -99,17 +75,7 @@ def plant_terms(
 
 
 def at_encoders(robot: Robot, segment: MotionSegment, terms: Sequence[Term]) -> MotionSegment:
-    """What the encoders say of true joint motion, before noise: they know nothing of a joint that gives.
-
-    Parameters
-    ----------
-    robot
-        Its joints.
-    segment
-        True joint positions, velocities and accelerations (N, n).
-    terms
-        The effects: offsets of encoders, coupled transmissions.
-    """
+    """What the encoders say of true joint motion, before noise: they know nothing of a joint that gives."""
     coupling = coupling_matrix(robot, [(t.effect, t.values) for t in terms if isinstance(t.effect, TransmissionEffect)])
     offset = np.zeros(robot.n)
     for term in terms:
@@ -122,18 +88,7 @@ def at_encoders(robot: Robot, segment: MotionSegment, terms: Sequence[Term]) -> 
 def plant_readings(
     robot: Robot, channels: Channels, segment: MotionSegment, links: np.ndarray, terms: Sequence[Term]
 ) -> np.ndarray:
-    """What a plant's channels read (N, c), made piece by piece.
-
-    Parameters
-    ----------
-    robot, channels, segment, links, terms
-        As in `bayesid.effects.readings`.
-
-    Raises
-    ------
-    InputError
-        Readings are not finite.
-    """
+    """What a plant's channels read (N, c), made piece by piece; an `InputError` where that is not finite."""
     times, size = segment.times, len(segment.times)
     margin = 0.0
     if not segment.still and size > 1:

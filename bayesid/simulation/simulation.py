@@ -237,16 +237,9 @@ def write_simulation(simulation: Simulation, folder: str | Path) -> None:
 def encoder_readings(
     positions: np.ndarray, resolution: float | Sequence[float] | np.ndarray, std: float | np.ndarray, rng: np.random.Generator
 ) -> np.ndarray:
-    """``count * round((q + noise) / count)``, what encoders say of true positions (N, n) [rad or m].
+    """``count * round((q + noise) / count)``, what encoders say of true positions q (N, n) [rad or m].
 
-    Parameters
-    ----------
-    positions
-        True ones.
-    resolution, std
-        One count, 0 for none, and random noise; one number, or one a joint (n,).
-    rng
-        Of the noise.
+    Count, 0 for none, and random noise are one number, or one a joint (n,).
     """
     q = positions + std * rng.normal(size=positions.shape)
     count = np.broadcast_to(np.asarray(resolution, float), (positions.shape[1],))

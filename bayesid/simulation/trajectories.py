@@ -168,13 +168,7 @@ class RecordedMotion:
         return cls(motion, tuple(pieces), chosen.bandwidth)
 
     def trajectory(self, retimed: Callable[[np.ndarray], np.ndarray] | None = None) -> Trajectory:
-        """The true motion at the times of its samples, or at others.
-
-        Parameters
-        ----------
-        retimed
-            From the times of a piece's samples (N,) to those wanted, which lie within the piece [s]; default the same.
-        """
+        """The true motion at the times of its samples, or at those that these are ``retimed`` to within their piece [s]."""
         motion = self.motion
         if self.pieces:
             at = [times if retimed is None else retimed(times) for times, _ in self.pieces]
@@ -259,19 +253,7 @@ def read_trajectory(
 def planned_trajectories(robot: Robot, paths: Sequence[str | Path], static: bool = False) -> list[Trajectory]:
     """Planned motions of several files: where there are two or more, the last is for validation.
 
-    Parameters
-    ----------
-    robot
-        Whose motions they are.
-    paths
-        Tables as `read_trajectory` takes them.
-    static
-        Whether stop-and-go runs follow.
-
-    Raises
-    ------
-    InputError
-        One is no such table, or two have the same name.
+    Tables are as `read_trajectory` takes them, of different names; ``static`` says whether stop-and-go runs follow.
     """
     out = []
     for k, path in enumerate(paths):

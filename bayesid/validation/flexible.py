@@ -152,15 +152,7 @@ def sums(
 
 
 def corrections(functions: Functions, found: Sequence[Sums], joints: Sequence[int | None]) -> list[list[Correction]]:
-    """A correction of each channel by each of the ways there are.
-
-    Parameters
-    ----------
-    functions, found
-        What the corrections are made of, and `sums` of each channel.
-    joints
-        Whose torques the channels read, None for a sensor's.
-    """
+    """A correction of each channel by each of the ways there are; ``joints`` are those whose torques it reads, or None."""
     every = np.arange(functions.count)
     sets = [[every] * len(joints)]
     if any(joint is not None for joint in joints):
@@ -311,15 +303,7 @@ class FlexibleModel:
 
     @classmethod
     def of(cls, problem: Problem, motions: Sequence[str]) -> FlexibleModel | None:
-        """For motions that were not fitted; None where none of these moves, or too few rows were fitted.
-
-        Parameters
-        ----------
-        problem
-            The fitted motions and the model.
-        motions
-            Names of motions that were not fitted.
-        """
+        """For motions that were not fitted; None where none of these moves, or too few rows were fitted."""
         fitted = _rows(problem, problem.fitted) if _moving(problem, motions) else None
         if fitted is None:
             return None
@@ -338,17 +322,7 @@ class FlexibleModel:
 def flexible_gaps(
     problem: Problem, solution: np.ndarray, motions: Sequence[str], model: FlexibleModel | None = None
 ) -> dict[str, FlexibleGap]:
-    """Gap of each motion that was not fitted; without those that are too short, or no motions at all.
-
-    Parameters
-    ----------
-    problem, solution
-        The model and its parameters, base then effects (p,).
-    motions
-        Names of motions that were not fitted.
-    model
-        Of the fitted motions, if it is made already.
-    """
+    """Gap of each motion that was not fitted; without those that are too short, or no motions at all."""
     model = model or FlexibleModel.of(problem, motions)
     if model is None:
         return {}

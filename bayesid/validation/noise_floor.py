@@ -75,15 +75,7 @@ class NoiseFloor:
         return self.sensor**2 + self.encoder
 
     def below(self, band: float, step: float) -> np.ndarray:
-        """Variance of this noise in rows below a frequency [Hz] (c,); rows have the energy of one sample.
-
-        Parameters
-        ----------
-        band
-            The frequency [Hz].
-        step
-            Distance of rows [s].
-        """
+        """Variance of this noise in rows ``step`` [s] apart below a frequency [Hz] (c,); rows have the energy of one sample."""
         share = min(2.0 * step * band, 1.0)
         return share * self._at(np.linspace(0.0, share * 0.5 / step, 20 * _BINS)).mean(axis=0)
 
@@ -92,17 +84,7 @@ class NoiseFloor:
         return self.power[np.minimum((frequency / self.top * _BINS).astype(int), _BINS - 1)]
 
     def ratio(self, residuals: Sequence[np.ndarray], step: float, band: float) -> np.ndarray:
-        """Root mean square of residuals of evenly spaced samples (k, c) in units of this noise, below a frequency (c,).
-
-        Parameters
-        ----------
-        residuals
-            Measured less predicted, by gap-free segment.
-        step
-            Of the samples [s].
-        band
-            The frequency [Hz].
-        """
+        """Root mean square below a frequency [Hz] of residuals of even samples (k, c) in units of this noise (c,)."""
         energy, count = np.zeros(len(self.sensor)), 0
         for rows in residuals:
             z = np.asarray(dct(rows, axis=0, norm="ortho"))

@@ -65,23 +65,11 @@ def predict_readings(
     a: np.ndarray,
     times: np.ndarray | None = None,
 ) -> PredictedReadings:
-    """Readings at joint positions, velocities and accelerations.
+    """Readings at joint positions, velocities and accelerations, (N, n) each, or (n,) for one sample.
 
-    Parameters
-    ----------
-    problem
-        The model, linearised at the estimate.
-    solution, covariance, undetermined
-        Base parameters, then effect parameters (p,); theirs (p, p), or None; which the data say nothing about (p,).
-    q, v, a
-        (N, n) each, or (n,) for one sample [rad or m, and per second (squared)].
-    times
-        (N,) [s], increasing; needed where the model has an effect to which time matters, such as a delay or a drift.
-
-    Raises
-    ------
-    InputError
-        Shapes do not fit, values are not finite, or times are missing.
+    The model is linearised at the estimate; ``solution``, ``covariance`` and ``undetermined`` are of base parameters, then
+    effect parameters (p,), (p, p), (p,). Times (N,) [s] are needed where an effect depends on them, such as a delay or a drift.
+    An `InputError` where shapes do not fit, values are not finite, or times are missing.
     """
     row_model = problem.row_model
     states = [np.atleast_2d(np.asarray(x, float)) for x in (q, v, a)]

@@ -150,19 +150,9 @@ def _(result: Accuracy) -> Files:
 
 
 def check_estimate(path: str | Path, experiment: Experiment, method: Estimator) -> Path:
-    """The ``estimate.json`` of an earlier run of ``identify``, refused early where a certificate cannot be written into it.
+    """The ``estimate.json`` (or its folder's) of an earlier run of ``identify`` with this experiment and method.
 
-    Parameters
-    ----------
-    path
-        The file, or its folder.
-    experiment, method
-        What it must be of.
-
-    Raises
-    ------
-    InputError
-        It is no estimate, or one of another experiment or method.
+    It is refused early where a certificate cannot be written into it.
     """
     path = Path(path)
     path = path / "estimate.json" if path.is_dir() else path
@@ -176,13 +166,7 @@ def check_estimate(path: str | Path, experiment: Experiment, method: Estimator) 
 
 
 def add_certificate(path: Path, result: Accuracy) -> bool:
-    """Write a certificate into an ``estimate.json`` and its report; whether the report was as written, and changed, too.
-
-    Raises
-    ------
-    InputError
-        It is of another estimate than the certificate.
-    """
+    """Write a certificate into its own ``estimate.json`` and report; whether the report was as written, and changed, too."""
     found, base = result.certificate, result.bench.problem.row_model.base
     assert found is not None
     listed = read_document(path, argument("estimate")).get("base_parameters", ())

@@ -62,15 +62,7 @@ def puma_setup(folder: Path) -> Experiment:
 
 
 def demo_experiment(folder: Path, seed: int = 0) -> Simulation:
-    """Simulate the demo's recordings: links 10 % off the nominal model, offsets, friction, encoder counts, static runs.
-
-    Parameters
-    ----------
-    folder
-        Where the URDF is written.
-    seed
-        Of everything random.
-    """
+    """Simulate the demo's recordings: links 10 % off the nominal model, offsets, friction, encoder counts, static runs."""
     setup = puma_setup(folder)
     motions = [
         fourier_trajectory(setup.robot, duration=20.0, static=True, seed=seed),

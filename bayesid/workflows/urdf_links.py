@@ -116,16 +116,8 @@ def joint_dynamics(
 ) -> JointDynamics:
     """What was identified inside the joints, as a URDF holds it, and what it has no place for.
 
-    Parameters
-    ----------
-    problem
-        Its model.
-    effects
-        Values of the effects' estimated parameters that go with the links (e,).
-    determined
-        Which of them the data determine, alone (e,).
-    estimated
-        Those of the estimate itself, where they are others (e,): neither may be negative.
+    ``effects`` are values of estimated parameters that go with the links, ``determined`` which of them the data determine,
+    alone, and ``estimated`` those of the estimate itself where they are others: neither may be negative; (e,) each.
     """
     row_model, friction, negative, beside = problem.row_model, {}, [], {}
     values, known = np.zeros((2, len(row_model.free))), np.zeros(len(row_model.free), bool)

@@ -127,20 +127,7 @@ class CandidateSensor:
 
 
 def read_sensors(path: str | Path, robot: Robot) -> tuple[CandidateSensor, ...]:
-    """Read a list of candidate sensors.
-
-    Parameters
-    ----------
-    path
-        The file.
-    robot
-        Its joints.
-
-    Raises
-    ------
-    InputError
-        The file is absent or holds a wrong key or value.
-    """
+    """Read a list of candidate sensors, refused with an `InputError` where a key or value is wrong."""
     path = Path(path)
     keys = {("sensor",): _Listed.model_fields}
     file = read_toml(path, _File, keys, "a sensors.toml, which holds [[sensor]] tables")

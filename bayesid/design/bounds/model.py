@@ -45,13 +45,7 @@ class Drive:
     columns: tuple[int, ...]
 
     def torque(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Its torque at its values less what its columns make of them (N,), and columns (N, k).
-
-        Parameters
-        ----------
-        q, v, a
-            Of its joint (N,).
-        """
+        """Torque at a state of its joint (N,) with its values, less what its columns make of them (N,), and columns (N, k)."""
         motion = JointMotion(np.arange(len(q), dtype=float), q, v, a, None, 0.0)
         columns = differences(self.effect, self.values, lambda x: self.effect.torque(motion, x))[:, list(self.columns)]
         return self.effect.torque(motion, self.values) - columns @ np.array(self.values)[list(self.columns)], columns
@@ -83,13 +77,7 @@ class ReadingModel:
     draws: np.ndarray
 
     def columns(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Matrix and constant: readings are ``constant + matrix @ parameters``, (N, c) and (N, c, k).
-
-        Parameters
-        ----------
-        q, v, a
-            Joint positions, velocities and accelerations (N, n).
-        """
+        """Constant (N, c) and matrix (N, c, k) at states (N, n): readings are ``constant + matrix @ parameters``."""
         rigid = self.rigid(q, v, a)
         return self._with_drives(q, v, a, rigid)
 
@@ -224,13 +212,7 @@ def spread(matrix: np.ndarray, covariance: np.ndarray) -> np.ndarray:
 
 
 def checked_states(robot: Robot, *states: np.ndarray) -> list[np.ndarray]:
-    """Positions, velocities and so on as finite arrays (N, n).
-
-    Raises
-    ------
-    InputError
-        Shapes do not fit, or a number is not finite.
-    """
+    """Positions, velocities and so on as finite arrays (N, n); an `InputError` where they are not."""
     out = [np.atleast_2d(np.asarray(x, float)) for x in states]
     for name, x in zip(("q", "v", "a", "a_r"), out, strict=False):
         if x.shape != (len(out[0]), robot.n) or not len(x):

@@ -87,16 +87,9 @@ class Remainder:
         return np.stack([np.interp(*x) for x in zip(speed.T, self.middles, self.model_error, strict=True)], axis=1)
 
     def pieces(self, count: int, times: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """Pieces of ``paths``, each from a random place on and repeated where it ends (count, N, c).
+        """Pieces of ``paths`` at ``times`` (N,) [s], each from a random place on and repeated where it ends (count, N, c).
 
-        Parameters
-        ----------
-        count
-            How many.
-        times
-            Where they are wanted (N,) [s]; nan: at random places each.
-        rng
-            The generator.
+        Where the times are nan, each sample has a random place of its own.
         """
         lengths = np.array([len(t) for _, t in self.paths])
         joined = np.concatenate([path for path, _ in self.paths])

@@ -26,33 +26,13 @@ import numpy as np
 
 
 def norm_term(sliding: np.ndarray, rho: float, width: float) -> np.ndarray:
-    """Change of the parameters (N, k) that opposes any error in the ball.
-
-    Parameters
-    ----------
-    sliding
-        ``Y' r`` (N, k).
-    rho
-        Radius of the ball.
-    width
-        Of the boundary layer, in units of ``sliding``.
-    """
+    """Change of the parameters (N, k) that opposes any error in the ball, with ``sliding`` s = Y' r (N, k)."""
     size = np.linalg.norm(sliding, axis=-1, keepdims=True)
     return -rho * sliding / np.maximum(size, width)
 
 
 def ellipsoid_term(sliding: np.ndarray, covariance: np.ndarray, ellipsoid: float, width: float) -> np.ndarray:
-    """Change of the parameters (N, k) that opposes any error in the ellipsoid.
-
-    Parameters
-    ----------
-    sliding
-        ``Y' r`` (N, k).
-    covariance, ellipsoid
-        V (k, k) and rho_V.
-    width
-        Of the boundary layer, in units of ``sqrt(s' V s)``.
-    """
+    """Change of the parameters (N, k) that opposes any error in the ellipsoid of V (k, k) and rho_V, with s = Y' r (N, k)."""
     along = sliding @ covariance
     size = np.sqrt(np.maximum(np.sum(along * sliding, axis=-1, keepdims=True), 0.0))
     return -ellipsoid * along / np.maximum(size, width)

@@ -31,14 +31,9 @@ def quantile(values: np.ndarray, level: float) -> float:
 
 
 def left_out(distances: np.ndarray, count: int) -> np.ndarray:
-    """Distances of draws from the mean and covariance of all others.
+    """Distances (d,) of draws from the mean and covariance of all others, from those ``sqrt((x - m)' V^-1 (x - m))`` of all n.
 
-    Parameters
-    ----------
-    distances
-        From mean and covariance of all, ``sqrt((x - m)' V^-1 (x - m))`` with ``V = C / (count - 1)`` (d,).
-    count
-        Number n of draws that mean and covariance are of.
+    Here ``V = C / (n - 1)``, and n is ``count``.
     """
     share = distances**2 / (count - 1)
     rest = np.maximum(1.0 - share * count / (count - 1), 1e-9)
@@ -66,17 +61,7 @@ def mahalanobis(deviations: np.ndarray, covariance: np.ndarray) -> np.ndarray:
 
 
 def largest_deviation(rows: np.ndarray, std: np.ndarray, deviations: np.ndarray) -> np.ndarray:
-    """``max_t |rows_t' d| / std_t`` of each deviation d (n,); rows without a deviation do not count.
-
-    Parameters
-    ----------
-    rows
-        What is looked at, linear in the parameters (t, k).
-    std
-        Their standard deviations (t,).
-    deviations
-        Of the parameters (n, k).
-    """
+    """``max_t |rows_t' d| / std_t`` (n,) of deviations d (n, k), over rows (t, k) that have a standard deviation (t,)."""
     used = std > 0.0
     scaled = rows[used] / std[used, None]
     out = np.zeros(len(deviations))

@@ -218,17 +218,7 @@ def workspace_bounds(
 
 
 def mass_eigenvalues(model: ReadingModel, scale: np.ndarray, draws: int, configurations: int, seed: int) -> tuple[float, float]:
-    """Bounds of the eigenvalues of ``S^-1/2 M S^-1/2`` over the workspace, with a diagonal S.
-
-    Parameters
-    ----------
-    model
-        Of the joint torques.
-    scale
-        The diagonal of S (n,).
-    draws, configurations, seed
-        As in `workspace_bounds`.
-    """
+    """Bounds of the eigenvalues of ``S^-1/2 M S^-1/2`` over the workspace, S diagonal; the rest as in `workspace_bounds`."""
     mass = Terms.of(model, sobol_configurations(model.robot, configurations, seed)[0]).mass
     root = np.sqrt(np.outer(scale, scale))
     low, high = [], []

@@ -52,15 +52,7 @@ class ScriptedBlock:
 
 
 def scripted_blocks(plan: Plan, kinds: Sequence[str]) -> tuple[tuple[ScriptedBlock, ...], tuple[str, ...]]:
-    """Motions of the blocks asked for, and notes of what was left out.
-
-    Parameters
-    ----------
-    plan
-        The exciting trajectory.
-    kinds
-        Of `BLOCKS`; ``all`` for all of them.
-    """
+    """Motions of the blocks asked for, ``all`` for all of `BLOCKS`, and notes of what was left out."""
     out, notes = [], []
     for kind in BLOCKS if "all" in kinds else dict.fromkeys(kinds):
         for motion in _MAKERS[kind](plan):
@@ -72,13 +64,7 @@ def scripted_blocks(plan: Plan, kinds: Sequence[str]) -> tuple[tuple[ScriptedBlo
 
 
 def check_blocks(kinds: Sequence[str]) -> None:
-    """Refuse a block that there is not.
-
-    Raises
-    ------
-    InputError
-        There is no such block.
-    """
+    """Refuse a block that there is not, with an `InputError`."""
     for kind in kinds:
         if kind not in (*BLOCKS, "all"):
             raise InputError(f"{argument('blocks', kind)}: choose some of {', '.join(BLOCKS)}, or all")

@@ -120,23 +120,10 @@ class _Collisions:
 def clearance(
     robot: Robot, locked: Mapping[str, float], margin: float, ground: float | None = None, seed: int = 0
 ) -> tuple[Clearance | None, tuple[str, ...]]:
-    """Pairs of bodies that a motion must keep apart.
+    """Pairs of bodies that a motion must keep apart by ``margin`` [m], and notes of what was left out.
 
-    Parameters
-    ----------
-    robot, locked
-        The robot, and positions of joints that do not move [rad or m].
-    margin
-        Least distance [m].
-    ground
-        Height of the ground in the base frame [m]; None: no ground.
-    seed
-        Of the positions that neighbours are found by.
-
-    Returns
-    -------
-    clearance, notes
-        None without two bodies that can meet; what was left out, one line each.
+    ``locked`` are positions of joints that do not move [rad or m], ``ground`` is its height in the base frame [m], and ``seed``
+    that of the positions that neighbours are found by. None without two bodies that can meet.
     """
     xml, notes = _with_geometry(robot)
     model = pin.buildModelFromXML(robot.description.for_pinocchio())

@@ -175,23 +175,11 @@ class Information:
     def of(
         cls, experiment: Experiment, sensor_set: SensorSet, noise: ReadingNoise, held: np.ndarray | None = None
     ) -> Information:
-        """Information of an experiment's readings.
+        """Information of readings of an experiment's robot, sensor and model; its motions do not count.
 
-        Parameters
-        ----------
-        experiment
-            Its robot, sensor and model; its motions do not count.
-        sensor_set
-            What is read. Where a static run is subtracted (equation 21 of [Liu1998]_), offset and weight are gone.
-        noise
-            Of single readings; its colour does not count.
-        held
-            Where joints stand that do not move (n,) [rad or m]; nan for those that do. Default: all move.
-
-        Raises
-        ------
-        InputError
-            The wrench is asked for and there is no sensor, or an effect of the model does not exist.
+        Of the noise the colour does not count. Where a static run is subtracted (equation 21 of [Liu1998]_), offset and weight
+        are gone. ``held`` says where joints stand that do not move (n,) [rad or m], nan for those that do; default: all move.
+        An `InputError` where there is no sensor for the wrench, or an effect of the model does not exist.
         """
         robot, channels = experiment.robot, make_channels(experiment, sensor_set.channel)
         offset, specs = sensor_set.offset == "fitted", list(experiment.effects)
@@ -208,16 +196,9 @@ class Information:
         return cls(robot, channels, sensor_set, base, scale, std, effects, left_out, kernel)
 
     def matrix(self, motion: Motion, samples: float, step: float) -> np.ndarray:
-        """Scaled information matrix A (r, r) of a motion, with what is known beforehand.
+        """Scaled information A (r, r) of a period's even states (n, joints), ``step`` [s] apart, recorded in so many samples.
 
-        Parameters
-        ----------
-        motion
-            Positions, velocities and accelerations at even times of one period (n, joints).
-        samples
-            How many samples are recorded.
-        step
-            Time between the planned samples [s].
+        What is known beforehand is in it.
         """
         rest = self._rest(motion, step)[0]
         return samples / len(motion[0]) * rest.T @ rest + np.eye(rest.shape[1])

@@ -47,21 +47,10 @@ _SMALLEST = 0.02
 
 
 def scaled_to_fit(series: FourierSeries, limits: Limits, samples: int, largest: float = np.inf) -> FourierSeries | None:
-    """The motion with its amplitudes as large as all limits allow; None where even a small motion about its centre breaks one.
+    """The motion with amplitudes as large as all limits allow; None where even a small one about its centre breaks one.
 
-    Amplitudes are first scaled to the joints' own limits, exactly; then, where loads or distances do not fit, all by one
-    factor, found by halving on coarse samples and made smaller until it fits the fine ones.
-
-    Parameters
-    ----------
-    series
-        Any motion.
-    limits
-        To keep.
-    samples
-        Even samples of a period that loads and distances are tested on.
-    largest
-        Factor that the amplitudes are raised by at most.
+    Amplitudes are first scaled to the joints' own limits, exactly, by ``largest`` at most; then, where loads or distances do
+    not fit, all by one factor, found by halving on coarse samples and made smaller until it fits the fine ones.
     """
     room = limits.kinematic_room(series, max(samples, 20 * series.harmonics))
     factor = min(float(room.min(initial=np.inf)) * (1.0 - 1e-9), largest)

@@ -161,26 +161,14 @@ class ExcitationOptions:
 
 
 def largest_accelerations(robot: Robot, given: float | Sequence[float] | None) -> np.ndarray:
-    """Acceleration limit of every joint (n,) [per second squared]: as given, else full speed in a quarter of a second.
-
-    Raises
-    ------
-    InputError
-        Neither one number nor one a joint, or one that is not above 0.
-    """
+    """Acceleration limit of every joint (n,) [per second squared]: as given, one or one a joint, else full speed in 0.25 s."""
     if given is None:
         return motion_limits(robot)[2] / _TO_FULL_SPEED
     return numbers("acceleration", given, robot.n)
 
 
 def sensor_ranges(given: Sequence[float] | None) -> np.ndarray:
-    """Largest readings (6,) [N, N m]: of six numbers, or of one for forces and one for moments; infinite without.
-
-    Raises
-    ------
-    InputError
-        Neither two nor six numbers, or one that is not above 0.
-    """
+    """Largest readings (6,) [N, N m]: of six numbers, or of one for forces and one for moments; infinite without."""
     if given is None:
         return np.full(6, np.inf)
     if len(given) == 2:

@@ -36,19 +36,9 @@ _DAMPING = 0.02
 
 
 def mount_response(readings: np.ndarray, period: float, resonance: float) -> tuple[float, float]:
-    """Share of the readings above a fifth of the resonance, and by how much the mount changes all of them.
+    """Share of a period of readings (N, c) above a fifth of the resonance [Hz], and by how much the mount changes all.
 
-    Parameters
-    ----------
-    readings
-        One period, evenly sampled (N, c), all in one unit.
-    period, resonance
-        [s], [Hz].
-
-    Returns
-    -------
-    above, change
-        Root mean squares over that of the readings about their mean.
+    Both are root mean squares over that of the readings about their mean; the period is in seconds.
     """
     spectrum = np.fft.rfft(readings - readings.mean(axis=0), axis=0)
     frequency = np.fft.rfftfreq(len(readings), period / len(readings))
@@ -112,13 +102,7 @@ def sensor_set_of(experiment: Experiment, options: ExcitationOptions) -> SensorS
 
 
 def make_task(experiment: Experiment, options: ExcitationOptions, seed: int = 0) -> tuple[Task, tuple[str, ...]]:
-    """What is to be optimised, and notes of what was assumed.
-
-    Raises
-    ------
-    InputError
-        A joint is unknown, or an option does not fit the robot.
-    """
+    """What is to be optimised, and notes of what was assumed; an `InputError` where an option does not fit the robot."""
     robot, notes = experiment.robot, []
     moving = _moving(experiment, options)
     sensor_set = sensor_set_of(experiment, options)
@@ -294,13 +278,7 @@ def _loads(experiment: Experiment, options: ExcitationOptions) -> tuple[tuple[Lo
 
 
 def _explain(task: Task, seed: int) -> None:
-    """Say which limit leaves no room: the one that random poses at rest break most often.
-
-    Raises
-    ------
-    InputError
-        Always.
-    """
+    """Raise an `InputError` that says which limit leaves no room: the one that random poses at rest break most often."""
     limits, rng = task.limits, np.random.default_rng(seed)
     q = rng.uniform(limits.lower, limits.upper, (500, len(limits.lower)))
     q[:, np.setdiff1d(np.arange(q.shape[1]), limits.moving)] = limits.middle[np.setdiff1d(np.arange(q.shape[1]), limits.moving)]

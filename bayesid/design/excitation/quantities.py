@@ -60,13 +60,7 @@ class JudgedQuantity:
 
 
 def parse_quantity(text: str, experiment: Experiment, information: Information) -> JudgedQuantity:
-    """The quantity that a text names.
-
-    Raises
-    ------
-    InputError
-        It names none, or one that the readings do not determine.
-    """
+    """The quantity that a text names; an `InputError` where it names none, or one that the readings do not determine."""
     kind, at, where = text.partition("@")
     if kind == "torque" and at:
         return _torque(text, where, experiment, information)
@@ -86,22 +80,7 @@ def parse_quantity(text: str, experiment: Experiment, information: Information) 
 
 
 def criterion_of(name: str, quantities: Sequence[JudgedQuantity], information: Information) -> tuple[Criterion, Information]:
-    """What is to be made small, and the information that it is a function of.
-
-    Parameters
-    ----------
-    name
-        One of `bayesid.design.excitation.information.CRITERIA`.
-    quantities
-        Those asked for.
-    information
-        About the links' base parameters.
-
-    Raises
-    ------
-    InputError
-        There is no such criterion, or no quantity for it, or they are functions of different parameters.
-    """
+    """What is to be made small, and the information that it is a function of; an `InputError` where they do not go together."""
     if name == "condition":  # of the base regressor as it is: with columns of unit length, hardly moving joints would look well
         alike = {"scale": np.eye(information.base.rank), "std": np.ones(len(information.channels))}
         return Criterion(name), replace(information, **alike)

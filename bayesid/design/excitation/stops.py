@@ -56,25 +56,10 @@ class StopAndGo:
 def stop_and_go(
     series: FourierSeries, limits: Limits, rate: float, *, stops: int | None = None, settle: float = 0.3, read: float = 0.2
 ) -> StopAndGo:
-    """Schedule of a static run over one period.
+    """Schedule of a static run over one period, refused with an `InputError` where a number is out of range.
 
-    Parameters
-    ----------
-    series
-        The motion.
-    limits
-        Its joints' speeds and accelerations.
-    rate
-        Samples a second of the motion.
-    stops
-        How many, evenly in time; None: at every sample.
-    settle, read
-        How long the robot waits before a reading [s], and how long it is read [s].
-
-    Raises
-    ------
-    InputError
-        A number that is no such.
+    ``rate`` is that of the motion's samples [1/s], ``stops`` how many there are, evenly in time (None: at every sample),
+    ``settle`` and ``read`` how long the robot waits before a reading and how long it is read [s].
     """
     samples = int(round(series.period * rate))
     if stops is not None and not 2 <= stops <= samples:

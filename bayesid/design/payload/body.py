@@ -114,15 +114,7 @@ class BodyKnowledge:
 
     @classmethod
     def of(cls, matrix: np.ndarray, values: np.ndarray, covariance: np.ndarray, freedom: float = inf) -> BodyKnowledge:
-        """From combinations ``values = matrix @ p + e`` with ``e ~ N(0, covariance)``, by generalised least squares.
-
-        Parameters
-        ----------
-        matrix, values, covariance
-            (r, 10), (r,), (r, r).
-        freedom
-            See the class.
-        """
+        """From ``values = matrix @ p + e`` with e ~ N(0, covariance), (r, 10) and (r,), by generalised least squares."""
         size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
         # Where data determine only sums of parameters, a covariance is zero along what they leave open: no knowledge either.
         variances, vectors = np.linalg.eigh(covariance / np.outer(size, size))

@@ -47,13 +47,7 @@ _WEIGHTS = 4.0 * (1.0 - 1.0 / 3.0)
 
 
 def carrying_joint(robot: Robot, joint: str | None) -> int:
-    """Index of the joint whose link carries the payload; default the last of the chain.
-
-    Raises
-    ------
-    InputError
-        There is no such joint, or the robot has several ends and none is named.
-    """
+    """Index of the joint whose link carries the payload; default the last of the chain, which must have one end."""
     names = robot.joint_names
     if joint is not None:
         numbered = [f"joint{k + 1}" for k in range(robot.n)]
@@ -70,13 +64,7 @@ def carrying_joint(robot: Robot, joint: str | None) -> int:
 
 
 def weighed_alone(experiment: Experiment, channel: str) -> int | None:
-    """Index of the body that a sensor in the arm carries, alone; None where no sensor does.
-
-    Raises
-    ------
-    InputError
-        Moving joints are beyond the sensor: it carries several bodies.
-    """
+    """Index of the body that a sensor in the arm carries; None where no sensor does, an `InputError` where it carries several."""
     sensor, robot = experiment.sensor, experiment.robot
     if channel != "wrench" or sensor is None or sensor.joint is None:
         return None

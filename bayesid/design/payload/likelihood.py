@@ -156,23 +156,10 @@ def has_valley(problem: Problem) -> bool:
 def along_mass(
     problem: Problem, estimate: Estimate, slope: np.ndarray, half: float, factor: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Base parameters and their covariance where the profile gives the mass.
+    """Base parameters (r,) and covariance (r, r) by which the mass's interval is where the readings do not contradict it.
 
-    Parameters
-    ----------
-    problem, estimate
-        A fit to readings that are not linear in its effects.
-    slope
-        The mass from the base parameters (r,).
-    half
-        Half a central interval in standard deviations.
-    factor
-        Variances over those of white noise of the estimate's size.
-
-    Returns
-    -------
-    values, covariance
-        (r,), (r, r): the mass's interval by them is where the readings do not contradict it.
+    ``slope`` gives the mass from the base parameters (r,), ``half`` is half a central interval in standard deviations, and
+    ``factor`` variances over those of white noise of the estimate's size.
     """
     rank = len(slope)
     held = HeldCombination(problem, estimate, np.concatenate([slope, np.zeros(len(estimate.solution) - rank)]))

@@ -199,13 +199,7 @@ class Contest:
         return ndtr(self._distance)
 
     def merit(self, weights: np.ndarray) -> float:
-        """What is maximised: the log probabilities of `pairs`, summed; the pair that is hardest to tell counts most.
-
-        Parameters
-        ----------
-        weights
-            Probability of each rival to be true (rivals,).
-        """
+        """What is maximised: the log probabilities of `pairs`, summed; the pair that is hardest to tell counts most."""
         return float(weights @ log_ndtr(self._distance).sum(axis=1))
 
     def _scores(self, true: int, seed: int) -> np.ndarray:
@@ -222,15 +216,7 @@ class Contest:
         return np.asarray(np.mean(scores[:, true : true + 1] - scores > self.needed, axis=0))
 
     def decided(self, weights: np.ndarray, seed: int = 0) -> tuple[float, float]:
-        """Probabilities that the true rival alone is left, and that a wrong one is: from joint draws of y.
-
-        Parameters
-        ----------
-        weights
-            Probability of each rival to be true (rivals,).
-        seed
-            Of the draws.
-        """
+        """Probabilities, by joint draws of y, that the true rival alone is left and that a wrong one is."""
         right, wrong = 0.0, 0.0
         for i in map(int, np.flatnonzero(weights > 0)):
             scores = self._scores(i, seed)

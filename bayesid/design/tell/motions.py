@@ -153,19 +153,7 @@ def within_limits(motion: Planned, limits: Limits, share: float = 1.0) -> Planne
 
 
 def pool(limits: Limits, duration: float, count: int, seed: int) -> Iterator[Planned]:
-    """Motions within limits: random series of different speed and size at different paces, and of single joints.
-
-    Parameters
-    ----------
-    limits
-        The robot's.
-    duration
-        Length of each motion [s].
-    count
-        About how many.
-    seed
-        Of the random ones.
-    """
+    """About ``count`` motions of ``duration`` [s] within limits: random series of different speed and size, and single joints."""
     rng = np.random.default_rng(seed)
     n, range_ = len(limits.lower), 2.0 * limits.reach
     moving = np.isin(np.arange(n), limits.moving)
@@ -193,17 +181,7 @@ def prolonged(motion: Planned) -> Planned:
 
 
 def varied(motion: Planned, limits: Limits, size: float, rng: np.random.Generator) -> Planned | None:
-    """A motion near another one, within limits; None where there is none.
-
-    Parameters
-    ----------
-    motion, limits
-        The motion, and what it must keep.
-    size
-        Relative change of amplitudes and frequency; phases and the centre in proportion.
-    rng
-        Of the change.
-    """
+    """A motion near another within limits, or None; ``size`` is the relative change of amplitudes and frequency."""
     shape = motion.amplitudes.shape
     changed = replace(
         motion,

@@ -158,15 +158,8 @@ def parse_effects(data: DiagnosisData, specs: Sequence[str]) -> tuple[Effect, ..
 def from_effects(data: DiagnosisData, effects: Sequence[Effect]) -> tuple[Case, ...]:
     """Rivals by their names: at their estimates where the recordings demand each of them, otherwise at usual sizes.
 
-    At usual sizes there is a case for each effect as the true one. Then the recordings' motions count with the readings that this
-    effect would have caused in them, and the others at what imitates it best there.
-
-    Parameters
-    ----------
-    data
-        The recordings.
-    effects
-        The rivals.
+    At usual sizes there is a case for each effect as the true one. Then the recordings' motions count with the readings that
+    this effect would have caused in them, and the others at what imitates it best there.
     """
     projector = make_projector(data, data.terms)
     base = fit(projector, data.terms)

@@ -19,13 +19,7 @@ _KINDS = "fiubUSM"
 
 
 def read_npz(path: Path) -> tuple[Stream, ...]:
-    """Read a NumPy archive; pickled objects are never loaded.
-
-    Raises
-    ------
-    InputError
-        It is no archive of arrays.
-    """
+    """Read a NumPy archive; pickled objects are never loaded. An `InputError` where it is no archive of arrays."""
     try:
         with path.open("rb") as handle:  # numpy leaves a file that it cannot read open
             content = np.load(handle, allow_pickle=False)
@@ -63,13 +57,7 @@ def _time_series(path: Path, found: dict[str, np.ndarray]) -> dict[str, np.ndarr
 
 
 def read_mat(path: Path) -> tuple[Stream, ...]:
-    """Read a MAT file; fields of structures are named ``structure/field``.
-
-    Raises
-    ------
-    InputError
-        It is no MAT file.
-    """
+    """Read a MAT file; fields of structures are named ``structure/field``. An `InputError` where it is no MAT file."""
     import h5py
     import scipy.io
 
@@ -83,13 +71,7 @@ def read_mat(path: Path) -> tuple[Stream, ...]:
 
 
 def read_hdf5(path: Path) -> tuple[Stream, ...]:
-    """Read the arrays of an HDF5 file, or of a MAT file of version 7.3, named by the groups that they are in.
-
-    Raises
-    ------
-    InputError
-        It is no HDF5 file.
-    """
+    """Read the arrays of an HDF5 file, or of a MAT file of version 7.3, named by the groups that they are in."""
     import h5py
 
     found: dict[str, np.ndarray] = {}

@@ -21,21 +21,10 @@ _WIDEST = 4096  # entries of an array in a message; longer ones are pictures and
 
 
 def read_bag(path: Path, topics: Sequence[str] = (), mapped: Iterable[str] = ()) -> Source:
-    """Read the topics of a bag that hold joint states and wrenches, and those that are named.
+    """Read the topics of a bag that hold joint states and wrenches, or those named; and topics of columns, ``/topic/field``.
 
-    Parameters
-    ----------
-    path
-        A ``.bag`` of ROS 1, a folder with ``metadata.yaml``, a ``.db3`` or an ``.mcap`` file.
-    topics
-        Those to be read; empty: every JointState and Wrench.
-    mapped
-        Columns that a user names, ``/topic/field``: their topics are read, too.
-
-    Raises
-    ------
-    InputError
-        rosbags is not installed, the file is damaged or cut off, a topic is not in it or its messages cannot be read.
+    A bag is a ``.bag`` of ROS 1, a folder with ``metadata.yaml``, a ``.db3`` or an ``.mcap`` file. An `InputError` where
+    rosbags is not installed, the file is damaged or cut off, a topic is not in it or its messages cannot be read.
     """
     with _opened(path) as reader:
         there = {c.topic: c.msgtype for c in reader.connections}

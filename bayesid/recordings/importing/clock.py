@@ -69,13 +69,7 @@ class RowTimes:
 
 
 def topic_clock(stream: Stream, wanted: str | None, source: str) -> RowTimes:
-    """The clock of a topic: stamps of headers, unless there are none that count, or log times are wanted.
-
-    Raises
-    ------
-    InputError
-        Stamps of headers are wanted and messages have none.
-    """
+    """The clock of a topic: stamps of headers, unless there are none that count, or log times are wanted."""
     log, header = stream.clocks["log"], stream.clocks.get("header")
     usable = header is not None and len(header) > 1 and len(np.unique(header)) > 0.5 * len(header) and bool((header > 0).all())
     if wanted == "header" and not usable:
@@ -95,13 +89,7 @@ def topic_clock(stream: Stream, wanted: str | None, source: str) -> RowTimes:
 
 
 def table_clock(stream: Stream, column: str, unit: str | None, source: str) -> RowTimes:
-    """The clock of a table: numbers of a unit, counted from anywhere or since 1970, or dates as ISO 8601 texts.
-
-    Raises
-    ------
-    InputError
-        The column holds neither.
-    """
+    """The clock of a table: numbers of a unit, counted from anywhere or since 1970, or dates as ISO 8601 texts."""
     values = stream.columns[column]
     name = f'column "{cut(column)}"'
     if values.dtype.kind not in "fiubM" or unit == "iso":
@@ -153,22 +141,11 @@ def _dates(values: np.ndarray, column: str, source: str) -> np.ndarray:
 
 
 def lag(times: np.ndarray, values: np.ndarray, course: Course, first: float, last: float) -> tuple[float, float] | None:
-    """The lag d that minimises ``sum |values(t) - course(t - d) - offset|^2``, where their cross-correlation is largest.
+    """The lag d that minimises ``sum |values(t) - course(t - d) - offset|^2``, and its standard deviation [s].
 
-    Parameters
-    ----------
-    times, values
-        Of the course that may be late (N,) [s], (N, k).
-    course
-        The other, and its rate.
-    first, last
-        When the other begins and ends [s].
-
-    Returns
-    -------
-    lag, std
-        [s]; None where the two have too little in common, or the recording is too short. With s the rate of the other course
-        and e what is left, ``var d = var(sum s e) / (sum s^2)^2``, in which what is left may be correlated over time.
+    ``times`` (N,) and ``values`` (N, k) are of the course that may be late; the other begins and ends at ``first`` and
+    ``last``. None where the two have too little in common, or the recording is too short. With s the rate of the other course
+    and e what is left, ``var d = var(sum s e) / (sum s^2)^2``, in which what is left may be correlated over time.
     """
     longest = min(_LONGEST, _SHARE * (last - first))
     rows = np.flatnonzero((times >= first + longest) & (times <= last - longest))

@@ -83,13 +83,7 @@ class ColumnMap:
     file: str = ""
 
     def __post_init__(self) -> None:
-        """Check the keys and units; names of joints and of columns are the robot's and the log's business.
-
-        Raises
-        ------
-        InputError
-            A key is none of ours, or a unit is unknown.
-        """
+        """Check the keys and units; names of joints and of columns are the robot's and the log's business."""
         for key in self.columns:
             if key not in ("t", *JOINT_QUANTITIES, *_AXES, *WRENCH_COLUMNS) and not _ONE.fullmatch(key):
                 raise InputError(
@@ -137,13 +131,7 @@ class ColumnMap:
         return [self.joints.get(joint, joint) for joint in joints]
 
     def check_joints(self, joints: Sequence[str]) -> None:
-        """Refuse names of what is no joint, and factors of what is neither a quantity, a column nor a joint.
-
-        Raises
-        ------
-        InputError
-            For the first of them.
-        """
+        """Refuse names of what is no joint, and factors of what is neither a quantity, a column nor a joint."""
         for joint in self.joints:
             if joint not in joints:
                 raise InputError(
@@ -169,26 +157,14 @@ def quantity_of(column: str) -> str | None:
 
 
 def load_column_map(path: str | Path) -> ColumnMap:
-    """Read a TOML file with sections ``[columns]``, ``[units]``, ``[units.scale]``, ``[joints]`` and ``[shift]``.
-
-    Raises
-    ------
-    InputError
-        It is absent or holds anything else.
-    """
+    """Read a TOML file with sections ``[columns]``, ``[units]``, ``[units.scale]``, ``[joints]`` and ``[shift]``."""
     path = Path(path)
     given = read_toml(path, _MapFile, _KEYS, "a TOML file with [columns] and [units]")
     return replace(column_map(given.columns, given.units, given.joints, path.name), shift=given.shift)
 
 
 def column_map(columns: Columns, units: UnitSection, joints: Mapping[str, str], file: str) -> ColumnMap:
-    """What sections of a TOML file state.
-
-    Raises
-    ------
-    InputError
-        A key is none of ours, or a unit is unknown.
-    """
+    """What sections of a TOML file state; an `InputError` where a key is none of ours, or a unit is unknown."""
     given = dict(units.__pydantic_extra__ or {})
     for key, unit in given.items():
         if not isinstance(unit, str):

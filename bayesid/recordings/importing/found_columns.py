@@ -88,25 +88,9 @@ def find_columns(
 ) -> Layout:
     """Find the columns of a recording.
 
-    Parameters
-    ----------
-    streams
-        What was read of it.
-    stated
-        What the user says of its columns.
-    moving
-        Every moving joint of the robot, in the URDF's order.
-    joints
-        Those that the user wants, in the order of q1 ... qn; None: all that have positions.
-    source
-        The recording's name, for messages.
-    locked
-        Joints that are not used, whatever positions they have.
-
-    Raises
-    ------
-    InputError
-        A column that is stated is not there, positions are not found, or columns could be read in more than one way.
+    ``moving`` is every moving joint of the robot, in the URDF's order, ``joints`` those that the user wants, in the order of q1
+    ... qn (None: all that have positions), and ``locked`` those that are not used, whatever positions they have. An
+    `InputError` where a stated column is not there, positions are not found, or columns could be read in more than one way.
     """
     finder = _Finder(streams, stated, source)
     wanted = tuple(joints or moving)
@@ -142,13 +126,7 @@ def positions_of(streams: Sequence[Stream], stated: ColumnMap, joints: Sequence[
 
 
 def time_column(stream: Stream, stated: ColumnMap, source: str) -> tuple[str, str | None]:
-    """The column of a table's times, and its unit where the user or its name states it.
-
-    Raises
-    ------
-    InputError
-        There is none, or more than one could be it.
-    """
+    """The column of a table's times, the only one that could be it, and its unit where the user or its name states it."""
     given = stated.columns.get("t")
     if given is not None:
         wanted = [given] if isinstance(given, str) else list(given)

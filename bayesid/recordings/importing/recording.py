@@ -182,15 +182,7 @@ class Recording:
         return (*self.layout.left_over(self.source.streams, times), *self.source.unread)
 
     def table(self, name: str, wrench: bool = True) -> Table:
-        """The recording as a table.
-
-        Parameters
-        ----------
-        name
-            What it is called in messages.
-        wrench
-            Whether the wrench is used.
-        """
+        """The recording as a table that messages call ``name``, with or without the wrench."""
         n, values, ours = len(self.layout.joints), self.joined.values, self.joined.ours
         arrays: dict[str, Any] = {}
         for quantity, field in (("q", "positions"), ("v", "velocities"), ("qr", "commanded"), ("tau", "torques")):
@@ -213,29 +205,11 @@ def make_recording(
     poses: bool = False,
     locked: Collection[str] = (),
 ) -> Recording:
-    """Find the columns of what was read, convert them, and bring them together.
+    """Find the columns of what was read, convert them, and bring them together; joints as for `find_columns`.
 
-    Parameters
-    ----------
-    source
-        What was read.
-    stated
-        What the user states of its columns.
-    moving
-        Every moving joint of the robot.
-    joints
-        Those that are wanted, in the order of q1 ... qn; None: all that have positions.
-    clock
-        Of topics: ``header`` or ``log``; None: headers, where they have stamps that count.
-    poses
-        Whether rows are separate poses at rest: no sample is held then.
-    locked
-        Joints that are not used, whatever positions they have.
-
-    Raises
-    ------
-    InputError
-        A column is not found or could be several, a cell is no number, or clocks do not meet.
+    ``clock`` is ``header`` or ``log`` for topics; None: headers, where they have stamps that count. Where rows are separate
+    ``poses`` at rest, no sample is held. An `InputError` where a column is not found or could be several, a cell is no number,
+    or clocks do not meet.
     """
     if not any(stream.columns for stream in source.streams):
         topics = f"; its topics are {listed(source.unread, 8)}" if source.unread else ""
@@ -279,25 +253,9 @@ def make_recording(
 
 
 def read_stated(path: Path, name: str, stated: ColumnMap, joints: Sequence[str], wrench: bool, poses: bool) -> Table:
-    """Read a file of an experiment folder whose columns experiment.toml names.
+    """Read a file of an experiment folder whose columns experiment.toml names; ``name`` is its path within the folder.
 
-    Parameters
-    ----------
-    path, name
-        The file, and its path within the folder for messages.
-    stated
-        What experiment.toml says of its columns.
-    joints
-        The robot's, in the order of q1 ... qn.
-    wrench
-        Whether the wrench is used.
-    poses
-        Whether rows are separate poses at rest.
-
-    Raises
-    ------
-    InputError
-        As `read_source` and `make_recording`, or the file holds several recordings.
+    Errors are those of `read_source` and `make_recording`, or that the file holds several recordings.
     """
     if not path.exists():
         raise InputError(f"{name}: no such file; write it or correct the name in experiment.toml")

@@ -97,29 +97,10 @@ class Signal:
 def make_signals(
     layout: Layout, clocks: Sequence[tuple[Stream, RowTimes]], stated: ColumnMap, source: str, held: bool = True
 ) -> tuple[list[Signal], list[str]]:
-    """Convert what was found, a signal for the columns of a quantity in each stream.
+    """Signals, one for the columns of a quantity in each stream, converted to SI units, and notes.
 
-    Parameters
-    ----------
-    layout
-        Where the columns are.
-    clocks
-        Of the streams.
-    stated
-        Units and factors that the user states.
-    source
-        The recording's name, for messages.
-    held
-        Whether rows that only repeat a sample are looked for, and left out.
-
-    Returns
-    -------
-    signals, notes
-
-    Raises
-    ------
-    InputError
-        A cell is no number, or torques are in a unit that says nothing without a constant.
+    ``held`` says whether rows that only repeat a sample are looked for, and left out. An `InputError` where a cell is no
+    number, or torques are in a unit that says nothing without a constant.
     """
     notes: list[str] = []
     groups: dict[tuple[str, int], list[FoundColumn]] = {}

@@ -97,13 +97,7 @@ def array_columns(name: str, values: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def extra(module: str, package: str, source: str) -> ModuleType:
-    """Import a module of an optional package.
-
-    Raises
-    ------
-    InputError
-        The package is not installed; the message says how to install it.
-    """
+    """Import a module of an optional package; an `InputError` says how to install it."""
     try:
         return importlib.import_module(module)
     except ImportError:

@@ -61,13 +61,7 @@ def read_csv(path: Path) -> Stream:
 
 
 def read_parquet(path: Path) -> Stream:
-    """Read a Parquet file; lists of one length are arrays.
-
-    Raises
-    ------
-    InputError
-        pyarrow is not installed, or it is no Parquet file.
-    """
+    """Read a Parquet file; lists of one length are arrays. An `InputError` where it is none, or pyarrow is not installed."""
     parquet = extra("pyarrow.parquet", "pyarrow", path.name)
     try:
         table = parquet.read_table(path)
@@ -167,17 +161,8 @@ def _by_joint(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 def read_lerobot(path: Path, episodes: Sequence[int] = ()) -> tuple[Source, ...]:
     """Read a data set: one source an episode, with entries of ``observation.state`` and ``action`` named as info.json does.
 
-    Parameters
-    ----------
-    path
-        The folder with ``meta/info.json``.
-    episodes
-        Which to read; empty: all.
-
-    Raises
-    ------
-    InputError
-        pyarrow is not installed, info.json is damaged or of another version, or an episode is not there.
+    ``path`` is the folder with ``meta/info.json``; without ``episodes`` all are read. An `InputError` where pyarrow is not
+    installed, info.json is damaged or of another version, or an episode is not there.
     """
     info = _read_info(path)
     files = sorted((path / "data").rglob("*.parquet"))

@@ -41,13 +41,7 @@ def known_unit(quantity: str, text: str) -> str | None:
 
 
 def check_unit(quantity: str, text: str, file: str, key: str) -> str:
-    """The unit that is meant by a text.
-
-    Raises
-    ------
-    InputError
-        It is no unit of that quantity.
-    """
+    """The unit that is meant by a text; an `InputError` where it is no unit of that quantity."""
     unit = known_unit(quantity, text)
     if unit is None:
         raise InputError(

@@ -92,13 +92,7 @@ class IdentifiedRobot:
         return {name: self.base.rank + k for k, name in enumerate(self.effect_names)}
 
     def joint_dynamics(self, drawn: np.ndarray | None = None) -> JointDynamics:
-        """What a URDF holds inside the joints, and what it does not.
-
-        Parameters
-        ----------
-        drawn
-            Values of the effects' estimated parameters that go with some draw (e,); default those that go with ``links``.
-        """
+        """What a URDF holds inside the joints and what not, by the effects' values (e,), default those of ``links``."""
         if drawn is None and self.dynamics is not None:
             return self.dynamics
         drawn = self.solution[self.base.rank :] if drawn is None else drawn

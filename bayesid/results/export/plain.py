@@ -44,15 +44,7 @@ class JointConstants:
 
 
 def joint_constants(robot: Robot, dynamics: JointDynamics, holds: tuple[str, ...]) -> JointConstants:
-    """What of the identified effects a simulator can hold.
-
-    Parameters
-    ----------
-    robot, dynamics
-        The robot, and what was identified inside its joints.
-    holds
-        Which the simulator has a place for, of ``armature``, ``springs`` and ``delays``, beside friction.
-    """
+    """What of the identified effects a simulator can hold, of ``armature``, ``springs`` and ``delays``, beside friction."""
     damping, friction = (
         {joint: values[key] for joint, values in dynamics.friction.items() if key in values} for key in ("damping", "friction")
     )

@@ -58,13 +58,7 @@ _ENTRIES = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (
 
 
 def draws_of(found: IdentifiedRobot) -> tuple[np.ndarray, np.ndarray]:
-    """Draws of links (d, 10 b) and of the effects' parameters (d, e).
-
-    Raises
-    ------
-    InputError
-        There are none.
-    """
+    """Draws of links (d, 10 b) and of the effects' parameters (d, e); an `InputError` where there are none."""
     if found.link_draws is None or found.effect_draws is None:
         raise InputError(
             f"{found.name}: draws of links are asked for, and a result of {found.method} has none; export one of "

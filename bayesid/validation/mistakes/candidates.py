@@ -264,13 +264,7 @@ def _other_axes() -> Iterator[tuple[str, str, str, str, np.ndarray]]:
 
 
 def in_base_axes(rotations: np.ndarray) -> list[Candidate]:
-    """A moving sensor's wrench in axes that do not move with it, of either sign.
-
-    Parameters
-    ----------
-    rotations
-        Of the sensor in the base frame (N, 3, 3), one a sample.
-    """
+    """A moving sensor's wrench in axes that do not move with it, of either sign; its rotations in the base frame (N, 3, 3)."""
     turned = np.zeros((len(rotations), 6, 6))
     turned[:, :3, :3] = turned[:, 3:, 3:] = rotations.swapaxes(1, 2)
     says = "the wrench seems to be in the axes of the base, not in the sensor's"

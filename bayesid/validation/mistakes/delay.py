@@ -62,13 +62,6 @@ def delay_profile(experiment: Experiment, channel: str) -> Profile | None:
     """Explain the readings of each time after the motion by the motion; None where recordings are too short.
 
     Least squares with bodies, friction and offsets of any size and sign: a wrong sign or unit is no delay.
-
-    Parameters
-    ----------
-    experiment
-        The recordings.
-    channel
-        ``wrench`` or ``torque``.
     """
     pieces = []
     for index, motion in enumerate(experiment.motions):

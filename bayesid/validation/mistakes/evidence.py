@@ -154,19 +154,10 @@ class Explainer:
         return fits
 
     def explains(self, fit: Fit, null: Fit, change: Change) -> bool:
-        """Whether a fit of changed data explains the readings, and does not only make them more probable.
+        """Whether a fit of changed data explains the readings, and does not only make them more probable than ``null``.
 
-        In the columns that it mends it closes half of the way to the least that can be left of them, in nats; and of each kind of
-        reading in which it differs, a quarter of the power is left at most.
-
-        Parameters
-        ----------
-        fit
-            Of changed data.
-        null
-            Of the data as they are.
-        change
-            What was changed.
+        In the columns that it mends it closes half of the way to the least that can be left of them, in nats; and of each kind
+        of reading in which it differs, a quarter of the power is left at most.
         """
         worse, units = np.exp(WORSE), np.array(self.channels.units)
         here, there = np.maximum(fit.left, self.floor), np.maximum(null.left, self.floor)
@@ -178,17 +169,10 @@ class Explainer:
         return bool(closed >= 0.5 * way) and explained
 
     def highest_score(self, change: Change | None, worth: float) -> float:
-        """What `Fit.score` of changed data cannot exceed [nats].
+        """What `Fit.score` of changed data, whatever is changed without a ``change``, cannot exceed [nats].
 
-        Every column is then explained to its floor, by the fewest numbers; one that holds one joint's torque, not better than by
-        numbers of its own, of any sign (`alone`).
-
-        Parameters
-        ----------
-        change
-            As `fit` takes it; None: whatever is changed.
-        worth
-            How many independent samples the data are worth.
+        Every column is then explained to its floor, by the fewest numbers; one that holds one joint's torque, not better than
+        by numbers of its own, of any sign (`alone`). ``worth`` is how many independent samples the data are worth.
         """
         left, count = self.floor, min(self._counts, default=0)
         if change is not None:

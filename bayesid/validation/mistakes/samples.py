@@ -52,13 +52,6 @@ def low_passed(experiment: Experiment, channel: str) -> Samples | None:
     """Samples of all motions, spread over them; None where there are not enough.
 
     Readings go through the same least-squares spline as positions: both keep what is below `BANDWIDTH`, and neither is delayed.
-
-    Parameters
-    ----------
-    experiment
-        The recordings.
-    channel
-        ``wrench`` or ``torque``.
     """
     pieces: list[_Piece] = []
     poses: list[tuple[int, np.ndarray, np.ndarray]] = []

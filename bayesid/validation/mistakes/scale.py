@@ -24,15 +24,7 @@ _STEPS = 2  # of fitting bodies to readings of these sizes, and sizes to those o
 
 
 def by_joint(explainer: Explainer, worth: float) -> list[Candidate]:
-    """Torques of which each has a sign or a scale of its own: those of motor currents, or of the motors' side of unlike gears.
-
-    Parameters
-    ----------
-    explainer
-        Joint torques, and what a robot makes of them.
-    worth
-        How many independent samples the data are worth.
-    """
+    """Torques of which each has a sign or a scale of its own: those of motor currents, or of the motors' side of unlike gears."""
     n, bodies = len(explainer.channels), _bodies(explainer)
     told, shown = _sizes(explainer, bodies)
     out = []
@@ -63,14 +55,8 @@ def by_joint(explainer: Explainer, worth: float) -> list[Candidate]:
 def implausible_size(explainer: Explainer, change: Change = AS_RECORDED) -> list[Mistake]:
     """Compare readings with those of the nominal bodies, or of usual bodies where the URDF has no masses.
 
-    A mistake is named where both are off to the same side: nominal bodies alone may be placeholders.
-
-    Parameters
-    ----------
-    explainer
-        Readings, and what a robot makes of them.
-    change
-        Of signs, which makes the readings right but for their size.
+    A mistake is named where both are off to the same side: nominal bodies alone may be placeholders. ``change`` is that of
+    signs, which makes the readings right but for their size.
     """
     stated, usual = _bodies(explainer), usual_bodies(explainer.robot)
     guessed, factor = explainer.size_beside(usual, change), explainer.size_beside(stated, change)

@@ -20,15 +20,6 @@ def tilted(explainer: Explainer, starts: Sequence[Change], worth: float) -> list
     """Gravity along the direction that suits the readings, where it is none of those that it starts from.
 
     Readings are linear in gravity for given bodies, and in the bodies for given gravity: each is fitted in turn.
-
-    Parameters
-    ----------
-    explainer
-        Readings, and what a robot makes of them.
-    starts
-        Directions of gravity to begin with.
-    worth
-        How many independent samples the data are worth.
     """
     stated, out = explainer.robot.gravity, []
     size = float(np.linalg.norm(stated))
