@@ -41,15 +41,7 @@ def on_command_line() -> Iterator[None]:
 
 
 def argument(name: str, value: Any = None) -> str:
-    """How a message names an argument: ``runs=2``, or ``--runs 2`` on the command line.
-
-    Parameters
-    ----------
-    name
-        As the function has it.
-    value
-        What was given or should be; None: the argument is named alone.
-    """
+    """How a message names an argument and what was given or should be: ``runs=2``, or ``--runs 2`` on the command line."""
     if _command_line:
         option = _OPTIONS.get(name, name).replace("_", "-")
         if isinstance(value, bool):

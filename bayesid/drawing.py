@@ -35,13 +35,7 @@ def registered_by_verb(function: Callable[[Any], _T]) -> functools._SingleDispat
 
 @registered_by_verb
 def figures_of(result: object) -> Figures:
-    """Functions that draw a result's figures, by what they show; the first is that of ``plot()``.
-
-    Raises
-    ------
-    TypeError
-        No verb has registered this type of result.
-    """
+    """Functions that draw a result's figures, by what they show; the first is that of ``plot()``. Each verb registers its own."""
     raise TypeError(f"{type(result).__name__} has no figures: no verb in bayesid.workflows registers them")
 
 

@@ -16,12 +16,8 @@ if TYPE_CHECKING:  # not from typing: before Ctrl-C is caught, nothing is import
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status: 0 done, 1 the work failed, 2 bad input or usage.
 
-    Ctrl-C and SIGTERM end it with one line at any moment, so the rest is imported here, where they are caught.
-
-    Parameters
-    ----------
-    arguments
-        Those after the program's name; default: the process' own.
+    ``arguments`` are those after the program's name; default: the process' own. Ctrl-C and SIGTERM end it with one line at any
+    moment, so the rest is imported here, where they are caught.
     """
     own = arguments is None
     collecting = gc.isenabled()

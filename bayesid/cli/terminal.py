@@ -21,15 +21,7 @@ _WARNING = re.compile(r"^( *)warning: (.*)$")
 
 
 def say(result: object, numbered: Sequence[str] | None = None) -> None:
-    """Print a result, or a line of text.
-
-    Parameters
-    ----------
-    result
-        Its text is printed.
-    numbered
-        Warnings as its report numbers them; default: its own ``warnings``. Others are printed in full.
-    """
+    """Print a result, or a line of text, warnings as its report has ``numbered`` them, default its own; others in full."""
     text = str(result)
     if not sys.stdout.isatty():
         click.echo(text)

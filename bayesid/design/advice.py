@@ -51,18 +51,8 @@ def advise(
 ) -> tuple[Advice, ...]:
     """What would make a difference for the readings that an estimate would use, most important first.
 
-    Parameters
-    ----------
-    plan
-        The motions.
-    reports
-        Of every sensor set.
-    main
-        That of the readings that would be used.
-    noise
-        Of single readings.
-    sheet
-        The same as the sensor's data sheet has it, where ``noise`` is what a fit leaves of recorded readings.
+    ``main`` is the report of these readings among those of every sensor set; ``sheet`` is the noise as the sensor's data sheet
+    has it, where ``noise`` is what a fit leaves of recorded readings.
     """
     of_noise = [] if sheet is None else _noise(plan, main, sheet)
     parts = (

@@ -113,26 +113,11 @@ def expect(
 ) -> Expected:
     """What motions would tell if they were read by a sensor set.
 
-    Parameters
-    ----------
-    experiment
-        Robot, sensor and model; its motions need not be those that are asked about, and no readings are looked at.
-    sensor_set
-        What is read. Static readings count where a motion has them, and a static run of the motion's own positions is taken
-        for granted where one is subtracted.
-    noise
-        Of single readings.
-    motions
-        Recorded (positions are smoothed as for a fit), or planned with exact states.
-    effects
-        In the model; default the experiment's.
-    bandwidth
-        Of recorded joint motion [Hz]; default by cross-validation of the positions.
-
-    Raises
-    ------
-    InputError
-        There is no sensor that the set needs, or an effect does not exist.
+    No readings of the experiment are looked at, and its motions need not be those that are asked about. Recorded motions are
+    smoothed as for a fit, with ``bandwidth`` [Hz] or one by cross-validation; planned ones have exact states. Static readings
+    count where a motion has them, and a static run of the motion's own positions is taken for granted where one is subtracted.
+    ``effects`` are in the model, default the experiment's. An `InputError` where there is no sensor that the set needs, or an
+    effect does not exist.
     """
     model, segments = rows_of(experiment, sensor_set, motions, effects=effects, bandwidth=bandwidth)
     names = tuple(n for e in model.effects for n in e.column_names)

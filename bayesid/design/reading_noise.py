@@ -129,26 +129,11 @@ def white_noise(
 def recorded_noise(
     experiment: Experiment, otherwise: ReadingNoise, options: FitOptions | None = None
 ) -> tuple[ReadingNoise, dict[str, Problem]]:
-    """Noise as a fit leaves it of the readings that there are; other channels keep theirs.
+    """Noise as a fit leaves it of the readings that there are, and what was fitted, by ``wrench`` and ``torque``.
 
     That is what `identify` bases its intervals on: colour included, and whatever the model lacks, also by what the fit scatters
-    between parts of a recording beyond noise.
-
-    Parameters
-    ----------
-    experiment
-        With recordings.
-    otherwise
-        Noise of channels without readings, and of those that are ``given``.
-    options
-        Which motions are fitted, with which effects and bandwidth; its channel does not matter.
-
-    Returns
-    -------
-    noise
-        Of single readings.
-    problems
-        What was fitted, by ``wrench`` and ``torque``.
+    between parts of a recording beyond noise. Channels without readings, and those that are ``given``, keep the noise of
+    ``otherwise``. The channel of ``options`` does not matter.
     """
     options = options or FitOptions()
     motions = [m for m in experiment.motions if m.name in options.motions] if options.motions else experiment.identification

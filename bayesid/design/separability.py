@@ -67,15 +67,7 @@ class Separation:
 def separations(
     plan: PlannedMotions, sensor_set: SensorSet, noise: ReadingNoise, effects: Sequence[Effect], *, bandwidth: float | None = None
 ) -> tuple[Separation, ...]:
-    """Every effect as the true one against every other, as far as both act on the readings.
-
-    Parameters
-    ----------
-    plan, sensor_set, noise, bandwidth
-        As for `bayesid.design.identifiability.report_of`.
-    effects
-        Effects to be distinguished, of `pair_of`.
-    """
+    """Every effect as the true one against every other, as far as both act on the readings; the rest as for `report_of`."""
     names = make_channels(plan.experiment, sensor_set.channel).names
     gone = sensor_set.offset != "fitted"  # no such set shows what a static run removes
     acting = [e for e in effects if any(e.acts_on(n) for n in names) and not (gone and e.removed_by_static_run)]

@@ -124,12 +124,7 @@ class Shown:
 def shown(expected: Expected, offset: Sequence[str] = ()) -> Shown:
     """The combinations that motions determine.
 
-    Parameters
-    ----------
-    expected
-        What they would tell of the base parameters of the richest motion.
-    offset
-        Effect parameters that are part of the sensor set, as a fitted offset is, and not of the user's model.
+    ``offset`` are effect parameters that are part of the sensor set, as a fitted offset is, and not of the user's model.
     """
     whole = expected.base
     own = np.array([n in offset for n in expected.effect_names], bool)

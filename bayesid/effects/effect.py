@@ -319,17 +319,7 @@ class Effect(ABC):
         return [p.typical for p in self.quantities]
 
     def reach(self, values: Sequence[float], bandwidth: float, step: float) -> float:
-        """Time before and after a sample that its reading depends on [s].
-
-        Parameters
-        ----------
-        values
-            Of the parameters (k,).
-        bandwidth
-            Of the joint motion [Hz].
-        step
-            Time between samples [s].
-        """
+        """Time before and after a sample that its reading depends on [s], by the motion's bandwidth [Hz] and the step of samples [s]."""
         return 0.0
 
     def canonical(self, values: tuple[float, ...]) -> tuple[float, ...]:

@@ -289,17 +289,8 @@ class Model:
     def little_play(self, joint: int, lean: Callable[[np.ndarray], np.ndarray]) -> tuple[Motion, ...]:
         """How the first bit of play moves the link of a joint that has none, by the torque of the motion without it.
 
-        Parameters
-        ----------
-        joint
-            Which.
-        lean
-            From the joint's torque (M,) [N m or N] to the ways in which its link leans (M, k) [rad or m].
-
-        Returns
-        -------
-        moves
-            For each way the change of the joint's position, velocity and acceleration, (N,) each.
+        ``lean`` takes the joint's torque (M,) [N m or N] to the ways in which its link leans (M, k) [rad or m]; for each way,
+        the change of the joint's position, velocity and acceleration is returned, (N,) each.
         """
         if self.segment.still or len(self.segment.times) < 8:  # as poses lean
             behind = lean(self.link_torque(self.held_by_motors, np.array([joint]))[:, 0])

@@ -233,12 +233,7 @@ class Recorded:
     def behind(self, play: Sequence[tuple[PlayEffect, Sequence[float]]], start: Mapping[int, Behind]) -> dict[int, Behind]:
         """How far the links of joints with play are behind their motors at the samples.
 
-        Parameters
-        ----------
-        play
-            What the joints have of it, effects with their values.
-        start
-            The same where it is nearly known, so that crossings stay in the order that they have there.
+        ``start`` is the same where it is nearly known, so that crossings stay in the order that they have there.
         """
         which = sorted({effect.joint or 0 for effect, _ in play})
         link, out = [part.copy() for part in self.smooth], {}

@@ -48,18 +48,9 @@ def to_arviz(
     dimensions: dict[str, list[str]],
     attributes: dict[str, Any],
 ) -> Any:
-    """InferenceData or DataTree of named groups.
+    """InferenceData or DataTree of arrays by variable by group, with labels of every dimension and attributes of the posterior.
 
-    Parameters
-    ----------
-    groups
-        Arrays by variable by group; chains and draws first, but in ``observed_data``.
-    coordinates
-        Labels of every dimension.
-    dimensions
-        Further dimensions of every variable.
-    attributes
-        Of the posterior group; numbers and texts.
+    Chains and draws are first, but in ``observed_data``; ``dimensions`` are the further ones of every variable.
     """
     az = load_arviz()
     if before_trees(az):

@@ -59,15 +59,7 @@ class Convergence:
 
 
 def convergence(draws: np.ndarray, names: tuple[str, ...]) -> Convergence:
-    """Diagnose chains.
-
-    Parameters
-    ----------
-    draws
-        (chains, draws, d).
-    names
-        (d,).
-    """
+    """Diagnose chains of draws (chains, draws, d)."""
     az = load_arviz()
     moving = np.ptp(draws, axis=(0, 1)) > 0
     out = np.ones((3, len(names)))

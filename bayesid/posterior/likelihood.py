@@ -170,17 +170,7 @@ class Likelihood:
 
     @classmethod
     def of(cls, regression: Regression, weights: Weights | None = None, *, keep_rows: bool = False) -> Likelihood:
-        """Whiten and reduce a regression.
-
-        Parameters
-        ----------
-        regression
-            Read once, block by block.
-        weights
-            The noise; default: learned as for generalised least squares.
-        keep_rows
-            Whether whitened rows are kept, too.
-        """
+        """Whiten and reduce a regression, which is read once, by default with the noise learned for generalised least squares."""
         weights = learn_weights(regression) if weights is None else weights
         columns, channels = len(regression.column_names) + 1, len(regression.channel_names)
         noise, scale, factor = _weighted(regression, weights, 0 if not keep_rows else _PASSES)

@@ -128,13 +128,7 @@ class PosteriorModel:
         return model
 
     def require_proper(self) -> None:
-        """Refuse a posterior that is flat in some direction for ever.
-
-        Raises
-        ------
-        InputError
-            Names the parameters.
-        """
+        """Refuse a posterior that is flat in some direction for ever, with an `InputError` that names the parameters."""
         stacked = np.concatenate([f[:, :-1] for f in self.likelihood.factors])
         r = self.base.rank
         known = np.zeros((0, stacked.shape[1]))

@@ -120,16 +120,7 @@ def predictive_groups(
 ) -> Groups:
     """Groups ``posterior_predictive``, ``log_likelihood`` (of the fitted rows) and ``observed_data``.
 
-    Parameters
-    ----------
-    posterior
-        What to predict with.
-    rows
-        All that were fitted.
-    fitted, validation
-        Rows that were fitted, and rows that were not; at most 4096 of each are looked at and about 400 kept.
-    channels
-        Names of the channels.
+    ``rows`` are all that were fitted; of ``fitted`` and ``validation`` at most 4096 each are looked at and about 400 kept.
     """
     rng = np.random.default_rng([posterior.seed, 1])
     groups: dict[str, dict[str, np.ndarray]] = {"posterior_predictive": {}, "log_likelihood": {}, "observed_data": {}}

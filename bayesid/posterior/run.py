@@ -116,10 +116,7 @@ class Chains:
 def choose_engine(model: PosteriorModel, engine: str | None = None, moves: str = "laplace") -> Engine[Any]:
     """The engine of a name; default: exact trajectories where there are walls or Student's weights, else emcee.
 
-    Raises
-    ------
-    InputError
-        No engine has this name, or it cannot sample this posterior.
+    An `InputError` where no engine has this name, or it cannot sample this posterior.
     """
     if engine is None:
         engine = "hmc" if model.bodies or model.noise == "student" or len(model.bounded) else "emcee"

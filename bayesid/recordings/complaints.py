@@ -48,14 +48,7 @@ def listed(names: Iterable[str], shown: int = 12) -> str:
 def describe(error: ErrorDetails, keys: Mapping[tuple[str, ...], Iterable[str]], others: Iterable[str]) -> str:
     """Return ``[section] key: what is wrong; what to write`` for one pydantic error.
 
-    Parameters
-    ----------
-    error
-        As pydantic tells it.
-    keys
-        The keys that a section may have, by the path to it without list indices.
-    others
-        Those of every other section.
+    ``keys`` are those that a section may have, by the path to it without list indices; ``others`` those of every other section.
     """
     where = [part for part in error["loc"] if part != "[key]"]
     # Trailing indices belong to the value (joints[2]), not to the section.

@@ -179,19 +179,8 @@ _LIMIT_SLACK = 0.1  # as the limits are checked [rad]
 def unwrapped(table: Table, robot: Robot, kind: str) -> tuple[Table, str | None]:
     """Undo wraps of turning joints, and take off the whole turn by which readings are outside the joint's limits.
 
-    Parameters
-    ----------
-    table
-        The recording.
-    robot
-        Says which joints turn, and their limits.
-    kind
-        ``trajectory``, or ``poses`` for rows that do not follow each other.
-
-    Returns
-    -------
-    table, notes
-        The same table and None where there was nothing to undo.
+    Rows of the kind ``poses`` do not follow each other. Returned are the table and a note, or the same table and None where
+    there was nothing to undo.
     """
     positions, wrapped, shifted = np.array(table.positions), {}, []
     for j in np.flatnonzero(~robot.prismatic).tolist():

@@ -385,19 +385,9 @@ def load_experiment(folder: str | Path, library: EffectLibrary | None = None, *,
 
 
 def as_experiment(given: object, also: str = "") -> Experiment:
-    """What a verb is given, as an experiment: itself, or read from its folder.
+    """What a verb is given, as an experiment: itself, what holds it as ``experiment``, or read from its folder.
 
-    Parameters
-    ----------
-    given
-        An experiment, the path of its folder, or what holds it as ``experiment``, such as what `bayesid.read_recording` returns.
-    also
-        What else the verb takes, for the message.
-
-    Raises
-    ------
-    InputError
-        It is neither; or as `load_experiment`.
+    ``also`` is what else the verb takes, for the message.
     """
     if isinstance(given, Experiment):
         return given

@@ -60,18 +60,10 @@ def joint_ranges(
 def recording(
     times: np.ndarray, panels: Sequence[tuple[str, str, Sequence[str], np.ndarray]], breaks: Sequence[int], poses: bool
 ) -> Markup:
-    """One recording as it is: a panel for each group of columns.
+    """One recording as it is over time [s], or numbered poses: a panel for each group of columns.
 
-    Parameters
-    ----------
-    times
-        (N,) [s]; poses are numbered instead.
-    panels
-        Title, unit, names of the curves (k,) and curves (N, k).
-    breaks
-        Indices of the first samples after gaps: no line is drawn across.
-    poses
-        Whether each sample stands for itself.
+    A panel is title, unit, names of the curves (k,) and curves (N, k); no line is drawn across ``breaks``, the first samples
+    after gaps.
     """
     left, right, top, height, gap = 50.4, 72.0, 18.0, 108.0, 24.0
     x = np.arange(1.0, len(times) + 1) if poses else times

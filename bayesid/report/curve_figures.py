@@ -48,22 +48,9 @@ def curves(
     times: np.ndarray, groups: Sequence[tuple[str, Sequence[str], np.ndarray]], channels: Sequence[str] | str | None = None,
     ax: Any = None, *, gaps: Sequence[int] = (), poses: bool = False,
 ) -> Figure:  # fmt: skip
-    """Groups of curves over time, a panel a group.
+    """Groups of curves over time [s], or numbered poses, a panel a group: its title, names (k,) and values (N, k).
 
-    Parameters
-    ----------
-    times
-        (N,) [s]; poses are numbered instead.
-    groups
-        Title, names (k,) and values (N, k) of each panel.
-    channels
-        Names of the curves to be shown; default all.
-    ax
-        The user's own Axes, one a group that is shown; default a figure.
-    gaps
-        Indices of the first samples after holes: no line is drawn across.
-    poses
-        Whether each sample stands for itself.
+    No line is drawn across ``gaps``, the first samples after holes.
     """
     every = [name for _, names, _ in groups for name in names]
     wanted = {every[k] for k in picked(every, channels)}

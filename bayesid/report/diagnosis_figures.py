@@ -142,19 +142,7 @@ def _spread(figure: Figure, rows: int, height: float) -> None:
 
 @styled
 def evidence(names: Sequence[str], values: np.ndarray, kinds: Sequence[str], needed: float, ax: Any = None) -> Figure:
-    """How much each effect alone would add to the model's log evidence.
-
-    Parameters
-    ----------
-    names
-        Of the effects, best first (p,).
-    values
-        Log evidence gained (p,), positive.
-    kinds
-        ``named``, ``rival`` or ``other`` (p,).
-    needed
-        Least log evidence that an effect has to bring.
-    """
+    """How much each effect alone, best first, would add to the model's log evidence; kinds: ``named``, ``rival``, ``other``."""
     count = len(names)
     figure, axes = make_grid(1, 1, 0.21 * count + 0.15, left=0.35 + 0.066 * max(map(len, names)), right=0.8, top=0.4,
                              ax=ax)  # fmt: skip

@@ -46,12 +46,7 @@ _ROW = 0.2  # inches
 def classes(reports: Sequence[SetReport], main: SetReport, ax: Any = None) -> Figure:
     """The class of every link parameter, a panel for each sensor set: bodies downwards, their ten parameters across.
 
-    Parameters
-    ----------
-    reports
-        Of the sensor sets.
-    main
-        The one whose title is set apart.
+    The title of ``main`` is set apart.
     """
     kinds = tuple(LOOKS)
     names = [p.name for p in main.parameters]
@@ -90,15 +85,7 @@ def classes(reports: Sequence[SetReport], main: SetReport, ax: Any = None) -> Fi
 
 @styled
 def expected(report: SetReport, names: Sequence[str], ax: Any = None) -> Figure:
-    """Expected standard deviation of every combination, relative to its size where that is known, the surest first.
-
-    Parameters
-    ----------
-    report
-        Of the readings that would be used.
-    names
-        Short names of its combinations (r,).
-    """
+    """Expected standard deviation of every combination, relative to its size where that is known, the surest first."""
     bases = report.base_parameters
     sized = all(b.size for b in bases)
     values = np.array([b.std / b.size if sized and b.size else b.std for b in bases])

@@ -64,10 +64,7 @@ _NAMES = {
 def described(details: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Pairs of a term and a text; warnings are left out, as they stand on top of the report.
 
-    Parameters
-    ----------
-    details
-        Of an `Estimate`; entries of estimators that are not known here are written out as they are.
+    Entries of an estimator that is not known here are written out as they are.
     """
     out = []
     for key, value in details.items():

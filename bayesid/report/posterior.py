@@ -76,17 +76,7 @@ def predictive(
     channels: Sequence[str] | str | None = None,
     ax: Any = None,
 ) -> Figure:
-    """Rows as they were measured, over the central 95 % of those that the posterior predicts, noise included.
-
-    Parameters
-    ----------
-    names
-        Of the channels (c,).
-    replicated, measured
-        (chains, draws, k, c), (k, c).
-    channels, ax
-        Which of them, and where to draw.
-    """
+    """Measured rows (k, c), over the central 95 % of those that the posterior predicts (chains, draws, k, c), noise included."""
     chosen = picked(tuple(names), channels)
     columns = 2 if len(chosen) > 1 and ax is None else 1
     figure, axes = make_grid(-(-len(chosen) // columns), columns, 1.15, sharex=True, ax=ax)
@@ -129,15 +119,7 @@ def narrowing(groups: Sequence[tuple[str, Sequence[str], np.ndarray]], driven: f
 
 @styled
 def ranks(names: Sequence[str], draws: np.ndarray) -> Figure:
-    """Ranks of each chain's draws among all: alike and level where the chains agree.
-
-    Parameters
-    ----------
-    names
-        Of the numbers shown (k,).
-    draws
-        (chains, draws, k).
-    """
+    """Ranks of each chain's draws (chains, draws, k) among all: alike and level where the chains agree."""
     chains, count, numbers = draws.shape
     figure, axes = make_grid(1, numbers, 1.5, left=0.35, gap=0.3)
     for k, ax in enumerate(axes[0]):

@@ -26,19 +26,7 @@ _HEIGHT, _TOP, _BOTTOM = 150.0, 26.0, 46.0
 
 
 def course(values: Sequence[float], changed: Sequence[bool], title: str, needed: float | None = None) -> Markup:
-    """A number of every recording in turn: red dots where something changed.
-
-    Parameters
-    ----------
-    values
-        One a recording; nan where it was not compared.
-    changed
-        Whether something changed.
-    title
-        Of the picture.
-    needed
-        A line at this value, or none.
-    """
+    """A number of every recording in turn, nan where it was not compared: red dots where something changed."""
     y = np.array(values, float)
     top = 1.1 * max(float(np.nanmax(y)), needed or 0.0, 1.0)
     panel = _panel(len(y), (0.0, top))
@@ -53,17 +41,7 @@ def course(values: Sequence[float], changed: Sequence[bool], title: str, needed:
 
 
 def sizes(series: Sequence[tuple[str, np.ndarray, np.ndarray]], count: int, title: str) -> Markup:
-    """Sizes of the changes named, with 95 % intervals, recording by recording.
-
-    Parameters
-    ----------
-    series
-        Name of each change, and its value and half its interval in every recording (count,), nan where it is not named.
-    count
-        Recordings.
-    title
-        Of the picture.
-    """
+    """Sizes of the changes named, with half their 95 % intervals, nan where not named, recording by recording (count,)."""
     ends = np.concatenate([v + s * np.nan_to_num(h) for _, v, h in series for s in (-1.0, 1.0)])
     low, high = min(0.0, float(np.nanmin(ends))), max(0.0, float(np.nanmax(ends)))
     room = 0.08 * (high - low or 1.0)

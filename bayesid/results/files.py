@@ -88,13 +88,7 @@ class Files(NamedTuple):
 
 @registered_by_verb
 def files_of(result: object) -> Files:
-    """The files of a result; each verb registers its own, so that results need to know nothing of reports.
-
-    Raises
-    ------
-    TypeError
-        No verb has registered this type of result.
-    """
+    """The files of a result; each verb registers its own, so that results need to know nothing of reports."""
     raise TypeError(f"{type(result).__name__} has no files: no verb in bayesid.workflows registers them")
 
 

@@ -41,20 +41,10 @@ class RobotSource:
 
 
 def locate(given: str | Path, folder: Path | None = None) -> RobotSource:
-    """Find the file of a robot.
+    """Find the file of a robot; an `InputError` where there is no such description, or it cannot be had.
 
-    Parameters
-    ----------
-    given
-        ``FILE``, ``FILE name:=value ...`` with arguments for xacro, or ``robot_descriptions:NAME``, which is fetched where it is
-        not there yet.
-    folder
-        What a file's name starts from; default: where the program runs.
-
-    Raises
-    ------
-    InputError
-        There is no such description, or it cannot be had.
+    It is given as ``FILE`` in ``folder``, ``FILE name:=value ...`` with arguments for xacro, or ``robot_descriptions:NAME``,
+    which is fetched where it is not there yet.
     """
     text, arguments = str(given), {}
     while found := _ARGUMENT.search(text):

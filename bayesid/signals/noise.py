@@ -43,15 +43,7 @@ class NoiseModel:
 
     @classmethod
     def stated(cls, std: np.ndarray, known_poles: np.ndarray | None = None) -> NoiseModel:
-        """Noise of known size: white, or white noise that went through low-passes.
-
-        Parameters
-        ----------
-        std
-            Stationary standard deviation of each channel's rows (c,), independent of each other.
-        known_poles
-            Poles of the filters that the rows passed, from the zero state; None: none.
-        """
+        """Noise of known standard deviations (c,): white, or white noise that went through low-passes with these poles."""
         polynomial = np.array([1.0]) if known_poles is None else np.real(np.poly(known_poles))
         innovation = np.asarray(std, float) ** 2 / autocovariance(polynomial, 0)[0]
         return cls(np.tile(polynomial, (len(innovation), 1)), np.diag(innovation), from_zero=known_poles is not None)
@@ -87,14 +79,9 @@ class NoiseModel:
         return np.stack([lfilter([1.0], a, u) for a, u in zip(self.coefficients, fresh.T, strict=True)], axis=1)[settled:]
 
     def whiten(self, rows: np.ndarray, before: np.ndarray | None = None) -> np.ndarray:
-        """Turn rows with this noise into rows with white noise of unit variance.
+        """Turn consecutive rows (k, channels, ...) with this noise into rows with white noise of unit variance.
 
-        Parameters
-        ----------
-        rows
-            Consecutive rows (k, channels, ...).
-        before
-            The ``order`` rows before them, or all there are since the recording's start; None at the start.
+        ``before`` are the ``order`` rows before them, or all there are since the recording's start; None at the start.
         """
         if before is not None and len(before) < self.order:  # the start is still within reach
             return self.whiten(np.concatenate([before, rows]))[len(before) :]
@@ -124,13 +111,7 @@ class NoiseModel:
         return [cholesky(toeplitz(autocovariance(a, first - 1)), lower=True) for a in self.coefficients]
 
     def whiten_transposed(self, white: np.ndarray) -> np.ndarray:
-        """The transpose of `whiten` for one whole recording: ``sum(whiten_transposed(z) * x) = sum(z * whiten(x))``.
-
-        Parameters
-        ----------
-        white
-            Consecutive whitened rows (k, channels, ...).
-        """
+        """The transpose of `whiten` for a whole recording: ``sum(whiten_transposed(z) * x) = sum(z * whiten(x))``."""
         out = mix(np.linalg.inv(cholesky(self.innovation, lower=True)).T, white)
         p = self.order
         if p == 0:

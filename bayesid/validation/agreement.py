@@ -80,15 +80,7 @@ class HausmanTest:
 
 
 def gaps(estimates: dict[str, Estimate], reference: str) -> list[Gap]:
-    """Differences of all pairs, in one unit, so that they can be compared with each other.
-
-    Parameters
-    ----------
-    estimates
-        By name, from the same rows.
-    reference
-        Whose standard deviations are the unit.
-    """
+    """Differences of all pairs, in standard deviations of the reference, so that they can be compared with each other."""
     names, std = list(estimates), estimates[reference].std
     rank, labels, out = len(std), estimates[reference].base.labels, []
     for i, first in enumerate(names):
@@ -104,18 +96,11 @@ def gaps(estimates: dict[str, Estimate], reference: str) -> list[Gap]:
 
 
 def hausman(method: str, estimate: Estimate, efficient: str, best: Estimate) -> HausmanTest:
-    """Test an estimate against the efficient one from the same rows.
+    """Test an estimate against the efficient one (generalised least squares) from the same rows.
 
-    The difference of a consistent estimate and the efficient one is uncorrelated with the latter, so its
-    covariance is ``V - V_efficient`` [Hausman1978]_. That fails for a biased estimate, and for one that knows more
-    than the rows say, such as a prior or a constraint: then ``V - V_efficient`` is not positive semidefinite.
-
-    Parameters
-    ----------
-    method, estimate
-        Any estimator's.
-    efficient, best
-        Generalised least squares, efficient where the noise is as modelled.
+    The difference of a consistent estimate and the efficient one is uncorrelated with the latter, so its covariance is ``V -
+    V_efficient`` [Hausman1978]_. That fails for a biased estimate, and for one that knows more than the rows say, such as a
+    prior or a constraint: then ``V - V_efficient`` is not positive semidefinite.
     """
     if estimate.full_covariance is None or best.full_covariance is None:
         return HausmanTest(method, efficient, reason="an estimator without intervals cannot be tested")
@@ -137,19 +122,9 @@ def hausman(method: str, estimate: Estimate, efficient: str, best: Estimate) -> 
 
 
 def nominal_estimates(problem: Problem, weights: Weights) -> list[tuple[str, Estimate]]:
-    """The nominal model as it is, and with its effects fitted to the data, each with a line on what it is.
+    """The nominal model as it is, and if it has effects with these fitted to the data, each with a line on what it is.
 
-    Parameters
-    ----------
-    problem
-        Its rows, nominal links and the effect values that the experiment states.
-    weights
-        Noise of the rows: the fit of effects weights every channel by it.
-
-    Returns
-    -------
-    estimates
-        Two, or one where the model has no effects.
+    The fit of effects weights every channel by the noise of ``weights``.
     """
     robot, base, regression = problem.experiment.robot, problem.row_model.base, problem.regression
     links, names = robot.nominal.ravel(), regression.effect_names

@@ -105,16 +105,8 @@ def _fit_of(problem: Problem, method: str | Estimator, motions: Sequence[str]) -
 def motions_apart(problem: Problem, estimate: Estimate, method: str | Estimator, made: Alone | None = None) -> list[Agreement]:
     """Fit every motion by itself and compare it with the estimate from all fitted motions but it.
 
-    Validation motions take part, too; nothing that is estimated depends on what comes out.
-
-    Parameters
-    ----------
-    problem, estimate
-        The model, and its parameters from all fitted motions.
-    method
-        The estimator.
-    made
-        Fits of single motions that are there already.
+    Validation motions take part, too; nothing that is estimated depends on what comes out. ``made`` are fits of single motions
+    that are there already.
     """
     alone = dict(made or {})
 

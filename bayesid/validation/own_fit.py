@@ -78,13 +78,7 @@ def left_text(prediction: Prediction) -> str:
 
 
 def fit_and_predict(problem: Problem) -> tuple[Prediction, ...]:
-    """Fit a model and predict the motions that it was fitted to, and those of role ``validation``.
-
-    Raises
-    ------
-    InputError
-        Readings are not finite where the effects start.
-    """
+    """Fit a model and predict the motions that it was fitted to, and those of role ``validation``."""
     problem, estimate = solve(problem, default_method(problem))
     floor = noise_floor(problem)
     motions = [
@@ -97,12 +91,8 @@ def fit_and_predict(problem: Problem) -> tuple[Prediction, ...]:
 def motion_errors(before: Experiment, after: Experiment | None, options: FitOptions) -> tuple[MotionErrors, ...]:
     """What two models leave of every motion, those that were not fitted first; none where the first cannot be fitted.
 
-    Parameters
-    ----------
-    before, after
-        The same recordings with the user's model and with another; None: there is no other.
-    options
-        Which readings and motions; the effects are those of the experiments.
+    Both are of the same recordings; ``after`` may be None. ``options`` say which readings and motions; the effects are those of
+    the experiments.
     """
     try:
         one = fit_and_predict(prepare(before, options))

@@ -203,14 +203,8 @@ def _signal(rmse: np.ndarray, nrmse: np.ndarray) -> np.ndarray:
 def predict(problem: Problem, estimate: Estimate, motion: Motion, floor: NoiseFloor | None = None) -> Prediction:
     """Predict a motion's readings with an estimate and compare.
 
-    Parameters
-    ----------
-    problem, estimate
-        The model and its parameters.
-    motion
-        Any motion of the experiment whose columns allow it.
-    floor
-        Noise that no model can remove; None: not known, the estimate's own stands in for it.
+    The motion is any of the experiment whose columns allow it; ``floor`` is noise that no model can remove, for which the
+    estimate's own stands in where it is not known.
     """
     segments = problem.segments[motion.name]
     margin = problem.row_model.margin
@@ -261,20 +255,7 @@ def predict(problem: Problem, estimate: Estimate, motion: Motion, floor: NoiseFl
 
 
 def predict_elsewhere(problem: Problem, estimate: Estimate, other: Experiment) -> tuple[Prediction, ...]:
-    """Predict every motion of another experiment of the same robot; nothing is fitted, so all count as validation.
-
-    Parameters
-    ----------
-    problem, estimate
-        The model and its parameters.
-    other
-        Recordings of the same joints and readings.
-
-    Raises
-    ------
-    InputError
-        They are not.
-    """
+    """Predict every motion of another experiment of the same joints; nothing is fitted, so all count as validation."""
     there = elsewhere(problem, other)
     floor = noise_floor(there)
     motions = [m for m in other.motions if m.name in there.segments]

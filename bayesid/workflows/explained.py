@@ -63,22 +63,10 @@ def explain(
     experiment: Experiment, options: FitOptions, part_of_it: Callable[[Effect], bool], not_modelled: Callable[[Effect], bool],
     wanted: bool, seed: int, settings: Settings | None, clock: Clock,
 ) -> Explained:  # fmt: skip
-    """Fit, diagnose, and fit again with what was named.
+    """Fit, diagnose if ``wanted``, and fit again with what was named.
 
-    Parameters
-    ----------
-    experiment, options
-        The recordings, and what to fit.
-    part_of_it
-        Whether an effect is what was asked for under another name.
-    not_modelled
-        Whether an effect is reported but kept out of the model.
-    wanted
-        Whether to diagnose at all.
-    seed, settings
-        Of the diagnosis.
-    clock
-        Is called with each stage.
+    ``part_of_it`` says whether an effect is what was asked for under another name, ``not_modelled`` whether one is reported but
+    kept out of the model.
     """
     clock("fit")
     first = identify(experiment, options=options, progress=None)

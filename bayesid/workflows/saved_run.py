@@ -29,23 +29,11 @@ ESTIMATE, POSTERIOR = "estimate.json", "posterior.json"
 def known_from_run(
     experiment: Experiment, run: Path, options: FitOptions, prior_std: float | None, count: int, seed: int
 ) -> tuple[Known, tuple[str, ...]]:
-    """What is known after a run, and the warnings it had.
+    """What is known after a run, by its folder, ``estimate.json`` or ``posterior.json``, and the warnings it had.
 
-    Parameters
-    ----------
-    experiment
-        Whose run it was.
-    run
-        Its folder, or its ``estimate.json`` or ``posterior.json``.
-    options
-        Their effects, static and bandwidth count where the run was given others than the experiment has.
-    prior_std, count, seed
-        As in `bayesid.design.bounds.knowledge.known_from`.
-
-    Raises
-    ------
-    InputError
-        The files are missing, are no run's, or belong to another experiment or model.
+    Effects, static and bandwidth of ``options`` count where the run was given others than the experiment has; the rest is as in
+    `bayesid.design.bounds.knowledge.known_from`. An `InputError` where files are missing, are no run's, or belong to another
+    experiment or model.
     """
     file = run if run.suffix == ".json" else next((run / n for n in (ESTIMATE, POSTERIOR) if (run / n).is_file()), run / ESTIMATE)
     document = _read(file)

@@ -46,17 +46,7 @@ def unpredicted(predictions: Sequence[Prediction]) -> list[str]:
 
 
 def unusable(problem: Problem, predictions: Sequence[Prediction], mistakes: Sequence[str]) -> list[str]:
-    """That a fit is of no use, and what to try first.
-
-    Parameters
-    ----------
-    problem
-        What was fitted.
-    predictions
-        Of the motions that were not fitted.
-    mistakes
-        What `mistaken` found.
-    """
+    """That a fit is of no use, by predictions of unfitted motions and what `mistaken` found, and what to try first."""
     if not useless(predictions):
         return []
     errors = sorted(p.relative_error for p in predictions)

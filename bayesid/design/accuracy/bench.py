@@ -129,21 +129,10 @@ def make_bench(
     *,
     nominal: bool = False,
 ) -> Bench:
-    """Fit an experiment, unless that is done already, and take what was found for the truth.
+    """Fit an experiment, unless ``problem`` and ``estimate`` are of such a fit, and take what was found for the truth.
 
-    Parameters
-    ----------
-    experiment, method, options
-        What is fitted, and how.
-    problem, estimate
-        Of a fit that was made with these.
-    nominal
-        Take the nominal links for the true ones instead of the estimated.
-
-    Raises
-    ------
-    InputError
-        Bad input, as for `bayesid.identify`; or the model has expressions whose values are not finite.
+    With ``nominal`` the nominal links are the true ones instead of the estimated. An `InputError` as for `bayesid.identify`, or
+    where expressions of the model have values that are not finite.
     """
     if problem is None or estimate is None:
         problem, estimate = solve(prepare(experiment, options), method)
@@ -260,17 +249,10 @@ def own_setting(bench: Bench) -> Setting:
 
 
 def twin(bench: Bench, setting: Setting, seed: int) -> Experiment:
-    """One recording of the fitted motions with fresh noise.
+    """One recording of the fitted motions with fresh noise; a seed draws the same noise for settings with the same sizes.
 
     The same motion would be rounded to counts in the same way every time; each twin starts a random part of a sample later and
     runs a random part of a count beside the motion, so that rounding is fresh, too.
-
-    Parameters
-    ----------
-    bench, setting
-        What is recorded, and how.
-    seed
-        Of everything random; the same for different settings draws the same noise where sizes are the same.
     """
     rng = np.random.default_rng(seed)
     shift = rng.uniform(0.0, 1.0)

@@ -123,27 +123,11 @@ def check_certifiable(bench: Bench, count: int) -> None:
 def certify(
     bench: Bench, count: int, seed: int, tell: Callable[[str], object], kept: Path | None = None, resume: bool = False
 ) -> CoverageCertificate:
-    """Simulate twins, fit each, and count which intervals hold the truth.
+    """Simulate ``count`` twins, fit each, and count which intervals hold the truth.
 
-    Parameters
-    ----------
-    bench
-        The user's own experiment and estimator.
-    count, seed
-        How many twins, drawn from what.
-    tell
-        Called with what is going on.
-    kept
-        File that keeps the twins fitted so far; an interruption loses at most the last few.
-    resume
-        Go on with those that are there.
-
-    Raises
-    ------
-    InputError
-        As `check_certifiable`; the file belongs to another run.
-    EstimationError
-        Hardly any twin can be fitted.
+    ``kept`` is a file that keeps the twins fitted so far, with which ``resume`` goes on; an interruption loses at most the last
+    few. An `InputError` as `check_certifiable`, or where the file belongs to another run; an `EstimationError` where hardly any
+    twin can be fitted.
     """
     check_certifiable(bench, count)
     setting, mark = own_setting(bench), _mark(bench, seed)

@@ -296,22 +296,7 @@ class SensorChoice:
 def choose_sensor(
     bench: Bench, candidates: Sequence[CandidateSensor], tell: Callable[[str], object] = lambda _: None
 ) -> SensorChoice:
-    """What each candidate would tell of the fitted motions.
-
-    Parameters
-    ----------
-    bench
-        The user's own experiment.
-    candidates
-        The sensors.
-    tell
-        Called with what is going on.
-
-    Raises
-    ------
-    InputError
-        A wrist sensor's joint does not exist.
-    """
+    """What each candidate would tell of the fitted motions; an `InputError` where a wrist sensor's joint does not exist."""
     stated = bench.experiment.inertia_rel_std
     rel_std = stated or USUAL_REL_STD
     outlooks = []

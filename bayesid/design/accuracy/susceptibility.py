@@ -87,19 +87,7 @@ def missing_effects(bench: Bench) -> tuple[Term, ...]:
 def susceptibility(
     bench: Bench, std: np.ndarray, terms: tuple[Term, ...] | None = None, tell: Callable[[str], object] = lambda _: None
 ) -> tuple[Susceptibility, ...]:
-    """Bias of the user's estimate for each effect, largest first.
-
-    Parameters
-    ----------
-    bench
-        The user's own experiment.
-    std
-        Standard deviations of the base parameters (r,).
-    terms
-        Effects and their sizes; default `missing_effects`.
-    tell
-        Called with what is going on.
-    """
+    """Bias of the user's estimate, with standard deviations (r,), for each effect, default `missing_effects`, largest first."""
     terms = missing_effects(bench) if terms is None else terms
     motions, weights = _motions(bench), learn_weights(bench.problem.regression)
     start = _fitted(bench, [_read(bench, segment, states, ()) for segment, states in motions], weights)

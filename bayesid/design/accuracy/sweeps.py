@@ -349,19 +349,7 @@ def median_ratio(errors: np.ndarray, others: np.ndarray) -> float:
 
 
 def sweep(bench: Bench, runs: int, seed: int, tell: Callable[[str], object]) -> Sweeps:
-    """Vary one factor at a time.
-
-    Parameters
-    ----------
-    bench
-        The user's own experiment.
-    runs
-        Twins of every level that is simulated.
-    seed
-        Of their noise.
-    tell
-        Called with what is going on.
-    """
+    """Vary one factor at a time, with ``runs`` twins of every level that is simulated."""
     factors = all_factors(bench)
     own = own_setting(bench)
     settings: list[Setting] = [own]

@@ -102,22 +102,10 @@ def band(
     left: Remainder | None = None,
     seed: int = 0,
 ) -> Band:
-    """Readings of a trajectory with their bands.
+    """Readings of a trajectory (N, n) with their bands.
 
-    Parameters
-    ----------
-    model
-        What is read.
-    q, v, a
-        Joint positions, velocities and accelerations (N, n).
-    times
-        (N,) [s]; default the number of the sample, and samples that are far apart.
-    trained
-        Largest standard deviation of each channel in the fitted motions (c,).
-    left
-        What the model leaves; None: not known, and not in the bands.
-    seed
-        Of the draws.
+    Without ``times`` (N,) [s] samples count as far apart. ``trained`` is the largest standard deviation of each channel in the
+    fitted motions (c,); what the model has ``left`` is in the bands where it is known.
     """
     region = model.region
     constant, matrix = model.columns(q, v, a)

@@ -144,20 +144,11 @@ def held_out_scale(
 ) -> float:
     """Share of a dispersed covariance that motions which were not fitted leave.
 
-    How far parameters scatter between parts of one recording is known to a factor of two or so, and errors of a held-out
-    motion are those of the parameters and more. So these cannot be larger: the variance that the covariance predicts for the
-    motion's rows is cut down to what is left of them, mean over channels, though not below that of noise alone.
-
-    Parameters
-    ----------
-    problem
-        The fitted model; its motions of role ``validation`` judge.
-    mean, covariance
-        Base parameters, then effects (p,), (p, p).
-    dispersion
-        Factor that the covariance has for what the model lacks.
-    floor
-        Noise of the readings; None: not known, all of what is left counts.
+    How far parameters scatter between parts of one recording is known to a factor of two or so, and errors of a held-out motion
+    are those of the parameters and more. So these cannot be larger: the variance that the covariance (of base parameters, then
+    effects) predicts for the rows of motions of role ``validation`` is cut down to what is left of them, mean over channels,
+    though not below that of noise alone, as far as a ``floor`` tells it. ``dispersion`` is the factor that the covariance has
+    for what the model lacks.
     """
     judges = [m.name for m in problem.experiment.motions if m.role == "validation" and m.name not in problem.fitted]
     blocks = [b for b in problem.rows.blocks([n for n in judges if n in problem.segments]) if b.group == "trajectory"]

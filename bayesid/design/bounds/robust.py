@@ -64,17 +64,7 @@ def tracking_bound(
 
 
 def effort_ratio(columns: np.ndarray, covariance: np.ndarray, ellipsoid: float, rho: float, seed: int = 0) -> float:
-    """Median of ``||Y u||`` of the ball over that of the ellipsoid, outside of their boundary layers.
-
-    Parameters
-    ----------
-    columns
-        Y at states of the workspace (N, n, k).
-    covariance, ellipsoid, rho
-        Of the region.
-    seed
-        Of the directions of r.
-    """
+    """Median of ``||Y u||`` of the ball over that of the ellipsoid, outside of their layers, over states' Y (N, n, k)."""
     rng = np.random.default_rng([seed, 17])
     sliding = np.einsum("tjk,tj->tk", columns, rng.normal(size=columns.shape[:2]))
     ball = norm_term(sliding, rho, 1e-300)

@@ -122,15 +122,7 @@ class Terms:
 
     @classmethod
     def of(cls, model: ReadingModel, positions: np.ndarray) -> Terms:
-        """Those of the base parameters, and of what goes with acceleration inside the joints.
-
-        Parameters
-        ----------
-        model
-            Of the joint torques.
-        positions
-            (m, n).
-        """
+        """Those of the base parameters, and of what goes with acceleration inside the joints, at positions (m, n)."""
         n, rank, still = positions.shape[1], model.base.rank, np.zeros_like(positions)
         size = len(model.region.values)
 
@@ -169,19 +161,9 @@ def workspace_bounds(
 ) -> Workspace:
     """Bounds of the joint torques' model over the workspace.
 
-    Parameters
-    ----------
-    model
-        Of the joint torques.
-    draws, configurations
-        How many of each at most.
-    seed
-        Of the Sobol sequence's shift.
-    possible
-        Parameters of links that can exist (k,), taken for the controller's where the mass matrix of the centre is not positive
-        definite everywhere.
-    progress
-        Called with how far it is.
+    ``draws`` and ``configurations`` are how many of each at most, ``seed`` is that of the Sobol sequence's shift. ``possible``
+    are parameters of links that can exist (k,), taken for the controller's where the mass matrix of the centre is not positive
+    definite everywhere.
     """
     positions, lower, upper = sobol_configurations(model.robot, configurations, seed)
     terms = Terms.of(model, positions)

@@ -80,19 +80,7 @@ class Diagnosability:
 
 
 def diagnosability(experiment: Experiment, information: Information, series: FourierSeries, recorded: float) -> Diagnosability:
-    """What a motion could show of every effect of the library that acts on these readings.
-
-    Parameters
-    ----------
-    experiment
-        Its robot, links, model and library.
-    information
-        What is read and estimated.
-    series
-        The motion.
-    recorded
-        Samples in all.
-    """
+    """What a motion of so many recorded samples could show of every effect of the library that acts on these readings."""
     robot, channels = experiment.robot, information.channels
     links = robot.nominal if states_masses(robot) else typical_links(robot)
     gravity = information.sensor_set.gravity

@@ -110,13 +110,7 @@ class Criterion:
     quantities: np.ndarray | None = None
 
     def __post_init__(self) -> None:
-        """Check the name.
-
-        Raises
-        ------
-        InputError
-            There is no such criterion, or ``quantity`` without any.
-        """
+        """Check the name, and that ``quantity`` has quantities; else an `InputError`."""
         if self.name not in CRITERIA:
             raise InputError(f"{argument('criterion', self.name)}: choose one of {', '.join(CRITERIA)}")
         if (self.quantities is None) == (self.name == "quantity"):

@@ -132,14 +132,8 @@ class Limits:
     def worst(self, series: FourierSeries, samples: int) -> dict[str, np.ndarray]:
         """Largest ratio by kind, for each joint, channel or pair.
 
-        Those of positions, velocities and accelerations hold for all times, those of loads and distances at samples.
-
-        Parameters
-        ----------
-        series
-            The motion.
-        samples
-            Even samples of a period.
+        Those of positions, velocities and accelerations hold for all times, those of loads and distances at even samples of a
+        period.
         """
         m = self.moving
         low, high, speed, acceleration = (part[m] for part in series.extremes(samples))

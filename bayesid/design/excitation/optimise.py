@@ -105,16 +105,7 @@ _NEAR, _LONGEST, _STEPS = 0.9, 0.5, 8
 def restored(limits: Limits, coordinates: Coordinates, x: np.ndarray, margin: float) -> np.ndarray | None:
     """Numbers near x whose motion keeps all limits at the samples, less half a margin; None where none was found.
 
-    Parameters
-    ----------
-    limits
-        To keep.
-    coordinates
-        Of the numbers x.
-    x
-        Where to start from.
-    margin
-        Share of every limit that is kept free.
+    ``margin`` is the share of every limit that is kept free.
     """
     for _ in range(_STEPS):
         motion = coordinates.motion(x)
@@ -285,27 +276,10 @@ def search(
     seed: int = 0,
     tell: Callable[[str], None] = lambda _: None,
 ) -> TrajectorySearch:
-    """Find the best motion.
+    """Find the best motion; an interrupt (Ctrl-C) ends the search, not the program.
 
-    Parameters
-    ----------
-    task
-        What is optimised.
-    warm
-        A motion to start from as well.
-    randoms, starts
-        How many random feasible motions are judged, and how many of the best are improved.
-    seconds
-        No further improvement begins after so long.
-    seed
-        Of the random motions.
-    tell
-        Called with how far it is.
-
-    Returns
-    -------
-    search
-        Its ``best`` is None where no feasible motion was found; an interrupt (Ctrl-C) ends the search, not the program.
+    ``randoms`` random feasible motions are judged, and ``starts`` of the best, and ``warm``, are improved; no further
+    improvement begins after so many seconds. ``best`` is None where no feasible motion was found.
     """
     found, rng = TrajectorySearch(), np.random.default_rng(seed)
     pool: list[tuple[float, FourierSeries]] = []

@@ -177,13 +177,7 @@ def sensor_ranges(given: Sequence[float] | None) -> np.ndarray:
 
 
 def numbers(name: str, given: float | Sequence[float], count: int, several: str = "") -> np.ndarray:
-    """So many numbers above 0; one stands for all.
-
-    Raises
-    ------
-    InputError
-        There are others.
-    """
+    """So many numbers above 0; one stands for all. An `InputError` where there are others."""
     values = np.atleast_1d(np.array(given, float))
     if values.shape not in ((1,), (count,)) or not (np.isfinite(values) & (values > 0)).all():
         wanted = several or f"one number or {count}"

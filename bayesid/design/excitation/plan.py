@@ -157,27 +157,10 @@ def make_plan(
     seed: int = 0,
     tell: Callable[[str], None] = lambda _: None,
 ) -> Plan:
-    """Search an exciting trajectory.
+    """Search an exciting trajectory for an experiment's robot, sensor, noise and model, from a ``warm`` motion if any.
 
-    Parameters
-    ----------
-    experiment
-        Its robot, sensor, noise and model.
-    options
-        What is asked for.
-    warm
-        A motion to start from.
-    seed
-        Of the random motions.
-    tell
-        Called with how far it is.
-
-    Raises
-    ------
-    InputError
-        An option does not fit the robot, or the limits leave no room.
-    EstimationError
-        It was interrupted before any motion was found.
+    An `InputError` where an option does not fit the robot, or the limits leave no room; an `EstimationError` where it was
+    interrupted before any motion was found.
     """
     task, notes = make_task(experiment, options, seed)
     start = None if warm is None else fitted_series(warm.times, warm.positions, task.coordinates.period, options.harmonics)

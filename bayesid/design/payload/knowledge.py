@@ -79,15 +79,7 @@ def weighed_alone(experiment: Experiment, channel: str) -> int | None:
 
 
 def from_sensor(problem: Problem, estimate: Estimate, body: int) -> BodyKnowledge:
-    """What the wrench of a sensor says of the one body that it carries, in that body's frame.
-
-    Parameters
-    ----------
-    problem, estimate
-        A fit to the wrench.
-    body
-        Of `weighed_alone`.
-    """
+    """What a fit to the wrench of a sensor says of the one body that it carries, in that body's frame."""
     base = estimate.base
     shown = ~estimate.undetermined[: base.rank]
     matrix = base.matrix[:, 10 * body : 10 * body + 10][shown]
@@ -104,14 +96,7 @@ def from_sensor(problem: Problem, estimate: Estimate, body: int) -> BodyKnowledg
 def from_nominal(problem: Problem, estimate: Estimate, body: int, rel_std: float) -> tuple[BodyKnowledge, float]:
     """What a fit says of a payload beside nominal links, and the share of the mass's variance that these contribute.
 
-    Parameters
-    ----------
-    problem, estimate
-        A fit with free links.
-    body
-        The link that carries it.
-    rel_std
-        Prior relative standard deviation of the nominal links; 0: they are exact.
+    ``rel_std`` is the prior relative standard deviation of the nominal links; 0: they are exact.
     """
     base = estimate.base
     shown = ~estimate.undetermined[: base.rank]
@@ -126,17 +111,10 @@ def from_nominal(problem: Problem, estimate: Estimate, body: int, rel_std: float
 
 
 def from_reference(comparison: ReferenceComparison, joint: int) -> tuple[BodyKnowledge, float]:
-    """What changed on a link since a reference, and the log evidence that something did.
+    """What changed on a joint's link since a reference, and the log evidence that something did.
 
     Where the comparison names no payload there, one is taken into the model all the same: then the interval says how large a
     payload may be that these recordings do not show.
-
-    Parameters
-    ----------
-    comparison
-        With the recording without the payload.
-    joint
-        The link that carries it.
     """
     s = comparison.selection
     where = f"joint{joint + 1}"
@@ -163,21 +141,8 @@ def from_reference(comparison: ReferenceComparison, joint: int) -> tuple[BodyKno
 def in_frame(known: BodyKnowledge, experiment: Experiment, body: int, frame: str | None) -> tuple[BodyKnowledge, str]:
     """The same in the frame of a URDF link that is fixed to the body, and that link's name.
 
-    Parameters
-    ----------
-    known
-        In the body's frame.
-    experiment
-        With the URDF.
-    body
-        Index of the body.
-    frame
-        Name of a link; None: the flange, where the URDF has a link of such a name (`FLANGES`), else the body's own.
-
-    Raises
-    ------
-    InputError
-        There is no such link, or it does not move with the body.
+    Default is the flange, where the URDF has a link of such a name (`FLANGES`), else the body's own frame. An `InputError`
+    where there is no such link, or it does not move with the body.
     """
     robot = experiment.robot
     urdf = robot.description

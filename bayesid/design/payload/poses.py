@@ -61,23 +61,10 @@ class NextPoses:
 
 
 def next_poses(problem: Problem, estimate: Estimate, body: int, wanted: tuple[float, float], seed: int = 0) -> NextPoses:
-    """Choose poses within the joints' limits in which the robot does not touch itself.
+    """Choose poses within the joints' limits in which the robot does not touch itself, for a sensor that carries one body.
 
-    Parameters
-    ----------
-    problem, estimate
-        A fit to the wrench of a sensor that carries the body alone.
-    body
-        Index of the body.
-    wanted
-        See `NextPoses`.
-    seed
-        Of the poses to choose from.
-
-    Raises
-    ------
-    InputError
-        What is wanted is no accuracy, or hardly any position keeps the robot's bodies apart.
+    An `InputError` where what is ``wanted`` (see `NextPoses`) is no accuracy, or hardly any position keeps the robot's bodies
+    apart.
     """
     if len(wanted) != 2 or not all(np.isfinite(w) and w > 0.0 for w in wanted):
         raise InputError(

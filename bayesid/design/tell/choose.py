@@ -119,15 +119,7 @@ def contest_on(case: Case, segments: Sequence[Segment]) -> Contest:
 
 
 def checked(contest: Contest, case: Case, bench: SeenInstruments, motion: Planned) -> Contest:
-    """A contest with the distances between predictions that exact fits leave.
-
-    Parameters
-    ----------
-    contest
-        The closed form for the motion.
-    case, bench, motion
-        What it was made of.
-    """
+    """A contest, the closed form for the motion, with the distances between predictions that exact fits leave."""
     first = case.rivals[0].fit
     data, segment = first.projector.data, bench.segment(motion, first)
     projector = make_projector(replace(data, segments=(*data.segments, segment)), first.terms)
@@ -249,20 +241,10 @@ def tell_search(
 ) -> Telling | None:
     """The motion that settles an ambiguous diagnosis.
 
-    None where nothing is ambiguous, no motion is within the limits, or all recordings are poses, which say nothing of the
-    noise of a motion.
-
-    Parameters
-    ----------
-    search
-        What the diagnosis found.
-    effort
-        Motions tried at random, improvements of the best, and motions checked by exact fits at most.
-    options
-        Limits, joints and length of the motion, as for `excite`; default those of `excite`, and as long as the longest
-        recording, at least 16 s and at most 20 s, or twice that where it would not decide.
-    seed
-        Seed of everything random.
+    None where nothing is ambiguous, no motion is within the limits, or all recordings are poses, which say nothing of the noise
+    of a motion. ``effort`` is motions tried at random, improvements of the best, and motions checked by exact fits at most.
+    ``options`` are limits, joints and length of the motion, as for `excite`; default those of `excite`, and as long as the
+    longest recording, at least 16 s and at most 20 s, or twice that where it would not decide.
     """
     case = from_search(search)
     if case is None or all(segment.still for segment in case.rivals[0].fit.projector.data.segments):
@@ -279,23 +261,10 @@ def tell_effects(
     options: ExcitationOptions | None = None,
     seed: int = 0,
 ) -> Telling | None:
-    """The motion that best tells effects apart, given by their names.
+    """The motion that best tells effects apart, given by ``name@where``, or ``name`` where there is one place.
 
-    Parameters
-    ----------
-    data
-        The recordings so far.
-    specs
-        ``name@where``, or ``name`` where there is one place.
-    recorded
-        Whether the recordings count; otherwise only their noise does.
-    effort, options, seed
-        As in `tell_search`.
-
-    Raises
-    ------
-    InputError
-        As `bayesid.design.tell.rivals.parse_effects`.
+    Unless the recordings so far count as ``recorded``, only their noise does; the rest is as in `tell_search`. An `InputError`
+    as of `bayesid.design.tell.rivals.parse_effects`.
     """
     effects = parse_effects(data, specs)
     if not recorded:

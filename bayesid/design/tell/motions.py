@@ -121,14 +121,7 @@ class Planned:
 def within_limits(motion: Planned, limits: Limits, share: float = 1.0) -> Planned | None:
     """The motion made to keep the limits: smaller, slower, elsewhere; None where that does not help.
 
-    Parameters
-    ----------
-    motion
-        Any.
-    limits
-        Of positions, speeds, accelerations, loads and distances.
-    share
-        Of the speed limits that is used.
+    ``share`` is that of the speed limits which is used.
     """
     times = np.linspace(0.0, motion.duration, int(_CHECKED * motion.duration) + 1)
     for _ in range(_TRIALS):

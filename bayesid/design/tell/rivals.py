@@ -38,17 +38,7 @@ class PredictedSegment(Segment):
 
 
 def predicted(data: DiagnosisData, segment: Segment, links: np.ndarray, offset: np.ndarray, terms: Sequence[Term]) -> Segment:
-    """The segment with the readings that a model predicts in place of its own.
-
-    Parameters
-    ----------
-    data
-        The robot and what is compared.
-    segment
-        Any.
-    links, offset, terms
-        The model.
-    """
+    """The segment with the readings that a model predicts in place of its own."""
     read = segment.spectrum(data.predict(segment, links, terms)) + segment.measured_ones * offset
     given = {item.name: getattr(segment, item.name) for item in fields(Segment) if item.init}
     return PredictedSegment(**given, coefficients=read)

@@ -20,21 +20,10 @@ _ARRAYS = {"numpy": read_npz, "mat": read_mat, "hdf5": read_hdf5}
 def read_source(
     path: str | Path, topics: Sequence[str] = (), mapped: Iterable[str] = (), episodes: Sequence[int] = ()
 ) -> tuple[Source, ...]:
-    """Read a file or folder of another tool: the recordings in it, as they are.
+    """Read a bag, an MCAP file, a table, an archive of arrays, or a data set of LeRobot: the recordings in it, as they are.
 
-    Parameters
-    ----------
-    path
-        A bag, an MCAP file, a table, an archive of arrays, or a data set of LeRobot.
-    topics, mapped
-        Of a bag: topics to be read, and columns whose topics are.
-    episodes
-        Of a data set: which to read; empty: all.
-
-    Raises
-    ------
-    InputError
-        It is not there, of an unknown kind, or damaged.
+    Of a bag ``topics`` are read, and those of columns that are ``mapped``; of a data set its ``episodes``, default all. An
+    `InputError` where it is not there, of an unknown kind, or damaged.
     """
     path = Path(path)
     if not path.exists():

@@ -54,13 +54,8 @@ class Joined:
 def join(signals: Sequence[Signal], source: str) -> Joined:
     """Bring all signals to the times of the slowest of positions and readings; what shares those times stays as it is.
 
-    Others are interpolated by cubic splines, readings of a faster topic averaged over a row's step. Nothing is filled in
-    across a gap or beyond an end: such rows are left out.
-
-    Raises
-    ------
-    InputError
-        Topics do not overlap in time.
+    Others are interpolated by cubic splines, readings of a faster topic averaged over a row's step. Nothing is filled in across
+    a gap or beyond an end: such rows are left out. An `InputError` where topics do not overlap in time.
     """
     candidates = [s for s in signals if s.quantity in ("q", *_READINGS) and len(s.times) > 1]
     if not candidates:

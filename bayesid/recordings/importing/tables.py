@@ -25,10 +25,7 @@ _LONGEST_LINE = 1 << 20  # of a text that is a table [bytes]
 def read_csv(path: Path) -> Stream:
     """Read a table of texts; commas, semicolons, tabs or bars separate, and decimals have a comma where semicolons do.
 
-    Raises
-    ------
-    InputError
-        It is no such table: binary, empty, without a header, or with rows of another width, as a file that was cut off has.
+    An `InputError` where it is binary, empty, without a header, or with rows of another width, as a file that was cut off has.
     """
     import pandas as pd
 

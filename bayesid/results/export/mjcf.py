@@ -28,23 +28,10 @@ def held() -> tuple[str, ...]:
 
 
 def mjcf(robot: Robot, locked: Mapping[str, float], links: np.ndarray, dynamics: JointDynamics) -> str:
-    """The text of an MJCF file.
+    """The text of an MJCF file with links (10 b,); visuals, collision shapes and meshes are left out.
 
-    Parameters
-    ----------
-    robot
-        Loaded from the URDF whose links and joints it has; visuals, collision shapes and meshes are left out.
-    locked
-        Where joints stand that are not among the robot's [rad or m]; they are fixed there.
-    links
-        Ten parameters a body (10 b,).
-    dynamics
-        What was identified inside the joints.
-
-    Raises
-    ------
-    InputError
-        The package mujoco is missing, MuJoCo refuses the robot, or both libraries do not agree on it.
+    ``locked`` are positions of joints that are not among the robot's [rad or m]; they are fixed there. An `InputError` where
+    the package mujoco is missing, MuJoCo refuses the robot, or both libraries do not agree on it.
     """
     mujoco = load_mujoco()
     root = plain_urdf(robot, locked, links, dynamics)

@@ -24,14 +24,9 @@ _TAILS = (0.05, 0.95)
 def randomisation(found: IdentifiedRobot) -> dict[str, Any]:
     """Mean, standard deviation and 5 to 95 % range of every link's and joint's constants.
 
-    Links are named as in the URDF. Of each: mass [kg], centre of mass [m] and inertia about it [kg m^2] in its frame; of a joint
-    ``damping``, ``frictionloss`` and ``armature``, where they were estimated. Numbers that are drawn from their ranges one by one
-    are no draw of the posterior, which holds how they go together: take whole draws where that matters.
-
-    Raises
-    ------
-    InputError
-        There are no draws of links.
+    Links are named as in the URDF. Of each: mass [kg], centre of mass [m] and inertia about it [kg m^2] in its frame; of a
+    joint ``damping``, ``frictionloss`` and ``armature``, where they were estimated. Numbers that are drawn from their ranges
+    one by one are no draw of the posterior, which holds how they go together: take whole draws where that matters.
     """
     links, effects = draws_of(found)
     robot = found.robot

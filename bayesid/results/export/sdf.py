@@ -20,23 +20,9 @@ _PLACEHOLDER = "0.001"  # kg, of a root without mass, which does not move: witho
 def sdf(robot: Robot, locked: Mapping[str, float], links: np.ndarray, dynamics: JointDynamics) -> str:
     """The text of an SDF file, version 1.9: links and joints with friction and springs, the root fixed to the world.
 
-    A link of no mass that is fixed to another becomes a frame: a reader would give it a kilogram.
-
-    Parameters
-    ----------
-    robot
-        Loaded from the URDF whose links and joints it has; visuals, collision shapes and meshes are left out.
-    locked
-        Where joints stand that are not among the robot's [rad or m]; they are fixed there.
-    links
-        Ten parameters a body (10 b,).
-    dynamics
-        What was identified inside the joints.
-
-    Raises
-    ------
-    InputError
-        A moving link has no mass, which SDF has no word for.
+    Visuals, collision shapes and meshes are left out; ``locked`` are positions of joints that are fixed there [rad or m]. A
+    link of no mass that is fixed to another becomes a frame: a reader would give it a kilogram. An `InputError` where a moving
+    link has no mass, which SDF has no word for.
     """
     tree, constants = plain_urdf(robot, locked, links, dynamics), joint_constants(robot, dynamics, HELD)
     root = ET.Element("sdf", version="1.9")

@@ -109,19 +109,7 @@ def of_weight(robot: Robot, channels: Sequence[str]) -> list[Candidate]:
 
 
 def signs(names: Sequence[str], measured: Sequence[int], joints: Iterable[int], kind: str) -> Candidate:
-    """Opposite signs of some joints.
-
-    Parameters
-    ----------
-    names
-        All joints.
-    measured
-        Those whose torques are the readings.
-    joints
-        Which of them, from 0.
-    kind
-        ``torque``, ``position``, or ``joint`` for both.
-    """
+    """Opposite signs of some joints' ``torque`` or ``position``, or of both, the kind ``joint``; torques are measured of some."""
     which = tuple(joints)
     every = which == tuple(measured if kind == "torque" else range(len(names)))
     readings = scaled(len(measured), [k for k, j in enumerate(measured) if j in which], -1.0)
@@ -154,15 +142,7 @@ def of_signs(names: Sequence[str], measured: Sequence[int]) -> list[Candidate]:
 
 
 def order(names: Sequence[str], positions: Sequence[int], torques: Sequence[int]) -> Candidate:
-    """Columns in another order.
-
-    Parameters
-    ----------
-    names
-        Joints as stated.
-    positions, torques
-        Which column holds the position, and the torque, of each joint (n,), from 0.
-    """
+    """Columns in another order: which holds the position, and the torque, of each joint (n,), from 0."""
     n = len(names)
     same = list(range(n))
     moved = tuple(j for j in same if positions[j] != j or torques[j] != j)
@@ -340,17 +320,8 @@ def _cross(vector: np.ndarray) -> np.ndarray:
 def candidates(experiment: Experiment, channel: str, samples: Samples) -> list[Candidate]:
     """Every mistake of signs, units and frames that readings of a channel could have, the usual ones first.
 
-    Orders of columns, scales of single joints and a tilted base are found from the data
-    (`bayesid.validation.mistakes.orders`, `bayesid.validation.mistakes.scale`, `bayesid.validation.mistakes.tilt`).
-
-    Parameters
-    ----------
-    experiment
-        The robot and its sensor.
-    channel
-        ``wrench`` or ``torque``.
-    samples
-        Joint motion and readings.
+    Orders of columns, scales of single joints and a tilted base are found from the data (`bayesid.validation.mistakes.orders`,
+    `bayesid.validation.mistakes.scale`, `bayesid.validation.mistakes.tilt`).
     """
     robot = experiment.robot
     names = robot.joint_names

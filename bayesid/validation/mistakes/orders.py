@@ -21,17 +21,10 @@ _SECOND = -log(1e3)
 def orders(explainer: Explainer, doubted: np.ndarray) -> list[Candidate]:
     """Orders of the columns that could explain the readings, the usual ones first.
 
-    For an order of the positions, each column of torques explained by itself as each joint's torque is a matrix of costs, so that
-    the best order of the torques is an assignment problem. It is solved for costs that no robot undercuts and for those of the
-    nominal bodies. Orders of positions are the usual ones (alphabetical, backwards, cyclic, two exchanged), and whatever
-    exchanging two more makes better still.
-
-    Parameters
-    ----------
-    explainer
-        Readings, and what a robot makes of them.
-    doubted
-        Joints whose readings are not explained (n,): one by one only these are looked for elsewhere.
+    For an order of the positions, each column of torques explained by itself as each joint's torque is a matrix of costs, so
+    that the best order of the torques is an assignment problem. It is solved for costs that no robot undercuts and for those of
+    the nominal bodies. Orders of positions are the usual ones (alphabetical, backwards, cyclic, two exchanged), and whatever
+    exchanging two more makes better still; only joints that are ``doubted`` (n,) are looked for elsewhere one by one.
     """
     names, n = explainer.robot.joint_names, explainer.robot.n
     free = [j for j in range(n) if doubted[j]]

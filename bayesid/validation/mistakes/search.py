@@ -37,20 +37,9 @@ _SIGNS = ("torque_sign", "torque_signs", "position_signs")
 def told(
     experiment: Experiment, explainer: Explainer, null: Fit, alike: Sequence[tuple[Candidate, Fit]], evidence: float
 ) -> Mistake:
-    """A mistake in words.
+    """A mistake in words, by ``evidence`` [nats] over ``null``, the best robot for the data as they are.
 
-    Parameters
-    ----------
-    experiment
-        The recordings.
-    explainer
-        Readings that it shows in.
-    null
-        The best robot for the data as they are.
-    alike
-        Candidates that explain the data as well, each with its robot; the first is named, the others told beside it.
-    evidence
-        Of the first [nats].
+    ``alike`` are candidates that explain the data as well, each with its robot; the first is named, the others told beside it.
     """
     first, fit = alike[0]
     text = f"{_sentence(first.says)}: with that undone, {_falls(explainer, null, fit)}; {first.remedy}"
@@ -212,19 +201,12 @@ class Search:
 def find_mistakes(experiment: Experiment, unknown: Container[tuple[str, str]] = ()) -> tuple[Mistake, ...]:
     """Mistakes of signs, orders, units and frames that would explain what no robot can do; usually none.
 
-    Gravity, masses, friction and power have signs: a robot that can exist, with friction that brakes, does not explain
-    readings of which one has the wrong sign. Every candidate is undone in turn and the best such robot is fitted to a few
-    hundred low-passed samples; one is named where the data become far more probable by it, and are explained by it. Where they
-    only become more probable, ``not_explained`` says so, without a remedy. Nothing is guessed where a finding about the recording
-    explains its readings (`bayesid.recordings.complaints`), nor what is less probable than that they are late against the motion
-    (`bayesid.validation.mistakes.delay`).
-
-    Parameters
-    ----------
-    experiment
-        The recordings; those that are fitted are looked at.
-    unknown
-        Names and places of candidates that are not looked for.
+    Gravity, masses, friction and power have signs: a robot that can exist, with friction that brakes, does not explain readings
+    of which one has the wrong sign. Every candidate that is not ``unknown`` (name and place) is undone in turn and the best
+    such robot is fitted to a few hundred low-passed samples; one is named where the data become far more probable by it, and
+    are explained by it. Where they only become more probable, ``not_explained`` says so, without a remedy. Nothing is guessed
+    where a finding about the recording explains its readings (`bayesid.recordings.complaints`), nor what is less probable than
+    that they are late against the motion (`bayesid.validation.mistakes.delay`).
     """
     found: list[Mistake] = []
     explained = {channel for finding in experiment.findings for channel in finding.silences}
