@@ -319,7 +319,7 @@ class Effect(ABC):
         return [p.typical for p in self.quantities]
 
     def reach(self, values: Sequence[float], bandwidth: float, step: float) -> float:
-        """Time before and after a sample that its reading depends on [s], by the motion's bandwidth [Hz] and the step of samples [s]."""
+        """Time before and after a sample that its reading depends on [s], by bandwidth of the motion [Hz] and sample step [s]."""
         return 0.0
 
     def canonical(self, values: tuple[float, ...]) -> tuple[float, ...]:
